@@ -1,0 +1,90 @@
+"""flysid: flight logs in, trustworthy models out.
+
+The public names are imported on first use, so that `import flysid` costs next to nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "ARX": "flysid.model.arx",
+    "TS": "flysid.model.ts",
+    "StaticTS": "flysid.model.static_ts",
+    "Dataset": "flysid.dataset",
+    "Segment": "flysid.dataset",
+    "Signal": "flysid.dataset",
+    "Flight": "flysid.flight",
+    "Damage": "flysid.flight",
+    "FlysidError": "flysid.errors",
+    "FormatError": "flysid.errors",
+    "UsageError": "flysid.errors",
+    "RecipeError": "flysid.errors",
+    "DataError": "flysid.errors",
+    "StoreError": "flysid.errors",
+    "FitError": "flysid.errors",
+    "read": "flysid.ingest.base",
+    "open": "flysid.ingest.lake",
+    "load": "flysid.model.base",
+    "compare": "flysid.validate.compare",
+}
+
+__all__ = [  # noqa: RUF022
+    "__version__",
+    "ARX",
+    "TS",
+    "StaticTS",
+    "Dataset",
+    "Segment",
+    "Signal",
+    "Flight",
+    "Damage",
+    "FlysidError",
+    "FormatError",
+    "UsageError",
+    "RecipeError",
+    "DataError",
+    "StoreError",
+    "FitError",
+    "read",
+    "open",
+    "load",
+    "compare",
+]
+
+if TYPE_CHECKING:
+    from flysid.dataset import Dataset, Segment, Signal
+    from flysid.errors import (
+        DataError,
+        FitError,
+        FlysidError,
+        FormatError,
+        RecipeError,
+        StoreError,
+        UsageError,
+    )
+    from flysid.flight import Damage, Flight
+    from flysid.ingest.base import read
+    from flysid.ingest.lake import open  # noqa: A004
+    from flysid.model.arx import ARX
+    from flysid.model.base import load
+    from flysid.model.static_ts import StaticTS
+    from flysid.model.ts import TS
+    from flysid.validate.compare import compare
+
+
+def __getattr__(name: str) -> Any:
+    try:
+        home = _HOME[name]
+    except KeyError:
+        raise AttributeError(f"module 'flysid' has no attribute {name!r}") from None
+    value = getattr(importlib.import_module(home), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,95 @@
+"""The command line: one small module per verb, imported only when that verb is run.
+
+The only place that prints, catches FlysidError and chooses exit codes: 0 done, 1 failed, 2 wrong usage
+or configuration, 3 done but data was lost or files were skipped, 4 a check that the user asked for
+failed, 130 interrupted. stdout carries data only; everything else goes to stderr.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import click
+
+import flysid
+from flysid.errors import FlysidError
+
+VERBS = {
+    "demo": "Fly, ingest, fit and validate on embedded data; end with a report.",
+    "doctor": "One line per log: what it holds, what was lost, what to log next time.",
+    "fit": "Fit linear and Takagi-Sugeno models to an ingested folder.",
+    "ingest": "Read flight logs into typed parquet tables.",
+    "ls": "List the flights and streams of an ingested folder.",
+    "reproduce": "Print a paper's results beside what can be reproduced.",
+    "show": "Show one flight or stream of an ingested folder.",
+    "synth": "Fly simulated plants and write the logs that a vehicle would have written.",
+    "validate": "Compare fitted models on held-out segments; write the report.",
+}
+
+
+class LazyVerbs(click.Group):
+    """Imports a verb's module when the verb is run; `--help` imports none of them."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        return sorted(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        if cmd_name not in VERBS:
+            return None
+        command: click.Command = importlib.import_module(f"flysid.cli.{cmd_name}").command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        with formatter.section("Verbs"):
+            formatter.write_dl(sorted(VERBS.items()))
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in VERBS and not args[0].startswith("-"):
+            import difflib
+
+            near = difflib.get_close_matches(args[0], VERBS, n=1)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise click.UsageError(f"no verb {args[0]!r}.{hint}", ctx)
+        return super().resolve_command(ctx, args)
+
+
+@click.group(cls=LazyVerbs, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(flysid.__version__, prog_name="flysid")
+def root() -> None:
+    """Flight logs in, trustworthy models out."""
+
+
+def report_error(error: FlysidError) -> None:
+    """What, where, what to try; on stderr."""
+    click.secho(f"error: {printable(error.message)}", fg="red", err=True)
+    if error.where:
+        click.echo(f"  where: {printable(error.where)}", err=True)
+    if error.hint:
+        click.echo(f"  try:   {printable(error.hint)}", err=True)
+
+
+def printable(text: str) -> str:
+    """`text` without control characters: names come from logs and may carry terminal escapes."""
+    return "".join(c if c.isprintable() else "�" for c in text)
+
+
+def main() -> None:
+    """Entry point of the `flysid` command."""
+    try:
+        code = root.main(prog_name="flysid", standalone_mode=False)
+    except FlysidError as error:
+        report_error(error)
+        sys.exit(error.exit_code)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("interrupted; it is safe to run the same command again", err=True)
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(1)
+    sys.exit(code if isinstance(code, int) else 0)

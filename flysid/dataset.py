@@ -1,0 +1,188 @@
+"""Dataset: experiments on one clock, with units, cut at gaps; ready for identification.
+
+A Dataset holds inputs u and outputs y as segments of equally spaced samples. Nothing is interpolated
+across a gap: a gap ends a segment. Arrays are 2-D float64, (N, n_u) and (N, n_y), and finite.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.errors import DataError, UsageError
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """The name and unit of one input or output.
+
+    `resolution` is the smallest difference the source can show, in `unit` (0 when unknown).
+    """
+
+    name: str
+    unit: str = ""
+    resolution: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """Equally spaced samples without a gap.
+
+    Attributes
+    ----------
+    u : (N, n_u) inputs.
+    y : (N, n_y) outputs.
+    t0_ns : vehicle time of the first sample, nanoseconds.
+    flight : identifies the log (and boot) the samples came from; segments of one flight share it.
+    marks : quality marks, e.g. {"excitation": 12.3, "mode": "STABILIZE"}.
+    """
+
+    u: FloatArray
+    y: FloatArray
+    t0_ns: int = 0
+    flight: str = ""
+    marks: Mapping[str, str | float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("u", "y"):
+            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            if array.ndim == 1:
+                array = array[:, None]
+            if array.ndim != 2:
+                raise DataError(f"{name} must be 1-D or 2-D, not {array.ndim}-D")
+            if not np.isfinite(array).all():
+                row = int(np.flatnonzero(~np.isfinite(array).all(axis=1))[0])
+                raise DataError(
+                    f"{name} is not finite at sample {row}",
+                    hint="cut the segment there, or repair the source",
+                )
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        if len(self.u) != len(self.y):
+            raise DataError(f"u has {len(self.u)} samples and y has {len(self.y)}")
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    def time_s(self, dt_s: float) -> FloatArray:
+        """(N,) vehicle time of every sample, in seconds."""
+        return self.t0_ns * 1e-9 + dt_s * np.arange(len(self), dtype=np.float64)
+
+    def slice(self, start: int, stop: int, dt_s: float) -> Segment:
+        """The samples [start, stop) as a segment of their own."""
+        return replace(
+            self,
+            u=self.u[start:stop],
+            y=self.y[start:stop],
+            t0_ns=self.t0_ns + round(start * dt_s * 1e9),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Segments that share a sample time, inputs and outputs.
+
+    Attributes
+    ----------
+    dt_s : sample time, seconds.
+    inputs, outputs : names and units, in the order of the columns of u and y.
+    segments : the experiments.
+    name : the channel's name, e.g. "longitudinal".
+    """
+
+    dt_s: float
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    segments: tuple[Segment, ...]
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.dt_s) and self.dt_s > 0):
+            raise DataError(f"the sample time must be positive, not {self.dt_s!r} s")
+        for segment in self.segments:
+            shape = (segment.u.shape[1], segment.y.shape[1])
+            if shape != (len(self.inputs), len(self.outputs)):
+                raise DataError(
+                    f"a segment has {shape[0]} inputs and {shape[1]} outputs; "
+                    f"the dataset has {len(self.inputs)} and {len(self.outputs)}"
+                )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        u: npt.ArrayLike | Sequence[npt.ArrayLike],
+        y: npt.ArrayLike | Sequence[npt.ArrayLike],
+        dt_s: float,
+        *,
+        inputs: Sequence[Signal | str] | None = None,
+        outputs: Sequence[Signal | str] | None = None,
+        name: str = "",
+    ) -> Dataset:
+        """A dataset from arrays: one (N,) or (N, n) array each, or lists of them, one per segment.
+
+        A list of plain numbers is one array. Signals are named u, y (or u1, u2, ...) unless given.
+
+        Raises
+        ------
+        DataError : lengths differ, or a value is not finite.
+        UsageError : the lists of u and y have different numbers of segments.
+        """
+        us, ys = _as_segments(u), _as_segments(y)
+        if len(us) != len(ys):
+            raise UsageError(f"u has {len(us)} segments and y has {len(ys)}")
+        segments = tuple(
+            Segment(ui, yi, flight=f"segment-{i}") for i, (ui, yi) in enumerate(zip(us, ys, strict=True))
+        )
+        if not segments:
+            raise DataError("a dataset needs at least one segment")
+        n_u, n_y = segments[0].u.shape[1], segments[0].y.shape[1]
+        return cls(
+            dt_s=float(dt_s),
+            inputs=_signals(inputs, n_u, "u"),
+            outputs=_signals(outputs, n_y, "y"),
+            segments=segments,
+            name=name,
+        )
+
+    def __len__(self) -> int:
+        """Number of samples in all segments."""
+        return sum(len(s) for s in self.segments)
+
+    @property
+    def flights(self) -> tuple[str, ...]:
+        """The flights the segments came from, in order of appearance."""
+        return tuple(dict.fromkeys(s.flight for s in self.segments))
+
+    def with_segments(self, segments: Sequence[Segment]) -> Dataset:
+        """The same signals with other segments."""
+        return replace(self, segments=tuple(segments))
+
+    def content_hash(self) -> str:
+        """sha256 over sample time, signals and all samples: equal data, equal hash."""
+        digest = hashlib.sha256()
+        digest.update(repr((self.dt_s, self.inputs, self.outputs)).encode())
+        for segment in self.segments:
+            digest.update(repr(segment.u.shape).encode())
+            digest.update(segment.u.tobytes())
+            digest.update(segment.y.tobytes())
+        return digest.hexdigest()
+
+
+def _as_segments(values: npt.ArrayLike | Sequence[npt.ArrayLike]) -> list[FloatArray]:
+    if isinstance(values, (list, tuple)) and values and np.ndim(values[0]) > 0:
+        return [np.asarray(v, dtype=np.float64) for v in values]
+    return [np.asarray(values, dtype=np.float64)]
+
+
+def _signals(given: Sequence[Signal | str] | None, count: int, letter: str) -> tuple[Signal, ...]:
+    if given is None:
+        return tuple(Signal(letter if count == 1 else f"{letter}{i + 1}") for i in range(count))
+    if len(given) != count:
+        raise UsageError(f"{len(given)} names for {count} signals")
+    return tuple(s if isinstance(s, Signal) else Signal(s) for s in given)

@@ -1,0 +1,181 @@
+"""What a log format provides, and how flysid finds it.
+
+A format is a module of this folder that ends with `FORMAT = Format(...)`. Nothing else registers it:
+`all_formats` walks the folder. A reader is a generator: it yields tables (parts of streams, in any
+interleaving) and returns a Summary, so that a log of any size is read in bounded memory.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import mmap
+import pkgutil
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import pyarrow as pa
+
+from flysid.errors import FormatError, UsageError
+from flysid.flight import ClockMap, Damage, Flight, Source
+
+HEAD_BYTES = 65536
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds that hold for hostile input. `max_chunk_bytes` bounds one decompressed chunk."""
+
+    max_chunk_bytes: int = 1 << 30
+    max_ratio: float = 200.0
+    batch_bytes: int = 32 << 20
+
+
+@dataclass(frozen=True)
+class StreamPart:
+    """Some rows of one stream. All parts of a stream have the same schema, `time_ns` and `boot` first."""
+
+    stream: str
+    table: pa.Table
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a reader knows once it has reached the end."""
+
+    damage: Damage = field(default_factory=Damage)
+    clocks: tuple[ClockMap, ...] = ()
+    info: Mapping[str, str] = field(default_factory=dict)
+
+
+Parts = Generator[StreamPart, None, Summary]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A log format.
+
+    Attributes
+    ----------
+    name : short name, e.g. "tlog".
+    title : what a person calls it.
+    suffixes : usual file name endings, lower case; a hint for folders, never proof.
+    sniff : (first `HEAD_BYTES` bytes, file name) -> confidence from 0 to 1.
+    read : (whole file as a buffer, file name, limits) -> parts. Never raises for damage: damage is
+        counted. Raises FormatError only where nothing at all can be read.
+    """
+
+    name: str
+    title: str
+    suffixes: tuple[str, ...]
+    sniff: Callable[[bytes, str], float]
+    read: Callable[[memoryview, str, Limits], Parts]
+
+
+@cache
+def all_formats() -> Mapping[str, Format]:
+    """Every format of this folder, by name."""
+    package = importlib.import_module("flysid.ingest")
+    found: dict[str, Format] = {}
+    for module in sorted(m.name for m in pkgutil.iter_modules(package.__path__)):
+        source = importlib.util.find_spec(f"flysid.ingest.{module}")
+        if (
+            source is None
+            or source.origin is None
+            or "\nFORMAT = " not in Path(source.origin).read_text("utf-8")
+        ):
+            continue
+        fmt = importlib.import_module(f"flysid.ingest.{module}").FORMAT
+        found[fmt.name] = fmt
+    return found
+
+
+def detect(head: bytes, name: str) -> Format:
+    """The format of a file by its first bytes; its name only breaks ties.
+
+    Raises FormatError when no format recognises it.
+    """
+    if not head:
+        raise FormatError(
+            "the file is empty", path=name, byte=0, hint="check that the download or copy finished"
+        )
+    suffix = Path(name).suffix.lower()
+    scored = [
+        (f.sniff(head, name) + (0.05 if suffix in f.suffixes else 0.0), f) for f in all_formats().values()
+    ]
+    confidence, best = max(scored, key=lambda pair: pair[0], default=(0.0, None))
+    if best is None or confidence < 0.3:
+        raise FormatError(
+            "not a flight log that flysid knows",
+            path=name,
+            byte=0,
+            hint="formats read: " + ", ".join(f.title for f in all_formats().values()),
+        )
+    return best
+
+
+@contextmanager
+def open_log(path: Path) -> Iterator[memoryview]:
+    """The bytes of a log, memory-mapped. Raises FormatError where it is not a readable regular file."""
+    try:
+        if not path.is_file():
+            raise FormatError("not a regular file", path=path, hint="give a log file")
+        with path.open("rb") as file:
+            if path.stat().st_size == 0:
+                raise FormatError(
+                    "the file is empty", path=path, byte=0, hint="check that the download or copy finished"
+                )
+            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped, memoryview(mapped) as view:
+                yield view
+    except OSError as error:
+        raise FormatError(f"cannot be read: {error.strerror}", path=path) from error
+
+
+def source_of(view: memoryview, name: str, fmt: Format) -> Source:
+    """Name, size and sha256 of a log."""
+    return Source(name=name, format=fmt.name, size_bytes=len(view), sha256=hashlib.sha256(view).hexdigest())
+
+
+def read(path: str | Path, *, format: str | None = None, limits: Limits | None = None) -> Flight:  # noqa: A002
+    """Read a whole log into memory.
+
+    Parameters
+    ----------
+    path : the log.
+    format : name of its format; found from its bytes when None.
+    limits : bounds for hostile input.
+
+    Raises
+    ------
+    FormatError : not a log, empty or unreadable.
+    UsageError : `format` is not a name that flysid knows.
+    """
+    path = Path(path)
+    with open_log(path) as view:
+        fmt = detect(bytes(view[:HEAD_BYTES]), path.name) if format is None else _format_named(format)
+        return collect(view, path.name, fmt, limits or Limits())
+
+
+def collect(view: memoryview, name: str, fmt: Format, limits: Limits) -> Flight:
+    """Run a format's reader to its end and join the parts of each stream."""
+    parts: dict[str, list[pa.Table]] = {}
+    reader = fmt.read(view, name, limits)
+    while True:
+        try:
+            part = next(reader)
+        except StopIteration as stop:
+            summary: Summary = stop.value
+            break
+        parts.setdefault(part.stream, []).append(part.table)
+    tables = {stream: pa.concat_tables(pieces).combine_chunks() for stream, pieces in sorted(parts.items())}
+    return Flight(source_of(view, name, fmt), tables, summary.damage, summary.clocks, summary.info)
+
+
+def _format_named(name: str) -> Format:
+    try:
+        return all_formats()[name]
+    except KeyError:
+        raise UsageError(f"no format {name!r}", hint="one of " + ", ".join(all_formats())) from None

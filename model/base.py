@@ -1,0 +1,181 @@
+"""The protocol of models and its laws.
+
+An estimator is a frozen dataclass that stores its settings; `fit(train, validation=None)` returns a
+fitted model, a new immutable value. `validation` serves choices (orders, rules, stopping); where it is
+None, the estimator holds out blocks of `train` itself. Neither ever sees held-out test data.
+
+Laws that every fitted model keeps (tests/test_model_contract.py tries them on all structures):
+
+1. `predict` and `simulate` are pure and their results are always finite where defined.
+2. Causality: row i of `predict(u, y, k)` depends on u[:i+1] and y[:i-k+1] only; row i of `simulate` on
+   u[:i+1] and the first `n_init` rows of y only.
+3. `simulate(u, y0)[:n_init] == y0`, and `predict(u, y, k)[: n_init + k - 1]` is NaN, nothing else is.
+4. `simulate` never leaves `output_limits`: it saturates there, and whoever compares counts that as
+   divergence (`diverged_at`).
+5. `from_dict(to_dict())` predicts and simulates bit for bit the same.
+6. Scaling: fitting a u, b y instead of u, y scales the predictions with b (to rounding).
+
+A structure is a module of this folder that ends with `MODEL = Structure(...)`; `all_structures` walks
+the folder.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import json
+import pkgutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.errors import StoreError
+
+MODEL_FORMAT = "flysid-model"
+MODEL_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One If-Then rule as a person reads it.
+
+    Attributes
+    ----------
+    label : "R1".
+    condition : "v_x(k-1) is A1 'slow' (about -0.51 +- 0.2 m/s)", or "always" for a linear model.
+    conclusion : "v_x(k) = 0.97 v_x(k-1) + 0.003 theta_in(k-1) + 0.01".
+    dc_gain : per output and input (n_y, n_u) steady gain; NaN where the rule integrates.
+    time_constant_s : slowest time constant; inf where the rule integrates.
+    pole_radius : largest pole modulus (0 for a static rule).
+    support : share of training samples for which this rule is the strongest, 0 to 1.
+    """
+
+    label: str
+    condition: str
+    conclusion: str
+    dc_gain: FloatArray
+    time_constant_s: float
+    pole_radius: float
+    support: float
+
+
+@runtime_checkable
+class Fitted(Protocol):
+    """A fitted model; see the module's docstring for the laws."""
+
+    @property
+    def structure(self) -> str: ...
+    @property
+    def dt_s(self) -> float: ...
+    @property
+    def inputs(self) -> tuple[Signal, ...]: ...
+    @property
+    def outputs(self) -> tuple[Signal, ...]: ...
+    @property
+    def n_init(self) -> int:
+        """Measured output samples that a simulation starts from."""
+        ...
+
+    @property
+    def n_parameters(self) -> int: ...
+    @property
+    def output_limits(self) -> FloatArray:
+        """(2, n_y) lowest and highest output that `simulate` returns."""
+        ...
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """How choices were made (orders, rules, refinement), one sentence each, for people."""
+        ...
+
+    def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
+        """(N, n_y) prediction of each sample from outputs at least k steps old."""
+        ...
+
+    def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+        """(N, n_y) free run from the first `n_init` measured outputs y0; from rest when None."""
+        ...
+
+    def rules(self) -> tuple[Rule, ...]:
+        """The model as rules; one rule "always" for a linear model."""
+        ...
+
+    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, R) normalised firing strength of every rule along measured data; rows sum to 1."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything needed to rebuild the model, as JSON types only."""
+        ...
+
+    def save(self, path: str | Path) -> None: ...
+
+
+class Estimator(Protocol):
+    """Settings of a model structure; `fit` learns."""
+
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> Fitted: ...
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A model structure: its name in files, and how to rebuild a fitted model from `to_dict()`."""
+
+    name: str
+    from_dict: Callable[[Mapping[str, Any]], Fitted]
+
+
+@cache
+def all_structures() -> Mapping[str, Structure]:
+    """Every structure of this folder, by name."""
+    package = importlib.import_module("flysid.model")
+    found: dict[str, Structure] = {}
+    for module in sorted(m.name for m in pkgutil.iter_modules(package.__path__)):
+        source = importlib.util.find_spec(f"flysid.model.{module}")
+        if (
+            source is None
+            or source.origin is None
+            or "\nMODEL = " not in Path(source.origin).read_text("utf-8")
+        ):
+            continue
+        structure = importlib.import_module(f"flysid.model.{module}").MODEL
+        found[structure.name] = structure
+    return found
+
+
+def load(path: str | Path) -> Fitted:
+    """Read a model that `save` wrote.
+
+    Raises
+    ------
+    StoreError : not a model file, damaged, or of a newer version.
+    """
+    path = Path(path)
+    try:
+        document = json.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise StoreError(f"cannot be read: {error.strerror}", path=path) from error
+    except (UnicodeDecodeError, ValueError, RecursionError) as error:
+        raise StoreError(
+            "not a flysid model: not JSON", path=path, hint="give a file that save() wrote"
+        ) from error
+    if not isinstance(document, dict) or document.get("format") != MODEL_FORMAT:
+        raise StoreError("not a flysid model", path=path, hint="give a file that save() wrote")
+    if document.get("version") != MODEL_VERSION:
+        raise StoreError(
+            f"model file version {document.get('version')!r}; this flysid reads version {MODEL_VERSION}",
+            path=path,
+            hint="use the flysid that wrote it, or fit again",
+        )
+    structure = all_structures().get(str(document.get("structure")))
+    if structure is None:
+        raise StoreError(f"unknown model structure {document.get('structure')!r}", path=path)
+    try:
+        return structure.from_dict(document)
+    except StoreError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
+        raise StoreError(f"damaged model file: {error}", path=path, hint="fit again") from error

@@ -1,0 +1,1 @@
+"""Model and held-out Dataset to Report: fair comparison in physical units."""
