@@ -201,4 +201,4 @@ def field_scale(column: pa.Field) -> float:
 
 def field_unit(column: pa.Field) -> str:
     """The unit of a column after scaling; '' where none is stated."""
-    return (column.metadata or {}).get(b"unit", b"").decode(errors="replace")
+    return str((column.metadata or {}).get(b"unit", b"").decode(errors="replace"))

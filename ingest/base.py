@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import importlib.util
 import mmap
 import pkgutil
 from collections.abc import Callable, Generator, Iterator, Mapping
