@@ -51,9 +51,7 @@ class Segment:
 
     def __post_init__(self) -> None:
         for name in ("u", "y"):
-            array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
-            if array.ndim == 1:
-                array = array[:, None]
+            array = _owned(getattr(self, name))
             if array.ndim != 2:
                 raise DataError(f"{name} must be 1-D or 2-D, not {array.ndim}-D")
             if not np.isfinite(array).all():
@@ -172,6 +170,14 @@ class Dataset:
             digest.update(segment.u.tobytes())
             digest.update(segment.y.tobytes())
         return digest.hexdigest()
+
+
+def _owned(values: npt.ArrayLike) -> FloatArray:
+    """2-D float64 array that no caller can write to; a read-only one (a slice of a segment) is shared."""
+    array = np.asarray(values)
+    if array.flags.writeable or array.dtype != np.float64 or not array.flags.c_contiguous:
+        array = np.array(array, dtype=np.float64, order="C")
+    return array[:, None] if array.ndim == 1 else array
 
 
 def _as_segments(values: npt.ArrayLike | Sequence[npt.ArrayLike]) -> list[FloatArray]:
