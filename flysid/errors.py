@@ -6,6 +6,7 @@ FlysidError
 │   └── RecipeError     a recipe names what is not there, or is not understood
 ├── DataError       the data cannot answer: no excitation, too short, not finite
 ├── StoreError      a stored dataset, run or model file is damaged or of another version
+│   └── WriteError      it cannot be written: disk full, read-only, locked
 └── FitError        a model could not be fitted: singular, unstable, no rule left
 
 Each carries what happened, where (file, byte, flight time) and what to try. Only the command line
@@ -87,6 +88,12 @@ class StoreError(FlysidError):
     """A stored dataset, run or model file is damaged or of another version."""
 
     exit_code = 2
+
+
+class WriteError(StoreError):
+    """Nothing can be written there: disk full, read-only, or in use by another process."""
+
+    exit_code = 1
 
 
 class FitError(FlysidError):

@@ -14,11 +14,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
-
-import pyarrow as pa
+from typing import TYPE_CHECKING, Any
 
 from flysid.errors import UsageError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 TIME = "time_ns"
 BOOT = "boot"

@@ -1,1 +1,270 @@
-"""Flight to parquet and back, each with a format version. The manifest, written last, commits a flight."""
+"""Flight to parquet and back. The manifest, written last, commits a flight.
+
+A flight is written into a hidden folder beside its final place: every parquet file is fsynced, then the
+manifest is, then the folder is renamed. A killed writer leaves a hidden folder that no reader sees and
+that the next writer removes.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from flysid.errors import StoreError, UsageError, WriteError
+from flysid.flight import BOOT, TIME, ClockMap, Damage, Flight, Source
+from flysid.flightwriter import FlightWriter, in_order, slug, sync, write_atomically, writing_to
+from flysid.manifest import (
+    DATA_FILE,
+    DATA_FORMAT,
+    FLIGHTS,
+    MANIFEST_FILE,
+    VERSION,
+    Column,
+    Manifest,
+    StreamEntry,
+    check_data_folder,
+    find_flight,
+    list_flights,
+    read_manifest,
+    to_json,
+)
+from flysid.version import __version__
+
+__all__ = [
+    "Column",
+    "Manifest",
+    "StreamEntry",
+    "clean",
+    "create_data_folder",
+    "find_flight",
+    "list_flights",
+    "locked",
+    "read_flight",
+    "read_manifest",
+    "read_stream",
+    "slug",
+    "write_flight",
+]
+
+
+class Part(Protocol):
+    """Some rows of one stream."""
+
+    @property
+    def stream(self) -> str: ...
+    @property
+    def table(self) -> pa.Table: ...
+
+
+class Outcome(Protocol):
+    """What a reader knows at its end."""
+
+    @property
+    def damage(self) -> Damage: ...
+    @property
+    def clocks(self) -> tuple[ClockMap, ...]: ...
+    @property
+    def info(self) -> Mapping[str, str]: ...
+
+
+def flight_id(source: Source) -> str:
+    """`<log name>-<sha256[:8]>`, safe as a folder name."""
+    return f"{slug(Path(source.name).stem)}-{source.sha256[:8]}"
+
+
+# ------------------------------------------------------------------------------------------- folders
+
+
+def create_data_folder(data: str | Path) -> Path:
+    """Make `data` an ingested folder unless it is one.
+
+    Raises
+    ------
+    UsageError : it exists, is not empty and is not an ingested folder.
+    WriteError : it cannot be made.
+    """
+    data = Path(data)
+    if (data / DATA_FILE).is_file():
+        return check_data_folder(data)
+    if data.is_file() or (data.is_dir() and any(p.name != ".lock" for p in data.iterdir())):
+        raise UsageError(
+            "not an ingested folder, and not empty", path=data, hint="choose another folder with -o"
+        )
+    with writing_to(data):
+        (data / FLIGHTS).mkdir(parents=True, exist_ok=True)
+        document = f'{{"format": "{DATA_FORMAT}", "version": {VERSION}}}\n'
+        write_atomically(data / DATA_FILE, document.encode())
+    return data
+
+
+@contextmanager
+def locked(data: Path) -> Iterator[None]:
+    """Hold the folder's lock, so that two writers never clean up after each other.
+
+    The system releases the lock when the process ends, however it ends. Where locks do not exist
+    (Windows), nothing is held. Raises WriteError when another process holds it.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    with writing_to(data):
+        handle = (data / ".lock").open("w")
+    with handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise WriteError(
+                "another flysid is writing to this folder", path=data, hint="wait until it has finished"
+            ) from error
+        yield
+
+
+def clean(data: Path) -> int:
+    """Remove what killed writers left behind; returns the number of folders removed."""
+    removed = 0
+    for folder in (data / FLIGHTS).glob("*"):
+        if folder.is_dir() and (folder.name.startswith(".") or not (folder / MANIFEST_FILE).is_file()):
+            with writing_to(folder):
+                shutil.rmtree(folder)
+            removed += 1
+    return removed
+
+
+# ------------------------------------------------------------------------------------------- writing
+
+
+def write_flight(
+    data: str | Path, source: Source, parts: Generator[Part, None, Outcome], *, replace: bool = False
+) -> Manifest:
+    """Write one flight into an ingested folder, in bounded memory.
+
+    Parameters
+    ----------
+    data : the ingested folder (`create_data_folder`).
+    source : the log the parts come from.
+    parts : a reader's generator: yields parts of streams, returns a summary.
+    replace : overwrite a flight of the same id; without it the present one is returned unread.
+
+    Raises
+    ------
+    WriteError : disk full, read-only. FormatError : from the reader. Nothing stays visible either way.
+    """
+    data = Path(data)
+    name = flight_id(source)
+    final = data / FLIGHTS / name
+    if (final / MANIFEST_FILE).is_file() and not replace:
+        return read_manifest(final)
+    incoming = data / FLIGHTS / f".incoming-{name}"
+    try:
+        with writing_to(incoming):
+            shutil.rmtree(incoming, ignore_errors=True)
+            incoming.mkdir(parents=True)
+        manifest = _write_streams(incoming, name, source, parts)
+        with writing_to(final):
+            write_atomically(incoming / MANIFEST_FILE, to_json(manifest))
+            _move_into_place(incoming, final)
+    except BaseException:
+        shutil.rmtree(incoming, ignore_errors=True)
+        raise
+    return manifest
+
+
+def _move_into_place(incoming: Path, final: Path) -> None:
+    if final.exists():
+        old = final.with_name(f".replaced-{final.name}")
+        final.rename(old)
+        incoming.rename(final)
+        shutil.rmtree(old, ignore_errors=True)
+    else:
+        incoming.rename(final)
+    sync(final.parent)
+
+
+def _write_streams(
+    folder: Path, name: str, source: Source, parts: Generator[Part, None, Outcome]
+) -> Manifest:
+    writer = FlightWriter(folder)
+    try:
+        while True:
+            try:
+                part = next(parts)
+            except StopIteration as stop:
+                outcome: Outcome = stop.value
+                break
+            writer.add(part.stream, part.table)
+        entries = writer.finish()
+    finally:
+        writer.close()
+    return Manifest(
+        id=name,
+        source=source,
+        streams=entries,
+        damage=outcome.damage,
+        clocks=outcome.clocks,
+        info=dict(outcome.info),
+        flysid=__version__,
+    )
+
+
+# ------------------------------------------------------------------------------------------- reading
+
+
+def read_stream(data: str | Path, flight: str, stream: str, columns: Sequence[str] | None = None) -> pa.Table:
+    """One stream of an ingested flight, sorted by (boot, time_ns).
+
+    Parameters
+    ----------
+    data : the ingested folder.
+    flight : the flight's id, or its unambiguous beginning.
+    stream : the stream's key, or its message name where that is unambiguous.
+    columns : which columns, in this order; all when None.
+
+    Raises
+    ------
+    UsageError : no such flight, stream or column.
+    StoreError : damaged.
+    """
+    manifest = find_flight(data, flight)
+    return read_entry(Path(data) / FLIGHTS / manifest.id, manifest.stream(stream), columns)
+
+
+def read_entry(folder: Path, entry: StreamEntry, columns: Sequence[str] | None = None) -> pa.Table:
+    """The table of one entry of a manifest; `folder` is the flight's folder."""
+    path = folder / entry.file
+    if Path(entry.file).name != entry.file:
+        raise StoreError(f"damaged manifest: {entry.file!r} is not a file name", path=folder)
+    unknown = sorted(set(columns or ()) - {c.name for c in entry.columns})
+    if unknown:
+        raise UsageError(
+            f"stream {entry.stream!r} has no column {unknown[0]!r}",
+            path=folder.name,
+            hint="one of " + ", ".join(c.name for c in entry.columns),
+        )
+    needed = None if columns is None else list(dict.fromkeys([*columns, BOOT, TIME]))
+    try:
+        table = pq.ParquetFile(path).read(columns=needed)
+    except (OSError, pa.ArrowException) as error:
+        raise StoreError(f"damaged or missing: {error}", path=path, hint="ingest the log again") from error
+    if not entry.is_sorted:
+        table = in_order(table)
+    return table if columns is None else table.select(list(columns))
+
+
+def read_flight(data: str | Path, flight: str, streams: Sequence[str] | None = None) -> Flight:
+    """An ingested flight in memory, as `flysid.read` gives it for the log itself (rows sorted by time).
+
+    `streams` limits it to some streams (keys or unambiguous names). Raises as `read_stream`.
+    """
+    manifest = find_flight(data, flight)
+    folder = Path(data) / FLIGHTS / manifest.id
+    entries = manifest.streams if streams is None else tuple(manifest.stream(s) for s in streams)
+    tables = {entry.stream: read_entry(folder, entry) for entry in entries}
+    return Flight(manifest.source, tables, manifest.damage, manifest.clocks, manifest.info)

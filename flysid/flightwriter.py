@@ -1,0 +1,265 @@
+"""Parts of streams to parquet files, in bounded memory.
+
+Rows arrive in parts, in any interleaving. They wait in memory until `BUFFER_BYTES` are reached in all;
+then the stream that holds most is written as a row group. A stream whose row groups turn out to overlap
+in time is sorted at the end if it fits into `SORT_BYTES`, otherwise its manifest entry says so and readers
+sort it. So memory stays bounded whatever the log's size.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from flysid.errors import StoreError, WriteError
+from flysid.flight import BOOT, RECEIVED, TIME, field_scale, field_unit
+from flysid.manifest import Column, StreamEntry
+
+BUFFER_BYTES = 96 << 20
+SORT_BYTES = 128 << 20
+ROWS_PER_GROUP = 1 << 20
+MAX_OPEN_FILES = 200
+_RESERVED = {"con", "prn", "aux", "nul", *(f"{d}{i}" for d in ("com", "lpt") for i in range(10))}
+
+
+def slug(name: str, taken: Collection[str] = ()) -> str:
+    """A file name for `name` that is safe on every file system and differs from all `taken` (folded) names.
+
+    Letters, digits, '.', '_' and '-' stay, all else becomes '_'. A name that is too long, reserved, begins
+    with a dot, or clashes when case is ignored gets a hash of the full name.
+    """
+    safe = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("_.")[:80] or "stream"
+    if safe.split(".")[0].lower() not in _RESERVED and safe.casefold() not in taken and len(name) <= 80:
+        return safe
+    digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()
+    return (
+        f"{safe}-{digest[:12]}" if safe.split(".")[0].lower() not in _RESERVED else f"s-{safe}-{digest[:12]}"
+    )
+
+
+@contextmanager
+def writing_to(path: Path) -> Iterator[None]:
+    """Turn the system's refusal to write into a WriteError that names the path."""
+    try:
+        yield
+    except (OSError, pa.ArrowException) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise WriteError(
+            f"cannot be written: {reason}", path=path, hint="free space or choose another folder"
+        ) from error
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file that appears whole or not at all (temporary file, fsync, rename). Raises OSError."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with temporary.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+    sync(path.parent)
+
+
+def sync(path: Path) -> None:
+    """Flush a file or folder to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+@dataclass
+class _Stream:
+    """One stream while it is being written."""
+
+    key: str
+    path: Path
+    schema: pa.Schema
+    waiting: list[pa.Table] = field(default_factory=list)
+    waiting_bytes: int = 0
+    total_bytes: int = 0
+    rows: int = 0
+    writer: pq.ParquetWriter | None = None
+    last: tuple[int, int] = (-(1 << 31), -(1 << 63))
+    is_sorted: bool = True
+    spans: dict[int, tuple[int, int, int]] = field(default_factory=dict)  # boot -> rows, first, last
+
+
+class FlightWriter:
+    """Buffers the streams of one flight and writes row groups; see the module's docstring."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._streams: dict[str, _Stream] = {}
+        self._taken: set[str] = set()
+        self._waiting = 0
+        self._open = 0
+
+    def add(self, key: str, table: pa.Table) -> None:
+        stream = self._streams.get(key)
+        if stream is None:
+            name = slug(key, self._taken)
+            self._taken.add(name.casefold())
+            stream = self._streams[key] = _Stream(key, self._folder / f"{name}.parquet", table.schema)
+        elif not table.schema.equals(stream.schema):
+            raise StoreError(f"the reader changed the columns of stream {key!r} midway", path=stream.path)
+        if table.num_rows == 0:
+            return
+        size = table.nbytes
+        stream.waiting.append(table)
+        stream.waiting_bytes += size
+        stream.total_bytes += size
+        self._waiting += size
+        while self._waiting > BUFFER_BYTES:
+            self._flush(self._fullest())
+
+    def finish(self) -> tuple[StreamEntry, ...]:
+        """Write all that waits, sort what needs it, flush to the disk; entries by stream key."""
+        for stream in self._streams.values():
+            self._flush(stream)
+            self._close(stream)
+            if not stream.is_sorted and stream.total_bytes <= SORT_BYTES:
+                _rewrite_sorted(stream)
+            with writing_to(stream.path):
+                sync(stream.path)
+        with writing_to(self._folder):
+            sync(self._folder)
+        return tuple(_entry(self._streams[key]) for key in sorted(self._streams))
+
+    def close(self) -> None:
+        for stream in self._streams.values():
+            stream.waiting.clear()
+            self._close(stream)
+
+    def _fullest(self) -> _Stream:
+        streams = list(self._streams.values())
+        if self._open >= MAX_OPEN_FILES:
+            streams = [s for s in streams if s.writer is not None and s.waiting] or streams
+        return max(streams, key=lambda s: s.waiting_bytes)
+
+    def _flush(self, stream: _Stream) -> None:
+        table = pa.concat_tables(stream.waiting) if stream.waiting else stream.schema.empty_table()
+        self._waiting -= stream.waiting_bytes
+        stream.waiting, stream.waiting_bytes = [], 0
+        table = in_order(table)
+        _note_times(stream, table)
+        stream.rows += table.num_rows
+        if stream.writer is None:
+            with writing_to(stream.path):
+                stream.writer = _parquet_writer(stream.path, stream.schema)
+            self._open += 1
+        if table.num_rows:
+            with writing_to(stream.path):
+                stream.writer.write_table(table, row_group_size=ROWS_PER_GROUP)
+
+    def _close(self, stream: _Stream) -> None:
+        if stream.writer is not None:
+            writer, stream.writer = stream.writer, None
+            self._open -= 1
+            with writing_to(stream.path):
+                writer.close()
+
+
+def _parquet_writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
+    return pq.ParquetWriter(path, schema, compression="zstd", compression_level=1, version="2.6")
+
+
+def _rewrite_sorted(stream: _Stream) -> None:
+    table = in_order(pq.read_table(stream.path, memory_map=False))
+    temporary = stream.path.with_suffix(".sorting")
+    with writing_to(stream.path):
+        with _parquet_writer(temporary, stream.schema) as writer:
+            writer.write_table(table, row_group_size=ROWS_PER_GROUP)
+        temporary.replace(stream.path)
+    stream.is_sorted = True
+
+
+def int_values(column: pa.ChunkedArray) -> npt.NDArray[np.int64]:
+    """(n,) the values of an integer column without nulls, as int64, without importing pandas."""
+    pieces = [
+        np.frombuffer(chunk.buffers()[1], dtype=f"i{chunk.type.bit_width // 8}")[
+            chunk.offset : chunk.offset + len(chunk)
+        ]
+        for chunk in column.chunks
+        if len(chunk)
+    ]
+    return np.concatenate(pieces).astype(np.int64, copy=False) if pieces else np.empty(0, np.int64)
+
+
+def in_order(table: pa.Table) -> pa.Table:
+    """`table` sorted by (boot, time_ns), rows of equal time in order of arrival."""
+    if table.num_rows < 2:
+        return table
+    boots, times = int_values(table[BOOT]), int_values(table[TIME])
+    step = np.diff(boots)
+    if not (step < 0).any() and not ((np.diff(times) < 0) & (step == 0)).any():
+        return table
+    order = np.lexsort((times, boots))
+    return table.take(pa.Array.from_buffers(pa.int64(), len(order), [None, pa.py_buffer(order)]))
+
+
+def _note_times(stream: _Stream, table: pa.Table) -> None:
+    """Update the stream's spans per boot and whether it is still sorted; `table` is in order."""
+    if table.num_rows == 0:
+        return
+    boots, times = int_values(table[BOOT]), int_values(table[TIME])
+    first, last = (int(boots[0]), int(times[0])), (int(boots[-1]), int(times[-1]))
+    stream.is_sorted &= first >= stream.last
+    stream.last = max(stream.last, last)
+    edges = [0, *(np.flatnonzero(np.diff(boots)) + 1).tolist(), len(boots)]
+    for start, stop in pairwise(edges):
+        boot, lo, hi = int(boots[start]), int(times[start]), int(times[stop - 1])
+        rows, old_lo, old_hi = stream.spans.get(boot, (0, lo, hi))
+        stream.spans[boot] = (rows + stop - start, min(lo, old_lo), max(hi, old_hi))
+
+
+def _entry(stream: _Stream) -> StreamEntry:
+    spans = stream.spans.values()
+    seconds = sum(hi - lo for _, lo, hi in spans) * 1e-9
+    steps = sum(rows - 1 for rows, _, _ in spans)
+    return StreamEntry(
+        stream=stream.key,
+        file=stream.path.name,
+        rows=stream.rows,
+        columns=tuple(describe_column(column) for column in stream.schema),
+        first_ns=min((lo for _, lo, _ in spans), default=None),
+        last_ns=max((hi for _, _, hi in spans), default=None),
+        rate_hz=steps / seconds if seconds > 0 else None,
+        boots=tuple(sorted(stream.spans)),
+        is_sorted=stream.is_sorted,
+        metadata={
+            k.decode(errors="replace"): v.decode(errors="replace")
+            for k, v in sorted((stream.schema.metadata or {}).items())
+        },
+    )
+
+
+def describe_column(column: pa.Field) -> Column:
+    """What a manifest says about a column."""
+    metadata = column.metadata or {}
+    unit = "ns" if column.name in (TIME, RECEIVED) else field_unit(column)
+    return Column(
+        name=column.name,
+        type=str(column.type),
+        unit=unit,
+        scale=field_scale(column),
+        enum=json.loads(metadata.get(b"enum", b"{}")),
+        description=metadata.get(b"description", b"").decode(errors="replace"),
+    )
