@@ -13,6 +13,7 @@ import sys
 import click
 
 import flysid
+from flysid.cli.output import printable
 from flysid.errors import FlysidError
 
 VERBS = {
@@ -69,11 +70,6 @@ def report_error(error: FlysidError) -> None:
         click.echo(f"  where: {printable(error.where)}", err=True)
     if error.hint:
         click.echo(f"  try:   {printable(error.hint)}", err=True)
-
-
-def printable(text: str) -> str:
-    """`text` without control characters: names come from logs and may carry terminal escapes."""
-    return "".join(c if c.isprintable() else "�" for c in text)
 
 
 def main() -> None:

@@ -1,0 +1,43 @@
+"""What every verb does alike: words to stderr, and targets that are not overwritten."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import click
+
+from flysid.errors import UsageError
+
+
+def printable(text: str) -> str:
+    """`text` without control characters: names come from logs and may carry terminal escapes."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
+
+
+def say(text: str, quiet: bool = False) -> None:
+    """A line for people, on stderr."""
+    if not quiet:
+        click.echo(printable(text), err=True)
+
+
+def check_target(path: Path, force: bool) -> None:
+    """Raise UsageError where `path` exists and may not be replaced."""
+    if path.exists() and not force:
+        raise UsageError("the target exists", path=path, hint="choose another with -o, or add --force")
+
+
+@contextlib.contextmanager
+def status(quiet: bool = False) -> Iterator[Callable[[str], None]]:
+    """A function that shows what is being done: one changing line on a terminal, plain lines elsewhere."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if quiet:
+        yield lambda _: None
+    elif console.is_terminal:
+        with console.status("") as spinner:
+            yield lambda text: spinner.update(printable(text))
+    else:
+        yield say
