@@ -1,0 +1,193 @@
+"""How sure: paired bootstrap of the change in RMSE, and a Diebold-Mariano test.
+
+The unit that is resampled is the flight where there are at least five, otherwise a block of consecutive
+samples several correlation lengths long; errors of both models on one unit stay together (paired). The statistic
+is theta = log(RMSE_b / RMSE_a); its interval is studentised (Efron & Tibshirani 1993, section 12.5) with the
+delta-method standard error of a ratio of sums, which keeps its coverage where units are few.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import erfc, sqrt
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+
+MIN_FLIGHTS = 5
+MIN_BLOCKS = 8
+MAX_UNITS = 400
+DRAWS = 1999
+
+
+@dataclass(frozen=True)
+class Units:
+    """Sums of squared errors per independent unit, paired.
+
+    Attributes
+    ----------
+    a, b : (n,) sum of squares of the baseline's and the other model's error in every unit.
+    kind : "flights" or "blocks".
+    length : samples per block; 0 for flights.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    kind: str
+    length: int
+
+    @property
+    def enough(self) -> bool:
+        return len(self.a) >= (MIN_FLIGHTS if self.kind == "flights" else MIN_BLOCKS)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Change of RMSE in percent, its 95 % interval and the two-sided p-value of no change."""
+
+    change_pct: float
+    low_pct: float
+    high_pct: float
+    p: float
+
+
+def correlation_length(series: Sequence[FloatArray]) -> float:
+    """Integrated autocorrelation time in samples, 1 + 2 sum rho(k), pooled over segments.
+
+    Summed over pairs of lags while their sum is positive (Geyer 1992), so noise in the tail does not add up.
+    """
+    mean = float(np.mean(np.concatenate(list(series))))
+    longest = max(len(s) for s in series)
+    covariance = np.zeros(longest)
+    for s in series:
+        covariance[: len(s)] += _autocovariance(s - mean)
+    if covariance[0] <= 0.0:
+        return 1.0
+    rho = covariance / covariance[0]
+    pairs = rho[: 2 * (longest // 2)].reshape(-1, 2).sum(axis=1)
+    stop = np.flatnonzero(pairs <= 0.0)
+    kept = pairs[: stop[0]] if len(stop) else pairs
+    return max(1.0, 2.0 * float(kept.sum()) - 1.0)
+
+
+def _autocovariance(x: FloatArray) -> FloatArray:
+    """(N,) sum_i x(i) x(i+k), by FFT."""
+    size = 1 << (2 * len(x) - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft(x, size)) ** 2
+    covariance: FloatArray = np.fft.irfft(spectrum, size)[: len(x)]
+    return covariance
+
+
+def block_length(ea: Sequence[FloatArray], eb: Sequence[FloatArray]) -> int:
+    """Samples per block: five correlation lengths of the loss difference, two where data are short."""
+    tau = max(correlation_length([b**2 - a**2 for a, b in zip(ea, eb, strict=True)]), correlation_length(ea))
+    n = sum(len(e) for e in ea)
+    length = max(2.0 * tau, min(5.0 * tau, n / 20.0), n / MAX_UNITS)
+    return max(1, int(np.ceil(length)))
+
+
+def make_units(ea: Sequence[FloatArray], eb: Sequence[FloatArray], flights: Sequence[str]) -> Units:
+    """Group the errors of baseline (ea) and other model (eb), one array per segment, into units."""
+    largest = max(max(float(np.max(np.abs(e))) for e in (*ea, *eb)), 1e-300)
+    sa, sb = [(e / largest) ** 2 for e in ea], [(e / largest) ** 2 for e in eb]
+    names = list(dict.fromkeys(flights))
+    if len(names) >= MIN_FLIGHTS:
+        a, b = np.zeros(len(names)), np.zeros(len(names))
+        for squares_a, squares_b, flight in zip(sa, sb, flights, strict=True):
+            a[names.index(flight)] += squares_a.sum()
+            b[names.index(flight)] += squares_b.sum()
+        return Units(a, b, "flights", 0)
+    length = block_length([e / largest for e in ea], [e / largest for e in eb])
+    return Units(_block_sums(sa, length), _block_sums(sb, length), "blocks", length)
+
+
+def _block_sums(squares: Sequence[FloatArray], length: int) -> FloatArray:
+    """Sums over blocks of about `length`; a segment's remainder is spread over its blocks."""
+    sums: list[float] = []
+    for s in squares:
+        count = max(1, round(len(s) / length))
+        sums.extend(float(block.sum()) for block in np.array_split(s, count))
+    return np.array(sums)
+
+
+def change_interval(units: Units, seed: int = 0) -> Interval | None:
+    """95 % interval of 100 (RMSE_b / RMSE_a - 1); None where units are too few or an error is zero.
+
+    Equal inputs and seed give equal numbers on every machine with the same NumPy.
+    """
+    a, b = units.a, units.b
+    if not units.enough or a.sum() <= 0.0 or b.sum() <= 0.0:
+        return None
+    theta = 0.5 * float(np.log(b.sum() / a.sum()))
+    se = float(_standard_error(np.ones((1, len(a))), a, b)[0])
+    if se < 1e-9:
+        change = 100.0 * float(np.expm1(theta))
+        return Interval(change, change, change, 1.0 if abs(theta) < 1e-9 else 2.0 / (DRAWS + 1))
+    weights = _draw_counts(len(a), seed)
+    drawn = 0.5 * np.log(np.maximum(weights @ b, 1e-300) / np.maximum(weights @ a, 1e-300))
+    t = (drawn - theta) / np.maximum(_standard_error(weights, a, b), 0.05 * se)
+    low, high = np.quantile(t, [0.025, 0.975])
+    tail = min(np.count_nonzero(t >= theta / se), np.count_nonzero(t <= theta / se))
+    return Interval(
+        change_pct=_percent(theta),
+        low_pct=_percent(theta - high * se),
+        high_pct=_percent(theta - low * se),
+        p=min(1.0, 2.0 * (tail + 1) / (DRAWS + 1)),
+    )
+
+
+def _percent(theta: float) -> float:
+    return 100.0 * float(np.expm1(min(theta, 300.0)))
+
+
+def _draw_counts(n: int, seed: int) -> FloatArray:
+    """(DRAWS, n) how often each unit was drawn, n draws with replacement each."""
+    rng = np.random.default_rng(seed)
+    return rng.multinomial(n, np.full(n, 1.0 / n), size=DRAWS).astype(np.float64)
+
+
+def _standard_error(weights: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+    """(D,) delta-method standard error of 0.5 log(sum b / sum a) for each row of unit counts (D, n)."""
+    sum_a = np.maximum(weights @ a, 1e-300)
+    sum_b = np.maximum(weights @ b, 1e-300)
+    square = (
+        weights @ a**2 / sum_a**2 - 2.0 * (weights @ (a * b)) / (sum_a * sum_b) + weights @ b**2 / sum_b**2
+    )
+    n = weights.shape[1]
+    se: FloatArray = 0.5 * np.sqrt(np.maximum(square, 0.0) * n / (n - 1))
+    return se
+
+
+def diebold_mariano(ea: Sequence[FloatArray], eb: Sequence[FloatArray], lags: int) -> float | None:
+    """Two-sided p-value of equal squared loss, with a Bartlett (Newey & West 1987) variance over `lags`.
+
+    Diebold & Mariano (1995) with the small-sample factor of Harvey, Leybourne & Newbold (1997). Covariances
+    never cross a segment's edge. None where the loss difference does not vary.
+    """
+    largest = max(max(float(np.max(np.abs(e))) for e in (*ea, *eb)), 1e-300)
+    d = [(b / largest) ** 2 - (a / largest) ** 2 for a, b in zip(ea, eb, strict=True)]
+    n = sum(len(x) for x in d)
+    mean = float(np.concatenate(d).mean())
+    lags = min(lags, n // 3)
+    gamma = np.zeros(lags + 1)
+    for x in d:
+        covariance = _autocovariance(x - mean)[: lags + 1]
+        gamma[: len(covariance)] += covariance / n
+    variance = gamma[0] + 2.0 * float(np.sum((1.0 - np.arange(1, lags + 1) / (lags + 1)) * gamma[1:]))
+    if variance <= 1e-18 * max(mean**2, 1e-300) or variance <= 0.0:
+        return None
+    shrink = sqrt(max((n + 1 - 2 * (lags + 1) + (lags + 1) * lags / n) / n, 1e-3))
+    return erfc(abs(mean) / sqrt(variance / n) * shrink / sqrt(2.0))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Holm's (1979) adjusted p-values, in the given order."""
+    order = np.argsort(p_values, kind="stable")
+    adjusted = [0.0] * len(p_values)
+    running = 0.0
+    for rank, i in enumerate(order):
+        running = max(running, min(1.0, (len(p_values) - rank) * float(p_values[i])))
+        adjusted[i] = running
+    return adjusted

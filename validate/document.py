@@ -1,0 +1,100 @@
+"""Comparisons as a JSON document: plain numbers, null where a number does not exist, never NaN."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from flysid.validate.compare import Comparison, Entry, ModelScore, Pair
+
+DOCUMENT_VERSION = 1
+
+
+def to_json(comparisons: Mapping[str, Comparison]) -> dict[str, Any]:
+    """{"channels": {NAME: {HORIZON: {"models", "change_pct", "ci95", "verdict", ...}, "about": {...}}}}.
+
+    A channel with several outputs is listed once per output, as "channel/output". "change_pct", "ci95"
+    and "verdict" speak of the contender ("ts" where there is one) against the baseline ("arx"); "pairs" holds
+    every model against the baseline. What is said of a whole channel stands under "about".
+    """
+    channels: dict[str, Any] = {}
+    about: dict[str, Any] = {}
+    for name, comparison in comparisons.items():
+        outputs = list(dict.fromkeys(e.output.name for e in comparison.entries))
+        for entry in comparison.entries:
+            key = name if len(outputs) == 1 else f"{name}/{entry.output.name}"
+            channels.setdefault(key, {})[entry.horizon] = _entry(entry, comparison)
+        about[name] = _about(comparison)
+    return {
+        "format": "flysid-validation",
+        "version": DOCUMENT_VERSION,
+        "channels": _plain(channels),
+        "about": _plain(about),
+    }
+
+
+def _entry(entry: Entry, comparison: Comparison) -> dict[str, Any]:
+    head = entry.pairs.get(comparison.contender or "")
+    return {
+        "models": {name: _model(score) for name, score in entry.models.items()},
+        "change_pct": head.change_pct if head else None,
+        "ci95": list(head.ci95) if head and head.ci95 else [None, None],
+        "verdict": str(head.verdict) if head else None,
+        "reason": head.reason if head else "only one model was given",
+        "pairs": {name: _pair(pair) for name, pair in entry.pairs.items()},
+        "output": entry.output.name,
+        "unit": entry.output.unit,
+        "resolution": entry.resolution,
+    }
+
+
+def _model(score: ModelScore) -> dict[str, Any]:
+    return {
+        **asdict(score.scores),
+        "diverged_segments": len(score.diverged),
+        "segments": [
+            {"segment": s.segment, "flight": s.flight, "diverged_s": s.diverged_s, **asdict(s.scores)}
+            for s in score.segments
+        ],
+    }
+
+
+def _pair(pair: Pair) -> dict[str, Any]:
+    return {
+        "baseline": pair.baseline,
+        "change_pct": pair.change_pct,
+        "ci95": list(pair.ci95) if pair.ci95 else [None, None],
+        "verdict": str(pair.verdict),
+        "reason": pair.reason,
+        "p": pair.p,
+        "p_holm": pair.p_holm,
+        "p_diebold_mariano": pair.p_dm,
+        "units": pair.units,
+        "unit": pair.unit,
+    }
+
+
+def _about(comparison: Comparison) -> dict[str, Any]:
+    return {
+        "baseline": comparison.baseline,
+        "contender": comparison.contender,
+        "dt_s": comparison.dt_s,
+        "start_samples": comparison.start,
+        "scored_segments": comparison.scored_segments,
+        "unused_segments": comparison.unused_segments,
+        "test_sha256": comparison.test_hash,
+        "models": {name: asdict(info) for name, info in comparison.models.items()},
+    }
+
+
+def _plain(value: Any) -> Any:
+    """`value` in JSON types; a number that is not finite becomes null."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

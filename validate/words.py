@@ -1,0 +1,62 @@
+"""Numbers and names as people read them, the same on the terminal, in Markdown and on the page."""
+
+from __future__ import annotations
+
+import math
+
+from flysid.validate.compare import Pair
+from flysid.validate.trials import FREE_RUN
+
+
+def one_line(text: str) -> str:
+    """`text` without control characters or line breaks: names come from logs."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """`digits` significant digits without an exponent where that is short; "-" for None or not finite."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    if value == 0.0:
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
+        places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        return f"{value:.{places}f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def percent(value: float, places: int = 0) -> str:
+    """A signed percentage with a true minus; "> +1000 %" where the number says nothing more."""
+    if value > 1000.0:
+        return "> +1000 %"
+    text = f"{value:+.{places}f}"
+    if float(text) == 0.0:
+        text = f"{0.0:.{places}f}"
+    return text.replace("-", "−") + " %"
+
+
+def change_words(pair: Pair) -> str:
+    """ "−30 %", or why there is no such number."""
+    if pair.evidence.diverged_model or pair.evidence.diverged_baseline:
+        return "diverged"
+    if pair.change_pct is None:
+        return "-"
+    if abs(pair.evidence.rmse_model - pair.evidence.rmse_baseline) < pair.evidence.resolution:
+        return percent(pair.change_pct, 1) if abs(pair.change_pct) < 100.0 else "< resolution"
+    return percent(pair.change_pct, 1)
+
+
+def interval_words(pair: Pair) -> str:
+    """ "[−38, −24]", or "" where there is none or it would say nothing."""
+    if pair.ci95 is None or change_words(pair) in ("< resolution", "diverged"):
+        return ""
+    low, high = (percent(v, 1).removesuffix(" %") for v in pair.ci95)
+    return f"[{low}, {high}]"
+
+
+def horizon_words(horizon: str, dt_s: float) -> str:
+    """ "free run", "10 steps (0.5 s)", "1 step (0.05 s)"."""
+    if horizon == FREE_RUN:
+        return "free run"
+    steps = int(horizon)
+    return f"{steps} step{'s' if steps > 1 else ''} ({steps * dt_s:.3g} s)"
