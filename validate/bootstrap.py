@@ -1,9 +1,9 @@
 """How sure: paired bootstrap of the change in RMSE, and a Diebold-Mariano test.
 
 The unit that is resampled is the flight where there are at least five, otherwise a block of consecutive
-samples several correlation lengths long; errors of both models on one unit stay together (paired). The statistic
-is theta = log(RMSE_b / RMSE_a); its interval is studentised (Efron & Tibshirani 1993, section 12.5) with the
-delta-method standard error of a ratio of sums, which keeps its coverage where units are few.
+samples several correlation lengths long; errors of both models on one unit stay together (paired). The
+statistic is theta = log(RMSE_b / RMSE_a); its interval is studentised (Efron & Tibshirani 1993, section 12.5)
+with the delta-method standard error of a ratio of sums, which keeps its coverage where units are few.
 """
 
 from __future__ import annotations

@@ -1,0 +1,205 @@
+"""The comparison: fairness, divergence, the four verdicts, and its documents."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import flysid
+from flysid.dataset import Dataset, Segment, Signal
+from flysid.errors import DataError, UsageError
+from flysid.validate.compare import Comparison, across_channels, compare
+from flysid.validate.document import to_json
+from flysid.validate.terminal import summary, table
+from flysid.validate.trials import run_trials
+from flysid.validate.verdict import Evidence, Verdict, decide
+from tests.fakes import FirstOrder, flown
+
+TRUTH = FirstOrder(a=0.9, b=0.1)
+TS = FirstOrder(a=0.9, b=0.1, structure="ts", labels=("R1", "R2"))
+WRONG = FirstOrder(a=0.9, b=0.07)
+
+
+def verdict_of(comparison: Comparison) -> str:
+    return str(comparison.verdict["y"].verdict)
+
+
+def test_a_better_and_a_worse_model_are_told_apart() -> None:
+    test = flown(TRUTH, [600] * 6, noise=0.02)
+    better = flysid.compare([WRONG, TS], test)
+    assert better.baseline == "arx"
+    assert better.contender == "ts"
+    pair = better.verdict["y"]
+    assert pair.verdict == "better"
+    assert pair.change_pct is not None
+    assert pair.ci95 is not None
+    assert pair.ci95[0] < pair.change_pct < pair.ci95[1] < 0
+    assert pair.unit == "flights"
+    worse = compare({"arx": TRUTH, "ts": replace(WRONG, structure="ts")}, test)
+    assert verdict_of(worse) == "worse"
+
+
+def test_change_is_of_the_rmse_and_scores_are_pooled() -> None:
+    test = flown(TRUTH, [300, 500], noise=0.05)
+    c = compare([WRONG, TS], test)
+    entry = c.entry("y", "free_run")
+    e = [s.y[1:] - WRONG.simulate(s.u, s.y[:1])[1:] for s in test.segments]
+    rmse = float(np.sqrt(np.mean(np.concatenate(e) ** 2)))
+    assert entry.models["arx"].scores.rmse == pytest.approx(rmse, rel=1e-12)
+    ts = entry.models["ts"].scores.rmse
+    assert entry.pairs["ts"].change_pct == pytest.approx(100 * (ts - rmse) / rmse, rel=1e-9)
+    assert [s.scores.n for s in entry.models["ts"].segments] == [299, 499]
+
+
+def test_the_same_samples_start_every_model_and_none_is_scored() -> None:
+    test = flown(TRUTH, [100], noise=0.05)
+    slow = replace(WRONG, n_init=7)
+    (trial,) = run_trials({"arx": slow, "ts": TS}, test, "free_run")
+    assert trial.first == 7
+    assert len(trial.y) == 93
+    u, y = test.segments[0].u, test.segments[0].y
+    np.testing.assert_array_equal(trial.yh["ts"], TS.simulate(u[6:], y[6:7])[1:])
+    np.testing.assert_array_equal(trial.yh["arx"], slow.simulate(u, y[:7])[7:])
+    (ten,) = run_trials({"arx": slow, "ts": TS}, test, "10")
+    assert ten.first == 16
+    np.testing.assert_array_equal(ten.yh["ts"], TS.predict(u, y, 10)[16:])
+
+
+def test_errors_below_the_resolution_are_the_same_however_large_their_ratio() -> None:
+    test = flown(TRUTH, [2000], noise=0.0)
+    almost = replace(TRUTH, b=0.1 + 1e-6)
+    for arx, ts in ((TRUTH, almost), (almost, TRUTH), (TRUTH, TRUTH)):
+        c = compare({"arx": arx, "ts": ts}, test)
+        assert verdict_of(c) == "same"
+        json.dumps(to_json({"channel": c}), allow_nan=False)
+
+
+def test_divergence_is_a_loss_with_a_time() -> None:
+    wild = replace(TRUTH, a=1.3, structure="ts", limit=50.0)
+    test = flown(TRUTH, [400] * 6, noise=0.02)
+    c = compare([TRUTH, wild], test)
+    pair = c.verdict["y"]
+    assert pair.verdict == "worse"
+    assert pair.change_pct is None
+    score = c.entry().models["ts"]
+    assert len(score.diverged) == 6
+    first = test.segments[0]
+    at = np.flatnonzero(np.abs(wild.simulate(first.u, first.y[:1])) >= 50.0)[0]
+    assert score.diverged[0].diverged_s == pytest.approx(at * 0.05)
+    assert "diverged at t = " in table({"channel": c})
+    other_way = compare({"arx": wild, "ts": TRUTH}, test)
+    assert verdict_of(other_way) == "better"
+    both = compare({"arx": wild, "ts": wild}, test)
+    assert verdict_of(both) == "same"
+
+
+def test_not_enough_data() -> None:
+    short = flown(TRUTH, [40], noise=0.05)
+    assert verdict_of(compare([WRONG, TS], short)) == "not enough data"
+    rng = np.random.default_rng(0)
+    flat = Segment(rng.normal(size=(500, 1)), np.full((500, 1), 3.0))
+    constant = Dataset(0.05, TRUTH.inputs, TRUTH.outputs, (flat,))
+    document = to_json({"c": compare([WRONG, TS], constant)})
+    assert document["channels"]["c"]["free_run"]["verdict"] == "not enough data"
+    assert document["channels"]["c"]["free_run"]["models"]["arx"]["fit_pct"] is None
+
+
+def test_a_segment_too_short_is_counted_and_none_long_enough_is_an_error() -> None:
+    c = compare([WRONG, TS], flown(TRUTH, [300, 8, 300], noise=0.05))
+    assert (c.scored_segments, c.unused_segments) == (2, 1)
+    with pytest.raises(DataError, match="the longest has 8"):
+        compare([WRONG, TS], flown(TRUTH, [8], noise=0.05))
+
+
+def test_wrong_use_is_named() -> None:
+    test = flown(TRUTH, [300], noise=0.05)
+    with pytest.raises(UsageError, match="sample time"):
+        compare([replace(TRUTH, dt_s=0.1)], test)
+    with pytest.raises(UsageError, match="inputs"):
+        compare([replace(TRUTH, inputs=(Signal("v"),))], test)
+    with pytest.raises(UsageError, match="baseline 'oe'"):
+        compare([TRUTH, TS], test, baseline="oe")
+    with pytest.raises(UsageError, match="horizon"):
+        compare([TRUTH, TS], test, horizons=["soon"])
+    with pytest.raises(UsageError, match="no model"):
+        compare([], test)
+
+
+def test_more_than_two_models_and_the_contender() -> None:
+    test = flown(TRUTH, [300] * 3, noise=0.05)
+    c = compare([WRONG, TS, replace(WRONG, b=0.05, structure="line"), TS], test)
+    assert list(c.models) == ["arx", "ts", "line", "ts-2"]
+    assert set(c.entry().pairs) == {"ts", "line", "ts-2"}
+    assert c.contender == "ts"
+    assert compare([WRONG], test).verdict == {}
+    lines = table({"channel": c}).splitlines()
+    assert lines[1].split()[0] == "channel"
+    assert lines[1].index("ts") > 0  # best first
+    assert "line" in lines[4]
+
+
+def test_holm_over_channels_can_take_a_verdict_back_and_is_idempotent() -> None:
+    test = flown(TRUTH, [600] * 6, noise=0.02)
+    c = compare([WRONG, TS], test)
+    pair = c.entry().pairs["ts"]
+    entry = replace(c.entry(), pairs={"ts": replace(pair, p=0.03, p_holm=0.03)})
+    weak = replace(c, entries=(entry, *c.entries[1:]))
+    alone = across_channels({"a": weak})
+    three = across_channels({"a": weak, "b": weak, "c": weak})
+    assert alone["a"].verdict["y"].verdict == "better"
+    assert three["a"].verdict["y"].verdict == "not enough data"
+    assert three["a"].verdict["y"].p_holm == pytest.approx(0.09)
+    assert across_channels(three) == three
+
+
+def test_document_has_the_promised_shape_and_never_nan() -> None:
+    test = flown(TRUTH, [300] * 3, noise=0.05)
+    document = to_json({"roll": compare([WRONG, TS], test)})
+    text = json.dumps(document, allow_nan=False)
+    assert json.loads(text) == document
+    roll = document["channels"]["roll"]
+    assert list(roll) == ["free_run", "10", "1"]
+    for horizon in roll.values():
+        assert {"models", "change_pct", "ci95", "verdict"} <= set(horizon)
+        assert {"rmse", "fit_pct", "vaf_pct"} <= set(horizon["models"]["arx"])
+        assert len(horizon["ci95"]) == 2
+        assert horizon["verdict"] in set(Verdict)
+
+
+def test_equal_input_equal_document() -> None:
+    test = flown(TRUTH, [300] * 3, noise=0.05)
+    one, two = (json.dumps(to_json({"c": compare([WRONG, TS], test, seed=3)})) for _ in range(2))
+    assert one == two
+
+
+def test_hostile_names_stay_on_their_line() -> None:
+    name = "\x1b[31mroll\n\u202eevil"
+    outputs = (Signal(name, "m\ts"),)
+    test = replace(flown(TRUTH, [300], noise=0.05), outputs=outputs, name=name)
+    c = compare([replace(WRONG, outputs=outputs), replace(TS, outputs=outputs)], test)
+    text = table({name: c}) + summary({name: c})
+    assert "\x1b" not in text
+    assert len(text.splitlines()) == 1 + 6 + 0
+    assert "\u202e" not in text
+
+
+@pytest.mark.parametrize(
+    ("evidence", "expected"),
+    [
+        (Evidence(1.0, 0.7, 1e-3, low_pct=-38, high_pct=-24, p=0.001), "better"),
+        (Evidence(1.0, 1.3, 1e-3, low_pct=24, high_pct=38, p=0.001), "worse"),
+        (Evidence(1.0, 0.98, 1e-3, low_pct=-4, high_pct=-1, p=0.001), "same"),
+        (Evidence(1.0, 1.03, 1e-3, low_pct=-0.1, high_pct=6, p=0.06), "same"),
+        (Evidence(1.0, 1.03, 1e-3, low_pct=-20, high_pct=26, p=0.6), "not enough data"),
+        (Evidence(1.0, 0.7, 1e-3, low_pct=-38, high_pct=-24, p=0.06), "not enough data"),
+        (Evidence(1.0, 0.7, 0.5, low_pct=-38, high_pct=-24, p=0.001), "same"),
+        (Evidence(1.0, 0.7, 1e-3), "not enough data"),
+        (Evidence(1.0, 0.7, 1e-3, diverged_model=True), "worse"),
+        (Evidence(1.0, 0.7, 1e-3, constant=True), "not enough data"),
+    ],
+)
+def test_rule_of_the_verdict(evidence: Evidence, expected: str) -> None:
+    assert decide(evidence)[0] == expected
