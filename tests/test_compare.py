@@ -11,10 +11,11 @@ import pytest
 import flysid
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import DataError, UsageError
+from flysid.model.start import estimate_start
 from flysid.validate.compare import Comparison, across_channels, compare
 from flysid.validate.document import to_json
 from flysid.validate.terminal import summary, table
-from flysid.validate.trials import run_trials
+from flysid.validate.trials import free_run, run_trials
 from flysid.validate.verdict import Evidence, Verdict, decide
 from tests.fakes import FirstOrder, flown
 
@@ -46,23 +47,24 @@ def test_change_is_of_the_rmse_and_scores_are_pooled() -> None:
     test = flown(TRUTH, [300, 500], noise=0.05)
     c = compare([WRONG, TS], test)
     entry = c.entry("y", "free_run")
-    e = [s.y[1:] - WRONG.simulate(s.u, s.y[:1])[1:] for s in test.segments]
+    e = [s.y[20:] - free_run(WRONG, s, 20) for s in test.segments]
     rmse = float(np.sqrt(np.mean(np.concatenate(e) ** 2)))
     assert entry.models["arx"].scores.rmse == pytest.approx(rmse, rel=1e-12)
     ts = entry.models["ts"].scores.rmse
     assert entry.pairs["ts"].change_pct == pytest.approx(100 * (ts - rmse) / rmse, rel=1e-9)
-    assert [s.scores.n for s in entry.models["ts"].segments] == [299, 499]
+    assert [s.scores.n for s in entry.models["ts"].segments] == [280, 480]
 
 
 def test_the_same_samples_start_every_model_and_none_is_scored() -> None:
     test = flown(TRUTH, [100], noise=0.05)
     slow = replace(WRONG, n_init=7)
     (trial,) = run_trials({"arx": slow, "ts": TS}, test, "free_run")
-    assert trial.first == 7
-    assert len(trial.y) == 93
+    assert trial.first == 10
+    assert len(trial.y) == 90
     u, y = test.segments[0].u, test.segments[0].y
-    np.testing.assert_array_equal(trial.yh["ts"], TS.simulate(u[6:], y[6:7])[1:])
-    np.testing.assert_array_equal(trial.yh["arx"], slow.simulate(u, y[:7])[7:])
+    for name, model in (("ts", TS), ("arx", slow)):
+        start = estimate_start(model, u[:10], y[:10])
+        np.testing.assert_array_equal(trial.yh[name], model.simulate(u, start)[10:])
     (ten,) = run_trials({"arx": slow, "ts": TS}, test, "10")
     assert ten.first == 16
     np.testing.assert_array_equal(ten.yh["ts"], TS.predict(u, y, 10)[16:])
@@ -86,8 +88,7 @@ def test_divergence_is_a_loss_with_a_time() -> None:
     assert pair.change_pct is None
     score = c.entry().models["ts"]
     assert len(score.diverged) == 6
-    first = test.segments[0]
-    at = np.flatnonzero(np.abs(wild.simulate(first.u, first.y[:1])) >= 50.0)[0]
+    at = 20 + np.flatnonzero(np.abs(free_run(wild, test.segments[0], 20)) >= 50.0)[0]
     assert score.diverged[0].diverged_s == pytest.approx(at * 0.05)
     assert "diverged at t = " in table({"channel": c})
     other_way = compare({"arx": wild, "ts": TRUTH}, test)
@@ -98,7 +99,7 @@ def test_divergence_is_a_loss_with_a_time() -> None:
 
 def test_not_enough_data() -> None:
     short = flown(TRUTH, [40], noise=0.05)
-    assert verdict_of(compare([WRONG, TS], short)) == "not enough data"
+    assert verdict_of(compare([replace(WRONG, b=0.05), TS], short)) == "not enough data"
     rng = np.random.default_rng(0)
     flat = Segment(rng.normal(size=(500, 1)), np.full((500, 1), 3.0))
     constant = Dataset(0.05, TRUTH.inputs, TRUTH.outputs, (flat,))

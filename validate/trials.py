@@ -1,7 +1,8 @@
 """Every model over every held-out segment: free runs and k-step predictions from the same start.
 
-All models start from the same n = max(n_init) measured samples; a model that needs fewer starts later, at
-n - n_init. These samples, and the k - 1 after them for k steps, are left out of every score.
+A free run starts alike for all models: each estimates its first lags from the same window of measured
+samples (`flysid.model.start`), and the window is left out of every score. k-step predictions start at
+n = max(n_init); the n + k - 1 samples before the first prediction are left out.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted
+from flysid.model.start import estimate_start, start_window
 
 FREE_RUN = "free_run"
 MIN_SCORED = 10
@@ -82,14 +84,17 @@ def check_models(models: Mapping[str, Fitted], test: Dataset) -> None:
 
 @dataclass(frozen=True)
 class Plan:
-    """A horizon and the measured samples that start every model; `first` is the first scored row."""
+    """A horizon, and the lags of the longest model."""
 
     horizon: str
-    start: int
+    lags: int
+    dt_s: float
 
-    @property
-    def first(self) -> int:
-        return self.start + (0 if self.horizon == FREE_RUN else int(self.horizon) - 1)
+    def first(self, n_samples: int) -> int:
+        """The first scored row of a segment of `n_samples`; all rows before it may start the models."""
+        if self.horizon == FREE_RUN:
+            return start_window(self.lags, n_samples, self.dt_s)
+        return self.lags + int(self.horizon) - 1
 
 
 def run_trials(models: Mapping[str, Fitted], test: Dataset, horizon: str) -> tuple[Trial, ...]:
@@ -99,17 +104,17 @@ def run_trials(models: Mapping[str, Fitted], test: Dataset, horizon: str) -> tup
     ------
     DataError : no segment is long enough.
     """
-    plan = Plan(horizon, start_of(models))
+    plan = Plan(horizon, start_of(models), test.dt_s)
     trials = tuple(
         _run(models, test, index, plan)
         for index, segment in enumerate(test.segments)
-        if len(segment) >= plan.first + MIN_SCORED
+        if len(segment) >= plan.first(len(segment)) + MIN_SCORED
     )
     if not trials:
         longest = max((len(s) for s in test.segments), default=0)
         raise DataError(
             f"no held-out segment can be scored: the longest has {longest} samples, "
-            f"{plan.first} start the models and {MIN_SCORED} must remain",
+            f"{plan.first(longest)} start the models and {MIN_SCORED} must remain",
             hint="hold out longer segments, or use models of a lower order",
         )
     return trials
@@ -117,30 +122,30 @@ def run_trials(models: Mapping[str, Fitted], test: Dataset, horizon: str) -> tup
 
 def _run(models: Mapping[str, Fitted], test: Dataset, index: int, plan: Plan) -> Trial:
     segment = test.segments[index]
+    first = plan.first(len(segment))
     outputs: dict[str, FloatArray] = {}
     diverged: dict[str, float] = {}
     for name, model in models.items():
-        yh, at = _modelled(model, segment, plan)
+        yh, at = _modelled(model, segment, plan.horizon, first)
         outputs[name], broken = _finite(yh, segment.y)
         at = broken if at is None else at
         if at is not None:
-            diverged[name] = (plan.first + at) * test.dt_s
-    return Trial(index, plan.first, segment.y[plan.first :], outputs, diverged)
+            diverged[name] = (first + at) * test.dt_s
+    return Trial(index, first, segment.y[first:], outputs, diverged)
 
 
-def _modelled(model: Fitted, segment: Segment, plan: Plan) -> tuple[FloatArray, int | None]:
+def _modelled(model: Fitted, segment: Segment, horizon: str, first: int) -> tuple[FloatArray, int | None]:
     """The scored rows of the model's output, and the first of them at the output limits in free run."""
-    if plan.horizon != FREE_RUN:
-        return model.predict(segment.u, segment.y, int(plan.horizon))[plan.first :], None
-    yh = free_run(model, segment, plan.start)
+    if horizon != FREE_RUN:
+        return model.predict(segment.u, segment.y, int(horizon))[first:], None
+    yh = free_run(model, segment, first)
     return yh, _diverged_at(model, yh)
 
 
 def free_run(model: Fitted, segment: Segment, start: int) -> FloatArray:
-    """(N - start, n_y) simulation of `segment` whose first modelled row is `start`."""
-    skip = start - model.n_init
-    u, y0 = segment.u[skip:], segment.y[skip:start]
-    return model.simulate(u, y0)[model.n_init :]
+    """(N - start, n_y) simulation of `segment`; its first `start` samples only give the initial state."""
+    y0 = estimate_start(model, segment.u[:start], segment.y[:start])
+    return model.simulate(segment.u, y0)[start:]
 
 
 def _diverged_at(model: Fitted, yh: FloatArray) -> int | None:

@@ -1,0 +1,71 @@
+"""The start of a free run: estimated from a window, not read off noisy lags."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from flysid.dataset import FloatArray
+from flysid.model.start import estimate_start, start_window
+
+DT = 0.01
+
+
+@dataclass
+class Oscillator:
+    """y(k) = 2 r cos(w) y(k-1) - r^2 y(k-2) + b u(k-1); only what `estimate_start` needs of a model."""
+
+    radius: float = 0.995
+    angle: float = 0.045
+    n_init: int = 2
+
+    def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+        y = np.zeros((len(u), 1))
+        y[:2] = 0.0 if y0 is None else y0
+        for k in range(2, len(u)):
+            y[k] = (
+                2 * self.radius * np.cos(self.angle) * y[k - 1] - self.radius**2 * y[k - 2] + 0.002 * u[k - 1]
+            )
+        return y
+
+
+@pytest.fixture(scope="module")
+def noisy() -> tuple[Oscillator, FloatArray, FloatArray, FloatArray]:
+    rng = np.random.default_rng(3)
+    model = Oscillator()
+    u = np.sin(np.arange(1000) * 0.02)[:, None]
+    truth = model.simulate(u, np.array([[0.3], [0.31]]))
+    return model, u, truth, truth + 0.02 * rng.standard_normal(truth.shape)
+
+
+def test_without_noise_the_true_lags_come_back(
+    noisy: tuple[Oscillator, FloatArray, FloatArray, FloatArray],
+) -> None:
+    model, u, truth, _ = noisy
+    np.testing.assert_allclose(estimate_start(model, u[:100], truth[:100]), truth[:2], atol=1e-9)  # type: ignore[arg-type]
+
+
+def test_with_noise_the_free_run_starts_far_closer_than_from_measured_lags(
+    noisy: tuple[Oscillator, FloatArray, FloatArray, FloatArray],
+) -> None:
+    model, u, truth, y = noisy
+    start = estimate_start(model, u[:100], y[:100])  # type: ignore[arg-type]
+    estimated = np.sqrt(np.mean((model.simulate(u, start)[100:] - truth[100:]) ** 2))
+    measured = np.sqrt(np.mean((model.simulate(u, y[:2])[100:] - truth[100:]) ** 2))
+    assert estimated < 0.01
+    assert measured > 5 * estimated
+
+
+def test_a_window_with_no_more_equations_than_unknowns_gives_the_measured_lags() -> None:
+    y = np.array([[1.0], [2.0], [3.0]])
+    np.testing.assert_array_equal(estimate_start(Oscillator(), np.zeros((3, 1)), y), y[:2])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("n_init", "n", "dt", "expected"),
+    [(4, 10_000, 0.01, 100), (4, 10_000, 1.0, 20), (4, 100, 1.0, 10), (4, 20, 1.0, 4), (0, 10_000, 0.02, 50)],
+)
+def test_window(n_init: int, n: int, dt: float, expected: int) -> None:
+    assert start_window(n_init, n, dt) == expected
