@@ -1,0 +1,248 @@
+"""Levenberg-Marquardt: nonlinear least squares with exact sensitivities, for every model structure.
+
+The caller gives residuals and their Jacobian, or, for data too long for a Jacobian, the normal equations
+(cost, JᵀJ, Jᵀr) that it accumulated over chunks. Simulation errors explode when a trial point is
+unstable: such a point (non-finite or higher cost) is rejected and the damping grows; it is no error.
+
+Method: Marquardt (1963) with the scaling of Moré (1978) (the largest diagonal of JᵀJ seen so far) and
+the damping rule of Nielsen (1999), Damping Parameter in Marquardt's Method, IMM-REP-1999-05.
+Cost per iteration: one call of `evaluate` (one more per rejected trial) and O(n³) for n parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.errors import FitError
+
+Residuals: TypeAlias = tuple[FloatArray, FloatArray]
+"""(N,) residuals r and their (N, n) Jacobian dr/dtheta."""
+NormalEquations: TypeAlias = tuple[float, FloatArray, FloatArray]
+"""cost rᵀr, (n, n) JᵀJ and (n,) Jᵀr."""
+Reason = Literal["converged", "stalled", "max_iterations", "validation", "stopped"]
+
+FIRST_DAMPING = 1e-3
+LARGEST_DAMPING = 1e16
+SMALLEST_DAMPING = 1e-24
+SMALLEST_RELAXATION = 0.1
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """Where the search ended.
+
+    Attributes
+    ----------
+    theta : (n,) the best parameters: of lowest validation cost where one was given, else of lowest cost.
+    cost : sum of squared residuals at `theta`.
+    start_cost : the same at the start.
+    iterations : accepted steps that led to `theta`.
+    reason : "converged" (step or improvement below the tolerance, or the gradient vanished), "stalled" (no
+        step lowers the cost), "max_iterations", "validation" (the validation cost rose), "stopped" (the
+        caller said so).
+    validation_cost : at `theta`; None when no validation was given.
+    """
+
+    theta: FloatArray
+    cost: float
+    start_cost: float
+    iterations: int
+    reason: Reason
+    validation_cost: float | None = None
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A point of the search: cost, gradient, and either the triangle R of J = QR with Qᵀr, or JᵀJ."""
+
+    theta: FloatArray
+    cost: float
+    gradient: FloatArray
+    diagonal: FloatArray
+    jtj: FloatArray | None
+    triangle: FloatArray | None
+    rotated: FloatArray | None
+
+
+def levenberg_marquardt(
+    evaluate: Callable[[FloatArray], Residuals | NormalEquations],
+    theta0: FloatArray,
+    *,
+    cost: Callable[[FloatArray], float] | None = None,
+    validate: Callable[[FloatArray], float] | None = None,
+    stop: Callable[[], bool] | None = None,
+    max_iterations: int = 50,
+    tolerance: float = 1e-8,
+    patience: int = 5,
+) -> Refinement:
+    """Minimise the sum of squared residuals from a start.
+
+    Parameters
+    ----------
+    evaluate : theta -> (r, J) or (cost, JᵀJ, Jᵀr). May return non-finite values for divergent models.
+    theta0 : (n,) start; its cost must be finite.
+    cost : theta -> rᵀr without derivatives, when that is cheaper: trial points are then tried with it first.
+    validate : theta -> cost on data held out from the fit. The search keeps the point of lowest validation
+        cost and ends when `patience` accepted steps brought no lower one (early stopping).
+    stop : asked before every iteration; True ends the search (a time budget, a cancelled command).
+    tolerance : relative decrease of the cost, and relative length of the step, that count as converged.
+
+    Raises
+    ------
+    FitError : the cost of the start is not finite.
+    """
+    point = _evaluate(evaluate, np.asarray(theta0, dtype=np.float64))
+    if point is None:
+        raise FitError("the start of the refinement diverges", hint="give a stable start")
+    scale = _floored(point.diagonal)
+    damping, growth = FIRST_DAMPING, 2.0
+    best = _Best(point, None if validate is None else _finite_or_inf(validate(point.theta)))
+    reason: Reason = "max_iterations"
+    start_cost, accepted, tries = point.cost, 0, 0
+    while tries < max_iterations:
+        if stop is not None and stop():
+            reason = "stopped"
+            break
+        if point.cost == 0.0 or _is_stationary(point, scale):
+            reason = "converged"
+            break
+        tries += 1
+        step = _step(point, scale, damping)
+        new = None if step is None else _try(evaluate, cost, point, step)
+        if step is None or new is None:
+            damping, growth = damping * growth, growth * 2.0
+            if damping > LARGEST_DAMPING or (step is not None and _is_short(step, point, scale, 1e-15)):
+                reason = "stalled"
+                break
+            tries -= growth <= 2.0**8  # the first rejections in a row cost no iteration
+            continue
+        damping, growth = _relax(damping, point, new, step, scale)
+        settled = point.cost - new.cost <= tolerance * point.cost or _is_short(step, point, scale, tolerance)
+        point, accepted = new, accepted + 1
+        scale = np.maximum(scale, np.sqrt(point.diagonal))
+        best = best.after(point, accepted, validate)
+        if settled:
+            reason = "converged"
+            break
+        if validate is not None and accepted - best.iteration >= patience:
+            reason = "validation"
+            break
+    return Refinement(
+        best.point.theta, best.point.cost, start_cost, best.iteration, reason, best.validation_cost
+    )
+
+
+@dataclass(frozen=True)
+class _Best:
+    point: _Point
+    validation_cost: float | None
+    iteration: int = 0
+
+    def after(self, point: _Point, iteration: int, validate: Callable[[FloatArray], float] | None) -> _Best:
+        """The better of this and a newly accepted point."""
+        if validate is None:
+            return _Best(point, None, iteration)
+        value = _finite_or_inf(validate(point.theta))
+        lowest = np.inf if self.validation_cost is None else self.validation_cost
+        return _Best(point, value, iteration) if value < lowest else self
+
+
+def _evaluate(
+    evaluate: Callable[[FloatArray], Residuals | NormalEquations], theta: FloatArray
+) -> _Point | None:
+    """The point at theta, or None where residuals, derivatives or their squares are not finite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        answer = evaluate(theta)
+        if len(answer) == 3:
+            total, jtj, jtr = answer
+            finite = np.isfinite(total) and np.isfinite(jtj).all() and np.isfinite(jtr).all()
+            if not finite:
+                return None
+            return _Point(theta, float(total), jtr, np.diag(jtj).copy(), jtj, None, None)
+        residual, jacobian = answer
+        total = float(residual @ residual)
+        diagonal = np.einsum("ij,ij->j", jacobian, jacobian)
+    if not (np.isfinite(total) and np.isfinite(diagonal).all()):
+        return None
+    triangle, rotated = _triangle(residual, jacobian)
+    return _Point(theta, total, triangle.T @ rotated, diagonal, None, triangle, rotated)
+
+
+def _triangle(residual: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """R and Qᵀr of J = QR, from one QR of [J r]."""
+    n = jacobian.shape[1]
+    r = np.linalg.qr(np.column_stack([jacobian, residual]), mode="r")
+    full = np.zeros((n + 1, n + 1))
+    full[: r.shape[0]] = r
+    return full[:n, :n], full[:n, n]
+
+
+def _try(
+    evaluate: Callable[[FloatArray], Residuals | NormalEquations],
+    cost: Callable[[FloatArray], float] | None,
+    point: _Point,
+    step: FloatArray,
+) -> _Point | None:
+    """The point one step on, or None when its cost is not lower."""
+    theta = point.theta + step
+    if cost is not None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            value = cost(theta)
+        if not value < point.cost:  # NaN compares false
+            return None
+    new = _evaluate(evaluate, theta)
+    return new if new is not None and new.cost < point.cost else None
+
+
+def _step(point: _Point, scale: FloatArray, damping: float) -> FloatArray | None:
+    """Solve (JᵀJ + damping D²) step = -Jᵀr in scaled unknowns; None when that is singular."""
+    n = len(scale)
+    if point.triangle is not None and point.rotated is not None:
+        # least squares on [R D⁻¹; sqrt(damping) I] keeps the condition of J instead of squaring it
+        matrix = np.vstack([point.triangle / scale, np.sqrt(damping) * np.eye(n)])
+        solution = np.linalg.lstsq(matrix, np.concatenate([-point.rotated, np.zeros(n)]), rcond=None)[0]
+    else:
+        assert point.jtj is not None
+        matrix = point.jtj / np.outer(scale, scale) + damping * np.eye(n)
+        try:
+            factor = np.linalg.cholesky(matrix)
+        except np.linalg.LinAlgError:
+            return None
+        solution = np.linalg.solve(factor.T, np.linalg.solve(factor, -point.gradient / scale))
+    step = solution / scale
+    return step if np.isfinite(step).all() else None
+
+
+def _relax(
+    damping: float, old: _Point, new: _Point, step: FloatArray, scale: FloatArray
+) -> tuple[float, float]:
+    """Nielsen's rule (bolder: 0.1 for 1/3): less damping the better the prediction of the decrease was."""
+    predicted = -float(step @ old.gradient) + damping * float(np.sum((scale * step) ** 2))
+    gain = (old.cost - new.cost) / predicted if predicted > 0 else 1.0
+    return max(damping * max(SMALLEST_RELAXATION, 1.0 - (2.0 * gain - 1.0) ** 3), SMALLEST_DAMPING), 2.0
+
+
+def _is_stationary(point: _Point, scale: FloatArray) -> bool:
+    """The residual is orthogonal to every column of J, to rounding."""
+    return bool(np.max(np.abs(point.gradient) / scale, initial=0.0) <= 1e-14 * np.sqrt(point.cost))
+
+
+def _is_short(step: FloatArray, point: _Point, scale: FloatArray, tolerance: float) -> bool:
+    return float(np.linalg.norm(scale * step)) <= tolerance * float(np.linalg.norm(scale * point.theta))
+
+
+def _floored(diagonal: FloatArray) -> FloatArray:
+    """Column norms, with a floor where a parameter has no effect at the start."""
+    norms = np.sqrt(diagonal)
+    largest = float(norms.max(initial=0.0)) or 1.0
+    floored: FloatArray = np.maximum(norms, 1e-8 * largest)
+    return floored
+
+
+def _finite_or_inf(value: float) -> float:
+    return float(value) if np.isfinite(value) else np.inf
