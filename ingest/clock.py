@@ -1,0 +1,159 @@
+"""Vehicle time: boots, outliers, and a robust map to UTC. Plain arrays in, plain arrays out.
+
+A vehicle's clock counts from its boot. It steps back when the vehicle reboots, it may carry single absurd
+values, and arrival times at the ground jitter by seconds against it. So order in the file is trusted first,
+the vehicle's own counter second, arrival times last.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.flight import ClockMap
+
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+SECOND_NS = 1_000_000_000
+BACK_STEP_NS = 1 * SECOND_NS
+JUMP_NS = 60 * SECOND_NS
+WINDOW = 7
+KNOTS_PER_FIT = 4000
+
+
+def is_outlier(time_ns: IntArray, tolerance_ns: int = BACK_STEP_NS) -> BoolArray:
+    """(n,) True where a value stands apart from the median of the 7 values around it.
+
+    The median of a monotone window is its centre, so rising times are never outliers, whatever the gaps;
+    a step back (a reboot) is kept, because the window has a majority on either side of it. At the ends a
+    jump of more than a minute that one or two values make alone is an outlier.
+    """
+    flagged = np.zeros(len(time_ns), dtype=np.bool_)
+    if len(time_ns) < WINDOW:
+        return flagged
+    steps = np.diff(time_ns)
+    ends = np.concatenate([steps[: WINDOW // 2], steps[-(WINDOW // 2) :]])
+    if not (steps < -tolerance_ns).any() and not (ends > JUMP_NS).any():
+        return flagged
+    half = WINDOW // 2
+    windows = np.lib.stride_tricks.sliding_window_view(time_ns, WINDOW)
+    middle = np.median(windows, axis=1)
+    flagged[half:-half] = np.abs(time_ns[half:-half] - middle) > tolerance_ns
+    for edge, median in ((slice(None, half), middle[0]), (slice(-half, None), middle[-1])):
+        flagged[edge] = np.abs(time_ns[edge] - median) > JUMP_NS
+    return flagged
+
+
+def back_steps(time_ns: IntArray) -> IntArray:
+    """Indices i where time_ns[i] lies more than a second before time_ns[i - 1]."""
+    return np.flatnonzero(np.diff(time_ns) < -BACK_STEP_NS) + 1
+
+
+def wrap_points(counter_ns: IntArray, period_ns: int) -> IntArray:
+    """Indices i where a counter of that period starts again at zero: two high values, then two low ones."""
+    margin = 3600 * SECOND_NS
+    high, low = counter_ns > period_ns - margin, counter_ns < margin
+    return np.flatnonzero(high[:-3] & high[1:-2] & low[2:-1] & low[3:]) + 2
+
+
+def split_points(intervals: list[tuple[int, int]], streams: int) -> list[int]:
+    """Positions where boots begin, from the steps back of several streams.
+
+    Parameters
+    ----------
+    intervals : (last position before, first position after) of every step back of every stream.
+    streams : number of streams that could have stepped back.
+
+    Overlapping intervals tell of the same reboot. A split that fewer than half of the streams saw is one
+    stream's own fault, and no reboot.
+    """
+    splits: list[int] = []
+    group: list[tuple[int, int]] = []
+    for interval in [*sorted(intervals, key=lambda i: i[1]), (1 << 62, 1 << 62)]:
+        if group and interval[0] >= group[0][1]:
+            if 2 * len(group) >= streams:
+                splits.append(group[0][1])
+            group = []
+        group.append(interval)
+    return splits
+
+
+def interpolate(at: IntArray, knots: IntArray, values: IntArray, slope: float) -> IntArray:
+    """Values at `at` by straight lines between knots (rising), and with `slope` beyond them.
+
+    Works in integers around the left knot, so that nanoseconds since 1970 do not lose digits.
+    """
+    left = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 1)
+    right = np.minimum(left + 1, len(knots) - 1)
+    span = np.maximum(knots[right] - knots[left], 1)
+    offset = at - knots[left]
+    between = offset / span * (values[right] - values[left])
+    outside = (offset < 0) | (right == left)
+    return values[left] + np.where(outside, offset * slope, between).astype(np.int64)
+
+
+@dataclass
+class UtcFit:
+    """Collects pairs (vehicle time, UTC) of each boot and fits one straight line per boot.
+
+    The slope is the median of the slopes between points half a record apart, the offset the median
+    residual (Theil 1950, Sen 1968, on n/2 pairs): half of the pairs may be wrong.
+    """
+
+    first_ns: dict[int, int] = field(default_factory=dict)
+    last_ns: dict[int, int] = field(default_factory=dict)
+    _pairs: dict[int, list[tuple[IntArray, IntArray]]] = field(default_factory=dict)
+
+    def add(self, boot: int, vehicle_ns: IntArray, utc_ns: IntArray | None = None) -> None:
+        """More pairs of a boot, in order; `utc_ns` None where nothing anchors them."""
+        if not len(vehicle_ns):
+            return
+        low, high = int(vehicle_ns.min()), int(vehicle_ns.max())
+        self.first_ns[boot] = min(low, self.first_ns.get(boot, low))
+        self.last_ns[boot] = max(high, self.last_ns.get(boot, high))
+        if utc_ns is not None:
+            every = max(1, len(vehicle_ns) // KNOTS_PER_FIT)
+            self._pairs.setdefault(boot, []).append((vehicle_ns[::every], utc_ns[::every]))
+
+    def slope(self, boot: int) -> float:
+        """UTC seconds per vehicle second so far; 1.0 where unknown."""
+        fitted = self._fit(boot)
+        return fitted[1] if fitted else 1.0
+
+    def clocks(self) -> tuple[ClockMap, ...]:
+        """One map per boot, in order."""
+        maps = []
+        for boot in sorted(self.first_ns):
+            offset, slope, residual = self._fit(boot) or (None, 1.0, None)
+            maps.append(ClockMap(boot, self.first_ns[boot], self.last_ns[boot], offset, slope, residual))
+        return tuple(maps)
+
+    def _fit(self, boot: int) -> tuple[int, float, int] | None:
+        pairs = self._pairs.get(boot)
+        if not pairs:
+            return None
+        vehicle = np.concatenate([p[0] for p in pairs])
+        utc = np.concatenate([p[1] for p in pairs])
+        return fit_line(vehicle, utc)
+
+
+def fit_line(x: IntArray, y: IntArray) -> tuple[int, float, int]:
+    """Robust y = offset + slope x; returns (offset, slope, median absolute residual).
+
+    The slope is 1.0 where x hardly moves or no positive slope fits.
+    """
+    half = len(x) // 2
+    run = (x[half:] - x[: len(x) - half]).astype(np.float64) if half else np.empty(0)
+    rise = (y[half:] - y[: len(y) - half]).astype(np.float64) if half else np.empty(0)
+    moved = run > 0
+    slope = float(np.median(rise[moved] / run[moved])) if moved.any() else 1.0
+    if not (np.isfinite(slope) and slope > 0):
+        slope = 1.0
+    x0, y0 = int(x[0]), int(y[0])
+    residual = (y - y0) - slope * (x - x0)
+    offset = float(np.median(residual))
+    spread = float(np.median(np.abs(residual - offset)))
+    return y0 + round(offset) - round(slope * x0), slope, round(spread)

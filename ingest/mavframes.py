@@ -1,0 +1,318 @@
+"""Finding MAVLink frames in bytes: every valid frame, and exactly which bytes are none.
+
+    tlog record   u64 big-endian microseconds (UTC, arrival at the ground), then a frame
+    v1 frame      FE len seq sys comp id payload[len] crc16
+    v2 frame      FD len incompat compat seq sys comp id[3] payload[len] crc16 [signature 13 if incompat & 1]
+
+The CRC (MCRF4XX) covers all between the marker and itself, then one seed byte of the message's layout.
+Clean stretches are walked by a `chain` function (plain, or compiled for large files); whatever stops it is
+judged here, in one place for both. Timestamps are outside the CRC and are not judged here.
+
+An unknown id cannot be checked: such a frame is accepted only where a checked one follows exactly.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.flight import Damage, Region
+from flysid.ingest.mavdialect import UNKNOWN
+
+MARKER = re.compile(rb"[\xfd\xfe]")
+V1, V2 = 0xFE, 0xFD
+SIGNED = 0x01
+SIGNATURE_BYTES = 13
+LOOK_AHEAD = 8192
+MAX_UNKNOWN_IN_A_ROW = 16
+STAMP_BYTES = 8
+
+IntArray = npt.NDArray[np.int64]
+Chain = Callable[[bytes, int, int, int], tuple[IntArray, int]]
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Valid frames of one batch in file order; offsets count within `buffer`.
+
+    Attributes
+    ----------
+    buffer : the batch's bytes, padded with zeros so that any payload may be read whole.
+    start : (n,) offset of the marker.
+    message : (n,) message id.
+    payload, length : (n,) offset and size of the payload.
+    system, component, sequence : (n,) uint8, from the header.
+    stamp_us : (n,) arrival, microseconds UTC; None where the log has none; -1 where damage took
+        it; 0 where it is absurd.
+    """
+
+    buffer: npt.NDArray[np.uint8]
+    start: IntArray
+    message: IntArray
+    payload: IntArray
+    length: IntArray
+    system: npt.NDArray[np.uint8]
+    component: npt.NDArray[np.uint8]
+    sequence: npt.NDArray[np.uint8]
+    stamp_us: IntArray | None
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+
+@dataclass(frozen=True)
+class Header:
+    """A frame's header: where its CRC and its end are, and its message id."""
+
+    crc_at: int
+    end: int
+    message: int
+
+
+def plain_chain(crc_extra: npt.NDArray[np.int16]) -> Chain:
+    """A chain function in plain Python: no compilation, about 0.7 us a frame."""
+    import fastcrc
+
+    crc16 = fastcrc.crc16.mcrf4xx
+    seeds = {int(i): bytes([crc_extra[i]]) for i in np.flatnonzero(crc_extra != UNKNOWN)}
+
+    def chain(buffer: bytes, position: int, limit: int, stamp: int) -> tuple[IntArray, int]:
+        size = len(buffer)
+        starts: list[int] = []
+        while position < limit:
+            q = position + stamp
+            if q + 8 > size:
+                break
+            marker = buffer[q]
+            if marker == V2:
+                flags = buffer[q + 2]
+                crc_at = q + 10 + buffer[q + 1]
+                end = crc_at + (2 if flags == 0 else 2 + SIGNATURE_BYTES)
+                if flags > SIGNED or end > size:
+                    break
+                seed = seeds.get(buffer[q + 7] | buffer[q + 8] << 8 | buffer[q + 9] << 16)
+            elif marker == V1:
+                crc_at = q + 6 + buffer[q + 1]
+                end = crc_at + 2
+                if end > size:
+                    break
+                seed = seeds.get(buffer[q + 5])
+            else:
+                break
+            if (
+                seed is None
+                or crc16(buffer[q + 1 : crc_at] + seed) != buffer[crc_at] | buffer[crc_at + 1] << 8
+            ):
+                break
+            starts.append(q)
+            position = end
+        return np.array(starts, dtype=np.int64), position
+
+    return chain
+
+
+@dataclass
+class Scanner:
+    """Finds frames batch by batch and keeps account of every byte that belongs to none.
+
+    Parameters
+    ----------
+    crc_extra : seeds by message id (`Dialect.crc_extra`).
+    stamp : bytes before each frame: 8 in a tlog, 0 in raw MAVLink.
+    chain : walks clean stretches; `plain_chain(crc_extra)` or the compiled one.
+    """
+
+    crc_extra: npt.NDArray[np.int16]
+    stamp: int
+    chain: Chain
+    bytes_skipped: int = 0
+    region_count: int = 0
+    regions: list[Region] = field(default_factory=list)
+    bad_checksums: int = 0
+    truncated: bool = False
+    unstamped: int = 0
+    unknown: dict[tuple[int, int, int], int] = field(default_factory=dict)
+    _lost_at: int | None = None
+    _reason: str = ""
+    _expected: int = -1
+    _seen: set[int] = field(default_factory=set)
+
+    def scan(self, buffer: bytes, base: int, limit: int) -> tuple[Frames, int]:
+        """Frames of the records that start in buffer[:limit], and where in the file the next batch begins.
+
+        `base` is the offset of the buffer in the file. The buffer must reach `LOOK_AHEAD` bytes beyond the
+        limit, except at the end of the file, where limit == len(buffer).
+        """
+        found: list[IntArray] = []
+        bare: list[int] = []
+        position = 0 if self._lost_at is None else self._search(buffer, base, self.stamp, limit, found, bare)
+        while position < limit and self._lost_at is None:
+            starts, position = self.chain(buffer, position, limit, self.stamp)
+            if len(starts):
+                found.append(starts)
+                self._seen.add(_sender(buffer, int(starts[-1])))
+            if position < limit:
+                position = self._recover(buffer, base, position, limit, found, bare)
+        starts = np.concatenate(found) if found else np.empty(0, np.int64)
+        self.unstamped += len(bare)
+        return read_headers(buffer, starts, self.stamp, bare), base + position
+
+    def _recover(
+        self, buffer: bytes, base: int, position: int, limit: int, found: list[IntArray], bare: list[int]
+    ) -> int:
+        """What stopped the chain at `position`? Returns where to go on."""
+        q = position + self.stamp
+        head = read_header(buffer, q)
+        self._reason, self._expected = "no MAVLink frame", -1
+        if head is not None and self._is_known(head.message):
+            self.bad_checksums += 1
+            self._reason, self._expected = "bad checksum", base + head.end
+        elif head is not None and self._is_confirmed(buffer, head.end):
+            key = (*divmod(_sender(buffer, q), 256), head.message)
+            self.unknown[key] = self.unknown.get(key, 0) + 1
+            return head.end
+        self._lost_at = base + position
+        return self._search(buffer, base, position, limit, found, bare)
+
+    def _search(
+        self, buffer: bytes, base: int, begin: int, limit: int, found: list[IntArray], bare: list[int]
+    ) -> int:
+        """Go on at the next valid frame whose marker is at or after `begin`, or at the end of the batch.
+
+        A frame that follows a damaged one exactly and fails its CRC too is counted; other failures are
+        chance markers inside garbage.
+        """
+        assert self._lost_at is not None
+        lost = self._lost_at - base
+        for match in MARKER.finditer(buffer, begin, min(limit + self.stamp, len(buffer))):
+            q = match.start()
+            head = None if q == lost + self.stamp else read_header(buffer, q)
+            if head is None or not self._is_known(head.message):
+                continue
+            if self._is_valid(buffer, q, head):
+                if self._is_plausible(buffer, q, head):
+                    start = q - self.stamp if q - self.stamp >= lost else q
+                    self._close(base + start, self._reason)
+                    found.append(np.array([q], dtype=np.int64))
+                    bare.extend([q] if start == q and self.stamp else [])
+                    return head.end
+            elif base + q == self._expected + self.stamp:
+                self.bad_checksums += 1
+                self._expected = base + head.end
+        if limit < len(buffer):
+            return limit - self.stamp
+        self.truncated = _is_cut(buffer, lost + self.stamp)
+        self._close(base + len(buffer), "cut off inside a record" if self.truncated else self._reason)
+        return len(buffer)
+
+    def _close(self, end: int, reason: str) -> None:
+        """The lost region ends at file offset `end`."""
+        start, self._lost_at = self._lost_at, None
+        if start is None or start == end:
+            return
+        self.bytes_skipped += end - start
+        self.region_count += 1
+        if len(self.regions) < Damage.MAX_REGIONS:
+            self.regions.append(Region(start, end, reason))
+
+    def _is_known(self, message: int) -> bool:
+        return message < len(self.crc_extra) and self.crc_extra[message] != UNKNOWN
+
+    def _is_valid(self, buffer: bytes, q: int, head: Header) -> bool:
+        """True where the CRC of a known message holds."""
+        import fastcrc
+
+        seed = bytes([self.crc_extra[head.message]])
+        stated = int.from_bytes(buffer[head.crc_at : head.crc_at + 2], "little")
+        return bool(fastcrc.crc16.mcrf4xx(buffer[q + 1 : head.crc_at] + seed) == stated)
+
+    def _is_confirmed(self, buffer: bytes, position: int) -> bool:
+        """Does a checked frame follow exactly, perhaps after more unknown ones?"""
+        for _ in range(MAX_UNKNOWN_IN_A_ROW):
+            q = position + self.stamp
+            head = read_header(buffer, q)
+            if head is None:
+                return False
+            if self._is_known(head.message):
+                return self._is_valid(buffer, q, head)
+            position = head.end
+        return False
+
+    def _is_plausible(self, buffer: bytes, q: int, head: Header) -> bool:
+        """A CRC of 16 bits holds by chance once in 65,536: ask for a known sender, or a neighbour."""
+        after = head.end + self.stamp
+        return (
+            head.end == len(buffer)
+            or (after < len(buffer) and buffer[after] in (V1, V2))
+            or _sender(buffer, q) in self._seen
+        )
+
+
+def read_header(buffer: bytes, q: int) -> Header | None:
+    """The header at q; None where the buffer holds no complete frame there."""
+    size = len(buffer)
+    if q + 8 > size:
+        return None
+    if buffer[q] == V1:
+        crc_at = q + 6 + buffer[q + 1]
+        head = Header(crc_at, crc_at + 2, buffer[q + 5])
+    elif buffer[q] == V2 and buffer[q + 2] <= SIGNED and q + 12 <= size:
+        crc_at = q + 10 + buffer[q + 1]
+        end = crc_at + 2 + SIGNATURE_BYTES * buffer[q + 2]
+        head = Header(crc_at, end, int.from_bytes(buffer[q + 7 : q + 10], "little"))
+    else:
+        return None
+    return head if head.end <= size else None
+
+
+def _is_cut(buffer: bytes, q: int) -> bool:
+    """Does the buffer end inside a record whose marker is (or would be) at q?"""
+    size = len(buffer)
+    if q >= size:
+        return True
+    if buffer[q] not in (V1, V2) or (buffer[q] == V2 and q + 2 < size and buffer[q + 2] > SIGNED):
+        return False
+    return read_header(buffer, q) is None
+
+
+def _sender(buffer: bytes, q: int) -> int:
+    """system * 256 + component."""
+    at = q + (5 if buffer[q] == V2 else 3)
+    return buffer[at] * 256 + buffer[at + 1]
+
+
+def read_headers(buffer: bytes, starts: IntArray, stamp: int, bare: list[int]) -> Frames:
+    """The header fields of frames that begin at `starts`; those in `bare` have no timestamp."""
+    raw = np.frombuffer(buffer + bytes(256), dtype=np.uint8)
+    is_v2 = raw[starts] == V2
+    at = starts + np.where(is_v2, 4, 2)
+    message = raw[at + 3].astype(np.int64)
+    message[is_v2] |= (raw[at[is_v2] + 4].astype(np.int64) << 8) | (raw[at[is_v2] + 5].astype(np.int64) << 16)
+    stamps = None
+    if stamp:
+        stamps = gather_stamps(raw, starts)
+        stamps[np.isin(starts, bare)] = -1
+    return Frames(
+        buffer=raw,
+        start=starts,
+        message=message,
+        payload=starts + np.where(is_v2, 10, 6),
+        length=raw[starts + 1].astype(np.int64),
+        system=raw[at + 1],
+        component=raw[at + 2],
+        sequence=raw[at],
+        stamp_us=stamps,
+    )
+
+
+def gather_stamps(raw: npt.NDArray[np.uint8], starts: IntArray) -> IntArray:
+    """The microseconds in the 8 bytes before each frame; 0 where they exceed 2^63 ns (year 2262)."""
+    if not len(starts):
+        return np.empty(0, np.int64)
+    before = np.lib.stride_tricks.sliding_window_view(raw, STAMP_BYTES)[np.maximum(starts - STAMP_BYTES, 0)]
+    micros = before.view(">u8").reshape(-1)
+    return np.where(micros < (1 << 63) // 1000, micros, np.uint64(0)).astype(np.int64)

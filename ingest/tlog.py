@@ -1,0 +1,320 @@
+"""MAVLink telemetry logs (.tlog) and raw MAVLink -> one table per (system, component, message).
+
+Layout and framing: see `mavframes`. The file is read in batches: frames are found, sorted by stream, gathered
+into byte matrices and viewed as the message's packed dtype (`columns`); vehicle time comes from `mavclock`.
+Whether timestamps precede the frames is decided by which reading chains more valid frames at the start.
+
+Left out: signatures are not verified (a log has no key), and message ids that no dialect of pymavlink
+knows are counted as undecoded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from flysid.errors import FormatError
+from flysid.flight import ClockMap, Damage
+from flysid.ingest.base import HEAD_BYTES, Format, Limits, Parts, StreamPart, Summary
+from flysid.ingest.clock import SECOND_NS, IntArray, is_outlier
+from flysid.ingest.columns import Layout, decode, gather, message_schema, numbers
+from flysid.ingest.mavclock import TIME_FIELDS, Clocked, Source, VehicleTime
+from flysid.ingest.mavdialect import DEFAULT, OTHERS, Dialect, load_dialect
+from flysid.ingest.mavframes import (
+    LOOK_AHEAD,
+    MARKER,
+    STAMP_BYTES,
+    V1,
+    V2,
+    Frames,
+    Scanner,
+    plain_chain,
+)
+
+COMPILE_ABOVE_BYTES = 20 << 20
+PROBE_BYTES = 1 << 20
+HEARTBEAT = 0
+AUTOPILOT_INVALID = 8
+AUTOPILOT_PX4 = 12
+
+
+# ------------------------------------------------------------------------------------------ detection
+
+
+def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
+    """Confidence that these bytes begin a tlog or raw MAVLink: do checked frames chain?"""
+    if not any(_may_chain(head, stamp) for stamp in (STAMP_BYTES, 0)):
+        return 0.0
+    frames, _ = _count_frames(head, _stamp_bytes(head))
+    return 0.95 if frames >= 3 else 0.6 if frames else 0.0
+
+
+def _may_chain(head: bytes, stamp: int) -> bool:
+    """Cheap test before the dialect is imported: do three markers follow one another by their lengths?"""
+    for match in MARKER.finditer(head, stamp if stamp else 0, 16384):
+        at, hops = match.start(), 0
+        while hops < 3 and at + 8 <= len(head) and head[at] in (V1, V2):
+            is_v2 = head[at] == V2
+            if is_v2 and head[at + 2] > 1:
+                break
+            at += head[at + 1] + (12 + 13 * (head[at + 2] & 1) if is_v2 else 8)
+            hops += 1
+            if at == len(head) or hops == 3:
+                return True
+            at += stamp
+    return False
+
+
+def _stamp_bytes(head: bytes) -> int:
+    """8 where frames with timestamps chain better than frames without, else 0."""
+    stamped, plain = _count_frames(head, STAMP_BYTES), _count_frames(head, 0)
+    return STAMP_BYTES if stamped[1] >= plain[1] else 0
+
+
+def _count_frames(head: bytes, stamp: int) -> tuple[int, int]:
+    """(valid frames, valid frames less lost regions) in `head` under one hypothesis."""
+    dialect = load_dialect()
+    scanner = Scanner(dialect.crc_extra, stamp, plain_chain(dialect.crc_extra))
+    frames, _ = scanner.scan(head, 0, len(head))
+    return len(frames), len(frames) - scanner.region_count - scanner.unstamped
+
+
+def choose_dialect(sample: bytes, stamp: int) -> Dialect:
+    """ardupilotmega unless frames fail their CRC or are unknown and another dialect reads more of them."""
+    best, best_misses = load_dialect(DEFAULT), -1
+    for name in (DEFAULT, *OTHERS):
+        dialect = load_dialect(name)
+        scanner = Scanner(dialect.crc_extra, stamp, plain_chain(dialect.crc_extra))
+        scanner.scan(sample, 0, len(sample))
+        misses = scanner.bad_checksums + sum(scanner.unknown.values())
+        if best_misses < 0 or misses < best_misses:
+            best, best_misses = dialect, misses
+        if best_misses == 0:
+            break
+    return best
+
+
+# -------------------------------------------------------------------------------------------- reading
+
+
+@dataclass
+class _Reader:
+    """What is remembered between batches."""
+
+    dialect: Dialect
+    scanner: Scanner
+    time: VehicleTime = field(default_factory=VehicleTime)
+    schemas: dict[Source, pa.Schema] = field(default_factory=dict)
+    last_sequence: dict[int, int] = field(default_factory=dict)
+    gaps: dict[int, int] = field(default_factory=dict)
+    last_stamp: int = 0
+    bad_stamps: int = 0
+    row: int = 0
+    info: dict[str, str] = field(default_factory=dict)
+    arrival_span: tuple[int, int] | None = None
+    utc_pairs: list[tuple[IntArray, IntArray]] = field(default_factory=list)
+
+
+def read(view: memoryview, name: str, limits: Limits) -> Parts:
+    """Parts of a tlog or raw MAVLink file; see `Format.read`."""
+    head = bytes(view[:HEAD_BYTES])
+    stamp = _stamp_bytes(head)
+    dialect = choose_dialect(bytes(view[:PROBE_BYTES]), stamp)
+    reader = _Reader(dialect, Scanner(dialect.crc_extra, stamp, plain_chain(dialect.crc_extra)))
+    position = 0
+    while position < len(view):
+        stop = position + limits.batch_bytes
+        last = stop + LOOK_AHEAD >= len(view)
+        buffer = bytes(view[position:]) if last else bytes(view[position : stop + LOOK_AHEAD])
+        limit = len(buffer) if last else limits.batch_bytes
+        frames, position = reader.scanner.scan(buffer, position, limit)
+        yield from _parts(reader, frames)
+    if reader.row == 0 and not reader.scanner.unknown:
+        raise FormatError("no valid MAVLink frame", path=name, hint="check that this is a telemetry log")
+    return _summary(reader)
+
+
+def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
+    """The tables of one batch."""
+    if not len(frames):
+        return
+    arrival, has_utc = _arrival(reader, frames)
+    groups = dict(_streams(frames))
+    _count_gaps(reader, frames)
+    matrices = {}
+    clocked: dict[Source, Clocked] = {}
+    for source, rows in groups.items():
+        layout = reader.dialect.layout(source[2])
+        matrix = gather(frames.buffer, frames.payload[rows], frames.length[rows], layout.size)
+        matrices[source] = matrix
+        if source[2] == HEARTBEAT:
+            _note_vehicle(reader, source, matrix, layout)
+        if (name := _time_field(layout)) is not None:
+            raw = _field_values(matrix, layout, name)
+            bits = 8 * layout.dtype[name].itemsize
+            clocked[source] = reader.time.clocked(source, name, rows, raw, bits)
+    placed, boots = reader.time.place(frames.system, list(clocked.values()), arrival, utc=has_utc)
+    for source, rows in groups.items():
+        time_ns = placed[rows]
+        if source in clocked:
+            time_ns = reader.time.settle(clocked[source], time_ns)
+        received = arrival[rows] if has_utc else None
+        yield _table(reader, source, matrices.pop(source), time_ns, boots[rows], received)
+    reader.row += len(frames)
+
+
+def _arrival(reader: _Reader, frames: Frames) -> tuple[IntArray, bool]:
+    """Arrival in ns UTC, or the frames' positions where the log has no timestamps.
+
+    Frames whose timestamp damage took get their predecessor's; stamps that stand an hour apart from their
+    neighbours are kept as they are and counted.
+    """
+    if frames.stamp_us is None:
+        return np.arange(reader.row, reader.row + len(frames), dtype=np.int64), False
+    micros = frames.stamp_us
+    missing = micros < 0
+    if missing.any():
+        index = np.where(missing, -1, np.arange(len(micros)))
+        index = np.maximum.accumulate(index)
+        micros = np.where(index < 0, reader.last_stamp, micros[np.maximum(index, 0)])
+    reader.last_stamp = int(micros[-1])
+    arrival = micros * 1000
+    reader.bad_stamps += int(is_outlier(arrival, 3600 * SECOND_NS).sum()) + int(missing.sum())
+    low, high = reader.arrival_span or (int(arrival[0]), int(arrival[-1]))
+    reader.arrival_span = (min(low, int(arrival.min())), max(high, int(arrival.max())))
+    return arrival, True
+
+
+def _streams(frames: Frames) -> Iterator[tuple[Source, IntArray]]:
+    """(system, component, message id) and the rising row numbers of its frames."""
+    sender = (frames.system.astype(np.int64) << 8) | frames.component
+    key = (sender << 24) | frames.message
+    values, codes = _encode(key)
+    order = np.argsort(codes, kind="stable")
+    edges = np.searchsorted(codes[order], np.arange(len(values) + 1))
+    for i, value in enumerate(values.tolist()):
+        yield (value >> 32, (value >> 24) & 255, value & 0xFFFFFF), order[edges[i] : edges[i + 1]]
+
+
+def _encode(key: IntArray) -> tuple[IntArray, npt.NDArray[np.uint16] | IntArray]:
+    """(distinct keys rising, their codes); 16-bit codes let NumPy sort by radix."""
+    values = np.unique(key)
+    codes = np.searchsorted(values, key)
+    return values, codes.astype(np.uint16) if len(values) < 1 << 16 else codes
+
+
+def _count_gaps(reader: _Reader, frames: Frames) -> None:
+    """Messages missing per sender by the 8-bit sequence number; repeats and late frames are no gap."""
+    sender = (frames.system.astype(np.int64) << 8) | frames.component
+    for who in np.unique(sender).tolist():
+        numbers_seen = frames.sequence[sender == who].astype(np.int64)
+        before = reader.last_sequence.get(who)
+        steps = np.diff(numbers_seen, prepend=numbers_seen[0] - 1 if before is None else before) % 256
+        lost = int((steps[(steps > 1) & (steps < 128)] - 1).sum())
+        reader.last_sequence[who] = int(numbers_seen[-1])
+        if lost:
+            reader.gaps[who] = reader.gaps.get(who, 0) + lost
+
+
+def _time_field(layout: Layout) -> str | None:
+    """The field that carries the vehicle's clock, if the message has one."""
+    names = layout.dtype.names or ()
+    return next((f for f in TIME_FIELDS if f in names), None)
+
+
+def _field_values(matrix: npt.NDArray[np.uint8], layout: Layout, name: str) -> IntArray:
+    values: npt.NDArray[np.uint64] = matrix.view(layout.dtype).reshape(len(matrix))[name]
+    return np.minimum(values, np.uint64((1 << 63) - 1)).astype(np.int64)
+
+
+def _note_vehicle(reader: _Reader, source: Source, matrix: npt.NDArray[np.uint8], layout: Layout) -> None:
+    autopilots = _field_values(matrix, layout, "autopilot")
+    real = autopilots[autopilots != AUTOPILOT_INVALID]
+    if not len(real):
+        return
+    reader.time.vehicles.add(source[0])
+    if "autopilot" not in reader.info:
+        kinds = _field_values(matrix, layout, "type")[autopilots != AUTOPILOT_INVALID]
+        reader.info["autopilot"] = _short(reader.dialect.enum_name("MAV_AUTOPILOT", int(real[0])))
+        reader.info["vehicle"] = _short(reader.dialect.enum_name("MAV_TYPE", int(kinds[0])))
+
+
+def _short(enum_name: str) -> str:
+    """MAV_AUTOPILOT_ARDUPILOTMEGA -> ardupilotmega."""
+    return enum_name.removeprefix("MAV_AUTOPILOT_").removeprefix("MAV_TYPE_").lower()
+
+
+def _table(
+    reader: _Reader,
+    source: Source,
+    matrix: npt.NDArray[np.uint8],
+    time_ns: IntArray,
+    boots: IntArray,
+    received: IntArray | None,
+) -> StreamPart:
+    layout = reader.dialect.layout(source[2])
+    columns = decode(matrix, layout)
+    if source not in reader.schemas:
+        metadata = {
+            "time_source": reader.time.sources.get(source) or reader.time.source_of(source),
+            "system": str(source[0]),
+            "component": str(source[1]),
+            "message": layout.name,
+        }
+        reader.schemas[source] = message_schema(layout, columns, metadata, received=received is not None)
+    heads = [numbers(time_ns), numbers(boots.astype(np.int32))]
+    if received is not None:
+        heads.append(numbers(received))
+    table = pa.Table.from_arrays(heads + columns, schema=reader.schemas[source])
+    return StreamPart(f"{source[0]}.{source[1]}/{layout.name}", table)
+
+
+# -------------------------------------------------------------------------------------------- summary
+
+
+def _summary(reader: _Reader) -> Summary:
+    scanner = reader.scanner
+    outliers = {_key(reader, source): n for source, n in sorted(reader.time.outliers.items())}
+    if reader.bad_stamps:
+        outliers["recv_ns"] = reader.bad_stamps
+    damage = Damage(
+        bytes_skipped=scanner.bytes_skipped,
+        regions=tuple(scanner.regions),
+        region_count=scanner.region_count,
+        bad_checksums=scanner.bad_checksums,
+        truncated=scanner.truncated,
+        undecoded={_key(reader, source): n for source, n in sorted(scanner.unknown.items())},
+        time_outliers=outliers,
+        sequence_gaps={f"{who >> 8}.{who & 255}": n for who, n in sorted(reader.gaps.items())},
+    )
+    return Summary(damage, _clocks(reader), _info(reader))
+
+
+def _key(reader: _Reader, source: Source) -> str:
+    return f"{source[0]}.{source[1]}/{reader.dialect.message_name(source[2])}"
+
+
+def _clocks(reader: _Reader) -> tuple[ClockMap, ...]:
+    clocks = reader.time.fit().clocks()
+    if clocks or reader.arrival_span is None:
+        return clocks
+    return (ClockMap(0, *reader.arrival_span, utc_offset_ns=0),)
+
+
+def _info(reader: _Reader) -> Mapping[str, str]:
+    stamps = "arrival" if reader.scanner.stamp else "none"
+    main = "" if reader.time.main is None else str(reader.time.main)
+    return {"dialect": reader.dialect.name, "timestamps": stamps, "clock_system": main, **reader.info}
+
+
+FORMAT = Format(
+    name="tlog",
+    title="MAVLink telemetry (.tlog)",
+    suffixes=(".tlog", ".rlog", ".mavlink", ".raw"),
+    sniff=sniff,
+    read=read,
+)
