@@ -1,0 +1,184 @@
+"""Samples at their own times -> one grid: gaps, rates, hold, interpolation, anti-alias filter.
+
+Times are integer nanoseconds of one clock. Commands are held (zero order), states are interpolated
+linearly between the two samples around a grid point; neither crosses a gap. Where sources are faster
+than the grid, every signal of a channel passes the same zero-phase low-pass first: two signals that
+pass one linear filter keep the relation between them (Ljung 1999, System Identification, section 14.3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+Span = tuple[int, int]  # half-open, ns
+
+FOREVER = 1 << 62
+GAP_PERIODS = 2.5  # a pause of more than this many periods is a gap: one lost sample is bridged, two are not
+TAPS_PER_SIDE = 5  # half length of the low-pass, in grid samples
+CUTOFF = 0.4  # of the grid's rate, where the low-pass has fallen to one half
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """A signal as recorded, made fit for resampling: (N,) strictly increasing times, (N,) finite values.
+
+    `non_finite` and `duplicates` count the samples that were left out.
+    """
+
+    t_ns: IntArray
+    x: FloatArray
+    non_finite: int = 0
+    duplicates: int = 0
+
+
+def tidy(t_ns: IntArray, x: FloatArray) -> Series:
+    """Samples in time order; values that are not finite dropped; of equal times the last one kept."""
+    finite = np.isfinite(x)
+    times, values = t_ns[finite], x[finite]
+    order = np.argsort(times, kind="stable")
+    times, values = times[order], values[order]
+    last = np.append(np.diff(times) > 0, True)[: len(times)]
+    return Series(times[last], values[last], int((~finite).sum()), int((~last).sum()))
+
+
+def period_ns(t_ns: IntArray) -> float:
+    """Mean distance of samples, in ns, with pauses left out; inf for fewer than two samples.
+
+    Where most distances lie near their median, the mean of those is taken; otherwise (bursts) the mean of
+    all that are below five times the mean.
+    """
+    if len(t_ns) < 2:
+        return float("inf")
+    steps = np.diff(t_ns).astype(np.float64)
+    middle = float(np.median(steps))
+    near = steps[(steps > 0.5 * middle) & (steps < 1.5 * middle)]
+    if 2 * len(near) > len(steps):
+        return float(near.mean())
+    return float(steps[steps <= 5 * steps.mean()].mean())
+
+
+def nice_period_ns(period: float) -> int:
+    """A sample time near `period` that people would write: whole ms, a whole rate, or three digits."""
+    ms = round(period / 1e6)
+    if ms >= 1 and abs(period / 1e6 - ms) < 0.005 * ms:
+        return ms * 1_000_000
+    rate = round(1e9 / period)
+    if rate >= 5 and abs(1e9 / period - rate) < 0.005 * rate:
+        return round(1e9 / rate)
+    return round(float(f"{period:.3g}"))
+
+
+# ------------------------------------------------------------------------------------------- spans
+
+
+def spans_between_gaps(t_ns: IntArray, max_gap_ns: float, after_ns: float = 1) -> list[Span]:
+    """Half-open spans without a pause above `max_gap_ns`; each ends `after_ns` after its last sample."""
+    if len(t_ns) == 0:
+        return []
+    cuts = np.flatnonzero(np.diff(t_ns) > max_gap_ns)
+    firsts, lasts = np.append(0, cuts + 1), np.append(cuts, len(t_ns) - 1)
+    tail = int(min(after_ns, FOREVER))
+    return [(int(t_ns[a]), int(t_ns[b]) + tail) for a, b in zip(firsts, lasts, strict=True)]
+
+
+def intersect(first: Sequence[Span], second: Sequence[Span]) -> list[Span]:
+    """The spans in which both lie; both in order and free of overlap."""
+    out: list[Span] = []
+    i = j = 0
+    while i < len(first) and j < len(second):
+        start, stop = max(first[i][0], second[j][0]), min(first[i][1], second[j][1])
+        if start < stop:
+            out.append((start, stop))
+        if first[i][1] < second[j][1]:
+            i += 1
+        else:
+            j += 1
+    return out
+
+
+# -------------------------------------------------------------------------------------------- grids
+
+
+def phase_ns(t_ns: IntArray, dt_ns: int) -> int:
+    """Where in [0, dt) a grid best meets the samples: the circular mean of their times.
+
+    Equally spaced samples are met exactly.
+    """
+    offsets = (t_ns - t_ns[0]) % dt_ns
+    if not offsets.any():
+        return int(t_ns[0] % dt_ns)
+    angle = float(np.angle(np.exp(2j * np.pi * offsets / dt_ns).mean()))
+    mean = round(angle / (2 * np.pi) * dt_ns)
+    best = int(offsets[np.argmin(np.abs((offsets - mean + dt_ns // 2) % dt_ns - dt_ns // 2))])
+    return int((t_ns[0] + best) % dt_ns)
+
+
+def grid_in(span: Span, dt_ns: int, phase: int) -> IntArray:
+    """Grid times phase + k dt inside a half-open span."""
+    first = span[0] + (phase - span[0]) % dt_ns
+    return np.arange(first, span[1], dt_ns, dtype=np.int64)
+
+
+def linear(series: Series, grid_ns: IntArray) -> FloatArray:
+    """(N,) values at grid times, linear between samples, exact on them; the grid must lie inside."""
+    if len(grid_ns) == 0:
+        return np.empty(0)
+    zero = grid_ns[0]
+    return np.asarray(np.interp((grid_ns - zero).astype(float), (series.t_ns - zero).astype(float), series.x))
+
+
+def hold(series: Series, grid_ns: IntArray, tolerance_ns: int = 0) -> FloatArray:
+    """(N,) the last value at or before each grid time (+ tolerance); NaN before the first."""
+    index = np.searchsorted(series.t_ns, grid_ns + tolerance_ns, side="right") - 1
+    values = series.x[np.maximum(index, 0)] if len(series.x) else np.full(len(index), np.nan)
+    return np.where(index >= 0, values, np.nan)
+
+
+def hold_tolerance_ns(series: Series, grid_ns: IntArray) -> int:
+    """How much later than its grid point a command may be stamped and still belong to it.
+
+    Commands that come once a period, stamped together with the output, would otherwise fall now before,
+    now after the grid point by jitter alone and be smeared over two samples. A quarter of the period
+    when their distance from the grid is below a tenth of it; else 0.
+    """
+    if len(grid_ns) < 3 or len(series.t_ns) < 3:
+        return 0
+    dt = int(grid_ns[1] - grid_ns[0])
+    if not 0.8 < period_ns(series.t_ns) / dt < 1.25:
+        return 0
+    inside = series.t_ns[(series.t_ns >= grid_ns[0]) & (series.t_ns <= grid_ns[-1])]
+    distance = (inside - grid_ns[0] + dt // 2) % dt - dt // 2
+    return dt // 4 if len(distance) and float(np.median(np.abs(distance))) < 0.1 * dt else 0
+
+
+# ------------------------------------------------------------------------------------------- filter
+
+
+def lowpass(ratio: int) -> FloatArray:
+    """(2 * 5 * ratio + 1,) taps of a zero-phase low-pass for decimation by `ratio`; they sum to 1.
+
+    A sinc with a Kaiser window (beta 5): within 1 % up to 0.25 of the grid's rate, down 54 dB from 0.6 on.
+    """
+    half = TAPS_PER_SIDE * ratio
+    n = np.arange(-half, half + 1)
+    taps = np.sinc(2 * CUTOFF * n / ratio) * np.kaiser(2 * half + 1, 5.0)
+    return np.asarray(taps / taps.sum())
+
+
+def decimate(x: FloatArray, ratio: int) -> FloatArray:
+    """Every `ratio`-th sample of the low-passed x where the filter lies inside: 5 fewer at either end.
+
+    `x` is sampled `ratio` times faster than the grid, its first sample on the grid.
+    """
+    if ratio == 1:
+        return x
+    half = TAPS_PER_SIDE * ratio
+    if len(x) < 2 * half + 1:
+        return np.empty(0)
+    return np.asarray(np.convolve(x, lowpass(ratio), mode="valid")[::ratio])
