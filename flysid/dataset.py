@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.errors import DataError, UsageError
+from flysid.split import By, Split, plan_split
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -160,6 +161,18 @@ class Dataset:
     def with_segments(self, segments: Sequence[Segment]) -> Dataset:
         """The same signals with other segments."""
         return replace(self, segments=tuple(segments))
+
+    def plan_split(
+        self, *, holdout: float = 0.3, by: By = "auto", seed: int = 0, guard_s: float | None = None
+    ) -> Split:
+        """Which samples to hold out; see `flysid.split.plan_split`."""
+        return plan_split(self, holdout=holdout, by=by, seed=seed, guard_s=guard_s)
+
+    def split(
+        self, *, holdout: float = 0.3, by: By = "auto", seed: int = 0, guard_s: float | None = None
+    ) -> tuple[Dataset, Dataset]:
+        """(train, test) by whole flights or by blocks of time, never by sample; see `plan_split`."""
+        return self.plan_split(holdout=holdout, by=by, seed=seed, guard_s=guard_s).apply(self)
 
     def content_hash(self) -> str:
         """sha256 over sample time, signals and all samples: equal data, equal hash."""

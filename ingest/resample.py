@@ -50,15 +50,15 @@ def tidy(t_ns: IntArray, x: FloatArray) -> Series:
 def period_ns(t_ns: IntArray) -> float:
     """Mean distance of samples, in ns, with pauses left out; inf for fewer than two samples.
 
-    Where most distances lie near their median, the mean of those is taken; otherwise (bursts) the mean of
-    all that are below five times the mean.
+    Where two thirds of the distances lie near their median, the mean of those is taken; otherwise
+    (bursts) the mean of all that are below five times the mean.
     """
     if len(t_ns) < 2:
         return float("inf")
     steps = np.diff(t_ns).astype(np.float64)
     middle = float(np.median(steps))
     near = steps[(steps > 0.5 * middle) & (steps < 1.5 * middle)]
-    if 2 * len(near) > len(steps):
+    if 3 * len(near) > 2 * len(steps):
         return float(near.mean())
     return float(steps[steps <= 5 * steps.mean()].mean())
 

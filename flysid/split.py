@@ -1,0 +1,321 @@
+"""Training and held-out parts that do not leak: by flight, or by time block with a guard; never by sample.
+
+A Split names pieces of segments, with its seed and the hashes of what it was made from and of what it
+gives, so that the same held-out part can be made again, and a changed dataset is noticed. Copies of a
+training flight among the held-out ones are found by content and refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, Protocol, Self, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.errors import DataError, StoreError, UsageError
+
+FloatArray = npt.NDArray[np.float64]
+By = Literal["auto", "flight", "time"]
+
+MIN_FLIGHTS = 3  # from here on "auto" splits by flight
+BLOCKS = 10  # per flight, when splitting by time
+MIN_PIECE = 20  # samples; shorter pieces are left out
+COPY_ROWS = 16  # rows that must agree bit for bit to count as copied
+COPY_SHARE = 0.2  # of a flight's stretches of rows found in another: the two overlap
+MAX_HASHES = 1_000_000
+
+
+class Stretch(Protocol):
+    """What a split needs of a segment."""
+
+    @property
+    def u(self) -> FloatArray: ...
+    @property
+    def y(self) -> FloatArray: ...
+    @property
+    def t0_ns(self) -> int: ...
+    @property
+    def flight(self) -> str: ...
+    def slice(self, start: int, stop: int, dt_s: float) -> Self: ...
+
+
+class Splittable(Protocol):
+    """What a split needs of a dataset."""
+
+    @property
+    def dt_s(self) -> float: ...
+    @property
+    def segments(self) -> tuple[Any, ...]: ...
+    def with_segments(self, segments: Sequence[Any]) -> Self: ...
+    def content_hash(self) -> str: ...
+    def __len__(self) -> int: ...
+
+
+D = TypeVar("D", bound=Splittable)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Samples [start, stop) of the segment with index `segment`."""
+
+    segment: int
+    start: int
+    stop: int
+
+    def __len__(self) -> int:
+        return self.stop - self.start
+
+
+@dataclass(frozen=True)
+class Split:
+    """Which samples train and which are held out.
+
+    Attributes
+    ----------
+    by : "flight" or "time".
+    seed, holdout, guard_s : what was asked for; the guard applies to "time".
+    train, test : pieces of the dataset's segments.
+    data_sha256 : hash of the dataset that was split.
+    test_sha256 : hash of the held-out part.
+    """
+
+    by: str
+    seed: int
+    holdout: float
+    guard_s: float
+    train: tuple[Piece, ...]
+    test: tuple[Piece, ...]
+    data_sha256: str
+    test_sha256: str = ""
+
+    def apply(self, data: D) -> tuple[D, D]:
+        """(train, test) of the dataset that was split.
+
+        Raises
+        ------
+        DataError : `data` is not the dataset that was split.
+        """
+        if data.content_hash() != self.data_sha256:
+            raise DataError(
+                "the data are not those that were split: their hash differs",
+                hint="fit again, or give the folder the models were fitted on",
+            )
+        return cut(data, self.train), cut(data, self.test)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        document = asdict(self)
+        for part in ("train", "test"):
+            document[part] = [[p.segment, p.start, p.stop] for p in getattr(self, part)]
+        return document
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> Split:
+        """The split that `to_dict` described; raises StoreError where the document is damaged."""
+        try:
+            parts = {k: tuple(Piece(*map(int, p)) for p in document[k]) for k in ("train", "test")}
+            return cls(
+                by=str(document["by"]),
+                seed=int(document["seed"]),
+                holdout=float(document["holdout"]),
+                guard_s=float(document["guard_s"]),
+                data_sha256=str(document["data_sha256"]),
+                test_sha256=str(document.get("test_sha256", "")),
+                **parts,
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise StoreError(f"damaged split: {error}", hint="fit again") from error
+
+
+def plan_split(
+    data: Splittable,
+    *,
+    holdout: float = 0.3,
+    by: By = "auto",
+    seed: int = 0,
+    guard_s: float | None = None,
+) -> Split:
+    """Choose the held-out part.
+
+    Parameters
+    ----------
+    data : the dataset.
+    holdout : share of the samples to hold out, in (0, 1).
+    by : "flight" holds out whole flights, "time" blocks of each flight, about a tenth of it long, with a
+        guard on both sides that serves neither part; "auto": by flight from three flights on.
+    seed : the same seed gives the same split.
+    guard_s : length of the guard; default one second, or 20 samples where that is longer.
+
+    Raises
+    ------
+    UsageError : `holdout` or `by` makes no sense.
+    DataError : too few flights or samples; one flight is a copy of another, on the other side.
+    """
+    if not 0 < holdout < 1:
+        raise UsageError(f"holdout must lie between 0 and 1, not {holdout}")
+    if by not in ("auto", "flight", "time"):
+        raise UsageError(f"no way to split by {by!r}", hint="flight or time")
+    flights = list(dict.fromkeys(s.flight for s in data.segments))
+    way = ("flight" if len(flights) >= MIN_FLIGHTS else "time") if by == "auto" else by
+    guard = max(1.0, 20 * data.dt_s) if guard_s is None else guard_s
+    rng = np.random.default_rng(seed)
+    if way == "flight":
+        train, test = _by_flight(data.segments, flights, holdout, rng)
+    else:
+        train, test = _by_time(data, flights, holdout, guard, rng)
+    if not train or not test:
+        raise DataError(
+            f"too little data to hold out {holdout:.0%} by {way}: "
+            f"{sum(len(s.y) for s in data.segments)} samples in {len(data.segments)} segments",
+            hint="add flights, or shorten the guard",
+        )
+    refuse_copies(data, train, test)
+    return Split(
+        by=way,
+        seed=seed,
+        holdout=holdout,
+        guard_s=guard if way == "time" else 0.0,
+        train=tuple(train),
+        test=tuple(test),
+        data_sha256=data.content_hash(),
+        test_sha256=cut(data, test).content_hash(),
+    )
+
+
+def cut(data: D, pieces: Sequence[Piece]) -> D:
+    """The dataset that holds only these pieces."""
+    return data.with_segments([data.segments[p.segment].slice(p.start, p.stop, data.dt_s) for p in pieces])
+
+
+def _by_flight(
+    segments: Sequence[Stretch], flights: Sequence[str], holdout: float, rng: np.random.Generator
+) -> tuple[list[Piece], list[Piece]]:
+    """Whole flights, in random order, as long as each brings the held-out share nearer to `holdout`."""
+    if len(flights) < 2:
+        raise DataError("one flight cannot be split by flight", hint='by="time", or add flights')
+    size = {f: sum(len(s.y) for s in segments if s.flight == f) for f in flights}
+    goal = holdout * sum(size.values())
+    held: set[str] = set()
+    held_size = 0
+    for i in rng.permutation(len(flights)):
+        flight = flights[i]
+        better = abs(held_size + size[flight] - goal) < abs(held_size - goal)
+        if len(held) < len(flights) - 1 and (better or not held):
+            held.add(flight)
+            held_size += size[flight]
+    whole = [(s.flight in held, Piece(i, 0, len(s.y))) for i, s in enumerate(segments)]
+    return [p for is_held, p in whole if not is_held], [p for is_held, p in whole if is_held]
+
+
+def _by_time(
+    data: Splittable, flights: Sequence[str], holdout: float, guard_s: float, rng: np.random.Generator
+) -> tuple[list[Piece], list[Piece]]:
+    """Blocks of the vehicle time of each flight; samples near a held-out block serve neither part."""
+    train: list[Piece] = []
+    test: list[Piece] = []
+    for flight in flights:
+        members = [(i, s) for i, s in enumerate(data.segments) if s.flight == flight]
+        held = _held_blocks(members, data.dt_s, holdout, rng)
+        for index, segment in members:
+            times = segment.t0_ns * 1e-9 + data.dt_s * np.arange(len(segment.y))
+            inside, near = _membership(times, held, guard_s)
+            test += _runs(index, inside)
+            train += _runs(index, ~near)
+    return train, test
+
+
+def _held_blocks(
+    members: Sequence[tuple[int, Stretch]], dt_s: float, holdout: float, rng: np.random.Generator
+) -> list[tuple[float, float]]:
+    """Half-open spans of vehicle time, seconds: every block holds the same number of samples."""
+    times = np.sort(np.concatenate([s.t0_ns * 1e-9 + dt_s * np.arange(len(s.y)) for _, s in members]))
+    count = int(np.clip(len(times) // (2 * MIN_PIECE), 2, BLOCKS))
+    edges = [*times[np.linspace(0, len(times), count + 1)[:-1].astype(int)], times[-1] + dt_s]
+    held = rng.permutation(count)[: int(np.clip(round(holdout * count), 1, count - 1))]
+    return [(float(edges[i]) - dt_s / 2, float(edges[i + 1]) - dt_s / 2) for i in sorted(held)]
+
+
+def _membership(
+    times: FloatArray, held: Sequence[tuple[float, float]], guard_s: float
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Which samples lie in a held-out span, and which in one widened by the guard."""
+    inside, near = np.zeros(len(times), dtype=bool), np.zeros(len(times), dtype=bool)
+    for start, stop in held:
+        inside |= (times >= start) & (times < stop)
+        near |= (times >= start - guard_s) & (times < stop + guard_s)
+    return inside, near
+
+
+def _runs(segment: int, mask: npt.NDArray[np.bool_]) -> list[Piece]:
+    """Runs of true values of at least MIN_PIECE samples."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    pieces = (Piece(segment, int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True))
+    return [p for p in pieces if len(p) >= MIN_PIECE]
+
+
+# ------------------------------------------------------------------------------------------- leakage
+
+
+def refuse_copies(data: Splittable, train: Sequence[Piece], test: Sequence[Piece]) -> None:
+    """Refuse a split that holds out what it trains on: whole copies, or logs that overlap.
+
+    Stretches of 16 rows are compared bit for bit, between flights. Stretches in which an output mostly
+    stands still count for nothing: on the ground all flights are alike.
+
+    Raises
+    ------
+    DataError : names the two flights.
+    """
+    flights = list(dict.fromkeys(s.flight for s in data.segments))
+    known, owners = _hashed(data, train, flights)
+    held, holders = _hashed(data, test, flights)
+    if len(known) == 0 or len(held) == 0:
+        return
+    at = np.minimum(np.searchsorted(known, held), len(known) - 1)
+    copied = (known[at] == held) & (owners[at] != holders)
+    for i in np.unique(holders[copied]):
+        share = float(copied[holders == i].mean())
+        if share > COPY_SHARE:
+            other = int(np.bincount(owners[at][copied & (holders == i)]).argmax())
+            raise DataError(
+                f"held-out flight {flights[i]!r} repeats training flight {flights[other]!r}: "
+                f"{share:.0%} of its samples are the same",
+                hint="remove one of the two logs",
+            )
+
+
+def _hashed(
+    data: Splittable, pieces: Sequence[Piece], flights: Sequence[str]
+) -> tuple[npt.NDArray[np.uint64], npt.NDArray[np.int64]]:
+    """Sorted hashes of stretches, and the flight each is from. Of many millions, the same sample is taken."""
+    thin = np.uint64(max(1, len(data) // MAX_HASHES))
+    number = {name: i for i, name in enumerate(flights)}
+    hashes: list[npt.NDArray[np.uint64]] = []
+    owners: list[npt.NDArray[np.int64]] = []
+    for piece in pieces:
+        found = np.unique(_row_hashes(data.segments[piece.segment], piece))
+        found = found[found % thin == 0]
+        hashes.append(found)
+        owners.append(np.full(len(found), number[data.segments[piece.segment].flight]))
+    joined, of = np.concatenate(hashes), np.concatenate(owners)
+    order = np.argsort(joined, kind="stable")
+    return joined[order], of[order]
+
+
+def _row_hashes(segment: Stretch, piece: Piece) -> npt.NDArray[np.uint64]:
+    """Hashes of every stretch of COPY_ROWS rows of a piece that moves; the order of rows counts."""
+    rows = np.concatenate([segment.u, segment.y], axis=1)[piece.start : piece.stop]
+    if len(rows) < COPY_ROWS:
+        return np.empty(0, dtype=np.uint64)
+    words = np.ascontiguousarray(rows + 0.0).view(np.uint64)  # + 0.0: one zero, not two
+    keys = np.random.default_rng(20).integers(1, 1 << 63, size=(COPY_ROWS, rows.shape[1]), dtype=np.uint64)
+    mixed = np.zeros(len(rows) - COPY_ROWS + 1, dtype=np.uint64)
+    for i in range(COPY_ROWS):
+        part = words[i : len(words) - COPY_ROWS + 1 + i]
+        folded = (part ^ (part >> np.uint64(29))) * (keys[i] | np.uint64(1))
+        mixed += (folded ^ (folded >> np.uint64(32))).sum(axis=1, dtype=np.uint64)
+    moves = (np.diff(segment.y[piece.start : piece.stop], axis=0) != 0).all(axis=1)
+    count = np.convolve(moves, np.ones(COPY_ROWS - 1, dtype=int), mode="valid")
+    return np.asarray(mixed[2 * count > COPY_ROWS])

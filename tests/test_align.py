@@ -1,0 +1,301 @@
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from flysid.errors import DataError, RecipeError
+from flysid.flight import Flight, Source, field_metadata
+from flysid.ingest import frames
+from flysid.ingest.align import align, dataset
+from flysid.ingest.recipe import Recipe, load_recipe, parse_recipe
+from flysid.ingest.signals import autopilot_system, find_stream
+
+MS = 1_000_000
+
+
+def table(t_ns: Any, units: Mapping[str, str] | None = None, boot: Any = 0, **columns: Any) -> pa.Table:
+    units = units or {}
+    t = np.asarray(t_ns, dtype=np.int64)
+    fields = [pa.field("time_ns", pa.int64()), pa.field("boot", pa.int32())]
+    arrays = [pa.array(t), pa.array(np.broadcast_to(boot, t.shape).astype(np.int32))]
+    for name, values in columns.items():
+        matrix = np.asarray(values)
+        array = (
+            pa.FixedSizeListArray.from_arrays(pa.array(matrix.ravel()), matrix.shape[1])
+            if matrix.ndim == 2
+            else pa.array(matrix)
+        )
+        arrays.append(array)
+        fields.append(pa.field(name, array.type, metadata=field_metadata(unit=units.get(name, ""))))
+    return pa.table(arrays, schema=pa.schema(fields))
+
+
+def flight_of(name: str = "f.tlog", **tables: pa.Table) -> Flight:
+    return Flight(
+        Source(name, "tlog", 1, "0" * 64),
+        {k.replace("__", "/").replace("_dot_", "."): v for k, v in tables.items()},
+    )
+
+
+def recipe(u: Mapping[str, Any] | None = None, y: Mapping[str, Any] | None = None, **top: Any) -> Recipe:
+    source_u = {"stream": "CMD", "field": "u", "unit": "deg"}
+    source_y = {"stream": "STATE", "field": "y", "unit": "m/s"}
+    return parse_recipe(
+        {
+            "name": "r",
+            "signals": {
+                "u": {"unit": "deg", "hold": "zero", "sources": [source_u], **(u or {})},
+                "y": {"unit": "m/s", "sources": [source_y], **(y or {})},
+            },
+            "channels": {"c": {"inputs": ["u"], "outputs": ["y"]}},
+            **top,
+        }
+    )
+
+
+T50 = np.arange(500, dtype=np.int64) * 20 * MS + 7 * MS
+RNG = np.random.default_rng(0)
+U50, Y50 = RNG.normal(size=500), RNG.normal(size=500)
+
+
+def test_equal_rates_come_through_bit_for_bit() -> None:
+    data = dataset([flight_of(CMD=table(T50, u=U50), STATE=table(T50, y=Y50))], recipe(), "c")
+    assert data.dt_s == pytest.approx(0.02)
+    assert [len(s) for s in data.segments] == [500]
+    np.testing.assert_array_equal(data.segments[0].u[:, 0], U50)
+    np.testing.assert_array_equal(data.segments[0].y[:, 0], Y50)
+    assert data.segments[0].t0_ns == T50[0]
+    assert (data.inputs[0].name, data.inputs[0].unit) == ("u", "deg")
+
+
+def test_a_gap_cuts_and_short_pieces_are_dropped_and_counted() -> None:
+    keep = np.ones(500, dtype=bool)
+    keep[200:230] = False
+    keep[240:260] = False
+    aligned = align([flight_of(CMD=table(T50, u=U50), STATE=table(T50[keep], y=Y50[keep]))], recipe(), "c")
+    assert [len(s) for s in aligned.dataset.segments] == [200, 240]
+    np.testing.assert_array_equal(aligned.dataset.segments[1].y[:, 0], Y50[260:])
+    (flight,) = aligned.report.flights
+    assert (flight.segments, flight.short_segments, flight.gaps) == (2, 1, 2)
+    assert "2 segments" in aligned.report.lines()[0]
+
+
+def test_one_lost_sample_is_bridged() -> None:
+    keep = np.arange(500) != 100
+    data = dataset([flight_of(CMD=table(T50, u=U50), STATE=table(T50[keep], y=Y50[keep]))], recipe(), "c")
+    assert len(data.segments) == 1
+    assert data.segments[0].y[100, 0] == pytest.approx((Y50[99] + Y50[101]) / 2)
+
+
+def test_nothing_crosses_a_boot() -> None:
+    boot = (np.arange(500) >= 250).astype(int)
+    t = np.concatenate([T50[:250], T50[:250]])
+    data = dataset(
+        [flight_of(CMD=table(t, boot=boot, u=U50), STATE=table(t, boot=boot, y=Y50))], recipe(), "c"
+    )
+    assert [s.flight for s in data.segments] == ["f.tlog#0", "f.tlog#1"]
+    np.testing.assert_array_equal(data.segments[1].y[:, 0], Y50[250:])
+
+
+def test_units_signs_and_offsets_apply() -> None:
+    y = {"sources": [{"stream": "STATE", "field": "y", "scale": -2.0, "offset": 1.0}]}
+    data = dataset(
+        [
+            flight_of(
+                CMD=table(T50, {"u": "cdeg"}, u=100 * U50), STATE=table(T50, {"y": "mm/s"}, y=1000 * Y50)
+            )
+        ],
+        recipe(y=y),
+        "c",
+    )
+    np.testing.assert_allclose(data.segments[0].u[:, 0], U50)
+    np.testing.assert_allclose(data.segments[0].y[:, 0], 1.0 - 2.0 * Y50)
+
+
+def test_a_missing_unit_is_refused_and_a_disagreeing_one_is_noted() -> None:
+    y = {"sources": [{"stream": "STATE", "field": "y"}]}
+    log = flight_of(CMD=table(T50, {"u": "cdeg"}, u=U50), STATE=table(T50, y=Y50))
+    with pytest.raises(RecipeError, match=r"STATE\.y has no unit") as caught:
+        dataset([log], recipe(y=y), "c")
+    assert "unit =" in caught.value.hint
+    notes = [n for s in align([log], recipe(), "c").report.flights[0].signals for n in s.notes]
+    assert any("the log's word counts" in n for n in notes)
+
+
+def test_the_grid_takes_the_slower_rate_and_faster_states_are_filtered() -> None:
+    t200 = np.arange(4000, dtype=np.int64) * 5 * MS
+    s = t200 * 1e-9
+    slow, fast = np.sin(2 * np.pi * 0.5 * s), np.sin(2 * np.pi * 19.7 * s)
+    t20 = t200[::10]
+    u = np.sign(np.sin(2 * np.pi * 0.1 * t20 * 1e-9))
+    aligned = align([flight_of(CMD=table(t20, u=u), STATE=table(t200, y=slow + fast))], recipe(), "c")
+    assert aligned.dataset.dt_s == pytest.approx(0.05)
+    assert aligned.report.flights[0].filtered == 10
+    (segment,) = aligned.dataset.segments
+    np.testing.assert_allclose(segment.y[:, 0], np.sin(2 * np.pi * 0.5 * segment.time_s(0.05)), atol=6e-3)
+
+
+def test_filtering_leaves_the_relation_between_input_and_output_alone() -> None:
+    t = np.arange(8000, dtype=np.int64) * 5 * MS
+    u = np.repeat(RNG.normal(size=160), 50)  # held for five grid samples each
+    y = np.zeros(8000)
+    for k in range(1, 8000):
+        y[k] = 0.98 * y[k - 1] + 0.02 * u[k - 1]
+    data = dataset([flight_of(CMD=table(t[::10], u=u[::10]), STATE=table(t, y=y))], recipe(), "c")
+    (s,) = data.segments
+    phi = np.stack([s.y[1:-1, 0], s.u[1:-1, 0], s.u[:-2, 0], s.u[2:, 0]], axis=1)
+    theta, *_ = np.linalg.lstsq(phi, s.y[2:, 0], rcond=None)
+    assert theta[0] == pytest.approx(0.98**10, abs=4e-3)
+    assert theta[1] + theta[2] + theta[3] == pytest.approx(1 - 0.98**10, abs=5e-3)
+
+
+def test_commands_sent_only_on_change_are_held_for_ever_when_the_recipe_says_so() -> None:
+    cmd = table(np.array([0, 3, 7]) * 1_000_000_000, u=np.array([0.0, 1.0, -1.0]))
+    log = flight_of(CMD=cmd, STATE=table(T50, y=Y50))
+    data = dataset([log], recipe(u={"max_gap_s": float("inf")}), "c")
+    assert len(data.segments) == 1
+    at = data.segments[0].time_s(0.02)
+    np.testing.assert_array_equal(
+        data.segments[0].u[:, 0], np.where(at < 3 - 1e-9, 0.0, np.where(at < 7 - 1e-9, 1.0, -1.0))
+    )
+
+
+def test_quaternions_and_the_heading_frame() -> None:
+    yaw = np.unwrap(np.linspace(3.0, 4.0, 500))
+    pitch = 0.1 * np.sin(np.arange(500) / 20)
+    q = frames.quaternion_of(np.zeros(500), pitch, yaw)
+    forward = 2.0 * np.cos(np.arange(500) / 30)
+    vn, ve = forward * np.cos(yaw), forward * np.sin(yaw)
+    wrapped = (yaw + np.pi) % (2 * np.pi) - np.pi
+    log = flight_of(
+        **{
+            "1_dot_1__ATTITUDE_TARGET": table(T50, q=q.astype(np.float32)),
+            "1_dot_1__LOCAL_POSITION_NED": table(T50, {"vx": "m/s", "vy": "m/s"}, vx=vn, vy=ve),
+            "1_dot_1__ATTITUDE": table(T50[::5], {"yaw": "rad"}, yaw=wrapped[::5]),
+        }
+    )
+    data = dataset([log], "ardrone-synthetic", "longitudinal")
+    (segment,) = data.segments
+    first = int(np.searchsorted(T50, segment.t0_ns))
+    rows = slice(first, first + len(segment))
+    assert len(segment) > 490
+    np.testing.assert_allclose(segment.u[:, 0], -np.degrees(pitch[rows]), atol=1e-5)
+    np.testing.assert_allclose(segment.y[:, 0], forward[rows], atol=1e-4)
+
+
+def test_the_autopilots_stream_is_preferred() -> None:
+    rows = {
+        "1.1/ATTITUDE": 10,
+        "1.190/ATTITUDE": 99,
+        "255.190/HEARTBEAT": 5,
+        "1.1/HEARTBEAT": 5,
+        "2.1/ATTITUDE": 3,
+    }
+    assert autopilot_system(rows) == "1"
+    assert find_stream("ATTITUDE", rows) == "1.1/ATTITUDE"
+    assert find_stream("2.1/ATTITUDE", rows) == "2.1/ATTITUDE"
+    assert find_stream("ATT", rows) is None
+
+
+def test_rows_are_chosen_by_instance_and_list_elements_by_index() -> None:
+    t = np.repeat(T50, 2)
+    core = np.tile([0, 1], 500)
+    y = np.where(core == 1, np.repeat(Y50, 2), 99.0)
+    source = {"stream": "STATE", "field": "v[1]", "unit": "m/s", "where": {"C": 1}}
+    log = flight_of(CMD=table(T50, u=U50), STATE=table(t, v=np.stack([0 * y, y], axis=1), C=core))
+    data = dataset([log], recipe(y={"sources": [source]}), "c")
+    np.testing.assert_array_equal(data.segments[0].y[:, 0], Y50)
+
+
+def test_alternatives_are_tried_in_order() -> None:
+    y = {
+        "sources": [
+            {"stream": "ABSENT", "field": "y"},
+            {"stream": "STATE", "field": "absent"},
+            {"stream": "STATE", "field": "y", "unit": "m/s"},
+        ]
+    }
+    log = flight_of(CMD=table(T50, u=U50), STATE=table(T50, y=Y50))
+    assert len(dataset([log], recipe(y=y), "c")) == 500
+
+
+def test_a_flight_without_the_streams_is_left_out_and_named() -> None:
+    good = flight_of("good.tlog", CMD=table(T50, u=U50), STATE=table(T50, y=Y50))
+    bad = flight_of("bad.tlog", CMD=table(T50, u=U50), OTHER=table(T50, y=Y50))
+    aligned = align([good, bad], recipe(), "c")
+    assert aligned.dataset.flights == ("good.tlog",)
+    assert any("bad.tlog: left out, no source for y" in line for line in aligned.report.lines())
+
+
+def test_no_stream_at_all_names_the_nearest() -> None:
+    log = flight_of(CMD=table(T50, u=U50), STATES=table(T50, y=Y50))
+    with pytest.raises(RecipeError, match=r"needs STATE\.y; not in f\.tlog") as caught:
+        dataset([log], recipe(), "c")
+    assert "STATES" in caught.value.hint
+    with pytest.raises(RecipeError, match="no flights"):
+        dataset([], recipe(), "c")
+
+
+def test_an_input_that_never_moves_is_refused() -> None:
+    log = flight_of(CMD=table(T50, u=np.full(500, 3.0)), STATE=table(T50, y=Y50))
+    with pytest.raises(DataError, match="'u' stays at 3 deg") as caught:
+        dataset([log], recipe(), "c")
+    assert "doublets" in caught.value.hint
+    with pytest.raises(DataError, match="output 'y'"):
+        dataset([flight_of(CMD=table(T50, u=U50), STATE=table(T50, y=np.zeros(500)))], recipe(), "c")
+
+
+def test_segments_that_are_all_too_short_are_refused() -> None:
+    log = flight_of(CMD=table(T50[:15], u=U50[:15]), STATE=table(T50[:15], y=Y50[:15]))
+    with pytest.raises(DataError, match="no segment of 20 samples"):
+        dataset([log], recipe(), "c")
+
+
+def test_values_that_are_not_finite_cut_like_gaps() -> None:
+    y = Y50.copy()
+    y[200:210] = np.nan
+    aligned = align([flight_of(CMD=table(T50, u=U50), STATE=table(T50, y=y))], recipe(), "c")
+    assert [len(s) for s in aligned.dataset.segments] == [200, 290]
+    assert aligned.report.flights[0].signals[1].non_finite == 10
+
+
+def test_the_step_of_a_quantised_signal_is_found() -> None:
+    y = np.round(300 * Y50)
+    log = flight_of(CMD=table(T50, u=U50), STATE=table(T50, {"y": "cm/s"}, y=y.astype(np.int16)))
+    data = dataset([log], recipe(), "c")
+    assert data.outputs[0].resolution == pytest.approx(0.01)
+    assert data.inputs[0].resolution == 0.0
+
+
+def test_conditions_cut() -> None:
+    mode = np.where((np.arange(500) >= 100) & (np.arange(500) < 400), 4, 0)
+    conditions = [{"name": "guided", "sources": [{"stream": "MODE", "field": "m"}], "any_of": [4]}]
+    log = flight_of(CMD=table(T50, u=U50), STATE=table(T50, y=Y50), MODE=table(T50, m=mode))
+    data = dataset([log], recipe(conditions=conditions), "c")
+    assert [len(s) for s in data.segments] == [300]
+    np.testing.assert_array_equal(data.segments[0].y[:, 0], Y50[100:400])
+    never = [{**conditions[0], "any_of": [9]}]
+    with pytest.raises(DataError, match="no segment"):
+        dataset([log], recipe(conditions=never), "c")
+    high = [
+        {
+            "name": "fast",
+            "sources": [{"stream": "STATE", "field": "y", "unit": "m/s"}],
+            "unit": "m/s",
+            "above": 9.0,
+        }
+    ]
+    with pytest.raises(DataError, match="no segment"):
+        dataset([log], recipe(conditions=high), "c")
+
+
+def test_shipped_recipe_objects_are_accepted_as_well_as_names() -> None:
+    log = flight_of(
+        NAV_CONTROLLER_OUTPUT=table(T50, {"nav_roll": "deg"}, nav_roll=U50.astype(np.float32)),
+        ATTITUDE=table(T50, {"roll": "rad"}, roll=np.radians(Y50)),
+    )
+    by_name = dataset([log], "ardupilot-attitude", "roll")
+    assert by_name.content_hash() == dataset([log], load_recipe("ardupilot-attitude"), "roll").content_hash()
+    np.testing.assert_allclose(by_name.segments[0].y[:, 0], Y50)

@@ -1,0 +1,147 @@
+import contextlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flysid.errors import RecipeError
+from flysid.ingest.recipe import load_recipe, parse_recipe, shipped_recipes
+from flysid.ingest.units import factor
+
+
+def document(**changes: Any) -> dict[str, Any]:
+    base: dict[str, Any] = {
+        "name": "test",
+        "signals": {
+            "u": {"unit": "deg", "hold": "zero", "sources": [{"stream": "A", "field": "x", "unit": "deg"}]},
+            "y": {"unit": "m/s", "sources": [{"stream": "B", "field": "y", "unit": "m/s"}]},
+        },
+        "channels": {"c": {"inputs": ["u"], "outputs": ["y"]}},
+    }
+    return {**base, **changes}
+
+
+@pytest.mark.parametrize("name", shipped_recipes())
+def test_every_shipped_recipe_loads_under_its_own_name(name: str) -> None:
+    recipe = load_recipe(name)
+    assert recipe.name == name
+    assert recipe.description
+    used = {s for channel in recipe.channels for s in recipe.signals_of(channel)}
+    assert used == set(recipe.signals)
+
+
+def test_shipped_recipes_cover_the_first_pipeline() -> None:
+    assert {"ardrone-synthetic", "ardupilot-attitude", "ardupilot-velocity"} <= set(shipped_recipes())
+
+
+@pytest.mark.parametrize(
+    ("place", "key", "near"),
+    [
+        ((), "rate_hx", "rate_hz"),
+        (("signals", "u"), "holds", "hold"),
+        (("signals", "u", "sources", 0), "feild", "field"),
+        (("channels", "c"), "input", "inputs"),
+    ],
+)
+def test_an_unknown_key_names_the_nearest_known_one(place: tuple[Any, ...], key: str, near: str) -> None:
+    doc: Any = document()
+    target = doc
+    for step in place:
+        target = target[step]
+    target[key] = 1
+    with pytest.raises(RecipeError, match=key) as caught:
+        parse_recipe(doc, "my.toml")
+    assert near in caught.value.hint
+    assert caught.value.path == "my.toml"
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"rate_hz": "fast"}, "rate_hz"),
+        ({"rate_hz": -1.0}, "positive"),
+        ({"channels": {}}, "at least one"),
+        ({"channels": {"c": {"inputs": ["v"], "outputs": ["y"]}}}, r"signals\.v"),
+        ({"channels": {"c": {"inputs": [], "outputs": ["y"]}}}, "inputs and outputs"),
+        ({"name": 5}, "wrong value"),
+        ({"signals": [1, 2]}, "wrong value"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(change: dict[str, Any], says: str) -> None:
+    with pytest.raises(RecipeError, match=says):
+        parse_recipe(document(**change))
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        ({"stream": "A", "field": "q", "transform": "pich"}, "unknown transform"),
+        ({"stream": "A", "field": ["a", "b"]}, "takes 1 fields"),
+        ({"stream": "A", "field": ["a", "b"], "transform": "forward"}, "needs a yaw"),
+        ({"stream": "A", "field": "a", "unit": "furlong"}, "unknown unit"),
+        ({"stream": "A", "field": "a", "scale": 0.0}, "must not be 0"),
+        ({"stream": "A"}, "field"),
+    ],
+)
+def test_a_source_that_makes_no_sense_is_refused(source: dict[str, Any], says: str) -> None:
+    doc = document()
+    doc["signals"]["u"]["sources"] = [source]
+    with pytest.raises(RecipeError, match=says):
+        parse_recipe(doc)
+
+
+def test_a_recipe_is_read_from_a_path_and_bad_files_are_named(tmp_path: Path) -> None:
+    good = tmp_path / "mine.toml"
+    good.write_text(
+        'name = "mine"\n[signals.u]\nunit = ""\nsources = [{ stream = "A", field = "x" }]\n'
+        '[signals.y]\nunit = ""\nsources = [{ stream = "A", field = "y" }]\n'
+        '[channels.c]\ninputs = ["u"]\noutputs = ["y"]\n'
+    )
+    assert load_recipe(good).rate_hz == "auto"
+    (tmp_path / "broken.toml").write_text("name = [")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    for name, says in [("broken", "not TOML"), ("binary", "UTF-8"), ("absent", "cannot be read")]:
+        with pytest.raises(RecipeError, match=says):
+            load_recipe(tmp_path / f"{name}.toml")
+
+
+def test_an_unknown_name_offers_the_nearest() -> None:
+    with pytest.raises(RecipeError) as caught:
+        load_recipe("ardupilot-atitude")
+    assert "ardupilot-attitude" in caught.value.hint
+
+
+def test_an_unknown_channel_offers_the_nearest() -> None:
+    with pytest.raises(RecipeError) as caught:
+        load_recipe("ardrone-synthetic").channel("longitudnal")
+    assert "longitudinal" in caught.value.hint
+
+
+json_like = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.sampled_from(["name", "signals", "channels", "conditions", "rate_hz", "antialias"]), json_like)
+def test_any_document_parses_or_raises_a_recipe_error(key: str, value: object) -> None:
+    with contextlib.suppress(RecipeError):
+        assert parse_recipe(document(**{key: value})).channels
+
+
+@pytest.mark.parametrize(
+    ("unit", "wanted", "expected"),
+    [("cdeg", "deg", 0.01), ("rad", "deg", 57.29577951308232), ("mm/s", "m/s", 1e-3), ("m", "m", 1.0)],
+)
+def test_units_convert(unit: str, wanted: str, expected: float) -> None:
+    assert factor(unit, wanted) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("unit", "wanted"), [("deg", "m"), ("m", "m/s"), ("", "deg"), ("parsec", "m")])
+def test_units_of_different_things_do_not_convert(unit: str, wanted: str) -> None:
+    with pytest.raises(RecipeError):
+        factor(unit, wanted)
