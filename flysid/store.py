@@ -7,6 +7,7 @@ that the next writer removes.
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -73,9 +74,9 @@ class Outcome(Protocol):
     def info(self) -> Mapping[str, str]: ...
 
 
-def flight_id(source: Source) -> str:
-    """`<log name>-<sha256[:8]>`, safe as a folder name."""
-    return f"{slug(Path(source.name).stem)}-{source.sha256[:8]}"
+def flight_id(source: Source, digits: int = 8) -> str:
+    """`<log name>-<sha256[:digits]>`, safe as a folder name."""
+    return f"{slug(Path(source.name).stem)}-{source.sha256[:digits]}"
 
 
 # ------------------------------------------------------------------------------------------- folders
@@ -158,11 +159,11 @@ def write_flight(
     WriteError : disk full, read-only. FormatError : from the reader. Nothing stays visible either way.
     """
     data = Path(data)
-    name = flight_id(source)
+    name = _free_id(data, source)
     final = data / FLIGHTS / name
     if (final / MANIFEST_FILE).is_file() and not replace:
         return read_manifest(final)
-    incoming = data / FLIGHTS / f".incoming-{name}"
+    incoming = data / FLIGHTS / f".incoming-{name}-{os.getpid()}"
     try:
         with writing_to(incoming):
             shutil.rmtree(incoming, ignore_errors=True)
@@ -177,9 +178,18 @@ def write_flight(
     return manifest
 
 
+def _free_id(data: Path, source: Source) -> str:
+    """The flight's id; with the whole hash where another log has taken the short one."""
+    taken = data / FLIGHTS / flight_id(source)
+    if (taken / MANIFEST_FILE).is_file() and read_manifest(taken).source.sha256 != source.sha256:
+        return flight_id(source, digits=64)
+    return taken.name
+
+
 def _move_into_place(incoming: Path, final: Path) -> None:
     if final.exists():
         old = final.with_name(f".replaced-{final.name}")
+        shutil.rmtree(old, ignore_errors=True)
         final.rename(old)
         incoming.rename(final)
         shutil.rmtree(old, ignore_errors=True)

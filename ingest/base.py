@@ -24,6 +24,7 @@ from flysid.errors import FormatError, UsageError
 from flysid.flight import ClockMap, Damage, Flight, Source
 
 HEAD_BYTES = 65536
+_HASH_BYTES = 16 << 20
 
 
 @dataclass(frozen=True)
@@ -135,9 +136,31 @@ def open_log(path: Path) -> Iterator[memoryview]:
         raise FormatError(f"cannot be read: {error.strerror}", path=path) from error
 
 
+def release(view: memoryview, start: int, stop: int) -> None:
+    """Tell the system that [start, stop) of a mapped log is not needed for now, so that memory stays flat.
+
+    Does nothing for bytes that are not mapped; the bytes stay readable either way.
+    """
+    mapped = view.obj
+    if isinstance(mapped, mmap.mmap) and hasattr(mapped, "madvise"):
+        first = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE
+        length = (stop - first) // mmap.PAGESIZE * mmap.PAGESIZE
+        if length > 0:
+            mapped.madvise(mmap.MADV_DONTNEED, first, length)
+
+
+def hash_log(view: memoryview) -> str:
+    """sha256 of a log, in hexadecimal, without keeping a mapped log in memory."""
+    digest = hashlib.sha256()
+    for start in range(0, len(view), _HASH_BYTES):
+        digest.update(view[start : start + _HASH_BYTES])
+        release(view, start, min(start + _HASH_BYTES, len(view)))
+    return digest.hexdigest()
+
+
 def source_of(view: memoryview, name: str, fmt: Format) -> Source:
     """Name, size and sha256 of a log."""
-    return Source(name=name, format=fmt.name, size_bytes=len(view), sha256=hashlib.sha256(view).hexdigest())
+    return Source(name=name, format=fmt.name, size_bytes=len(view), sha256=hash_log(view))
 
 
 def read(path: str | Path, *, format: str | None = None, limits: Limits | None = None) -> Flight:  # noqa: A002

@@ -19,7 +19,7 @@ import pyarrow as pa
 
 from flysid.errors import FormatError
 from flysid.flight import ClockMap, Damage
-from flysid.ingest.base import HEAD_BYTES, Format, Limits, Parts, StreamPart, Summary
+from flysid.ingest.base import HEAD_BYTES, Format, Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.clock import SECOND_NS, IntArray, is_outlier
 from flysid.ingest.columns import Layout, decode, gather, message_schema, numbers
 from flysid.ingest.mavclock import TIME_FIELDS, Clocked, Source, VehicleTime
@@ -131,7 +131,9 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
         last = stop + LOOK_AHEAD >= len(view)
         buffer = bytes(view[position:]) if last else bytes(view[position : stop + LOOK_AHEAD])
         limit = len(buffer) if last else limits.batch_bytes
+        start = position
         frames, position = reader.scanner.scan(buffer, position, limit)
+        release(view, start, position)
         yield from _parts(reader, frames)
     if reader.row == 0 and not reader.scanner.unknown:
         raise FormatError("no valid MAVLink frame", path=name, hint="check that this is a telemetry log")

@@ -1,0 +1,159 @@
+"""`flysid ingest LOG... -o data`: logs into typed parquet tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from flysid.cli.output import printable, say
+
+if TYPE_CHECKING:
+    from flysid.flight import Damage
+    from flysid.ingest.batch import Result
+
+REGIONS_SHOWN = 12
+
+
+@click.command("ingest")
+@click.argument("logs", nargs=-1, required=True, metavar="LOG...")
+@click.option("-o", "--output", "data", default="data", show_default=True, help="The folder to fill.")
+@click.option("-j", "--jobs", default=0, metavar="N", help="Worker processes; one per core when not given.")
+@click.option("--force", is_flag=True, help="Read logs again that are there unchanged.")
+@click.option("--json", "as_json", is_flag=True, help="Print what happened to every log as JSON.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress.")
+def command(logs: tuple[str, ...], data: str, jobs: int, force: bool, as_json: bool, quiet: bool) -> int:
+    """Read flight logs (files, folders, patterns) into typed parquet tables, one per message.
+
+    Logs whose content is there already are skipped. Prints the id of each flight that was ingested.
+    Ends with 3 when something was lost or skipped, and says what and where.
+    """
+    from flysid.ingest.batch import find_logs, ingest_logs
+
+    found = find_logs(logs)
+    results = []
+    with progress(len(found.paths), quiet) as advance:
+        for result in ingest_logs(found, data, jobs=jobs, force=force):
+            results.append(result)
+            advance(result)
+    results.sort(key=lambda r: str(r.path))
+    if as_json:
+        click.echo(json.dumps({"data": data, "logs": [as_document(r) for r in results]}, indent=1))
+    else:
+        for result in results:
+            if result.manifest and not result.unchanged:
+                click.echo(printable(result.manifest.id))
+    report(results, quiet)
+    return exit_code(results)
+
+
+def exit_code(results: list[Result]) -> int:
+    """1 when no log could be read, 3 when something was lost or skipped, else 0."""
+    if all(r.skipped for r in results):
+        return 1
+    return 3 if any(r.skipped or is_lossy(r) for r in results) else 0
+
+
+def is_lossy(result: Result) -> bool:
+    return result.manifest is not None and not result.unchanged and result.manifest.damage.lossy
+
+
+@contextmanager
+def progress(total: int, quiet: bool) -> Iterator[Callable[[Result], None]]:
+    """A bar on a terminal, a line per log elsewhere, nothing when quiet."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if quiet or not console.is_terminal:
+        yield lambda result: say(describe(result), quiet or result.unchanged)
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("ingest"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, TextColumn("{task.fields[last]}"), console=console) as bar:
+        task = bar.add_task("ingest", total=total, last="")
+        yield lambda result: bar.update(task, advance=1, last=printable(result.path.name))
+
+
+def describe(result: Result) -> str:
+    """What became of one log, in one line."""
+    name = result.path.name
+    if result.manifest is None:
+        return f"{name}: skipped: {result.reason}"
+    if result.unchanged:
+        return f"{name}: unchanged"
+    flight = result.manifest
+    return (
+        f"{name}: {flight.source.format}, {flight.rows:,} records in {len(flight.streams)} streams, "
+        f"{flight.duration_s:.1f} s"
+    )
+
+
+def report(results: list[Result], quiet: bool) -> None:
+    """Losses and skipped logs by name (even when quiet), then the sums."""
+    for result in results:
+        if is_lossy(result) and result.manifest is not None:
+            for line in losses(result.manifest.damage):
+                say(f"lost: {result.path}: {line}")
+        elif result.manifest is None:
+            say(f"skipped: {result.path}: {result.reason}")
+    new = [r.manifest for r in results if r.manifest and not r.unchanged]
+    counts = [f"{len(new)} ingested, {sum(m.rows for m in new):,} records"]
+    if unchanged := sum(r.unchanged for r in results):
+        counts.append(f"{unchanged} unchanged")
+    if skipped := sum(r.skipped for r in results):
+        counts.append(f"{skipped} skipped")
+    say(", ".join(counts), quiet)
+
+
+def losses(damage: Damage) -> list[str]:
+    """What was lost, one line per kind; bytes with their ranges."""
+    lines = []
+    if damage.bytes_skipped:
+        places = ", ".join(f"{r.start}-{r.end} ({r.reason})" for r in damage.regions[:REGIONS_SHOWN])
+        more = damage.region_count - min(len(damage.regions), REGIONS_SHOWN)
+        tail = f" and {more:,} more" if more > 0 else ""
+        lines.append(
+            f"{damage.bytes_skipped:,} bytes skipped in {damage.region_count:,} places: {places}{tail}"
+        )
+    if damage.bad_checksums:
+        lines.append(f"{damage.bad_checksums:,} bad checksums")
+    if damage.truncated:
+        lines.append("the file ends inside a record")
+    for label, counts in (
+        ("records of unknown layout", damage.undecoded),
+        ("records with rejected times", damage.time_outliers),
+    ):
+        if counts:
+            lines.append(f"{sum(counts.values()):,} {label}: " + _counts(dict(counts)))
+    return lines
+
+
+def _counts(counts: dict[str, int]) -> str:
+    shown = sorted(counts.items(), key=lambda item: -item[1])[:8]
+    rest = len(counts) - len(shown)
+    return ", ".join(f"{name} {count:,}" for name, count in shown) + (f" and {rest} more" if rest else "")
+
+
+def as_document(result: Result) -> dict[str, Any]:
+    """One log for `--json`."""
+    document: dict[str, Any] = {"path": str(result.path)}
+    if result.manifest is None:
+        return {**document, "status": "skipped", "reason": result.reason}
+    flight = result.manifest
+    import msgspec
+
+    return {
+        **document,
+        "status": "unchanged" if result.unchanged else "ingested",
+        "id": flight.id,
+        "format": flight.source.format,
+        "records": flight.rows,
+        "streams": len(flight.streams),
+        "duration_s": flight.duration_s,
+        "lossy": flight.damage.lossy,
+        "damage": msgspec.to_builtins(flight.damage),
+    }

@@ -1,0 +1,73 @@
+"""`flysid ls DATA`: the flights of an ingested folder, from their manifests alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from flysid.cli.output import printable
+
+if TYPE_CHECKING:
+    from flysid.manifest import Manifest
+
+HEADINGS = ("FLIGHT", "FORMAT", "VEHICLE", "TIME", "STREAMS", "RECORDS", "LOST")
+
+
+@click.command("ls")
+@click.argument("data", default="data")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def command(data: str, as_json: bool) -> None:
+    """List the flights of an ingested folder."""
+    from flysid.manifest import list_flights
+
+    flights = list_flights(data)
+    if as_json:
+        click.echo(json.dumps({"flights": [as_document(f) for f in flights]}, indent=1))
+    else:
+        click.echo("\n".join(aligned([HEADINGS, *(row(f) for f in flights)])))
+
+
+def row(flight: Manifest) -> tuple[str, ...]:
+    """One flight as the cells of a table."""
+    vehicle = flight.info.get("vehicle") or flight.info.get("autopilot") or "-"
+    return (
+        flight.id,
+        flight.source.format,
+        vehicle,
+        clock_text(flight.duration_s),
+        str(len(flight.streams)),
+        f"{flight.rows:,}",
+        "yes" if flight.damage.lossy else "-",
+    )
+
+
+def clock_text(seconds: float) -> str:
+    """Minutes and seconds, with hours where there are any."""
+    whole = max(0, round(seconds))
+    hours, rest = divmod(whole, 3600)
+    return f"{hours}:{rest // 60:02d}:{rest % 60:02d}" if hours else f"{rest // 60:02d}:{rest % 60:02d}"
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows of cells as lines with aligned columns, control characters removed."""
+    clean = [[printable(cell) for cell in cells] for cells in rows]
+    widths = [max(len(cell) for cell in column) for column in zip(*clean, strict=True)]
+    return ["  ".join(c.ljust(w) for c, w in zip(cells, widths, strict=True)).rstrip() for cells in clean]
+
+
+def as_document(flight: Manifest) -> dict[str, Any]:
+    """One flight for `--json`."""
+    return {
+        "id": flight.id,
+        "format": flight.source.format,
+        "sha256": flight.source.sha256,
+        "size_bytes": flight.source.size_bytes,
+        "duration_s": flight.duration_s,
+        "records": flight.rows,
+        "lossy": flight.damage.lossy,
+        "info": dict(flight.info),
+        "streams": {s.stream: s.rows for s in flight.streams},
+    }

@@ -1,0 +1,235 @@
+"""Many logs into one folder: found, hashed, read in parallel; one bad log never stops the rest.
+
+Logs whose content is in the folder already are recognised by their hash before any worker starts. Each
+worker reads one log at a time in bounded memory. A worker that the system kills (out of memory) costs only
+the log it was reading: the others are tried again, each in a process of its own.
+"""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from flysid.errors import FlysidError, FormatError, UsageError, WriteError
+from flysid.flight import Source
+from flysid.ingest.base import HEAD_BYTES, Limits, all_formats, detect, hash_log, open_log
+from flysid.manifest import Manifest, list_flights
+from flysid.store import clean, create_data_folder, locked, write_flight
+
+IN_PROCESS_BYTES = 12 << 20
+GLOB_MARKS = frozenset("*?[")
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of one log: ingested (`manifest`), `unchanged`, or skipped for a `reason`."""
+
+    path: Path
+    manifest: Manifest | None = None
+    unchanged: bool = False
+    reason: str = ""
+
+    @property
+    def skipped(self) -> bool:
+        return self.manifest is None
+
+
+@dataclass(frozen=True)
+class Job:
+    """A log to read, with the hash and the state it had when it was hashed."""
+
+    path: Path
+    sha256: str
+    size: int
+    modified_ns: int
+
+
+@dataclass(frozen=True)
+class Found:
+    """Logs found, and places that could not be looked into."""
+
+    paths: tuple[Path, ...]
+    unreadable: tuple[Result, ...] = field(default=())
+
+
+# -------------------------------------------------------------------------------------------- finding
+
+
+def find_logs(given: Sequence[str | Path]) -> Found:
+    """The logs that files, folders and patterns name, in order, each once.
+
+    In folders, files with the suffix of a known format count as logs; hidden files do not.
+
+    Raises
+    ------
+    UsageError : a path does not exist, a pattern matches nothing, a folder holds no log.
+    """
+    paths: dict[Path, None] = {}
+    unreadable: list[Result] = []
+    for item in given:
+        for path in _expand(str(item)):
+            if path.is_dir():
+                inside = sorted(_logs_in(path, unreadable))
+                if not inside and not unreadable:
+                    raise UsageError(
+                        "no flight log in this folder",
+                        path=path,
+                        hint="suffixes looked for: " + " ".join(sorted(_suffixes())),
+                    )
+                paths.update(dict.fromkeys(inside))
+            else:
+                paths[path] = None
+    unique = {os.path.realpath(path): path for path in reversed(paths)}
+    return Found(
+        tuple(path for path in paths if unique.get(os.path.realpath(path)) is path), tuple(unreadable)
+    )
+
+
+def _expand(item: str) -> list[Path]:
+    if os.path.lexists(item):
+        return [Path(item)]
+    if GLOB_MARKS & set(item):
+        found = sorted(glob.glob(item, recursive=True))
+        if found:
+            return [Path(name) for name in found]
+        raise UsageError("the pattern matches nothing", path=item)
+    raise UsageError("no such file or folder", path=item)
+
+
+def _suffixes() -> set[str]:
+    return {suffix for fmt in all_formats().values() for suffix in fmt.suffixes}
+
+
+def _logs_in(folder: Path, unreadable: list[Result]) -> Iterator[Path]:
+    suffixes = _suffixes()
+
+    def note(error: OSError) -> None:
+        unreadable.append(Result(Path(error.filename), reason=f"cannot be read: {error.strerror}"))
+
+    for parent, folders, files in os.walk(folder, onerror=note):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        for name in files:
+            if not name.startswith(".") and os.path.splitext(name)[1].lower() in suffixes:
+                yield Path(parent, name)
+
+
+# ------------------------------------------------------------------------------------------ ingesting
+
+
+def ingest_logs(
+    logs: Found, data: str | Path, *, jobs: int = 0, force: bool = False, limits: Limits | None = None
+) -> Iterator[Result]:
+    """Read logs into a folder; yields one result per log, as they finish.
+
+    Parameters
+    ----------
+    logs : from `find_logs`.
+    data : the folder; made where it does not exist.
+    jobs : worker processes; 0 means one per core.
+    force : read again what is there unchanged.
+
+    Raises
+    ------
+    WriteError : the folder cannot be written to; logs finished before stay.
+    UsageError : `data` is something else.
+    """
+    folder = create_data_folder(data)
+    yield from logs.unreadable
+    with locked(folder):
+        clean(folder)
+        known = {} if force else {m.source.sha256: m for m in list_flights(folder)}
+        waiting: list[Job] = []
+        for path in logs.paths:
+            prepared = _prepare(path)
+            if isinstance(prepared, Result):
+                yield prepared
+            elif prepared.sha256 in known:
+                yield Result(path, known[prepared.sha256], unchanged=True)
+            elif any(job.sha256 == prepared.sha256 for job in waiting):
+                yield Result(path, reason="the same content as another log of this run")
+            else:
+                waiting.append(prepared)
+        yield from _run(waiting, folder, _workers(waiting, jobs), limits or Limits(), force)
+
+
+def _prepare(path: Path) -> Job | Result:
+    """Hash a log, or say why it cannot be."""
+    try:
+        with open_log(path) as view:
+            state = path.stat()
+            return Job(path, hash_log(view), len(view), state.st_mtime_ns)
+    except (FormatError, OSError) as error:
+        return Result(path, reason=getattr(error, "message", None) or str(error))
+
+
+def _workers(waiting: Sequence[Job], jobs: int) -> int:
+    cores = jobs or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    small = not jobs and sum(job.size for job in waiting) <= IN_PROCESS_BYTES
+    return 1 if small else max(1, min(cores, len(waiting)))
+
+
+def _run(waiting: list[Job], data: Path, workers: int, limits: Limits, replace: bool) -> Iterator[Result]:
+    if workers == 1:
+        for job in waiting:
+            yield ingest_one(job, data, limits, replace)
+        return
+    pending = sorted(waiting, key=lambda job: -job.size)
+    finished: set[Path] = set()
+    try:
+        for result in _in_pool(pending, data, workers, limits, replace):
+            finished.add(result.path)
+            yield result
+    except BrokenProcessPool:
+        for job in [job for job in pending if job.path not in finished]:
+            yield _alone(job, data, limits, replace)
+
+
+def _in_pool(
+    waiting: Sequence[Job], data: Path, workers: int, limits: Limits, replace: bool
+) -> Iterator[Result]:
+    import multiprocessing
+
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, mp_context=context)
+    try:
+        futures: list[Future[Result]] = [
+            pool.submit(ingest_one, job, data, limits, replace) for job in waiting
+        ]
+        for future in as_completed(futures):
+            yield future.result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _alone(job: Job, data: Path, limits: Limits, replace: bool) -> Result:
+    """Read one log in a process of its own, after a worker died."""
+    try:
+        return next(iter(_in_pool([job], data, 1, limits, replace)))
+    except BrokenProcessPool:
+        return Result(job.path, reason="the process that read it was killed (out of memory?)")
+
+
+def ingest_one(job: Job, data: Path, limits: Limits, replace: bool) -> Result:
+    """Read one log into `data`. Only a folder that cannot be written to raises."""
+    try:
+        with open_log(job.path) as view:
+            state = job.path.stat()
+            if (len(view), state.st_mtime_ns) != (job.size, job.modified_ns):
+                return Result(job.path, reason="changed while it was being read; is it still being written?")
+            fmt = detect(bytes(view[:HEAD_BYTES]), job.path.name)
+            source = Source(job.path.name, fmt.name, job.size, job.sha256)
+            parts = fmt.read(view, job.path.name, limits)
+            return Result(job.path, write_flight(data, source, parts, replace=replace))
+    except WriteError:
+        raise
+    except FlysidError as error:
+        return Result(job.path, reason=error.message)
+    except OSError as error:
+        return Result(job.path, reason=f"cannot be read: {error.strerror}")
+    except Exception as error:  # noqa: BLE001 - a reader's own fault must not cost the other logs
+        return Result(job.path, reason=f"internal error, please report: {type(error).__name__}: {error}")
