@@ -1,0 +1,253 @@
+"""An MCAP file as blocks of messages, front to back, through damage, with everything lost counted.
+
+The index at the end is never needed: it is missing from cut files and wrong in damaged ones. It only serves
+to know schemas and channels before the first message (their own record may be in a lost chunk).
+
+Per chunk: check the declared size, expand, check the CRC, find the messages by the message indexes behind
+the chunk where they agree with it (no loop over messages), else record by record. A chunk that fails is
+skipped alone. Where a record does not hold together, the next one that does is searched from one byte on.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Generator, Iterator
+
+import numpy as np
+
+from flysid.ingest.base import Limits
+from flysid.ingest.gather import Index
+from flysid.ingest.mcap_chunks import (
+    Block,
+    ChunkError,
+    Found,
+    bind,
+    check_bounds,
+    checksum_fails,
+    expand,
+    expand_cut,
+    find_indexed,
+    walk,
+)
+from flysid.ingest.mcap_records import (
+    CHANNEL,
+    CHUNK,
+    DATA_END,
+    FOOTER,
+    HEAD,
+    HEAD_BYTES,
+    HEADER,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    SCHEMA,
+    U32,
+    U64,
+    ChunkHead,
+    Registry,
+    chunk_head,
+    next_record,
+    record_end,
+    string_pairs,
+)
+from flysid.ingest.tally import Tally
+
+Steps = Generator[Block, None, int]
+
+MAX_INFO = 200
+FREE_EXPANSION_BYTES = 256 << 20
+
+
+class McapReader:
+    """Blocks of one file. `registry` and `info` fill while `blocks` is consumed."""
+
+    def __init__(self, view: memoryview, limits: Limits, tally: Tally) -> None:
+        self.view = view
+        self.registry = Registry()
+        self.info: dict[str, str] = {}
+        self._limits = limits
+        self._tally = tally
+        self._limit = len(view) - len(MAGIC) if bytes(view[-len(MAGIC) :]) == MAGIC else len(view)
+        self._expanded = 0
+        self._finished = False
+        self._chunked = False
+
+    def blocks(self) -> Iterator[Block]:
+        """Messages in file order, in blocks of at most one chunk or `batch_bytes` of plain records."""
+        self._read_summary()
+        at = len(MAGIC) if bytes(self.view[: len(MAGIC)]) == MAGIC else 0
+        while at < self._limit and not self._finished:
+            end = record_end(self.view, at, self._limit)
+            if end < 0:
+                at = yield from self._recover(at)
+                continue
+            op = self.view[at]
+            if op == CHUNK:
+                at = yield from self._chunk(at, end)
+            elif op == MESSAGE:
+                at = yield from self._plain(at)
+            else:
+                self._other(op, at + HEAD_BYTES, end)
+                at = end
+        self._tally.truncated = not self._finished or self._limit == len(self.view)
+
+    def _read_summary(self) -> None:
+        """Definitions repeated behind the data, where the footer and its checksum can be believed."""
+        at = self._limit - HEAD_BYTES - 20
+        if (
+            at < len(MAGIC)
+            or record_end(self.view, at, self._limit) != self._limit
+            or self.view[at] != FOOTER
+        ):
+            return
+        (start,) = U64.unpack_from(self.view, at + HEAD_BYTES)
+        (crc,) = U32.unpack_from(self.view, at + HEAD_BYTES + 16)
+        if not len(MAGIC) <= start < at:
+            return
+        if crc and zlib.crc32(self.view[start : at + HEAD_BYTES + 16]) != crc:
+            self._tally.bad_checksums += 1
+            return
+        while (end := record_end(self.view, start, at)) > 0:
+            if self.view[start] in (SCHEMA, CHANNEL):
+                self._define(self.view[start], start + HEAD_BYTES, end)
+            start = end
+
+    def _define(self, op: int, body: int, end: int) -> None:
+        try:
+            self.registry.define(op, bytes(self.view[body:end]))
+        except ValueError:
+            self._tally.undecode("schema" if op == SCHEMA else "channel")
+
+    def _other(self, op: int, body: int, end: int) -> None:
+        if op in (SCHEMA, CHANNEL):
+            self._define(op, body, end)
+        elif op == HEADER:
+            (width,) = U32.unpack_from(self.view, body)
+            self._note("profile", bytes(self.view[body + 4 : body + 4 + width]))
+            self._note("library", bytes(self.view[body + 8 + width : end]))
+        elif op == METADATA and len(self.info) < MAX_INFO:
+            self.info.update(string_pairs(bytes(self.view[body:end])))
+        elif op == DATA_END:
+            self._check_data(body)
+        elif op == FOOTER:
+            self._finished = end == self._limit
+
+    def _note(self, key: str, raw: bytes) -> None:
+        if raw:
+            self.info[key] = raw.decode("utf-8", "replace")
+
+    def _check_data(self, body: int) -> None:
+        """The checksum of the data section; where chunks carry their own, theirs say more."""
+        (crc,) = U32.unpack_from(self.view, body)
+        if crc and not self._chunked and zlib.crc32(self.view[: body - HEAD_BYTES]) != crc:
+            self._tally.bad_checksums += 1
+
+    def _chunk(self, at: int, end: int) -> Steps:
+        """Read the chunk at `at`; returns where to go on."""
+        self._chunked = True
+        head = chunk_head(self.view, at + HEAD_BYTES, end)
+        assert head is not None  # record_end looked
+        offsets, after = self._message_indexes(end)
+        try:
+            data = self._expand(head)
+        except ChunkError as error:
+            followed = after == self._limit or record_end(self.view, after, self._limit) > 0
+            resume = after if followed else self._next(at + 1)
+            self._tally.skip(at, min(end, resume), str(error))
+            if not followed:
+                self._tally.skip(min(end, resume), resume, "no record here")
+            return resume
+        found = (find_indexed(data, offsets) if len(offsets) else None) or walk(data, 0, len(data))
+        if found.stop != len(data):
+            self._tally.skip(head.data_at, head.data_end, "records in the chunk do not fit it")
+        yield bind(data, found, self.registry)
+        return after
+
+    def _expand(self, head: ChunkHead) -> bytes | memoryview:
+        check_bounds(head, self._limits)
+        self._expanded += head.size
+        if self._expanded > max(FREE_EXPANSION_BYTES, self._limits.max_ratio * len(self.view)):
+            raise ChunkError("the chunks of the file expand beyond the allowed ratio")
+        data = expand(self.view, head)
+        if checksum_fails(head, data):
+            self._tally.bad_checksums += 1
+            raise ChunkError("chunk checksum failed")
+        return data
+
+    def _message_indexes(self, at: int) -> tuple[Index, int]:
+        """Offsets from all message indexes that follow at `at`, and where they end."""
+        parts = []
+        while at < self._limit and self.view[at] == MESSAGE_INDEX:
+            end = record_end(self.view, at, self._limit)
+            if end < 0:
+                break
+            parts.append(np.frombuffer(self.view[at + HEAD_BYTES + 6 : end], dtype="<i8")[1::2])
+            at = end
+        return (np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)), at
+
+    def _plain(self, at: int) -> Steps:
+        """Read messages outside chunks from `at` on; returns where to go on."""
+        piece = self.view[at : min(self._limit, at + self._limits.batch_bytes)]
+        found = walk(piece, 0, len(piece), self.registry)
+        if found.stop == 0:
+            return (yield from self._lone(at))
+        resume = at + found.stop
+        if resume < self._limit and record_end(self.view, resume, self._limit) < 0:
+            found, resume = self._doubt_last(found, at)
+        yield bind(piece, found, self.registry)
+        return resume
+
+    def _lone(self, at: int) -> Steps:
+        """One message that `walk` will not take: of an unknown channel, or larger than a batch."""
+        end = record_end(self.view, at, self._limit)
+        found = Found(np.zeros(1, dtype=np.int64), (), end - at)
+        yield bind(self.view[at:end], found, self.registry)
+        return end
+
+    def _doubt_last(self, found: Found, base: int) -> tuple[Found, int]:
+        """After messages comes no record: was it the last one's length that lied, or is this garbage?
+
+        `base` is where the places in `found` count from. Returns the messages to keep and where to go on.
+        """
+        last, stop = base + int(found.messages[-1]), base + found.stop
+        resume = self._next(last + 1)
+        if resume >= stop:
+            if self._is_cut(stop) and resume >= self._limit:
+                return found, stop
+            self._tally.skip(stop, resume, "no record here")
+            return found, resume
+        self._tally.skip(last, resume, "record of a wrong length")
+        return Found(found.messages[:-1], (), found.stop), resume
+
+    def _next(self, at: int) -> int:
+        return next_record(self.view, at, self._limit, self.registry)
+
+    def _is_cut(self, at: int) -> bool:
+        """Whether a known record starts at `at` and the file ends inside it."""
+        if at + HEAD_BYTES > self._limit:
+            return HEADER <= self.view[at] <= DATA_END
+        op, length = HEAD.unpack_from(self.view, at)
+        return HEADER <= op <= DATA_END and at + HEAD_BYTES + length > self._limit
+
+    def _recover(self, at: int) -> Steps:
+        """No sound record at `at`: it is damaged, or the file is cut here. Returns where to go on."""
+        resume = self._next(at + 1)
+        if resume < self._limit or not self._is_cut(at):
+            self._tally.skip(at, resume, "no record here")
+            return resume
+        kept = at
+        if self.view[at] == CHUNK and self._limit - at > HEAD_BYTES:
+            head = chunk_head(self.view, at + HEAD_BYTES, len(self.view))
+            if head is not None:
+                data = expand_cut(self.view, head, self._limits)
+                found = walk(data, 0, len(data))
+                kept = head.data_at if len(found.messages) else at
+                yield bind(data, found, self.registry)
+        self._tally.skip(kept, self._limit, "the file ends inside this record")
+        return self._limit
+
+
+def is_mcap(head: bytes) -> bool:
+    """Whether bytes start as an MCAP file does."""
+    return head.startswith(MAGIC)

@@ -1,0 +1,133 @@
+"""MCAP logs: ROS 1, ROS 2, protobuf and JSON topics, each a stream of its own.
+
+The stream key is the topic. `time_ns` is the message's own stamp where it has one (`header.stamp`, `stamp`,
+`timestamp`), else the log time; which of them is in the schema metadata as `time_source`. The log time is
+`recv_ns`.
+A topic whose layout changes goes on under `topic~2`. Topics without a known layout are named in the damage.
+Messages are gathered over chunks to batches, then decoded topic by topic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import pyarrow as pa
+
+from flysid.errors import FormatError
+from flysid.flight import ClockMap
+from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary
+from flysid.ingest.gather import Bytes
+from flysid.ingest.mcap_chunks import Block
+from flysid.ingest.mcap_reader import McapReader
+from flysid.ingest.mcap_records import MAGIC, Registry
+from flysid.ingest.mcap_topics import ZERO_PAGE, Messages, Topic
+from flysid.ingest.tally import Tally
+
+MAX_TOPICS = 5000
+FIRST_UTC_NS = 10**18  # 2001: a log time below this is not UTC
+
+
+@dataclass
+class _Batch:
+    """Blocks that wait to be decoded together."""
+
+    blocks: list[Block] = field(default_factory=list)
+    payload: int = 0
+
+    def add(self, block: Block) -> None:
+        if len(block.at):
+            self.blocks.append(block)
+            self.payload += len(block.data)
+
+    def by_channel(self) -> Iterator[tuple[int, Messages]]:
+        """Channel number and its messages, in file order, over all blocks."""
+        if not self.blocks:
+            return
+        data, bases = _joined([b.data for b in self.blocks])
+        at = np.concatenate([b.at + base for b, base in zip(self.blocks, bases, strict=True)])
+        size = np.concatenate([b.size for b in self.blocks])
+        log_ns = np.concatenate([b.log_ns for b in self.blocks])
+        channel = np.concatenate([b.channel for b in self.blocks])
+        order = np.argsort(channel.astype(np.int32), kind="stable")
+        cuts = np.flatnonzero(np.diff(channel[order])) + 1
+        for which in np.split(order, cuts):
+            yield int(channel[which[0]]), Messages(data, at[which], size[which], log_ns[which])
+
+
+def _joined(parts: list[Bytes]) -> tuple[Bytes, list[int]]:
+    """Buffers as one, with a page of zeros behind them, and where each begins in it."""
+    bases = np.concatenate([[0], np.cumsum([len(p) for p in parts])[:-1]]).tolist()
+    return np.concatenate([*parts, np.zeros(ZERO_PAGE, dtype=np.uint8)]), bases
+
+
+def read_mcap(view: memoryview, name: str, limits: Limits) -> Parts:
+    """Parts of all topics of an MCAP file.
+
+    Parameters
+    ----------
+    view : the file.
+    name : its name, for errors.
+    limits : bounds; see Limits.
+
+    Raises
+    ------
+    FormatError : there is not one message in the file, nor the end that an empty log would have.
+    """
+    tally = Tally()
+    reader = McapReader(view, limits, tally)
+    topics: dict[int, Topic] = {}
+    streams: dict[str, pa.Schema] = {}
+    batch = _Batch()
+    for block in reader.blocks():
+        batch.add(block)
+        if batch.payload >= limits.batch_bytes:
+            yield from _decode(batch, reader.registry, topics, streams, tally)
+            batch = _Batch()
+    yield from _decode(batch, reader.registry, topics, streams, tally)
+    if not topics and tally.truncated and not reader.registry.channels:
+        raise FormatError("no message in this MCAP file can be read", path=name, byte=len(MAGIC))
+    return Summary(tally.freeze(), (_clock(topics),) if topics else (), reader.info)
+
+
+def _decode(
+    batch: _Batch, registry: Registry, topics: dict[int, Topic], streams: dict[str, pa.Schema], tally: Tally
+) -> Iterator[StreamPart]:
+    """Parts of a batch; `topics` and `streams` (key -> schema) are those of the file so far, and grow."""
+    for number, messages in batch.by_channel():
+        if number < 0:
+            tally.undecode("(channel without definition)", len(messages.at))
+            continue
+        topic = topics.get(number)
+        if topic is None:
+            if len(topics) >= MAX_TOPICS:
+                tally.undecode(f"(topics beyond {MAX_TOPICS})", len(messages.at))
+                continue
+            topic = topics[number] = Topic(registry.channels[number])
+        yield from topic.decode(messages, tally, streams)
+
+
+def _clock(topics: dict[int, Topic]) -> ClockMap:
+    """Log time (UTC) against the messages' own stamps: their median distance, at slope 1."""
+    first = min((t.first_ns for t in topics.values() if t.rows), default=0)
+    last = max((t.last_ns for t in topics.values() if t.rows), default=0)
+    lags = np.array([lag for t in topics.values() for lag in t.lags], dtype=np.int64)
+    if len(lags) == 0:
+        return ClockMap(0, first, last)
+    offset = int(np.median(lags))
+    log_is_utc = last + offset > FIRST_UTC_NS
+    return ClockMap(
+        0, first, last, offset if log_is_utc else None, 1.0, int(np.median(np.abs(lags - offset)))
+    )
+
+
+def sniff_mcap(head: bytes, name: str) -> float:
+    """1 for the magic; 0.5 for a file called .mcap whose magic is damaged in up to two bytes."""
+    if head.startswith(MAGIC):
+        return 1.0
+    same = sum(a == b for a, b in zip(head, MAGIC, strict=False))
+    return 0.5 if same >= len(MAGIC) - 2 and name.lower().endswith(".mcap") else 0.0
+
+
+FORMAT = Format("mcap", "MCAP (ROS 1, ROS 2, protobuf, JSON)", (".mcap",), sniff_mcap, read_mcap)

@@ -1,0 +1,203 @@
+"""Protobuf messages of one topic as columns, decoded with the descriptors that the log carries.
+
+Fields of nested messages become dotted columns, repeated fields lists, maps lists of (key, value), enums
+their numbers with names in the metadata. An absent field reads its default, as in protobuf itself. A message
+that contains itself is kept as its bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from flysid.flight import field_metadata
+from flysid.ingest import arrow_arrays
+from flysid.ingest.gather import Bytes, Index
+from flysid.ingest.rosmsg import DefinitionError
+
+MAX_LEAVES = 20_000
+MAX_DEPTH = 16
+MAX_FILES = 2000
+
+# google.protobuf.descriptor.FieldDescriptor.CPPTYPE_* -> type
+_TYPES: Mapping[int, str] = {
+    1: "i4",
+    2: "i8",
+    3: "u4",
+    4: "u8",
+    5: "f8",
+    6: "f4",
+    7: "b1",
+    8: "i4",
+    9: "str",
+    10: "message",
+}
+_ENUM, _BYTES_TYPE = 8, 12
+
+
+@dataclass(frozen=True)
+class ProtoField:
+    """A column: where it is in the message, and what its values are.
+
+    `shape` is "one", "many" (repeated) or "map"; `dtype` a NumPy type, or "str", "bytes" or "message", whose
+    own columns are `inner`. `metadata` is that of the column.
+    """
+
+    path: str
+    shape: str
+    dtype: str
+    metadata: dict[bytes, bytes] | None = None
+    inner: tuple[ProtoField, ...] = ()
+
+
+@dataclass(frozen=True)
+class ProtoLayout:
+    """A message class and the columns it flattens to."""
+
+    message: Any
+    fields: tuple[ProtoField, ...]
+
+
+def parse_descriptors(name: str, raw: bytes) -> ProtoLayout:
+    """The layout of message `name` from a serialised FileDescriptorSet.
+
+    Raises
+    ------
+    DefinitionError : protobuf is not installed, or the set does not define the message.
+    """
+    try:
+        from google.protobuf.message import DecodeError
+        from google.protobuf.message_factory import GetMessageClass
+    except ImportError as error:
+        raise DefinitionError("protobuf topics need the package protobuf: pip install protobuf") from error
+    try:
+        descriptor = _pool(raw).FindMessageTypeByName(name)
+    except (DecodeError, KeyError, TypeError, ValueError) as error:
+        raise DefinitionError(f"descriptors do not define {name}: {error}") from error
+    fields = tuple(_fields(descriptor, "", (descriptor.full_name,), [0]))
+    return ProtoLayout(GetMessageClass(descriptor), fields)
+
+
+def _pool(raw: bytes) -> Any:
+    """A pool of the files in a descriptor set, each after those it imports."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+    from google.protobuf.descriptor_pool import DescriptorPool
+
+    files = {file.name: file for file in FileDescriptorSet.FromString(raw).file}
+    if len(files) > MAX_FILES:
+        raise ValueError(f"{len(files)} descriptor files")
+    pool = DescriptorPool()
+    added: set[str] = set()
+    stack = list(files)
+    while stack:
+        file = files[stack[-1]]
+        needed = [d for d in file.dependency if d in files and d not in added]
+        if needed and len(stack) <= 2 * len(files):
+            stack += needed
+            continue
+        stack.pop()
+        if file.name not in added:
+            added.add(file.name)
+            pool.Add(file)
+    return pool
+
+
+def _fields(descriptor: Any, path: str, above: tuple[str, ...], leaves: list[int]) -> Iterator[ProtoField]:
+    """Columns of a message type; `leaves` counts them all."""
+    for field in descriptor.fields:
+        leaves[0] += 1
+        if leaves[0] > MAX_LEAVES:
+            raise DefinitionError(f"more than {MAX_LEAVES} fields")
+        here = f"{path}.{field.name}" if path else field.name
+        dtype = "bytes" if field.type == _BYTES_TYPE else _TYPES[field.cpp_type]
+        if dtype != "message":
+            yield ProtoField(here, "many" if _repeated(field) else "one", dtype, _enum_names(field))
+            continue
+        kind = field.message_type
+        if kind.full_name in above or len(above) >= MAX_DEPTH:
+            yield ProtoField(here, "many" if _repeated(field) else "one", "serial")
+        elif not _repeated(field):
+            yield from _fields(kind, here, (*above, kind.full_name), leaves)
+        else:
+            inner = tuple(_fields(kind, "", (*above, kind.full_name), leaves))
+            yield ProtoField(here, "map" if kind.GetOptions().map_entry else "many", "message", None, inner)
+
+
+def _repeated(field: Any) -> bool:
+    if hasattr(field, "is_repeated"):
+        return bool(field.is_repeated)
+    return bool(field.label == 3)
+
+
+def _enum_names(field: Any) -> dict[bytes, bytes] | None:
+    if field.cpp_type != _ENUM:
+        return None
+    return field_metadata(enum={v.number: v.name for v in field.enum_type.values})
+
+
+def decode_protobuf(data: Bytes, at: Index, size: Index, layout: ProtoLayout) -> tuple[list[pa.Array], Index]:
+    """One array per field of the layout, and the numbers of the messages that parse."""
+    from google.protobuf.message import DecodeError
+
+    window = memoryview(data)
+    parse = layout.message.FromString
+    messages, kept = [], []
+    for number, (start, length) in enumerate(zip(at.tolist(), size.tolist(), strict=True)):
+        try:
+            messages.append(parse(bytes(window[start : start + length])))
+        except DecodeError:
+            continue
+        kept.append(number)
+    return [_column(messages, field) for field in layout.fields], np.array(kept, dtype=np.int64)
+
+
+def _column(messages: Sequence[Any], field: ProtoField) -> pa.Array:
+    values = map(attrgetter(field.path), messages)
+    if field.shape == "one":
+        return _values(values, len(messages), field.dtype)
+    containers = list(values)
+    counts = np.fromiter(map(len, containers), dtype=np.int64, count=len(containers))
+    total = int(counts.sum())
+    if field.shape == "map":
+        return arrow_arrays.lists(_entries(containers, total, field), counts)
+    flat = chain.from_iterable(containers)
+    if field.dtype != "message":
+        return arrow_arrays.lists(_values(flat, total, field.dtype), counts)
+    return arrow_arrays.lists(_records(list(flat), field.inner), counts)
+
+
+def _values(values: Iterable[Any], count: int, dtype: str) -> pa.Array:
+    if dtype == "str":
+        return pa.array(list(values), pa.string())
+    if dtype == "bytes":
+        return pa.array(list(values), pa.binary())
+    if dtype == "serial":
+        return pa.array([v.SerializeToString() for v in values], pa.binary())
+    return arrow_arrays.numeric(np.fromiter(values, dtype=dtype, count=count))
+
+
+def _records(messages: Sequence[Any], fields: Sequence[ProtoField]) -> pa.Array:
+    if not fields:
+        return pa.nulls(len(messages))
+    return arrow_arrays.structs([f.path for f in fields], [_column(messages, f) for f in fields])
+
+
+def _entries(containers: Sequence[Mapping[Any, Any]], total: int, field: ProtoField) -> pa.Array:
+    """The (key, value) pairs of maps; `field.inner` begins with the key."""
+    items = list(chain.from_iterable(c.items() for c in containers))
+    key, *rest = field.inner
+    keys = _values((k for k, _ in items), total, key.dtype)
+    if len(rest) == 1 and rest[0].path == "value" and rest[0].shape == "one":
+        values = _values((v for _, v in items), total, rest[0].dtype)
+    else:
+        inner = [
+            ProtoField(f.path.removeprefix("value."), f.shape, f.dtype, f.metadata, f.inner) for f in rest
+        ]
+        values = _records([v for _, v in items], inner)
+    return arrow_arrays.structs(["key", "value"], [keys, values])

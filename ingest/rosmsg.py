@@ -1,0 +1,183 @@
+"""ROS message definitions (ros1msg, ros2msg) as trees of types.
+
+A definition is the text of a .msg file, then, after lines of `=`, `MSG: package/Type` and the text of every
+type it refers to. Constants, comments and default values do not change the layout and are left out.
+Definitions come from the log, so they are hostile: types may recurse or blow up (A holds ten B, B ten C ...);
+both end in DefinitionError. Left out: wstring (its width on the wire is not agreed) and IDL schemas.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+MAX_LEAVES = 20_000
+MAX_DEPTH = 24
+MAX_ARRAY = 1 << 24
+
+
+class DefinitionError(ValueError):
+    """A definition that gives no layout; the message says why."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A fixed-size value; `dtype` without byte order, e.g. "f8", "b1" (one byte, not zero means true)."""
+
+    dtype: str
+
+
+@dataclass(frozen=True)
+class Text:
+    """A string: u32 length, bytes (in CDR with a NUL that the length counts)."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A message type: named fields in order."""
+
+    name: str
+    fields: tuple[tuple[str, Type], ...]
+
+
+@dataclass(frozen=True)
+class Array:
+    """`size` elements, or a sequence with a u32 count where `size` is None."""
+
+    element: Type
+    size: int | None
+
+
+Type = Number | Text | Record | Array
+
+_COMMON: Mapping[str, str] = {
+    "bool": "b1",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "int64": "i8",
+    "uint64": "u8",
+    "float32": "f4",
+    "float64": "f8",
+    "char": "u1",
+}
+ROS1_NUMBERS = {**_COMMON, "byte": "i1"}
+ROS2_NUMBERS = {**_COMMON, "byte": "u1"}
+_SECONDS = {
+    "time": (("secs", Number("u4")), ("nsecs", Number("u4"))),
+    "duration": (("secs", Number("i4")), ("nsecs", Number("i4"))),
+}
+_BUILTIN_ROS2 = {
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
+    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
+}
+_STD_HEADER = "uint32 seq\ntime stamp\nstring frame_id"
+_FIELD = re.compile(
+    r"^(?P<type>[A-Za-z][\w/]*)(?:<=\d+)?(?P<array>\[(?:(?P<bound><=)?(?P<size>\d+))?\])?\s+(?P<name>[A-Za-z_]\w*)"
+    r"\s*(?P<rest>.*)$"
+)
+_NEXT = re.compile(r"^={3,}[ \t]*$", re.MULTILINE)
+
+
+def parse_definition(name: str, text: str, ros: int) -> Record:
+    """The layout of message `name` from its concatenated definition.
+
+    Parameters
+    ----------
+    name : e.g. "geometry_msgs/PoseStamped" or "geometry_msgs/msg/PoseStamped".
+    text : the definition and those it needs.
+    ros : 1 or 2.
+
+    Raises
+    ------
+    DefinitionError : a type is missing, unknown, recursive or too large.
+    """
+    return _Resolver(_split(name, text, ros), ros).record(_short(name), ())
+
+
+def _split(name: str, text: str, ros: int) -> dict[str, str]:
+    """Short name -> text of every definition in `text`."""
+    texts = dict(_BUILTIN_ROS2) if ros == 2 else {"std_msgs/Header": _STD_HEADER}
+    first, *others = _NEXT.split(text)
+    texts[_short(name)] = first
+    for other in others:
+        head, _, body = other.strip().partition("\n")
+        if head.startswith("MSG:"):
+            texts[_short(head[4:].strip())] = body
+    return texts
+
+
+def _short(name: str) -> str:
+    """package/msg/Type -> package/Type."""
+    parts = name.split("/")
+    return f"{parts[0]}/{parts[-1]}" if len(parts) > 1 else name
+
+
+class _Resolver:
+    def __init__(self, texts: Mapping[str, str], ros: int) -> None:
+        self._texts = texts
+        self._ros = ros
+        self._numbers = ROS1_NUMBERS if ros == 1 else ROS2_NUMBERS
+        self._leaves = 0
+
+    def record(self, name: str, above: tuple[str, ...]) -> Record:
+        if name in above:
+            raise DefinitionError(f"type {name} contains itself")
+        if len(above) >= MAX_DEPTH:
+            raise DefinitionError(f"types are nested more than {MAX_DEPTH} deep")
+        if name not in self._texts:
+            raise DefinitionError(f"type {name} is not defined")
+        fields = []
+        for raw in self._texts[name].splitlines():
+            line = raw.partition("#")[0].strip()
+            if line and not line.startswith("MSG:"):
+                field = self._field(line, name, (*above, name))
+                fields += [] if field is None else [field]
+        if not fields and self._ros == 2:  # rosidl gives an empty message this member
+            fields = [("structure_needs_at_least_one_member", Number("u1"))]
+        return Record(name, tuple(fields))
+
+    def _field(self, line: str, owner: str, above: tuple[str, ...]) -> tuple[str, Type] | None:
+        """One line of a definition; None for a constant."""
+        found = _FIELD.match(line)
+        if found is None:
+            raise DefinitionError(f"cannot read {line[:60]!r} in {owner}")
+        if found["rest"].startswith("="):
+            return None
+        element = self._type(found["type"], owner, above)
+        if found["array"] is None:
+            return found["name"], element
+        size = int(found["size"]) if found["size"] and not found["bound"] else None
+        if size is not None and not 0 < size <= MAX_ARRAY:
+            raise DefinitionError(f"array of {size} elements in {owner}")
+        return found["name"], Array(element, size)
+
+    def _type(self, name: str, owner: str, above: tuple[str, ...]) -> Type:
+        self._leaves += 1
+        if self._leaves > MAX_LEAVES:
+            raise DefinitionError(f"more than {MAX_LEAVES} fields")
+        if name in self._numbers:
+            return Number(self._numbers[name])
+        if name == "string":
+            return Text()
+        if self._ros == 1 and name in _SECONDS:
+            return Record(name, _SECONDS[name])
+        if name == "wstring":
+            raise DefinitionError("wstring has no agreed layout")
+        return self.record(self._qualified(name, owner), above)
+
+    def _qualified(self, name: str, owner: str) -> str:
+        """A type name as written in `owner`, with its package."""
+        if "/" in name:
+            return _short(name)
+        here = f"{owner.partition('/')[0]}/{name}"
+        if here not in self._texts and name == "Header":
+            return "std_msgs/Header"
+        if here not in self._texts:
+            same = [known for known in self._texts if known.endswith(f"/{name}") or known == name]
+            return same[0] if len(same) == 1 else here
+        return here

@@ -1,0 +1,64 @@
+"""Counting what a reader could not keep, while it reads."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from flysid.flight import Damage, Region
+
+MAX_NAMES = 1000
+OTHERS = "(others)"
+
+
+class Tally:
+    """Mutable counterpart of Damage: a reader adds to it and freezes it at the end.
+
+    Byte ranges must be added in rising order; touching ranges of the same reason are joined.
+    """
+
+    def __init__(self) -> None:
+        self._regions: list[Region] = []
+        self._region_count = 0
+        self._bytes = 0
+        self._undecoded: Counter[str] = Counter()
+        self.bad_checksums = 0
+        self.truncated = False
+        self.time_outliers: Counter[str] = Counter()
+        self.sequence_gaps: Counter[str] = Counter()
+        self.dropouts: Counter[str] = Counter()
+        self.out_of_order: Counter[str] = Counter()
+
+    def skip(self, start: int, end: int, reason: str) -> None:
+        """Bytes [start, end) belong to nothing that could be kept."""
+        if end <= start:
+            return
+        self._bytes += end - start
+        last = self._regions[-1] if self._regions else None
+        if last is not None and last.end == start and last.reason == reason:
+            self._regions[-1] = Region(last.start, end, reason)
+            return
+        self._region_count += 1
+        if len(self._regions) < Damage.MAX_REGIONS:
+            self._regions.append(Region(start, end, reason))
+
+    def undecode(self, name: str, count: int = 1) -> None:
+        """`count` records of `name` are framed well and cannot be decoded."""
+        if count and name not in self._undecoded and len(self._undecoded) >= MAX_NAMES:
+            name = OTHERS
+        if count:
+            self._undecoded[name] += count
+
+    def freeze(self) -> Damage:
+        """The damage so far."""
+        return Damage(
+            bytes_skipped=self._bytes,
+            regions=tuple(self._regions),
+            region_count=self._region_count,
+            bad_checksums=self.bad_checksums,
+            truncated=self.truncated,
+            undecoded=dict(self._undecoded),
+            time_outliers=dict(self.time_outliers),
+            sequence_gaps=dict(self.sequence_gaps),
+            dropouts=dict(self.dropouts),
+            out_of_order=dict(self.out_of_order),
+        )

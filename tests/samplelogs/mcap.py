@@ -1,0 +1,80 @@
+"""MCAP files made in tests, with the mcap library's own writers."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mcap.writer import CompressionType, Writer
+
+SECOND = 10**9
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic to write: its schema and messages as (log time in ns, payload)."""
+
+    name: str
+    encoding: str
+    schema_name: str
+    schema_encoding: str
+    schema: bytes
+    messages: Sequence[tuple[int, bytes]]
+
+
+def mcap_file(
+    topics: Iterable[Topic],
+    *,
+    compression: CompressionType = CompressionType.ZSTD,
+    chunked: bool = True,
+    chunk_size: int = 4096,
+    **options: Any,
+) -> bytes:
+    """A finished MCAP file with the messages of all topics in order of log time."""
+    out = io.BytesIO()
+    writer = Writer(
+        out, chunk_size=chunk_size, compression=compression, use_chunking=chunked, **options
+    )
+    writer.start(profile="test", library="flysid tests")
+    queue = []
+    for topic in topics:
+        schema = writer.register_schema(topic.schema_name, topic.schema_encoding, topic.schema)
+        channel = writer.register_channel(topic.name, topic.encoding, schema)
+        queue += [(when, channel, payload) for when, payload in topic.messages]
+    for number, (when, channel, payload) in enumerate(sorted(queue, key=lambda m: m[0])):
+        writer.add_message(channel, when, payload, when, number)
+    writer.finish()
+    return out.getvalue()
+
+
+def json_topic(name: str, schema: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Topic:
+    """A JSON topic at 100 Hz."""
+    messages = [(SECOND + k * 10**7, json.dumps(row).encode()) for k, row in enumerate(rows)]
+    return Topic(name, "json", name.strip("/"), "jsonschema", json.dumps(schema).encode(), messages)
+
+
+def ros1_topic(name: str, kind: str, definition: str, payloads: Sequence[bytes]) -> Topic:
+    """A ROS 1 topic at 100 Hz."""
+    messages = [(SECOND + k * 10**7, p) for k, p in enumerate(payloads)]
+    return Topic(name, "ros1", kind, "ros1msg", definition.encode(), messages)
+
+
+def ros2_topic(name: str, kind: str, definition: str, payloads: Sequence[bytes]) -> Topic:
+    """A ROS 2 topic at 100 Hz."""
+    messages = [(SECOND + k * 10**7, p) for k, p in enumerate(payloads)]
+    return Topic(name, "cdr", kind, "ros2msg", definition.encode(), messages)
+
+
+def record(op: int, body: bytes, length: int | None = None) -> bytes:
+    """One MCAP record; `length` overrides the truth."""
+    return struct.pack("<BQ", op, len(body) if length is None else length) + body
+
+
+def prefixed(text: str | bytes) -> bytes:
+    """A string with its length before it."""
+    raw = text.encode() if isinstance(text, str) else text
+    return struct.pack("<I", len(raw)) + raw
