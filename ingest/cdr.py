@@ -83,9 +83,7 @@ class Run:
             offsets.append(at - phase)
             at += kind.itemsize * (1 if leaf.count is None else leaf.count)
         size = at - phase
-        return np.dtype(
-            {"names": names, "formats": formats, "offsets": offsets, "itemsize": size}  # type: ignore[call-overload]
-        ), size
+        return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size}), size
 
 
 @dataclass(frozen=True)
@@ -272,7 +270,7 @@ def _packed(leaf: Leaf) -> tuple[str] | tuple[str, int]:
 
 def _leaf_array(leaf: Leaf, values: NDArray[np.generic]) -> pa.Array:
     if leaf.dtype == "b1":
-        values = values != 0  # type: ignore[assignment]
+        values = values != 0
     return arrow_arrays.numeric(values) if leaf.count is None else arrow_arrays.matrix(values)
 
 

@@ -49,7 +49,7 @@ def runs(data: Bytes, at: Index, size: Index) -> Bytes:
     if longest == int(size.min()):
         return rows(data, at, longest).view(np.uint8)
     if total >= LONG_RUN_BYTES * len(at):
-        window = memoryview(data)
+        window = data.data
         parts = [window[p : p + s] for p, s in zip(at.tolist(), size.tolist(), strict=True)]
         return as_bytes(b"".join(parts))
     return data[spread(at, size)]
@@ -58,4 +58,5 @@ def runs(data: Bytes, at: Index, size: Index) -> Bytes:
 def spread(at: Index, size: Index) -> Index:
     """The indices p, p + 1, ... p + s - 1 for every (p, s), one after the other."""
     ends = np.cumsum(size)
-    return np.arange(int(ends[-1]) if len(ends) else 0, dtype=np.int64) + np.repeat(at - (ends - size), size)
+    steps: Index = np.arange(int(ends[-1]) if len(ends) else 0, dtype=np.int64)
+    return steps + np.repeat(at - (ends - size), size)

@@ -129,7 +129,7 @@ def _read_lines(data: Bytes, at: Index, size: Index, layout: JsonLayout) -> pa.T
     """The messages through Arrow's reader; None where it does not take them all as they are."""
     import pyarrow.json as arrow_json
 
-    window = memoryview(data)
+    window = data.data
     lines = b"\n".join(
         [
             bytes(window[p : p + s]).replace(b"\n", b" ")

@@ -34,7 +34,6 @@ from flysid.ingest.mcap_records import (
     CHUNK,
     DATA_END,
     FOOTER,
-    HEAD,
     HEAD_BYTES,
     HEADER,
     MAGIC,
@@ -47,6 +46,7 @@ from flysid.ingest.mcap_records import (
     ChunkHead,
     Registry,
     chunk_head,
+    is_cut_off,
     next_record,
     record_end,
     string_pairs,
@@ -213,7 +213,7 @@ class McapReader:
         last, stop = base + int(found.messages[-1]), base + found.stop
         resume = self._next(last + 1)
         if resume >= stop:
-            if self._is_cut(stop) and resume >= self._limit:
+            if is_cut_off(self.view, stop, self._limit) and resume >= self._limit:
                 return found, stop
             self._tally.skip(stop, resume, "no record here")
             return found, resume
@@ -223,17 +223,10 @@ class McapReader:
     def _next(self, at: int) -> int:
         return next_record(self.view, at, self._limit, self.registry)
 
-    def _is_cut(self, at: int) -> bool:
-        """Whether a known record starts at `at` and the file ends inside it."""
-        if at + HEAD_BYTES > self._limit:
-            return HEADER <= self.view[at] <= DATA_END
-        op, length = HEAD.unpack_from(self.view, at)
-        return HEADER <= op <= DATA_END and at + HEAD_BYTES + length > self._limit
-
     def _recover(self, at: int) -> Steps:
         """No sound record at `at`: it is damaged, or the file is cut here. Returns where to go on."""
         resume = self._next(at + 1)
-        if resume < self._limit or not self._is_cut(at):
+        if resume < self._limit or not is_cut_off(self.view, at, self._limit):
             self._tally.skip(at, resume, "no record here")
             return resume
         kept = at

@@ -174,15 +174,17 @@ def _convincing(view: memoryview, at: int, limit: int, registry: Registry) -> bo
         return False
     if view[at] == MESSAGE and registry.bound[U16.unpack_from(view, at + HEAD_BYTES)[0]] < 0:
         return False
-    return end == limit or record_end(view, end, limit) > 0 or _cut_off(view, end, limit)
+    return end == limit or record_end(view, end, limit) > 0 or is_cut_off(view, end, limit)
 
 
-def _cut_off(view: memoryview, at: int, limit: int) -> bool:
+def is_cut_off(view: memoryview, at: int, limit: int) -> bool:
     """Whether a record starts at `at` that the end of the file cuts."""
+    if not at < limit or not HEADER <= view[at] <= LAST_KNOWN:
+        return False
     if at + HEAD_BYTES > limit:
-        return HEADER <= view[at] <= LAST_KNOWN
-    op, length = HEAD.unpack_from(view, at)
-    return HEADER <= op <= LAST_KNOWN and at + HEAD_BYTES + length > limit and length < 1 << 40
+        return True
+    length = int(U64.unpack_from(view, at + 1)[0])
+    return at + HEAD_BYTES + length > limit and length < 1 << 40
 
 
 def _plausible_head(view: memoryview, at: int, limit: int) -> bool:

@@ -145,7 +145,7 @@ def decode_protobuf(data: Bytes, at: Index, size: Index, layout: ProtoLayout) ->
     """One array per field of the layout, and the numbers of the messages that parse."""
     from google.protobuf.message import DecodeError
 
-    window = memoryview(data)
+    window = data.data
     parse = layout.message.FromString
     messages, kept = [], []
     for number, (start, length) in enumerate(zip(at.tolist(), size.tolist(), strict=True)):

@@ -27,7 +27,8 @@ def read(raw: bytes, limits: Limits | None = None) -> Flight:
 
 
 def rows_of(table: pa.Table) -> list[dict[str, Any]]:
-    return table.drop_columns(["time_ns", "boot", "recv_ns"]).to_pylist()
+    rows: list[dict[str, Any]] = table.drop_columns(["time_ns", "boot", "recv_ns"]).to_pylist()
+    return rows
 
 
 def oracle(raw: bytes, factory: Any) -> dict[str, list[dict[str, Any]]]:
@@ -130,7 +131,10 @@ def test_protobuf_equals_the_library() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         decoded = [
-            m for *_, m in make_reader(io.BytesIO(raw), decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+            m
+            for *_, m in make_reader(
+                io.BytesIO(raw), decoder_factories=[DecoderFactory()]
+            ).iter_decoded_messages()
         ]
     assert table["position.x"].to_pylist() == [m.position.x for m in decoded]
     assert table["name"].to_pylist() == [m.name for m in decoded]
@@ -138,7 +142,9 @@ def test_protobuf_equals_the_library() -> None:
     assert table["mode"].to_pylist() == [m.mode for m in decoded]
     assert b'"HOVER"' in table.schema.field("mode").metadata[b"enum"]
     assert table["blob"].to_pylist() == [m.blob for m in decoded]
-    assert [[p["x"] for p in row] for row in table["path"].to_pylist()] == [[p.x for p in m.path] for m in decoded]
+    assert [[p["x"] for p in row] for row in table["path"].to_pylist()] == [
+        [p.x for p in m.path] for m in decoded
+    ]
     assert [{e["key"]: e["value"] for e in row} for row in table["gains"].to_pylist()] == [
         dict(m.gains) for m in decoded
     ]

@@ -36,9 +36,7 @@ def mcap_file(
 ) -> bytes:
     """A finished MCAP file with the messages of all topics in order of log time."""
     out = io.BytesIO()
-    writer = Writer(
-        out, chunk_size=chunk_size, compression=compression, use_chunking=chunked, **options
-    )
+    writer = Writer(out, chunk_size=chunk_size, compression=compression, use_chunking=chunked, **options)
     writer.start(profile="test", library="flysid tests")
     queue = []
     for topic in topics:
@@ -47,7 +45,7 @@ def mcap_file(
         queue += [(when, channel, payload) for when, payload in topic.messages]
     for number, (when, channel, payload) in enumerate(sorted(queue, key=lambda m: m[0])):
         writer.add_message(channel, when, payload, when, number)
-    writer.finish()
+    writer.finish()  # type: ignore[no-untyped-call]
     return out.getvalue()
 
 

@@ -137,7 +137,7 @@ def ros1_types(kind: str, text: str) -> dict[str, Any]:
         warnings.simplefilter("ignore")
         from mcap_ros1._vendor.genpy import dynamic
 
-        types: dict[str, Any] = dynamic.generate_dynamic(kind, text)
+        types: dict[str, Any] = dynamic.generate_dynamic(kind, text)  # type: ignore[no-untyped-call]
     return types
 
 
