@@ -1,0 +1,127 @@
+"""Membership functions and firing strengths, always finite.
+
+A rule fires with the conjunction of its memberships, eq. (7) of Santoso, Garratt, Anavatti (2015), and the
+strengths are normalised, eq. (2). Both are computed as logarithms: where every membership underflows, the
+quotient of (2) is 0/0, but the logarithms still tell the nearest rule, which then speaks alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.errors import UsageError
+
+Shape = Literal["gaussian", "triangle", "trapezoid"]
+Conjunction = Literal["product", "minimum"]
+
+_FAR = 1e75  # standardised distances stop here: their squares stay finite
+
+
+def standardised(x: FloatArray, centre: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
+    """(N, R) signed distance of x (N,) from each centre (R,) in widths of the side it lies on."""
+    gap = x[:, None] - centre[None, :]
+    width = np.where(gap < 0, left[None, :], right[None, :])
+    return np.clip(gap / width, -_FAR, _FAR)
+
+
+def log_grade(distance: FloatArray, shape: Shape = "gaussian") -> FloatArray:
+    """Logarithm of the membership at a standardised distance; -inf outside a bounded support.
+
+    The triangle and the trapezoid have the half-value points of the Gaussian nearly: the triangle falls
+    to 0 at 2 widths, the trapezoid is 1 up to half a width and 0 from 2 widths on.
+    """
+    if shape == "gaussian":
+        return -0.5 * distance * distance
+    reach = np.abs(distance)
+    grade = 1.0 - reach / 2.0 if shape == "triangle" else (2.0 - reach) / 1.5
+    with np.errstate(divide="ignore"):
+        return np.log(np.clip(grade, 0.0, 1.0))
+
+
+def normalised(log_strength: FloatArray, distance: FloatArray) -> FloatArray:
+    """(N, R) firing strengths that sum to 1, eq. (2), from their logarithms.
+
+    `distance` (N, R) decides where no rule fires (all -inf): the nearest rule speaks alone.
+    """
+    silent = ~np.isfinite(log_strength).any(axis=1)
+    if silent.any():
+        nearest = distance[silent].argmin(axis=1)
+        log_strength = log_strength.copy()
+        log_strength[np.flatnonzero(silent), nearest] = 0.0
+    strength = np.exp(log_strength - log_strength.max(axis=1, keepdims=True))
+    return np.asarray(strength / strength.sum(axis=1, keepdims=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Partition:
+    """Memberships of R rules over n_z antecedent variables.
+
+    Attributes
+    ----------
+    centre : (R, n_z) centres A_rj.
+    left, right : (R, n_z) widths below and above the centre (equal for symmetric memberships).
+    low, high : (n_z,) range seen in training; values outside are read as its nearest end.
+    shape, conjunction : of the memberships.
+    """
+
+    centre: FloatArray
+    left: FloatArray
+    right: FloatArray
+    low: FloatArray
+    high: FloatArray
+    shape: Shape = "gaussian"
+    conjunction: Conjunction = "product"
+
+    def __post_init__(self) -> None:
+        if self.shape not in ("gaussian", "triangle", "trapezoid"):
+            raise UsageError(f"unknown membership shape {self.shape!r}", hint="gaussian, triangle, trapezoid")
+        if self.conjunction not in ("product", "minimum"):
+            raise UsageError(f"unknown conjunction {self.conjunction!r}", hint="product, minimum")
+        if not ((self.left > 0).all() and (self.right > 0).all()):
+            raise UsageError("membership widths must be positive")
+
+    def __len__(self) -> int:
+        return len(self.centre)
+
+    def grades(self, variable: int, x: FloatArray) -> FloatArray:
+        """(len(x), R) membership of each value of one antecedent variable in every rule's set."""
+        j = variable
+        distance = standardised(
+            np.asarray(x, dtype=np.float64), self.centre[:, j], self.left[:, j], self.right[:, j]
+        )
+        return np.asarray(np.exp(log_grade(distance, self.shape)))
+
+    def firing(self, z: FloatArray) -> FloatArray:
+        """(N, R) normalised firing strengths of z (N, n_z), eq. (7) and (2); rows sum to 1."""
+        z = np.clip(z, self.low, self.high)
+        total = np.zeros((len(z), len(self)))
+        far = np.zeros_like(total)
+        for j in range(z.shape[1]):
+            d = standardised(z[:, j], self.centre[:, j], self.left[:, j], self.right[:, j])
+            grade = log_grade(d, self.shape)
+            total = total + grade if self.conjunction == "product" else np.minimum(total, grade)
+            far = far + d * d
+        return normalised(total, far)
+
+    def outside(self, z: FloatArray) -> FloatArray:
+        """(N,) 1.0 where any antecedent lies outside the range seen in training, else 0.0."""
+        return np.asarray(((z < self.low) | (z > self.high)).any(axis=1), dtype=np.float64)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        arrays = {name: getattr(self, name).tolist() for name in ("centre", "left", "right", "low", "high")}
+        return arrays | {"shape": self.shape, "conjunction": self.conjunction}
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> Partition:
+        """Rebuild what `to_dict` gave."""
+        arrays = {
+            name: np.array(document[name], dtype=np.float64)
+            for name in ("centre", "left", "right", "low", "high")
+        }
+        return cls(**arrays, shape=document["shape"], conjunction=document["conjunction"])

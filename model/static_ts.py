@@ -1,0 +1,253 @@
+"""The paper's static Takagi-Sugeno model: memoryless rules from clusters in the product space.
+
+Santoso, Garratt, Anavatti (2015), section 2: clusters of (u, y) are projected to Gaussian memberships of
+the inputs, and the consequents are the global least squares of eq. (4)-(5),
+
+    R_r: If u is A_r then y = a_r u + b_r,      P = (X^T X)^-1 X^T Y,   X = [phi_r u, phi_r]
+
+solved by SVD, because neighbouring rules make X nearly collinear. The output is y = sum_r phi_r (a_r u +
+b_r), eq. (3). There is no memory: one step ahead and free run are the same thing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.errors import DataError, UsageError
+from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, Structure
+from flysid.model.cluster import Method, cluster, project
+from flysid.model.memberships import Conjunction, Partition, Shape
+from flysid.model.words import condition_in_words, equation, number, write_model
+
+
+@dataclass(frozen=True)
+class StaticTS:
+    """Settings of the paper's static model.
+
+    Parameters
+    ----------
+    rules : number of clusters, and rules.
+    method : "gustafson-kessel", "fuzzy-c-means" or "subtractive".
+    shape : of the memberships: "gaussian", "triangle" or "trapezoid".
+    conjunction : "product" or "minimum" (differs with several inputs only).
+    two_sided : each membership has a left and a right width ("unsymmetrical" in the paper).
+    seed : of the clusters' starts.
+    """
+
+    rules: int = 7
+    method: Method = "gustafson-kessel"
+    shape: Shape = "gaussian"
+    conjunction: Conjunction = "product"
+    two_sided: bool = True
+    seed: int = 0
+
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedStaticTS:
+        """Cluster the training samples, then solve eq. (4). `validation` is not needed: nothing is chosen.
+
+        Raises
+        ------
+        UsageError : fewer than one rule, an unknown method or shape.
+        DataError : no samples, an input that never moves, fewer distinct samples than rules.
+        """
+        del validation
+        if isinstance(self.rules, bool) or not isinstance(self.rules, int) or self.rules < 1:
+            raise UsageError(f"rules={self.rules!r}", hint="give a whole number of rules, at least 1")
+        u, y = _stack(train)
+        partition = self._partition(u, y)
+        phi = partition.firing(u)
+        consequents = least_squares(u, y, phi)
+        support = np.bincount(phi.argmax(axis=1), minlength=len(partition)) / len(u)
+        margin = np.ptp(y, axis=0)
+        return FittedStaticTS(
+            dt_s=train.dt_s,
+            inputs=train.inputs,
+            outputs=train.outputs,
+            partition=partition,
+            consequents=consequents,
+            support=support,
+            output_limits=np.array([y.min(axis=0) - margin, y.max(axis=0) + margin]),
+            notes=(
+                f"{len(partition)} rules were asked for, from {self.method} clusters of inputs and outputs "
+                f"in {len(u)} samples.",
+                "The model has no memory: whatever depends on the past of the input is not in it.",
+            ),
+        )
+
+    def _partition(self, u: FloatArray, y: FloatArray) -> Partition:
+        low, high = u.min(axis=0), u.max(axis=0)
+        clusters = cluster(np.hstack([u, y]), self.rules, self.method, seed=self.seed)
+        centre, left, right = project(clusters, u.shape[1], two_sided=self.two_sided)
+        return Partition(centre, left, right, low, high, self.shape, self.conjunction)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedStaticTS:
+    """A memoryless TS model; see the laws in flysid.model.base.
+
+    Attributes
+    ----------
+    partition : memberships over the inputs.
+    consequents : (R, n_y, n_u + 1) gains a_r and, last, offset b_r.
+    support : (R,) share of training samples for which each rule is the strongest.
+    """
+
+    dt_s: float
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    partition: Partition
+    consequents: FloatArray
+    support: FloatArray
+    output_limits: FloatArray
+    notes: tuple[str, ...]
+
+    structure = "static-ts"
+    n_init = 0
+
+    @property
+    def n_parameters(self) -> int:
+        """Consequents, centres and widths."""
+        sides = 1 if np.array_equal(self.partition.left, self.partition.right) else 2
+        return int(self.consequents.size + (1 + sides) * self.partition.centre.size)
+
+    @property
+    def antecedents(self) -> tuple[str, ...]:
+        """The inputs, by name."""
+        return tuple(f"{s.name}(k)" for s in self.inputs)
+
+    def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
+        """(N, n_y) the static map of u; the first k - 1 rows are NaN, as for every model."""
+        del y
+        result = self.simulate(u)
+        result[: k - 1] = np.nan
+        return result
+
+    def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+        """(N, n_y) output of eq. (3) for inputs u (N, n_u)."""
+        del y0
+        u = _columns(u, len(self.inputs))
+        y = np.einsum("nr,nri->ni", self.firing(u, u), self.rule_outputs(u, u))
+        return np.asarray(np.clip(np.nan_to_num(y), self.output_limits[0], self.output_limits[1]))
+
+    def rule_outputs(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, R, n_y) what every rule concludes by itself."""
+        del y
+        u = _columns(u, len(self.inputs))
+        ones = np.ones((len(u), 1))
+        return np.asarray(np.einsum("rim,nm->nri", self.consequents, np.hstack([u, ones])))
+
+    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, R) normalised firing strengths."""
+        del y
+        return self.partition.firing(_columns(u, len(self.inputs)))
+
+    def memberships(self, variable: int, x: FloatArray) -> FloatArray:
+        """(len(x), R) grade of membership of the values x of one input in every rule's set."""
+        return self.partition.grades(variable, x)
+
+    def rules(self) -> tuple[Rule, ...]:
+        """Every rule in words."""
+        return tuple(self._rule(r) for r in range(len(self.partition)))
+
+    def _rule(self, r: int) -> Rule:
+        names = [s.name for s in self.inputs]
+        units = [s.unit for s in self.inputs]
+        terms = [f"{s.name}(k)" for s in self.inputs]
+        text = ", ".join(
+            equation(f"{s.name}(k)", self.consequents[r, i, :-1], terms, self.consequents[r, i, -1])
+            for i, s in enumerate(self.outputs)
+        )
+        return Rule(
+            label=f"R{r + 1}",
+            condition=condition_in_words(self.partition, r, names, units),
+            conclusion=text,
+            dc_gain=self.consequents[r, :, :-1].copy(),
+            time_constant_s=0.0,
+            pole_radius=0.0,
+            support=float(self.support[r]),
+        )
+
+    @cached_property
+    def table(self) -> tuple[tuple[str, str, str, str], ...]:
+        """The paper's tables 2, 4, 6: rule, consequent (gains), offset, centre of the cluster."""
+        return tuple(
+            (
+                f"{r + 1}.",
+                ", ".join(number(g) for g in self.consequents[r, :, :-1].ravel()),
+                ", ".join(number(b) for b in self.consequents[r, :, -1]),
+                ", ".join(number(c) for c in self.partition.centre[r]),
+            )
+            for r in range(len(self.partition))
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything needed to rebuild the model, as JSON types only."""
+        return {
+            "format": MODEL_FORMAT,
+            "version": MODEL_VERSION,
+            "structure": self.structure,
+            "dt_s": self.dt_s,
+            "inputs": [[s.name, s.unit, s.resolution] for s in self.inputs],
+            "outputs": [[s.name, s.unit, s.resolution] for s in self.outputs],
+            "partition": self.partition.to_dict(),
+            "consequents": self.consequents.tolist(),
+            "support": self.support.tolist(),
+            "output_limits": self.output_limits.tolist(),
+            "notes": list(self.notes),
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as JSON, whole or not at all."""
+        write_model(self.to_dict(), path)
+
+
+def least_squares(u: FloatArray, y: FloatArray, phi: FloatArray) -> FloatArray:
+    """(R, n_y, n_u + 1) consequents of eq. (4): global least squares of y on [phi_r u, phi_r]."""
+    regressors = np.hstack([u, np.ones((len(u), 1))])
+    design = (phi[:, :, None] * regressors[:, None, :]).reshape(len(u), -1)
+    solution = np.linalg.lstsq(design, y, rcond=1e-10)[0]
+    return np.ascontiguousarray(solution.reshape(phi.shape[1], regressors.shape[1], -1).transpose(0, 2, 1))
+
+
+def _stack(data: Dataset) -> tuple[FloatArray, FloatArray]:
+    if not data.segments or not len(data):
+        raise DataError("there are no samples to fit", hint="record longer, or loosen the recipe's cuts")
+    u = np.vstack([s.u for s in data.segments])
+    y = np.vstack([s.y for s in data.segments])
+    for j, signal in enumerate(data.inputs):
+        if np.ptp(u[:, j]) == 0:
+            raise DataError(
+                f"the input {signal.name} never moves: its effect cannot be seen",
+                hint="excite it in flight, or take it out of the recipe",
+            )
+    return u, y
+
+
+def _columns(u: FloatArray, count: int) -> FloatArray:
+    array = np.asarray(u, dtype=np.float64)
+    array = array[:, None] if array.ndim == 1 else array
+    if array.ndim != 2 or array.shape[1] != count:
+        raise UsageError(f"u has shape {array.shape}; the model has {count} inputs")
+    return array
+
+
+def _from_dict(document: Mapping[str, Any]) -> FittedStaticTS:
+    return FittedStaticTS(
+        dt_s=float(document["dt_s"]),
+        inputs=tuple(Signal(*s) for s in document["inputs"]),
+        outputs=tuple(Signal(*s) for s in document["outputs"]),
+        partition=Partition.from_dict(document["partition"]),
+        consequents=np.array(document["consequents"], dtype=np.float64),
+        support=np.array(document["support"], dtype=np.float64),
+        output_limits=np.array(document["output_limits"], dtype=np.float64),
+        notes=tuple(document["notes"]),
+    )
+
+
+MODEL = Structure("static-ts", _from_dict)

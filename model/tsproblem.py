@@ -1,0 +1,305 @@
+"""The simulation error of a TS model over all segments, its gradient and its Gauss-Newton matrix.
+
+The vector of unknowns is [a | c | log s | initial outputs of every segment]: consequent coordinates a
+(theta = offset + a @ basis), centres, log widths, and the first `depth` outputs of every segment, which are
+estimated along with the rest, as output-error methods do (Ljung 1999, section 10.5): measured first
+samples carry noise, and at 100 Hz their differences carry little else.
+
+The basis is what makes fast-sampled data tractable. Lag polynomials at 100 Hz are nearly singular; in a
+basis where the refined linear model's Gauss-Newton matrix is the identity they are not, and a ridge there
+has a meaning: the simulated variance that a departure from the common linear model would cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flysid.dataset import FloatArray, Segment
+from flysid.model.tskernel import IntArray, Lags, Parameters, free_run, sensitivities
+from flysid.model.tslayout import Layout
+
+_CHUNK = 1024  # rows of sensitivities at a time: they stay in the cache
+_MOST_INITIAL = 200  # segments whose initial outputs are estimated; beyond, the measured ones are used
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """The numbers that refinement moves.
+
+    Attributes
+    ----------
+    a : (R, n_y, n_x) consequent coordinates.
+    centre, width : (R, n_z) memberships, normalised units.
+    """
+
+    a: FloatArray
+    centre: FloatArray
+    width: FloatArray
+
+    @property
+    def size(self) -> int:
+        """Unknowns apart from initial outputs."""
+        return int(self.a.size + 2 * self.centre.size)
+
+    def vector(self) -> FloatArray:
+        """All numbers as one vector."""
+        return np.concatenate([self.a.ravel(), self.centre.ravel(), np.log(self.width).ravel()])
+
+    def moved(self, p: FloatArray) -> Body:
+        """The body at another vector."""
+        m, n = self.a.size, self.centre.size
+        return Body(
+            p[:m].reshape(self.a.shape).copy(),
+            p[m : m + n].reshape(self.centre.shape).copy(),
+            np.exp(np.clip(p[m + n : m + 2 * n], -30, 30)).reshape(self.centre.shape),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Normalised data and everything about a model that refinement does not move.
+
+    Attributes
+    ----------
+    layout : lags and scaling.
+    runs : measured W of every segment, each longer than the depth.
+    basis, offset : (n_x, n_x) and (n_y, n_x); consequents are offset + a @ basis. The offset keeps what
+        was reached before a change of basis, to the last digit.
+    z_range : (2, n_z) range of the antecedents in training.
+    limits : (2, n_y) normalised output limits.
+    ridge : weight on the spread of the rules' consequents about their mean.
+    """
+
+    layout: Layout
+    runs: tuple[FloatArray, ...]
+    basis: FloatArray
+    offset: FloatArray
+    z_range: FloatArray
+    limits: FloatArray
+    ridge: float = 0.0
+
+    @property
+    def samples(self) -> int:
+        """Simulated numbers that count."""
+        return sum(len(W) for W in self.runs) * self.layout.n_y
+
+    @property
+    def estimates_initial(self) -> bool:
+        """Whether the initial outputs of the segments are unknowns."""
+        return len(self.runs) <= _MOST_INITIAL
+
+    def parameters(self, body: Body) -> Parameters:
+        """Kernel parameters of a body."""
+        return Parameters(
+            np.ascontiguousarray(self.offset + body.a @ self.basis),
+            np.ascontiguousarray(body.centre),
+            np.ascontiguousarray(body.width),
+            np.ascontiguousarray(self.z_range),
+            np.ascontiguousarray(self.limits),
+        )
+
+    def measured_initial(self) -> FloatArray:
+        """(S, depth, n_y) first outputs as measured."""
+        d, n_y = self.layout.depth, self.layout.n_y
+        return np.stack([W[:d, :n_y] for W in self.runs])
+
+    def with_antecedents(self, layout: Layout) -> Problem:
+        """The same data for other antecedents; the depth must not grow."""
+        return replace(self, layout=layout, z_range=antecedent_range(layout, self.runs))
+
+
+def antecedent_range(layout: Layout, runs: Sequence[FloatArray]) -> FloatArray:
+    """(2, n_z) smallest and largest antecedent in the data."""
+    z = np.vstack([layout.antecedent_values(W) for W in runs])
+    return np.stack([z.min(axis=0), z.max(axis=0)]) if z.shape[1] else np.zeros((2, 0))
+
+
+def runs_of(layout: Layout, segments: Sequence[Segment], least: int) -> tuple[FloatArray, ...]:
+    """Normalised W of every segment that has at least `least` rows."""
+    return tuple(layout.stack(s.u, s.y) for s in segments if len(s) >= least)
+
+
+def simulate_runs(problem: Problem, body: Body, initial: FloatArray) -> list[FloatArray]:
+    """W of every run with its outputs simulated from the given first outputs (S, depth, n_y)."""
+    lags, par = problem.layout.lags, problem.parameters(body)
+    return [_simulated(W, initial[i], lags, par) for i, W in enumerate(problem.runs)]
+
+
+def _simulated(W: FloatArray, initial: FloatArray, lags: Lags, par: Parameters) -> FloatArray:
+    run = W.copy()
+    run[: len(initial), : initial.shape[1]] = initial
+    free_run(run, len(initial), lags, par)
+    return run
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationError:
+    """The cost that Levenberg-Marquardt lowers: mean squared simulation error plus the ridge.
+
+    `free` marks which unknowns of `Body` may move (memberships may not where there is one rule).
+    """
+
+    problem: Problem
+    body: Body
+    free: FloatArray
+
+    def start(self, initial: FloatArray) -> FloatArray:
+        """The vector of unknowns at `body` and the given first outputs."""
+        tail = initial.ravel() if self.problem.estimates_initial else np.empty(0)
+        return np.concatenate([self.body.vector()[self.free > 0], tail])
+
+    def split(self, p: FloatArray) -> tuple[Body, FloatArray]:
+        """Body and first outputs at a vector of unknowns."""
+        whole = self.body.vector()
+        count = int((self.free > 0).sum())
+        whole[self.free > 0] = p[:count]
+        initial = self.problem.measured_initial()
+        if self.problem.estimates_initial:
+            initial = p[count:].reshape(initial.shape)
+        return self.body.moved(whole), initial
+
+    def project(self, p: FloatArray) -> FloatArray:
+        """Centres within the data, widths between 1/50 and 3 of its range: sets that words can name."""
+        whole = np.zeros(self.free.size)
+        count = int((self.free > 0).sum())
+        whole[self.free > 0] = p[:count]
+        m = self.body.a.size
+        low, high = self.problem.z_range
+        centre = whole[m : m + self.body.centre.size].reshape(self.body.centre.shape)
+        log_width = whole[m + self.body.centre.size :].reshape(self.body.centre.shape)
+        span = np.maximum(high - low, 1e-12)
+        centre[:] = np.clip(centre, low, high)
+        log_width[:] = np.clip(log_width, np.log(0.02 * span), np.log(3.0 * span))
+        return np.concatenate([whole[self.free > 0], p[count:]])
+
+    def cost(self, p: FloatArray) -> float:
+        """Mean squared simulation error (in units of the outputs' variance) plus the ridge."""
+        body, initial = self.split(p)
+        n_y = self.problem.layout.n_y
+        total = 0.0
+        for run, W in zip(simulate_runs(self.problem, body, initial), self.problem.runs, strict=True):
+            gap = run[:, :n_y] - W[:, :n_y]
+            total += float(np.einsum("ni,ni->", gap, gap))
+        return total / self.problem.samples + self.problem.ridge * _spread(body.a)
+
+    def normal(self, p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Cost, half its gradient g and its Gauss-Newton matrix H, so that a full step is -H^-1 g."""
+        body, initial = self.split(p)
+        chosen = np.flatnonzero(self.free > 0)
+        count, q = len(chosen), initial[0].size
+        estimates = self.problem.estimates_initial
+        size = count + (initial.size if estimates else 0)
+        H, g, total = np.zeros((size, size)), np.zeros(size), 0.0
+        for s, W in enumerate(self.problem.runs):
+            block, slope, square = _segment_normal(self.problem, body, W, initial[s], chosen)
+            total += square
+            H[:count, :count] += block[:count, :count]
+            g[:count] += slope[:count]
+            if estimates:
+                own = slice(count + s * q, count + (s + 1) * q)
+                H[own, own] = block[count:, count:]
+                H[:count, own] = block[:count, count:]
+                H[own, :count] = block[count:, :count]
+                g[own] = slope[count:]
+        n = self.problem.samples
+        H, g = H / n, g / n
+        if self.problem.ridge:
+            _add_ridge(H, g, body.a, self.problem.ridge)
+        return total / n + self.problem.ridge * _spread(body.a), g, H
+
+
+def _segment_normal(
+    problem: Problem, body: Body, W: FloatArray, initial: FloatArray, chosen: IntArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """J'J, J'e and e'e of one segment, over the chosen unknowns and its own initial outputs."""
+    depth, n_y = initial.shape
+    lags, par = problem.layout.lags, problem.parameters(body)
+    basis = np.ascontiguousarray(problem.basis)
+    columns = np.concatenate([chosen, body.size + np.arange(depth * n_y)]).astype(np.int64)
+    run = W.copy()
+    run[:depth, :n_y] = initial
+    J = np.zeros((depth + _CHUNK, n_y, body.size + depth * n_y))
+    for k in range(depth):
+        for i in range(n_y):
+            J[k, i, body.size + k * n_y + i] = 1.0
+    gap = initial - W[:depth, :n_y]
+    H = np.zeros((len(columns), len(columns)))
+    H[len(chosen) :, len(chosen) :] = np.eye(depth * n_y)
+    g = np.concatenate([np.zeros(len(chosen)), gap.ravel()])
+    total = float((gap * gap).sum())
+    whole = len(columns) == J.shape[2]
+    for begin in range(depth, len(W), _CHUNK):
+        end = min(begin + _CHUNK, len(W))
+        sensitivities(run, (begin, end, begin - depth), lags, par, basis, J)
+        part = J[depth : depth + end - begin].reshape(-1, J.shape[2])
+        part = part if whole else part[:, columns]
+        error = (run[begin:end, :n_y] - W[begin:end, :n_y]).ravel()
+        H += part.T @ part
+        g += part.T @ error
+        total += float(error @ error)
+        J[:depth] = J[end - begin : end - begin + depth].copy()
+    return H, g, total
+
+
+def _spread(a: FloatArray) -> float:
+    gap = a - a.mean(axis=0)
+    return float((gap * gap).sum())
+
+
+def _add_ridge(H: FloatArray, g: FloatArray, a: FloatArray, ridge: float) -> None:
+    """Add the ridge's gradient and matrix; the consequents always stand first among the unknowns."""
+    rules, m = len(a), a[0].size
+    gap = (a - a.mean(axis=0)).ravel()
+    g[: a.size] += ridge * gap
+    centring = np.eye(rules) - 1.0 / rules
+    H[: a.size, : a.size] += ridge * np.kron(centring, np.eye(m))
+
+
+def levenberg_marquardt(
+    error: SimulationError, p: FloatArray, iterations: int, tolerance: float
+) -> tuple[FloatArray, float]:
+    """Lower the cost from p until it falls by less than `tolerance` (relative) twice running.
+
+    Marquardt's diagonal scaling, Nielsen's (1999) damping. A step that does not lower the cost is never
+    taken, so that the result is never worse than the start.
+    """
+    damping, growth, stalled = 1e-3, 2.0, 0
+    p = error.project(p)
+    cost, g, H = error.normal(p)
+    for _ in range(iterations):
+        scale = np.maximum(H.diagonal(), 1e-9 * max(H.diagonal().max(), 1e-300))
+        step = _solve(H, scale, g, damping)
+        trial = error.project(p - step)
+        trial_cost = error.cost(trial)
+        expected = float(step @ (damping * scale * step + g))
+        if not trial_cost < cost:
+            damping, growth = damping * growth, growth * 2.0
+            if damping > 1e12:
+                break
+            continue
+        gain = (cost - trial_cost) / max(expected, 1e-300)
+        damping, growth = damping * max(1 / 3, 1 - (2 * min(gain, 2.0) - 1) ** 3), 2.0
+        damping = max(damping, 1e-12)
+        stalled = stalled + 1 if cost - trial_cost < tolerance * cost else 0
+        p = trial
+        if stalled >= 2 or trial_cost < 1e-26:
+            cost = trial_cost
+            break
+        cost, g, H = error.normal(p)
+    return p, cost
+
+
+def _solve(H: FloatArray, scale: FloatArray, g: FloatArray, damping: float) -> FloatArray:
+    """(H + damping diag(scale))^-1 g, in coordinates scaled to a unit diagonal."""
+    d = 1.0 / np.sqrt(scale)
+    scaled = H * d[:, None] * d[None, :]
+    scaled[np.diag_indices_from(scaled)] += damping
+    try:
+        lower = np.linalg.cholesky(scaled)
+        half = np.linalg.solve(lower, d * g)
+        return np.asarray(d * np.linalg.solve(lower.T, half))
+    except np.linalg.LinAlgError:
+        return np.asarray(d * np.linalg.lstsq(scaled, d * g, rcond=1e-12)[0])

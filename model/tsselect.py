@@ -1,0 +1,166 @@
+"""Choosing among TS models without looking at the test: validation free run, one standard error, stability.
+
+A model is judged by its free run over validation runs, cut into blocks; two models are compared block by
+block, so that what is hard for both cancels. The simplest model whose mean square is within one standard
+error of the best is taken (Breiman et al. 1984). A model that leaves its output limits under bounded random
+inputs is never offered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray, Segment
+from flysid.model.tsgrow import Stage
+from flysid.model.tskernel import free_run
+from flysid.model.tsproblem import simulate_runs
+
+_BLOCKS = 16
+_RESOLUTION = 1e-10  # mean squares (of normalised outputs) below this are all "exact"
+
+
+def hold_out(train: Dataset, least: int) -> tuple[Dataset, Dataset]:
+    """Training and validation parts of `train`: every fourth segment, or the end of each where few.
+
+    Whole segments are held out where there are at least four long enough; otherwise the last quarter of
+    each. Nothing is drawn sample by sample.
+    """
+    usable = [s for s in train.segments if len(s) >= least]
+    if len(usable) >= 4:
+        held = [s for i, s in enumerate(usable) if i % 4 == 2]
+        kept = [s for i, s in enumerate(usable) if i % 4 != 2]
+        return train.with_segments(kept), train.with_segments(held)
+    first: list[Segment] = []
+    last: list[Segment] = []
+    for segment in usable:
+        cut = len(segment) - len(segment) // 4
+        if len(segment) // 4 < least or cut < least:
+            first.append(segment)
+            continue
+        first.append(segment.slice(0, cut, train.dt_s))
+        last.append(segment.slice(cut, len(segment), train.dt_s))
+    return train.with_segments(first), train.with_segments(last or first)
+
+
+def initial_state_gain(stage: Stage) -> FloatArray:
+    """(depth n_y, depth (n_y + n_u) + 1) correction from measured first samples to the model's own.
+
+    A ridge regression, over all windows of the training runs, of simulated minus measured outputs on
+    measured outputs and inputs: the best linear guess of where the model's state is. At 100 Hz the raw
+    first samples would start a fourth-order model with noise a million times amplified. Without noise the
+    differences vanish and so does the correction.
+    """
+    problem, d = stage.problem, stage.problem.layout.depth
+    n_y = problem.layout.n_y
+    features, targets = [], []
+    for run, W in zip(simulate_runs(problem, stage.body, stage.initial), problem.runs, strict=True):
+        features.append(_windows(W, d))
+        targets.append(_windows(run[:, :n_y] - W[:, :n_y], d))
+    X = np.vstack(features)
+    X = np.hstack([X, np.ones((len(X), 1))])
+    Y = np.vstack(targets)
+    gram = X.T @ X / len(X)
+    noise = float((Y * Y).mean())
+    return np.asarray(np.linalg.solve(gram + (1e-9 + 1e-3 * noise) * np.eye(len(gram)), X.T @ Y / len(X)).T)
+
+
+def _windows(W: FloatArray, depth: int) -> FloatArray:
+    """(N - depth + 1, depth * columns) every window of `depth` rows, flattened row by row."""
+    view = np.lib.stride_tricks.sliding_window_view(W, depth, axis=0)
+    return np.ascontiguousarray(view.transpose(0, 2, 1)).reshape(len(view), -1)
+
+
+def estimated_initial(gain: FloatArray, W: FloatArray, depth: int, n_y: int) -> FloatArray:
+    """(depth, n_y) first outputs as the model should see them, from the first `depth` rows of W."""
+    window = np.append(W[:depth].ravel(), 1.0)
+    return np.asarray(W[:depth, :n_y] + (gain @ window).reshape(depth, n_y))
+
+
+def free_run_errors(stage: Stage, runs: Sequence[FloatArray]) -> list[FloatArray]:
+    """(N - depth, n_y) simulated minus measured outputs of every run, normalised."""
+    problem, d, n_y = stage.problem, stage.problem.layout.depth, stage.problem.layout.n_y
+    gain = initial_state_gain(stage)
+    lags, par = problem.layout.lags, problem.parameters(stage.body)
+    errors = []
+    for W in runs:
+        run = W.copy()
+        run[:d, :n_y] = estimated_initial(gain, W, d, n_y)
+        free_run(run, d, lags, par)
+        errors.append(run[d:, :n_y] - W[d:, :n_y])
+    return errors
+
+
+def blocks(errors: Sequence[FloatArray]) -> FloatArray:
+    """Mean squares over about 16 blocks of consecutive samples; no block crosses a run's edge."""
+    size = max(1, sum(len(e) for e in errors) // _BLOCKS)
+    parts = [part for e in errors for part in np.array_split(e, max(1, round(len(e) / size)))]
+    return np.array([float((p * p).mean()) for p in parts])
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A model and its validation block errors, simplest first in every list."""
+
+    stage: Stage
+    errors: FloatArray
+    stable: bool = True
+
+    @property
+    def mean(self) -> float:
+        """Mean square of the validation free run, in units of the outputs' variance."""
+        return float(self.errors.mean())
+
+
+def choose(candidates: Sequence[Candidate], most_loss: float = np.inf) -> int:
+    """Index of the simplest stable candidate within one standard error of the best stable one.
+
+    `most_loss` bounds the relative loss in mean square: orders are chosen with 0.01, because a linear
+    model of too low an order makes rules look useful that only replace the missing lags.
+    """
+    stable = [i for i, c in enumerate(candidates) if c.stable]
+    if not stable:
+        return 0
+    best = min(stable, key=lambda i: candidates[i].mean)
+    for i in stable:
+        gap = candidates[i].errors - candidates[best].errors
+        allowed = float(gap.std(ddof=1) / np.sqrt(len(gap))) if len(gap) > 1 else 0.0
+        allowed = min(allowed, most_loss * candidates[best].mean)
+        if i == best or gap.mean() <= allowed or candidates[i].mean < _RESOLUTION:
+            return i
+    return best
+
+
+def is_bounded(stage: Stage, steps: int = 4000, seed: int = 0) -> bool:
+    """Whether the free run stays off its output limits under bounded random inputs.
+
+    Inputs are blocks of the training inputs in random order, then random steps within their range. One
+    touch of a limit (the range of training, widened by itself on each side) is a failure.
+    """
+    problem, n_y = stage.problem, stage.problem.layout.n_y
+    rng = np.random.default_rng(seed)
+    pool = np.vstack([W[:, n_y:] for W in problem.runs])
+    low, high = pool.min(axis=0), pool.max(axis=0)
+    lags, par = problem.layout.lags, problem.parameters(stage.body)
+    d = problem.layout.depth
+    hold = max(2, len(pool) // 200)
+    starts = rng.integers(0, max(1, len(pool) - hold), size=-(-steps // hold))
+    shuffled = np.vstack([pool[s : s + hold] for s in starts])[:steps]
+    stepped = np.repeat(rng.uniform(low, high, (-(-steps // hold), len(low))), hold, axis=0)[:steps]
+    for inputs in (shuffled, stepped):
+        W = np.zeros((len(inputs), n_y + len(low)))
+        W[:, n_y:] = inputs
+        free_run(W, d, lags, par)
+        y = W[d:, :n_y]
+        if (y <= problem.limits[0]).any() or (y >= problem.limits[1]).any():
+            return False
+    return True
+
+
+def judged(stage: Stage, runs: Sequence[FloatArray], skip: int, *, must_be_bounded: bool) -> Candidate:
+    """A stage with its validation errors after `skip` rows of every run, and whether it may be offered."""
+    late = skip - stage.problem.layout.depth
+    errors = blocks([e[late:] for e in free_run_errors(stage, runs)])
+    return Candidate(stage, errors, is_bounded(stage) if must_be_bounded else True)

@@ -1,0 +1,138 @@
+"""Dynamic TS models: truth on plants that are known, and the laws."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import DataError, UsageError
+from flysid.model.base import load
+from flysid.model.ts import TS, FittedTS
+
+DT = 0.05
+
+
+def second_order(n: int, seed: int, bend: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """A sampled oscillator whose stiffness grows with the output when bend > 0."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-1, 1, n // 10), 10)
+    y = np.zeros(n)
+    for k in range(2, n):
+        y[k] = 1.6 * y[k - 1] - 0.7 * y[k - 2] + 0.1 * u[k - 1] - bend * y[k - 1] ** 3
+    return u, y
+
+
+@pytest.fixture(scope="module")
+def bent() -> FittedTS:
+    u, y = second_order(2000, 1, bend=0.1)
+    return TS(most_rules=3).fit(Dataset.from_arrays(u, y, DT))
+
+
+def free_run_rmse(model: FittedTS, u: FloatArray, y: FloatArray) -> float:
+    run = model.simulate(u, y[: model.n_init])
+    return float(np.sqrt(np.mean((run[:, 0] - y) ** 2)))
+
+
+def test_linear_plant_needs_one_rule() -> None:
+    u, y = second_order(1200, 0)
+    model = TS().fit(Dataset.from_arrays(u, y, DT))
+    assert len(model.rules()) == 1
+    assert any("One rule is enough" in note for note in model.notes)
+    fresh_u, fresh_y = second_order(800, 9)
+    assert free_run_rmse(model, fresh_u, fresh_y) < 1e-8
+
+
+def test_three_rules_on_a_linear_plant_are_nearly_equal() -> None:
+    u, y = second_order(1200, 0)
+    model = TS(rules=3).fit(Dataset.from_arrays(u, y, DT))
+    assert len(model.rules()) == 3
+    fresh_u, fresh_y = second_order(800, 9)
+    assert free_run_rmse(model, fresh_u, fresh_y) < 1e-6 * np.ptp(fresh_y)
+
+
+def test_nonlinear_plant_is_followed_better_with_rules(bent: FittedTS) -> None:
+    u, y = second_order(1500, 7, bend=0.1)
+    linear = TS(rules=1).fit(Dataset.from_arrays(*second_order(2000, 1, bend=0.1), DT))
+    assert len(bent.rules()) > 1
+    assert free_run_rmse(bent, u, y) < 0.3 * free_run_rmse(linear, u, y)
+
+
+def test_far_inputs_stay_finite_and_inside_the_limits(bent: FittedTS) -> None:
+    u = np.full((500, 1), 1e6)
+    u[::7] = -1e300
+    run = bent.simulate(u)
+    assert np.isfinite(run).all()
+    assert (run >= bent.output_limits[0]).all()
+    assert (run <= bent.output_limits[1]).all()
+
+
+def test_start_is_kept_and_prediction_is_nan_before_it(bent: FittedTS) -> None:
+    u, y = second_order(200, 3, bend=0.1)
+    run = bent.simulate(u, y[: bent.n_init])
+    assert np.array_equal(run[: bent.n_init, 0], y[: bent.n_init])
+    for k in (1, 10):
+        ahead = bent.predict(u, y, k)
+        assert np.isnan(ahead[: bent.n_init + k - 1]).all()
+        assert np.isfinite(ahead[bent.n_init + k - 1 :]).all()
+
+
+def test_k_step_prediction_is_a_free_run_from_k_samples_before(bent: FittedTS) -> None:
+    u, y = second_order(60, 3, bend=0.1)
+    k, d = 6, bent.n_init
+    ahead = bent.predict(u, y, k)
+    one = bent.predict(u[: d + k], np.r_[y[:d], np.zeros(k)], 1)
+    # one step at a time, feeding predictions back by hand
+    fed = np.r_[y[:d], np.zeros(k)]
+    for i in range(d, d + k):
+        fed[i] = bent.predict(u[: d + k], fed, 1)[i, 0]
+    assert one.shape == (d + k, 1)
+    assert ahead[d + k - 1, 0] == pytest.approx(fed[-1], abs=1e-12)
+
+
+def test_json_round_trip_is_exact(bent: FittedTS, tmp_path: Path) -> None:
+    u, y = second_order(300, 4, bend=0.1)
+    bent.save(tmp_path / "ts.json")
+    again = load(tmp_path / "ts.json")
+    assert np.array_equal(again.simulate(u, y[:9]), bent.simulate(u, y[:9]))
+    assert np.array_equal(again.predict(u, y, 3), bent.predict(u, y, 3), equal_nan=True)
+    assert json.dumps(again.to_dict()) == json.dumps(bent.to_dict())
+
+
+def test_firing_sums_to_one_and_weighs_rule_outputs(bent: FittedTS) -> None:
+    u, y = second_order(300, 4, bend=0.1)
+    phi = bent.firing(u, y)
+    assert np.allclose(phi.sum(axis=1), 1.0, atol=1e-12)
+    mean = np.einsum("nr,nri->ni", phi, bent.rule_outputs(u, y))
+    one = bent.predict(u, y, 1)
+    assert np.allclose(mean[bent.n_init :], one[bent.n_init :], atol=1e-12)
+
+
+def test_rules_speak(bent: FittedTS) -> None:
+    for rule in bent.rules():
+        assert "'" in rule.condition
+        assert rule.conclusion.startswith("y(k) = ")
+        assert rule.dc_gain.shape == (1, 1)
+        assert 0 <= rule.support <= 1
+    assert sum(r.support for r in bent.rules()) == pytest.approx(1.0)
+
+
+def test_named_antecedents_are_used() -> None:
+    u, y = second_order(1200, 1, bend=0.1)
+    model = TS(rules=2, antecedents=["u(k-1)"]).fit(Dataset.from_arrays(u, y, DT))
+    assert model.antecedents == ("u(k-1)",)
+    with pytest.raises(UsageError, match="not understood"):
+        TS(antecedents=["nothing(k-1)"]).fit(Dataset.from_arrays(u, y, DT))
+
+
+def test_bad_input_is_named() -> None:
+    u, y = second_order(400, 1)
+    with pytest.raises(DataError, match="u never moves"):
+        TS().fit(Dataset.from_arrays(np.ones(400), y, DT))
+    with pytest.raises(DataError, match="longest segment"):
+        TS().fit(Dataset.from_arrays(u[:8], y[:8], DT))
+    with pytest.raises(UsageError, match="rules"):
+        TS(rules=0).fit(Dataset.from_arrays(u, y, DT))
