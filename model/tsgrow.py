@@ -120,7 +120,7 @@ def _linear_starts(problem: Problem) -> Iterator[Body]:
     Y = np.vstack([W[d:, :n_y] for W in problem.runs])
     a: FloatArray = np.zeros((E.shape[1], n_y))
     for _ in range(3):  # repeated on the remainder: the regressors are nearly collinear
-        a = a + np.linalg.lstsq(E, Y - X @ (problem.basis.T @ a), rcond=1e-13)[0]
+        a = np.asarray(a + np.linalg.lstsq(E, Y - X @ (problem.basis.T @ a), rcond=1e-13)[0])
     for _ in range(6):
         body = Body(np.ascontiguousarray(a.T[None]), problem.z_range.mean(axis=0)[None], np.ones((1, n_z)))
         yield body
