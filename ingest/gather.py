@@ -59,4 +59,5 @@ def spread(at: Index, size: Index) -> Index:
     """The indices p, p + 1, ... p + s - 1 for every (p, s), one after the other."""
     ends = np.cumsum(size)
     steps: Index = np.arange(int(ends[-1]) if len(ends) else 0, dtype=np.int64)
-    return steps + np.repeat(at - (ends - size), size)
+    steps += np.repeat(at - (ends - size), size)
+    return steps

@@ -33,14 +33,18 @@ from flysid.ingest.mcap_records import (
     CHANNEL,
     CHUNK,
     DATA_END,
+    FIRST_PRIVATE,
     FOOTER,
+    HEAD,
     HEAD_BYTES,
     HEADER,
+    LAST_KNOWN,
     MAGIC,
     MESSAGE,
     MESSAGE_INDEX,
     METADATA,
     SCHEMA,
+    STATISTICS,
     U32,
     U64,
     ChunkHead,
@@ -57,6 +61,8 @@ Steps = Generator[Block, None, int]
 
 MAX_INFO = 200
 FREE_EXPANSION_BYTES = 256 << 20
+SUMMARY_SEARCH_BYTES = 4 << 20
+_DATA_END_HEAD = HEAD.pack(DATA_END, 4)
 
 
 class McapReader:
@@ -72,6 +78,7 @@ class McapReader:
         self._expanded = 0
         self._finished = False
         self._chunked = False
+        self._seen = self._stated = 0
 
     def blocks(self) -> Iterator[Block]:
         """Messages in file order, in blocks of at most one chunk or `batch_bytes` of plain records."""
@@ -84,13 +91,24 @@ class McapReader:
                 continue
             op = self.view[at]
             if op == CHUNK:
-                at = yield from self._chunk(at, end)
+                at = yield from self._counted(self._chunk(at, end))
             elif op == MESSAGE:
-                at = yield from self._plain(at)
+                at = yield from self._counted(self._plain(at))
             else:
                 self._other(op, at + HEAD_BYTES, end)
                 at = end
         self._tally.truncated = not self._finished or self._limit == len(self.view)
+        if self._seen < self._stated and not self._tally.freeze().lossy:
+            self._tally.undecode("(messages counted in the summary only)", self._stated - self._seen)
+
+    def _counted(self, steps: Steps) -> Steps:
+        while True:
+            try:
+                block = next(steps)
+            except StopIteration as stop:
+                return int(stop.value)
+            self._seen += len(block.at)
+            yield block
 
     def _read_summary(self) -> None:
         """Definitions repeated behind the data, where the footer and its checksum can be believed."""
@@ -103,12 +121,26 @@ class McapReader:
             return
         (start,) = U64.unpack_from(self.view, at + HEAD_BYTES)
         (crc,) = U32.unpack_from(self.view, at + HEAD_BYTES + 16)
-        if not len(MAGIC) <= start < at:
-            return
-        if crc and zlib.crc32(self.view[start : at + HEAD_BYTES + 16]) != crc:
-            self._tally.bad_checksums += 1
-            return
-        while (end := record_end(self.view, start, at)) > 0:
+        starts = [start, *self._behind_data_end(at)] if start else []
+        for start in starts:
+            covered = self.view[start : at + HEAD_BYTES + 16]
+            if len(MAGIC) <= start < at and (not crc or zlib.crc32(covered) == crc):
+                self._define_all(start, at)
+                return
+        self._tally.bad_checksums += 1 if starts else 0
+
+    def _behind_data_end(self, footer: int) -> Iterator[int]:
+        """Where the summary may start if bytes were lost or inserted before it: behind a data-end record."""
+        tail = bytes(self.view[max(0, footer - SUMMARY_SEARCH_BYTES) : footer])
+        place = tail.rfind(_DATA_END_HEAD)
+        for _ in range(8):
+            if place < 0:
+                return
+            yield footer - len(tail) + place + len(_DATA_END_HEAD) + 4
+            place = tail.rfind(_DATA_END_HEAD, 0, place)
+
+    def _define_all(self, start: int, stop: int) -> None:
+        while (end := record_end(self.view, start, stop)) > 0:
             if self.view[start] in (SCHEMA, CHANNEL):
                 self._define(self.view[start], start + HEAD_BYTES, end)
             start = end
@@ -128,6 +160,10 @@ class McapReader:
             self._note("library", bytes(self.view[body + 8 + width : end]))
         elif op == METADATA and len(self.info) < MAX_INFO:
             self.info.update(string_pairs(bytes(self.view[body:end])))
+        elif op == STATISTICS:
+            (self._stated,) = U64.unpack_from(self.view, body)
+        elif LAST_KNOWN < op < FIRST_PRIVATE:
+            self._tally.undecode(f"(record 0x{op:02X})")
         elif op == DATA_END:
             self._check_data(body)
         elif op == FOOTER:

@@ -30,7 +30,7 @@ from flysid.ingest.gather import Bytes, as_bytes
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 2, 3, 4, 5, 6, 7
-ATTACHMENT, METADATA, DATA_END, LAST_KNOWN, FIRST_PRIVATE = 9, 12, 15, 15, 0x80
+ATTACHMENT, STATISTICS, METADATA, DATA_END, LAST_KNOWN, FIRST_PRIVATE = 9, 11, 12, 15, 15, 0x80
 HEAD_BYTES = 9
 MESSAGE_HEAD_BYTES = 31  # with the 9 bytes of the record's own head
 MAX_CHANNELS = 65536
@@ -262,7 +262,7 @@ _SHAPES: Mapping[int, Callable[[memoryview, int, int], bool]] = {
     8: _is_chunk_index,
     ATTACHMENT: _at_least(36),
     10: _ends_with_strings(40, 2),
-    11: _ends_with_strings(42, 1),
+    STATISTICS: _ends_with_strings(42, 1),
     METADATA: _ends_with_strings(0, 2),
     13: _ends_with_strings(16, 1),
     14: _fixed(17),
