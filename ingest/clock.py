@@ -19,32 +19,37 @@ BoolArray = npt.NDArray[np.bool_]
 
 SECOND_NS = 1_000_000_000
 BACK_STEP_NS = 1 * SECOND_NS
-JUMP_NS = 60 * SECOND_NS
-WINDOW = 7
+JUMP_NS = 3600 * SECOND_NS
+SIDE = 3
 KNOTS_PER_FIT = 4000
 
 
 def is_outlier(time_ns: IntArray, tolerance_ns: int = BACK_STEP_NS) -> BoolArray:
-    """(n,) True where a value stands apart from the median of the 7 values around it.
+    """(n,) True where a value fits neither the three values before it nor the three after it.
 
-    The median of a monotone window is its centre, so rising times are never outliers, whatever the gaps;
-    a step back (a reboot) is kept, because the window has a majority on either side of it. At the ends a
-    jump of more than a minute that one or two values make alone is an outlier.
+    Between the medians of both sides is right where time rises, whatever the gap. Where the median falls (a
+    reboot) a value must go on from the left or lead to the right. At the ends a value must lie within an
+    hour of its one side.
     """
-    flagged = np.zeros(len(time_ns), dtype=np.bool_)
-    if len(time_ns) < WINDOW:
+    count = len(time_ns)
+    flagged = np.zeros(count, dtype=np.bool_)
+    if count < 2 * SIDE + 1:
         return flagged
     steps = np.diff(time_ns)
-    ends = np.concatenate([steps[: WINDOW // 2], steps[-(WINDOW // 2) :]])
+    ends = np.concatenate([steps[:SIDE], steps[-SIDE:]])
     if not (steps < -tolerance_ns).any() and not (ends > JUMP_NS).any():
         return flagged
-    half = WINDOW // 2
-    windows = np.lib.stride_tricks.sliding_window_view(time_ns, WINDOW)
-    middle = np.median(windows, axis=1)
-    flagged[half:-half] = np.abs(time_ns[half:-half] - middle) > tolerance_ns
-    for edge, median in ((slice(None, half), middle[0]), (slice(-half, None), middle[-1])):
-        flagged[edge] = np.abs(time_ns[edge] - median) > JUMP_NS
+    median = _median_of_three(time_ns[:-2], time_ns[1:-1], time_ns[2:])
+    left, right, middle = median[: -SIDE - 1], median[SIDE + 1 :], time_ns[SIDE:-SIDE]
+    low, high = middle < left - tolerance_ns, middle > right + tolerance_ns
+    flagged[SIDE:-SIDE] = np.where(left <= right, low | high, low & high)
+    flagged[:SIDE] = np.abs(time_ns[:SIDE] - median[SIDE]) > JUMP_NS
+    flagged[-SIDE:] = np.abs(time_ns[-SIDE:] - median[-SIDE - 1]) > JUMP_NS
     return flagged
+
+
+def _median_of_three(a: IntArray, b: IntArray, c: IntArray) -> IntArray:
+    return np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
 
 
 def back_steps(time_ns: IntArray) -> IntArray:

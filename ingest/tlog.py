@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -30,16 +31,15 @@ from flysid.ingest.mavframes import (
     STAMP_BYTES,
     V1,
     V2,
+    Chain,
     Frames,
     Scanner,
     plain_chain,
 )
 
-COMPILE_ABOVE_BYTES = 20 << 20
 PROBE_BYTES = 1 << 20
 HEARTBEAT = 0
 AUTOPILOT_INVALID = 8
-AUTOPILOT_PX4 = 12
 
 
 # ------------------------------------------------------------------------------------------ detection
@@ -71,31 +71,38 @@ def _may_chain(head: bytes, stamp: int) -> bool:
 
 def _stamp_bytes(head: bytes) -> int:
     """8 where frames with timestamps chain better than frames without, else 0."""
-    stamped, plain = _count_frames(head, STAMP_BYTES), _count_frames(head, 0)
-    return STAMP_BYTES if stamped[1] >= plain[1] else 0
+    frames, chained = _count_frames(head, STAMP_BYTES)
+    if frames >= 3 and chained >= 0.9 * frames:
+        return STAMP_BYTES
+    return STAMP_BYTES if chained >= _count_frames(head, 0)[1] else 0
 
 
 def _count_frames(head: bytes, stamp: int) -> tuple[int, int]:
     """(valid frames, valid frames less lost regions) in `head` under one hypothesis."""
-    dialect = load_dialect()
-    scanner = Scanner(dialect.crc_extra, stamp, plain_chain(dialect.crc_extra))
+    scanner = _scanner(DEFAULT, stamp)
     frames, _ = scanner.scan(head, 0, len(head))
     return len(frames), len(frames) - scanner.region_count - scanner.unstamped
 
 
-def choose_dialect(sample: bytes, stamp: int) -> Dialect:
-    """ardupilotmega unless frames fail their CRC or are unknown and another dialect reads more of them."""
-    best, best_misses = load_dialect(DEFAULT), -1
+def _scanner(dialect: str, stamp: int) -> Scanner:
+    return Scanner(load_dialect(dialect).crc_extra, stamp, _plain_chain(dialect))
+
+
+@cache
+def _plain_chain(dialect: str) -> Chain:
+    return plain_chain(load_dialect(dialect).crc_extra)
+
+
+def choose_dialect(sample: bytes, stamp: int) -> str:
+    """ardupilotmega unless another dialect fails on fewer frames (bad CRCs and unknown ids)."""
+    misses = {}
     for name in (DEFAULT, *OTHERS):
-        dialect = load_dialect(name)
-        scanner = Scanner(dialect.crc_extra, stamp, plain_chain(dialect.crc_extra))
+        scanner = _scanner(name, stamp)
         scanner.scan(sample, 0, len(sample))
-        misses = scanner.bad_checksums + sum(scanner.unknown.values())
-        if best_misses < 0 or misses < best_misses:
-            best, best_misses = dialect, misses
-        if best_misses == 0:
+        misses[name] = scanner.bad_checksums + sum(scanner.unknown.values())
+        if misses[name] == 0:
             break
-    return best
+    return min(misses, key=lambda name: misses[name])
 
 
 # -------------------------------------------------------------------------------------------- reading
@@ -116,28 +123,35 @@ class _Reader:
     row: int = 0
     info: dict[str, str] = field(default_factory=dict)
     arrival_span: tuple[int, int] | None = None
-    utc_pairs: list[tuple[IntArray, IntArray]] = field(default_factory=list)
 
 
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
     """Parts of a tlog or raw MAVLink file; see `Format.read`."""
-    head = bytes(view[:HEAD_BYTES])
-    stamp = _stamp_bytes(head)
-    dialect = choose_dialect(bytes(view[:PROBE_BYTES]), stamp)
-    reader = _Reader(dialect, Scanner(dialect.crc_extra, stamp, plain_chain(dialect.crc_extra)))
+    stamp = _stamp_bytes(bytes(view[:HEAD_BYTES]))
+    reader = _Reader(load_dialect(), _scanner(DEFAULT, stamp))
     position = 0
     while position < len(view):
-        stop = position + limits.batch_bytes
-        last = stop + LOOK_AHEAD >= len(view)
-        buffer = bytes(view[position:]) if last else bytes(view[position : stop + LOOK_AHEAD])
-        limit = len(buffer) if last else limits.batch_bytes
         start = position
-        frames, position = reader.scanner.scan(buffer, position, limit)
+        frames, position = _next_frames(reader.scanner, view, start, limits)
+        if start == 0 and (reader.scanner.bad_checksums or reader.scanner.unknown):
+            dialect = choose_dialect(bytes(view[:PROBE_BYTES]), stamp)
+            if dialect != DEFAULT:
+                reader = _Reader(load_dialect(dialect), _scanner(dialect, stamp))
+                frames, position = _next_frames(reader.scanner, view, start, limits)
         release(view, start, position)
         yield from _parts(reader, frames)
     if reader.row == 0 and not reader.scanner.unknown:
         raise FormatError("no valid MAVLink frame", path=name, hint="check that this is a telemetry log")
     return _summary(reader)
+
+
+def _next_frames(scanner: Scanner, view: memoryview, start: int, limits: Limits) -> tuple[Frames, int]:
+    """Frames of the batch that begins at `start`, and where the next one begins."""
+    stop = start + limits.batch_bytes
+    if stop + LOOK_AHEAD >= len(view):
+        buffer = bytes(view[start:])
+        return scanner.scan(buffer, start, len(buffer))
+    return scanner.scan(bytes(view[start : stop + LOOK_AHEAD]), start, limits.batch_bytes)
 
 
 def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:

@@ -1,0 +1,41 @@
+"""Small logs, one module per format, for the contract tests that every format passes.
+
+A module `tests/samplelogs/<format name>.py` offers
+
+- `SUFFIX`, e.g. ".tlog";
+- `build() -> bytes`: an intact log of about 20 kB, the same bytes at every call;
+- `records(blob) -> list[Record]`: every record of that log in order, contiguous from first to last byte;
+- optionally `at_risk(blob, byte) -> int`: rows that damage to this byte may cost; by default those of
+  the record it belongs to. (A definition puts all rows of its stream at risk; a chunk all of its rows.)
+- optionally `RESYNC_BYTES`: intact bytes after damage that the reader may lose before it finds its way
+  again; 0 by default.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from dataclasses import dataclass
+from types import ModuleType
+
+
+@dataclass(frozen=True)
+class Record:
+    """One record of a sample log: bytes [start, end), which give `rows` table rows."""
+
+    start: int
+    end: int
+    rows: int
+
+
+def sample_modules() -> dict[str, ModuleType]:
+    """Every sample module by the name of its format."""
+    return {
+        module.name: importlib.import_module(f"{__name__}.{module.name}")
+        for module in pkgutil.iter_modules(__path__)
+    }
+
+
+def record_at(records: list[Record], byte: int) -> Record:
+    """The record that a byte belongs to."""
+    return next(record for record in records if record.start <= byte < record.end)

@@ -1,0 +1,91 @@
+"""Boots, outliers, lines."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flysid.ingest.clock import (
+    SECOND_NS,
+    UtcFit,
+    back_steps,
+    fit_line,
+    interpolate,
+    is_outlier,
+    split_points,
+    wrap_points,
+)
+
+MS = 1_000_000
+
+
+@given(st.lists(st.integers(0, 10**13), min_size=1, max_size=60))
+@settings(deadline=None)
+def test_rising_times_inside_the_record_are_never_outliers(steps: list[int]) -> None:
+    times = np.cumsum(np.array(steps, dtype=np.int64))
+    assert not is_outlier(times)[3:-3].any()
+
+
+@pytest.mark.parametrize("at", [0, 1, 5, 50, 98, 99])
+@pytest.mark.parametrize("value", [10**15, -(10**12)])
+def test_a_single_absurd_time_is_found_anywhere(at: int, value: int) -> None:
+    times = np.arange(100, dtype=np.int64) * 20 * MS
+    times[at] = value
+    assert np.flatnonzero(is_outlier(times)).tolist() == [at]
+
+
+def test_a_reboot_is_no_outlier() -> None:
+    times = np.concatenate([np.arange(50), np.arange(50)]) * SECOND_NS
+    assert not is_outlier(times).any()
+    assert back_steps(times).tolist() == [50]
+
+
+def test_steps_of_one_stream_alone_do_not_split() -> None:
+    assert split_points([(10, 12)], streams=4) == []
+    assert split_points([(10, 12), (9, 15), (8, 13), (40, 41)], streams=4) == [12]
+    assert split_points([(10, 12), (40, 41)], streams=1) == [12, 41]
+
+
+def test_a_wrap_is_told_from_an_outlier() -> None:
+    period = (1 << 32) * MS
+    rising = (np.arange(10, dtype=np.int64) * MS + period - 5 * MS) % period
+    assert wrap_points(rising, period).tolist() == [5]
+    single = np.arange(10, dtype=np.int64) * MS
+    single[4] = period - MS
+    assert wrap_points(single, period).tolist() == []
+
+
+def test_interpolation_keeps_nanoseconds() -> None:
+    knots, values = np.array([0, 10, 20]), np.array([0, 100, 300]) + 1_700_000_000_000_000_001
+    got = interpolate(np.array([-5, 0, 5, 15, 20, 25]), knots, values, slope=2.0) - values[0]
+    assert got.tolist() == [-10, 0, 50, 200, 300, 310]
+
+
+@pytest.mark.parametrize("slope", [0.92, 1.0, 27.1])
+def test_the_fit_survives_jitter_and_a_third_of_wrong_stamps(slope: float) -> None:
+    rng = np.random.default_rng(3)
+    vehicle = np.arange(3000, dtype=np.int64) * 100 * MS + 5 * SECOND_NS
+    utc = (vehicle / slope).astype(np.int64) + 1_700_000_000 * SECOND_NS
+    late = utc + rng.exponential(0.05e9, 3000).astype(np.int64)
+    late[rng.random(3000) < 0.3] += 3600 * SECOND_NS
+    offset, fitted, residual = fit_line(vehicle, late)
+    assert fitted == pytest.approx(1 / slope, rel=0.02)
+    assert abs(offset + fitted * vehicle[1500] - utc[1500]) < 0.5e9
+    assert residual < 1e9
+
+
+def test_boots_are_fitted_apart() -> None:
+    fit = UtcFit()
+    times = np.arange(100, dtype=np.int64) * SECOND_NS
+    fit.add(0, times, times + 1000 * SECOND_NS)
+    fit.add(1, times, times + 5000 * SECOND_NS)
+    fit.add(2, times)
+    first, second, third = fit.clocks()
+    assert (first.utc_offset_ns, second.utc_offset_ns, third.utc_offset_ns) == (
+        1000 * SECOND_NS,
+        5000 * SECOND_NS,
+        None,
+    )
+    assert (first.first_ns, first.last_ns, first.slope) == (0, 99 * SECOND_NS, 1.0)
