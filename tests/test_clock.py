@@ -29,7 +29,7 @@ def test_rising_times_inside_the_record_are_never_outliers(steps: list[int]) -> 
 
 
 @pytest.mark.parametrize("at", [0, 1, 5, 50, 98, 99])
-@pytest.mark.parametrize("value", [10**15, -(10**12)])
+@pytest.mark.parametrize("value", [10**15, -(10**13)])
 def test_a_single_absurd_time_is_found_anywhere(at: int, value: int) -> None:
     times = np.arange(100, dtype=np.int64) * 20 * MS
     times[at] = value
