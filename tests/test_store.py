@@ -240,7 +240,7 @@ def test_a_folder_with_other_things_is_not_taken_over(tmp_path: Path) -> None:
 
 def test_two_writers_at_once_are_refused(data: Path) -> None:
     with store.locked(data):
-        code = f"from pathlib import Path; from flysid import store as s\nwith s.locked(Path({str(data)!r})): pass"
+        code = f"from pathlib import Path; from flysid.store import *\nwith locked(Path({str(data)!r})): pass"
         done = subprocess.run(
             [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
         )
