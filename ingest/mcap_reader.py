@@ -45,6 +45,7 @@ from flysid.ingest.mcap_records import (
     METADATA,
     SCHEMA,
     STATISTICS,
+    U16,
     U32,
     U64,
     ChunkHead,
@@ -79,6 +80,7 @@ class McapReader:
         self._finished = False
         self._chunked = False
         self._seen = self._stated = 0
+        self._trusted: dict[tuple[int, int], bytes] = {}
 
     def blocks(self) -> Iterator[Block]:
         """Messages in file order, in blocks of at most one chunk or `batch_bytes` of plain records."""
@@ -125,7 +127,7 @@ class McapReader:
         for start in starts:
             covered = self.view[start : at + HEAD_BYTES + 16]
             if len(MAGIC) <= start < at and (not crc or zlib.crc32(covered) == crc):
-                self._define_all(start, at)
+                self._define_all(start, at, bool(crc))
                 return
         self._tally.bad_checksums += 1 if starts else 0
 
@@ -139,11 +141,22 @@ class McapReader:
             yield footer - len(tail) + place + len(_DATA_END_HEAD) + 4
             place = tail.rfind(_DATA_END_HEAD, 0, place)
 
-    def _define_all(self, start: int, stop: int) -> None:
+    def _define_all(self, start: int, stop: int, checked: bool) -> None:
         while (end := record_end(self.view, start, stop)) > 0:
-            if self.view[start] in (SCHEMA, CHANNEL):
-                self._define(self.view[start], start + HEAD_BYTES, end)
+            op, body = self.view[start], start + HEAD_BYTES
+            if op in (SCHEMA, CHANNEL):
+                self._define(op, body, end)
+                if checked and end >= body + 2:
+                    self._trusted[op, U16.unpack_from(self.view, body)[0]] = bytes(self.view[body:end])
             start = end
+
+    def _define_plain(self, op: int, body: int, end: int) -> None:
+        """A definition outside chunks has no checksum: where it contradicts one that has, that one stands."""
+        trusted = self._trusted.get((op, U16.unpack_from(self.view, body)[0]))
+        if trusted is not None and trusted != self.view[body:end]:
+            self._tally.bad_checksums += 1
+        else:
+            self._define(op, body, end)
 
     def _define(self, op: int, body: int, end: int) -> None:
         try:
@@ -153,7 +166,7 @@ class McapReader:
 
     def _other(self, op: int, body: int, end: int) -> None:
         if op in (SCHEMA, CHANNEL):
-            self._define(op, body, end)
+            self._define_plain(op, body, end)
         elif op == HEADER:
             (width,) = U32.unpack_from(self.view, body)
             self._note("profile", bytes(self.view[body + 4 : body + 4 + width]))
