@@ -72,7 +72,7 @@ def align(flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel:
     if not segments:
         raise _too_short(report, job.min_samples(dt_ns))
     aligned = Dataset(
-        dt_s=dt_ns * 1e-9,
+        dt_s=dt_ns / 1e9,
         inputs=job.signals_as(job.inputs, [r for _, _, r in parts]),
         outputs=job.signals_as(job.outputs, [r for _, _, r in parts]),
         segments=segments,
@@ -230,7 +230,7 @@ class _Boot:
             segments=len(kept),
             short_segments=len(made) - len(kept),
             gaps=max(0, len(self._spans()) - 1),
-            used_s=sum(map(len, kept)) * self.dt_ns * 1e-9,
+            used_s=sum(len(s) - 1 for s in kept) * self.dt_ns * 1e-9,
             total_s=total * 1e-9,
             filtered=ratio,
         )
