@@ -9,7 +9,7 @@ conditions) hold is there a segment; short ones are dropped and counted.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,9 @@ from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import DataError, RecipeError
 from flysid.flight import Flight
 from flysid.ingest import resample
+from flysid.ingest.clocks import align_clocks
 from flysid.ingest.conditions import condition_spans
+from flysid.ingest.excitation import excitation
 from flysid.ingest.recipe import Recipe, SignalSpec, load_recipe
 from flysid.ingest.report import AlignReport, FlightReport, SignalReport
 from flysid.ingest.resample import Series, Span
@@ -79,7 +81,7 @@ def align(flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel:
         name=channel,
     )
     check_excitation(aligned)
-    return Aligned(aligned, report)
+    return Aligned(aligned, replace(report, cautions=_cautions(aligned)))
 
 
 def check_excitation(data: Dataset) -> None:
@@ -157,14 +159,15 @@ class _Job:
         lacking = self.absent(log)
         if lacking is not None:
             return FlightReport(log.name, reason=f"no source for {lacking}"), (), {}
-        loaded = {name: load_signal(name, spec, log) for name, spec in self.specs.items()}
+        clocks = align_clocks(self.recipe.clocks, log)
+        loaded = {n: clocks.apply(load_signal(n, spec, log)) for n, spec in self.specs.items()}
         reports = tuple(self._describe(name, found) for name, found in loaded.items())
         reason = self._too_slow(loaded, dt_ns)
         if reason:
             return FlightReport(log.name, signals=reports, reason=reason), (), {}
         boots = sorted(set.intersection(*(set(found.boots) for found in loaded.values())))
         conditions = condition_spans(self.recipe.conditions, log)
-        report = FlightReport(log.name, signals=reports, notes=conditions.notes)
+        report = FlightReport(log.name, signals=reports, notes=(*clocks.notes, *conditions.notes))
         segments: list[Segment] = []
         for boot in boots:
             name = log.name if len(boots) == 1 else f"{log.name}#{boot}"
@@ -296,6 +299,16 @@ def _period(found: Loaded) -> float:
 
 def _marks(u: FloatArray, dt_ns: int) -> dict[str, str | float]:
     return {"duration_s": len(u) * dt_ns * 1e-9, "excitation": float(u.std(axis=0).max())}
+
+
+def _cautions(data: Dataset) -> tuple[str, ...]:
+    """Inputs that move, but less than sensors of their unit are noisy."""
+    moves = [(signal, excitation(data, i)) for i, signal in enumerate(data.inputs)]
+    return tuple(
+        f"input {signal.name!r} moves by {found.rms:.2g} {signal.unit} rms only: no model can be identified"
+        for signal, found in moves
+        if found.quiet
+    )
 
 
 def _too_short(report: AlignReport, min_samples: int) -> DataError:

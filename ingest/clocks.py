@@ -1,250 +1,71 @@
-"""Two recorders, two clocks: offset and drift between them, from a quantity that both have measured.
-
-0. Both signals pass one zero-phase band-pass (a narrow Gaussian less a wide one): noise would bias the
-   estimate, and sensors disagree about slow parts.
-1. On one grid, the peak of their correlation gives a first offset.
-2. Gauss-Newton on other(t) = gain * reference(t + offset + drift (t - t_mid)) + bias, with the weights of
-   Huber (1964) against outliers, refines offset and drift together.
-3. Standard errors come from the Jacobian, widened by the residuals' autocorrelation (an effective number
-   of samples), since flight signals' errors are far from white.
-
-What cannot be told apart: a delay inside one of the sensors looks like an offset of its clock. Attitudes
-are better references than filtered velocities.
-"""
+"""The clocks of a recipe's other recorders, fitted to the vehicle's clock for one log."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
-import numpy.typing as npt
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from flysid.errors import DataError
-from flysid.ingest.resample import Series, period_ns
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-
-MIN_CORRELATION = 0.5
-ITERATIONS = 12
-HUBER = 1.345
-NARROW_PERIODS, NARROW_S = 3.0, 0.03  # standard deviation of the narrow Gaussian: the larger of the two
-WIDE_S = 2.0  # and of the wide one
+from flysid.ingest import resample
+from flysid.ingest.clockpair import ClockFit, fit_clock
+from flysid.ingest.recipe import ClockSpec, SignalSpec
+from flysid.ingest.signals import Loaded, Log, Samples, find_source, find_stream, load_signal
 
 
 @dataclass(frozen=True)
-class ClockFit:
-    """reference time = other time + offset + drift * (other time - at).
+class Clocks:
+    """Fits per stream and boot, and what to tell about them."""
 
-    Attributes
-    ----------
-    offset_s, offset_std_s : at time `at_ns` of the other clock, with its standard error.
-    drift_ppm, drift_std_ppm : rate of the reference clock against the other one, minus 1.
-    at_ns : middle of the common part, on the other clock.
-    correlation : of the two signals once aligned; the sign tells whether they point the same way.
-    gain : other signal = gain * reference signal.
-    samples : number compared.
-    """
+    fits: Mapping[str, Mapping[int, ClockFit]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
-    offset_s: float
-    offset_std_s: float
-    drift_ppm: float
-    drift_std_ppm: float
-    at_ns: int
-    correlation: float
-    gain: float
-    samples: int
-
-    def to_reference(self, t_ns: IntArray) -> IntArray:
-        """(N,) times of the reference clock for (N,) times of the other one, ns."""
-        elapsed = (t_ns - self.at_ns).astype(np.float64)
-        shift = self.offset_s * 1e9 + 1e-6 * self.drift_ppm * elapsed
-        return np.asarray(t_ns + np.round(shift).astype(np.int64))
-
-    def __str__(self) -> str:
-        return (
-            f"offset {1e3 * self.offset_s:+.1f} ± {1e3 * self.offset_std_s:.1f} ms, "
-            f"drift {self.drift_ppm:+.0f} ± {self.drift_std_ppm:.0f} ppm, correlation {self.correlation:.3f}"
-        )
+    def apply(self, loaded: Loaded) -> Loaded:
+        """A signal with its times on the vehicle's clock."""
+        fits = self.fits.get(loaded.stream)
+        if not fits:
+            return loaded
+        boots = {
+            boot: Samples(fits[boot].to_reference(s.t_ns), s.x) if boot in fits else s
+            for boot, s in loaded.boots.items()
+        }
+        return replace(loaded, boots=boots)
 
 
-def fit_clock(reference: Series, other: Series, max_offset_s: float = 10.0, drift: bool = True) -> ClockFit:
-    """Estimate offset and drift of `other`'s clock against `reference`'s.
-
-    Parameters
-    ----------
-    reference, other : one quantity, measured by both; units and sign may differ.
-    max_offset_s : largest offset to look for.
-    drift : False fixes the drift to zero, as for short flights.
+def align_clocks(specs: Sequence[ClockSpec], log: Log) -> Clocks:
+    """Fit every clock of a recipe whose streams are in the log.
 
     Raises
     ------
-    DataError : the signals do not overlap, do not move, or correlate by less than 0.5.
+    DataError : the two recordings do not match; the message names the clock.
     """
-    if len(reference.x) < 20 or len(other.x) < 20:
-        raise DataError("too few samples to align two clocks", hint="record longer")
-    narrow = max(NARROW_S, NARROW_PERIODS * max(period_ns(reference.t_ns), period_ns(other.t_ns)) * 1e-9)
-    reference, other = band_passed(reference, narrow), band_passed(other, narrow)
-    start = _first_offset(reference, other, max_offset_s)
-    usable = _inside(reference, other, start + max_offset_s * 0.05, start - max_offset_s * 0.05)
-    if int(usable.sum()) < 20:
-        raise DataError("the two recordings do not overlap", hint="check that both are of the same flight")
-    t, y = other.t_ns[usable], other.x[usable]
-    at_ns = int((t[0] + t[-1]) // 2)
-    s = (t - at_ns) * 1e-9
-    curve = _Curve.of(reference, at_ns)
-    theta = np.array([start, 0.0])
-    for _ in range(ITERATIONS):
-        theta, step = _gauss_newton(curve, s, y, theta, drift)
-        if np.abs(step[0]) < 1e-7 and np.abs(step[1]) < 1e-9:
-            break
-    return _describe(curve, s, y, theta, drift, at_ns)
+    fits: dict[str, Mapping[int, ClockFit]] = {}
+    notes: list[str] = []
+    for spec in specs:
+        keys = [key for name in spec.streams if (key := find_stream(name, log.rows)) is not None]
+        sources = (spec.other, spec.reference)
+        if not keys or any(find_source((source,), log) is None for source in sources):
+            continue
+        if not spec.enabled:
+            notes.append(f"clock of {spec.name}: taken as it is")
+            continue
+        found = _fit_boots(spec, log)
+        fits.update(dict.fromkeys(keys, found))
+        notes += [f"clock of {spec.name}: {fit}" for fit in found.values()]
+    return Clocks(fits, tuple(notes))
 
 
-def band_passed(series: Series, narrow_s: float, wide_s: float = WIDE_S) -> Series:
-    """The series on an even grid of its own rate, less its slow and its fast parts, no phase added."""
-    dt = period_ns(series.t_ns)
-    grid = np.arange(0.0, float(series.t_ns[-1] - series.t_ns[0]), dt)
-    x = np.interp(grid, (series.t_ns - series.t_ns[0]).astype(float), series.x)
-    slow_removed = _smoothed(x, narrow_s * 1e9 / dt) - _smoothed(x, wide_s * 1e9 / dt)
-    return Series(series.t_ns[0] + np.round(grid).astype(np.int64), slow_removed)
-
-
-def _smoothed(x: FloatArray, sigma: float) -> FloatArray:
-    """Gaussian mean with `sigma` samples, its weights renormalised at the ends."""
-    reach = min(int(4 * sigma) + 1, len(x) - 1)
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    size = 1 << int(np.ceil(np.log2(len(x) + 2 * reach + 1)))
-    spectrum = np.fft.rfft(kernel, size)
-    ones = np.fft.irfft(np.fft.rfft(np.ones(len(x)), size) * spectrum, size)[reach : reach + len(x)]
-    total = np.fft.irfft(np.fft.rfft(x, size) * spectrum, size)[reach : reach + len(x)]
-    return np.asarray(total / ones)
-
-
-@dataclass(frozen=True, eq=False)
-class _Curve:
-    """The reference signal as a function of seconds since `at`, with its slope."""
-
-    t: FloatArray
-    x: FloatArray
-    slope: FloatArray
-
-    @classmethod
-    def of(cls, series: Series, at_ns: int) -> _Curve:
-        t = (series.t_ns - at_ns) * 1e-9
-        return cls(t, series.x, np.gradient(series.x, t))
-
-    def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return np.interp(s, self.t, self.x), np.interp(s, self.t, self.slope)
-
-
-def _first_offset(reference: Series, other: Series, max_offset_s: float) -> float:
-    """Offset, s, where the correlation of both signals, on a grid of the slower rate, is largest."""
-    dt = max(period_ns(reference.t_ns), period_ns(other.t_ns)) * 1e-9
-    zero = int(min(reference.t_ns[0], other.t_ns[0]))
-    a, mask_a = _on_grid(reference, zero, dt)
-    b, mask_b = _on_grid(other, zero, dt)
-    reach = int(np.ceil(max_offset_s / dt))
-    size = 1 << int(np.ceil(np.log2(len(a) + len(b) + reach)))
-    product = _correlate(a, b, size)
-    power = np.sqrt(np.maximum(_correlate(a * a, mask_b, size) * _correlate(mask_a, b * b, size), 1e-30))
-    overlap = _correlate(mask_a, mask_b, size)
-    lags = np.arange(-reach, reach + 1)
-    enough = overlap[lags] > 0.3 * min(mask_a.sum(), mask_b.sum())
-    score = np.where(enough, np.abs(product[lags]) / power[lags], 0.0)
-    best = int(np.argmax(score))
-    if score[best] < MIN_CORRELATION:
-        raise DataError(
-            f"the two recordings do not match: correlation {score[best]:.2f} at best",
-            hint="check that both are of the same flight and axis, or allow a larger offset",
-        )
-    return float(lags[best] * dt)
-
-
-def _on_grid(series: Series, zero: int, dt: float) -> tuple[FloatArray, FloatArray]:
-    """Values without their mean on a grid from `zero`, and a mask of where the series is."""
-    t = (series.t_ns - zero) * 1e-9
-    grid = np.arange(0.0, t[-1] + dt, dt)
-    mask = ((grid >= t[0]) & (grid <= t[-1])).astype(np.float64)
-    return (np.interp(grid, t, series.x) - series.x.mean()) * mask, mask
-
-
-def _correlate(a: FloatArray, b: FloatArray, size: int) -> FloatArray:
-    """sum over n of a[n + lag] b[n], for lag 0, 1, ..., and negative lags at the end."""
-    return np.asarray(np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size))
-
-
-def _inside(reference: Series, other: Series, high: float, low: float) -> npt.NDArray[np.bool_]:
-    """Samples of `other` that lie inside the reference for every offset between low and high."""
-    first, last = int(reference.t_ns[0]), int(reference.t_ns[-1])
-    earliest, latest = other.t_ns + round(low * 1e9), other.t_ns + round(high * 1e9)
-    return np.asarray((earliest >= first) & (latest <= last))
-
-
-def _gauss_newton(
-    curve: _Curve, s: FloatArray, y: FloatArray, theta: FloatArray, drift: bool
-) -> tuple[FloatArray, FloatArray]:
-    """One weighted step for (offset, drift); gain and bias are solved along."""
-    jacobian, residual, gain = _linearised(curve, s, y, theta, drift)
-    weight = _huber(residual)
-    solution, *_ = np.linalg.lstsq(jacobian * weight[:, None], residual * weight, rcond=None)
-    step = np.zeros(2)
-    step[: 2 if drift else 1] = solution[2 : 4 if drift else 3]
-    limit = np.array([0.5, 1e-3])
-    return theta + np.clip(step, -limit, limit), step if gain else np.zeros(2)
-
-
-def _linearised(
-    curve: _Curve, s: FloatArray, y: FloatArray, theta: FloatArray, drift: bool
-) -> tuple[FloatArray, FloatArray, float]:
-    """Jacobian for (gain, bias, offset, drift), residual of the best gain and bias, and that gain."""
-    value, slope = curve.at(s + theta[0] + theta[1] * s)
-    base = np.stack([value, np.ones_like(value)], axis=1)
-    (gain, bias), *_ = np.linalg.lstsq(base, y, rcond=None)
-    columns = [*base.T, gain * slope, *([gain * slope * s] if drift else [])]
-    return np.stack(columns, axis=1), y - gain * value - bias, float(gain)
-
-
-def _huber(residual: FloatArray) -> FloatArray:
-    """(N,) square roots of Huber's weights; the scale is the median absolute residual."""
-    scale = 1.4826 * float(np.median(np.abs(residual))) or 1.0
-    ratio = np.abs(residual) / (HUBER * scale)
-    return np.asarray(1.0 / np.sqrt(np.maximum(ratio, 1.0)))
-
-
-def _describe(
-    curve: _Curve, s: FloatArray, y: FloatArray, theta: FloatArray, drift: bool, at_ns: int
-) -> ClockFit:
-    jacobian, residual, gain = _linearised(curve, s, y, theta, drift)
-    weight = _huber(residual)
-    effective = len(residual) / _correlation_time(residual * weight)
-    variance = float(np.sum((weight * residual) ** 2)) / max(effective - jacobian.shape[1], 1.0)
-    weighted = jacobian * weight[:, None]
-    covariance = np.linalg.pinv(weighted.T @ weighted) * variance
-    std = np.sqrt(np.diag(covariance))
-    total = float(np.var(y))
-    share = 1.0 - float(np.var(residual)) / total if total > 0 else 0.0
-    return ClockFit(
-        offset_s=float(theta[0]),
-        offset_std_s=float(std[2]),
-        drift_ppm=float(theta[1] * 1e6),
-        drift_std_ppm=float(std[3] * 1e6) if drift else 0.0,
-        at_ns=at_ns,
-        correlation=float(np.sign(gain) * np.sqrt(max(share, 0.0))),
-        gain=gain,
-        samples=len(y),
-    )
-
-
-def _correlation_time(residual: FloatArray) -> float:
-    """Samples per independent sample: 1 + 2 sum of the autocorrelation up to its first zero."""
-    r = residual - residual.mean()
-    size = 1 << int(np.ceil(np.log2(2 * len(r))))
-    power = np.abs(np.fft.rfft(r, size)) ** 2
-    auto = np.fft.irfft(power, size)[: len(r) // 2]
-    if auto[0] <= 0:
-        return 1.0
-    auto = auto / auto[0]
-    negative = np.flatnonzero(auto <= 0)
-    stop = int(negative[0]) if len(negative) else len(auto)
-    return max(1.0, 1.0 + 2.0 * float(auto[1:stop].sum()))
+def _fit_boots(spec: ClockSpec, log: Log) -> dict[int, ClockFit]:
+    other = load_signal(f"{spec.name} other", SignalSpec(spec.unit, (spec.other,)), log)
+    reference = load_signal(f"{spec.name} reference", SignalSpec(spec.unit, (spec.reference,)), log)
+    fits: dict[int, ClockFit] = {}
+    for boot in sorted(set(other.boots) & set(reference.boots)):
+        ours, theirs = (resample.tidy(b.t_ns, b.x) for b in (reference.boots[boot], other.boots[boot]))
+        try:
+            fits[boot] = fit_clock(ours, theirs, spec.max_offset_s, spec.drift)
+        except DataError as error:
+            raise DataError(
+                f"clock of {spec.name}: {error.message}",
+                path=log.name,
+                hint=f"{error.hint}; or set enabled = false to take its stamps as they are",
+            ) from error
+    return fits

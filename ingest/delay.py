@@ -71,7 +71,8 @@ def cross_correlation(
         total[lags - reach : lags] += product[size - reach :]
         power_u, power_y = power_u + float(u @ u), power_y + float(y @ y)
     scale = np.sqrt(power_u * power_y)
-    return np.arange(-lags, lags + 1) * data.dt_s, total / scale if scale > 0 else total
+    lag_s = np.asarray(np.arange(-lags, lags + 1) * data.dt_s, dtype=np.float64)
+    return lag_s, np.asarray(total / scale if scale > 0 else total)
 
 
 def impulse_response(
@@ -108,13 +109,13 @@ def impulse_response(
     g = inverse @ right
     variance = max(0.0, squares - float(g @ right)) / (rows - taps)
     return ImpulseResponse(
-        lag_s=np.arange(-before, after + 1) * data.dt_s, g=g, std=np.sqrt(variance * np.diag(inverse))
+        lag_s=np.asarray(np.arange(-before, after + 1) * data.dt_s, dtype=np.float64),
+        g=g,
+        std=np.sqrt(variance * np.diag(inverse)),
     )
 
 
-def estimate_delay(
-    data: Dataset, column: int = 0, output: int = 0, max_delay_s: float = 0.5
-) -> Delay:
+def estimate_delay(data: Dataset, column: int = 0, output: int = 0, max_delay_s: float = 0.5) -> Delay:
     """Dead time from input `column` to output `output`.
 
     Raises

@@ -18,7 +18,14 @@ from flysid.dataset import Dataset, Segment
 FloatArray = npt.NDArray[np.float64]
 
 GOOD_COHERENCE = 0.6
-QUIET = {"deg": 0.05, "rad": 1e-3, "m/s": 0.01, "deg/s": 0.2, "rad/s": 4e-3, "m": 0.01}  # RMS; below: sensor noise
+QUIET = {
+    "deg": 0.05,
+    "rad": 1e-3,
+    "m/s": 0.01,
+    "deg/s": 0.2,
+    "rad/s": 4e-3,
+    "m": 0.01,
+}  # RMS; below: sensor noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +50,7 @@ class Spectrum:
     @property
     def threshold(self) -> float:
         """The coherence that counts: above chance (5 %) and worth a model."""
-        chance = 1.0 - 0.05 ** (1.0 / max(self.averages - 1.0, 0.1))
+        chance = float(1.0 - 0.05 ** (1.0 / max(self.averages - 1.0, 0.1)))
         return max(GOOD_COHERENCE, chance)
 
     def band_hz(self) -> tuple[float, float] | None:
@@ -116,7 +123,7 @@ def spectrum(data: Dataset, column: int = 0, output: int = 0, window_s: float | 
     with np.errstate(invalid="ignore", divide="ignore"):
         coherence = np.where(s_uu * s_yy > 0, np.abs(s_uy) ** 2 / (s_uu * s_yy), 0.0)
         response = np.where(s_uu > 0, s_uy / s_uu, 0.0)
-    frequency = np.fft.rfftfreq(length, data.dt_s)
+    frequency = np.asarray(np.fft.rfftfreq(length, data.dt_s), dtype=np.float64)
     return Spectrum(
         frequency_hz=frequency[1:],
         coherence=np.clip(coherence[1:], 0.0, 1.0) if count > 1 else np.zeros(bins - 1),

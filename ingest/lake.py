@@ -15,6 +15,7 @@ from flysid.flight import Flight
 from flysid.ingest.align import Aligned, align
 from flysid.ingest.recipe import Recipe, load_recipe, shipped_recipes
 from flysid.ingest.signals import find_source
+from flysid.ingest.suggest import Suggestion, suggest
 from flysid.manifest import FLIGHTS, Manifest, check_data_folder, find_flight, list_flights
 from flysid.store import read_entry, read_flight
 
@@ -107,6 +108,10 @@ class Lake:
         if not found:
             raise errors[0]
         return found
+
+    def suggest(self, recipes: Sequence[str | Recipe] | None = None) -> list[Suggestion]:
+        """What each flight supports, how well, and what to log or fly next; see `flysid.ingest.suggest`."""
+        return suggest(self.logs, recipes)
 
     def channel(self, name: str, recipe: Recipe | str | Path | None = None) -> Dataset:
         """The dataset of a channel of the given recipe, or of the only shipped recipe that serves it here.

@@ -95,11 +95,17 @@ class SignalSpec:
 
 @dataclass(frozen=True)
 class ChannelSpec:
-    """Inputs and outputs of one channel, by the names of signals."""
+    """Inputs and outputs of one channel, by the names of signals.
+
+    `min_rate_hz` is the rate below which the channel's dynamics cannot be seen, and `remedy` what to set on
+    the vehicle to log faster; both serve the suggestions.
+    """
 
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     description: str = ""
+    min_rate_hz: float = 0.0
+    remedy: str = ""
 
 
 @dataclass(frozen=True)
@@ -130,6 +136,30 @@ class Condition:
 
 
 @dataclass(frozen=True)
+class ClockSpec:
+    """Streams that another recorder stamped with its own clock, e.g. motion capture.
+
+    Attributes
+    ----------
+    name : the recorder.
+    streams : the streams on its clock.
+    other, reference : one quantity as that recorder and as the vehicle measured it, in `unit`.
+    max_offset_s : largest offset to look for.
+    drift : estimate a drift as well as an offset.
+    enabled : false takes the stamps as they are.
+    """
+
+    name: str
+    streams: tuple[str, ...]
+    other: Source
+    reference: Source
+    unit: str = ""
+    max_offset_s: float = 5.0
+    drift: bool = True
+    enabled: bool = True
+
+
+@dataclass(frozen=True)
 class Recipe:
     """Signals and channels, and how to cut and sample them.
 
@@ -148,6 +178,7 @@ class Recipe:
     min_segment_s: float | None = None
     antialias: bool = True
     conditions: tuple[Condition, ...] = ()
+    clocks: tuple[ClockSpec, ...] = ()
 
     def channel(self, name: str) -> ChannelSpec:
         """A channel by name; RecipeError names the nearest one otherwise."""
@@ -223,10 +254,12 @@ _BELOW: Mapping[type, Mapping[str, tuple[str, type]]] = {
         "signals": ("table", SignalSpec),
         "channels": ("table", ChannelSpec),
         "conditions": ("list", Condition),
+        "clocks": ("list", ClockSpec),
     },
     SignalSpec: {"sources": ("list", Source)},
     Condition: {"sources": ("list", Source)},
     Source: {"yaw": ("one", Source)},
+    ClockSpec: {"other": ("one", Source), "reference": ("one", Source)},
 }
 
 
@@ -268,6 +301,9 @@ def _check_sense(recipe: Recipe, where: str) -> None:
                     path=where,
                     hint=_nearest(signal, list(recipe.signals)),
                 )
+    for clock in recipe.clocks:
+        _check_source(clock.other, clock.name, where)
+        _check_source(clock.reference, clock.name, where)
     named: list[tuple[str, SignalSpec | Condition]] = [*recipe.signals.items()]
     for name, spec in [*named, *((c.name, c) for c in recipe.conditions)]:
         if not is_known(spec.unit):

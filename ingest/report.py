@@ -65,12 +65,16 @@ class FlightReport:
 
 @dataclass(frozen=True)
 class AlignReport:
-    """What alignment did for one channel."""
+    """What alignment did for one channel.
+
+    `cautions` are reasons not to trust a model of it, e.g. an input that moves less than sensors' noise.
+    """
 
     recipe: str
     channel: str
     rate_hz: float
     flights: tuple[FlightReport, ...]
+    cautions: tuple[str, ...] = ()
 
     @property
     def used_s(self) -> float:
@@ -94,7 +98,8 @@ class AlignReport:
             f"{self.channel}: {count} segments, {self.used_s:.1f} s at {self.rate_hz:.4g} Hz "
             f"from {used} of {len(self.flights)} flights; {self.dropped_s:.1f} s not used"
         )
-        return [first, *(line for flight in self.flights for line in _flight_lines(flight))]
+        cautions = [f"  caution: {text}" for text in self.cautions]
+        return [first, *cautions, *(line for flight in self.flights for line in _flight_lines(flight))]
 
 
 def _flight_lines(flight: FlightReport) -> list[str]:

@@ -299,3 +299,14 @@ def test_shipped_recipe_objects_are_accepted_as_well_as_names() -> None:
     by_name = dataset([log], "ardupilot-attitude", "roll")
     assert by_name.content_hash() == dataset([log], load_recipe("ardupilot-attitude"), "roll").content_hash()
     np.testing.assert_allclose(by_name.segments[0].y[:, 0], Y50)
+
+
+def test_an_input_that_moves_less_than_noise_is_cautioned() -> None:
+    log = flight_of(CMD=table(T50, u=1e-6 * U50), STATE=table(T50, y=Y50))
+    report = align([log], recipe(), "c").report
+    assert "no model can be identified" in report.cautions[0]
+    assert any("caution" in line for line in report.lines())
+    assert (
+        align([flight_of(CMD=table(T50, u=U50), STATE=table(T50, y=Y50))], recipe(), "c").report.cautions
+        == ()
+    )
