@@ -80,6 +80,20 @@ class FirstOrder:
         normalised: FloatArray = weights / weights.sum(axis=1, keepdims=True)
         return normalised
 
+    @property
+    def antecedents(self) -> tuple[str, ...]:
+        return (f"{self.outputs[0].name}(k-1)",)
+
+    def memberships(self, variable: int, x: FloatArray) -> FloatArray:
+        assert variable == 0
+        centres = np.linspace(-1.0, 1.0, len(self.labels))
+        grades: FloatArray = np.exp(-((x[:, None] - centres) ** 2))
+        return grades
+
+    def rule_outputs(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        one = self.predict(u, y, 1)
+        return np.stack([one + 0.1 * r for r in range(len(self.labels))], axis=1)
+
     def to_dict(self) -> dict[str, Any]:
         return {"structure": self.structure, "a": self.a, "b": self.b, "c": self.c}
 

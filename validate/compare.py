@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -175,6 +176,12 @@ class Comparison:
         from flysid.validate.document import to_json
 
         return to_json({self.channel or "channel": self})
+
+    def report(self, path: str | Path) -> Path:
+        """Write the HTML report of this comparison alone; returns the path."""
+        from flysid.validate.report import ReportContext, write_report
+
+        return write_report(path, ReportContext.of({self.channel or "channel": self}))
 
     def __str__(self) -> str:
         from flysid.validate.terminal import table

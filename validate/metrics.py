@@ -7,6 +7,7 @@ the AR.Drone paper): it does not see a constant bias, so it never stands alone.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -87,7 +88,7 @@ def resolution_of(ys: Sequence[FloatArray], declared: float = 0.0) -> float:
     y = np.concatenate(list(ys))
     span = float(np.max(y) - np.min(y))
     step = declared if declared > 0 else _smallest_step(y, span)
-    return max(step / np.sqrt(12.0), 1e-4 * span)
+    return max(step / math.sqrt(12.0), 1e-4 * span)
 
 
 def _smallest_step(y: FloatArray, span: float) -> float:

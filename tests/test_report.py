@@ -1,0 +1,229 @@
+"""The page: whole, self-contained, safe with hostile names, drawn for any model."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from dataclasses import replace
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flysid.dataset import Signal
+from flysid.errors import StoreError
+from flysid.validate.cautions import MOST, cautions
+from flysid.validate.compare import Comparison, compare
+from flysid.validate.diagnostics import diagnose
+from flysid.validate.report import ReportContext, Sweep, render, write_report
+from flysid.validate.report.decimate import decimate, rounded
+from flysid.validate.report.svg import log_ticks, ticks
+from tests.fakes import FirstOrder, flown
+
+ARX = FirstOrder(a=0.9, b=0.07)
+TS = FirstOrder(a=0.9, b=0.1, structure="ts", labels=("R1", "R2", "R3"))
+ASSETS = Path(__file__).resolve().parents[1] / "validate" / "report" / "assets"
+HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'{{7*7}}\u2028\x1b[31m"
+
+
+@cache
+def compared() -> Comparison:
+    return compare([ARX, TS], flown(TS, [400] * 6, noise=0.02))
+
+
+def context() -> ReportContext:
+    sweep = Sweep((1, 2, 3), (0.4, 0.3, 0.29), (0.02, 0.02, 0.02), 3, (0.41, 0.03), "by hand")
+    train = flown(TS, [500] * 4, noise=0.02, seed=9)
+    return ReportContext(
+        {"roll": compared()}, train={"roll": train}, sweeps={"roll": sweep}, command="flysid validate run"
+    )
+
+
+class Page(HTMLParser):
+    """Collects elements, attributes, scripts and the visible text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.inside: dict[str, list[str]] = {"script": [], "style": []}
+        self.text: list[str] = []
+        self._open = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag in self.inside:
+            self._open = tag
+            self.inside[tag].append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag == self._open:
+            self._open = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._open:
+            self.inside[self._open][-1] += data
+        else:
+            self.text.append(data)
+
+    @property
+    def words(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.text))
+
+
+def test_page_says_the_verdict_and_loads_nothing() -> None:
+    page = Page(render(context()))
+    assert "The fuzzy model is better on roll." in page.words
+    for tag, attributes in page.tags:
+        assert tag not in {"link", "iframe", "object", "embed", "img", "base"}
+        assert "style" not in attributes, "the policy forbids style attributes"
+        assert not any(name.startswith("on") for name in attributes)
+        assert attributes.get("src") is None
+        href = attributes.get("href")
+        assert href is None or href.startswith("#")
+
+
+def test_every_script_and_style_is_in_the_policy_by_hash() -> None:
+    page = Page(render(context()))
+    (policy,) = [a["content"] for t, a in page.tags if t == "meta" and "http-equiv" in a]
+    assert policy is not None
+    kinds = [a.get("type") for t, a in page.tags if t == "script"]
+    blocks = [s for s, kind in zip(page.inside["script"], kinds, strict=True) if kind is None]
+    assert len(blocks) == 2
+    for block in (*blocks, *page.inside["style"]):
+        digest = base64.b64encode(hashlib.sha256(block.encode()).digest()).decode()
+        assert f"'sha256-{digest}'" in policy
+    assert "unsafe" not in policy
+    assert policy.startswith("default-src 'none'")
+
+
+def test_every_panel_is_drawn_and_anchors_exist() -> None:
+    page = Page(render(context()))
+    for title in (
+        "autocorrelation of one-step residual", "cross-correlation of free-run error", "Rule count",
+        "Static map",
+        "Membership functions", "Input coverage", "Output coverage", "Degree of fulfilment",
+        "Output of individual rules", "Reproduce", "Local models against the linear baseline",
+    ):  # fmt: skip
+        assert title in page.words, title
+    ids = {a.get("id") for _, a in page.tags}
+    assert {a["href"] for t, a in page.tags if t == "a"} <= {f"#{i}" for i in ids}
+    assert all(a.get("aria-label") for t, a in page.tags if t == "svg")
+    assert "nan" not in " ".join(str(a.get("d")) for t, a in page.tags if t == "path").lower()
+
+
+def test_page_works_for_a_model_that_offers_nothing_beyond_the_protocol() -> None:
+    class Bare:
+        """Only what `Fitted` asks for."""
+
+        def __init__(self, inner: FirstOrder) -> None:
+            self._inner = inner
+
+        def __getattr__(self, name: str) -> object:
+            if name in {"memberships", "antecedents", "rule_outputs", "local_polynomials"}:
+                raise AttributeError(name)
+            return getattr(self._inner, name)
+
+    c = compare({"arx": ARX, "ts": Bare(TS)}, flown(TS, [300], noise=0.02))  # type: ignore[dict-item]
+    words = Page(render(ReportContext.of({"": c}))).words
+    assert "Membership functions" not in words
+    assert "Degree of fulfilment" in words
+
+
+def test_one_model_alone_and_a_diverging_one() -> None:
+    test = flown(TS, [300] * 2, noise=0.02)
+    assert "nothing to compare" in render(ReportContext.of({"x": compare([ARX], test)}))
+    wild = replace(TS, a=1.4, limit=30.0)
+    text = render(ReportContext.of({"x": compare([ARX, wild], test)}))
+    assert "diverged in free run on x, in 2 of 2 held-out segments, first at t = " in text
+
+
+def test_hostile_names_are_shown_literally() -> None:
+    evil = (Signal(HOSTILE, HOSTILE),)
+    test = flown(TS, [300] * 2, noise=0.02)
+    test = replace(test, inputs=evil, outputs=evil, name=HOSTILE)
+    models = {
+        "arx": replace(ARX, inputs=evil, outputs=evil, notes=(HOSTILE,)),
+        HOSTILE: replace(TS, inputs=evil, outputs=evil, labels=(HOSTILE, HOSTILE)),
+    }
+    c = compare(models, test)
+    context = ReportContext(
+        {HOSTILE: c},
+        train={HOSTILE: test},
+        sweeps={HOSTILE: Sweep((1,), (0.1,), (0.1,), 1, None, HOSTILE)},
+        command=HOSTILE,
+        provenance={HOSTILE: HOSTILE},
+        remark=HOSTILE,
+    )
+    page = Page(render(context))
+    tags = [t for t, _ in page.tags]
+    assert tags.count("script") == 3
+    assert "img" not in tags
+    assert "<img src=x onerror=alert(2)>" in page.words
+    assert "{{7*7}}" in page.words
+    assert "\x1b" not in render(context)
+    data = json.loads(page.inside["script"][0])
+    assert data[0]["models"][1].startswith("</SCRIPT>")
+
+
+def test_written_whole_and_equal_every_time(tmp_path: Path) -> None:
+    one = write_report(tmp_path / "deep" / "a.html", context())
+    two = compared().report(tmp_path / "b.html")
+    assert one.read_text("utf-8") == render(context())
+    assert two.stat().st_size < 1_500_000
+    assert [p.name for p in tmp_path.iterdir()] == ["b.html", "deep"] or len(list(tmp_path.iterdir())) == 2
+    blocked = tmp_path / "file"
+    blocked.write_text("x")
+    with pytest.raises(StoreError, match="cannot be written"):
+        write_report(blocked / "r.html", context())
+
+
+def test_vendored_files_are_the_ones_the_table_names() -> None:
+    table = (ASSETS / "README.md").read_text("utf-8")
+    for name in ("uPlot.iife.min.js", "uPlot.min.css"):
+        digest = hashlib.sha256((ASSETS / name).read_bytes()).hexdigest()
+        assert f"| {digest} |" in table
+    assert "MIT" in (ASSETS / "uPlot-LICENSE.txt").read_text("utf-8")
+    for name in ("uPlot.iife.min.js", "page.js"):
+        assert "</script" not in (ASSETS / name).read_text("utf-8").lower()
+
+
+def test_cautions_are_at_most_six_worst_first() -> None:
+    test = flown(TS, [300] * 2, noise=0.02, flights=1)
+    wild = replace(TS, a=1.4, limit=30.0)
+    comparisons = {f"c{i}": compare([ARX, wild], test) for i in range(8)}
+    found = cautions(comparisons, {n: diagnose(c) for n, c in comparisons.items()})
+    assert len(found) == MOST
+    assert found[0].level == "danger"
+    assert "counted as a loss" in found[0].text
+    calm = {"c": compared()}
+    levels = [c.level for c in cautions(calm, {"c": diagnose(compared())})]
+    assert levels == sorted(levels, key=["danger", "warning", "note", "good"].index)
+    assert levels[-1] == "good"
+
+
+def test_decimation_keeps_every_peak() -> None:
+    rng = np.random.default_rng(0)
+    t = np.linspace(0.0, 100.0, 10_001)
+    y = rng.normal(size=10_001)
+    y[7777] = 99.0
+    times, few = decimate(t, {"y": y}, 300)
+    assert len(times) == len(few["y"]) <= 302
+    assert few["y"].max() == 99.0
+    assert few["y"].min() == y.min()
+    assert np.all(np.diff(times) > 0)
+    same, all_of_it = decimate(t[:50], {"y": y[:50]}, 300)
+    assert len(same) == 50
+    assert all_of_it["y"] is not None
+    assert rounded(np.array([1.23456789, np.nan, -0.0])) == [1.2346, None, 0.0]
+
+
+def test_ticks_are_round_and_inside() -> None:
+    assert ticks(0.0, 10.0, 5) == [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
+    assert ticks(-1.0, 1.0, 4) == [-1.0, -0.5, 0.0, 0.5, 1.0]
+    assert log_ticks(0.09, 11.0)[:3] == [pytest.approx(0.1), pytest.approx(0.2), pytest.approx(0.5)]
+    assert ticks(1.0, 1.0, 4) == []

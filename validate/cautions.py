@@ -1,0 +1,276 @@
+"""Before you rely on this: what a reader must know, in words, worst first, each with what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from flysid.validate.compare import Comparison
+from flysid.validate.diagnostics import Diagnosis, Outside
+from flysid.validate.trials import FREE_RUN
+from flysid.validate.verdict import Verdict
+from flysid.validate.words import one_line, percent
+
+MOST = 6
+
+
+@dataclass(frozen=True)
+class Caution:
+    """One caution. `level` is "danger", "warning", "note" or "good"; `weight` orders within a level."""
+
+    level: str
+    text: str
+    todo: str
+    weight: float = 0.0
+
+
+_ORDER = ("danger", "warning", "note", "good")
+
+
+def cautions(
+    comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagnosis]
+) -> tuple[Caution, ...]:
+    """At most six, worst first; what holds for several channels is said once."""
+    found = [
+        caution
+        for rule in (_diverged, _unstable, _extrapolates, _missing_dynamics, _undecided, _few, _feedback)
+        for caution in rule(comparisons, diagnoses)
+    ]
+    found += [
+        c
+        for rule in (_not_white, _one_step_flatters, _idle_rules, _unused)
+        for c in rule(comparisons, diagnoses)
+    ]
+    if not any(c.level == "danger" for c in found):
+        found += _all_stable(comparisons, diagnoses)
+    found.sort(key=lambda c: (_ORDER.index(c.level), -c.weight))
+    return tuple(found[:MOST])
+
+
+Comparisons = Mapping[str, Comparison]
+Diagnoses = Mapping[str, Diagnosis]
+
+
+def _join(parts: Iterable[str]) -> str:
+    return one_line(", ".join(dict.fromkeys(parts)))
+
+
+def _who(said: Mapping[str, set[str]]) -> str:
+    """ "v_x, v_y (both models), v_z (ts)"."""
+    return _join(
+        f"{name} ({'both models' if len(who) > 1 else next(iter(who))})" for name, who in said.items()
+    )
+
+
+def _heads(comparison: Comparison) -> Iterator[str]:
+    """The two models of the headline."""
+    yield comparison.baseline
+    if comparison.contender:
+        yield comparison.contender
+
+
+def _diverged(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    del diagnoses
+    for channel, c in comparisons.items():
+        if FREE_RUN not in c.horizons:
+            continue
+        entry = c.entry(horizon=FREE_RUN)
+        for name, score in entry.models.items():
+            if not score.diverged:
+                continue
+            first = min(score.diverged, key=lambda s: s.diverged_s or 0.0)
+            yield Caution(
+                "danger",
+                f"{one_line(name)} diverged in free run on {one_line(channel)}, in {len(score.diverged)} of "
+                f"{len(score.segments)} held-out segments, first at t = {first.diverged_s:.1f} s "
+                f"(segment {first.segment + 1}). It is counted as a loss.",
+                "do not simulate with it; lower its order, or train on flights that cover this range.",
+                10.0,
+            )
+
+
+def _unstable(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    for channel, d in diagnoses.items():
+        worst = {
+            n: r for n, r in d.pole_radius.items() if r > 1.0 + 1e-6 and n in comparisons[channel].models
+        }
+        if worst:
+            said = _join(f"{n} (largest pole radius {r:.4f})" for n, r in worst.items())
+            yield Caution(
+                "warning",
+                f"Local models with a pole outside the unit circle on {one_line(channel)}: {said}.",
+                "watch long simulations: an unstable rule may be held by its neighbours, or may not.",
+                5.0,
+            )
+
+
+def _extrapolates(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    del comparisons
+    outside: list[Outside] = [o for d in diagnoses.values() for o in d.outside if o.share > 0.01]
+    if outside:
+        said = _join(f"{o.signal.name} ({100 * o.share:.1f} %)" for o in outside)
+        worst = max(outside, key=lambda o: o.share)
+        yield Caution(
+            "warning",
+            f"Held-out samples leave the training range on {said}, most in segment {worst.worst_segment + 1} "
+            f"({100 * worst.worst_share:.0f} % of {one_line(worst.signal.name)}). Fuzzy models extrapolate "
+            "poorly; these samples are included in every number here.",
+            "train on flights that reach this range, or hold out others.",
+            2.0 + worst.share,
+        )
+
+
+def _missing_dynamics(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    said: dict[str, set[str]] = {}
+    peaks: list[float] = []
+    for channel, d in diagnoses.items():
+        c = comparisons[channel]
+        for out in d.outputs:
+            for name in _heads(c):
+                for correlation in out.dependence.get(name, ()):
+                    lag, rho = correlation.peak
+                    if correlation.fails and abs(rho) > 0.1:
+                        said.setdefault(out.output.name, set()).add(name)
+                        peaks.append(lag * c.dt_s)
+    if said:
+        span = f"{min(peaks):.2g} to {max(peaks):.2g} s" if max(peaks) > min(peaks) else f"{peaks[0]:.2g} s"
+        yield Caution(
+            "warning",
+            f"The free-run error still follows the input on {_who(said)}; peak {span} after the input. "
+            "Some dynamics are missing.",
+            "try more input lags, a higher order or another antecedent variable.",
+            1.0 + 0.01 * len(said),
+        )
+
+
+def _undecided(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    del diagnoses
+    said = [
+        f"{output} ({pair.units} {pair.unit})"
+        for c in comparisons.values()
+        for output, pair in c.verdict.items()
+        if pair.verdict is Verdict.NOT_ENOUGH
+    ]
+    if said:
+        yield Caution(
+            "warning",
+            f"Not enough held-out data for a verdict in free run on {_join(said)}.",
+            "fly more, or hold out a larger share.",
+            3.0,
+        )
+
+
+def _few(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    del diagnoses
+    one = [name for name, c in comparisons.items() if len(c.test.flights) == 1]
+    if one:
+        yield Caution(
+            "note",
+            f"One held-out flight on {_join(one)}: the intervals speak of that flight, "
+            "not of another day, battery or wind.",
+            "hold out whole flights, five or more.",
+            2.0,
+        )
+
+
+def _feedback(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    said = [
+        out.output.name
+        for channel, d in diagnoses.items()
+        for out in d.outputs
+        if any(c.feedback for name in _heads(comparisons[channel]) for c in out.dependence.get(name, ()))
+    ]
+    if said:
+        yield Caution(
+            "note",
+            f"The input seems to answer the output on {_join(said)} (error and later input are correlated): "
+            "a loop is closed around the model, and least squares may be biased.",
+            "excite the command on purpose, or model from the pilot's command instead of the controller's.",
+            1.0,
+        )
+
+
+def _not_white(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    failed = {
+        name
+        for channel, d in diagnoses.items()
+        for out in d.outputs
+        for name in _heads(comparisons[channel])
+        if name in out.whiteness and out.whiteness[name].fails
+    }
+    if failed:
+        yield Caution(
+            "note",
+            f"One-step residuals of {_join(sorted(failed))} are not white (see Residual tests). That limits "
+            "the noise model, not the free-run comparison above, which serves simulation and control design.",
+            "quote free-run numbers.",
+            0.6,
+        )
+
+
+def _one_step_flatters(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    del diagnoses
+    gains: list[tuple[float, float]] = []
+    for c in comparisons.values():
+        if c.contender and {FREE_RUN, "1"} <= set(c.horizons):
+            for output in c.test.outputs:
+                free = c.entry(output.name, FREE_RUN).pairs[c.contender].change_pct
+                one = c.entry(output.name, "1").pairs[c.contender].change_pct
+                if free is not None and one is not None and abs(free) > 10.0 and abs(one) < 0.5 * abs(free):
+                    gains.append((free, one))
+    if gains:
+        free, one = max(gains, key=lambda g: abs(g[0]))
+        yield Caution(
+            "note",
+            f"One step ahead the models differ little ({percent(one)}), in free run they differ a lot "
+            f"({percent(free)}): one-step error flatters every model.",
+            "quote free-run numbers.",
+            0.5,
+        )
+
+
+def _idle_rules(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    said = [
+        f"R{i + 1} of {name} ({channel})"
+        for channel, d in diagnoses.items()
+        for name in _heads(comparisons[channel])
+        if name in d.rule_use
+        for i, mean in enumerate(d.rule_use[name].mean)
+        if mean < 0.01
+    ]
+    if said:
+        yield Caution(
+            "note",
+            f"Rules that hardly fire on held-out data: {_join(said[:6])}"
+            f"{' and more' if len(said) > 6 else ''}. What is said of them was not tested.",
+            "use fewer rules, or hold out flights that reach them.",
+            0.8,
+        )
+
+
+def _unused(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    del diagnoses
+    short = sum(c.unused_segments for c in comparisons.values())
+    if short:
+        yield Caution(
+            "note",
+            f"{short} held-out segment{'s' if short > 1 else ''} too short to score "
+            f"{'were' if short > 1 else 'was'} left out.",
+            "log without gaps, or hold out longer segments.",
+            0.7,
+        )
+
+
+def _all_stable(comparisons: Comparisons, diagnoses: Diagnoses) -> Sequence[Caution]:
+    radii = [r for d in diagnoses.values() for r in d.pole_radius.values()]
+    rules = sum(info.n_rules for c in comparisons.values() for info in c.models.values())
+    if not radii or max(radii) > 1.0:
+        return ()
+    return (
+        Caution(
+            "good",
+            f"All {rules} local models are stable (largest pole radius {max(radii):.3f}); "
+            "no free run diverged.",
+            "",
+        ),
+    )

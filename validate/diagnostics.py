@@ -1,0 +1,168 @@
+"""Why a model is right or wrong on held-out data: residual tests, extrapolation, poles, rules."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.model.base import Fitted
+from flysid.validate.compare import Comparison
+from flysid.validate.residuals import (
+    Correlation,
+    Spectrum,
+    autocorrelation,
+    cross_correlation,
+    spectrum,
+)
+from flysid.validate.trials import FREE_RUN, Trial, run_trials
+
+LOOK_BACK_S = 2.0
+
+
+@dataclass(frozen=True)
+class Outside:
+    """Share of held-out samples of one signal outside its training range, and where most of it is."""
+
+    signal: Signal
+    low: float
+    high: float
+    share: float
+    worst_segment: int
+    worst_share: float
+
+
+@dataclass(frozen=True)
+class RuleUse:
+    """How the rules of one model are used on held-out data.
+
+    Attributes
+    ----------
+    strongest : (R,) share of samples where each rule is the strongest.
+    mean : (R,) mean firing strength.
+    overlap : mean of 1 - the largest firing strength; 0: one rule at a time, 1 - 1/R: all alike.
+    """
+
+    strongest: tuple[float, ...]
+    mean: tuple[float, ...]
+    overlap: float
+
+
+@dataclass(frozen=True, eq=False)
+class OutputDiagnosis:
+    """Residual tests of one output.
+
+    Attributes
+    ----------
+    whiteness : one-step autocorrelation, by model.
+    dependence : free-run error against every input, by model; models that diverged are left out.
+    responses : empirical frequency response from every input, None where data are too short.
+    """
+
+    output: Signal
+    whiteness: Mapping[str, Correlation]
+    dependence: Mapping[str, tuple[Correlation, ...]]
+    responses: tuple[Spectrum | None, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Everything about one channel.
+
+    Attributes
+    ----------
+    outside : per signal (inputs, then outputs); empty without training data.
+    pole_radius : largest pole modulus over the rules, by model.
+    changes : per input, share of held-out samples that differ from the one before.
+    """
+
+    outputs: tuple[OutputDiagnosis, ...]
+    outside: tuple[Outside, ...]
+    pole_radius: Mapping[str, float]
+    rule_use: Mapping[str, RuleUse]
+    changes: tuple[float, ...]
+    free_runs: tuple[Trial, ...]
+    one_steps: tuple[Trial, ...]
+
+
+def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
+    """Run every test on the held-out part of `comparison`; `train` gives the ranges seen in training."""
+    models, test = comparison.fitted, comparison.test
+    free, one = run_trials(models, test, FREE_RUN), run_trials(models, test, "1")
+    return Diagnosis(
+        outputs=tuple(_output(j, free, one, comparison) for j in range(len(test.outputs))),
+        outside=() if train is None else outside_training(train, test),
+        pole_radius={name: max(r.pole_radius for r in m.rules()) for name, m in models.items()},
+        rule_use={name: rule_use(m, test) for name, m in models.items() if len(m.rules()) > 1},
+        changes=tuple(_changes(test, i) for i in range(len(test.inputs))),
+        free_runs=free,
+        one_steps=one,
+    )
+
+
+def _output(j: int, free: Sequence[Trial], one: Sequence[Trial], comparison: Comparison) -> OutputDiagnosis:
+    test = comparison.test
+    lags = _lags([len(t.y) for t in free], test.dt_s)
+    inputs = range(len(test.inputs))
+    us = [[test.segments[t.segment].u[t.first :, i] for t in free] for i in inputs]
+    lost = {name for t in free for name in t.diverged_s}
+    return OutputDiagnosis(
+        output=test.outputs[j],
+        whiteness={
+            name: autocorrelation([t.y[:, j] - t.yh[name][:, j] for t in one], lags)
+            for name in comparison.models
+        },
+        dependence={
+            name: tuple(
+                cross_correlation([t.y[:, j] - t.yh[name][:, j] for t in free], us[i], lags) for i in inputs
+            )
+            for name in comparison.models
+            if name not in lost
+        },
+        responses=tuple(
+            spectrum([s.u[:, i] for s in test.segments], [s.y[:, j] for s in test.segments], test.dt_s)
+            for i in inputs
+        ),
+    )
+
+
+def _lags(lengths: Sequence[int], dt_s: float) -> int:
+    """About two seconds, 20 to 60 samples, never more than a quarter of the longest segment."""
+    return max(1, min(int(np.clip(round(LOOK_BACK_S / dt_s), 20, 60)), max(lengths) // 4))
+
+
+def outside_training(train: Dataset, test: Dataset) -> tuple[Outside, ...]:
+    """Share of `test` outside the range of `train`, per signal: inputs, then outputs."""
+    found = []
+    for side, signals in (("u", test.inputs), ("y", test.outputs)):
+        for i, signal in enumerate(signals):
+            seen = np.concatenate([getattr(s, side)[:, i] for s in train.segments])
+            low, high = float(seen.min()), float(seen.max())
+            shares = [_share_outside(getattr(s, side)[:, i], low, high) for s in test.segments]
+            weights = np.array([len(s) for s in test.segments], dtype=np.float64)
+            worst = int(np.argmax(shares))
+            mean = float(np.average(shares, weights=weights))
+            found.append(Outside(signal, low, high, mean, worst, shares[worst]))
+    return tuple(found)
+
+
+def _share_outside(x: FloatArray, low: float, high: float) -> float:
+    return float(np.mean((x < low) | (x > high))) if len(x) else 0.0
+
+
+def rule_use(model: Fitted, data: Dataset) -> RuleUse:
+    """Firing strengths of `model` along measured data."""
+    firing = np.vstack([model.firing(s.u, s.y) for s in data.segments])
+    strongest = np.bincount(np.argmax(firing, axis=1), minlength=firing.shape[1]) / len(firing)
+    return RuleUse(
+        strongest=tuple(float(v) for v in strongest),
+        mean=tuple(float(v) for v in firing.mean(axis=0)),
+        overlap=float(np.mean(1.0 - firing.max(axis=1))),
+    )
+
+
+def _changes(test: Dataset, i: int) -> float:
+    moved = sum(int(np.count_nonzero(np.diff(s.u[:, i]))) for s in test.segments)
+    return moved / max(1, sum(len(s) - 1 for s in test.segments))

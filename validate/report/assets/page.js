@@ -1,0 +1,196 @@
+(function () {
+  "use strict";
+  var data = JSON.parse(document.getElementById("data").textContent);
+  var root = document.documentElement;
+  var charts = [];
+
+  function colour(name) {
+    return getComputedStyle(root).getPropertyValue("--" + name).trim();
+  }
+
+  function series(label, css, dash, width) {
+    return { label: label, stroke: function () { return colour(css); }, width: width, dash: dash, points: { show: false } };
+  }
+
+  function axes(showTime) {
+    var ink = function () { return colour("dim"); };
+    var grid = { stroke: function () { return colour("grid"); }, width: 1 };
+    return [
+      { stroke: ink, grid: grid, ticks: { show: false }, size: showTime ? 40 : 8, values: showTime ? undefined : function (u, v) { return v.map(function () { return ""; }); }, label: showTime ? "time, s" : undefined, labelSize: 16, font: "11px system-ui", labelFont: "11px system-ui" },
+      { stroke: ink, grid: grid, ticks: { show: false }, size: 44, font: "11px system-ui" }
+    ];
+  }
+
+  function title(parent, text) {
+    var p = document.createElement("p");
+    p.className = "panel-title";
+    p.textContent = text;
+    parent.appendChild(p);
+  }
+
+  function chart(parent, height, channel, lines, range, showTime, key) {
+    var options = {
+      width: Math.max(260, parent.clientWidth),
+      height: height,
+      legend: { show: false },
+      cursor: { sync: { key: key }, drag: { x: true, y: false } },
+      scales: { x: { time: false }, y: { range: function () { return range(); } } },
+      axes: axes(showTime),
+      series: [{}].concat(lines)
+    };
+    var plot = new uPlot(options, [[0], [0]].slice(0, 1).concat(lines.map(function () { return [0]; })), parent);
+    charts.push({ plot: plot, parent: parent, height: height });
+    return plot;
+  }
+
+  function draw(figure, channel, index) {
+    var live = figure.querySelector(".live");
+    var current = channel.segments[channel.shown];
+    var key = "channel" + index;
+    live.hidden = false;
+    var models = channel.models.map(function (name, i) {
+      return series(name, i === 0 ? "arx" : "ts", i === 0 ? [5, 3] : undefined, 1.6);
+    });
+    title(live, channel.titles[0]);
+    var top = chart(live, 230, channel, [series("measured", "measured", undefined, 1.3)].concat(models), function () { return current.range; }, false, key);
+    var strip = document.createElement("canvas");
+    strip.className = "strip";
+    strip.setAttribute("aria-hidden", "true");
+    live.appendChild(strip);
+    title(live, channel.titles[1]);
+    var middle = chart(live, 110, channel, models, function () { return current.error_range; }, false, key);
+    title(live, channel.titles[2]);
+    var bottom = chart(live, 120, channel, [series(channel.titles[2], "dim", undefined, 1.1)], function () { return current.input_range; }, true, key);
+
+    function paintStrip() {
+      if (!current.runs.length) { strip.hidden = true; return; }
+      strip.hidden = false;
+      var ratio = window.devicePixelRatio || 1;
+      strip.width = strip.clientWidth * ratio;
+      strip.height = strip.clientHeight * ratio;
+      var pen = strip.getContext("2d");
+      pen.clearRect(0, 0, strip.width, strip.height);
+      pen.save();
+      var left = top.bbox.left, width = top.bbox.width;
+      pen.beginPath();
+      pen.rect(left, 0, width, strip.height);
+      pen.clip();
+      current.runs.forEach(function (run) {
+        var a = top.valToPos(run[0], "x", true), b = top.valToPos(run[1], "x", true);
+        pen.fillStyle = colour("r" + (run[2] % 8 + 1));
+        pen.fillRect(a, 0, Math.max(b - a, 0.5), strip.height);
+      });
+      pen.restore();
+    }
+    var zooming = false;
+    function follow(source) {
+      return function (plot, scale) {
+        if (scale !== "x" || zooming) { return; }
+        zooming = true;
+        [top, middle, bottom].forEach(function (other) {
+          if (other !== source()) { other.setScale("x", { min: plot.scales.x.min, max: plot.scales.x.max }); }
+        });
+        zooming = false;
+        paintStrip();
+      };
+    }
+    function show(i) {
+      current = channel.segments[i];
+      zooming = true;
+      top.setData([current.t, current.y].concat(current.models));
+      middle.setData([current.t].concat(current.errors));
+      bottom.setData([current.t, current.u]);
+      zooming = false;
+      paintStrip();
+    }
+    [[top, 0], [middle, 1], [bottom, 2]].forEach(function (item) {
+      item[0].hooks.setScale = (item[0].hooks.setScale || []).concat([follow(function () { return item[0]; })]);
+    });
+    show(channel.shown);
+    figure.querySelector(".still").setAttribute("hidden", "");
+    charts.push({ paint: paintStrip });
+    return show;
+  }
+
+  function start(figure) {
+    if (figure.dataset.started) { return; }
+    figure.dataset.started = "yes";
+    var index = +figure.dataset.index, channel = data[index];
+    var show = draw(figure, channel, index);
+    figure.querySelectorAll(".scripted").forEach(function (e) { e.hidden = false; });
+    var group = document.querySelector('.segments[data-index="' + index + '"]');
+    group.hidden = false;
+    var buttons = Array.prototype.slice.call(group.querySelectorAll("button"));
+    buttons.forEach(function (button, i) {
+      button.setAttribute("aria-pressed", i === channel.shown ? "true" : "false");
+      button.addEventListener("click", function () {
+        buttons.forEach(function (b) { b.setAttribute("aria-pressed", b === button ? "true" : "false"); });
+        show(i);
+      });
+    });
+  }
+
+  function resize() {
+    charts.forEach(function (c) {
+      if (c.plot && c.parent.clientWidth > 0) { c.plot.setSize({ width: Math.max(260, c.parent.clientWidth), height: c.height }); }
+      if (c.paint) { c.paint(); }
+    });
+  }
+
+  function repaint() {
+    charts.forEach(function (c) { if (c.plot) { c.plot.redraw(false, true); } if (c.paint) { c.paint(); } });
+  }
+
+  var sections = Array.prototype.slice.call(document.querySelectorAll(".channel"));
+  var tabs = document.getElementById("tabs");
+  function open(section) {
+    sections.forEach(function (s) { s.hidden = s !== section; });
+    tabs.querySelectorAll("button").forEach(function (b) {
+      var on = b.getAttribute("aria-controls") === section.id;
+      b.setAttribute("aria-selected", on ? "true" : "false");
+      b.tabIndex = on ? 0 : -1;
+    });
+    section.querySelectorAll(".overlay").forEach(start);
+    resize();
+  }
+  if (sections.length > 1) {
+    tabs.hidden = false;
+    tabs.setAttribute("role", "tablist");
+    tabs.setAttribute("aria-label", "Channels");
+    sections.forEach(function (section, i) {
+      var tab = document.createElement("button");
+      tab.type = "button";
+      tab.setAttribute("role", "tab");
+      tab.id = section.id + "-tab";
+      tab.setAttribute("aria-controls", section.id);
+      tab.textContent = section.querySelector("h2").textContent;
+      tab.addEventListener("click", function () { open(section); });
+      tab.addEventListener("keydown", function (event) {
+        var step = event.key === "ArrowRight" ? 1 : event.key === "ArrowLeft" ? -1 : 0;
+        if (step) {
+          var next = (i + step + sections.length) % sections.length;
+          open(sections[next]);
+          tabs.children[next].focus();
+        }
+      });
+      section.setAttribute("role", "tabpanel");
+      tabs.appendChild(tab);
+    });
+  }
+  if (sections.length) { open(sections[0]); }
+
+  var theme = document.getElementById("theme");
+  theme.hidden = false;
+  theme.addEventListener("click", function () {
+    var dark = root.dataset.theme ? root.dataset.theme === "dark" : window.matchMedia("(prefers-color-scheme: dark)").matches;
+    root.dataset.theme = dark ? "light" : "dark";
+    repaint();
+  });
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
+  var waiting = 0;
+  window.addEventListener("resize", function () {
+    clearTimeout(waiting);
+    waiting = setTimeout(resize, 120);
+  });
+  root.dataset.ready = "yes";
+})();

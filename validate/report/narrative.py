@@ -1,0 +1,115 @@
+"""The verdict in sentences; every number comes with its horizon."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from flysid.validate.compare import Comparison, Pair
+from flysid.validate.verdict import Verdict
+from flysid.validate.words import one_line
+
+NAMES = {
+    "ts": "fuzzy model",
+    "static-ts": "static fuzzy model",
+    "static_ts": "static fuzzy model",
+    "arx": "linear model",
+    "oe": "output-error model",
+    "line": "straight line",
+}
+SYMBOLS = {Verdict.BETTER: "▲", Verdict.WORSE: "▼", Verdict.SAME: "=", Verdict.NOT_ENOUGH: "?"}
+CSS = {
+    Verdict.BETTER: "better",
+    Verdict.WORSE: "worse",
+    Verdict.SAME: "same",
+    Verdict.NOT_ENOUGH: "unsure",
+}
+
+Heads = Sequence[tuple[str, Pair]]
+
+
+def heads(comparisons: Mapping[str, Comparison]) -> list[tuple[str, Pair]]:
+    """(label, free-run pair) of every channel and output."""
+    return [
+        (one_line(output if len(c.test.outputs) > 1 or not channel else channel), pair)
+        for channel, c in comparisons.items()
+        for output, pair in c.verdict.items()
+    ]
+
+
+def called(model: str) -> str:
+    """ "fuzzy model" for "ts"; an unknown name stays as it is."""
+    return NAMES.get(model, one_line(model))
+
+
+def title(pairs: Heads) -> str:
+    """The verdict in one sentence."""
+    if not pairs:
+        return "One model, nothing to compare it with."
+    model, base = called(pairs[0][1].model), called(pairs[0][1].baseline)
+    count = {v: sum(p.verdict is v for _, p in pairs) for v in Verdict}
+    total = len(pairs)
+    on_all = f"on all {total} channels" if total > 1 else f"on {pairs[0][0]}"
+    if count[Verdict.NOT_ENOUGH] == total:
+        return "Not enough held-out data for a verdict."
+    if count[Verdict.BETTER] == total:
+        return f"The {model} is better {on_all}."
+    if count[Verdict.BETTER]:
+        return f"The {model} is better on {count[Verdict.BETTER]} of {total} channels."
+    if count[Verdict.WORSE] == total:
+        return f"The {base} is better {on_all}."
+    if count[Verdict.WORSE]:
+        return f"The {base} is better on {count[Verdict.WORSE]} of {total} channels; the {model} on none."
+    if count[Verdict.SAME] == total:
+        return f"The {base} is enough {on_all}."
+    return f"No difference shown on {count[Verdict.SAME]} of {total} channels; not enough data on the others."
+
+
+def subtitle(pairs: Heads) -> str:
+    """What the title leaves open, and what to do."""
+    sentences = []
+    base = called(pairs[0][1].baseline) if pairs else ""
+    for verdict, text in (
+        (Verdict.SAME, "the flights show no difference in free run: keep the {base} there."),
+        (Verdict.WORSE, "the {base} is better in free run: keep it there."),
+        (Verdict.NOT_ENOUGH, "there is not enough held-out data to tell."),
+    ):
+        names = [name for name, pair in pairs if pair.verdict is verdict]
+        if names and (len(names) < len(pairs) or verdict is Verdict.SAME):
+            sentences.append(f"On {_listed(names)} {text.format(base=base)}")
+    return " ".join(sentences)
+
+
+def _listed(names: Sequence[str]) -> str:
+    if len(names) == 1:
+        return names[0]
+    return ", ".join(names[:-1]) + " and " + names[-1]
+
+
+def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
+    """On what data, and how it was judged."""
+    pairs = heads(comparisons)
+    first = next(iter(comparisons.values()))
+    segments = max(c.scored_segments for c in comparisons.values())
+    seconds = max(sum(len(s) for s in c.test.segments) * c.dt_s for c in comparisons.values())
+    rates = sorted({round(1.0 / c.dt_s, 3) for c in comparisons.values()})
+    others = [one_line(m).upper() for m in first.models if m != first.baseline]
+    against = f"{_listed(others)} against {one_line(first.baseline).upper()}" if others else first.baseline
+    words = f"{against} on {segments} held-out segment{'s' if segments != 1 else ''} ({duration(seconds)})"
+    if train_s:
+        words += f" after training on {duration(train_s)}"
+    words += ", " + " and ".join(f"{r:g}" for r in rates) + " Hz."
+    if pairs:
+        units = pairs[0][1].units
+        unit = pairs[0][1].unit
+        words += f" Judged on free-run error with a paired bootstrap over {units} {one_line(unit)}"
+        words += ", corrected for several channels (Holm)." if len(pairs) > 1 else "."
+    start = first.start
+    many = f"{start} measured samples" if start != 1 else "measured sample"
+    return f"{words} Every model starts from the same {many}."
+
+
+def duration(seconds: float) -> str:
+    """ "42 s", "9 min", "1.5 h"."""
+    if seconds < 120:
+        return f"{seconds:.3g} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

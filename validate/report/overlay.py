@@ -1,0 +1,137 @@
+"""Measured against simulated over every held-out segment: data for the script, and a still picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from flysid.dataset import FloatArray
+from flysid.validate.compare import Comparison
+from flysid.validate.report.decimate import decimate, rounded
+from flysid.validate.report.rulefigures import firing_along, strongest_runs
+from flysid.validate.report.svg import Axes, box, frame, line, picture, span
+from flysid.validate.trials import Trial
+from flysid.validate.words import one_line
+
+WIDE = 960.0
+MOST_SEGMENTS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Strip:
+    """One held-out segment, ready to draw; series are decimated.
+
+    Attributes
+    ----------
+    index : segment in the test dataset.
+    t : (P,) seconds from the segment's start.
+    y, u : (P,) measured output, and the input drawn below.
+    models : (name, CSS class, (P,) free run) of each model drawn.
+    runs : (from, to, rule) of the strongest rule of the contender.
+    """
+
+    index: int
+    t: FloatArray
+    y: FloatArray
+    u: FloatArray
+    models: tuple[tuple[str, str, FloatArray], ...]
+    errors: tuple[FloatArray, ...]
+    runs: tuple[tuple[float, float, int], ...]
+
+
+def strips(
+    comparison: Comparison, trials: Sequence[Trial], output: int, signal: int, points: int
+) -> list[Strip]:
+    """A Strip for every trial, at most 60 (the first ones), each of about `points` samples."""
+    return [_strip(comparison, trial, output, signal, points) for trial in trials[:MOST_SEGMENTS]]
+
+
+def _strip(comparison: Comparison, trial: Trial, output: int, signal: int, points: int) -> Strip:
+    segment = comparison.test.segments[trial.segment]
+    t = comparison.dt_s * np.arange(trial.first, len(segment), dtype=np.float64)
+    names = drawn(comparison)
+    series = {"y": trial.y[:, output], "u": segment.u[trial.first :, signal]}
+    for name, _ in names:
+        series[f"m {name}"] = trial.yh[name][:, output]
+        series[f"e {name}"] = trial.y[:, output] - trial.yh[name][:, output]
+    times, few = decimate(t, series, points)
+    runs: list[tuple[float, float, int]] = []
+    if comparison.contender:
+        strength = firing_along(comparison.fitted[comparison.contender], segment)
+        if strength is not None:
+            runs = strongest_runs(strength[trial.first :], t, float(t[-1] - t[0]) / 150)
+    return Strip(
+        trial.segment,
+        times,
+        few["y"],
+        few["u"],
+        tuple((name, css, few[f"m {name}"]) for name, css in names),
+        tuple(few[f"e {name}"] for name, _ in names),
+        tuple(runs),
+    )
+
+
+def drawn(comparison: Comparison) -> list[tuple[str, str]]:
+    """(model, CSS class) of the models drawn: the baseline and the contender."""
+    found = [(comparison.baseline, "arx")]
+    if comparison.contender:
+        found.append((comparison.contender, "ts"))
+    return found
+
+
+def vertical(strip: Strip) -> tuple[float, float]:
+    """Range of the output axis: the measured one, and the models' as far as three times that."""
+    low, high = span(strip.y)
+    reach = high - low
+    all_low, all_high = span(strip.y, *[values for _, _, values in strip.models])
+    return max(all_low, low - reach), min(all_high, high + reach)
+
+
+def error_range(strip: Strip) -> tuple[float, float]:
+    """Range of the error axis, no wider than the measured output's."""
+    low, high = span(*strip.errors, around=0.0)
+    y_low, y_high = span(strip.y)
+    reach = y_high - y_low
+    return max(low, -reach), min(high, reach)
+
+
+def still(strip: Strip, titles: tuple[str, str, str], label: str) -> Markup:
+    """Three panels on one time axis: output, error, input."""
+    x = (float(strip.t[0]), float(strip.t[-1]))
+    width = WIDE - 60
+    top = Axes(x, vertical(strip), width=width, height=210)
+    middle = Axes(x, error_range(strip), top=288, width=width, height=76)
+    low = Axes(x, span(strip.u), top=396, width=width, height=56)
+    parts = [
+        frame(top, titles[0], x_ticks=False),
+        frame(middle, titles[1], x_ticks=False, y_count=3),
+        frame(low, titles[2], "time, s", y_count=2),
+        line(top, strip.t, strip.y, "measured"),
+        line(low, strip.t, strip.u, "input"),
+    ]
+    for (_, css, values), error in zip(strip.models, strip.errors, strict=True):
+        parts += [line(top, strip.t, values, css), line(middle, strip.t, error, css)]
+    for begin, end, rule in strip.runs:
+        ends = (float(top.px(begin)), float(top.px(end)))
+        parts.append(box(ends, (top.bottom + 8, top.bottom + 18), f"stack r{rule % 8 + 1}"))
+    return picture(WIDE, 492, parts, label, "still")
+
+
+def as_json(strip: Strip, label: str) -> dict[str, Any]:
+    """What the script draws; numbers rounded to what a screen can show."""
+    return {
+        "label": one_line(label),
+        "t": rounded(strip.t),
+        "y": rounded(strip.y),
+        "u": rounded(strip.u),
+        "models": [rounded(values) for _, _, values in strip.models],
+        "errors": [rounded(error) for error in strip.errors],
+        "range": list(vertical(strip)),
+        "error_range": list(error_range(strip)),
+        "input_range": list(span(strip.u)),
+        "runs": [[round(a, 3), round(b, 3), r] for a, b, r in strip.runs],
+    }

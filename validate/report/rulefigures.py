@@ -1,0 +1,162 @@
+"""Pictures of rules: membership functions, degree of fulfilment, outputs of individual rules.
+
+A model takes part in as many of them as it offers methods: `firing` belongs to the protocol; `antecedents`,
+`memberships(variable, x)` and `rule_outputs(u, y)` are optional.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from markupsafe import Markup
+
+from flysid.dataset import Dataset, FloatArray, Segment, Signal
+from flysid.validate.report.decimate import decimate
+from flysid.validate.report.svg import Axes, area, frame, line, picture, span, text
+from flysid.validate.words import one_line
+
+WIDE = 960.0
+THIRD = 310.0
+SHOWN_FROM = 0.25
+
+
+@runtime_checkable
+class HasMemberships(Protocol):
+    """A model that can draw its fuzzy sets."""
+
+    @property
+    def antecedents(self) -> tuple[str, ...]:
+        """Antecedent variables, such as "v_x(k-1)" or "v_x(k-1)-v_x(k-2)"."""
+        ...
+
+    def memberships(self, variable: int, x: FloatArray) -> FloatArray:
+        """(len(x), R) grade of the values x of one variable in every rule's set."""
+        ...
+
+
+@runtime_checkable
+class HasRuleOutputs(Protocol):
+    """A model that can say what every rule concludes by itself."""
+
+    def rule_outputs(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, R, n_y) along measured data."""
+        ...
+
+
+def antecedent_range(name: str, data: Dataset) -> tuple[float, float] | None:
+    """(low, high) of an antecedent variable along `data`; None where its name is not understood."""
+    signals = [*data.outputs, *data.inputs]
+    terms = _terms(name, signals)
+    if not terms:
+        return None
+    low, high = np.inf, -np.inf
+    for segment in data.segments:
+        columns = np.hstack([segment.y, segment.u])
+        deepest = max(lag for _, lag, _ in terms)
+        if len(segment) <= deepest:
+            continue
+        total = sum(sign * columns[deepest - lag : len(columns) - lag, i] for i, lag, sign in terms)
+        low, high = min(low, float(np.min(total))), max(high, float(np.max(total)))
+    return (low, high) if low < high else None
+
+
+def _terms(name: str, signals: Sequence[Signal]) -> list[tuple[int, int, float]]:
+    """(column, lag, sign) of every "w(k-2)" in `name`; empty where a part of it is something else."""
+    found: list[tuple[int, int, float]] = []
+    rest = name.replace(" ", "").replace("−", "-")
+    names = sorted(range(len(signals)), key=lambda i: -len(signals[i].name))
+    while rest:
+        sign = -1.0 if rest.startswith("-") else 1.0
+        rest = rest.lstrip("+-")
+        for i in names:
+            match = re.match(re.escape(signals[i].name.replace(" ", "")) + r"\(k(?:-(\d+))?\)", rest)
+            if match:
+                found.append((i, int(match[1] or 0), sign))
+                rest = rest[match.end() :]
+                break
+        else:
+            return []
+    return found
+
+
+def membership_figures(model: HasMemberships, data: Dataset, unit_of: dict[str, str]) -> list[Markup]:
+    """One picture per antecedent variable over the range seen in `data`."""
+    figures = []
+    for i, name in enumerate(model.antecedents):
+        limits = antecedent_range(name, data)
+        if limits is None:
+            continue
+        x = np.linspace(*limits, 120)
+        grades = np.asarray(model.memberships(i, x))
+        axes = Axes(limits, (0.0, 1.08), left=30, top=8, width=THIRD - 42, height=96)
+        unit = unit_of.get(name.split("(")[0], "")
+        parts = [frame(axes, "", f"{one_line(name)}{', ' + one_line(unit) if unit else ''}", y_count=2)]
+        for r in range(grades.shape[1]):
+            parts.append(line(axes, x, grades[:, r], f"rule r{r % 8 + 1}"))
+            top = int(np.argmax(grades[:, r]))
+            parts.append(text(float(axes.px(x[top])), axes.top + 8, f"A{r + 1}", css=f"t r{r % 8 + 1}t"))
+        figures.append(picture(THIRD, 142, parts, f"Membership functions over {name}"))
+    return figures
+
+
+def fulfilment(firing: FloatArray, t: FloatArray, label: str) -> Markup:
+    """Normalised firing strengths (N, R) stacked over time."""
+    rules = firing.shape[1]
+    names = [f"r{i}" for i in range(rules)]
+    times, parts_of = _thinned(t, dict(zip(names, firing.T, strict=True)), 320)
+    stack = np.cumsum(np.column_stack([np.zeros(len(times)), *(parts_of[n] for n in names)]), axis=1)
+    stack = stack / np.maximum(stack[:, -1:], 1e-12)
+    axes = Axes((float(t[0]), float(t[-1])), (0.0, 1.0), top=8, width=WIDE - 60, height=84)
+    parts = [area(axes, times, stack[:, i], stack[:, i + 1], f"stack r{i % 8 + 1}") for i in range(rules)]
+    parts.append(frame(axes, "", "time in segment, s", y_count=2))
+    return picture(WIDE, 128, parts, label)
+
+
+def _thinned(
+    t: FloatArray, series: dict[str, FloatArray], points: int
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Every n-th sample: stacked shares must be taken at the same instant, extremes would not add up to 1."""
+    step = max(1, len(t) // points)
+    return t[::step], {name: values[::step] for name, values in series.items()}
+
+
+def rule_output_figure(
+    outputs: FloatArray, firing: FloatArray, y: FloatArray, t: FloatArray, words: tuple[str, str]
+) -> Markup:
+    """What every rule (N, R) says one step ahead, where it fires at 0.25 or more; measured y in grey."""
+    shown = np.where(firing >= SHOWN_FROM, outputs, np.nan)
+    step = max(1, len(t) // 500)
+    times, measured = decimate(t, {"y": y}, 500)
+    low, high = span(y)
+    inside = shown[np.isfinite(shown) & (shown > low - (high - low)) & (shown < high + (high - low))]
+    axes = Axes((float(t[0]), float(t[-1])), span(y, inside), top=22, width=WIDE - 60, height=140)
+    parts = [frame(axes, words[0], "time in segment, s"), line(axes, times, measured["y"], "measured faint")]
+    parts += [line(axes, t[::step], shown[::step, r], f"rule r{r % 8 + 1}") for r in range(shown.shape[1])]
+    return picture(WIDE, 204, parts, words[1])
+
+
+def strongest_runs(firing: FloatArray, t: FloatArray, shortest: float) -> list[tuple[float, float, int]]:
+    """(from, to, rule) while one rule is the strongest; runs below `shortest` seconds join the one before."""
+    winner = np.argmax(firing, axis=1)
+    borders = np.flatnonzero(np.diff(winner)) + 1
+    starts = np.concatenate([[0], borders])
+    ends = np.concatenate([borders, [len(winner)]])
+    last = float(t[-1])
+    runs: list[tuple[float, float, int]] = []
+    for start, end in zip(starts, ends, strict=True):
+        begin, finish = float(t[start]), float(t[end]) if end < len(t) else last
+        rule = int(winner[start])
+        if runs and (finish - begin < shortest or runs[-1][2] == rule):
+            runs[-1] = (runs[-1][0], finish, runs[-1][2])
+        else:
+            runs.append((begin, finish, rule))
+    return runs
+
+
+def firing_along(model: object, segment: Segment) -> FloatArray | None:
+    """(N, R) firing strengths, or None for a model of one rule."""
+    strengths = np.asarray(model.firing(segment.u, segment.y))  # type: ignore[attr-defined]
+    return strengths if strengths.ndim == 2 and strengths.shape[1] > 1 else None

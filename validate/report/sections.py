@@ -1,0 +1,302 @@
+"""One section of the page per channel and output: everything its template needs, ready to print."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.base import Fitted, Rule
+from flysid.validate.compare import Comparison
+from flysid.validate.diagnostics import Diagnosis
+from flysid.validate.report import figures, overlay, rulefigures
+from flysid.validate.report.context import Sweep
+from flysid.validate.residuals import Correlation
+from flysid.validate.responses import responses, steady_outputs
+from flysid.validate.trials import FREE_RUN
+from flysid.validate.words import number, one_line
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """A picture with its heading and a line that says how to read it."""
+
+    title: str
+    note: str
+    picture: Markup
+
+
+@dataclass(frozen=True)
+class RuleRow:
+    """One row of the If-Then table."""
+
+    label: str
+    css: str
+    condition: str
+    conclusion: str
+    gain: str
+    time_constant: str
+    pole: str
+    used: float
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """One channel and output."""
+
+    anchor: str
+    name: str
+    signals: str
+    comparison: Comparison
+    output: int
+    still: Markup
+    buttons: tuple[tuple[str, str], ...]
+    residuals: tuple[Panel, ...]
+    dynamics: tuple[Panel, ...]
+    rules: tuple[tuple[str, tuple[RuleRow, ...]], ...]
+    sets: tuple[Panel, ...]
+    wide: tuple[Panel, ...]
+    data: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """What one channel is drawn from."""
+
+    channel: str
+    comparison: Comparison
+    diagnosis: Diagnosis
+    train: Dataset | None
+    sweep: Sweep | None
+    points: int
+
+
+def sections(source: Source, number_of: int) -> list[Section]:
+    """A Section for every output of the channel; `number_of` counts channels, for anchors."""
+    outputs = source.comparison.test.outputs
+    return [_section(source, j, f"c{number_of}-{j}") for j in range(len(outputs))]
+
+
+def _section(source: Source, j: int, anchor: str) -> Section:
+    c = source.comparison
+    signal = _main_input(source, j)
+    pieces = overlay.strips(c, source.diagnosis.free_runs, j, signal, source.points)
+    longest = max(range(len(pieces)), key=lambda i: pieces[i].t[-1] - pieces[i].t[0])
+    titles = (
+        _with_unit(c.test.outputs[j].name, c.test.outputs[j].unit),
+        f"error (measured − simulated), {one_line(c.test.outputs[j].unit) or '-'}",
+        "input " + _with_unit(c.test.inputs[signal].name, c.test.inputs[signal].unit),
+    )
+    labels = [f"H{p.index + 1}" for p in pieces]
+    name = one_line(source.channel or c.test.outputs[j].name)
+    return Section(
+        anchor=anchor,
+        name=name if len(c.test.outputs) == 1 else f"{name}/{one_line(c.test.outputs[j].name)}",
+        signals=f"{', '.join(one_line(s.name) for s in c.test.inputs)} → {one_line(c.test.outputs[j].name)}",
+        comparison=c,
+        output=j,
+        still=overlay.still(
+            pieces[longest], titles, f"Measured and simulated {titles[0]}, {labels[longest]}"
+        ),
+        buttons=_buttons(source, j, labels),
+        residuals=_residuals(source, j),
+        dynamics=_dynamics(source, j, signal),
+        rules=tuple((m, _rule_rows(c.fitted[m], j, signal)) for m, _ in reversed(overlay.drawn(c))),
+        sets=_sets(source, j, signal),
+        wide=_wide(source, j, pieces[longest].index, labels[longest]),
+        data={
+            "segments": [overlay.as_json(p, label) for p, label in zip(pieces, labels, strict=True)],
+            "shown": longest,
+            "titles": list(titles),
+            "models": [f"{one_line(m).upper()} free run" for m, _ in overlay.drawn(c)],
+        },
+    )
+
+
+def _main_input(source: Source, j: int) -> int:
+    """The input with the highest mean coherence: the one worth drawing."""
+    spectra = source.diagnosis.outputs[j].responses
+    return int(np.argmax([0.0 if s is None else float(np.mean(s.coherence)) for s in spectra]))
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return one_line(f"{name}, {unit}" if unit else name)
+
+
+def _buttons(source: Source, j: int, labels: list[str]) -> tuple[tuple[str, str], ...]:
+    """(label, "0.31 → 0.32") of each drawn segment."""
+    c = source.comparison
+    if FREE_RUN not in c.horizons:
+        return tuple((label, "") for label in labels)
+    entry = c.entry(c.test.outputs[j].name, FREE_RUN)
+    per_model = [entry.models[m].segments for m, _ in overlay.drawn(c)]
+    return tuple(
+        (label, " → ".join(number(segments[i].scores.rmse) for segments in per_model))
+        for i, label in enumerate(labels)
+    )
+
+
+def _residuals(source: Source, j: int) -> tuple[Panel, ...]:
+    c, d = source.comparison, source.diagnosis.outputs[j]
+    panels = []
+    for model, css in overlay.drawn(c):
+        test = d.whiteness[model]
+        panels.append(
+            Panel(
+                f"{one_line(model).upper()}: autocorrelation of one-step residual",
+                f"{test.outside} of {test.tested} lags outside the 99 % band",
+                figures.correlogram(
+                    test, c.dt_s, css, f"Autocorrelation of the one-step residual of {model}"
+                ),
+            )
+        )
+    for model, css in overlay.drawn(c):
+        for i, correlation in enumerate(d.dependence.get(model, ())):
+            panels.append(_dependence(correlation, c, model, css, i))
+    return tuple(panels)
+
+
+def _dependence(correlation: Correlation, c: Comparison, model: str, css: str, i: int) -> Panel:
+    lag, rho = correlation.peak
+    verdict = "some dynamics missing" if correlation.fails else "nothing left that the input explains"
+    name = one_line(c.test.inputs[i].name)
+    return Panel(
+        f"{one_line(model).upper()}: cross-correlation of free-run error with {name}",
+        f"peak {rho:+.2f} at {lag * c.dt_s:.2f} s; {correlation.outside} of {correlation.tested} causal lags "
+        f"outside Bartlett's 99 % band: {verdict}",
+        figures.correlogram(correlation, c.dt_s, css, f"Free-run error of {model} against {name}"),
+    )
+
+
+def _dynamics(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
+    panels = [_bode(source, j, signal)]
+    if source.sweep is not None:
+        unit = one_line(source.comparison.test.outputs[j].unit)
+        panels.append(
+            Panel("Rule count", one_line(source.sweep.words), figures.sweep_figure(source.sweep, unit))
+        )
+    panels.append(_static(source, j, signal))
+    return tuple(panels)
+
+
+def _bode(source: Source, j: int, signal: int) -> Panel:
+    c = source.comparison
+    empirical = source.diagnosis.outputs[j].responses[signal]
+    total = max(len(s) for s in c.test.segments) * c.dt_s
+    hz = np.geomspace(max(2.0 / total, 1e-4), 0.5 / c.dt_s, 160)
+    curves = {css: responses(c.fitted[m], hz, j, signal) for m, css in overlay.drawn(c)}
+    unit = f"{c.test.outputs[j].unit or '1'} per {c.test.inputs[signal].unit or '1'}"
+    return Panel(
+        "Local models against the linear baseline",
+        "dots: measured, faint where the coherence is below 0.5; dashed: linear; one colour per rule",
+        figures.bode(
+            empirical, curves, hz, one_line(unit), "Frequency response of the rules and the linear model"
+        ),
+    )
+
+
+def _static(source: Source, j: int, signal: int) -> Panel:
+    c = source.comparison
+    data = source.train or c.test
+    u = np.concatenate([s.u[:, signal] for s in data.segments])
+    y = np.concatenate([s.y[:, j] for s in data.segments])
+    fixed = np.mean(np.concatenate([s.u for s in data.segments]), axis=0)
+    levels = np.linspace(float(u.min()), float(u.max()), 25)
+    curves = {css: steady_outputs(c.fitted[m], levels, fixed, j, signal) for m, css in overlay.drawn(c)}
+    x, name = _with_unit(c.test.inputs[signal].name, c.test.inputs[signal].unit), c.test.outputs[j].name
+    return Panel(
+        "Static map",
+        f"dots: {'training' if source.train else 'held-out'} samples; lines: where each model settles",
+        figures.static_map(
+            u, y, levels, curves, (x, _with_unit(name, c.test.outputs[j].unit), f"Static map of {name}")
+        ),
+    )
+
+
+def _rule_rows(model: Fitted, j: int, signal: int) -> tuple[RuleRow, ...]:
+    rules = model.rules()
+    return tuple(
+        _rule_row(r, f"r{i % 8 + 1}" if len(rules) > 1 else "arx", j, signal) for i, r in enumerate(rules)
+    )
+
+
+def _rule_row(rule: Rule, css: str, j: int, signal: int) -> RuleRow:
+    gain = float(np.asarray(rule.dc_gain)[j, signal])
+    tau = rule.time_constant_s
+    return RuleRow(
+        label=one_line(rule.label),
+        css=css,
+        condition=one_line(rule.condition),
+        conclusion=one_line(rule.conclusion),
+        gain=number(gain) if np.isfinite(gain) else "integrates",
+        time_constant=f"{number(tau)} s" if np.isfinite(tau) else "integrates",
+        pole=f"{rule.pole_radius:.4f}",
+        used=float(np.clip(rule.support, 0.0, 1.0)),
+    )
+
+
+def _sets(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
+    """Membership functions and data coverage."""
+    c = source.comparison
+    panels = []
+    model = c.fitted[c.contender] if c.contender else None
+    if isinstance(model, rulefigures.HasMemberships):
+        units = {s.name: s.unit for s in (*c.test.inputs, *c.test.outputs)}
+        drawn = rulefigures.membership_figures(model, source.train or c.test, units)
+        panels += [Panel("Membership functions", "grade of every rule's set", figure) for figure in drawn]
+    for side, i, s in (("u", signal, c.test.inputs[signal]), ("y", j, c.test.outputs[j])):
+        train = None if source.train is None else _column(source.train, side, i)
+        panels.append(
+            Panel(
+                f"{'Input' if side == 'u' else 'Output'} coverage",
+                "grey: training; line: held out; red: outside training"
+                if train is not None
+                else "line: held out",
+                figures.coverage(
+                    train, _column(c.test, side, i), (_with_unit(s.name, s.unit), f"Histogram of {s.name}")
+                ),
+            )
+        )
+    return tuple(panels)
+
+
+def _column(data: Dataset, side: str, i: int) -> FloatArray:
+    return np.concatenate([getattr(s, side)[:, i] for s in data.segments])
+
+
+def _wide(source: Source, j: int, index: int, label: str) -> tuple[Panel, ...]:
+    """Degree of fulfilment and rule outputs along one segment, for a model of several rules."""
+    c = source.comparison
+    model = c.fitted[c.contender] if c.contender else None
+    if model is None:
+        return ()
+    segment = c.test.segments[index]
+    strengths = rulefigures.firing_along(model, segment)
+    if strengths is None:
+        return ()
+    t = c.dt_s * np.arange(len(segment), dtype=np.float64)
+    panels = [
+        Panel(
+            "Degree of fulfilment",
+            f"normalised weight of every rule, stacked, segment {label}",
+            rulefigures.fulfilment(strengths, t, f"Degree of fulfilment in {label}"),
+        )
+    ]
+    if isinstance(model, rulefigures.HasRuleOutputs):
+        out = np.asarray(model.rule_outputs(segment.u, segment.y))[:, :, j]
+        words = (
+            _with_unit(c.test.outputs[j].name, c.test.outputs[j].unit),
+            f"Output of every rule in {label}",
+        )
+        panels.append(
+            Panel(
+                "Output of individual rules",
+                "one step ahead, where the weight is at least 0.25; grey: measured",
+                rulefigures.rule_output_figure(out, strengths, segment.y[:, j], t, words),
+            )
+        )
+    return tuple(panels)

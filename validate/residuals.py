@@ -1,0 +1,152 @@
+"""What is left in the errors: whiteness, dependence on the input, coherence and frequency response.
+
+All estimates pool segments and never pair samples across a segment's edge. Correlations are normalised; bands
+are 99 %. The band of a one-step autocorrelation is the one of white noise, 2.58 / sqrt(N). A free-run error
+is never white, so its cross-correlation with the input gets Bartlett's band,
+2.58 sqrt(sum_j rho_e(j) rho_u(j) / N) (Bartlett 1955; Box & Jenkins 1976, section 11.1), which reduces to the
+former where either is white.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+
+Z99 = 2.5758293035489004
+
+
+@dataclass(frozen=True, eq=False)
+class Correlation:
+    """Correlation at `lags` (L,), in samples; positive lags: the input leads. `band` is the 99 % limit.
+
+    Attributes
+    ----------
+    rho : (L,) between -1 and 1.
+    band : largest |rho| that chance explains at one lag.
+    causal : (L,) lags that the test looks at (autocorrelation: 1 and more; input: 0 and more).
+    """
+
+    lags: FloatArray
+    rho: FloatArray
+    band: float
+    causal: FloatArray
+
+    @property
+    def tested(self) -> int:
+        return int(np.count_nonzero(self.causal))
+
+    @property
+    def outside(self) -> int:
+        return int(np.count_nonzero((np.abs(self.rho) > self.band) & (self.causal > 0)))
+
+    @property
+    def fails(self) -> bool:
+        """More than chance explains: too many lags outside (1 % plus three standard deviations, at least 2),
+        or one outside a band that holds all of them together (Bonferroni)."""
+        expected = 0.01 * self.tested
+        if self.outside > max(1.0, expected + 3.0 * np.sqrt(0.99 * expected)):
+            return True
+        together = NormalDist().inv_cdf(1.0 - 0.005 / self.tested) / Z99
+        return abs(self.peak[1]) > together * self.band
+
+    @property
+    def feedback(self) -> bool:
+        """Most lags where the output would lead the input are outside too: a sign of a closed loop."""
+        early = self.lags < 0
+        return bool(early.any()) and float(np.mean(np.abs(self.rho[early]) > self.band)) > 0.5
+
+    @property
+    def peak(self) -> tuple[int, float]:
+        """(lag, rho) of the largest tested correlation."""
+        i = int(np.argmax(np.where(self.causal > 0, np.abs(self.rho), -1.0)))
+        return int(self.lags[i]), float(self.rho[i])
+
+
+def autocorrelation(errors: Sequence[FloatArray], lags: int) -> Correlation:
+    """Of the errors (N_i,) at lags 1 .. `lags`."""
+    x = _centred(errors)
+    rho = _pooled_products(x, x, lags)
+    index = np.arange(1, lags + 1, dtype=np.float64)
+    band = Z99 / np.sqrt(sum(len(s) for s in x))
+    return Correlation(index, rho[lags + 1 :], float(band), np.ones(lags))
+
+
+def cross_correlation(errors: Sequence[FloatArray], inputs: Sequence[FloatArray], lags: int) -> Correlation:
+    """Of the errors e(k) with u(k - lag), lags -`lags` .. `lags`, with Bartlett's band."""
+    e, u = _centred(errors), _centred(inputs)
+    rho = _pooled_products(e, u, lags)
+    longest = max(len(s) for s in e)
+    rho_e, rho_u = (_pooled_products(x, x, longest - 1)[longest - 1 :] for x in (e, u))
+    n = sum(len(s) for s in e)
+    taper = 1.0 - np.arange(1, longest) / longest
+    total = 1.0 + 2.0 * float(np.sum(taper * rho_e[1:] * rho_u[1:]))
+    index = np.arange(-lags, lags + 1, dtype=np.float64)
+    band = Z99 * np.sqrt(max(total, 1.0) / n)
+    return Correlation(index, rho, float(min(band, 1.0)), (index >= 0).astype(np.float64))
+
+
+def _centred(series: Sequence[FloatArray]) -> list[FloatArray]:
+    mean = float(np.mean(np.concatenate(list(series))))
+    return [s - mean for s in series]
+
+
+def _pooled_products(a: Sequence[FloatArray], b: Sequence[FloatArray], lags: int) -> FloatArray:
+    """(2 lags + 1,) sum a(k) b(k - lag) over segments, divided by the norms; 0 where a norm is 0."""
+    total = np.zeros(2 * lags + 1)
+    for x, z in zip(a, b, strict=True):
+        size = 1 << (2 * len(x)).bit_length()
+        product = np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(z, size)), size)
+        reach = min(lags, len(x) - 1)
+        total[lags : lags + reach + 1] += product[: reach + 1]
+        if reach:
+            total[lags - reach : lags] += product[-reach:]
+    norm = np.sqrt(sum(float(x @ x) for x in a) * sum(float(z @ z) for z in b))
+    if norm <= 0.0:
+        return np.zeros_like(total)
+    rho: FloatArray = total / norm
+    return rho
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Empirical response from one input to one output.
+
+    Attributes
+    ----------
+    hz : (F,) frequencies above 0.
+    response : (F,) complex gain, output unit per input unit (Welch's H1 estimate).
+    coherence : (F,) 0 to 1.
+    """
+
+    hz: FloatArray
+    response: np.ndarray[tuple[int], np.dtype[np.complex128]]
+    coherence: FloatArray
+
+
+def spectrum(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: float) -> Spectrum | None:
+    """Welch's (1967) estimate with Hann windows that overlap by half; None with fewer than 3 windows."""
+    total = sum(len(u) for u in inputs)
+    width = 1 << int(np.log2(max(total / 8.0, 1.0)))
+    width = min(width, 4096, 1 << int(np.log2(max(max(len(u) for u in inputs), 1))))
+    window = np.hanning(width)
+    uu, yy = np.zeros(width // 2 + 1), np.zeros(width // 2 + 1)
+    uy, count = np.zeros(width // 2 + 1, dtype=np.complex128), 0
+    for u, y in zip(inputs, outputs, strict=True):
+        for start in range(0, len(u) - width + 1, max(width // 2, 1)):
+            fu, fy = (np.fft.rfft((x - x.mean()) * window) for x in (u[start:][:width], y[start:][:width]))
+            uu, yy = uu + np.abs(fu) ** 2, yy + np.abs(fy) ** 2
+            uy, count = uy + np.conj(fu) * fy, count + 1
+    if count < 3 or width < 16:
+        return None
+    uu, yy, uy = uu[1:-1], yy[1:-1], uy[1:-1]
+    hz = np.fft.rfftfreq(width, dt_s)[1:-1]
+    keep = (uu > 1e-12 * uu.max()) & (yy > 0.0) if uu.max() > 0 else np.zeros(len(uu), dtype=bool)
+    if not keep.any():
+        return None
+    coherence = np.abs(uy[keep]) ** 2 / (uu[keep] * yy[keep])
+    return Spectrum(hz[keep], uy[keep] / uu[keep], np.minimum(coherence, 1.0))

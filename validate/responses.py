@@ -1,0 +1,76 @@
+"""Frequency response and steady state of any fitted model, by its polynomials or by simulating it."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.dataset import FloatArray
+from flysid.model.base import Fitted
+
+ComplexArray = npt.NDArray[np.complex128]
+LONGEST = 4000
+
+
+@runtime_checkable
+class LocallyLinear(Protocol):
+    """A model whose rules are difference equations."""
+
+    def local_polynomials(self) -> tuple[tuple[FloatArray, FloatArray], ...]:
+        """Per rule (A, B): A (na + 1, n_y, n_y) with A[0] = I, B (nb + 1, n_y, n_u), where
+        sum_k A[k] y(t - k) = sum_k B[k] u(t - k) + constant."""
+        ...
+
+
+def responses(model: Fitted, hz: FloatArray, output: int, signal: int) -> list[ComplexArray]:
+    """Response (F,) of every rule from input `signal` to `output`; or of a one-rule model simulated."""
+    if isinstance(model, LocallyLinear):
+        return [_rational(A, B, hz, model.dt_s)[:, output, signal] for A, B in model.local_polynomials()]
+    if len(model.rules()) > 1:
+        return []
+    impulse = impulse_response(model, output, signal)
+    return [np.exp(-2j * np.pi * np.outer(hz, np.arange(len(impulse))) * model.dt_s) @ impulse]
+
+
+def _rational(A: FloatArray, B: FloatArray, hz: FloatArray, dt_s: float) -> ComplexArray:
+    """(F, n_y, n_u) A(z)^-1 B(z) on the unit circle; NaN where A is singular there."""
+    z = np.exp(-2j * np.pi * hz * dt_s)
+    left = np.einsum("kij,fk->fij", A, z[:, None] ** np.arange(len(A)))
+    right = np.einsum("kij,fk->fij", B, z[:, None] ** np.arange(len(B)))
+    singular = np.abs(np.linalg.det(left)) < 1e-14
+    left[singular] = np.eye(A.shape[1])
+    result: ComplexArray = np.linalg.solve(left, right)
+    result[singular] = np.nan
+    return result
+
+
+def impulse_response(model: Fitted, output: int, signal: int, n: int = LONGEST) -> FloatArray:
+    """(n,) change of the output after a unit step back and forth of one input sample, from rest."""
+    at = model.n_init + 1
+    u = np.zeros((at + n, len(model.inputs)))
+    rest = model.simulate(u)[at:, output]
+    u[at, signal] = 1.0
+    response: FloatArray = model.simulate(u)[at:, output] - rest
+    return response
+
+
+def steady_outputs(
+    model: Fitted, levels: FloatArray, fixed: FloatArray, output: int, signal: int
+) -> FloatArray:
+    """(L,) output that the model settles at for each constant level of one input; NaN where it does not.
+
+    The other inputs stay at `fixed` (n_u,).
+    """
+    finite = [r.time_constant_s for r in model.rules() if np.isfinite(r.time_constant_s)]
+    n = int(np.clip(8.0 * max(finite, default=0.0) / model.dt_s, 200, LONGEST)) + model.n_init
+    settled = np.full(len(levels), np.nan)
+    for i, level in enumerate(levels):
+        u = np.tile(fixed, (n, 1))
+        u[:, signal] = level
+        y = model.simulate(u)[:, output]
+        tail = y[-max(2, n // 10) :]
+        if np.ptp(tail) <= 1e-2 * max(float(np.ptp(y)), 1e-12):
+            settled[i] = tail[-1]
+    return settled
