@@ -1,0 +1,79 @@
+"""One flight as the instruments saw it: what the writers of logs take.
+
+Axes and signs are the paper's: x forward, y to the right, z up, heading 0; theta positive nose down (which
+flies forward), phi positive right side down; angles in degrees, velocities in m/s. Each writer turns them
+into the signs of its format. Times are integer nanoseconds on the vehicle's clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.dataset import FloatArray
+
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+MS_NS = 1_000_000
+SECOND_NS = 1_000_000_000
+
+# A radio link that works: 6 ms at best, and a tail of a few ms more (exponential, mean 4 ms).
+LINK_LATENCY_NS = 6 * MS_NS
+LINK_JITTER_NS = 4 * MS_NS
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Named values, each (N,), at (N,) times in nanoseconds of the vehicle's clock."""
+
+    time_ns: IntArray
+    values: Mapping[str, FloatArray]
+
+    def __getitem__(self, name: str) -> FloatArray:
+        return self.values[name]
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What a flight left behind before any format writes it down.
+
+    Attributes
+    ----------
+    name : of the flight; the log's file name without its suffix.
+    boot_utc_ns : UTC of vehicle time zero.
+    command : theta_in, phi_in (deg), vz_in (m/s), as sent.
+    state : measured vx, vy, vz (m/s), x, y, z (m), theta, phi, psi (deg).
+    truth : the same without sensor errors.
+    seed : of the link's jitter.
+    lost : [start, end) vehicle times in nanoseconds during which nothing reached the recorder.
+    """
+
+    name: str
+    boot_utc_ns: int
+    command: Series
+    state: Series
+    truth: Series
+    seed: int = 0
+    lost: tuple[tuple[int, int], ...] = ()
+
+
+def heard(recording: Recording, time_ns: IntArray) -> BoolArray:
+    """(N,) True where a message sent at that vehicle time reached the recorder."""
+    reached = np.ones(len(time_ns), dtype=np.bool_)
+    for start, end in recording.lost:
+        reached &= ~((time_ns >= start) & (time_ns < end))
+    return reached
+
+
+def arrival_utc_ns(recording: Recording, time_ns: IntArray) -> IntArray:
+    """(N,) UTC at which messages sent at rising vehicle times arrive; order is kept, as on a serial link."""
+    rng = np.random.default_rng([recording.seed, 0x11A7])
+    delay = LINK_LATENCY_NS + rng.exponential(LINK_JITTER_NS, len(time_ns)).astype(np.int64)
+    return np.asarray(np.maximum.accumulate(recording.boot_utc_ns + time_ns + delay), dtype=np.int64)
