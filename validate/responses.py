@@ -18,16 +18,16 @@ LONGEST = 4000
 class LocallyLinear(Protocol):
     """A model whose rules are difference equations."""
 
-    def local_polynomials(self) -> tuple[tuple[FloatArray, FloatArray], ...]:
-        """Per rule (A, B): A (na + 1, n_y, n_y) with A[0] = I, B (nb + 1, n_y, n_u), where
-        sum_k A[k] y(t - k) = sum_k B[k] u(t - k) + constant."""
+    def local_polynomials(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
+        """Per rule (A, B, c): y(k) = sum_j A[j-1] y(k-j) + sum_j B[j] u(k-j) + c, physical units;
+        A (na, n_y, n_y), B (largest lag + 1, n_y, n_u), c (n_y,)."""
         ...
 
 
 def responses(model: Fitted, hz: FloatArray, output: int, signal: int) -> list[ComplexArray]:
     """Response (F,) of every rule from input `signal` to `output`; or of a one-rule model simulated."""
     if isinstance(model, LocallyLinear):
-        return [_rational(A, B, hz, model.dt_s)[:, output, signal] for A, B in model.local_polynomials()]
+        return [_rational(A, B, hz, model.dt_s)[:, output, signal] for A, B, _ in model.local_polynomials()]
     if len(model.rules()) > 1:
         return []
     impulse = impulse_response(model, output, signal)
@@ -35,19 +35,19 @@ def responses(model: Fitted, hz: FloatArray, output: int, signal: int) -> list[C
 
 
 def _rational(A: FloatArray, B: FloatArray, hz: FloatArray, dt_s: float) -> ComplexArray:
-    """(F, n_y, n_u) A(z)^-1 B(z) on the unit circle; NaN where A is singular there."""
-    z = np.exp(-2j * np.pi * hz * dt_s)
-    left = np.einsum("kij,fk->fij", A, z[:, None] ** np.arange(len(A)))
-    right = np.einsum("kij,fk->fij", B, z[:, None] ** np.arange(len(B)))
+    """(F, n_y, n_u) (I - sum_j A[j-1] z^-j)^-1 sum_j B[j] z^-j on the unit circle; NaN where singular."""
+    back = np.exp(-2j * np.pi * hz * dt_s)[:, None]
+    left = np.eye(B.shape[1]) - np.einsum("kij,fk->fij", A, back ** np.arange(1, len(A) + 1))
+    right = np.einsum("kij,fk->fij", B, back ** np.arange(len(B)))
     singular = np.abs(np.linalg.det(left)) < 1e-14
-    left[singular] = np.eye(A.shape[1])
+    left[singular] = np.eye(B.shape[1])
     result: ComplexArray = np.linalg.solve(left, right)
     result[singular] = np.nan
     return result
 
 
 def impulse_response(model: Fitted, output: int, signal: int, n: int = LONGEST) -> FloatArray:
-    """(n,) change of the output after a unit step back and forth of one input sample, from rest."""
+    """(n,) what one input sample of height 1 does to the output, from rest."""
     at = model.n_init + 1
     u = np.zeros((at + n, len(model.inputs)))
     rest = model.simulate(u)[at:, output]

@@ -1,0 +1,91 @@
+"""--fail-if: a small grammar, nothing else is evaluated."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flysid.errors import UsageError
+from flysid.validate.condition import evaluate_condition, matching_channels
+
+
+def entry(change: float | None, verdict: str, rmse: float = 0.3) -> dict[str, Any]:
+    return {
+        "models": {"arx": {"rmse": 0.4, "fit_pct": 72.0}, "ts": {"rmse": rmse, "fit_pct": None}},
+        "change_pct": change,
+        "ci95": [-38.0, -24.0],
+        "verdict": verdict,
+        "pairs": {"ts": {"change_pct": change, "verdict": verdict}},
+    }
+
+
+DOCUMENT = {
+    "channels": {
+        "roll": {"free_run": entry(-30.0, "better"), "10": entry(7.0, "worse"), "1": entry(0.0, "same")},
+        "v z/odd": {
+            "free_run": entry(None, "worse"),
+            "10": entry(None, "not enough data"),
+            "1": entry(1, "same"),
+        },
+    }
+}
+
+
+@pytest.mark.parametrize(
+    ("expression", "channels"),
+    [
+        ("free_run.change_pct > 5", ("v z/odd",)),  # diverged counts as infinitely worse
+        ("free_run.change_pct < -20", ("roll",)),
+        ("roll.free_run.change_pct < -20", ("roll", "v z/odd")),
+        ("10.change_pct > 5", ("roll",)),
+        ("1.change_pct == 0", ("roll",)),
+        ("free_run.verdict == worse", ("v z/odd",)),
+        ("10.verdict == 'not enough data'", ("v z/odd",)),
+        ("free_run.ci95.high < 0 and not free_run.verdict == worse", ("roll",)),
+        ("free_run.ts.rmse > 0.29 and free_run.models.arx.rmse >= 0.4", ("roll", "v z/odd")),
+        ("(free_run.change_pct > 5 or 10.change_pct > 5) and 1.verdict == same", ("roll", "v z/odd")),
+        ('"v z/odd".1.change_pct >= 1e0 and free_run.verdict != worse', ("roll",)),
+        ("free_run.ts.fit_pct < 50", ()),  # null
+        ("free_run.pairs.ts.change_pct > 1000", ("v z/odd",)),
+    ],
+)
+def test_conditions(expression: str, channels: tuple[str, ...]) -> None:
+    assert matching_channels(expression, DOCUMENT) == channels
+    assert evaluate_condition(expression, DOCUMENT) is bool(channels)
+
+
+@pytest.mark.parametrize(
+    ("expression", "message"),
+    [
+        ("", "ends too early"),
+        ("free_run.change_pct", "ends too early"),
+        ("free_run.change_pct > 5 5", "goes on"),
+        ("free_run.change_pct 5 >", "needs a comparison"),
+        ("(free_run.change_pct > 5", "ends too early"),
+        ("free_run.chang_pct > 5", "no field 'chang_pct'"),
+        ("yaw.free_run.change_pct > 5", "no channel or horizon 'yaw'"),
+        ("roll.free_run > 5", "not a single value"),
+        ("free_run.models > 5", "not a single value"),
+        ("free_run.change_pct.low > 5", "below a plain value"),
+        ("free_run.change_pct > worse", "compares"),
+        ("free_run.verdict > worse", "does not order"),
+        ("__import__('os').system('x') > 1", "not understood"),
+        ("(" * 300 + "1 > 0" + ")" * 300, "nested deeper"),
+        ("not " * 300 + "1 > 0", "nested deeper"),
+        ("free_run.change_pct ; 5", "not understood"),
+    ],
+)
+def test_what_is_not_understood_is_named(expression: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message.replace("(", r"\(")):
+        evaluate_condition(expression, DOCUMENT)
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.text(max_size=60))
+def test_any_text_is_a_bool_or_a_usage_error(text: str) -> None:
+    with contextlib.suppress(UsageError):
+        assert evaluate_condition(text, DOCUMENT) in (True, False)

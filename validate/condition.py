@@ -1,0 +1,214 @@
+"""`--fail-if EXPRESSION`: a condition on the JSON document, so that a pipeline can guard a model.
+
+    or       := and ("or" and)*
+    and      := not ("and" not)*
+    not      := "not" not | "(" or ")" | compare
+    compare  := operand (">" | ">=" | "<" | "<=" | "==" | "!=") operand
+    operand  := number | 'text' | word | path
+    path     := [channel "."] horizon "." field ("." field)*
+    horizon  := "free_run" | steps
+
+Fields are the document's: change_pct, verdict, ci95.low, ci95.high, models.ts.rmse (or ts.rmse) and so on.
+A path without a channel is tried on every channel, and the condition holds when it holds on any. Nothing is
+evaluated but this grammar. A change that is null because a model diverged counts as infinitely large (verdict
+"worse") or small ("better"); a comparison with any other null is false.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import operator
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from flysid.errors import UsageError
+
+_TOKEN = re.compile(
+    r"""\s*(?:
+        (?P<op>>=|<=|==|!=|>|<|\(|\))
+      | (?P<path>(?:"[^"]*"|'[^']*'|[^\W\d][\w/-]*|\d+)(?:\.(?:"[^"]*"|[^\W\d][\w/-]*|\d+(?=\.)))+)
+      | (?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)
+      | (?P<text>"[^"]*"|'[^']*')
+      | (?P<word>[^\W\d][\w-]*)
+    )""",
+    re.VERBOSE,
+)
+_COMPARE: Mapping[str, Callable[[Any, Any], bool]] = {
+    ">": operator.gt,
+    ">=": operator.ge,
+    "<": operator.lt,
+    "<=": operator.le,
+    "==": operator.eq,
+    "!=": operator.ne,
+}
+DEEPEST = 50
+EXAMPLE = "write for example 'free_run.change_pct > 5' or 'roll.free_run.verdict == worse'"
+
+Value = float | str | None
+Channels = Mapping[str, Mapping[str, Any]]
+
+
+def evaluate_condition(expression: str, document: Mapping[str, Any]) -> bool:
+    """Whether the condition holds on any channel of a `to_json` document.
+
+    Raises
+    ------
+    UsageError : the expression is not understood, or names what the document does not hold.
+    """
+    return bool(matching_channels(expression, document))
+
+
+def matching_channels(expression: str, document: Mapping[str, Any]) -> tuple[str, ...]:
+    """The channels on which the condition holds; errors as `evaluate_condition`."""
+    channels: Channels = document["channels"]
+    return tuple(name for name in channels if _Parser(_tokens(expression), channels, name).run())
+
+
+@dataclass(frozen=True)
+class _Token:
+    kind: str
+    text: str
+
+
+def _tokens(expression: str) -> list[_Token]:
+    tokens: list[_Token] = []
+    position = 0
+    text = expression.rstrip()
+    while position < len(text):
+        match = _TOKEN.match(text, position)
+        if match is None or match.lastgroup is None:
+            raise UsageError(f"condition not understood at {text[position:][:20]!r}", hint=EXAMPLE)
+        tokens.append(_Token(match.lastgroup, match[match.lastgroup]))
+        position = match.end()
+    return tokens
+
+
+class _Parser:
+    """Recursive descent over the tokens, evaluated for one channel."""
+
+    def __init__(self, tokens: Sequence[_Token], channels: Channels, channel: str) -> None:
+        self._tokens = list(tokens)
+        self._channels = channels
+        self._channel = channel
+        self._at = 0
+        self._depth = 0
+
+    def run(self) -> bool:
+        result = self._or()
+        if self._at < len(self._tokens):
+            raise UsageError(f"condition goes on with {self._tokens[self._at].text!r}", hint=EXAMPLE)
+        return result
+
+    def _next_is(self, *words: str) -> bool:
+        return self._at < len(self._tokens) and self._tokens[self._at].text in words
+
+    def _take(self) -> _Token:
+        if self._at >= len(self._tokens):
+            raise UsageError("condition ends too early", hint=EXAMPLE)
+        self._at += 1
+        return self._tokens[self._at - 1]
+
+    def _or(self) -> bool:
+        result = self._and()
+        while self._next_is("or"):
+            self._take()
+            result = self._and() or result
+        return result
+
+    def _and(self) -> bool:
+        result = self._not()
+        while self._next_is("and"):
+            self._take()
+            result = self._not() and result
+        return result
+
+    def _not(self) -> bool:
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise UsageError(f"condition is nested deeper than {DEEPEST}")
+        try:
+            if self._next_is("not"):
+                self._take()
+                return not self._not()
+            if self._next_is("("):
+                self._take()
+                result = self._or()
+                if self._take().text != ")":
+                    raise UsageError("condition lacks a ')'", hint=EXAMPLE)
+                return result
+            return self._compare()
+        finally:
+            self._depth -= 1
+
+    def _compare(self) -> bool:
+        left = self._operand()
+        sign = self._take()
+        if sign.text not in _COMPARE:
+            raise UsageError(f"condition needs a comparison, not {sign.text!r}", hint=EXAMPLE)
+        right = self._operand()
+        if left is None or right is None:
+            return False
+        if isinstance(left, str) != isinstance(right, str):
+            raise UsageError(f"condition compares {left!r} with {right!r}", hint=EXAMPLE)
+        if isinstance(left, str) and sign.text not in ("==", "!="):
+            raise UsageError(f"words are equal or not, {sign.text!r} does not order them", hint=EXAMPLE)
+        return _COMPARE[sign.text](left, right)
+
+    def _operand(self) -> Value:
+        token = self._take()
+        if token.kind == "number":
+            return float(token.text)
+        if token.kind == "text":
+            return token.text[1:-1]
+        if token.kind == "path":
+            return self._look_up(token.text)
+        if token.kind == "word" and token.text not in ("and", "or", "not"):
+            return token.text
+        raise UsageError(f"condition has {token.text!r} where a value must stand", hint=EXAMPLE)
+
+    def _look_up(self, path: str) -> Value:
+        parts = [p.strip("\"'") for p in re.findall(r"\"[^\"]*\"|'[^']*'|[^.]+", path)]
+        channel = self._channels[self._channel]
+        if parts[0] not in channel:
+            channel = _member(self._channels, parts.pop(0), "channel or horizon")
+        if not parts:
+            raise UsageError(f"{path!r} names a channel and nothing in it", hint=EXAMPLE)
+        entry = _member(channel, parts.pop(0), "horizon")
+        return _field(entry, parts, path)
+
+
+def _field(entry: Mapping[str, Any], parts: list[str], path: str) -> Value:
+    value: Any = entry
+    for i, part in enumerate(parts):
+        if part in ("low", "high") and isinstance(value, list):
+            value = value[part == "high"]
+        elif i == 0 and part not in entry and part in entry["models"]:
+            value = entry["models"][part]
+        elif isinstance(value, Mapping):
+            value = _member(value, part, "field")
+        else:
+            raise UsageError(f"{path!r} goes on below a plain value", hint=EXAMPLE)
+    if isinstance(value, bool) or not (value is None or isinstance(value, (int, float, str))):
+        raise UsageError(f"{path!r} is not a single value", hint=EXAMPLE)
+    if value is None and parts[-1] == "change_pct":
+        return {"worse": math.inf, "better": -math.inf}.get(str(_owner(entry, parts).get("verdict")))
+    return value
+
+
+def _owner(entry: Mapping[str, Any], parts: Sequence[str]) -> Mapping[str, Any]:
+    """The mapping that holds the last part of a path known to exist."""
+    owner = entry
+    for part in parts[:-1]:
+        owner = owner[part]
+    return owner
+
+
+def _member(holder: Mapping[str, Any], name: str, what: str) -> Any:
+    if name in holder:
+        return holder[name]
+    near = difflib.get_close_matches(name, [str(k) for k in holder], n=1, cutoff=0.4)
+    hint = f"did you mean {near[0]!r}?" if near else f"there is: {', '.join(map(repr, holder))}"
+    raise UsageError(f"no {what} {name!r} in this comparison", hint=hint)
