@@ -23,7 +23,6 @@ from flysid.flight import ClockMap, Damage
 from flysid.ingest.base import HEAD_BYTES, Format, Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.clock import SECOND_NS, IntArray, is_outlier
 from flysid.ingest.columns import Layout, decode, gather, message_schema, numbers
-from flysid.ingest.mavclock import TIME_FIELDS, Clocked, Source, VehicleTime
 from flysid.ingest.mavdialect import DEFAULT, OTHERS, Dialect, load_dialect
 from flysid.ingest.mavframes import (
     LOOK_AHEAD,
@@ -36,10 +35,14 @@ from flysid.ingest.mavframes import (
     Scanner,
     plain_chain,
 )
+from flysid.ingest.vehicletime import Clocked, Source, VehicleTime
 
 PROBE_BYTES = 1 << 20
 HEARTBEAT = 0
 AUTOPILOT_INVALID = 8
+TIME_FIELDS = {"time_boot_ms": 1_000_000, "time_boot_us": 1000, "time_usec": 1000, "time_us": 1000}
+BOOT_FIELDS = ("time_boot_ms", "time_boot_us")
+MAX_NS = (1 << 63) - 1
 
 
 # ------------------------------------------------------------------------------------------ detection
@@ -170,9 +173,7 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
         if source[2] == HEARTBEAT:
             _note_vehicle(reader, source, matrix, layout)
         if (name := _time_field(layout)) is not None:
-            raw = _field_values(matrix, layout, name)
-            bits = 8 * layout.dtype[name].itemsize
-            clocked[source] = reader.time.clocked(source, name, rows, raw, bits)
+            clocked[source] = reader.time.unwrapped(_clocked(source, name, rows, matrix, layout))
     placed, boots = reader.time.place(frames.system, list(clocked.values()), arrival, utc=has_utc)
     for source, rows in groups.items():
         time_ns = placed[rows]
@@ -240,6 +241,15 @@ def _time_field(layout: Layout) -> str | None:
     """The field that carries the vehicle's clock, if the message has one."""
     names = layout.dtype.names or ()
     return next((f for f in TIME_FIELDS if f in names), None)
+
+
+def _clocked(
+    source: Source, name: str, rows: IntArray, matrix: npt.NDArray[np.uint8], layout: Layout
+) -> Clocked:
+    unit = TIME_FIELDS[name]
+    time_ns = np.minimum(_field_values(matrix, layout, name), MAX_NS // unit) * unit
+    period = (1 << 32) * unit if layout.dtype[name].itemsize == 4 else 0
+    return Clocked(source, name, rows, time_ns, name in BOOT_FIELDS, period)
 
 
 def _field_values(matrix: npt.NDArray[np.uint8], layout: Layout, name: str) -> IntArray:

@@ -1,13 +1,14 @@
-"""Vehicle time of MAVLink messages, whether they carry it or not.
+"""Vehicle time of messages, whether they carry it or not, from their order in the file.
 
-Each system keeps its own clock: the `time_boot_ms` of its autopilot (component 1 where it has one). These
-messages are knots. Any other message of the system lies between the knots before and after it in the file, at
-the place that its arrival (or, without arrival times, its position) gives it. This needs no global fit, holds
-at any slope (0.92 to 27 have been seen), and a burst on the link cannot reorder anything.
+Each system keeps its own clock: the time since boot that its autopilot (component 1 where it has one) states.
+These messages are knots. Any other message of the system lies between the knots before and after it in the
+file, at the place that its arrival (or, without arrival times, its position) gives it. This needs no global
+fit, holds at any slope (0.92 to 27 have been seen), and a burst on the link cannot reorder anything.
 
-Messages that carry a time are believed where it agrees with the knots: `time_usec` counts from boot in some
-messages and from 1970 in others, and a companion computer counts from its own boot. A system without a clock
-(a ground station), or with one that disagrees and no autopilot, is placed on the clock of the main vehicle.
+Messages that carry a time are believed where it agrees with the knots: MAVLink's `time_usec` counts from
+boot in some messages and from 1970 in others, and a companion computer counts from its own boot. A system
+without a clock (a ground station), or with one that disagrees and no autopilot, is placed on the clock of
+the main vehicle. A format with a single source of messages (DataFlash) is one system.
 """
 
 from __future__ import annotations
@@ -27,15 +28,7 @@ from flysid.ingest.clock import (
     wrap_points,
 )
 
-TIME_FIELDS = {
-    "time_boot_ms": 1_000_000,
-    "time_boot_us": 1000,
-    "time_usec": 1000,
-    "time_us": 1000,
-}
-BOOT_FIELDS = ("time_boot_ms", "time_boot_us")
-MS_WRAP_NS = (1 << 32) * 1_000_000
-MAX_NS = (1 << 63) - 1
+LONG_PERIOD_NS = 86400 * SECOND_NS
 UNIX_NS = 10**18  # 2001: a clock that counts from boot does not get there
 AGREES_NS = 5 * SECOND_NS
 OUTLIER_NS = 10 * SECOND_NS
@@ -53,6 +46,7 @@ class Clocked:
     field : which field the time comes from.
     rows : (n,) positions among the batch's frames, rising.
     time_ns : (n,) the stated time.
+    is_boot_clock : the field counts from boot by definition; others are knots only where no such field is.
     period_ns : where the field wraps (32 bits of microseconds last 71 minutes); 0 for 64 bits.
     """
 
@@ -60,6 +54,7 @@ class Clocked:
     field: str
     rows: IntArray
     time_ns: IntArray
+    is_boot_clock: bool = True
     period_ns: int = 0
 
 
@@ -99,18 +94,20 @@ class VehicleTime:
     _systems: dict[int, _System] = field(default_factory=dict)
     _wraps: dict[Source, int] = field(default_factory=dict)
 
-    def clocked(self, source: Source, field_name: str, rows: IntArray, raw: IntArray, bits: int) -> Clocked:
-        """The times that a stream states, in nanoseconds, with wraps of 32-bit milliseconds undone."""
-        time_ns = np.minimum(raw, MAX_NS // TIME_FIELDS[field_name]) * TIME_FIELDS[field_name]
-        if field_name == "time_boot_ms":
-            wraps = wrap_points(time_ns, MS_WRAP_NS)
-            before = self._wraps.get(source, 0)
-            if len(wraps) or before:
-                count = before + np.searchsorted(wraps, np.arange(len(raw)), side="right")
-                time_ns = time_ns + count * MS_WRAP_NS
-                self._wraps[source] = before + len(wraps)
-        period = (1 << 32) * TIME_FIELDS[field_name] if bits == 32 else 0
-        return Clocked(source, field_name, rows, time_ns, period)
+    def unwrapped(self, stream: Clocked) -> Clocked:
+        """The stream with wraps of its own counter undone, those of earlier batches included.
+
+        Counters that wrap within minutes are left to `settle`, which knows the time to the second.
+        """
+        if stream.period_ns < LONG_PERIOD_NS:
+            return stream
+        wraps = wrap_points(stream.time_ns, stream.period_ns)
+        before = self._wraps.get(stream.source, 0)
+        if not len(wraps) and not before:
+            return stream
+        self._wraps[stream.source] = before + len(wraps)
+        count = before + np.searchsorted(wraps, np.arange(len(stream.rows)), side="right")
+        return replace(stream, time_ns=stream.time_ns + count * stream.period_ns)
 
     def place(
         self, systems: npt.NDArray[np.uint8], clocked: list[Clocked], arrival: IntArray, *, utc: bool
@@ -233,16 +230,12 @@ def _clock_owners(clocked: list[Clocked]) -> list[int]:
     return sorted({stream.source[0] for stream in clocked})
 
 
-def _is_boot_clock(stream: Clocked) -> bool:
-    return stream.field in BOOT_FIELDS
-
-
 def _clock_component(system: int, clocked: list[Clocked]) -> int:
     """The component whose messages are a system's clock: the autopilot, else whoever says the time most."""
     counts: dict[int, int] = {}
     for stream in clocked:
         if stream.source[0] == system:
-            weight = len(stream.rows) * (1000 if _is_boot_clock(stream) else 1)
+            weight = len(stream.rows) * (1000 if stream.is_boot_clock else 1)
             counts[stream.source[1]] = counts.get(stream.source[1], 0) + weight
     if AUTOPILOT_COMPONENT in counts:
         return AUTOPILOT_COMPONENT
@@ -252,9 +245,7 @@ def _clock_component(system: int, clocked: list[Clocked]) -> int:
 def _clock_streams(system: int, component: int, clocked: list[Clocked]) -> list[Clocked]:
     """The streams that serve as knots: time since boot, or failing that any time that is not UNIX time."""
     own = [s for s in clocked if s.source[:2] == (system, component)]
-    return [s for s in own if _is_boot_clock(s)] or [
-        s for s in own if 0 < int(np.median(s.time_ns)) < UNIX_NS
-    ]
+    return [s for s in own if s.is_boot_clock] or [s for s in own if 0 < int(np.median(s.time_ns)) < UNIX_NS]
 
 
 def _without_outliers(stream: Clocked) -> Clocked:
