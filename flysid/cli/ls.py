@@ -19,10 +19,16 @@ HEADINGS = ("FLIGHT", "FORMAT", "VEHICLE", "TIME", "STREAMS", "RECORDS", "LOST")
 @click.command("ls")
 @click.argument("data", default="data")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def command(data: str, as_json: bool) -> None:
+@click.option("--suggest", is_flag=True, help="List what each flight can identify, and what stands in the way.")
+def command(data: str, as_json: bool, suggest: bool) -> None:
     """List the flights of an ingested folder."""
     from flysid.manifest import list_flights
 
+    if suggest:
+        from flysid.cli.suggest import print_suggestions
+
+        print_suggestions(data, as_json)
+        return
     flights = list_flights(data)
     if as_json:
         click.echo(json.dumps({"flights": [as_document(f) for f in flights]}, indent=1))
