@@ -38,6 +38,7 @@ class Spectrum:
     coherence : (F,) in [0, 1]; biased upwards by about 1 / averages.
     gain : (F,) magnitude of the frequency response S_uy / S_uu.
     phase_rad : (F,) its phase.
+    output_power : (F,) S_yy, in no particular scale.
     averages : number of windows, overlapping ones counted as independent ones are: 0.6 of them.
     """
 
@@ -45,22 +46,25 @@ class Spectrum:
     coherence: FloatArray
     gain: FloatArray
     phase_rad: FloatArray
+    output_power: FloatArray
     averages: float
 
     @property
     def threshold(self) -> float:
-        """The coherence that counts: above chance (5 %) and worth a model."""
-        chance = float(1.0 - 0.05 ** (1.0 / max(self.averages - 1.0, 0.1)))
+        """The coherence that counts: worth a model, and above chance at 5 % over all frequencies."""
+        level = 0.05 / max(len(self.coherence), 1)
+        chance = float(1.0 - level ** (1.0 / max(self.averages - 1.0, 0.1)))
         return max(GOOD_COHERENCE, chance)
 
     def band_hz(self) -> tuple[float, float] | None:
-        """The widest run of frequencies whose coherence counts, None where there is none."""
+        """The run of frequencies whose coherence counts that explains most output power, None without one."""
         good = self.coherence > self.threshold
         edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]])))
         runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
         if not runs:
             return None
-        start, stop = max(runs, key=lambda run: run[1] - run[0])
+        explained = self.coherence * self.output_power
+        start, stop = max(runs, key=lambda run: float(explained[run[0] : run[1]].sum()))
         return float(self.frequency_hz[start]), float(self.frequency_hz[stop - 1])
 
 
@@ -129,6 +133,7 @@ def spectrum(data: Dataset, column: int = 0, output: int = 0, window_s: float | 
         coherence=np.clip(coherence[1:], 0.0, 1.0) if count > 1 else np.zeros(bins - 1),
         gain=np.abs(response[1:]),
         phase_rad=np.unwrap(np.angle(response[1:])),
+        output_power=s_yy[1:],
         averages=max(1.0, 0.6 * count),
     )
 

@@ -107,6 +107,15 @@ def test_a_log_that_overlaps_a_training_log_is_refused() -> None:
     assert all("part of it" in refusal or {"long", "part of it"} <= trained for trained, refusal in outcomes)
 
 
+def test_one_flight_from_two_recorders_is_a_copy() -> None:
+    flown = flight("a.bin", 3000, 8)
+    again = Segment(flown.u.astype(np.float32), flown.y.astype(np.float32), t0_ns=5, flight="a.tlog")
+    whole = data(flown, again, flight("other", 3000, 9))
+    outcomes = [outcome(whole, "flight", seed) for seed in range(8)]
+    assert any(refusal for _, refusal in outcomes)
+    assert all("a.tlog" in refusal or {"a.bin", "a.tlog"} <= trained for trained, refusal in outcomes)
+
+
 def test_standing_on_the_ground_is_not_a_copy() -> None:
     still = np.zeros(1500)
     parts = []

@@ -19,7 +19,9 @@ HEADINGS = ("FLIGHT", "FORMAT", "VEHICLE", "TIME", "STREAMS", "RECORDS", "LOST")
 @click.command("ls")
 @click.argument("data", default="data")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option("--suggest", is_flag=True, help="List what each flight can identify, and what stands in the way.")
+@click.option(
+    "--suggest", is_flag=True, help="List what each flight can identify, and what stands in the way."
+)
 def command(data: str, as_json: bool, suggest: bool) -> None:
     """List the flights of an ingested folder."""
     from flysid.manifest import list_flights

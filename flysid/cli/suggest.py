@@ -52,7 +52,8 @@ def _delay(found: Suggestion) -> str:
     """Dead time with what cannot be told from it; nothing where no band shows a relation."""
     if found.delay_s is None or found.band_hz is None:
         return "-"
-    return f"{1e3 * found.delay_s:.0f} ms [{1e3 * (found.delay_low_s or 0):.0f}, {1e3 * (found.delay_high_s or 0):.0f}]"
+    low_ms, high_ms = 1e3 * (found.delay_low_s or 0.0), 1e3 * (found.delay_high_s or 0.0)
+    return f"{1e3 * found.delay_s:.0f} ms [{low_ms:.0f}, {high_ms:.0f}]"
 
 
 def advice(found: list[Suggestion]) -> list[str]:
@@ -62,4 +63,6 @@ def advice(found: list[Suggestion]) -> list[str]:
         for text in (suggestion.advice, *suggestion.notes):
             if text:
                 grouped.setdefault(text, []).append(f"{suggestion.flight} {suggestion.channel}")
-    return [f"{', '.join(places[:4])}{', ...' if len(places) > 4 else ''}: {t}" for t, places in grouped.items()]
+    return [
+        f"{', '.join(places[:4])}{', ...' if len(places) > 4 else ''}: {t}" for t, places in grouped.items()
+    ]
