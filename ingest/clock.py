@@ -123,6 +123,11 @@ class UtcFit:
             every = max(1, len(vehicle_ns) // KNOTS_PER_FIT)
             self._pairs.setdefault(boot, []).append((vehicle_ns[::every], utc_ns[::every]))
 
+    def anchor(self, boot: int, vehicle_ns: IntArray, utc_ns: IntArray) -> None:
+        """Pairs of a boot whose span is known from elsewhere."""
+        every = max(1, len(vehicle_ns) // KNOTS_PER_FIT)
+        self._pairs.setdefault(boot, []).append((vehicle_ns[::every], utc_ns[::every]))
+
     def slope(self, boot: int) -> float:
         """UTC seconds per vehicle second so far; 1.0 where unknown."""
         fitted = self._fit(boot)

@@ -9,7 +9,7 @@ from typing import Any
 from tests.samplelogs import Record
 
 SUFFIX = ".tlog"
-STEPS = 110
+STEPS = 60
 EPOCH_US = 1_700_000_000_000_000
 
 
@@ -33,7 +33,7 @@ def stamped(micros: int, packed: bytes) -> bytes:
 
 
 def build() -> bytes:
-    """110 steps of 20 ms: attitude, position, now and then a heartbeat, a text, a ground station."""
+    """60 steps of 20 ms: attitude, position, now and then a heartbeat, a text, a ground station."""
     vehicle, station = sender(), sender(255, 190)
     signed = sender()
     signed.signing.secret_key = bytes(range(32))

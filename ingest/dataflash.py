@@ -1,0 +1,301 @@
+"""ArduPilot DataFlash logs (.bin) -> one table per message definition, on the vehicle's clock.
+
+Framing: `dfframes`; definitions and units: `dfformats`; messages without a time of their own lie between
+their neighbours in the file (`vehicletime`). Time bases: TimeUS (since 2015), TimeMS, and in the oldest logs
+only GPS week and milliseconds. UTC comes from GPS messages with a fix. Written from ArduPilot's description
+of the format; instances stay in one table, whose schema metadata names the `instance` column.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from flysid.errors import FormatError
+from flysid.flight import ClockMap, Damage
+from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary, release
+from flysid.ingest.clock import SECOND_NS, IntArray
+from flysid.ingest.columns import ByteMatrix, Layout, decode, gather, message_schema, numbers
+from flysid.ingest.dfformats import FMT_ID, HEADER_BYTES, Definition, Units
+from flysid.ingest.dfframes import HEAD, LOOK_AHEAD, Messages, Walker
+from flysid.ingest.vehicletime import Clocked, VehicleTime
+
+SNIFF_BYTES = 16384
+SYSTEM = 1
+GPS_EPOCH_NS = 315_964_800 * SECOND_NS
+WEEK_NS = 7 * 86400 * SECOND_NS
+LEAP_SECONDS = ((1_483_228_800, 18), (1_435_708_800, 17), (1_341_100_800, 16), (1_230_768_000, 15), (0, 14))
+MAX_NS = (1 << 63) - 1
+FIRMWARE = re.compile(
+    r"(?:ArduPilot |APM:)?(?:Ardu)?(Copter|Plane|Rover|Sub|Blimp|Tracker)\s+V?(\d[\w.\-]*)", re.I
+)
+
+
+def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
+    """Confidence that these bytes begin a DataFlash log: does it define a message, and chain?"""
+    if HEAD + bytes([FMT_ID]) not in head[:SNIFF_BYTES]:
+        return 0.0
+    messages, _ = Walker().walk(head, 0, len(head))
+    return 0.95 if len(messages) >= 3 else 0.6 if len(messages) else 0.0
+
+
+@dataclass
+class _Reader:
+    """What is remembered between batches."""
+
+    walker: Walker = field(default_factory=Walker)
+    units: Units = field(default_factory=Units)
+    time: VehicleTime = field(default_factory=lambda: VehicleTime(vehicles={SYSTEM}))
+    schemas: dict[str, pa.Schema] = field(default_factory=dict)
+    undecoded: dict[str, int] = field(default_factory=dict)
+    dropped: int = 0
+    row: int = 0
+    gps_zero_ns: int | None = None
+    info: dict[str, str] = field(default_factory=dict)
+
+
+def read(view: memoryview, name: str, limits: Limits) -> Parts:
+    """Parts of a DataFlash log; see `Format.read`."""
+    reader, position = _Reader(), 0
+    while position < len(view):
+        start = position
+        stop = start + limits.batch_bytes
+        if stop + LOOK_AHEAD >= len(view):
+            data = bytes(view[start:])
+            messages, position = reader.walker.walk(data, start, len(data))
+        else:
+            data = bytes(view[start : stop + LOOK_AHEAD])
+            messages, position = reader.walker.walk(data, start, limits.batch_bytes)
+        release(view, start, position)
+        yield from _parts(reader, messages)
+    if reader.row == 0:
+        raise FormatError("no DataFlash message", path=name, hint="check that this is an ArduPilot .bin log")
+    return _summary(reader)
+
+
+def _parts(reader: _Reader, messages: Messages) -> Iterator[StreamPart]:
+    """The tables of one batch, one per definition in it."""
+    groups = _groups(messages)
+    items = reader.walker.definitions.items
+    matrices: dict[int, ByteMatrix] = {}
+    for code, rows in groups.items():
+        layout = items[code].layout
+        if layout is None:
+            key = items[code].stream
+            reader.undecoded[key] = reader.undecoded.get(key, 0) + len(rows)
+            continue
+        lengths = np.full(len(rows), layout.size, dtype=np.int64)
+        matrices[code] = gather(messages.buffer, messages.start[rows] + HEADER_BYTES, lengths, layout.size)
+        _learn(reader, items[code], matrices[code])
+    clocked = _clocks_of(reader, groups, matrices)
+    systems = np.full(len(messages), SYSTEM, dtype=np.uint8)
+    order = np.arange(reader.row, reader.row + len(messages), dtype=np.int64)
+    placed, boots = reader.time.place(systems, list(clocked.values()), order, utc=False)
+    for code, matrix in matrices.items():
+        rows = groups[code]
+        time_ns = reader.time.settle(clocked[code], placed[rows]) if code in clocked else placed[rows]
+        _note_utc(reader, items[code], matrix, time_ns, boots[rows])
+        yield _table(reader, code, matrix, time_ns, boots[rows])
+    reader.row += len(messages)
+
+
+def _groups(messages: Messages) -> dict[int, IntArray]:
+    """Definition index -> rising row numbers."""
+    order = np.argsort(messages.code, kind="stable")
+    codes = np.flatnonzero(np.bincount(messages.code))
+    edges = np.searchsorted(messages.code[order], [*codes.tolist(), 1 << 20])
+    return {int(code): order[edges[i] : edges[i + 1]] for i, code in enumerate(codes)}
+
+
+def _records(matrix: ByteMatrix, layout: Layout) -> npt.NDArray[np.void]:
+    return matrix.view(layout.dtype).reshape(len(matrix))
+
+
+# ---------------------------------------------------------------------------------- what messages tell
+
+
+def _learn(reader: _Reader, definition: Definition, matrix: ByteMatrix) -> None:
+    """Take in units, the firmware's name and counts of dropped messages."""
+    assert definition.layout is not None
+    names = definition.layout.dtype.names or ()
+    records = _records(matrix, definition.layout)
+    if definition.name == "UNIT" and {"Id", "Label"} <= set(names):
+        reader.units.labels.update(
+            (chr(int(i) & 255), _text(label))
+            for i, label in zip(records["Id"], records["Label"], strict=True)
+        )
+    elif definition.name == "MULT" and {"Id", "Mult"} <= set(names):
+        reader.units.factors.update(
+            (chr(int(i) & 255), float(f)) for i, f in zip(records["Id"], records["Mult"], strict=True)
+        )
+    elif definition.name == "FMTU" and {"FmtType", "UnitIds", "MultIds"} <= set(names):
+        for number, units, factors in zip(
+            *(records[c] for c in ("FmtType", "UnitIds", "MultIds")), strict=True
+        ):
+            reader.units.of_message[int(number)] = (_text(units), _text(factors))
+    elif definition.name == "DSF" and "Dp" in names:
+        reader.dropped = max(reader.dropped, int(records["Dp"].max()))
+    elif definition.name == "MSG" and "Message" in names and "firmware" not in reader.info:
+        _learn_firmware(reader, [_text(text) for text in records["Message"][:200].tolist()])
+
+
+def _learn_firmware(reader: _Reader, texts: list[str]) -> None:
+    for text in texts:
+        if found := FIRMWARE.search(text):
+            reader.info["vehicle"], reader.info["firmware"] = found[1].lower(), found[2]
+            return
+
+
+def _text(raw: bytes) -> str:
+    return bytes(raw).split(b"\0", 1)[0].decode("utf-8", "replace")
+
+
+# -------------------------------------------------------------------------------------------- time
+
+
+def _clocks_of(
+    reader: _Reader, groups: dict[int, IntArray], matrices: dict[int, ByteMatrix]
+) -> dict[int, Clocked]:
+    clocked = {}
+    for code, matrix in matrices.items():
+        layout = reader.walker.definitions.items[code].layout
+        assert layout is not None
+        stated = _stated_time(reader, layout, matrix)
+        if stated is not None:
+            name, time_ns, is_boot, period = stated
+            stream = Clocked((SYSTEM, 1, code), name, groups[code], time_ns, is_boot, period)
+            clocked[code] = reader.time.unwrapped(stream)
+    return clocked
+
+
+def _stated_time(
+    reader: _Reader, layout: Layout, matrix: ByteMatrix
+) -> tuple[str, IntArray, bool, int] | None:
+    """(field, nanoseconds, counts from boot, period) of a message's own time; None where it has none."""
+    names = layout.dtype.names or ()
+    records = _records(matrix, layout)
+    week = _week_field(names)
+    for name, unit in (("TimeUS", 1000), ("T", 1_000_000), ("TimeMS", 1_000_000)):
+        if name not in names or (name == "TimeMS" and week) or (name == "T" and not week):
+            continue
+        if layout.dtype[name].kind not in "iu" or layout.dtype[name].shape:
+            continue
+        time_ns = np.minimum(np.maximum(records[name], 0), MAX_NS // unit).astype(np.int64) * unit
+        return name, time_ns, True, (1 << 32) * unit if layout.dtype[name].itemsize == 4 else 0
+    gps_ns = _gps_ns(records, names)
+    if gps_ns is None:
+        return None
+    if reader.gps_zero_ns is None:
+        fixes = gps_ns[gps_ns > WEEK_NS]
+        reader.gps_zero_ns = int(fixes[0]) if len(fixes) else None
+    zero = reader.gps_zero_ns
+    if zero is None:
+        return None
+    return "GPS", np.where(gps_ns > WEEK_NS, gps_ns - zero + SECOND_NS, 0), False, 0
+
+
+def _week_field(names: tuple[str, ...]) -> str:
+    return next((n for n in ("GWk", "Week", "Wk") if n in names), "")
+
+
+def _gps_ns(records: npt.NDArray[np.void], names: tuple[str, ...]) -> IntArray | None:
+    """GPS time in nanoseconds since 1980; None where the message has no week and milliseconds."""
+    week = _week_field(names)
+    within = next((n for n in ("GMS", "TimeMS", "Time") if n in names), "")
+    if (
+        not week
+        or not within
+        or records.dtype[week].kind not in "iu"
+        or records.dtype[within].kind not in "iu"
+    ):
+        return None
+    return records[week].astype(np.int64) * WEEK_NS + records[within].astype(np.int64) * 1_000_000
+
+
+def _note_utc(
+    reader: _Reader, definition: Definition, matrix: ByteMatrix, time_ns: IntArray, boots: IntArray
+) -> None:
+    """Anchor vehicle time to UTC by GPS messages that have a fix."""
+    assert definition.layout is not None
+    if not definition.name.startswith("GPS"):
+        return
+    records, names = _records(matrix, definition.layout), definition.layout.dtype.names or ()
+    gps_ns = _gps_ns(records, names)
+    if gps_ns is None:
+        return
+    fixed = gps_ns > WEEK_NS
+    if "Status" in names and records.dtype["Status"].kind in "iu":
+        fixed &= records["Status"] >= 2
+    for boot in np.unique(boots[fixed]).tolist():
+        rows = fixed & (boots == boot)
+        reader.time.fit().anchor(boot, time_ns[rows], utc_of_gps(gps_ns[rows]))
+
+
+def utc_of_gps(gps_ns: IntArray) -> IntArray:
+    """UTC nanoseconds since 1970 of GPS nanoseconds since 1980, leap seconds since 2009 taken off."""
+    utc = gps_ns + GPS_EPOCH_NS
+    first = int(utc[0]) // SECOND_NS
+    leap = next(count for since, count in LEAP_SECONDS if first - count >= since)
+    return utc - leap * SECOND_NS
+
+
+# ------------------------------------------------------------------------------------------- tables
+
+
+def _table(reader: _Reader, code: int, matrix: ByteMatrix, time_ns: IntArray, boots: IntArray) -> StreamPart:
+    definition = reader.walker.definitions.items[code]
+    assert definition.layout is not None
+    columns = decode(matrix, definition.layout)
+    if definition.stream not in reader.schemas:
+        layout, instance = reader.units.apply(definition)
+        source = (SYSTEM, 1, code)
+        metadata = {
+            "time_source": reader.time.sources.get(source) or reader.time.source_of(source),
+            "message": definition.name,
+            **({"instance": instance} if instance else {}),
+        }
+        metadata["time_source"] = metadata["time_source"].replace("arrival-mapped", "order-mapped")
+        reader.schemas[definition.stream] = message_schema(layout, columns, metadata, received=False)
+    schema = reader.schemas[definition.stream]
+    table = pa.Table.from_arrays([numbers(time_ns), numbers(boots.astype(np.int32)), *columns], schema=schema)
+    return StreamPart(definition.stream, table)
+
+
+def _summary(reader: _Reader) -> Summary:
+    walker = reader.walker
+    items = walker.definitions.items
+    outliers: dict[str, int] = {}
+    for source, count in reader.time.outliers.items():
+        key = items[source[2]].stream
+        outliers[key] = outliers.get(key, 0) + count
+    unknown = {f"#{number}": count for number, count in sorted(walker.unknown.items())}
+    found = walker.damage()
+    damage = Damage(
+        bytes_skipped=found.bytes_skipped,
+        regions=found.regions,
+        region_count=found.region_count,
+        truncated=found.truncated,
+        undecoded={**reader.undecoded, **unknown},
+        time_outliers=dict(sorted(outliers.items())),
+        dropouts={"messages": reader.dropped} if reader.dropped else {},
+    )
+    padding = {"padding_bytes": str(walker.padding)} if walker.padding else {}
+    return Summary(damage, _clocks(reader), {"autopilot": "ardupilot", **reader.info, **padding})
+
+
+def _clocks(reader: _Reader) -> tuple[ClockMap, ...]:
+    return reader.time.fit().clocks() or (ClockMap(0, 0, max(0, reader.row - 1)),)
+
+
+FORMAT = Format(
+    name="dataflash",
+    title="ArduPilot DataFlash (.bin)",
+    suffixes=(".bin",),
+    sniff=sniff,
+    read=read,
+)
