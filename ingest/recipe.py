@@ -207,7 +207,7 @@ def load_recipe(name: str | Path) -> Recipe:
     ------
     RecipeError : no such recipe, not TOML, an unknown key, a wrong type, an inconsistent entry.
     """
-    text, where = _recipe_text(str(name))
+    text, where = recipe_text(str(name))
     try:
         document = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -226,7 +226,8 @@ def parse_recipe(document: Mapping[str, Any], where: str = "") -> Recipe:
     return recipe
 
 
-def _recipe_text(name: str) -> tuple[str, str]:
+def recipe_text(name: str) -> tuple[str, str]:
+    """The text of a shipped recipe or of a file, and what to call it in errors; raises RecipeError."""
     if name in shipped_recipes():
         entry = resources.files("flysid.ingest") / "recipes" / f"{name}{SUFFIX}"
         return entry.read_text("utf-8"), name

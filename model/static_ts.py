@@ -24,6 +24,7 @@ from flysid.errors import DataError, UsageError
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, Structure
 from flysid.model.cluster import Method, cluster, project
 from flysid.model.memberships import Conjunction, Partition, Shape
+from flysid.model.threads import on_one_thread
 from flysid.model.words import condition_in_words, equation, number, write_model
 
 
@@ -48,6 +49,7 @@ class StaticTS:
     two_sided: bool = True
     seed: int = 0
 
+    @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedStaticTS:
         """Cluster the training samples, then solve eq. (4). `validation` is not needed: nothing is chosen.
 

@@ -20,6 +20,7 @@ from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, Structure
 from flysid.model.memberships import Partition
+from flysid.model.threads import on_one_thread
 from flysid.model.tsestimate import Learned, learn
 from flysid.model.tskernel import Parameters, firing, free_run, predict
 from flysid.model.tslayout import Antecedent, Layout, Orders, at
@@ -52,6 +53,7 @@ class TS:
     most_rules: int = 6
     iterations: int = 30
 
+    @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:
         """Grow, refine and choose a model.
 

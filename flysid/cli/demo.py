@@ -1,0 +1,167 @@
+"""`flysid demo`: the whole way from a flight to a verdict, on data that needs no download."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from flysid.cli.output import check_target, say, status
+
+if TYPE_CHECKING:
+    from flysid.validate.judge import Judgement
+    from flysid.validate.run import Run
+
+PLANT = "ardrone-linear"
+RECIPE = "ardrone-synthetic"
+DURATION_S = 60.0
+MARKER = ".flysid-demo"
+
+
+@dataclass(frozen=True)
+class Stages:
+    """Folders of the demo."""
+
+    root: Path
+
+    @property
+    def logs(self) -> Path:
+        return self.root / "logs"
+
+    @property
+    def data(self) -> Path:
+        return self.root / "data"
+
+    @property
+    def run(self) -> Path:
+        return self.root / "run"
+
+    @property
+    def report(self) -> Path:
+        return self.root / "report"
+
+
+@click.command("demo")
+@click.option(
+    "--output",
+    "-o",
+    default="flysid-demo",
+    show_default=True,
+    type=click.Path(path_type=Path),
+    help="Folder.",
+)
+@click.option("--seed", default=1, show_default=True)
+@click.option("--force", is_flag=True, help="Replace an earlier demo in that folder.")
+@click.option("--quiet", "-q", is_flag=True)
+def command(output: Path, seed: int, force: bool, quiet: bool) -> None:
+    """Fly, ingest, fit and validate on simulated flights; end with the path of a report.
+
+    The vehicle is the paper's AR.Drone: transfer functions (10), (11) and (12) with measurement noise.
+    """
+    started = time.perf_counter()
+    prepare(output, force)
+    stages = Stages(output)
+    with status(quiet) as progress:
+        say(f"  synthesise  {fly(stages, seed, progress)}", quiet)
+        say(f"  ingest      {take_in(stages)}", quiet)
+        run = fit(stages, seed, progress)
+        say(f"  fit         {describe_run(run)}", quiet)
+        judgement = judge(stages, progress)
+    say(f"  validate    {describe_judgement(judgement)}", quiet)
+    from flysid.validate.terminal import summary
+
+    for line in summary(judgement.comparisons).splitlines():
+        say(f"  {line}", quiet)
+    say(f"  {meaning(judgement)}", quiet)
+    say(f"  {time.perf_counter() - started:.0f} s in all", quiet)
+    click.echo(str(stages.report / "report.html"))
+
+
+def prepare(output: Path, force: bool) -> None:
+    """An empty demo folder. With `force` an earlier demo is removed, and nothing but a demo."""
+    if output.exists():
+        check_target(output, force and (output / MARKER).is_file())
+        shutil.rmtree(output)
+    from flysid.flightwriter import writing_to
+
+    with writing_to(output):
+        output.mkdir(parents=True)
+        (output / MARKER).touch()
+
+
+def fly(stages: Stages, seed: int, progress: Callable[[str], None]) -> str:
+    """Fly the mixed plan; half of the flights are logged as tlog, the others as MCAP."""
+    from flysid.cli.synth import make_folder
+    from flysid.flightwriter import write_atomically
+    from flysid.ingest.plans import plan_named
+    from flysid.ingest.synth import WRITERS, Order, flights
+
+    order = Order(plant=PLANT, duration_s=DURATION_S, seed=seed)
+    progress(f"flying {len(plan_named(order.plan))} flights")
+    make_folder(stages.logs)
+    writers = [WRITERS["tlog"], WRITERS["mcap"]]
+    recordings = flights(order)
+    for i, recording in enumerate(recordings):
+        suffix, encode = writers[i % 2]
+        write_atomically(stages.logs / f"{recording.name}{suffix}", encode(recording))
+    return (
+        f"{len(recordings)} flights of {DURATION_S:.0f} s, the paper's loops (10), (11), (12), "
+        f"{order.noise} m/s of noise  -> tlog and MCAP"
+    )
+
+
+def take_in(stages: Stages) -> str:
+    """Ingest the logs."""
+    from flysid.ingest.batch import find_logs, ingest_logs
+
+    results = list(ingest_logs(find_logs([stages.logs]), stages.data))
+    manifests = [r.manifest for r in results if r.manifest is not None]
+    lost = sum(m.damage.lossy for m in manifests) + sum(r.skipped for r in results)
+    return f"{len(manifests)} logs, {sum(m.rows for m in manifests):,} records, {lost} with losses"
+
+
+def fit(stages: Stages, seed: int, progress: Callable[[str], None]) -> Run:
+    """Fit all models to all channels."""
+    from flysid.ingest.lake import open as open_lake
+    from flysid.validate.run import FitSettings, fit_run
+
+    return fit_run(open_lake(stages.data), RECIPE, stages.run, FitSettings(seed=seed), progress)
+
+
+def describe_run(run: Run) -> str:
+    """Channels, models and time."""
+    seconds = sum(sum(c.fit_seconds.values()) for c in run.channels)
+    models: Mapping[str, float] = run.channels[0].fit_seconds
+    return f"{', '.join(models)} on {len(run.channels)} channels ({seconds:.0f} s)"
+
+
+def judge(stages: Stages, progress: Callable[[str], None]) -> Judgement:
+    """Compare on the held-out part and write the page."""
+    from flysid.validate.judge import judge_run, write_judgement
+    from flysid.validate.run import open_run
+
+    judgement = judge_run(open_run(stages.run), progress=progress)
+    progress("drawing the report")
+    write_judgement(judgement, stages.report)
+    return judgement
+
+
+def describe_judgement(judgement: Judgement) -> str:
+    """How much was held out."""
+    tests = [c.test for c in judgement.comparisons.values()]
+    flights = len({s.flight for t in tests for s in t.segments})
+    seconds = max(len(t) * t.dt_s for t in tests)
+    return f"free run on {flights} held-out flights, {seconds:.0f} s"
+
+
+def meaning(judgement: Judgement) -> str:
+    """What the verdicts say about these plants."""
+    verdicts = {str(pair.verdict) for c in judgement.comparisons.values() for pair in c.verdict.values()}
+    if "better" in verdicts:
+        return "Rules help on at least one channel: read the cautions in the report before you rely on it."
+    return "These plants are linear, and flysid says so: one linear model per channel is enough."

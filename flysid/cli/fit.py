@@ -1,0 +1,74 @@
+"""`flysid fit DATA --recipe R -o RUN`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from flysid.cli.output import check_target, say, status
+
+if TYPE_CHECKING:
+    from flysid.split import By
+
+
+def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | str:
+    if value == "auto":
+        return value
+    if value.isdigit() and int(value) > 0:
+        return int(value)
+    raise click.BadParameter("a positive whole number, or auto")
+
+
+@click.command("fit")
+@click.argument("data", type=click.Path(path_type=Path))
+@click.option("--recipe", "-r", required=True, help="Name of a shipped recipe, or path of a .toml file.")
+@click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
+@click.option("--channel", "-c", "channels", multiple=True, help="Fit this channel only; may be repeated.")
+@click.option("--rules", default="auto", callback=_rules, show_default=True, help="Rules of the TS model.")
+@click.option("--antecedent", "-a", "antecedents", multiple=True, help="Variable that chooses between rules.")
+@click.option(
+    "--holdout", default=0.3, show_default=True, type=click.FloatRange(0.05, 0.8), help="Share kept back."
+)
+@click.option("--by", default="auto", show_default=True, type=click.Choice(["auto", "flight", "time"]))
+@click.option("--seed", default=7, show_default=True)
+@click.option("--force", is_flag=True, help="Replace the run if it is there.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was fitted as JSON.")
+@click.option("--quiet", "-q", is_flag=True)
+def command(
+    data: Path,
+    recipe: str,
+    output: Path,
+    channels: tuple[str, ...],
+    rules: int | str,
+    antecedents: tuple[str, ...],
+    holdout: float,
+    by: By,
+    seed: int,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Fit linear and Takagi-Sugeno models to every channel of a recipe.
+
+    A part of the data is held out before anything is learned; 'flysid validate RUN' judges the models on it.
+    """
+    check_target(output, force)
+    from flysid.ingest.lake import open as open_lake
+    from flysid.validate.run import FitSettings, fit_run
+
+    settings = FitSettings(holdout, by, seed, rules, antecedents, channels)
+    with status(quiet) as progress:
+        run = fit_run(open_lake(data), recipe, output, settings, progress)
+    if as_json:
+        click.echo((output / "run.json").read_text("utf-8"), nl=False)
+    else:
+        click.echo(str(output))
+    for channel in run.channels:
+        for label, why in channel.failed.items():
+            say(f"{channel.name}: {label} could not be fitted: {why}")
+    for name, why in run.skipped.items():
+        say(f"channel {name} skipped: {why}")
+    say(f"next: flysid validate {output}", quiet)
+    return 3 if run.skipped else 0

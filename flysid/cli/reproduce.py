@@ -1,0 +1,92 @@
+"""`flysid reproduce ardrone-ts`."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from typing import TYPE_CHECKING
+
+import click
+
+from flysid.cli.output import status
+
+if TYPE_CHECKING:
+    from flysid.validate.reproduce import LoopResult
+
+LABELS = {
+    "static_ts_7": "static TS, 7 rules",
+    "static_ts_3": "static TS, 3 rules",
+    "line": "best single line",
+    "arx": "ARX, free run",
+    "dynamic_ts_3": "dynamic TS, 3 rules, free run",
+}
+NOISE_LABELS = {
+    "arx_one_step": "ARX, least squares one step ahead",
+    "arx": "ARX, default (refined on the simulation error where that helps)",
+    "dynamic_ts_3": "dynamic TS, 3 rules",
+}
+VERDICTS = {
+    "same": "no difference that matters: on this linear loop a linear model is enough",
+    "worse": "the dynamic TS model is worse than ARX: on this linear loop use the linear model",
+    "better": "the dynamic TS model is better than ARX",
+    "not enough data": "not enough data for a verdict",
+}
+
+
+@click.command("reproduce")
+@click.argument("paper", type=click.Choice(["ardrone-ts"]))
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+@click.option("--quiet", "-q", is_flag=True)
+def command(paper: str, as_json: bool, quiet: bool) -> None:  # noqa: ARG001
+    """Print a paper's figures and rule tables beside what can, and what cannot, be reproduced.
+
+    ardrone-ts: Takagi-Sugeno identification of the AR.Drone's longitudinal, lateral and vertical loops.
+    """
+    from flysid.validate.paper import CANNOT_REPRODUCE
+    from flysid.validate.reproduce import reproduce_ardrone_ts, to_document
+
+    with status(quiet) as progress:
+        results = reproduce_ardrone_ts(progress)
+    if as_json:
+        click.echo(json.dumps(to_document(results), indent=1, allow_nan=False))
+        return
+    click.echo("\n\n".join(loop_text(r) for r in results))
+    click.echo("\nWhat cannot be reproduced, and why")
+    for reason in CANNOT_REPRODUCE:
+        click.echo(textwrap.fill(reason, 100, initial_indent="- ", subsequent_indent="  "))
+
+
+def loop_text(result: LoopResult) -> str:
+    """One loop: figures of merit, noise, rule tables."""
+    loop = result.paper
+    lines = [
+        f"{loop.name.upper()} LOOP {loop.equation}, {loop.input_name} -> {loop.output_name}; "
+        "trained on (13), validated on (14), T = 0.01 s, 400 s",
+        f"  {'':48}{'RMSE, m/s':>12}{'VAF, %':>12}",
+        f"  {'paper, 7 rules':48}{loop.rmse_text:>12}{'> 95':>12}   (its summary: {loop.rmse_summary})",
+    ]
+    for label, words in LABELS.items():
+        values = result.scores[label]
+        vaf = values["vaf_pct"]
+        lines.append(f"  {words:48}{values['rmse']:>12.3g}{'-' if vaf is None else f'{vaf:.6g}':>12}")
+    lines.append(f"  verdict, dynamic TS against ARX: {result.verdict} ({VERDICTS[result.verdict]})")
+    lines.append("  with 0.02 m/s of measurement noise, free run against the noise-free truth, RMSE in m/s")
+    lines += [f"    {words:66}{result.noisy_rmse[label]:>10.3g}" for label, words in NOISE_LABELS.items()]
+    best = min(NOISE_LABELS, key=lambda label: result.noisy_rmse[label])
+    lines.append(f"    best: {NOISE_LABELS[best]}")
+    return "\n".join([*lines, *_rule_tables(result)])
+
+
+def _rule_tables(result: LoopResult) -> list[str]:
+    loop = result.paper
+    lines = [f"  the paper's rules ({loop.tables})" + " " * 20 + "flysid's static TS, 7 rules"]
+    ours = result.models["static_ts_7"].rules()
+    for i, (theirs, rule) in enumerate(zip(loop.rules, ours, strict=False), start=1):
+        centre = "lost in print" if theirs.centre is None else f"{theirs.centre:g}"
+        left = f"{i}. u about {centre}: y = {theirs.gain:g} u {theirs.offset:+g}"
+        lines.append(f"    {left:52}{rule.label}: if {rule.condition} then {rule.conclusion}")
+    lines.append("  flysid's dynamic TS, 3 rules")
+    lines += [
+        f"    {r.label}: if {r.condition} then {r.conclusion}" for r in result.models["dynamic_ts_3"].rules()
+    ]
+    return lines

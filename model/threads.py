@@ -1,0 +1,28 @@
+"""One BLAS thread while a model is fitted.
+
+Sums of a threaded BLAS depend on the number of threads in their last bits, and a choice between orders or
+rule counts can hang on those bits: fits would differ between machines. The matrices here are small, too; on
+them threads cost time instead of saving it.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def on_one_thread(fit: Callable[P, R]) -> Callable[P, R]:
+    """`fit`, run with BLAS limited to one thread; the caller's limits are restored."""
+
+    @functools.wraps(fit)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(limits=1, user_api="blas"):
+            return fit(*args, **kwargs)
+
+    return limited

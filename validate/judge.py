@@ -1,0 +1,126 @@
+"""A run's models against each other on its held-out part: the comparison, its table, JSON and page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flysid.errors import DataError
+from flysid.flightwriter import write_atomically
+from flysid.validate.compare import Comparison, across_channels, compare
+from flysid.validate.condition import evaluate_condition
+from flysid.validate.document import to_json
+from flysid.validate.report.context import ReportContext
+from flysid.validate.report.page import render
+from flysid.validate.run import HeldOut, Progress, Run, held_out, replacing_folder
+from flysid.validate.terminal import summary, table
+
+PAGE = "report.html"
+DOCUMENT = "report.json"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What was found on the held-out part.
+
+    Attributes
+    ----------
+    comparisons : by channel, corrected over channels.
+    skipped : channels that could not be judged, with the reason.
+    context : all that the page is drawn from.
+    """
+
+    run: Run
+    comparisons: Mapping[str, Comparison]
+    skipped: Mapping[str, str]
+    context: ReportContext
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The comparison as JSON types: {"channels": {NAME: {HORIZON: {...}}}, ...}."""
+        return to_json(self.comparisons) | {
+            "skipped": dict(self.skipped),
+            "provenance": dict(self.context.provenance),
+        }
+
+    @property
+    def table(self) -> str:
+        """The comparison for a terminal: every model, channel and horizon, then the verdicts in words."""
+        return f"{table(self.comparisons)}\n\n{summary(self.comparisons)}"
+
+    def violates(self, condition: str) -> bool:
+        """Whether a `--fail-if` condition holds; raises UsageError where it is not understood."""
+        return evaluate_condition(condition, self.document)
+
+
+def judge_run(run: Run, data: str | Path | None = None, progress: Progress = lambda _: None) -> Judgement:
+    """Compare every channel of a run on its held-out part.
+
+    Raises
+    ------
+    DataError : no channel can be judged, or the data differs from what was fitted.
+    StoreError, UsageError : the run or the data folder cannot be read.
+    """
+    held = held_out(run, data)
+    comparisons: dict[str, Comparison] = {}
+    skipped: dict[str, str] = dict(run.skipped)
+    for item in held:
+        progress(f"{item.channel.name}: comparing {', '.join(item.models)} on held-out segments")
+        try:
+            comparisons[item.channel.name] = compare(item.models, item.test, seed=run.settings.seed)
+        except DataError as error:
+            skipped[item.channel.name] = str(error)
+    if not comparisons:
+        raise DataError("no channel can be judged: " + "; ".join(f"{n}: {w}" for n, w in skipped.items()))
+    corrected = across_channels(comparisons)
+    return Judgement(run, corrected, skipped, _context(run, corrected, held))
+
+
+def write_judgement(judgement: Judgement, folder: Path) -> Path:
+    """Write report.html and report.json; returns the page's path. The folder appears whole."""
+    with replacing_folder(folder) as incoming:
+        document = json.dumps(judgement.document, indent=1, allow_nan=False) + "\n"
+        write_atomically(incoming / DOCUMENT, document.encode())
+        write_atomically(incoming / PAGE, render(judgement.context).encode())
+    return folder / PAGE
+
+
+def _context(run: Run, comparisons: Mapping[str, Comparison], held: list[HeldOut]) -> ReportContext:
+    return ReportContext(
+        comparisons=comparisons,
+        train={h.channel.name: h.train for h in held},
+        command=_command(run),
+        provenance=_provenance(run, held),
+    )
+
+
+def _command(run: Run) -> str:
+    settings = run.settings
+    words = [
+        "flysid fit DATA",
+        f"--recipe {run.recipe}",
+        f"--holdout {settings.holdout:g}",
+        f"--by {settings.by}",
+    ]
+    words += [f"--seed {settings.seed}", f"--rules {settings.rules}"]
+    words += [f"--antecedent '{a}'" for a in settings.antecedents]
+    words += [f"--channel '{c}'" for c in settings.channels]
+    return " ".join([*words, "-o RUN"]) + " && flysid validate RUN"
+
+
+def _provenance(run: Run, held: list[HeldOut]) -> dict[str, str]:
+    found = {"recipe": run.recipe, "flights": ", ".join(run.flights)}
+    for item in held:
+        split = item.channel.split
+        name = item.channel.name
+        found[f"{name}: split"] = f"by {split['by']}, {split['holdout']:.0%} held out, seed {split['seed']}"
+        found[f"{name}: data sha256"] = str(split["data_sha256"])
+        found[f"{name}: held-out sha256"] = str(split["test_sha256"])
+        found[f"{name}: alignment"] = "; ".join(line.strip() for line in item.channel.aligned)
+        found[f"{name}: fit time"] = ", ".join(f"{k} {v:.2f} s" for k, v in item.channel.fit_seconds.items())
+        for label, why in item.channel.failed.items():
+            found[f"{name}: {label} not fitted"] = why
+    return found | {f"version of {k}": v for k, v in run.versions.items()}

@@ -1,0 +1,347 @@
+"""A run: models fitted to the training part of a dataset, and all that is needed to judge them later.
+
+```
+run/
+  <channel>/<label>.json     fitted models
+  recipe.toml                the recipe, as it was
+  run.json                   written last: data, split, hashes, models, settings, versions
+```
+The whole folder appears at once: it is made beside its final place and renamed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from flysid.dataset import Dataset
+from flysid.errors import DataError, FitError, StoreError, UsageError
+from flysid.flightwriter import slug, write_atomically, writing_to
+from flysid.ingest.align import Aligned
+from flysid.ingest.lake import Lake
+from flysid.ingest.lake import open as open_lake
+from flysid.ingest.recipe import Recipe, load_recipe, recipe_text
+from flysid.model.base import Estimator, Fitted, load
+from flysid.split import By, Split, plan_split
+from flysid.version import __version__
+
+RUN_FORMAT = "flysid-run"
+RUN_VERSION = 1
+RUN_FILE = "run.json"
+RECIPE_FILE = "recipe.toml"
+LIBRARIES = ("numpy", "scipy", "numba", "pyarrow", "pymavlink", "mcap")
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """Choices of a run; the defaults choose well by themselves.
+
+    Attributes
+    ----------
+    holdout : share of the data kept for the verdict.
+    by : "auto", "flight" or "time"; what the split keeps together.
+    seed : of the split and of every random start.
+    rules : rule count of the dynamic TS model, or "auto".
+    antecedents : variables that choose between rules, or () for automatic choice.
+    channels : names to fit; all of the recipe's when empty.
+    """
+
+    holdout: float = 0.3
+    by: By = "auto"
+    seed: int = 7
+    rules: int | str = "auto"
+    antecedents: tuple[str, ...] = ()
+    channels: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ChannelRun:
+    """What was fitted for one channel.
+
+    Attributes
+    ----------
+    models : label -> file inside the run's folder.
+    split : how the held-out part is found again (`Split.to_dict`).
+    aligned : how the dataset was made of the flights, one sentence each.
+    fit_seconds : label -> wall time of its fit.
+    failed : label -> why that model could not be fitted.
+    """
+
+    name: str
+    models: Mapping[str, str]
+    split: Mapping[str, Any]
+    aligned: tuple[str, ...] = ()
+    fit_seconds: Mapping[str, float] = field(default_factory=dict)
+    failed: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run folder, read back."""
+
+    folder: Path
+    data: str
+    recipe: str
+    flights: tuple[str, ...]
+    settings: FitSettings
+    channels: tuple[ChannelRun, ...]
+    skipped: Mapping[str, str]
+    versions: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """One channel of a run, ready to be judged."""
+
+    channel: ChannelRun
+    models: Mapping[str, Fitted]
+    train: Dataset
+    test: Dataset
+
+
+def estimators(settings: FitSettings) -> dict[str, Estimator]:
+    """The models of a run, by label: linear, the paper's static TS, dynamic TS."""
+    from flysid.model.arx import ARX
+    from flysid.model.line import Line
+    from flysid.model.static_ts import StaticTS
+    from flysid.model.ts import TS
+
+    antecedents: Any = settings.antecedents or "auto"
+    rules: Any = settings.rules
+    return {
+        "line": Line(),
+        "arx": ARX(),
+        "static_ts": StaticTS(seed=settings.seed),
+        "ts": TS(rules=rules, antecedents=antecedents),
+    }
+
+
+# ------------------------------------------------------------------------------------------- fitting
+
+
+def fit_run(
+    lake: Lake, recipe_name: str, out: Path, settings: FitSettings, progress: Progress = lambda _: None
+) -> Run:
+    """Fit every channel of a recipe and write the run folder.
+
+    A channel that cannot be fitted is skipped with its reason (`Run.skipped`).
+
+    Parameters
+    ----------
+    recipe_name : a shipped recipe, or the path of one.
+    out : the run's folder; what is there is replaced once the run is complete.
+    progress : told what is being done.
+
+    Raises
+    ------
+    DataError : no channel could be fitted; the message gives each channel's reason.
+    RecipeError : the recipe names what the data does not hold.
+    UsageError : `settings.channels` names a channel that the recipe does not have.
+    """
+    recipe = load_recipe(recipe_name)
+    fitted: list[ChannelRun] = []
+    skipped: dict[str, str] = {}
+    with replacing_folder(out) as folder:
+        for name in _chosen(list(recipe.channels), settings.channels):
+            try:
+                fitted.append(_fit_channel(lake.align(recipe, name), folder, settings, progress))
+            except (DataError, FitError) as error:
+                skipped[name] = str(error)
+                progress(f"{name}: skipped: {error}")
+        if not fitted:
+            reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
+            raise DataError(f"no channel of recipe {recipe.name!r} could be fitted: {reasons}")
+        run = Run(
+            folder=out,
+            data=os.path.abspath(lake.folder),
+            recipe=recipe.name,
+            flights=tuple(m.id for m in lake.flights),
+            settings=settings,
+            channels=tuple(fitted),
+            skipped=skipped,
+            versions=versions(),
+        )
+        write_atomically(folder / RECIPE_FILE, recipe_text(recipe_name)[0].encode())
+        write_atomically(folder / RUN_FILE, _run_document(run))
+    return run
+
+
+def _chosen(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
+    for name in wanted:
+        if name not in names:
+            raise UsageError(f"the recipe has no channel {name!r}", hint=f"one of {', '.join(names)}")
+    return [n for n in names if not wanted or n in wanted]
+
+
+def _fit_channel(aligned: Aligned, folder: Path, settings: FitSettings, progress: Progress) -> ChannelRun:
+    dataset = aligned.dataset
+    split = plan_split(dataset, holdout=settings.holdout, by=settings.by, seed=settings.seed)
+    train, _ = split.apply(dataset)
+    files: dict[str, str] = {}
+    seconds: dict[str, float] = {}
+    failed: dict[str, str] = {}
+    place = slug(dataset.name)
+    (folder / place).mkdir()
+    for label, estimator in estimators(settings).items():
+        progress(f"{dataset.name}: fitting {label}")
+        started = time.perf_counter()
+        try:
+            model = estimator.fit(train)
+        except (FitError, DataError) as error:
+            if label == "arx":
+                raise
+            failed[label] = str(error)
+            continue
+        seconds[label] = time.perf_counter() - started
+        files[label] = f"{place}/{label}.json"
+        model.save(folder / files[label])
+    return ChannelRun(dataset.name, files, split.to_dict(), tuple(aligned.report.lines()), seconds, failed)
+
+
+def versions() -> dict[str, str]:
+    """Versions that a result depends on."""
+    found = {"flysid": __version__, "python": platform.python_version()}
+    return found | {name: metadata.version(name) for name in LIBRARIES}
+
+
+@contextmanager
+def replacing_folder(out: Path) -> Iterator[Path]:
+    """A new folder beside `out` that takes its place when the block ends well, and vanishes otherwise."""
+    incoming = out.with_name(f".{out.name}.incoming")
+    with writing_to(incoming):
+        shutil.rmtree(incoming, ignore_errors=True)
+        incoming.mkdir(parents=True)
+    try:
+        yield incoming
+        with writing_to(out):
+            old = out.with_name(f".{out.name}.old")
+            if out.exists():
+                out.rename(old)
+            incoming.rename(out)
+            shutil.rmtree(old, ignore_errors=True)
+    finally:
+        shutil.rmtree(incoming, ignore_errors=True)
+
+
+def _run_document(run: Run) -> bytes:
+    body = {
+        "format": RUN_FORMAT,
+        "version": RUN_VERSION,
+        "data": run.data,
+        "recipe": run.recipe,
+        "flights": run.flights,
+        "settings": asdict(run.settings),
+        "channels": [asdict(c) for c in run.channels],
+        "skipped": dict(run.skipped),
+        "versions": dict(run.versions),
+    }
+    return (json.dumps(body, indent=1, allow_nan=False) + "\n").encode()
+
+
+# ------------------------------------------------------------------------------------------- reading
+
+
+def open_run(folder: str | Path) -> Run:
+    """Read a run folder back.
+
+    Raises
+    ------
+    UsageError : no such folder. StoreError : not a run, damaged, or of another version.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise UsageError(
+            "no such run folder", path=folder, hint="make one with 'flysid fit DATA --recipe R -o RUN'"
+        )
+    path = folder / RUN_FILE
+    try:
+        body = json.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise StoreError(
+            f"not a run: {RUN_FILE} cannot be read ({error.strerror})", path=folder, hint="fit it again"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise StoreError("the run is damaged: not JSON", path=path, hint="fit it again") from error
+    if not isinstance(body, dict) or body.get("format") != RUN_FORMAT:
+        raise StoreError("not a flysid run", path=path)
+    if body.get("version") != RUN_VERSION:
+        raise StoreError(
+            f"run version {body.get('version')!r}; this flysid reads version {RUN_VERSION}",
+            path=path,
+            hint="use the flysid that wrote it, or fit again",
+        )
+    try:
+        return _run_from(folder, body)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise StoreError(f"the run is damaged: {error}", path=path, hint="fit it again") from error
+
+
+def _run_from(folder: Path, body: Mapping[str, Any]) -> Run:
+    settings = dict(body["settings"])
+    for name in ("antecedents", "channels"):
+        settings[name] = tuple(settings[name])
+    return Run(
+        folder=folder,
+        data=str(body["data"]),
+        recipe=str(body["recipe"]),
+        flights=tuple(body["flights"]),
+        settings=FitSettings(**settings),
+        channels=tuple(ChannelRun(**{**c, "aligned": tuple(c["aligned"])}) for c in body["channels"]),
+        skipped=dict(body["skipped"]),
+        versions=dict(body["versions"]),
+    )
+
+
+def held_out(run: Run, data: str | Path | None = None) -> list[HeldOut]:
+    """The models of a run beside the data that they have not seen.
+
+    Parameters
+    ----------
+    data : the ingested folder, where it moved since the fit.
+
+    Raises
+    ------
+    StoreError : a model file is damaged. DataError : the data differs from what was fitted.
+    """
+    lake = open_lake(run.data if data is None else data)
+    then = tuple(m for m in lake.flights if m.id in run.flights)
+    recipe = load_recipe(run.folder / RECIPE_FILE)
+    return [_held_out_channel(run, channel, Lake(lake.folder, then), recipe) for channel in run.channels]
+
+
+def _held_out_channel(run: Run, channel: ChannelRun, lake: Lake, recipe: Recipe) -> HeldOut:
+    train, test = Split.from_dict(channel.split).apply(lake.dataset(recipe, channel.name))
+    models = {label: load(_inside(run.folder, file)) for label, file in channel.models.items()}
+    return HeldOut(channel, models, train, test)
+
+
+def _inside(folder: Path, file: str) -> Path:
+    """`folder / file`, which must not leave `folder`: run files may come from others."""
+    path = (folder / file).resolve()
+    if not path.is_relative_to(folder.resolve()):
+        raise StoreError(f"the run names a file outside its folder: {file!r}", path=folder / RUN_FILE)
+    return path
+
+
+__all__ = [
+    "ChannelRun",
+    "FitSettings",
+    "HeldOut",
+    "Run",
+    "estimators",
+    "fit_run",
+    "held_out",
+    "load_recipe",
+    "open_run",
+]
