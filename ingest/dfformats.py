@@ -134,6 +134,13 @@ class Definitions:
         return name if which == 1 else f"{name}~{which}"
 
 
+def is_consistent(number: int, length: int, name: str, form: str, labels: str) -> bool:
+    """Does a FMT agree with itself: plain name, a label per field, the right length?"""
+    columns = tuple(labels.split(",")) if labels else ()
+    plain = name.isalnum() and name.isascii() and len(columns) == len(form)
+    return plain and 0 <= number < 256 and make_layout(name, form, columns, length) is not None
+
+
 def make_layout(name: str, form: str, labels: tuple[str, ...], length: int) -> Layout | None:
     """The layout of a message; None where a character is unknown or the lengths disagree.
 

@@ -3,8 +3,9 @@
     message   A3 95, id u8, body whose length the id's FMT states
 
 There is no checksum. A message is accepted only where another header (or the end of the file) follows at
-its stated length, or where what follows is plainly the next message with its header damaged. Everything else
-is skipped up to the next message that can be accepted, and counted. Trailing 00 or FF is padding, not loss.
+its stated length, or where what follows is plainly the next message with its header damaged; a FMT also where
+it agrees with itself. Everything else is skipped up to the next message that can be accepted, and counted.
+Trailing 00 or FF is padding, not loss.
 
 Cost: headers are found by comparing whole batches; a clean stretch is one array comparison.
 """
@@ -18,7 +19,7 @@ import numpy.typing as npt
 
 from flysid.flight import Damage, Region
 from flysid.ingest.clock import IntArray
-from flysid.ingest.dfformats import FMT_ID, FMT_LENGTH, HEADER_BYTES, Definitions
+from flysid.ingest.dfformats import FMT_ID, FMT_LENGTH, HEADER_BYTES, Definitions, is_consistent
 
 HEAD = b"\xa3\x95"
 LOOK_AHEAD = 4096
@@ -108,12 +109,17 @@ class Walker:
         if data[at : at + 2] != HEAD or at + 2 >= len(data) or lengths[data[at + 2]] == 0:
             return False
         end = at + int(lengths[data[at + 2]])
-        return end <= len(data) and _is_followed(batch, end, lengths)
+        if end > len(data):
+            return False
+        if data[at + 2] == FMT_ID and is_consistent(*_definition(data, at)):
+            return True
+        inside = int(np.searchsorted(batch.heads, at, side="right"))
+        if _chains_to(batch, inside, end, lengths):
+            return False
+        return _is_followed(batch, end, lengths)
 
     def _define(self, data: bytes, at: int) -> bool:
-        body = data[at + HEADER_BYTES : at + FMT_LENGTH]
-        name, form, labels = (_text(body[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
-        return self.definitions.add(body[0], body[1], name, form, labels)
+        return self.definitions.add(*_definition(data, at))
 
     def _note_reason(self, data: bytes, at: int, lengths: IntArray) -> None:
         if data[at : at + 2] != HEAD or at + 2 >= len(data):
@@ -149,6 +155,13 @@ class Walker:
         self.region_count += 1
         if len(self.regions) < Damage.MAX_REGIONS:
             self.regions.append(Region(start, end, reason))
+
+
+def _definition(data: bytes, at: int) -> tuple[int, int, str, str, str]:
+    """Type, length, name, format and labels of the FMT at `at`."""
+    body = data[at + HEADER_BYTES : at + FMT_LENGTH].ljust(FMT_LENGTH - HEADER_BYTES, b"\0")
+    name, form, labels = (_text(body[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
+    return body[0], body[1], name, form, labels
 
 
 def _text(raw: bytes) -> str:
@@ -198,9 +211,23 @@ def _clean_stretch(batch: _Batch, position: int, lengths: IntArray) -> tuple[Int
         inside = lengths[number] > 0 and number != FMT_ID and position < batch.limit
         if not inside or after >= len(batch.heads) or batch.heads[after] != end:
             break
+        if _chains_to(batch, index + 1, end, lengths):
+            break
         found.append(batch.heads[index : index + 1])
         index, position, size = after, end, FIRST_STRETCH
     return np.concatenate(found) if found else np.empty(0, np.int64), position
+
+
+def _chains_to(batch: _Batch, index: int, end: int, lengths: IntArray) -> bool:
+    """Do messages inside a message lead exactly to its end? Then its own id is damaged, and they are real."""
+    while index < len(batch.heads) and batch.heads[index] < end:
+        at = int(batch.heads[index])
+        while at < end and batch.data[at : at + 2] == HEAD and lengths[batch.data[at + 2]]:
+            at += int(lengths[batch.data[at + 2]])
+        if at == end:
+            return True
+        index += 1
+    return False
 
 
 def _is_followed(batch: _Batch, end: int, lengths: IntArray) -> bool:

@@ -12,10 +12,10 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.tsgrow import (
     Stage,
-    best_split,
     embedded_start,
     first_basis,
     linear_stage,
+    one_rule_more,
     ordered,
     refine,
     rule_support,
@@ -231,7 +231,7 @@ class Workshop:
         In the basis of the linear model's Gauss-Newton matrix a ridge of 1 halves what the data say about
         the difference of two rules, so that the ladder is the same for every data set.
         """
-        start, stage = best_split(before.stage, candidates, self.settings.iterations)
+        start, stage = one_rule_more(before.stage, candidates, self.settings.iterations)
         tried = [self.judge(stage)]
         for ridge in _RIDGES:
             if tried[-1].stable and tried[-1].mean <= max(before.mean, _EXACT):

@@ -2,9 +2,9 @@
 
 The linear start is one-step least squares, moved off its noise bias by instrumental variables (the
 instruments are the model's own simulation: Young 1970, Soderstrom and Stoica 1983), then refined on the
-simulation error. Every later stage tries to split each rule along each antecedent (the idea of LOLIMOT,
-Nelles 2001), ranks the splits by what one Gauss-Newton step on the new consequents promises, refines the
-most promising ones a little and the best one fully.
+simulation error. Every later stage inserts one rule, within each rule's region and along each antecedent
+(LOLIMOT, Nelles 2001, splits there), ranks the places by the cost that one Gauss-Newton step promises,
+refines the most promising ones a little and the best one fully.
 """
 
 from __future__ import annotations
@@ -15,15 +15,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.model.refine import levenberg_marquardt
 from flysid.model.tskernel import firing
 from flysid.model.tslayout import Antecedent, Layout
 from flysid.model.tsproblem import (
     Body,
     Problem,
     SimulationError,
-    levenberg_marquardt,
     simulate_runs,
 )
+
+_PLACES = (0.15, 0.5, 0.85)
+_PIECE = 600  # rows of a piece, where long records are thinned
+_FEW, _MORE = 5000, 15000  # rows for ranking insertions, and for trying the best ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,15 +136,24 @@ def _linear_starts(problem: Problem) -> Iterator[Body]:
 def refine(stage: Stage, iterations: int, tolerance: float) -> Stage:
     """Levenberg-Marquardt on the simulation error from where the stage is."""
     error = SimulationError(stage.problem, stage.body, _free(stage.body))
-    p, cost = levenberg_marquardt(error, error.start(stage.initial), iterations, tolerance)
-    body, initial = error.split(p)
-    return Stage(stage.problem, body, initial, cost)
+    start = error.start(stage.initial)
+    if not np.isfinite(error.normal(start)[1]).all():
+        return replace(stage, cost=float("inf"))
+    found = levenberg_marquardt(
+        error.normal,
+        start,
+        cost=error.cost,
+        max_iterations=iterations,
+        tolerance=tolerance,
+    )
+    body, initial = error.split(found.theta)
+    return Stage(stage.problem, body, initial, found.cost)
 
 
 def rebased(stage: Stage) -> Stage:
     """The same one-rule model in the basis where its Gauss-Newton matrix is the identity."""
     error = SimulationError(stage.problem, stage.body, _free(stage.body))
-    _, _, H = error.normal(error.start(stage.initial))
+    _, H, _ = error.normal(error.start(stage.initial))
     m = stage.body.a[0].size
     n_x = stage.body.a.shape[2]
     block = sum(H[i : i + n_x, i : i + n_x] for i in range(0, m, n_x))
@@ -152,14 +165,6 @@ def rebased(stage: Stage) -> Stage:
         offset=stage.problem.parameters(stage.body).theta[0],
     )
     return replace(stage, problem=problem, body=replace(stage.body, a=np.zeros_like(stage.body.a)))
-
-
-@dataclass(frozen=True)
-class Split:
-    """Rule `rule` becomes two along antecedent `variable`."""
-
-    rule: int
-    variable: int
 
 
 def with_variables(stage: Stage, antecedents: tuple[Antecedent, ...]) -> Stage:
@@ -177,24 +182,55 @@ def with_variables(stage: Stage, antecedents: tuple[Antecedent, ...]) -> Stage:
     return replace(stage, problem=problem, body=Body(stage.body.a, centre, width))
 
 
-def split(stage: Stage, choice: Split) -> Stage:
-    """Two rules in place of one, side by side along one antecedent, with the same consequents."""
-    layout, body = stage.problem.layout, stage.body
-    z, phi = _z_and_firing(stage)
-    weight = phi[:, choice.rule] / max(phi[:, choice.rule].sum(), 1e-12)
-    value = z[:, choice.variable]
-    mean = float(weight @ value)
-    spread = float(np.sqrt(weight @ (value - mean) ** 2))
-    span = float(np.ptp(value))
-    spread = min(max(spread, 0.02 * span), 0.3 * span) if span else 1.0
-    a = np.concatenate([body.a, body.a[[choice.rule]]])
-    centre = np.concatenate([body.centre, body.centre[[choice.rule]]])
-    width = np.concatenate([body.width, body.width[[choice.rule]]])
-    for r, side in ((choice.rule, -1.0), (len(a) - 1, 1.0)):
-        centre[r, choice.variable] = mean + side * spread
-        width[r, choice.variable] = spread
-    del layout
-    return replace(stage, body=Body(a, centre, width))
+def inserted(stage: Stage, centre: FloatArray, width: FloatArray) -> Stage:
+    """One rule more, whose consequents are what the others conclude together at its centre.
+
+    The blend near the centre stays nearly what it was, so that nothing learned is lost, whereas replacing
+    a rule by two changes its weight against all others.
+    """
+    body, problem = stage.body, stage.problem
+    distance = (centre - body.centre) / body.width
+    strength = -0.5 * (distance * distance).sum(axis=1)
+    phi = np.exp(strength - strength.max())
+    phi = phi / phi.sum()
+    blend = np.einsum("r,rim->im", phi, body.a)
+    if stage.rules == 1:  # the first rule moves to the other side, or the two would be one
+        middle = problem.z_range.mean(axis=0)
+        away = np.where(width < 1.5 * np.ptp(problem.z_range, axis=0), 2.0 * middle - centre, centre)
+        body = Body(body.a, away[None], width[None])
+    grown = Body(
+        np.concatenate([body.a, blend[None]]),
+        np.vstack([body.centre, centre]),
+        np.vstack([body.width, width]),
+    )
+    return replace(stage, body=grown)
+
+
+def insertions(stage: Stage, candidates: tuple[Antecedent, ...]) -> list[Stage]:
+    """The stage with one rule more, at several places along every candidate antecedent.
+
+    Places are quantiles of the antecedent where each present rule speaks; the new rule takes that rule's
+    centre in the other variables. Its width is half the spread there.
+    """
+    options: list[Stage] = []
+    for antecedent in candidates:
+        known = stage.problem.layout.antecedents
+        wide = stage if antecedent in known else with_variables(stage, (*known, antecedent))
+        j = wide.problem.layout.antecedents.index(antecedent)
+        z, phi = _z_and_firing(wide)
+        span = float(np.ptp(z[:, j]))
+        for rule in range(stage.rules):
+            chosen = z[phi.argmax(axis=1) == rule, j]
+            if len(chosen) < 10 or span == 0.0:
+                continue
+            for place in _PLACES:
+                centre, width = wide.body.centre[rule].copy(), wide.body.width[rule].copy()
+                centre[j] = np.quantile(chosen, place)
+                width[j] = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)
+                if stage.rules == 1:
+                    width[j] = max(width[j], 0.2 * span)
+                options.append(inserted(wide, centre, width))
+    return options
 
 
 def _z_and_firing(stage: Stage) -> tuple[FloatArray, FloatArray]:
@@ -206,34 +242,58 @@ def _z_and_firing(stage: Stage) -> tuple[FloatArray, FloatArray]:
     return z, np.vstack([firing(W, d, lags, par)[d:] for W in problem.runs])
 
 
-def promise(stage: Stage) -> float:
-    """Fall of the cost that one regularised Gauss-Newton step on all unknowns promises."""
+def thinned(stage: Stage, samples: int) -> Stage:
+    """The stage on at most about `samples` rows: evenly spaced pieces, started where the model is."""
+    problem, depth = stage.problem, stage.problem.layout.depth
+    total = sum(len(W) for W in problem.runs)
+    if total <= samples:
+        return stage
+    length = max(_PIECE, 20 * depth)
+    pieces, initial = [], []
+    every = max(1, round(total / samples))
+    count = 0
+    for W, run in zip(problem.runs, simulate_runs(problem, stage.body, stage.initial), strict=True):
+        for begin in range(0, max(1, len(W) - length // 2), length):
+            if count % every == 0:
+                pieces.append(np.ascontiguousarray(W[begin : begin + length]))
+                initial.append(run[begin : begin + depth, : problem.layout.n_y])
+            count += 1
+    return replace(stage, problem=replace(problem, runs=tuple(pieces)), initial=np.stack(initial))
+
+
+def expected_cost(stage: Stage) -> float:
+    """The cost that one regularised Gauss-Newton step on all unknowns promises; inf where it cannot."""
     error = SimulationError(stage.problem, stage.body, _free(stage.body))
-    _, g, H = error.normal(error.start(stage.initial))
+    cost, H, g = error.normal(error.start(stage.initial))
+    if not (np.isfinite(H).all() and np.isfinite(g).all()):
+        return float("inf")
     scale = np.maximum(H.diagonal(), 1e-9 * H.diagonal().max())
     d = 1.0 / np.sqrt(scale)
     scaled = H * d[:, None] * d[None, :]
     scaled[np.diag_indices_from(scaled)] += 1e-3
-    return float((d * g) @ np.linalg.solve(scaled, d * g))
+    return cost - float((d * g) @ np.linalg.solve(scaled, d * g))
 
 
-def best_split(
-    stage: Stage, candidates: tuple[Antecedent, ...], iterations: int, tries: int = 2
+def one_rule_more(
+    stage: Stage, candidates: tuple[Antecedent, ...], iterations: int, tries: int = 3
 ) -> tuple[Stage, Stage]:
-    """The most promising split, before and after full refinement."""
-    options: list[tuple[float, Stage]] = []
-    for antecedent in candidates:
-        known = stage.problem.layout.antecedents
-        wide = stage if antecedent in known else with_variables(stage, (*known, antecedent))
-        variable = wide.problem.layout.antecedents.index(antecedent)
-        for rule in range(stage.rules):
-            option = split(wide, Split(rule, variable))
-            options.append((promise(option), option))
-    options.sort(key=lambda pair: -pair[0])
-    starts = [option for _, option in options[:tries]]
-    trials = [refine(option, max(4, iterations // 4), 1e-3) for option in starts]
+    """The most promising insertion, before and after full refinement.
+
+    Promises are computed on few samples, tried out on more, and the best is refined on all.
+    """
+    few, more = thinned(stage, _FEW), thinned(stage, _MORE)
+    options = insertions(few, candidates)
+    order = np.argsort([expected_cost(option) for option in options], kind="stable")
+    starts = [_on(options[i], more) for i in order[:tries]]
+    trials = [refine(start, max(6, iterations // 3), 1e-3) for start in starts]
     at = min(range(len(trials)), key=lambda i: trials[i].cost)
-    return starts[at], refine(trials[at], iterations, 1e-5)
+    return _on(starts[at], stage), refine(_on(trials[at], stage), iterations, 1e-5)
+
+
+def _on(stage: Stage, other: Stage) -> Stage:
+    """A stage's model on the runs of another stage."""
+    problem = replace(stage.problem, runs=other.problem.runs)
+    return replace(stage, problem=problem, initial=other.initial)
 
 
 def with_ridge(stage: Stage, ridge: float) -> Stage:

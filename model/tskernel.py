@@ -96,7 +96,7 @@ def _fire(z, par, phi):  # type: ignore[no-untyped-def]
         phi[r] = math.exp(gap) if gap > -40.0 else 0.0  # 4e-18: below the rounding of the sum
         total += phi[r]
     for r in range(phi.size):
-        phi[r] /= total
+        phi[r] = phi[r] / total if total > 0.0 else 1.0 / phi.size  # 0 only where z is not a number
 
 
 @njit(cache=True)

@@ -159,21 +159,17 @@ class SimulationError:
         initial = self.problem.measured_initial()
         if self.problem.estimates_initial:
             initial = p[count:].reshape(initial.shape)
-        return self.body.moved(whole), initial
+        return self._named(self.body.moved(whole)), initial
 
-    def project(self, p: FloatArray) -> FloatArray:
+    def _named(self, body: Body) -> Body:
         """Centres within the data, widths between 1/50 and 3 of its range: sets that words can name."""
-        whole = np.zeros(self.free.size)
-        count = int((self.free > 0).sum())
-        whole[self.free > 0] = p[:count]
-        m = self.body.a.size
         low, high = self.problem.z_range
-        centre = whole[m : m + self.body.centre.size].reshape(self.body.centre.shape)
-        log_width = whole[m + self.body.centre.size :].reshape(self.body.centre.shape)
         span = np.maximum(high - low, 1e-12)
-        centre[:] = np.clip(centre, low, high)
-        log_width[:] = np.clip(log_width, np.log(0.02 * span), np.log(3.0 * span))
-        return np.concatenate([whole[self.free > 0], p[count:]])
+        return replace(
+            body,
+            centre=np.clip(body.centre, low, high),
+            width=np.clip(body.width, 0.02 * span, 3.0 * span),
+        )
 
     def cost(self, p: FloatArray) -> float:
         """Mean squared simulation error (in units of the outputs' variance) plus the ridge."""
@@ -186,7 +182,7 @@ class SimulationError:
         return total / self.problem.samples + self.problem.ridge * _spread(body.a)
 
     def normal(self, p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Cost, half its gradient g and its Gauss-Newton matrix H, so that a full step is -H^-1 g."""
+        """Cost, its Gauss-Newton matrix H and half its gradient g, so that a full step is -H^-1 g."""
         body, initial = self.split(p)
         chosen = np.flatnonzero(self.free > 0)
         count, q = len(chosen), initial[0].size
@@ -194,7 +190,8 @@ class SimulationError:
         size = count + (initial.size if estimates else 0)
         H, g, total = np.zeros((size, size)), np.zeros(size), 0.0
         for s, W in enumerate(self.problem.runs):
-            block, slope, square = _segment_normal(self.problem, body, W, initial[s], chosen)
+            with np.errstate(over="ignore", invalid="ignore"):  # an unstable trial; the search rejects it
+                block, slope, square = _segment_normal(self.problem, body, W, initial[s], chosen)
             total += square
             H[:count, :count] += block[:count, :count]
             g[:count] += slope[:count]
@@ -208,7 +205,7 @@ class SimulationError:
         H, g = H / n, g / n
         if self.problem.ridge:
             _add_ridge(H, g, body.a, self.problem.ridge)
-        return total / n + self.problem.ridge * _spread(body.a), g, H
+        return total / n + self.problem.ridge * _spread(body.a), H, g
 
 
 def _segment_normal(
@@ -256,50 +253,3 @@ def _add_ridge(H: FloatArray, g: FloatArray, a: FloatArray, ridge: float) -> Non
     g[: a.size] += ridge * gap
     centring = np.eye(rules) - 1.0 / rules
     H[: a.size, : a.size] += ridge * np.kron(centring, np.eye(m))
-
-
-def levenberg_marquardt(
-    error: SimulationError, p: FloatArray, iterations: int, tolerance: float
-) -> tuple[FloatArray, float]:
-    """Lower the cost from p until it falls by less than `tolerance` (relative) twice running.
-
-    Marquardt's diagonal scaling, Nielsen's (1999) damping. A step that does not lower the cost is never
-    taken, so that the result is never worse than the start.
-    """
-    damping, growth, stalled = 1e-3, 2.0, 0
-    p = error.project(p)
-    cost, g, H = error.normal(p)
-    for _ in range(iterations):
-        scale = np.maximum(H.diagonal(), 1e-9 * max(H.diagonal().max(), 1e-300))
-        step = _solve(H, scale, g, damping)
-        trial = error.project(p - step)
-        trial_cost = error.cost(trial)
-        expected = float(step @ (damping * scale * step + g))
-        if not trial_cost < cost:
-            damping, growth = damping * growth, growth * 2.0
-            if damping > 1e12:
-                break
-            continue
-        gain = (cost - trial_cost) / max(expected, 1e-300)
-        damping, growth = damping * max(1 / 3, 1 - (2 * min(gain, 2.0) - 1) ** 3), 2.0
-        damping = max(damping, 1e-12)
-        stalled = stalled + 1 if cost - trial_cost < tolerance * cost else 0
-        p = trial
-        if stalled >= 2 or trial_cost < 1e-26:
-            cost = trial_cost
-            break
-        cost, g, H = error.normal(p)
-    return p, cost
-
-
-def _solve(H: FloatArray, scale: FloatArray, g: FloatArray, damping: float) -> FloatArray:
-    """(H + damping diag(scale))^-1 g, in coordinates scaled to a unit diagonal."""
-    d = 1.0 / np.sqrt(scale)
-    scaled = H * d[:, None] * d[None, :]
-    scaled[np.diag_indices_from(scaled)] += damping
-    try:
-        lower = np.linalg.cholesky(scaled)
-        half = np.linalg.solve(lower, d * g)
-        return np.asarray(d * np.linalg.solve(lower.T, half))
-    except np.linalg.LinAlgError:
-        return np.asarray(d * np.linalg.lstsq(scaled, d * g, rcond=1e-12)[0])
