@@ -27,7 +27,7 @@ from tests.fakes import FirstOrder, flown
 ARX = FirstOrder(a=0.9, b=0.07)
 TS = FirstOrder(a=0.9, b=0.1, structure="ts", labels=("R1", "R2", "R3"))
 ASSETS = Path(__file__).resolve().parents[1] / "validate" / "report" / "assets"
-HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'{{7*7}}\u2028\x1b[31m"
+HOSTILE = "</script><script>hacked=1</script><img src=x onerror=hacked=2>\"'{{7*7}}\u2028\x1b[31m"
 
 
 @cache
@@ -142,7 +142,8 @@ def test_one_model_alone_and_a_diverging_one() -> None:
     assert "diverged in free run on x, in 2 of 2 held-out segments, first at t = " in text
 
 
-def test_hostile_names_are_shown_literally() -> None:
+def hostile_context() -> ReportContext:
+    """Every string that can reach the page is an attack."""
     evil = (Signal(HOSTILE, HOSTILE),)
     test = flown(TS, [300] * 2, noise=0.02)
     test = replace(test, inputs=evil, outputs=evil, name=HOSTILE)
@@ -151,7 +152,7 @@ def test_hostile_names_are_shown_literally() -> None:
         HOSTILE: replace(TS, inputs=evil, outputs=evil, labels=(HOSTILE, HOSTILE)),
     }
     c = compare(models, test)
-    context = ReportContext(
+    return ReportContext(
         {HOSTILE: c},
         train={HOSTILE: test},
         sweeps={HOSTILE: Sweep((1,), (0.1,), (0.1,), 1, None, HOSTILE)},
@@ -159,13 +160,17 @@ def test_hostile_names_are_shown_literally() -> None:
         provenance={HOSTILE: HOSTILE},
         remark=HOSTILE,
     )
-    page = Page(render(context))
+
+
+def test_hostile_names_are_shown_literally() -> None:
+    text = render(hostile_context())
+    page = Page(text)
     tags = [t for t, _ in page.tags]
     assert tags.count("script") == 3
     assert "img" not in tags
-    assert "<img src=x onerror=alert(2)>" in page.words
+    assert "<img src=x onerror=hacked=2>" in page.words
     assert "{{7*7}}" in page.words
-    assert "\x1b" not in render(context)
+    assert "\x1b" not in text
     data = json.loads(page.inside["script"][0])
     assert data[0]["models"][1].startswith("</SCRIPT>")
 

@@ -222,8 +222,8 @@ def _one_step_flatters(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterat
         free, one = max(gains, key=lambda g: abs(g[0]))
         yield Caution(
             "note",
-            f"One step ahead the models differ little ({percent(one)}), in free run they differ a lot "
-            f"({percent(free)}): one-step error flatters every model.",
+            f"One step ahead the error changes by {percent(one)}, in free run by {percent(free)}: one-step "
+            "error flatters every model and says little about either.",
             "quote free-run numbers.",
             0.5,
         )

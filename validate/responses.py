@@ -12,6 +12,7 @@ from flysid.model.base import Fitted
 
 ComplexArray = npt.NDArray[np.complex128]
 LONGEST = 4000
+SLOWEST = 20_000
 
 
 @runtime_checkable
@@ -64,7 +65,7 @@ def steady_outputs(
     The other inputs stay at `fixed` (n_u,).
     """
     finite = [r.time_constant_s for r in model.rules() if np.isfinite(r.time_constant_s)]
-    n = int(np.clip(8.0 * max(finite, default=0.0) / model.dt_s, 200, LONGEST)) + model.n_init
+    n = int(np.clip(8.0 * max(finite, default=0.0) / model.dt_s, 200, SLOWEST)) + model.n_init
     settled = np.full(len(levels), np.nan)
     for i, level in enumerate(levels):
         u = np.tile(fixed, (n, 1))

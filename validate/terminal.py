@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from flysid.validate.compare import Comparison, Entry
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
-from flysid.validate.words import change_words, horizon_words, interval_words, number, one_line
+from flysid.validate.words import change_words, horizon_words, interval_words, number, one_line, percentage
 
 HEADER = ("CHANNEL", "HORIZON", "MODEL", "RMSE", "UNIT", "FIT %", "VAF %", "CHANGE", "95 %", "VERDICT")
 
@@ -69,8 +69,8 @@ def _rows(entry: Entry, label: str, comparison: Comparison) -> list[Sequence[str
                 one_line(name),
                 number(s.rmse),
                 one_line(entry.output.unit),
-                "-" if s.fit_pct is None else f"{s.fit_pct:.1f}",
-                "-" if s.vaf_pct is None else f"{s.vaf_pct:.1f}",
+                percentage(s.fit_pct),
+                percentage(s.vaf_pct),
                 "" if pair is None else change_words(pair),
                 "" if pair is None else interval_words(pair),
                 verdict,

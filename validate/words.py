@@ -35,6 +35,13 @@ def percent(value: float, places: int = 0) -> str:
     return text.replace("-", "−") + " %"
 
 
+def percentage(value: float | None) -> str:
+    """One decimal and a true minus, without the sign of per cent; "-" for None, "< −999" below that."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return "< −999" if value < -999.0 else f"{value:.1f}".replace("-", "−")
+
+
 def change_words(pair: Pair) -> str:
     """ "−30 %", or why there is no such number."""
     if pair.evidence.diverged_model or pair.evidence.diverged_baseline:

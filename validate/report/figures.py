@@ -63,7 +63,7 @@ def correlogram(c: Correlation, dt_s: float, css: str, label: str) -> Markup:
     negative = seconds[0] < 0
     parts = [
         box((axes.left, axes.right), (float(axes.py(c.band)), float(axes.py(-c.band))), "band"),
-        frame(axes, "", "lag, s (positive: the input leads)" if negative else "lag, s", y_count=3),
+        frame(axes, "", "lag, s (positive: the input leads)" if negative else "lag, s", y_count=5),
         segment(axes.left, float(axes.py(0.0)), axes.right, float(axes.py(0.0)), "axis"),
         stems(axes, seconds, c.rho, f"stem {css}"),
     ]

@@ -31,7 +31,7 @@ from flysid.validate.report.figures import interval_bar
 from flysid.validate.report.sections import Section, Source, sections
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
-from flysid.validate.words import change_words, horizon_words, interval_words, number, one_line
+from flysid.validate.words import change_words, horizon_words, interval_words, number, one_line, percentage
 
 NUMBERS_ON_PAGE = 90_000
 
@@ -116,6 +116,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["number"] = number
+    environment.filters["percentage"] = percentage
     return environment
 
 

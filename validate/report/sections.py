@@ -230,13 +230,18 @@ def _rule_row(rule: Rule, css: str, j: int, signal: int) -> RuleRow:
     return RuleRow(
         label=one_line(rule.label),
         css=css,
-        condition=one_line(rule.condition),
-        conclusion=one_line(rule.conclusion),
+        condition=_typeset(rule.condition),
+        conclusion=_typeset(rule.conclusion),
         gain=number(gain) if np.isfinite(gain) else "integrates",
         time_constant=f"{number(tau)} s" if np.isfinite(tau) else "integrates",
         pole=f"{rule.pole_radius:.4f}",
         used=float(np.clip(rule.support, 0.0, 1.0)),
     )
+
+
+def _typeset(words: str) -> str:
+    """Rule text with true plus-minus and minus signs."""
+    return one_line(words).replace("+-", "±").replace(" - ", " − ").replace("= -", "= −")
 
 
 def _sets(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
