@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,8 @@ from flysid.ingest.manoeuvres import paper_training, paper_validation
 
 if TYPE_CHECKING:
     import control
+
+Hold = Literal["zero", "first"]
 
 
 @dataclass(frozen=True)
@@ -108,27 +110,35 @@ def loop_named(name: str) -> Loop:
 
 
 def fly(
-    plant: Loop | control.TransferFunction, u: npt.ArrayLike, dt_s: float, x0: npt.ArrayLike | None = None
+    plant: Loop | control.TransferFunction,
+    u: npt.ArrayLike,
+    dt_s: float,
+    *,
+    hold: Hold = "zero",
+    x0: npt.ArrayLike | None = None,
 ) -> FloatArray:
-    """Response of a continuous plant to commands that are held between samples.
+    """Response of a continuous plant to sampled commands.
 
     Parameters
     ----------
     plant : a Loop or a proper continuous SISO python-control TransferFunction.
-    u : (N,) commands; u[k] acts on [k dt, (k+1) dt).
+    u : (N,) commands.
     dt_s : sample time, seconds.
+    hold : "zero": u[k] acts on [k dt, (k+1) dt); "first": straight lines between the samples.
     x0 : (n,) state of the controllable canonical form at k = 0; rest when None.
 
     Returns
     -------
-    (N,) outputs; y[k] is taken at k dt, just before u[k] acts (plus the direct term, if the plant has one).
+    (N,) outputs; y[k] is taken at k dt. Held commands act on y[k] through the direct term only.
     """
     if not (np.isfinite(dt_s) and dt_s > 0):
         raise UsageError(f"the sample time must be positive, not {dt_s!r} s")
     a, b, c, d = _canonical(*_polynomials(plant))
-    ad, bd = _held(a, b, dt_s)
+    ad, bd, ramp = _held(a, b, dt_s)
     u = np.asarray(u, dtype=np.float64)
     x = np.zeros(len(b)) if x0 is None else np.asarray(x0, dtype=np.float64)
+    if hold == "first" and len(u):  # in z = x - ramp u the step needs no later command
+        x, bd, d = x - ramp * u[0], bd + ad @ ramp - ramp, d + float(c @ ramp)
     y = np.empty(len(u))
     for k, uk in enumerate(u):
         y[k] = c @ x + d * uk
@@ -163,15 +173,15 @@ def _canonical(
     return a, b, num[1:] - num[0] * den[1:], float(num[0])
 
 
-def _held(a: FloatArray, b: FloatArray, dt_s: float) -> tuple[FloatArray, FloatArray]:
-    """Zero-order-hold discretisation by one matrix exponential (Van Loan, 1978)."""
+def _held(a: FloatArray, b: FloatArray, dt_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(Ad, Bd, Cd): x[k+1] = Ad x[k] + Bd u[k] + Cd (u[k+1] - u[k]), by one exponential (Van Loan, 1978)."""
     from scipy.linalg import expm
 
     n = len(b)
-    block = np.zeros((n + 1, n + 1))
-    block[:n, :n], block[:n, n] = a, b
-    exponential = expm(block * dt_s)
-    return exponential[:n, :n], exponential[:n, n]
+    block = np.zeros((n + 2, n + 2))
+    block[:n, :n], block[:n, n], block[n, n + 1] = a * dt_s, b * dt_s, 1.0
+    exponential = expm(block)
+    return exponential[:n, :n], exponential[:n, n], exponential[:n, n + 1]
 
 
 def paper_experiment(
@@ -201,6 +211,6 @@ def paper_experiment(
         raise UsageError(f"no signal {signal!r}", hint="one of " + ", ".join(SIGNALS))
     time_s = dt_s * np.arange(round(duration_s / dt_s))
     u = SIGNALS[signal](time_s)
-    y_true = fly(loop_named(loop), u, dt_s)
+    y_true = fly(loop_named(loop), u, dt_s, hold="first")
     rng = np.random.default_rng([seed, list(LOOPS).index(loop), list(SIGNALS).index(signal)])
     return u, y_true + noise * rng.standard_normal(len(u)), y_true

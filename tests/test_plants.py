@@ -35,6 +35,15 @@ def test_flying_agrees_with_python_control_held_between_samples(name: str) -> No
     np.testing.assert_array_equal(fly(PLANTS[name](), u, 0.02), fly(LOOPS[name], u, 0.02))
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_a_first_order_hold_agrees_with_python_controls_forced_response(name: str) -> None:
+    import control
+
+    u = np.random.default_rng(4).standard_normal(500)
+    expected = control.forced_response(control.tf2ss(PLANTS[name]()), np.arange(500) * 0.02, u).outputs
+    np.testing.assert_allclose(fly(LOOPS[name], u, 0.02, hold="first"), expected, atol=1e-9)
+
+
 def test_a_first_order_step_is_the_exponential() -> None:
     lag = Loop((2.0,), (0.5, 1.0), "u", "y", "")
     time_s = 0.1 * np.arange(50)
@@ -60,12 +69,12 @@ def test_flying_is_linear_and_does_not_see_the_future(name: str, factor: float, 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_linear_regression_of_the_plants_order_is_exact(name: str) -> None:
-    """Zero-order hold makes the sampled plant an ARX model exactly: the claim `reproduce` rests on."""
+    """A hold makes the sampled plant an ARX model exactly: the claim `reproduce` rests on."""
     u, y, y_true = paper_experiment(name, duration_s=60.0)
     np.testing.assert_array_equal(y, y_true)
     n = len(LOOPS[name].denominator) - 1
     rows = np.arange(n, len(u))
-    phi = np.column_stack([y[rows - i] for i in range(1, n + 1)] + [u[rows - i] for i in range(1, n + 1)])
+    phi = np.column_stack([y[rows - i] for i in range(1, n + 1)] + [u[rows - i] for i in range(n + 1)])
     theta = np.linalg.lstsq(phi, y[n:], rcond=None)[0]
     assert np.abs(phi @ theta - y[n:]).max() < 1e-9
 
