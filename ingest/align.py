@@ -146,7 +146,7 @@ class _Job:
                 f"channel {self.channel!r}: no flight has two samples of every signal",
                 hint="log longer, or choose another recipe",
             )
-        return resample.nice_period_ns(float(np.median(periods)))
+        return resample.nice_period_ns(max(float(np.median(periods)), 1e9 / self.recipe.max_rate_hz))
 
     def _slowest_period_ns(self, log: Log) -> float:
         paced = [n for n, s in self.specs.items() if s.max_gap_s != float("inf")] or list(self.specs)

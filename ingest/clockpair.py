@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.errors import DataError
-from flysid.ingest.resample import Series, period_ns
+from flysid.ingest.resample import Series, period_ns, smoothed
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -104,19 +104,8 @@ def band_passed(series: Series, narrow_s: float, wide_s: float = WIDE_S) -> Seri
     dt = period_ns(series.t_ns)
     grid = np.arange(0.0, float(series.t_ns[-1] - series.t_ns[0]), dt)
     x = np.interp(grid, (series.t_ns - series.t_ns[0]).astype(float), series.x)
-    slow_removed = _smoothed(x, narrow_s * 1e9 / dt) - _smoothed(x, wide_s * 1e9 / dt)
+    slow_removed = smoothed(x, narrow_s * 1e9 / dt) - smoothed(x, wide_s * 1e9 / dt)
     return Series(series.t_ns[0] + np.round(grid).astype(np.int64), slow_removed)
-
-
-def _smoothed(x: FloatArray, sigma: float) -> FloatArray:
-    """Gaussian mean with `sigma` samples, its weights renormalised at the ends."""
-    reach = min(int(4 * sigma) + 1, len(x) - 1)
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    size = 1 << int(np.ceil(np.log2(len(x) + 2 * reach + 1)))
-    spectrum = np.fft.rfft(kernel, size)
-    ones = np.fft.irfft(np.fft.rfft(np.ones(len(x)), size) * spectrum, size)[reach : reach + len(x)]
-    total = np.fft.irfft(np.fft.rfft(x, size) * spectrum, size)[reach : reach + len(x)]
-    return np.asarray(total / ones)
 
 
 @dataclass(frozen=True, eq=False)

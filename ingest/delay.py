@@ -1,9 +1,12 @@
 """Dead time between input and output: cross-correlation, impulse response, and a search over `nk`.
 
 A lag of the dynamics shifts the peak of the correlation too, so the peak alone overestimates the dead
-time. The search fits a model of second order by output error for every dead time (Steiglitz and McBride
-1965, iterated least squares on filtered data) and takes the one whose free run errs least; the same data
-decide how sure that is.
+time. The search fits a model for every dead time and takes the one that errs least:
+
+- without feedback, second order by output error (Steiglitz and McBride 1965, iterated least squares on
+  filtered data), whose free run the measurement noise does not bias;
+- with feedback (the output leads the input: a pilot or a controller answers it), ARX of high order by one
+  step prediction, since output error is biased there (Ljung 1999, System Identification, section 13.4).
 """
 
 from __future__ import annotations
@@ -20,7 +23,9 @@ FloatArray = npt.NDArray[np.float64]
 
 ORDER = 2
 ITERATIONS = 6
+ARX_ORDERS = (20, 10)  # of past outputs and inputs
 MAX_SAMPLES = 60_000  # of the longest segments; more does not sharpen an answer in whole samples
+STEP_S = 0.5  # the sign is that of the step response so long after the dead time
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,7 @@ class Delay:
     low_s, high_s : dead times whose error is not significantly larger.
     sign : +1 where the output follows the input, -1 where it goes against it.
     correlation, peak_s : largest absolute correlation, and the lag where it lies.
+    feedback : the output leads the input; the dead time was then found by prediction error.
     """
 
     nk: int
@@ -44,6 +50,7 @@ class Delay:
     sign: int
     correlation: float
     peak_s: float
+    feedback: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,32 +129,36 @@ def estimate_delay(data: Dataset, column: int = 0, output: int = 0, max_delay_s:
     ------
     DataError : the segments are too short, or the input or output does not move.
     """
-    pieces = _pieces(data, column, output)
+    last = max(2, round(max_delay_s / data.dt_s))
+    pieces = _pieces(data, column, output, min_length=2 * (last + sum(ARX_ORDERS)))
     lag_s, r = cross_correlation(data, column, output, max(2 * max_delay_s, 1.0))
     at = int(np.argmax(np.abs(r)))
-    candidates = range(max(2, round(max_delay_s / data.dt_s)) + 1)
-    errors = np.array([_free_run_error(pieces, nk) for nk in candidates])
+    feedback = bool(lag_s[at] < -0.5 * data.dt_s)
+    fit = _predictor if feedback else _output_error
+    fits = [fit(pieces, nk) for nk in range(last + 1)]
+    errors = np.array([f.error for f in fits])
     best = int(np.argmin(errors))
     samples = sum(len(y) for _, y in pieces)
-    close = np.flatnonzero(errors <= errors[best] * (1.0 + 4.0 / np.sqrt(samples)))
-    offset = _vertex(errors, best)
+    slack = 8.0 / samples if feedback else 4.0 / np.sqrt(samples)
+    close = np.flatnonzero(errors <= errors[best] * (1.0 + slack))
     return Delay(
         nk=best,
-        delay_s=max(0.0, (best - 1 + offset) * data.dt_s),
+        delay_s=max(0.0, (best - 1 + _vertex(errors, best)) * data.dt_s),
         low_s=max(0.0, (int(close[0]) - 1) * data.dt_s),
         high_s=int(close[-1]) * data.dt_s,
-        sign=int(np.sign(r[at])) or 1,
+        sign=fits[best].sign(best + round(STEP_S / data.dt_s)),
         correlation=float(np.abs(r[at])),
         peak_s=float(lag_s[at]),
+        feedback=feedback,
     )
 
 
-def _pieces(data: Dataset, column: int, output: int) -> list[tuple[FloatArray, FloatArray]]:
+def _pieces(data: Dataset, column: int, output: int, min_length: int) -> list[tuple[FloatArray, FloatArray]]:
     """Longest segments first, means removed, up to MAX_SAMPLES in all."""
     pieces: list[tuple[FloatArray, FloatArray]] = []
     total = 0
     for segment in sorted(data.segments, key=len, reverse=True):
-        if len(segment) < 10 * ORDER or (pieces and total + len(segment) > MAX_SAMPLES):
+        if len(segment) < min_length or (pieces and total + len(segment) > MAX_SAMPLES):
             break
         u, y = segment.u[:MAX_SAMPLES, column], segment.y[:MAX_SAMPLES, output]
         pieces.append((u - u.mean(), y - y.mean()))
@@ -159,26 +170,60 @@ def _pieces(data: Dataset, column: int, output: int) -> list[tuple[FloatArray, F
     return pieces
 
 
-def _free_run_error(pieces: list[tuple[FloatArray, FloatArray]], nk: int) -> float:
-    """Mean squared free-run error of the best second-order model with this dead time."""
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A transfer function and the mean squared error it leaves."""
+
+    error: float
+    zeros: FloatArray
+    poles: FloatArray
+
+    def sign(self, steps: int) -> int:
+        """Sign of the step response after `steps` samples."""
+        from scipy.signal import lfilter
+
+        response = lfilter(self.zeros, self.poles, np.ones(steps + 2))
+        return -1 if response[-1] < 0 else 1
+
+
+def _output_error(pieces: list[tuple[FloatArray, FloatArray]], nk: int) -> _Fit:
+    """The best second-order model with this dead time, by its free run."""
     from scipy.signal import lfilter
 
-    poles = np.array([1.0, *np.zeros(ORDER)])
-    best = np.inf
+    poles, best = np.array([1.0, *np.zeros(ORDER)]), _Fit(np.inf, np.zeros(1), np.ones(1))
     for _ in range(ITERATIONS):
-        gram, right = np.zeros((2 * ORDER, 2 * ORDER)), np.zeros(2 * ORDER)
-        for u, y in pieces:
-            u_f, y_f = lfilter([1.0], poles, u), lfilter([1.0], poles, y)
-            phi, target = _regressors(u_f, y_f, nk)
-            gram += phi.T @ phi
-            right += phi.T @ target
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        theta = np.linalg.lstsq(gram / np.outer(scale, scale), right / scale, rcond=1e-12)[0] / scale
+        filtered = [(lfilter([1.0], poles, u), lfilter([1.0], poles, y)) for u, y in pieces]
+        theta, _ = _least_squares(filtered, nk, (ORDER, ORDER))
         poles = _stable(np.concatenate([[1.0], theta[:ORDER]]))
         zeros = np.concatenate([np.zeros(nk), theta[ORDER:]])
         error = sum(float(np.sum((y - _simulate(zeros, poles, u, y)) ** 2)) for u, y in pieces)
-        best = min(best, error / sum(len(y) for _, y in pieces))
+        error /= sum(len(y) for _, y in pieces)
+        if error < best.error:
+            best = _Fit(error, zeros, poles)
     return best
+
+
+def _predictor(pieces: list[tuple[FloatArray, FloatArray]], nk: int) -> _Fit:
+    """ARX of high order with this dead time, by its one-step error."""
+    theta, error = _least_squares(pieces, nk, ARX_ORDERS)
+    na = ARX_ORDERS[0]
+    return _Fit(error, np.concatenate([np.zeros(nk), theta[na:]]), np.concatenate([[1.0], theta[:na]]))
+
+
+def _least_squares(
+    pieces: list[tuple[FloatArray, FloatArray]], nk: int, orders: tuple[int, int]
+) -> tuple[FloatArray, float]:
+    """ARX parameters (na + nb,) and their mean squared one-step error, columns scaled alike."""
+    size = sum(orders)
+    gram, right, squares, rows = np.zeros((size, size)), np.zeros(size), 0.0, 0
+    for u, y in pieces:
+        phi, target = _regressors(u, y, nk, orders)
+        gram += phi.T @ phi
+        right += phi.T @ target
+        squares, rows = squares + float(target @ target), rows + len(target)
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    theta = np.linalg.lstsq(gram / np.outer(scale, scale), right / scale, rcond=1e-12)[0] / scale
+    return theta, max(0.0, squares - float(theta @ (2 * right - gram @ theta))) / max(rows, 1)
 
 
 def _simulate(zeros: FloatArray, poles: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -194,11 +239,14 @@ def _simulate(zeros: FloatArray, poles: FloatArray, u: FloatArray, y: FloatArray
     return np.asarray(forced + free @ start)
 
 
-def _regressors(u: FloatArray, y: FloatArray, nk: int) -> tuple[FloatArray, FloatArray]:
-    """(N, 4) of -y[k-1], -y[k-2], u[k-nk], u[k-nk-1], and the (N,) outputs y[k]."""
-    first = max(ORDER, nk + ORDER - 1)
-    past_y = [-y[first - i : len(y) - i] for i in range(1, ORDER + 1)]
-    past_u = [u[first - nk - i : len(u) - nk - i] for i in range(ORDER)]
+def _regressors(
+    u: FloatArray, y: FloatArray, nk: int, orders: tuple[int, int]
+) -> tuple[FloatArray, FloatArray]:
+    """(N, na + nb) of -y[k-1], ..., -y[k-na], u[k-nk], ..., u[k-nk-nb+1], and the (N,) outputs y[k]."""
+    na, nb = orders
+    first = max(na, nk + nb - 1)
+    past_y = [-y[first - i : len(y) - i] for i in range(1, na + 1)]
+    past_u = [u[first - nk - i : len(u) - nk - i] for i in range(nb)]
     return np.stack([*past_y, *past_u], axis=1), y[first:]
 
 

@@ -166,6 +166,7 @@ class Recipe:
     Attributes
     ----------
     rate_hz : rate of the grid; "auto": that of the slowest source of each channel.
+    max_rate_hz : "auto" goes no higher.
     min_segment_s : shorter segments are dropped; None: 20 samples.
     antialias : filter (all signals of a channel alike) where a source is much faster than the grid.
     """
@@ -175,6 +176,7 @@ class Recipe:
     channels: dict[str, ChannelSpec]
     description: str = ""
     rate_hz: float | Literal["auto"] = "auto"
+    max_rate_hz: float = float("inf")
     min_segment_s: float | None = None
     antialias: bool = True
     conditions: tuple[Condition, ...] = ()
@@ -290,6 +292,8 @@ def _check_sense(recipe: Recipe, where: str) -> None:
     """What types cannot say: names refer to something, units are known, numbers are positive."""
     if recipe.rate_hz != "auto" and not 0 < recipe.rate_hz < 1e6:
         raise RecipeError(f"rate_hz must be positive, not {recipe.rate_hz}", path=where)
+    if not recipe.max_rate_hz > 0:
+        raise RecipeError(f"max_rate_hz must be positive, not {recipe.max_rate_hz}", path=where)
     if not recipe.channels:
         raise RecipeError("a recipe needs at least one [channels.NAME]", path=where)
     for name, channel in recipe.channels.items():

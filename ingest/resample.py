@@ -182,3 +182,14 @@ def decimate(x: FloatArray, ratio: int) -> FloatArray:
     if len(x) < 2 * half + 1:
         return np.empty(0)
     return np.asarray(np.convolve(x, lowpass(ratio), mode="valid")[::ratio])
+
+
+def smoothed(x: FloatArray, sigma: float) -> FloatArray:
+    """Gaussian mean with `sigma` samples, its weights renormalised at the ends."""
+    reach = min(int(4 * sigma) + 1, len(x) - 1)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    size = 1 << int(np.ceil(np.log2(len(x) + 2 * reach + 1)))
+    spectrum = np.fft.rfft(kernel, size)
+    ones = np.fft.irfft(np.fft.rfft(np.ones(len(x)), size) * spectrum, size)[reach : reach + len(x)]
+    total = np.fft.irfft(np.fft.rfft(x, size) * spectrum, size)[reach : reach + len(x)]
+    return np.asarray(total / ones)

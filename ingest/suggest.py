@@ -22,7 +22,7 @@ MIN_DURATION_S = 10.0
 
 @dataclass(frozen=True)
 class Suggestion:
-    """One channel of one flight.
+    """One output of a channel of one flight, with the input that explains most of it.
 
     Attributes
     ----------
@@ -32,7 +32,8 @@ class Suggestion:
         that a linear model of this input can explain there at best.
     band_hz : where the coherence counts: outside, a model must not be trusted.
     delay_s, delay_low_s, delay_high_s : dead time and what cannot be told from it; None where unknown.
-    sign : +1 where the output follows the input, -1 where it goes against it.
+    sign : +1 where the output follows the input, -1 where it goes against it, 0 where unknown.
+    feedback : the input answers the output (a pilot or controller): open-loop methods are biased.
     verdict, advice : in words.
     """
 
@@ -53,6 +54,7 @@ class Suggestion:
     delay_low_s: float | None = None
     delay_high_s: float | None = None
     sign: int = 0
+    feedback: bool = False
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -91,15 +93,12 @@ def _suggest_channel(log: Log, recipe: Recipe, channel: str) -> list[Suggestion]
             )
         ]
     notes = tuple(note for flight in aligned.report.flights for note in flight.notes)
-    return [
-        _assess(aligned.dataset, spec, log.name, recipe.name, (i, j), notes)
-        for i in range(len(spec.inputs))
-        for j in range(len(spec.outputs))
-        if len(spec.inputs) == len(spec.outputs) == 1
-        or i == j
-        or len(spec.inputs) == 1
-        or len(spec.outputs) == 1
-    ]
+    data = aligned.dataset
+    found: list[Suggestion] = []
+    for j in range(len(spec.outputs)):
+        pairs = [_assess(data, spec, log.name, recipe.name, (i, j), notes) for i in range(len(spec.inputs))]
+        found.append(max(pairs, key=lambda s: s.coherence))
+    return found
 
 
 def _assess(
@@ -109,7 +108,7 @@ def _assess(
     moves, seen = excitation(data, column), spectrum(data, column, output)
     delay = _delay(data, column, output)
     coherence = coherence_in_use(moves, seen)
-    verdict, advice = _verdict(data, spec, moves, coherence, seen)
+    verdict, advice = _verdict(data, spec, column, moves, seen)
     return Suggestion(
         flight=flight,
         recipe=recipe,
@@ -128,6 +127,7 @@ def _assess(
         delay_low_s=None if delay is None else delay.low_s,
         delay_high_s=None if delay is None else delay.high_s,
         sign=0 if delay is None else delay.sign,
+        feedback=delay is not None and delay.feedback,
         notes=notes,
     )
 
@@ -146,10 +146,11 @@ def _delay(data: Dataset, column: int, output: int) -> Delay | None:
 
 
 def _verdict(
-    data: Dataset, spec: ChannelSpec, moves: Excitation, coherence: float, seen: Spectrum
+    data: Dataset, spec: ChannelSpec, column: int, moves: Excitation, seen: Spectrum
 ) -> tuple[Verdict, str]:
     """In this order: nothing moved, too short, too slow, not explained, good."""
-    name, unit = data.inputs[0].name, data.inputs[0].unit
+    name, unit = data.inputs[column].name, data.inputs[column].unit
+    coherence = coherence_in_use(moves, seen)
     rate, duration = 1.0 / data.dt_s, len(data) * data.dt_s
     if moves.quiet:
         return "too quiet", f"{name} moves by {moves.rms:.2g} {unit} rms; fly steps, doublets or a sweep"

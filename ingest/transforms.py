@@ -1,8 +1,10 @@
 """Named transforms of a recipe: columns of one stream -> one signal.
 
 Every transform takes (N, k) columns scaled to physical values, the time of each row in seconds, and the
-heading in radians where it needs one. It returns (N,) values in `unit` or, where that is None, in the unit of
-its first column.
+heading in radians where it needs one. "forward" and "right" turn a vector given as (north, east) by a yaw
+that is clockwise from north; given as (x, y) with a yaw that is counter-clockwise from x (ENU, motion
+capture) the second of them points left. It returns (N,) values in `unit` or, where that is None, in the
+unit of its first column.
 """
 
 from __future__ import annotations
@@ -50,6 +52,11 @@ def derivative(columns: FloatArray, time_s: FloatArray, yaw: FloatArray) -> Floa
     return np.asarray(np.gradient(columns[:, 0], time_s), dtype=np.float64)
 
 
+def _rates(columns: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of the first two columns."""
+    return derivative(columns[:, :1], time_s, time_s), derivative(columns[:, 1:2], time_s, time_s)
+
+
 def _of_quaternion(function: Callable[[FloatArray], FloatArray]) -> Transform:
     return Transform(lambda c, _t, _y: function(c), field_counts=(1, 4), unit="rad")
 
@@ -67,6 +74,18 @@ TRANSFORMS: Mapping[str, Transform] = {
         lambda c, _t, yaw: frames.right_of(c[:, 0], c[:, 1], yaw), field_counts=(2,), needs_yaw=True
     ),
     "derivative": Transform(derivative, per_second=True),
+    "forward_rate": Transform(
+        lambda c, t, yaw: frames.forward_of(*_rates(c, t), yaw),
+        field_counts=(2,),
+        per_second=True,
+        needs_yaw=True,
+    ),
+    "right_rate": Transform(
+        lambda c, t, yaw: frames.right_of(*_rates(c, t), yaw),
+        field_counts=(2,),
+        per_second=True,
+        needs_yaw=True,
+    ),
     "mean": Transform(lambda c, _t, _y: np.asarray(c.mean(axis=1)), field_counts=tuple(range(1, 17))),
     "norm": Transform(
         lambda c, _t, _y: np.asarray(np.linalg.norm(c, axis=1)), field_counts=tuple(range(1, 17))

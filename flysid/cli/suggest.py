@@ -10,7 +10,19 @@ import click
 if TYPE_CHECKING:
     from flysid.ingest.suggest import Suggestion
 
-HEADINGS = ("FLIGHT", "RECIPE", "CHANNEL", "RATE", "TIME", "INPUT", "COHERENCE", "BAND", "DELAY", "VERDICT")
+HEADINGS = (
+    "FLIGHT",
+    "RECIPE",
+    "CHANNEL",
+    "RATE",
+    "TIME",
+    "INPUT",
+    "COHERENCE",
+    "SIGN",
+    "BAND",
+    "DELAY",
+    "VERDICT",
+)
 
 
 def print_suggestions(data: str, as_json: bool) -> None:
@@ -29,6 +41,10 @@ def print_suggestions(data: str, as_json: bool) -> None:
     click.echo("\n".join(aligned([HEADINGS, *(row(s) for s in found)])))
     for text in advice(found):
         click.echo(printable(text))
+    if any(s.feedback for s in found):
+        click.echo(
+            "loop: the input answers the output too (pilot or controller); see the docs on closed loops"
+        )
 
 
 def row(found: Suggestion) -> tuple[str, ...]:
@@ -42,6 +58,7 @@ def row(found: Suggestion) -> tuple[str, ...]:
         f"{found.duration_s:.0f} s" if made else "-",
         f"{found.input_rms:.2g} {found.input_unit} rms" if made else "-",
         f"{found.coherence:.2f}" if made else "-",
+        {1: "+", -1: "-"}.get(found.sign if found.band_hz else 0, ""),
         f"{found.band_hz[0]:.2g}-{found.band_hz[1]:.2g} Hz" if found.band_hz else "none",
         _delay(found),
         found.verdict,
@@ -53,7 +70,8 @@ def _delay(found: Suggestion) -> str:
     if found.delay_s is None or found.band_hz is None:
         return "-"
     low_ms, high_ms = 1e3 * (found.delay_low_s or 0.0), 1e3 * (found.delay_high_s or 0.0)
-    return f"{1e3 * found.delay_s:.0f} ms [{low_ms:.0f}, {high_ms:.0f}]"
+    loop = " loop" if found.feedback else ""
+    return f"{1e3 * found.delay_s:.0f} ms [{low_ms:.0f}, {high_ms:.0f}]{loop}"
 
 
 def advice(found: list[Suggestion]) -> list[str]:
