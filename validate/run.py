@@ -151,9 +151,14 @@ def fit_run(
     """
     recipe = load_recipe(recipe_name)
     fitted: list[ChannelRun] = []
-    skipped: dict[str, str] = {}
+    held = lake.channels(recipe)
+    skipped = {
+        name: "no flight holds its streams"
+        for name in (recipe.channels if held and not settings.channels else ())
+        if name not in held
+    }
     with replacing_folder(out) as folder:
-        for name in _chosen(list(recipe.channels), settings.channels):
+        for name in _chosen([n for n in recipe.channels if n not in skipped], settings.channels):
             try:
                 fitted.append(_fit_channel(lake.align(recipe, name), folder, settings, progress))
             except (DataError, FitError) as error:
