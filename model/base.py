@@ -24,6 +24,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import json
+import os
 import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -144,6 +145,27 @@ def all_structures() -> Mapping[str, Structure]:
         structure = importlib.import_module(f"flysid.model.{module}").MODEL
         found[structure.name] = structure
     return found
+
+
+def write_document(document: Mapping[str, Any], path: str | Path) -> None:
+    """Write a model's JSON so that it appears whole: temporary file, fsync, rename.
+
+    Raises
+    ------
+    StoreError : the folder is not there or not writable.
+    """
+    path = Path(path)
+    scratch = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with scratch.open("w", encoding="utf-8") as stream:
+            json.dump(document, stream, allow_nan=False, indent=1)
+            stream.write("\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+        scratch.replace(path)
+    except OSError as error:
+        scratch.unlink(missing_ok=True)
+        raise StoreError(f"cannot be written: {error.strerror}", path=path) from error
 
 
 def load(path: str | Path) -> Fitted:

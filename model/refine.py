@@ -176,7 +176,7 @@ def _evaluate(
 def _triangle(residual: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
     """R and Qᵀr of J = QR, from one QR of [J r]."""
     n = jacobian.shape[1]
-    r = np.linalg.qr(np.column_stack([jacobian, residual]), mode="r")
+    r = np.asarray(np.linalg.qr(np.column_stack([jacobian, residual]), mode="r"))
     full = np.zeros((n + 1, n + 1))
     full[: r.shape[0]] = r
     return full[:n, :n], full[:n, n]

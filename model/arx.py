@@ -1,0 +1,311 @@
+"""ARX: the next output as a regression on past outputs and inputs; optionally refined for the free run.
+
+    A(q) y(k) = B(q) u(k) + c + e(k)        (Ljung, 1999, System Identification, 4.2)
+
+with full polynomial matrices: every output may feed every other. Least squares one step ahead is exact
+where the noise enters as e; where the sensors add it to y, and at fast sampling above all, it is biased.
+Then the same orders fitted to the simulation error (`output_error`) free-run better. `refine="auto"` lets
+the validation free run decide, and `notes` say how.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Literal
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import FitError, UsageError
+from flysid.model.base import Structure
+from flysid.model.freerun import Difference
+from flysid.model.gram import LeastSquares, Triangle, reduce_data
+from flysid.model.linear import FittedLinear, from_dict
+from flysid.model.linear_data import Parts, as_tuple
+from flysid.model.linear_start import equation_starts
+from flysid.model.orders import Choice, Grid, best_per_order
+from flysid.model.output_error import (
+    HIGHEST_ORDER,
+    assemble,
+    choose_orders,
+    delay_steps,
+    find_delays,
+    refit,
+)
+from flysid.model.regressors import chunks
+from flysid.model.selection import block_errors, clearly_better, simplest
+from flysid.model.simulation_error import Orders
+
+Auto = Literal["auto"]
+HIGHEST_NA = 6
+SHARE = 10
+"""A regression needs this many samples per parameter before an order is tried."""
+
+
+@dataclass(frozen=True)
+class ARX:
+    """Settings of an ARX model; the defaults choose by themselves.
+
+    Parameters
+    ----------
+    na : past outputs of every output, or "auto".
+    nb : past inputs, one number or one per input, or "auto".
+    nk : delay in samples from input to output, one number or one per input, or "auto". 0 is feed-through.
+    offset : estimate a constant.
+    refine : fit the simulation error instead of the next sample: "auto" where the validation free run is
+        better for it by more than noise, True or False to force. A refined model has no coupling between
+        outputs.
+    n_init : measured samples that start a refined model's simulation; None chooses.
+    """
+
+    na: int | Auto = "auto"
+    nb: int | Sequence[int] | Auto = "auto"
+    nk: int | Sequence[int] | Auto = "auto"
+    offset: bool = True
+    refine: bool | Auto = "auto"
+    n_init: int | None = None
+
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
+        """Choose orders and fit.
+
+        Raises
+        ------
+        UsageError : settings that cannot be.
+        DataError : no or too few samples, a signal that never changes.
+        FitError : refine=True and no stable model was found.
+        """
+        self._check(len(train.inputs))
+        parts = Parts.of(train, validation)
+        plain = None if self.refine is True else _LeastSquaresFit(self, parts)
+        if self.refine is False:
+            assert plain is not None
+            return plain.final()
+        try:
+            refined = _refined(self, parts)
+        except FitError as error:
+            if plain is None:
+                raise
+            note = f"Refinement on the simulation error was tried and given up: {error.message}."
+            return _noted(plain.final(), note)
+        if plain is None:
+            return refined.final(())
+        return _decided(parts, plain, refined)
+
+    def _check(self, n_u: int) -> None:
+        for name, low in (("na", 0), ("nb", 0), ("nk", 0)):
+            value = getattr(self, name)
+            if value == "auto":
+                continue
+            values = tuple(np.atleast_1d(np.asarray(value, dtype=object)))
+            if not all(isinstance(v, (int, np.integer)) and v >= low for v in values):
+                raise UsageError(f"{name} must be whole numbers of at least {low}, not {value!r}")
+            if name != "na" and not isinstance(value, int) and len(values) != n_u:
+                raise UsageError(f"{name} has {len(values)} numbers for {n_u} inputs")
+        if self.refine not in (True, False, "auto"):
+            raise UsageError(f"refine is {self.refine!r}", hint="use 'auto', True or False")
+
+
+class _LeastSquaresFit:
+    """The one-step fit: orders from one pass over the fitting part, free run on the checking part."""
+
+    def __init__(self, settings: ARX, parts: Parts) -> None:
+        self.settings, self.parts = settings, parts
+        self.n_y, self.n_u = len(parts.train.outputs), len(parts.train.inputs)
+        choices, grid = self._candidates()
+        models = [self._model(c, grid.fit(c), "") for c in choices]
+        skip = max(m.n_init for m in models)
+        scale = parts.scaling.y_scale
+        errors = [block_errors(m, parts.check, skip, scale) for m in models]
+        index = simplest(errors)
+        self.choice = choices[index]
+        self.model = models[index]
+        self.note = _order_note(choices, errors, index)
+
+    def final(self) -> FittedLinear:
+        """The chosen orders on all training data."""
+        grid = _grid(self.parts.whole, [self.choice], self.settings.offset)
+        return self._model(self.choice, grid.fit(self.choice), self.note)
+
+    def _candidates(self) -> tuple[list[Choice], Grid]:
+        s, n_u = self.settings, self.n_u
+        rows = len(self.parts.fit)
+        longest = max(len(x) for x in self.parts.fit.segments)
+        budget = max(rows // SHARE, 1)
+        most = max(1, min(HIGHEST_NA, (budget - 1) // (self.n_y + n_u)))
+        nas = range(1, most + 1) if s.na == "auto" else [int(s.na)]
+        counts = range(1, most + 1) if s.nb == "auto" else None
+        nbs = [as_tuple(c, n_u) for c in counts] if counts else [as_tuple(s.nb, n_u)]  # type: ignore[arg-type]
+        if s.nk == "auto":
+            top = max(delay_steps(self.parts.train.dt_s, longest))
+            most_delay = max(1, min(top, budget - 1, 20))
+            nks: list[list[int]] = [[1, 0, *range(2, most_delay + 1)]] * n_u
+        else:
+            nks = [[k] for k in as_tuple(s.nk, n_u)]
+        corner = Choice(max(nas), tuple(max(x) for x in zip(*nbs, strict=True)), tuple(max(k) for k in nks))
+        grid = _grid(self.parts.fit, [corner], s.offset)
+        choices = best_per_order(grid, list(nas), nbs, nks)
+        if not choices:  # collinear throughout: the smallest choice, by its shortest solution
+            choices = [Choice(min(nas), nbs[0], tuple(k[0] for k in nks))]
+        return choices, grid
+
+    def _system(self, choice: Choice, fits: Sequence[LeastSquares]) -> tuple[Difference, tuple[int, ...]]:
+        """The equation of the coefficients, and where each output's coefficients stand in flat order."""
+        n_y, n_u = self.n_y, self.n_u
+        last = max((k + n for n, k in zip(choice.nb, choice.nk, strict=True) if n), default=1)
+        a = np.zeros((choice.na + 1, n_y, n_y))
+        a[0] = np.eye(n_y)
+        b, c = np.zeros((last, n_y, n_u)), np.zeros(n_y)
+        free: list[int] = []
+        for i, fit in enumerate(fits):
+            theta, position = fit.theta, 0
+            for j, lag in product(range(n_y), range(1, choice.na + 1)):
+                a[lag, i, j] = -theta[position]
+                free.append((lag - 1) * n_y * n_y + i * n_y + j)
+                position += 1
+            for j, (count, delay) in enumerate(zip(choice.nb, choice.nk, strict=True)):
+                for lag in range(delay, delay + count):
+                    b[lag, i, j] = theta[position]
+                    free.append(choice.na * n_y * n_y + lag * n_y * n_u + i * n_u + j)
+                    position += 1
+            if self.settings.offset:
+                c[i] = theta[position]
+                free.append(choice.na * n_y * n_y + b.size + i)
+        return Difference(a, b, c), tuple(free)
+
+    def _model(self, choice: Choice, fits: Sequence[LeastSquares], note: str) -> FittedLinear:
+        parts = self.parts
+        system, free = self._system(choice, fits)
+        physical = parts.scaling.physical(system)
+        scaled = np.concatenate([system.a[1:].ravel(), system.b.ravel(), system.c])
+        unit = np.concatenate([physical.a[1:].ravel(), physical.b.ravel(), physical.c])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factor = np.where(scaled != 0, unit / scaled, 0.0)[list(free)]
+        size = len(fits[0].theta)
+        covariance = np.zeros((len(free), len(free)))
+        for i, fit in enumerate(fits):
+            block = slice(i * size, (i + 1) * size)
+            covariance[block, block] = fit.covariance
+        depth = max(choice.lags(self.n_y).depth, 1)
+        starts = equation_starts(system, parts, depth)
+        return FittedLinear(
+            structure="arx",
+            dt_s=parts.train.dt_s,
+            inputs=parts.train.inputs,
+            outputs=parts.train.outputs,
+            n_init=depth,
+            output_limits=parts.limits,
+            system=physical,
+            u_origin=parts.scaling.u_origin,
+            y_origin=parts.scaling.y_origin,
+            noise=None,
+            starts=starts,
+            free=free,
+            covariance=covariance * np.outer(factor, factor),
+            notes=(note,) if note else (),
+        )
+
+
+def _grid(data: Dataset, choices: Sequence[Choice], offset: bool) -> Grid:
+    """The triangle over all lags that the choices need.
+
+    Raises
+    ------
+    DataError : the segments are shorter than the lags.
+    """
+    n_y, n_u = len(data.outputs), len(data.inputs)
+    na = max(c.na for c in choices)
+    last = max((k + n - 1 for c in choices for n, k in zip(c.nb, c.nk, strict=True) if n), default=0)
+    lags = Grid.lags(n_y, n_u, na, last)
+    triangle: Triangle = reduce_data(lambda: chunks(data, lags))
+    return Grid(triangle, n_y, n_u, na, last, offset)
+
+
+def _order_note(choices: Sequence[Choice], errors: Sequence[FloatArray], index: int) -> str:
+    if len(choices) == 1:
+        return f"Orders: {choices[0]}."
+    rmse = [
+        f"na {c.na}: {np.sqrt(e.mean()) if len(e) else np.nan:.3g}"
+        for c, e in zip(choices, errors, strict=True)
+    ]
+    return (
+        f"One step ahead, {choices[index]}: nb and nk by BIC for every na, then the simplest na within one "
+        "standard error of the best validation free run "
+        f"(RMSE in standard deviations of the output: {', '.join(rmse)})."
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Refined:
+    settings: ARX
+    parts: Parts
+    fits: list  # type: ignore[type-arg]
+    model: FittedLinear
+    note: str
+
+    def final(self, notes: Sequence[str]) -> FittedLinear:
+        fits = refit(self.parts, self.fits)
+        return assemble("arx", self.parts, fits, (self.note, *notes), self.settings.n_init)
+
+
+def _refined(settings: ARX, parts: Parts) -> _Refined:
+    """Delays, then orders, on the simulation error."""
+    n_y, n_u = len(parts.train.outputs), len(parts.train.inputs)
+    longest = max(len(s) for s in parts.fit.segments)
+    most = max(1, min(HIGHEST_ORDER, (len(parts.fit) // SHARE - 1) // (1 + n_u), (longest - 2) // 5))
+    nas = range(1, most + 1) if settings.na == "auto" else [int(settings.na)]
+    probe = min(2, max(nas))
+    delays = []
+    for i in range(n_y):
+        if settings.nk == "auto":
+            counts = as_tuple(probe if settings.nb == "auto" else settings.nb, n_u)
+            delays.append(find_delays(parts.fit, i, probe, counts, settings.offset))
+        else:
+            delays.append(as_tuple(settings.nk, n_u))
+    candidates = [[_orders(settings, na, nk) for nk in delays] for na in nas]
+    fits, note = choose_orders(parts, candidates)
+    delay = ", ".join(
+        f"{s.name} -> {o.name} {k}"
+        for o, nk in zip(parts.train.outputs, delays, strict=True)
+        for s, k in zip(parts.train.inputs, nk, strict=True)
+    )
+    words = (
+        f"Refined on the simulation error: {note or f'order {fits[0].problem.orders.na}'}; "
+        f"delays in samples: {delay}."
+    )
+    return _Refined(settings, parts, fits, assemble("arx", parts, fits, (), settings.n_init), words)
+
+
+def _orders(settings: ARX, na: int, nk: tuple[int, ...]) -> Orders:
+    if settings.nb == "auto":
+        nb = tuple(max(na, 1) + (1 if k == 0 else 0) for k in nk)
+    else:
+        nb = as_tuple(settings.nb, len(nk))
+    return Orders(na, nb, nk, settings.offset)
+
+
+def _decided(parts: Parts, plain: _LeastSquaresFit, refined: _Refined) -> FittedLinear:
+    """The refined model where its validation free run is better by more than noise, or level and simpler."""
+    scale = parts.scaling.y_scale
+    skip = max(plain.model.n_init, refined.model.n_init)
+    before = block_errors(plain.model, parts.check, skip, scale)
+    after = block_errors(refined.model, parts.check, skip, scale)
+    if not len(before):
+        return _noted(
+            plain.final(), "No validation segment is long enough to judge a refinement; not refined."
+        )
+    figures = (
+        f"validation free run RMSE {np.sqrt(after.mean()):.3g} refined against {np.sqrt(before.mean()):.3g}"
+    )
+    simpler = refined.model.n_parameters < plain.model.n_parameters
+    if clearly_better(after, before) or (simpler and not clearly_better(before, after)):
+        return refined.final((f"The refined model was kept: {figures} (standard deviations of the output).",))
+    return _noted(plain.final(), f"Refinement on the simulation error was tried and not kept: {figures}.")
+
+
+def _noted(model: FittedLinear, note: str) -> FittedLinear:
+    return replace(model, notes=(*model.notes, note))
+
+
+MODEL = Structure("arx", from_dict)

@@ -1,0 +1,109 @@
+"""Orders and delays of equation-error models: whole grids from one pass over the data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.model.gram import LeastSquares, Triangle, solve
+from flysid.model.regressors import Lags
+
+ROUNDING = 1e-31
+"""Mean square, relative to the output's, below which a one-step residual is rounding."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Orders of an ARX model: na for all outputs, nb and nk per input."""
+
+    na: int
+    nb: tuple[int, ...]
+    nk: tuple[int, ...]
+
+    def lags(self, n_y: int) -> Lags:
+        return Lags.arx((self.na,) * n_y, self.nb, self.nk)
+
+    def __str__(self) -> str:
+        def one(values: tuple[int, ...]) -> str:
+            return str(values[0]) if len(set(values)) == 1 else str(values)
+
+        return f"na = {self.na}, nb = {one(self.nb)}, nk = {one(self.nk)}"
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A Triangle over all lags that any choice needs: y lags 1..na, u lags 0..last_u."""
+
+    triangle: Triangle
+    n_y: int
+    n_u: int
+    na: int
+    last_u: int
+    offset: bool
+
+    @staticmethod
+    def lags(n_y: int, n_u: int, na: int, last_u: int) -> Lags:
+        """The columns of the grid."""
+        return Lags.arx((na,) * n_y, (last_u + 1,) * n_u, (0,) * n_u)
+
+    def columns(self, choice: Choice) -> list[int]:
+        """Columns of the triangle that a choice regresses on, the constant last."""
+        found = [j * self.na + lag - 1 for j in range(self.n_y) for lag in range(1, choice.na + 1)]
+        base = self.n_y * self.na
+        for j, (count, delay) in enumerate(zip(choice.nb, choice.nk, strict=True)):
+            found += [base + j * (self.last_u + 1) + lag for lag in range(delay, delay + count)]
+        return found + ([self.triangle.constant] if self.offset else [])
+
+    def fit(self, choice: Choice) -> list[LeastSquares]:
+        """One regression per output."""
+        columns = self.columns(choice)
+        return [solve(self.triangle, columns, i) for i in range(self.n_y)]
+
+    def bic(self, choice: Choice) -> float:
+        """Bayesian information criterion (Schwarz, 1978) of the one-step residuals; inf where collinear."""
+        fits = self.fit(choice)
+        if any(f.rank < len(f.theta) for f in fits):
+            return np.inf
+        return sum(self._criterion(f, i) for i, f in enumerate(fits))
+
+    def _criterion(self, fit: LeastSquares, output: int) -> float:
+        total = float(np.sum(self.triangle.r[:, self.triangle.n + output] ** 2))
+        rows = fit.rows
+        floor = max(ROUNDING * total, np.finfo(float).tiny)
+        return rows * float(np.log(max(fit.rss, floor) / rows)) + len(fit.theta) * float(np.log(rows))
+
+
+def best_of(grid: Grid, choices: Iterable[Choice]) -> Choice | None:
+    """The choice of lowest BIC; None when all are collinear."""
+    scored = [(grid.bic(c), c) for c in choices]
+    scored = [s for s in scored if np.isfinite(s[0])]
+    return min(scored, key=lambda s: s[0])[1] if scored else None
+
+
+def best_per_order(
+    grid: Grid, nas: Sequence[int], nbs: Sequence[tuple[int, ...]], nks: Sequence[Sequence[int]]
+) -> list[Choice]:
+    """For every na the best nb and nk by BIC, simplest first.
+
+    Parameters
+    ----------
+    nbs : coefficients per input, every combination to try; those beyond na + 1 are passed over, because a
+        long B on a short A fits an input's spectrum, not the plant.
+    nks : delays to try, per input. Delays of several inputs are searched one input at a time.
+    """
+    found = []
+    for na in nas:
+        fitting = [nb for nb in nbs if max(nb) <= na + 1] or list(nbs)
+        nk = tuple(options[0] for options in nks)
+        for _ in range(1 if len(nks) == 1 else 2):
+            for j, options in enumerate(nks):
+                tries = (Choice(na, nb, (*nk[:j], d, *nk[j + 1 :])) for nb in fitting for d in options)
+                best = best_of(grid, tries)
+                if best is not None:
+                    nk = best.nk
+        best = best_of(grid, (Choice(na, nb, nk) for nb in fitting))
+        if best is not None:
+            found.append(best)
+    return found

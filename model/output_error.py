@@ -1,0 +1,272 @@
+"""Output-error models, output by output: delays, orders, refinement, noise model, covariance.
+
+Used by ARX (where it refines the simulation error) and by OE. Each output has its own transfer from all
+inputs; outputs do not feed each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import DataError, FitError
+from flysid.model.freerun import Difference
+from flysid.model.linear import FittedLinear
+from flysid.model.linear_data import EXACT, SEARCH_ROWS, Parts, records, shortened
+from flysid.model.linear_start import start_gains
+from flysid.model.noise import coloured_covariance, noise_model
+from flysid.model.polynomials import free_basis, monic_basis
+from flysid.model.selection import block_means, simplest
+from flysid.model.simulation_error import (
+    Orders,
+    OutputError,
+    Transfer,
+    find_start,
+    to_transfer,
+)
+
+HIGHEST_ORDER = 4
+DELAY_S = 0.5
+MOST_DELAYS = 50
+ORDER_LOSS = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class OneOutput:
+    """A refined transfer of one output, in scaled deviations."""
+
+    problem: OutputError
+    theta: FloatArray
+    cost: float
+
+    @property
+    def transfer(self) -> Transfer:
+        return to_transfer(self.theta, self.problem.orders)
+
+
+def delay_steps(dt_s: float, longest: int) -> list[int]:
+    """Delays worth trying: dense near zero, sparse up to half a second, no deeper than the data allow."""
+    most = min(max(5, round(DELAY_S / dt_s)), MOST_DELAYS, max(longest // 10, 1))
+    steps = [1, 0, 2, 3, 4, 5, 7, 9, 12, 16, 21, 28, 37, 50]
+    return [s for s in steps if s <= most]
+
+
+def fit_output(problem: OutputError, known: Sequence[FloatArray] = (), *, iterations: int = 40) -> OneOutput:
+    """Start and refine.
+
+    Raises
+    ------
+    FitError : no stable start was found.
+    DataError : no segment is long enough.
+    """
+    if not any(True for _ in problem.usable()):
+        raise DataError(
+            f"no segment has the {problem.start_row() + 2 * problem.orders.na + 1} samples these orders need",
+            hint="choose smaller orders or delays, or bring longer segments",
+        )
+    start = find_start(problem, known)
+    found = problem.refine(start.theta, max_iterations=iterations)
+    return OneOutput(problem, found.theta, found.cost)
+
+
+def find_delays(data: Dataset, output: int, na: int, nb: Sequence[int], offset: bool) -> tuple[int, ...]:
+    """Delay per input, one input at a time, by the simulation error of the start.
+
+    One sample, the delay of any plant behind a zero-order hold, holds unless another lowers the cost by more
+    than chance would (a BIC step).
+    """
+    small = shortened(data, SEARCH_ROWS)
+    parts = records(small, output)
+    rows = sum(len(r.y) for r in parts)
+    options = delay_steps(data.dt_s, max(len(r.y) for r in parts))
+    nk = [1] * len(nb)
+    for j in range(len(nb)):
+        costs = {}
+        for delay in options:
+            costs[delay] = _delay_cost(parts, na, nb, (*nk[:j], delay, *nk[j + 1 :]), offset)
+        best = min(costs, key=lambda d: costs[d])
+        for delay in {best - 1, best + 1} - set(costs) - {-1}:  # between the sparse steps
+            costs[delay] = _delay_cost(parts, na, nb, (*nk[:j], delay, *nk[j + 1 :]), offset)
+        best = min(costs, key=lambda d: costs[d])
+        margin = np.exp(2.0 * np.log(rows) / rows)
+        nk[j] = best if costs[1] > max(margin * costs[best], EXACT**2) else 1
+    return tuple(nk)
+
+
+def _delay_cost(
+    parts: Sequence[object], na: int, nb: Sequence[int], nk: Sequence[int], offset: bool
+) -> float:
+    counts = tuple(n + 1 if k == 0 else n for n, k in zip(nb, nk, strict=True))
+    problem = OutputError(tuple(parts), Orders(na, counts, tuple(nk), offset))  # type: ignore[arg-type]
+    rows = sum(len(r.y) - problem.start_row() for r in problem.usable())
+    if rows <= problem.orders.count:
+        return np.inf
+    try:
+        return find_start(problem, tries=2, polish=0).cost / rows
+    except FitError:
+        return np.inf
+
+
+def assemble(
+    structure: str, parts: Parts, fits: Sequence[OneOutput], notes: Sequence[str], n_init: int | None = None
+) -> FittedLinear:
+    """One model of several refined outputs, with noise model, start and covariance."""
+    system = _joined([f.transfer for f in fits], len(parts.whole.inputs))
+    noises, covariances, sigmas = [], [], []
+    for fit in fits:
+        errors = fit.problem.errors(fit.theta)
+        d, variance = noise_model(errors)
+        noises.append(d)
+        sigmas.append(float(np.sqrt(np.mean(np.concatenate(errors) ** 2))))
+        covariances.append(_covariance(fit, d, variance))
+    free, covariance = _placed(system, fits, covariances, parts)
+    order = max(len(d) for d in noises)
+    noise = np.zeros((order, len(noises)))
+    for i, d in enumerate(noises):
+        noise[: len(d), i] = d
+    starts = start_gains(system, parts, sigmas, n_init)
+    physical = parts.scaling.physical(system)
+    return FittedLinear(
+        structure=structure,
+        dt_s=parts.train.dt_s,
+        inputs=parts.train.inputs,
+        outputs=parts.train.outputs,
+        n_init=starts.shape[2],
+        output_limits=parts.limits,
+        system=physical,
+        u_origin=parts.scaling.u_origin,
+        y_origin=parts.scaling.y_origin,
+        noise=noise,
+        starts=starts,
+        free=free,
+        covariance=covariance,
+        notes=tuple(notes),
+    )
+
+
+def _joined(transfers: Sequence[Transfer], n_u: int) -> Difference:
+    n_y = len(transfers)
+    na = max(len(t.a) for t in transfers)
+    nb = max((len(b) for t in transfers for b in t.b), default=1)
+    a, b, c = np.zeros((na, n_y, n_y)), np.zeros((max(nb, 1), n_y, n_u)), np.zeros(n_y)
+    for i, t in enumerate(transfers):
+        a[: len(t.a), i, i] = t.a
+        c[i] = t.c
+        for j, taps in enumerate(t.b):
+            b[: len(taps), i, j] = taps
+    return Difference(a, b, c)
+
+
+def _covariance(fit: OneOutput, d: FloatArray, variance: float) -> FloatArray:
+    """Of [a1..an, b.., c] in scaled units."""
+    orders = fit.problem.orders
+    jacobians = fit.problem.jacobians(fit.theta)
+    inner = coloured_covariance(jacobians, d, variance)
+    blocks = [monic_basis(orders.na)[1], *(free_basis(n) for n in orders.nb)]
+    if orders.offset:
+        blocks.append(np.ones((1, 1)))
+    size = sum(len(b) for b in blocks)
+    outer, position = np.zeros((size, size)), 0
+    for block in blocks:
+        outer[position : position + len(block), position : position + len(block)] = block
+        position += len(block)
+    covariance: FloatArray = outer @ inner @ outer.T
+    return covariance
+
+
+def _placed(
+    system: Difference, fits: Sequence[OneOutput], covariances: Sequence[FloatArray], parts: Parts
+) -> tuple[tuple[int, ...], FloatArray]:
+    """Where each output's parameters stand in the flat order, and their joint covariance, physical units."""
+    n_y, n_u = system.b.shape[1:]
+    a_size, b_size = system.a[1:].size, system.b.size
+    free: list[int] = []
+    factors: list[float] = []
+    scaling = parts.scaling
+    for i, fit in enumerate(fits):
+        orders = fit.problem.orders
+        free += [lag * n_y * n_y + i * n_y + i for lag in range(orders.na)]
+        factors += [1.0] * orders.na
+        for j, (count, delay) in enumerate(zip(orders.nb, orders.nk, strict=True)):
+            free += [a_size + lag * n_y * n_u + i * n_u + j for lag in range(delay, delay + count)]
+            factors += [float(scaling.y_scale[i] / scaling.u_scale[j])] * count
+        if orders.offset:
+            free.append(a_size + b_size + i)
+            factors.append(float(scaling.y_scale[i]))
+    joint, position = np.zeros((len(free), len(free))), 0
+    for block in covariances:
+        joint[position : position + len(block), position : position + len(block)] = block
+        position += len(block)
+    return tuple(free), joint * np.outer(factors, factors)
+
+
+def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple[list[OneOutput], str]:
+    """Fit every candidate on the fitting part, judge by the validation free run, simplest within noise.
+
+    Parameters
+    ----------
+    candidates : simplest first; each gives the orders of every output.
+
+    Raises
+    ------
+    FitError : no candidate could be fitted.
+    """
+    check = parts.scaling.apply(parts.check)
+    deepest = max(o.depth for orders in candidates for o in orders)
+    tried: list[tuple[list[OneOutput], FloatArray]] = []
+    for orders in candidates:
+        try:
+            fits = [fit_output(OutputError(records(parts.fit, i), o)) for i, o in enumerate(orders)]
+        except (FitError, DataError):
+            continue
+        tried.append((fits, validation_errors(fits, check, deepest)))
+    if not tried:
+        raise FitError(
+            "no stable output-error model was found",
+            hint="fit with refine=False, give lower orders, or check the data for gaps and feedback",
+        )
+    if len(tried) == 1:
+        return tried[0][0], ""
+    index = simplest([errors for _, errors in tried], ORDER_LOSS)
+    table = ", ".join(
+        f"order {_order(fits)}: {np.sqrt(e.mean()) if len(e) else np.nan:.3g}" for fits, e in tried
+    )
+    chosen = _order(tried[index][0])
+    return tried[index][0], (
+        f"order {chosen} is the simplest within one standard error of the best validation free run "
+        f"(RMSE in standard deviations of the output: {table})"
+    )
+
+
+def _order(fits: Sequence[OneOutput]) -> int:
+    return max(f.problem.orders.na for f in fits)
+
+
+def validation_errors(fits: Sequence[OneOutput], check: Dataset, skip: int) -> FloatArray:
+    """Block means of squared simulation errors on held-out segments, their initial states fitted.
+
+    So that orders are compared by their dynamics, not by how well a few noisy samples start them. What the
+    fitted states take from the noise, na of N squares, is given back.
+    """
+    squares = []
+    for i, fit in enumerate(fits):
+        problem = replace(fit.problem, records=records(check, i))
+        rest = skip - problem.start_row()
+        na = problem.orders.na
+        squares.append([e[rest:] ** 2 * len(e) / (len(e) - na) for e in problem.errors(fit.theta)])
+    return block_means([np.mean(parts, axis=0) for parts in zip(*squares, strict=True)])
+
+
+def refit(parts: Parts, fits: Sequence[OneOutput]) -> list[OneOutput]:
+    """The same orders on all training data, refined from where the search ended."""
+    if not parts.own or parts.fit is parts.whole:
+        return list(fits)
+    again = []
+    for i, fit in enumerate(fits):
+        problem = replace(fit.problem, records=records(parts.whole, i))
+        found = problem.refine(fit.theta, max_iterations=25)
+        again.append(OneOutput(problem, found.theta, found.cost))
+    return again

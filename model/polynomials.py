@@ -1,0 +1,116 @@
+"""Polynomials in the delay q⁻¹: difference coordinates, poles, stability, words.
+
+A polynomial is its coefficients in rising powers of q⁻¹: 1 + a1 q⁻¹ + a2 q⁻² is [1, a1, a2].
+
+Difference coordinates: at fast sampling the coefficients of a slow plant crowd around the binomials and
+carry the dynamics in their last digits (all poles near 1). Written in (1 - q⁻¹)^(n-i) q⁻ⁱ, the numerator of
+the delta operator (Middleton & Goodwin, 1990, Digital Control and Estimation), they do not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from math import comb
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.dataset import FloatArray
+
+ComplexArray = npt.NDArray[np.complex128]
+
+
+@cache
+def monic_basis(n: int) -> tuple[FloatArray, FloatArray]:
+    """Base (n,) and matrix (n, n): [a1..an] = base + matrix @ alpha for a monic polynomial of degree n."""
+    base = np.array([(-1.0) ** i * comb(n, i) for i in range(1, n + 1)])
+    matrix = np.zeros((n, n))
+    for i in range(1, n + 1):
+        for p in range(n - i + 1):
+            matrix[i + p - 1, i - 1] = (-1.0) ** p * comb(n - i, p)
+    return base, matrix
+
+
+@cache
+def free_basis(n: int) -> FloatArray:
+    """(n, n) matrix: [b0..b(n-1)] = matrix @ beta, the columns (1 - q⁻¹)^(n-1-j) q⁻ʲ."""
+    matrix = np.zeros((n, n))
+    for j in range(n):
+        for p in range(n - j):
+            matrix[j + p, j] = (-1.0) ** p * comb(n - 1 - j, p)
+    return matrix
+
+
+def poles(a: FloatArray) -> ComplexArray:
+    """Roots in z of a monic polynomial in q⁻¹, slowest first."""
+    roots = np.roots(np.trim_zeros(np.asarray(a, dtype=np.float64), "b"))
+    return np.asarray(roots[np.argsort(-np.abs(roots), kind="stable")])
+
+
+def stabilised(a: FloatArray, radius: float = 1.0) -> FloatArray:
+    """The polynomial with every root outside the circle reflected into it (its spectrum keeps its shape)."""
+    roots = np.roots(a)
+    size = np.abs(roots)
+    outside = size > radius
+    if not outside.any():
+        return a
+    roots = np.where(outside, radius**2 * roots / np.maximum(size, 1e-300) ** 2, roots)
+    inside = np.real(np.poly(roots))
+    padded = np.zeros(len(a))
+    padded[: len(inside)] = inside
+    return padded
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A pole or a conjugate pair in continuous-time words.
+
+    Attributes
+    ----------
+    pole : in z.
+    frequency_rad_s : natural frequency |ln z| / dt; inf for a pole at zero.
+    damping : -cos of the angle of ln z; below 0 unstable.
+    time_constant_s : -dt / ln |z|; inf on or outside the unit circle.
+    """
+
+    pole: complex
+    frequency_rad_s: float
+    damping: float
+    time_constant_s: float
+
+    def __str__(self) -> str:
+        if self.frequency_rad_s == 0.0:
+            return "integrator"
+        if self.pole.imag:
+            return f"{self.frequency_rad_s:.4g} rad/s, damping {self.damping:.3g}"
+        return f"time constant {self.time_constant_s:.4g} s" if self.damping > 0 else "unstable, real"
+
+
+def modes_of(roots: ComplexArray, dt_s: float) -> tuple[Mode, ...]:
+    """Poles in z as modes, one per conjugate pair."""
+    found = []
+    for pole in np.asarray(roots, dtype=complex):
+        if pole.imag < 0:
+            continue
+        if pole == 0:
+            found.append(Mode(0j, np.inf, 1.0, 0.0))
+            continue
+        s = np.log(pole) / dt_s
+        radius = abs(pole)
+        slow = -dt_s / np.log(radius) if radius < 1 else np.inf
+        found.append(Mode(complex(pole), abs(s), -s.real / abs(s) if s else 1.0, float(slow)))
+    return tuple(found)
+
+
+def polynomial_text(coefficients: FloatArray, errors: FloatArray | None = None) -> str:
+    """ "1 - 1.5 (+- 0.02) q^-1 + 0.7 (+- 0.01) q^-2"; zero terms are left out."""
+    terms: list[str] = []
+    for power, value in enumerate(coefficients):
+        if value == 0.0:
+            continue
+        sign = ("-" if value < 0 else "") if not terms else (" - " if value < 0 else " + ")
+        error = f" (+- {errors[power]:.2g})" if errors is not None and errors[power] > 0 else ""
+        delay = f" q^-{power}" if power else ""
+        terms.append(f"{sign}{abs(value):.6g}{error}{delay}")
+    return "".join(terms) or "0"

@@ -1,0 +1,68 @@
+"""Choosing among fitted models by the free run on validation data, with the noise of that measure in mind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.base import Fitted
+
+BLOCKS = 16
+LEVEL = 0.01
+"""Relative difference in mean square that nobody would pay an order for."""
+
+
+def block_errors(model: Fitted, data: Dataset, skip: int, scale: FloatArray) -> FloatArray:
+    """Mean squared free-run errors of about 16 blocks of consecutive samples, outputs averaged.
+
+    The first `skip` rows of every segment start the models and are left out; (0,) where nothing is left.
+
+    Parameters
+    ----------
+    scale : (n_y,) unit of every output's error.
+    """
+    errors = []
+    for segment in data.segments:
+        if len(segment) > skip:
+            miss = (model.simulate(segment.u, segment.y[: model.n_init]) - segment.y)[skip:] / scale
+            errors.append(np.mean(miss**2, axis=1))
+    return block_means(errors)
+
+
+def block_means(squares: Sequence[FloatArray]) -> FloatArray:
+    """Means over about 16 blocks of consecutive samples; no block crosses a segment's edge."""
+    size = max(sum(len(s) for s in squares) // BLOCKS, 1)
+    pieces = [p for s in squares if len(s) for p in np.array_split(s, max(round(len(s) / size), 1))]
+    return np.array([p.mean() for p in pieces])
+
+
+def standard_error(gap: FloatArray) -> float:
+    return float(gap.std(ddof=1) / np.sqrt(len(gap))) if len(gap) > 1 else 0.0
+
+
+def clearly_better(new: FloatArray, old: FloatArray) -> bool:
+    """The new block errors are lower than the old by more than one standard error of the difference, and by
+    more than `LEVEL`."""
+    if not len(new):
+        return False
+    gap = old - new
+    return bool(gap.mean() > max(standard_error(gap), LEVEL * float(old.mean())))
+
+
+def simplest(errors: Sequence[FloatArray], most_loss: float = np.inf) -> int:
+    """Index of the first (simplest) within one standard error of the best (Breiman et al., 1984, 3.4.3).
+
+    `most_loss` bounds what simplicity may cost, relative to the best mean square.
+    """
+    means = [float(e.mean()) if len(e) else np.inf for e in errors]
+    best = int(np.argmin(means))
+    for index, e in enumerate(errors[:best]):
+        if len(e) == 0:
+            continue
+        gap = e - errors[best]
+        allowed = max(standard_error(gap), LEVEL * means[best])
+        if gap.mean() <= min(allowed, most_loss * means[best]):
+            return index
+    return best

@@ -1,0 +1,359 @@
+"""Simulation error of a linear transfer from several inputs to one output, with exact sensitivities.
+
+A(q) y(k) = sum_j B_j(q) u_j(k) + c, fitted so that the free run, not the next sample, is right (output error;
+Ljung, 1999, System Identification, 4.2 and 10.2).
+
+Nuisance: the state of every segment at its start is unknown. Its response is a combination of na known
+signals; residual and Jacobian are projected onto their orthogonal complement, so it is estimated along
+without being searched for (variable projection, Kaufman, 1975, BIT 15). Samples whose inputs would reach
+back before the segment (max nk + nb - 1) are left out of the cost.
+
+Search: refined instrumental variables (Young & Jakeman, 1979, Int. J. Control 29) from state-variable
+filters of several bandwidths, then Levenberg-Marquardt; all in difference coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.errors import FitError
+from flysid.model.polynomials import free_basis, monic_basis, stabilised
+from flysid.model.refine import Refinement, levenberg_marquardt
+
+
+@dataclass(frozen=True)
+class Record:
+    """One segment of one output, as deviations: u (N, n_u), y (N,)."""
+
+    u: FloatArray
+    y: FloatArray
+
+
+@dataclass(frozen=True)
+class Orders:
+    """Orders of one output: na, and per input nb coefficients from lag nk on."""
+
+    na: int
+    nb: tuple[int, ...]
+    nk: tuple[int, ...]
+    offset: bool = True
+
+    @property
+    def depth(self) -> int:
+        """Deepest lag."""
+        return max(self.na, self.input_depth)
+
+    @property
+    def input_depth(self) -> int:
+        return max((k + n - 1 for n, k in zip(self.nb, self.nk, strict=True) if n), default=0)
+
+    @property
+    def count(self) -> int:
+        return self.na + sum(self.nb) + self.offset
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """A(q) y = sum_j B_j(q) u_j + c: a (na + 1,) monic; b one (nk + nb,) per input, zeros up to nk."""
+
+    a: FloatArray
+    b: tuple[FloatArray, ...]
+    c: float
+
+    def forced(self, u: FloatArray) -> FloatArray:
+        """(N,) response from zero state to inputs that were zero before."""
+        from scipy.signal import lfilter
+
+        drive = np.full(len(u), self.c)
+        for j, b in enumerate(self.b):
+            if len(b):
+                drive += lfilter(b, [1.0], u[:, j])
+        response: FloatArray = lfilter([1.0], self.a, drive)
+        return response
+
+    @property
+    def is_stable(self) -> bool:
+        return bool(np.abs(np.roots(self.a)).max(initial=0.0) < 1.0)
+
+
+def to_transfer(theta: FloatArray, orders: Orders) -> Transfer:
+    """Coefficients from difference coordinates [alpha, beta_1.., c]."""
+    base, matrix = monic_basis(orders.na)
+    a = np.concatenate([[1.0], base + matrix @ theta[: orders.na]])
+    b, position = [], orders.na
+    for count, delay in zip(orders.nb, orders.nk, strict=True):
+        values = free_basis(count) @ theta[position : position + count]
+        b.append(np.concatenate([np.zeros(delay), values]) if count else np.zeros(0))
+        position += count
+    return Transfer(a, tuple(b), float(theta[position]) if orders.offset else 0.0)
+
+
+def from_transfer(transfer: Transfer, orders: Orders) -> FloatArray:
+    """Difference coordinates of a transfer of these orders."""
+    base, matrix = monic_basis(orders.na)
+    parts = [np.linalg.solve(matrix, transfer.a[1:] - base)]
+    for b, count, delay in zip(transfer.b, orders.nb, orders.nk, strict=True):
+        parts.append(np.linalg.solve(free_basis(count), b[delay:]))
+    if orders.offset:
+        parts.append(np.array([transfer.c]))
+    return np.concatenate(parts)
+
+
+def differences(signal: FloatArray, count: int, lag: int, rows: slice, *, monic: bool) -> FloatArray:
+    """Columns (1 - q⁻¹)^p q⁻ⁱ of a signal that was zero before its start.
+
+    With `monic`, i = 1..count and p = count - i (the coordinates alpha); else i = lag..lag + count - 1 and
+    p = count - 1 - (i - lag) (the coordinates beta).
+    """
+    powers = [signal]
+    for _ in range(count - 1):
+        powers.append(np.diff(powers[-1], prepend=0.0))
+    out = np.empty((rows.stop - rows.start, count), order="F")
+    for column in range(count):
+        shift = column + 1 if monic else lag + column
+        out[:, column] = delayed(powers[count - 1 - column], shift)[rows]
+    return out
+
+
+def delayed(signal: FloatArray, lag: int) -> FloatArray:
+    if lag == 0:
+        return signal
+    return np.concatenate([np.zeros(min(lag, len(signal))), signal[: max(len(signal) - lag, 0)]])
+
+
+def free_space(a: FloatArray, rows: int) -> FloatArray:
+    """(M, na) orthonormal basis of all responses of 1/A to a state at the start; M <= rows: then decayed."""
+    from scipy.signal import lfilter
+
+    n = len(a) - 1
+    if n == 0:
+        return np.zeros((0, 0))
+    radius = float(np.abs(np.roots(a)).max(initial=0.0))
+    lasting = rows if radius >= 1.0 else int(min(rows, 8 * n + np.ceil(40.0 / -np.log(max(radius, 1e-9)))))
+    impulse = np.zeros(lasting + n)
+    impulse[0] = 1.0
+    response = lfilter([1.0], a, impulse)
+    basis = differences(response, n, 0, slice(n - 1, n - 1 + lasting), monic=False)
+    lengths = np.linalg.norm(basis, axis=0)
+    if not np.isfinite(lengths).all():
+        return np.full((lasting, n), np.nan)
+    q, _ = np.linalg.qr(basis / np.where(lengths > 0, lengths, 1.0))
+    return q
+
+
+def without(space: FloatArray, columns: FloatArray) -> FloatArray:
+    """The columns minus their projection on `space`, which lives on the first rows."""
+    rows = len(space)
+    out = columns.copy()
+    out[:rows] -= space @ (space.T @ columns[:rows])
+    return out
+
+
+@dataclass(frozen=True)
+class OutputError:
+    """The least-squares problem: records and orders."""
+
+    records: tuple[Record, ...]
+    orders: Orders
+
+    def start_row(self) -> int:
+        return self.orders.input_depth
+
+    def usable(self) -> Iterator[Record]:
+        need = self.start_row() + 2 * self.orders.na + 1
+        return (r for r in self.records if len(r.y) >= need)
+
+    def errors(self, theta: FloatArray) -> list[FloatArray]:
+        """Simulation errors of every usable record, initial states fitted."""
+        transfer = to_transfer(theta, self.orders)
+        first = self.start_row()
+        parts = []
+        for record in self.usable():
+            error = (transfer.forced(record.u) - record.y)[first:]
+            parts.append(without(free_space(transfer.a, len(error)), error))
+        return parts
+
+    def cost(self, theta: FloatArray) -> float:
+        """Sum of squared simulation errors; inf for an unstable model."""
+        if not to_transfer(theta, self.orders).is_stable:
+            return np.inf
+        return float(sum(e @ e for e in self.errors(theta)))
+
+    def residuals_and_jacobian(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(M,) errors and their (M, count) Jacobian in difference coordinates."""
+        transfer = to_transfer(theta, self.orders)
+        parts = [self._record_jacobian(transfer, record) for record in self.usable()]
+        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+    def jacobians(self, theta: FloatArray) -> list[FloatArray]:
+        """Jacobian of every usable record."""
+        transfer = to_transfer(theta, self.orders)
+        return [self._record_jacobian(transfer, record)[1] for record in self.usable()]
+
+    def _record_jacobian(self, transfer: Transfer, record: Record) -> tuple[FloatArray, FloatArray]:
+        from scipy.signal import lfilter
+
+        orders, first = self.orders, self.start_row()
+        forced = transfer.forced(record.u)
+        error = (forced - record.y)[first:]
+        space = free_space(transfer.a, len(error))
+        residual = without(space, error)
+        # the free run from the best state: what the residual is measured against
+        response = np.zeros_like(forced)
+        response[first:] = residual + record.y[first:]
+        rows = slice(first, len(forced))
+        filtered = lfilter([1.0], transfer.a, response)
+        columns = [-differences(filtered, orders.na, 0, rows, monic=True)]
+        for j, (count, delay) in enumerate(zip(orders.nb, orders.nk, strict=True)):
+            if count:
+                filtered = lfilter([1.0], transfer.a, record.u[:, j])
+                columns.append(differences(filtered, count, delay, rows, monic=False))
+        if orders.offset:
+            columns.append(lfilter([1.0], transfer.a, np.ones(len(forced)))[first:, None])
+        jacobian = np.hstack(columns)
+        return residual, without(space, jacobian)
+
+    def refine(
+        self,
+        theta: FloatArray,
+        *,
+        max_iterations: int = 50,
+        tolerance: float = 1e-6,
+        stop: Callable[[], bool] | None = None,
+    ) -> Refinement:
+        """Levenberg-Marquardt from a stable start."""
+        return levenberg_marquardt(
+            self.residuals_and_jacobian,
+            theta,
+            cost=self.cost,
+            max_iterations=max_iterations,
+            tolerance=tolerance,
+            stop=stop,
+        )
+
+    # -- starts ------------------------------------------------------------------------------------------
+
+    def filtered_least_squares(self, a_filter: FloatArray, model: Transfer | None) -> FloatArray:
+        """A y = B u + c on signals filtered with 1/a_filter; with a model, its free run is the instrument."""
+        phi_parts, z_parts, y_parts = [], [], []
+        for record in self.usable():
+            phi, y = self._filtered_rows(record.u, record.y, a_filter)
+            if model is None:
+                z = phi
+            else:
+                z, _ = self._filtered_rows(record.u, model.forced(record.u), a_filter)
+            phi_parts.append(phi)
+            z_parts.append(z)
+            y_parts.append(y)
+        phi, z, y = np.concatenate(phi_parts), np.concatenate(z_parts), np.concatenate(y_parts)
+        return _instrumental(phi, z, y)
+
+    def _filtered_rows(
+        self, u: FloatArray, y: FloatArray, a_filter: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        from scipy.signal import lfilter
+
+        orders, first = self.orders, self.orders.depth
+        rows = slice(first, len(y))
+        filtered = lfilter([1.0], a_filter, y)
+        columns = [-differences(filtered, orders.na, 0, rows, monic=True)]
+        for j, (count, delay) in enumerate(zip(orders.nb, orders.nk, strict=True)):
+            if count:
+                columns.append(
+                    differences(lfilter([1.0], a_filter, u[:, j]), count, delay, rows, monic=False)
+                )
+        if orders.offset:
+            columns.append(lfilter([1.0], a_filter, np.ones(len(y)))[first:, None])
+        target = filtered
+        for _ in range(orders.na):
+            target = np.diff(target, prepend=0.0)
+        phi, goal = np.hstack(columns), target[rows]
+        space = free_space(a_filter, len(goal))
+        return without(space, phi), without(space, goal)
+
+
+def _instrumental(phi: FloatArray, z: FloatArray, y: FloatArray) -> FloatArray:
+    """Solve Zᵀ Phi theta = Zᵀ y with columns scaled to length one."""
+    lengths = np.linalg.norm(phi, axis=0)
+    scale = np.where(lengths > 0, lengths, 1.0)
+    if z is phi:
+        return np.linalg.lstsq(phi / scale, y, rcond=1e-14)[0] / scale
+    z_lengths = np.linalg.norm(z, axis=0)
+    zs = z / np.where(z_lengths > 0, z_lengths, 1.0)
+    return np.linalg.lstsq(zs.T @ (phi / scale), zs.T @ y, rcond=1e-14)[0] / scale
+
+
+def filter_polynomial(n: int, pole: float) -> FloatArray:
+    """(1 - pole q⁻¹)ⁿ."""
+    return np.asarray(np.poly(np.full(n, pole))) if n else np.ones(1)
+
+
+BANDWIDTHS = (0.005, 0.05, 0.5)
+"""Of the first state-variable filter, omega dt in radians."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """A point from which to refine: difference coordinates and their cost."""
+
+    theta: FloatArray
+    cost: float
+
+
+def find_start(
+    problem: OutputError, known: Sequence[FloatArray] = (), *, tries: int = 2, polish: int = 3
+) -> Start:
+    """The start of lowest simulation error: refined instrumental variables from several bandwidths.
+
+    Every bandwidth gets `tries` iterations, the best of them `polish` more.
+
+    Parameters
+    ----------
+    known : other starts to consider, e.g. least squares one step ahead.
+
+    Raises
+    ------
+    FitError : every attempt diverges.
+    """
+    best = Start(np.zeros(problem.orders.count), np.inf)
+    for theta in known:
+        best = _lower(best, problem, theta)
+    attempts = []
+    for bandwidth in BANDWIDTHS:
+        a_filter = filter_polynomial(problem.orders.na, float(np.exp(-bandwidth)))
+        attempts.append(_instrumental_search(problem, a_filter, None, tries))
+    attempts.sort(key=lambda s: s.cost)
+    best = min(best, attempts[0], key=lambda s: s.cost)
+    if np.isfinite(attempts[0].cost) and polish:
+        model = to_transfer(attempts[0].theta, problem.orders)
+        best = min(best, _instrumental_search(problem, model.a, model, polish), key=lambda s: s.cost)
+    if not np.isfinite(best.cost):
+        raise FitError("no stable start was found for the simulation-error fit", hint="give other orders")
+    return best
+
+
+def _lower(best: Start, problem: OutputError, theta: FloatArray) -> Start:
+    cost = problem.cost(theta) if np.isfinite(theta).all() else np.inf
+    return Start(theta, cost) if cost < best.cost else best
+
+
+def _instrumental_search(
+    problem: OutputError, a_filter: FloatArray, model: Transfer | None, iterations: int
+) -> Start:
+    best = Start(np.zeros(problem.orders.count), np.inf)
+    for _ in range(iterations):
+        theta = problem.filtered_least_squares(a_filter, model)
+        if not np.isfinite(theta).all():
+            break
+        model = to_transfer(theta, problem.orders)
+        inside = stabilised(model.a, 0.99999)
+        if inside is not model.a:
+            model = replace(model, a=inside)
+            theta = from_transfer(model, problem.orders)
+        best = _lower(best, problem, theta)
+        a_filter = model.a
+    return best

@@ -1,0 +1,55 @@
+"""One small fitted model of every structure, for the laws in test_model_contract.py.
+
+A new structure adds a builder to EXAMPLES under its structure's name; keep each fit well below a second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.arx import ARX
+from flysid.model.base import Fitted
+from flysid.model.line import Line
+
+
+def plant(u: FloatArray) -> FloatArray:
+    """A damped second-order plant with a delay of one sample, two inputs, two outputs."""
+    y = np.zeros((len(u), 2))
+    for k in range(2, len(u)):
+        y[k, 0] = 1.5 * y[k - 1, 0] - 0.6 * y[k - 2, 0] + 0.1 * u[k - 1, 0] + 0.02 * u[k - 1, 1]
+        y[k, 1] = 0.8 * y[k - 1, 1] + 0.1 * y[k - 1, 0] + 0.3 * u[k - 1, 1]
+    return y
+
+
+def data(n_u: int = 1, n_y: int = 1, *, samples: int = 400, noise: float = 0.02, seed: int = 0) -> Dataset:
+    """Two segments of the plant under random steps, with measurement noise and offsets."""
+    rng = np.random.default_rng(seed)
+    us, ys = [], []
+    for _ in range(2):
+        u = np.zeros((samples, 2))
+        u[:, :n_u] = np.repeat(rng.uniform(-1, 1, (samples // 8 + 1, n_u)), 8, axis=0)[:samples]
+        ys.append((plant(u) + 0.5 + noise * rng.standard_normal((samples, 2)))[:, :n_y])
+        us.append(u[:, :n_u] + 0.2)
+    return Dataset.from_arrays(us, ys, 0.02)
+
+
+def scaled(dataset: Dataset, a: float, b: float) -> Dataset:
+    """The same experiment in other units: a u, b y."""
+    return Dataset.from_arrays(
+        [a * s.u for s in dataset.segments], [b * s.y for s in dataset.segments], dataset.dt_s
+    )
+
+
+Builder = Callable[[Dataset], Fitted]
+
+EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
+    "line": (Line().fit, data()),
+    "arx": (ARX(na=2, nb=2, nk=1, refine=False).fit, data()),
+    "arx, refined": (ARX(na=2, nb=2, nk=1, refine=True).fit, data()),
+    "arx, refined, two inputs and outputs": (ARX(na=2, nb=2, nk=1, refine=True).fit, data(2, 2)),
+    "arx, coupled outputs": (ARX(na=2, nb=2, nk=(1, 0), refine=False).fit, data(2, 2)),
+    "arx, static": (ARX(na=0, nb=1, nk=0, refine=False).fit, data()),
+}
