@@ -22,6 +22,7 @@ from flysid.ingest import resample
 from flysid.ingest.clocks import align_clocks
 from flysid.ingest.conditions import condition_spans
 from flysid.ingest.excitation import excitation
+from flysid.ingest.labels import Labels, labels_of
 from flysid.ingest.recipe import Recipe, SignalSpec, load_recipe
 from flysid.ingest.report import AlignReport, FlightReport, SignalReport
 from flysid.ingest.resample import Series, Span
@@ -166,14 +167,14 @@ class _Job:
         if reason:
             return FlightReport(log.name, signals=reports, reason=reason), (), {}
         boots = sorted(set.intersection(*(set(found.boots) for found in loaded.values())))
-        conditions = condition_spans(self.recipe.conditions, log)
+        conditions, labels = condition_spans(self.recipe.conditions, log), labels_of(self.recipe.labels, log)
         report = FlightReport(log.name, signals=reports, notes=(*clocks.notes, *conditions.notes))
         segments: list[Segment] = []
         for boot in boots:
             name = log.name if len(boots) == 1 else f"{log.name}#{boot}"
             series = {n: resample.tidy(f.boots[boot].t_ns, f.boots[boot].x) for n, f in loaded.items()}
             if all(len(s.t_ns) for s in series.values()):
-                part = _Boot(self, name, series, dt_ns)
+                part = _Boot(self, name, series, dt_ns, labels.get(boot, Labels()))
                 found, counts = part.segments(conditions.spans.get(boot))
                 segments += found
                 report = report.plus(counts)
@@ -218,6 +219,7 @@ class _Boot:
     name: str
     series: Mapping[str, Series]
     dt_ns: int
+    labels: Labels
 
     def segments(self, allowed: Sequence[Span] | None) -> tuple[list[Segment], FlightReport]:
         """Segments, and the counts of what was kept and dropped. `allowed`: where conditions hold."""
@@ -225,6 +227,7 @@ class _Boot:
         total = sum(b - a for a, b in spans)
         if allowed is not None:
             spans = resample.intersect(spans, allowed)
+        spans = resample.cut_long(self.labels.cut(spans), self.job.recipe.max_segment_s)
         ratio = self._ratio()
         made = [self._segment(span, ratio) for span in spans]
         kept = [s for s in made if s is not None and len(s) >= self.job.min_samples(self.dt_ns)]
@@ -282,7 +285,22 @@ class _Boot:
         trimmed = (len(coarse) - len(u)) // 2
         if len(u) == 0 or not (np.isfinite(u).all() and np.isfinite(y).all()):
             return None
-        return Segment(u, y, t0_ns=int(coarse[trimmed]), flight=self.name, marks=_marks(u, self.dt_ns))
+        marks = {**self._marks(u), **self.labels.marks(span)}
+        return Segment(u, y, t0_ns=int(coarse[trimmed]), flight=self.name, marks=marks)
+
+    def _marks(self, u: FloatArray) -> dict[str, str | float]:
+        """Duration, excitation, and the share of samples in which an input stands at a limit."""
+        marks: dict[str, str | float] = {
+            "duration_s": len(u) * self.dt_ns * 1e-9,
+            "excitation": float(u.std(axis=0).max()),
+        }
+        limits = [self.job.specs[name].limits for name in self.job.inputs]
+        at_limit = [
+            (x <= lim[0]) | (x >= lim[1]) for x, lim in zip(u.T, limits, strict=True) if lim is not None
+        ]
+        if at_limit:
+            marks["saturated"] = float(np.any(at_limit, axis=0).mean())
+        return marks
 
     def _on(self, name: str, grid: resample.IntArray) -> FloatArray:
         series = self.series[name]
@@ -295,10 +313,6 @@ def _period(found: Loaded) -> float:
     """Shortest of the boots' sample times, ns: a boot of two samples must not decide."""
     longest = max(found.boots.values(), key=lambda b: len(b.t_ns), default=None)
     return float("inf") if longest is None else resample.period_ns(longest.t_ns)
-
-
-def _marks(u: FloatArray, dt_ns: int) -> dict[str, str | float]:
-    return {"duration_s": len(u) * dt_ns * 1e-9, "excitation": float(u.std(axis=0).max())}
 
 
 def _cautions(data: Dataset) -> tuple[str, ...]:

@@ -83,6 +83,8 @@ class SignalSpec:
     hold : "zero" for commands (the last value counts until the next), "linear" for states.
     max_gap_s : a longer pause in the source cuts the segment; None: relative to its own period. Write
         `inf` for commands that are only sent when they change.
+    limits : lowest and highest value the actuator or controller allows; segments are marked with the share
+        of samples that stand there.
     description : what it is, for people.
     """
 
@@ -90,6 +92,7 @@ class SignalSpec:
     sources: tuple[Source, ...]
     hold: Literal["zero", "linear"] = "linear"
     max_gap_s: float | None = None
+    limits: tuple[float, float] | None = None
     description: str = ""
 
 
@@ -136,6 +139,15 @@ class Condition:
 
 
 @dataclass(frozen=True)
+class Label:
+    """A state of the vehicle that marks segments, e.g. its mode; where `cut`, its changes end a segment."""
+
+    name: str
+    sources: tuple[Source, ...]
+    cut: bool = True
+
+
+@dataclass(frozen=True)
 class ClockSpec:
     """Streams that another recorder stamped with its own clock, e.g. motion capture.
 
@@ -168,6 +180,7 @@ class Recipe:
     rate_hz : rate of the grid; "auto": that of the slowest source of each channel.
     max_rate_hz : "auto" goes no higher.
     min_segment_s : shorter segments are dropped; None: 20 samples.
+    max_segment_s : longer segments are cut.
     antialias : filter (all signals of a channel alike) where a source is much faster than the grid.
     """
 
@@ -178,9 +191,11 @@ class Recipe:
     rate_hz: float | Literal["auto"] = "auto"
     max_rate_hz: float = float("inf")
     min_segment_s: float | None = None
+    max_segment_s: float = float("inf")
     antialias: bool = True
     conditions: tuple[Condition, ...] = ()
     clocks: tuple[ClockSpec, ...] = ()
+    labels: tuple[Label, ...] = ()
 
     def channel(self, name: str) -> ChannelSpec:
         """A channel by name; RecipeError names the nearest one otherwise."""
@@ -258,9 +273,11 @@ _BELOW: Mapping[type, Mapping[str, tuple[str, type]]] = {
         "channels": ("table", ChannelSpec),
         "conditions": ("list", Condition),
         "clocks": ("list", ClockSpec),
+        "labels": ("list", Label),
     },
     SignalSpec: {"sources": ("list", Source)},
     Condition: {"sources": ("list", Source)},
+    Label: {"sources": ("list", Source)},
     Source: {"yaw": ("one", Source)},
     ClockSpec: {"other": ("one", Source), "reference": ("one", Source)},
 }
@@ -292,8 +309,9 @@ def _check_sense(recipe: Recipe, where: str) -> None:
     """What types cannot say: names refer to something, units are known, numbers are positive."""
     if recipe.rate_hz != "auto" and not 0 < recipe.rate_hz < 1e6:
         raise RecipeError(f"rate_hz must be positive, not {recipe.rate_hz}", path=where)
-    if not recipe.max_rate_hz > 0:
-        raise RecipeError(f"max_rate_hz must be positive, not {recipe.max_rate_hz}", path=where)
+    for key in ("max_rate_hz", "max_segment_s"):
+        if not getattr(recipe, key) > 0:
+            raise RecipeError(f"{key} must be positive, not {getattr(recipe, key)}", path=where)
     if not recipe.channels:
         raise RecipeError("a recipe needs at least one [channels.NAME]", path=where)
     for name, channel in recipe.channels.items():
@@ -309,6 +327,9 @@ def _check_sense(recipe: Recipe, where: str) -> None:
     for clock in recipe.clocks:
         _check_source(clock.other, clock.name, where)
         _check_source(clock.reference, clock.name, where)
+    for label in recipe.labels:
+        for source in label.sources:
+            _check_source(source, label.name, where)
     named: list[tuple[str, SignalSpec | Condition]] = [*recipe.signals.items()]
     for name, spec in [*named, *((c.name, c) for c in recipe.conditions)]:
         if not is_known(spec.unit):

@@ -8,6 +8,7 @@ pass one linear filter keep the relation between them (Ljung 1999, System Identi
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -99,6 +100,16 @@ def intersect(first: Sequence[Span], second: Sequence[Span]) -> list[Span]:
             i += 1
         else:
             j += 1
+    return out
+
+
+def cut_long(spans: Sequence[Span], longest_s: float) -> list[Span]:
+    """The spans, each cut into equal parts no longer than `longest_s`."""
+    out: list[Span] = []
+    for start, stop in spans:
+        parts = max(1, int(np.ceil((stop - start) * 1e-9 / longest_s)))
+        edges = [start + (stop - start) * i // parts for i in range(parts + 1)]
+        out += itertools.pairwise(edges)
     return out
 
 

@@ -310,3 +310,24 @@ def test_an_input_that_moves_less_than_noise_is_cautioned() -> None:
         align([flight_of(CMD=table(T50, u=U50), STATE=table(T50, y=Y50))], recipe(), "c").report.cautions
         == ()
     )
+
+
+def test_labels_cut_and_mark() -> None:
+    mode = np.where(np.arange(500) < 200, 0, 4)
+    labels = [{"name": "mode", "sources": [{"stream": "MODE", "field": "m"}]}]
+    log = flight_of(CMD=table(T50, u=U50), STATE=table(T50, y=Y50), MODE=table(T50[::10], m=mode[::10]))
+    data = dataset([log], recipe(labels=labels), "c")
+    assert [(len(s), s.marks["mode"]) for s in data.segments] == [(200, "0"), (300, "4")]
+    whole = dataset([log], recipe(labels=[{**labels[0], "cut": False}]), "c")
+    assert [(len(s), s.marks["mode"]) for s in whole.segments] == [(500, "4")]
+
+
+def test_segments_are_cut_by_time_and_marked_where_an_input_stands_at_its_limit() -> None:
+    u = np.clip(U50, -1.0, 1.0)
+    log = flight_of(CMD=table(T50, u=u), STATE=table(T50, y=Y50))
+    data = dataset([log], recipe(u={"limits": [-1.0, 1.0]}, max_segment_s=4.0), "c")
+    assert [len(s) for s in data.segments] == [167, 166, 167]
+    np.testing.assert_array_equal(np.concatenate([s.y[:, 0] for s in data.segments]), Y50)
+    for segment in data.segments:
+        assert segment.marks["saturated"] == pytest.approx(float((np.abs(segment.u) >= 1.0).mean()))
+        assert segment.marks["duration_s"] == pytest.approx(len(segment) * 0.02)
