@@ -75,23 +75,24 @@ class McapReader:
         self.info: dict[str, str] = {}
         self._limits = limits
         self._tally = tally
-        self._limit = len(view) - len(MAGIC) if bytes(view[-len(MAGIC) :]) == MAGIC else len(view)
+        self._limit = len(view)
         self._expanded = 0
-        self._finished = False
         self._chunked = False
         self._seen = self._stated = 0
+        self._last = -1  # start of the record before, where it carries no checksum
         self._trusted: dict[tuple[int, int], bytes] = {}
 
     def blocks(self) -> Iterator[Block]:
         """Messages in file order, in blocks of at most one chunk or `batch_bytes` of plain records."""
         self._read_summary()
-        at = len(MAGIC) if bytes(self.view[: len(MAGIC)]) == MAGIC else 0
-        while at < self._limit and not self._finished:
+        at = 0
+        while at < self._limit:
             end = record_end(self.view, at, self._limit)
             if end < 0:
                 at = yield from self._recover(at)
                 continue
             op = self.view[at]
+            self._last = -1 if op in (CHUNK, MESSAGE) else at
             if op == CHUNK:
                 at = yield from self._counted(self._chunk(at, end))
             elif op == MESSAGE:
@@ -99,7 +100,6 @@ class McapReader:
             else:
                 self._other(op, at + HEAD_BYTES, end)
                 at = end
-        self._tally.truncated = not self._finished or self._limit == len(self.view)
         if self._seen < self._stated and not self._tally.freeze().lossy:
             self._tally.undecode("(messages counted in the summary only)", self._stated - self._seen)
 
@@ -114,10 +114,10 @@ class McapReader:
 
     def _read_summary(self) -> None:
         """Definitions repeated behind the data, where the footer and its checksum can be believed."""
-        at = self._limit - HEAD_BYTES - 20
+        at = self._limit - len(MAGIC) - HEAD_BYTES - 20
         if (
             at < len(MAGIC)
-            or record_end(self.view, at, self._limit) != self._limit
+            or record_end(self.view, at, self._limit) != self._limit - len(MAGIC)
             or self.view[at] != FOOTER
         ):
             return
@@ -179,8 +179,6 @@ class McapReader:
             self._tally.undecode(f"(record 0x{op:02X})")
         elif op == DATA_END:
             self._check_data(body)
-        elif op == FOOTER:
-            self._finished = end == self._limit
 
     def _note(self, key: str, raw: bytes) -> None:
         if raw:
@@ -231,6 +229,7 @@ class McapReader:
             end = record_end(self.view, at, self._limit)
             if end < 0:
                 break
+            self._last = at
             parts.append(np.frombuffer(self.view[at + HEAD_BYTES + 6 : end], dtype="<i8")[1::2])
             at = end
         return (np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)), at
@@ -274,20 +273,34 @@ class McapReader:
 
     def _recover(self, at: int) -> Steps:
         """No sound record at `at`: it is damaged, or the file is cut here. Returns where to go on."""
-        resume = self._next(at + 1)
+        cut_chunk = self._cut_chunk(at)
+        if cut_chunk is None and self._last >= 0 and (inside := self._next(self._last + 1)) < at:
+            self._tally.skip(self._last, inside, "record of a wrong length")
+            return inside
+        resume = self._limit if cut_chunk else self._next(at + 1)
         if resume < self._limit or not is_cut_off(self.view, at, self._limit):
             self._tally.skip(at, resume, "no record here")
             return resume
+        self._tally.truncated = True
         kept = at
-        if self.view[at] == CHUNK and self._limit - at > HEAD_BYTES:
-            head = chunk_head(self.view, at + HEAD_BYTES, len(self.view))
-            if head is not None:
-                data = expand_cut(self.view, head, self._limits)
-                found = walk(data, 0, len(data))
-                kept = head.data_at if len(found.messages) else at
-                yield bind(data, found, self.registry)
+        if cut_chunk is not None:
+            data = expand_cut(self.view, cut_chunk, self._limits)
+            found = walk(data, 0, len(data))
+            kept = cut_chunk.data_at if len(found.messages) else at
+            yield bind(data, found, self.registry)
         self._tally.skip(kept, self._limit, "the file ends inside this record")
         return self._limit
+
+    def _cut_chunk(self, at: int) -> ChunkHead | None:
+        """The head of the chunk at `at` if its two lengths agree that the end of the file cuts it."""
+        if self.view[at] != CHUNK or not is_cut_off(self.view, at, self._limit):
+            return None
+        body = at + HEAD_BYTES
+        end = body + U64.unpack_from(self.view, at + 1)[0] if body <= self._limit else 0
+        if body + 60 > self._limit:
+            return None
+        head = chunk_head(self.view, body, end)
+        return head if head is not None and head.data_end == end else None
 
 
 def is_mcap(head: bytes) -> bool:

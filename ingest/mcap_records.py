@@ -134,7 +134,12 @@ def chunk_head(view: memoryview, body: int, end: int) -> ChunkHead | None:
 
 
 def record_end(view: memoryview, at: int, limit: int) -> int:
-    """Where the record at `at` ends if its parts fill its length exactly and it ends by `limit`; else -1."""
+    """Where the record at `at` ends if its parts fill its length exactly and it ends by `limit`; else -1.
+
+    The magic counts as a record: it opens and closes a file, and files may be concatenated.
+    """
+    if view[at : at + len(MAGIC)] == MAGIC:
+        return at + len(MAGIC)
     if at + HEAD_BYTES > limit:
         return -1
     op, length = HEAD.unpack_from(view, at)
@@ -155,16 +160,17 @@ def next_record(view: memoryview, start: int, limit: int, registry: Registry) ->
         for at in _candidates(data, window, stop):
             if _convincing(view, at, limit, registry):
                 return at
-    return limit
+    tail = limit - len(MAGIC)
+    return tail if tail >= start and view[tail:limit] == MAGIC else limit
 
 
 def _candidates(data: Bytes, start: int, stop: int) -> list[int]:
-    """Places with a known opcode and a length below 2^40."""
+    """Places with a known opcode and a length below 2^40, or with the first byte of the magic."""
     if stop <= start:
         return []
     op = data[start:stop]
     high = data[start + 6 : stop + 6] | data[start + 7 : stop + 7] | data[start + 8 : stop + 8]
-    found = np.flatnonzero((op >= HEADER) & (op <= LAST_KNOWN) & (high == 0)) + start
+    found = np.flatnonzero((op >= HEADER) & (op <= LAST_KNOWN) & (high == 0) | (op == MAGIC[0])) + start
     return [int(p) for p in found]
 
 
@@ -179,6 +185,8 @@ def _convincing(view: memoryview, at: int, limit: int, registry: Registry) -> bo
 
 def is_cut_off(view: memoryview, at: int, limit: int) -> bool:
     """Whether a record starts at `at` that the end of the file cuts."""
+    if limit - at < len(MAGIC) and view[at:limit] == MAGIC[: limit - at]:
+        return limit > at
     if not at < limit or not HEADER <= view[at] <= LAST_KNOWN:
         return False
     if at + HEAD_BYTES > limit:

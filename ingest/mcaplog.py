@@ -86,9 +86,15 @@ def read_mcap(view: memoryview, name: str, limits: Limits) -> Parts:
             yield from _decode(batch, reader.registry, topics, streams, tally)
             batch = _Batch()
     yield from _decode(batch, reader.registry, topics, streams, tally)
-    if not topics and tally.truncated and not reader.registry.channels:
-        raise FormatError("no message in this MCAP file can be read", path=name, byte=len(MAGIC))
-    return Summary(tally.freeze(), (_clock(topics),) if topics else (), reader.info)
+    damage = tally.freeze()
+    if not topics and damage.lossy and not reader.registry.channels:
+        why = damage.regions[0] if damage.regions else None
+        raise FormatError(
+            "no message in this MCAP file can be read" + (f": {why.reason}" if why else ""),
+            path=name,
+            byte=why.start if why else 0,
+        )
+    return Summary(damage, (_clock(topics),) if topics else (), reader.info)
 
 
 def _decode(

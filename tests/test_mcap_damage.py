@@ -20,7 +20,7 @@ from flysid.flight import Flight
 from flysid.ingest.base import Limits, collect
 from flysid.ingest.mcap_records import MAGIC
 from flysid.ingest.mcaplog import FORMAT
-from tests.samplelogs.mcap import Topic, json_topic, mcap_file, prefixed, record, ros1_topic
+from tests.samplelogs.mcap import Topic, json_topic, mcap_file, prefixed, record, records, ros1_topic
 
 SCHEMA = {"type": "object", "properties": {"k": {"type": "integer"}, "x": {"type": "number"}}}
 ROWS = 36
@@ -70,6 +70,7 @@ def ends_of_records(raw: bytes) -> dict[int, int]:
 def test_cut_at_every_seventh_byte(kind: str) -> None:
     raw = sample(kind)
     ends = ends_of_records(raw)
+    borders = {record.end for record in records(raw)}
     assert max(ends.values()) == 2 * ROWS
     complete = 0
     for cut in range(1, len(raw), 7):
@@ -79,7 +80,7 @@ def test_cut_at_every_seventh_byte(kind: str) -> None:
             assert complete == 0
             continue
         assert flight.rows >= complete
-        assert flight.damage.truncated
+        assert flight.damage.truncated or cut in borders
         for stream in flight.streams:
             assert flight[stream]["k"].to_pylist() == list(range(flight[stream].num_rows))
 
@@ -278,7 +279,7 @@ def test_bombs_stop_at_the_limits(name: str) -> None:
 
 def test_the_ratio_can_be_raised() -> None:
     records = definitions() + message(b'{"k": 1, "pad": "' + bytes(b" " * 4_000_000) + b'"}')
-    raw = whole(chunk(records, name="zstd", packed=zstandard.compress(records)))
+    raw = whole(definitions(), chunk(records, name="zstd", packed=zstandard.compress(records)))
     refused, allowed = read(raw), read(raw, Limits(max_ratio=1e6))
     assert refused is not None
     assert refused.rows == 0

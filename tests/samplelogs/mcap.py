@@ -1,4 +1,4 @@
-"""MCAP files made in tests, with the mcap library's own writers."""
+"""MCAP files made in tests, with the mcap library's own writer; and the sample log of the contract tests."""
 
 from __future__ import annotations
 
@@ -11,7 +11,38 @@ from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
+from tests.samplelogs import Record
+
 SECOND = 10**9
+SUFFIX = ".mcap"
+MAGIC_BYTES = 8
+
+
+def build() -> bytes:
+    """A JSON and a ROS 1 topic in zstd chunks of about ten messages."""
+    rows = [{"k": k, "x": k / 7} for k in range(60)]
+    schema = {"properties": {"k": {"type": "integer"}, "x": {"type": "number", "unit": "m"}}}
+    pairs = [struct.pack("<Id", k, k / 3) for k in range(60)]
+    topics = [json_topic("/a", schema, rows), ros1_topic("/b", "p/Pair", "uint32 k\nfloat64 x\n", pairs)]
+    return mcap_file(topics, chunk_size=500)
+
+
+def records(blob: bytes) -> list[Record]:
+    """Top-level records; the rows of a chunk are those that its message indexes count."""
+    found = [Record(0, MAGIC_BYTES, 0)]
+    chunk = 0
+    at = MAGIC_BYTES
+    while at < len(blob) - MAGIC_BYTES:
+        op, length = struct.unpack_from("<BQ", blob, at)
+        end = at + 9 + length
+        found.append(Record(at, end, int(op == 5)))
+        if op == 6:
+            chunk = len(found) - 1
+        if op == 7:
+            owner = found[chunk]
+            found[chunk] = Record(owner.start, owner.end, owner.rows + (length - 6) // 16)
+        at = end
+    return [*found, Record(at, len(blob), 0)]
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,142 @@
+"""ULog formats ("F" records) as NumPy layouts.
+
+A format is `name:type field;type[3] field;other_format field;...`. Nested formats flatten to dotted names,
+arrays of them to `field[0].x`; arrays of numbers stay arrays, `char[n]` becomes text. Padding fields
+(`_padding0`) at the very end may be missing from the records.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+MAX_RECORD_BYTES = 0xFFFF
+MAX_FIELDS = 4000
+MAX_DEPTH = 16
+
+NUMBERS: Mapping[str, str] = {
+    "int8_t": "i1",
+    "uint8_t": "u1",
+    "int16_t": "<i2",
+    "uint16_t": "<u2",
+    "int32_t": "<i4",
+    "uint32_t": "<u4",
+    "int64_t": "<i8",
+    "uint64_t": "<u8",
+    "float": "<f4",
+    "double": "<f8",
+    "bool": "u1",
+    "char": "i1",
+}
+_FIELD = re.compile(r"^\s*(?P<type>[^\s\[\]]+)(?:\[(?P<size>\d{1,5})\])?\s+(?P<name>\S.*?)\s*$")
+
+
+class LayoutError(ValueError):
+    """A format that gives no layout; the message says why."""
+
+
+@dataclass(frozen=True)
+class UlogField:
+    """A column: dotted name, byte offset, element type as in the format, number of elements (0: a scalar)."""
+
+    name: str
+    offset: int
+    kind: str
+    count: int
+
+    @property
+    def size(self) -> int:
+        return np.dtype(NUMBERS[self.kind]).itemsize * max(self.count, 1)
+
+
+@dataclass(frozen=True)
+class UlogLayout:
+    """A flattened format. `size` is without the padding at the end, `full_size` with it."""
+
+    fields: tuple[UlogField, ...]
+    full_size: int
+
+    @property
+    def size(self) -> int:
+        return max((f.offset + f.size for f in self.fields), default=0)
+
+    @property
+    def time(self) -> UlogField | None:
+        """The field `timestamp`, in microseconds, where it is a whole number."""
+        for field in self.fields:
+            if field.name == "timestamp" and not field.count and NUMBERS[field.kind].strip("<")[0] in "iu":
+                return field
+        return None
+
+    def dtype(self) -> np.dtype[np.void]:
+        """Structured type of one record; columns are numbered."""
+        return np.dtype(
+            {
+                "names": [str(k) for k in range(len(self.fields))],
+                "formats": [(NUMBERS[f.kind], f.count) if f.count else NUMBERS[f.kind] for f in self.fields],
+                "offsets": [f.offset for f in self.fields],
+                "itemsize": self.size,
+            }
+        )
+
+
+def parse_format(text: str) -> tuple[str, str]:
+    """Name and fields of a format record. Raises LayoutError where there is no name."""
+    name, colon, fields = text.partition(":")
+    if not colon or not name:
+        raise LayoutError("a format without a name")
+    return name, fields
+
+
+def flatten(name: str, formats: Mapping[str, str]) -> UlogLayout:
+    """The layout of format `name`. Raises LayoutError: unknown, recursive, malformed, or too large."""
+    fields: list[UlogField] = []
+    end = _flatten_into(name, "", 0, (formats, fields, ()))
+    while fields and fields[-1].name.startswith("_padding"):
+        fields.pop()
+    if not fields:
+        raise LayoutError(f"format {name} has no fields")
+    return UlogLayout(tuple(fields), end)
+
+
+_State = tuple[Mapping[str, str], list[UlogField], tuple[str, ...]]
+
+
+def _flatten_into(name: str, prefix: str, at: int, state: _State) -> int:
+    formats, fields, above = state
+    if name not in formats:
+        raise LayoutError(f"format {name} is not defined")
+    if name in above or len(above) >= MAX_DEPTH:
+        raise LayoutError(f"format {name} contains itself")
+    inner = (formats, fields, (*above, name))
+    for raw in formats[name].split(";"):
+        if not raw.strip():
+            continue
+        found = _FIELD.match(raw)
+        if found is None:
+            raise LayoutError(f"cannot read field {raw[:60]!r} of format {name}")
+        at = _place(found, prefix, at, inner)
+        if at > MAX_RECORD_BYTES or len(fields) > MAX_FIELDS:
+            raise LayoutError(f"format {name} is larger than a record")
+    return at
+
+
+def _place(found: re.Match[str], prefix: str, at: int, state: _State) -> int:
+    """Add one field at `at`; returns where the next one begins."""
+    kind, count, path = found["type"], int(found["size"] or 0), prefix + found["name"]
+    if kind in NUMBERS:
+        if found["size"] and not count:
+            return at
+        field = UlogField(path, at, kind, count)
+        state[1].append(field)
+        return at + field.size
+    if not found["size"]:
+        return _flatten_into(kind, f"{path}.", at, state)
+    for k in range(count):
+        at = _flatten_into(kind, f"{path}[{k}].", at, state)
+        if at > MAX_RECORD_BYTES or len(state[1]) > MAX_FIELDS:
+            break
+    return at

@@ -1,0 +1,201 @@
+"""Finding ULog records: vectorised over data records, one by one over the rest, again after damage.
+
+A file is the 7-byte magic, u8 version, u64 start time, then records of u16 size, u8 type, `size` bytes
+(little-endian). A data record ("D") begins with the u16 id of a subscription, and its size follows from the
+subscribed format. That decides how they are found: every byte "D" of a window whose size and id agree is a
+candidate; candidates that touch each other form runs, and runs are taken whole. Candidates inside other records
+are never reached. After damage the next record is a candidate that another record follows, a sync record, or
+any other record of sound shape that another follows.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flysid.ingest.gather import Bytes, Index, as_bytes, numbers
+
+MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
+SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
+FILE_HEAD_BYTES = 16
+HEAD_BYTES = 3
+HEAD = struct.Struct("<HB")
+OTHER_TYPES = frozenset(b"BFIMPQARSOLC")
+WINDOW_BYTES = 8 << 20
+MAX_KEY = 255
+
+
+@dataclass(frozen=True)
+class DataRun:
+    """Data records one after the other: places and subscription numbers, (n,) each."""
+
+    at: Index
+    subscription: Index
+
+
+@dataclass(frozen=True)
+class _Window:
+    """Candidates of [start, end): places, ends, subscriptions, and the last one of the run each is in."""
+
+    start: int
+    end: int
+    at: Index
+    stop: Index
+    subscription: Index
+    run_end: Index
+
+
+class Sizes:
+    """What a data record of an id must measure: payload from `least` to `most` bytes behind the id."""
+
+    def __init__(self) -> None:
+        self.subscription: NDArray[np.int32] = np.full(65536, -1, dtype=np.int32)
+        self.least: NDArray[np.int32] = np.full(65536, 1 << 20, dtype=np.int32)
+        self.most: NDArray[np.int32] = np.full(65536, -1, dtype=np.int32)
+
+    def subscribe(self, number: int, subscription: int, least: int, most: int) -> None:
+        self.subscription[number], self.least[number], self.most[number] = subscription, least, most
+
+    def remove(self, number: int) -> None:
+        self.subscribe(number, -1, 1 << 20, -1)
+
+
+class Framer:
+    """Records of one file up to `stop`; the caller tells of subscriptions through `sizes` and `changed`."""
+
+    def __init__(self, view: memoryview, stop: int) -> None:
+        self.view = view
+        self.stop = stop
+        self.sizes = Sizes()
+        self._data = as_bytes(view)
+        self._window: _Window | None = None
+
+    def changed(self) -> None:
+        """Subscriptions changed: candidates must be looked for again."""
+        self._window = None
+
+    def data_run(self, at: int) -> DataRun | None:
+        """The run of data records that begins at `at`; None where none does."""
+        window = self._window_at(at)
+        first = int(np.searchsorted(window.at, at))
+        if first == len(window.at) or window.at[first] != at:
+            return None
+        last = int(window.run_end[first]) + 1
+        return DataRun(window.at[first:last], window.subscription[first:last])
+
+    def head(self, at: int) -> tuple[int, int, int]:
+        """Type, payload start and end of the record at `at`; type 0 where not even a head fits."""
+        if at + HEAD_BYTES > self.stop:
+            return 0, at, self.stop + 1
+        size, kind = HEAD.unpack_from(self.view, at)
+        return kind, at + HEAD_BYTES, at + HEAD_BYTES + size
+
+    def is_sound(self, at: int) -> bool:
+        """Whether a record of fitting size or shape lies at `at`."""
+        kind, body, end = self.head(at)
+        if end > self.stop:
+            return False
+        if kind == ord("D"):
+            return self._fits(body, end)
+        return kind in OTHER_TYPES and has_shape(kind, self.view[body:end])
+
+    def is_followed(self, end: int) -> bool:
+        """Whether the record that ends at `end` is followed by a sound one, a cut one, or the end."""
+        if end >= self.stop:
+            return end == self.stop
+        return self.is_sound(end) or self.is_cut(end)
+
+    def is_cut(self, at: int) -> bool:
+        """Whether a record of a known type starts at `at` that the end cuts."""
+        kind, body, end = self.head(at)
+        if kind == 0:
+            return at < self.stop
+        known = kind in OTHER_TYPES or (
+            kind == ord("D") and (body + 2 > self.stop or self._expected(body) == end - body - 2)
+        )
+        return known and end > self.stop
+
+    def next_record(self, at: int) -> int:
+        """The first place from `at` on where a sound record lies that another follows; else the end."""
+        while at < self.stop:
+            window = self._window_at(at)
+            found = [p for p in (self._next_data(window, at), self._next_other(at, window.end)) if p >= 0]
+            if found:
+                return min(found)
+            at = window.end
+        return self.stop
+
+    def _next_data(self, window: _Window, at: int) -> int:
+        for k in range(int(np.searchsorted(window.at, at)), len(window.at)):
+            if window.run_end[k] > k or self.is_followed(int(window.stop[k])):
+                return int(window.at[k])
+        return -1
+
+    def _next_other(self, at: int, end: int) -> int:
+        kinds = self._data[at + 2 : end + 2]
+        known = np.zeros(256, dtype=np.bool_)
+        known[list(OTHER_TYPES)] = True
+        for place in (np.flatnonzero(known[kinds]) + at).tolist():
+            if self.is_sound(place) and self.is_followed(self.head(place)[2]):
+                return int(place)
+        return -1
+
+    def _expected(self, body: int) -> int:
+        number = self.view[body] | self.view[body + 1] << 8
+        return int(self.sizes.most[number])
+
+    def _fits(self, body: int, end: int) -> bool:
+        if end - body < 2:
+            return False
+        number = self.view[body] | self.view[body + 1] << 8
+        return bool(self.sizes.least[number] <= end - body - 2 <= self.sizes.most[number])
+
+    def _window_at(self, at: int) -> _Window:
+        if self._window is None or not self._window.start <= at < self._window.end:
+            self._window = self._candidates(at, min(at + WINDOW_BYTES, self.stop))
+        return self._window
+
+    def _candidates(self, start: int, end: int) -> _Window:
+        data: Bytes = self._data
+        places = np.flatnonzero(data[start + 2 : end + 2] == ord("D")).astype(np.int64) + start
+        places = places[places + 5 <= self.stop]
+        size = numbers(data, places, "<u2").astype(np.int64)
+        number = numbers(data, places + 3, "<u2")
+        fits = (size - 2 >= self.sizes.least[number]) & (size - 2 <= self.sizes.most[number])
+        fits &= places + HEAD_BYTES + size <= self.stop
+        places, number = places[fits], number[fits]
+        stop = places + HEAD_BYTES + size[fits]
+        breaks = np.append(np.flatnonzero(stop[:-1] != places[1:]), max(len(places) - 1, 0))
+        run_end = breaks[np.searchsorted(breaks, np.arange(len(places)))]
+        return _Window(start, end, places, stop, self.sizes.subscription[number].astype(np.int64), run_end)
+
+
+def has_shape(kind: int, body: memoryview) -> bool:
+    """Whether the payload of a record other than data is built as its type asks."""
+    size = len(body)
+    if kind == ord("S"):
+        return bytes(body) == SYNC
+    if kind in b"RO":
+        return size == 2
+    if kind == ord("B"):
+        return size >= 40
+    if kind == ord("A"):
+        return size >= 4 and all(32 < c < 127 for c in body[3:])
+    if kind == ord("L"):
+        return size >= 9 and (48 <= body[0] <= 55 or body[0] < 8)
+    if kind == ord("C"):
+        return size >= 11 and (48 <= body[0] <= 55 or body[0] < 8)
+    if kind == ord("F"):
+        return size > 4 and b":" in bytes(body[:128])
+    return _has_key(body[1:] if kind in b"MQ" else body)
+
+
+def _has_key(body: memoryview) -> bool:
+    """u8 length, "type name", value."""
+    if len(body) < 2 or not 3 <= body[0] < len(body):
+        return False
+    key = bytes(body[1 : 1 + body[0]])
+    return b" " in key and key[:1].isalpha()
