@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import pyarrow as pa
 
 from flysid.flight import BOOT, RECEIVED, TIME
-from flysid.ingest.gather import Bytes, Index, Values
+from flysid.ingest.gather import Bytes, Index, Values, as_bytes
 
 ARROW_TYPES: Mapping[str, pa.DataType] = {
     "b1": pa.bool_(),
@@ -71,6 +71,13 @@ def fixed_text(values: Values) -> pa.Array:
     ends = np.where((values == 0).any(axis=1), (values == 0).argmax(axis=1), width).astype(np.int64)
     keep = np.arange(width) < ends[:, None]
     return text(values[keep].view(np.uint8), ends)
+
+
+def strings(values: Iterable[str]) -> pa.Array:
+    """Python strings; lone surrogates become "?"."""
+    encoded = [v.encode("utf-8", "replace") for v in values]
+    sizes = np.array([len(v) for v in encoded], dtype=np.int64)
+    return text(as_bytes(b"".join(encoded)), sizes)
 
 
 def structs(names: Sequence[str], children: Sequence[pa.Array]) -> pa.Array:

@@ -172,6 +172,7 @@ class Topic:
         self.last_ns = np.iinfo(np.int64).min
         self.lags: list[int] = []
         self._clock: str | None = None
+        self._previous_ns = 0
         try:
             self._decoder: Decoder | None = decoder_for(channel)
         except DefinitionError:
@@ -232,7 +233,8 @@ class Topic:
 
     def _observe(self, time_ns: Index, log_ns: Index, tally: Tally) -> None:
         """Note the span, the distance of log time from stamps, and steps back."""
-        back = int((np.diff(time_ns) < 0).sum()) + int(self.rows > 0 and time_ns[0] < self.last_ns)
+        back = int((np.diff(time_ns) < 0).sum()) + int(self.rows > 0 and time_ns[0] < self._previous_ns)
+        self._previous_ns = int(time_ns[-1])
         if back:
             tally.out_of_order[self.channel.topic] += back
         self.rows += len(time_ns)

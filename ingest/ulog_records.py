@@ -3,13 +3,14 @@
 A file is the 7-byte magic, u8 version, u64 start time, then records of u16 size, u8 type, `size` bytes
 (little-endian). A data record ("D") begins with the u16 id of a subscription, and its size follows from the
 subscribed format. That decides how they are found: every byte "D" of a window whose size and id agree is a
-candidate; candidates that touch each other form runs, and runs are taken whole. Candidates inside other records
-are never reached. After damage the next record is a candidate that another record follows, a sync record, or
-any other record of sound shape that another follows.
+candidate; candidates that touch each other form runs, and runs are taken whole. Candidates inside other
+records are never reached. After damage the next record is a candidate that another record follows, a sync
+record, or any other record of sound shape that another follows.
 """
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import dataclass
 
@@ -25,7 +26,9 @@ HEAD_BYTES = 3
 HEAD = struct.Struct("<HB")
 OTHER_TYPES = frozenset(b"BFIMPQARSOLC")
 WINDOW_BYTES = 8 << 20
-MAX_KEY = 255
+MAX_TEXT = 300
+_KEY = re.compile(rb"[a-z0-9_]+(\[\d+\])? [\x21-\x7e]+")
+_NAME = re.compile(rb"[A-Za-z0-9_/]+:")
 
 
 @dataclass(frozen=True)
@@ -55,9 +58,11 @@ class Sizes:
         self.subscription: NDArray[np.int32] = np.full(65536, -1, dtype=np.int32)
         self.least: NDArray[np.int32] = np.full(65536, 1 << 20, dtype=np.int32)
         self.most: NDArray[np.int32] = np.full(65536, -1, dtype=np.int32)
+        self.known: NDArray[np.bool_] = np.zeros(65536, dtype=np.bool_)  # was ever subscribed
 
     def subscribe(self, number: int, subscription: int, least: int, most: int) -> None:
         self.subscription[number], self.least[number], self.most[number] = subscription, least, most
+        self.known[number] = True
 
     def remove(self, number: int) -> None:
         self.subscribe(number, -1, 1 << 20, -1)
@@ -70,7 +75,7 @@ class Framer:
         self.view = view
         self.stop = stop
         self.sizes = Sizes()
-        self._data = as_bytes(view)
+        self.data = as_bytes(view)
         self._window: _Window | None = None
 
     def changed(self) -> None:
@@ -87,9 +92,9 @@ class Framer:
         return DataRun(window.at[first:last], window.subscription[first:last])
 
     def head(self, at: int) -> tuple[int, int, int]:
-        """Type, payload start and end of the record at `at`; type 0 where not even a head fits."""
+        """Type, payload start and end of the record at `at`; type -1 where not even a head fits."""
         if at + HEAD_BYTES > self.stop:
-            return 0, at, self.stop + 1
+            return -1, at, self.stop + 1
         size, kind = HEAD.unpack_from(self.view, at)
         return kind, at + HEAD_BYTES, at + HEAD_BYTES + size
 
@@ -103,54 +108,77 @@ class Framer:
         return kind in OTHER_TYPES and has_shape(kind, self.view[body:end])
 
     def is_followed(self, end: int) -> bool:
-        """Whether the record that ends at `end` is followed by a sound one, a cut one, or the end."""
+        """Whether at `end` is the end, a sound record, one that the end cuts, or data of a known id."""
         if end >= self.stop:
             return end == self.stop
-        return self.is_sound(end) or self.is_cut(end)
+        if self.is_sound(end) or self.is_cut(end):
+            return True
+        kind, body, after = self.head(end)
+        if kind != ord("D") or not body + 2 <= after <= self.stop:
+            return False
+        return bool(self.sizes.known[self._id(body)]) or self.is_sound(after)
 
     def is_cut(self, at: int) -> bool:
         """Whether a record of a known type starts at `at` that the end cuts."""
         kind, body, end = self.head(at)
-        if kind == 0:
+        if kind < 0:
             return at < self.stop
         known = kind in OTHER_TYPES or (
-            kind == ord("D") and (body + 2 > self.stop or self._expected(body) == end - body - 2)
+            kind == ord("D") and (body + 2 > self.stop or bool(self.sizes.known[self._id(body)]))
         )
         return known and end > self.stop
 
-    def next_record(self, at: int) -> int:
-        """The first place from `at` on where a sound record lies that another follows; else the end."""
-        while at < self.stop:
-            window = self._window_at(at)
-            found = [p for p in (self._next_data(window, at), self._next_other(at, window.end)) if p >= 0]
-            if found:
-                return min(found)
-            at = window.end
-        return self.stop
+    def is_cut_data(self, at: int) -> bool:
+        """Whether a data record of the right size starts at `at` and the end cuts it."""
+        kind, body, end = self.head(at)
+        if kind != ord("D") or end <= self.stop or body + 2 > self.stop:
+            return False
+        number = self._id(body)
+        return bool(self.sizes.least[number] <= end - body - 2 <= self.sizes.most[number])
 
-    def _next_data(self, window: _Window, at: int) -> int:
-        for k in range(int(np.searchsorted(window.at, at)), len(window.at)):
+    def next_record(self, at: int, stop: int | None = None) -> int:
+        """The first place in [at, stop) where a sound record lies that another follows; else `stop`."""
+        stop = self.stop if stop is None else stop
+        while at < stop:
+            window = self._window_at(at)
+            end = min(window.end, stop)
+            data = self._next_data(window, at, end)
+            other = self._next_other(at, end if data < 0 else data)
+            if data >= 0 or other >= 0:
+                return other if other >= 0 else data
+            at = end
+        return stop
+
+    def _next_data(self, window: _Window, at: int, end: int) -> int:
+        first, last = np.searchsorted(window.at, [at, end]).tolist()
+        for k in range(first, last):
             if window.run_end[k] > k or self.is_followed(int(window.stop[k])):
                 return int(window.at[k])
         return -1
 
     def _next_other(self, at: int, end: int) -> int:
-        kinds = self._data[at + 2 : end + 2]
+        kinds = self.data[at + 2 : end + 2]
         known = np.zeros(256, dtype=np.bool_)
         known[list(OTHER_TYPES)] = True
         for place in (np.flatnonzero(known[kinds]) + at).tolist():
-            if self.is_sound(place) and self.is_followed(self.head(place)[2]):
+            if not self.is_sound(place):
+                continue
+            kind, body, after = self.head(place)
+            if kind in b"LC" and (
+                after - body > MAX_TEXT or min(self.view[body + 11 : after], default=32) < 9
+            ):
+                continue
+            if self.is_sound(after) or (kind not in b"RO" and self.is_followed(after)):
                 return int(place)
         return -1
 
-    def _expected(self, body: int) -> int:
-        number = self.view[body] | self.view[body + 1] << 8
-        return int(self.sizes.most[number])
+    def _id(self, body: int) -> int:
+        return self.view[body] | self.view[body + 1] << 8
 
     def _fits(self, body: int, end: int) -> bool:
         if end - body < 2:
             return False
-        number = self.view[body] | self.view[body + 1] << 8
+        number = self._id(body)
         return bool(self.sizes.least[number] <= end - body - 2 <= self.sizes.most[number])
 
     def _window_at(self, at: int) -> _Window:
@@ -159,7 +187,7 @@ class Framer:
         return self._window
 
     def _candidates(self, start: int, end: int) -> _Window:
-        data: Bytes = self._data
+        data: Bytes = self.data
         places = np.flatnonzero(data[start + 2 : end + 2] == ord("D")).astype(np.int64) + start
         places = places[places + 5 <= self.stop]
         size = numbers(data, places, "<u2").astype(np.int64)
@@ -173,6 +201,11 @@ class Framer:
         return _Window(start, end, places, stop, self.sizes.subscription[number].astype(np.int64), run_end)
 
 
+def is_text(body: memoryview) -> bool:
+    """Whether a logged message may be text: short, no control characters."""
+    return len(body) <= MAX_TEXT and min(body, default=32) >= 9
+
+
 def has_shape(kind: int, body: memoryview) -> bool:
     """Whether the payload of a record other than data is built as its type asks."""
     size = len(body)
@@ -181,15 +214,15 @@ def has_shape(kind: int, body: memoryview) -> bool:
     if kind in b"RO":
         return size == 2
     if kind == ord("B"):
-        return size >= 40
+        return 40 <= size <= 64
     if kind == ord("A"):
         return size >= 4 and all(32 < c < 127 for c in body[3:])
     if kind == ord("L"):
-        return size >= 9 and (48 <= body[0] <= 55 or body[0] < 8)
+        return size >= 9 and 48 <= body[0] <= 55
     if kind == ord("C"):
-        return size >= 11 and (48 <= body[0] <= 55 or body[0] < 8)
+        return size >= 11 and 48 <= body[0] <= 55
     if kind == ord("F"):
-        return size > 4 and b":" in bytes(body[:128])
+        return _NAME.match(bytes(body[:256])) is not None
     return _has_key(body[1:] if kind in b"MQ" else body)
 
 
@@ -197,5 +230,4 @@ def _has_key(body: memoryview) -> bool:
     """u8 length, "type name", value."""
     if len(body) < 2 or not 3 <= body[0] < len(body):
         return False
-    key = bytes(body[1 : 1 + body[0]])
-    return b" " in key and key[:1].isalpha()
+    return _KEY.fullmatch(bytes(body[1 : 1 + body[0]])) is not None

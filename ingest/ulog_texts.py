@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from flysid.flight import BOOT, TIME, field_metadata
 from flysid.ingest import arrow_arrays
+from flysid.ingest.gather import Values
 from flysid.ingest.ulog_formats import NUMBERS
 
 MAX_INFO = 500
@@ -92,14 +93,12 @@ class Words:
         which = [origin for bit, origin in ((1, 2), (2, 3)) if body[0] & bit]
         return all(self.add_parameter(body[1:], time_ns, origin) for origin in which)
 
-    def add_message(self, body: memoryview, tagged: bool) -> bool:
+    def add_message(self, body: memoryview, tagged: bool) -> None:
         """A logged message: level, maybe tag, time in us, text."""
         head = struct.Struct("<BHQ" if tagged else "<BQ")
         level, *tag, time_us = head.unpack_from(body, 0)
         text = bytes(body[head.size :]).decode("utf-8", "replace")
-        level = level - 48 if level >= 48 else level
-        self._messages.append((min(time_us, 1 << 53) * 1000, level, tag[0] if tag else None, text))
-        return True
+        self._messages.append((min(time_us, 1 << 53) * 1000, level - 48, tag[0] if tag else None, text))
 
     def add_dropout(self, body: memoryview, time_ns: int) -> int:
         """A dropout; returns its length in ms."""
@@ -112,50 +111,60 @@ class Words:
         found: dict[str, pa.Table] = {}
         if self._messages:
             times, levels, tags, texts = zip(*self._messages, strict=True)
-            kinds = field_metadata(enum=dict(enumerate(LEVELS)))
-            found["messages"] = _table(
-                times,
-                [
-                    (pa.field("level", pa.uint8(), metadata=kinds), levels),
-                    (pa.field("tag", pa.uint16()), tags),
-                    (pa.field("text", pa.string()), texts),
-                ],
-            )
+            found["messages"] = _table(times, level=_levels(levels), tag=_tags(tags), text=_words(texts))
         if self._parameters:
             times, names, values, types, origins = zip(*self._parameters, strict=True)
             found["parameters"] = _table(
                 times,
-                [
-                    (pa.field("name", pa.string()), names),
-                    (pa.field("value", pa.float64()), values),
-                    (pa.field("type", pa.string()), types),
-                    (pa.field("origin", pa.string()), [ORIGINS[o] for o in origins]),
-                ],
+                name=_words(names),
+                value=_column(np.array(values, dtype=np.float64)),
+                type=_words(types),
+                origin=_words([ORIGINS[o] for o in origins]),
             )
         if self._dropouts:
             times, durations = zip(*self._dropouts, strict=True)
-            unit = field_metadata(unit="ms")
-            found["dropouts"] = _table(times, [(pa.field("duration", pa.uint16(), metadata=unit), durations)])
+            found["dropouts"] = _table(
+                times, duration=_column(np.array(durations, dtype=np.uint16), unit="ms")
+            )
         if self._texts:
             times, keys, texts, continued = zip(*self._texts, strict=True)
-            found["info_multiple"] = _table(
-                times,
-                [
-                    (pa.field("key", pa.string()), keys),
-                    (pa.field("text", pa.string()), texts),
-                    (pa.field("continued", pa.bool_()), continued),
-                ],
-            )
+            flags = _column(np.array(continued, dtype=np.bool_))
+            found["info_multiple"] = _table(times, key=_words(keys), text=_words(texts), continued=flags)
         return found
 
 
-def _table(times: Any, columns: list[tuple[pa.Field, Any]]) -> pa.Table:
-    """time_ns, boot, then the columns; a stable sort by time keeps the order of equal ones."""
+_Column = tuple[pa.Array, dict[bytes, bytes] | None]
+
+
+def _column(values: Values, unit: str = "") -> _Column:
+    return arrow_arrays.numeric(values), field_metadata(unit=unit)
+
+
+def _words(values: Sequence[str]) -> _Column:
+    return arrow_arrays.strings(values), None
+
+
+def _levels(values: Sequence[int]) -> _Column:
+    levels = np.array(values, dtype=np.uint8)
+    return arrow_arrays.numeric(levels), field_metadata(enum=dict(enumerate(LEVELS)))
+
+
+def _tags(values: Sequence[int | None]) -> _Column:
+    """Tags; null where a message has none."""
+    known = np.array([v is not None for v in values], dtype=np.bool_)
+    numbers = np.array([v or 0 for v in values], dtype=np.uint16)
+    buffers = [pa.py_buffer(np.packbits(known, bitorder="little")), pa.py_buffer(numbers)]
+    return pa.Array.from_buffers(pa.uint16(), len(numbers), buffers), None
+
+
+def _table(times: Sequence[int], **columns: _Column) -> pa.Table:
+    """time_ns, boot, then the columns."""
     time_ns = np.array(times, dtype=np.int64)
     heads = [
         arrow_arrays.numeric(time_ns),
         arrow_arrays.numeric(np.zeros(len(time_ns), dtype=np.int32)),
     ]
-    arrays = heads + [pa.array(list(values), spec.type) for spec, values in columns]
-    fields = [pa.field(TIME, pa.int64()), pa.field(BOOT, pa.int32()), *(spec for spec, _ in columns)]
-    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={"time_source": "timestamp"}))
+    fields = [pa.field(TIME, pa.int64()), pa.field(BOOT, pa.int32())]
+    fields += [pa.field(name, array.type, metadata=note) for name, (array, note) in columns.items()]
+    schema = pa.schema(fields, metadata={"time_source": "timestamp"})
+    return pa.Table.from_arrays([*heads, *(array for array, _ in columns.values())], schema=schema)

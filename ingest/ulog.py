@@ -1,0 +1,431 @@
+"""PX4 ULog (version 1): one table per topic and instance, plus messages, parameters, dropouts.
+
+Stream keys: `vehicle_attitude` for instance 0, `vehicle_attitude#1` for instance 1; a topic that is
+subscribed again goes on in its table, and under `~2` if its format has changed. `time_ns` is the
+field `timestamp`, the vehicle's microseconds since boot. Framing and recovery: `ulog_records`; formats:
+`ulog_formats`.
+
+Old samples are common (a topic's last value when logging began), so a time in the past is kept. A record more
+than a minute ahead of the records on both sides is rejected and counted, unless it is the first of its topic:
+that one was kept by the vehicle from an earlier boot (missions are), and gets the time of its neighbours.
+Units are not in the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from flysid.errors import FormatError
+from flysid.flight import BOOT, TIME
+from flysid.ingest import arrow_arrays
+from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary, release
+from flysid.ingest.clock import UtcFit
+from flysid.ingest.gather import Index, Values, numbers, rows
+from flysid.ingest.tally import Tally
+from flysid.ingest.ulog_formats import (
+    NUMBERS,
+    LayoutError,
+    UlogField,
+    UlogLayout,
+    flatten,
+    parse_format,
+)
+from flysid.ingest.ulog_records import FILE_HEAD_BYTES, MAGIC, DataRun, Framer
+from flysid.ingest.ulog_texts import Words
+
+AHEAD_US = 60_000_000
+NEIGHBOURS = 16
+MAX_TIME_US = (1 << 63) // 1000 - 1
+MAX_RETAINED_US = 30 * 86_400 * 10**6
+MAX_SUBSCRIPTIONS = 5000
+MAX_FORMATS = 5000
+FIRST_UTC_US = 10**15  # 2001
+APPENDED_BIT = 1
+
+
+@dataclass(frozen=True)
+class Subscription:
+    """A topic's instance with its layout, and the stream it goes to."""
+
+    stream: str
+    topic: str
+    instance: int
+    layout: UlogLayout
+
+
+@dataclass
+class _Batch:
+    """Runs of data records that wait to be decoded."""
+
+    runs: list[DataRun] = field(default_factory=list)
+    size: int = 0
+
+
+class UlogReader:
+    """Parts of one file; what is learnt on the way stays in `words`, `tally` and `utc`."""
+
+    def __init__(self, view: memoryview, limits: Limits, tally: Tally) -> None:
+        self.view = view
+        self.words = Words()
+        self.utc = UtcFit()
+        self._limits = limits
+        self._tally = tally
+        self._framer = Framer(view, len(view))
+        self._formats: dict[str, str] = {}
+        self._subscriptions: list[Subscription] = []
+        self._lost: dict[int, str] = {}  # ids of subscriptions without a layout
+        self._time_us = self._doubtful_us = 0  # of the last data record
+        self._previous_ns: dict[int, int] = {}
+        self._schemas: dict[int, pa.Schema] = {}
+        self._batch = _Batch()
+        self._appended: list[int] = []
+
+    def parts(self) -> Iterator[StreamPart]:
+        """Everything in the file, section by section (appended data are sections of their own)."""
+        at = FILE_HEAD_BYTES
+        yield from self._section(at, len(self.view))
+        while self._appended:
+            at = self._appended.pop(0)
+            yield from self._section(at, self._appended[0] if self._appended else len(self.view))
+        for stream, table in self.words.tables().items():
+            yield StreamPart(stream, table)
+
+    @property
+    def _now_ns(self) -> int:
+        return self._time_us * 1000
+
+    def _section(self, at: int, stop: int) -> Iterator[StreamPart]:
+        framer = self._framer
+        framer.stop = stop
+        framer.changed()
+        batch, since = _Batch(), at
+        self._batch = batch
+        while at < framer.stop:
+            run = framer.data_run(at) if self.view[at + 2 : at + 3] == b"D" else None
+            if run is None:
+                at = self._other(at)
+                continue
+            batch.runs.append(run)
+            at = self._end_of(run)
+            batch.size += at - int(run.at[0])
+            if batch.size >= self._limits.batch_bytes:
+                yield from self._decode(batch)
+                release(self.view, since, at)
+                batch, since = _Batch(), at
+                self._batch = batch
+        yield from self._decode(batch)
+
+    def _end_of(self, run: DataRun) -> int:
+        """Where a run ends; remembers the time of its last record."""
+        last = int(run.at[-1])
+        time = self._subscriptions[int(run.subscription[-1])].layout.time
+        if time is not None:
+            found = numbers(self._framer.data, np.array([last + 5 + time.offset]), NUMBERS[time.kind])
+            self._advance(int(found[0]))
+        return self._framer.head(last)[2]
+
+    def _advance(self, time_us: int) -> None:
+        """Move the clock forward; over a minute only where two records in a row say so."""
+        near = time_us - self._time_us < AHEAD_US or abs(time_us - self._doubtful_us) < AHEAD_US
+        self._doubtful_us = time_us
+        if self._time_us < time_us < MAX_TIME_US and (near or not self._time_us):
+            self._time_us = time_us
+
+    def _other(self, at: int) -> int:
+        """One record that is not data, or damage; returns where to go on."""
+        framer = self._framer
+        kind, body, end = framer.head(at)
+        if framer.is_sound(at):
+            self._take(kind, self.view[body:end])
+            return end
+        is_unit = kind > 0 and body < end <= framer.stop and framer.is_followed(end)
+        if is_unit and framer.next_record(at + 1, end) == end:
+            self._tally.undecode(self._name_of(kind, body, end))
+            return end
+        resume = framer.stop if framer.is_cut_data(at) else self._resume(at)
+        if resume < at:
+            return resume
+        if resume >= framer.stop and framer.is_cut(at):
+            self._tally.truncated = True
+            self._tally.skip(at, framer.stop, "cut off inside a record")
+        else:
+            self._tally.skip(at, resume, "no record here")
+        return resume
+
+    def _resume(self, at: int) -> int:
+        """The next record after damage at `at`; before it where the last data record's size swallowed one."""
+        runs = self._batch.runs
+        last = int(runs[-1].at[-1]) if runs else -1
+        if last < 0 or self._framer.head(last)[2] != at:
+            return self._framer.next_record(at + 1)
+        resume = self._framer.next_record(last + 1)
+        if resume < at:
+            runs[-1] = DataRun(runs[-1].at[:-1], runs[-1].subscription[:-1])
+            if not len(runs[-1].at):
+                runs.pop()
+            self._tally.skip(last, resume, "record of a wrong size")
+        return resume
+
+    def _name_of(self, kind: int, body: int, end: int) -> str:
+        """What to call a record that is framed well and cannot be used."""
+        if kind != ord("D") or end - body < 2:
+            return f"(record type 0x{kind:02x})"
+        number = self.view[body] | self.view[body + 1] << 8
+        subscription = int(self._framer.sizes.subscription[number])
+        if subscription >= 0:
+            return self._subscriptions[subscription].stream
+        return self._lost.get(number, f"(message id {number})")
+
+    # ------------------------------------------------------------------ records other than data
+
+    def _take(self, kind: int, body: memoryview) -> None:
+        """Take in a sound record that is not data."""
+        own = self._OWN.get(kind)
+        if own is not None:
+            own(self, body)
+        elif kind == ord("I"):
+            self._count(self.words.add_info(body), "information")
+        elif kind == ord("M"):
+            self._count(self.words.add_multiple(body, self._now_ns), "information")
+        elif kind == ord("P"):
+            origin = 1 if self._subscriptions or self._lost else 0
+            self._count(self.words.add_parameter(body, self._now_ns, origin), "parameters")
+        elif kind == ord("Q"):
+            self._count(self.words.add_default(body, self._now_ns), "parameters")
+        elif kind in b"LC":
+            self.words.add_message(body, kind == ord("C"))
+
+    def _count(self, good: bool, name: str) -> None:
+        if not good:
+            self._tally.undecode(f"({name})")
+
+    def _add_format(self, body: memoryview) -> None:
+        try:
+            name, fields = parse_format(bytes(body).decode("utf-8", "replace"))
+        except LayoutError:
+            self._tally.undecode("(formats)")
+            return
+        if len(self._formats) < MAX_FORMATS:
+            self._formats[name] = fields
+
+    def _add_flags(self, body: memoryview) -> None:
+        """compat[8], incompat[8], three offsets of appended data."""
+        incompatible = bytes(body[8:16])
+        if incompatible[0] & ~APPENDED_BIT or any(incompatible[1:]):
+            self._tally.undecode("(incompatible flags)")
+        if incompatible[0] & APPENDED_BIT:
+            offsets = sorted(set(np.frombuffer(body[16:40], dtype="<u8").tolist()) - {0})
+            self._appended = [o for o in offsets if FILE_HEAD_BYTES < o < len(self.view)]
+            if self._appended and self._framer.stop > self._appended[0]:
+                self._framer.stop = self._appended[0]
+                self._framer.changed()
+
+    def _subscribe(self, body: memoryview) -> None:
+        number, instance = body[1] | body[2] << 8, body[0]
+        topic = bytes(body[3:]).decode("utf-8", "replace")
+        try:
+            layout = flatten(topic, self._formats)
+        except LayoutError:
+            self._lost[number] = topic
+            self._framer.sizes.remove(number)
+            self._framer.sizes.known[number] = True
+            self._framer.changed()
+            return
+        index = self._subscription(topic, instance, layout)
+        if index >= 0:
+            self._framer.sizes.subscribe(number, index, layout.size, layout.full_size)
+            self._framer.changed()
+
+    def _subscription(self, topic: str, instance: int, layout: UlogLayout) -> int:
+        """The number of a subscription; the same one for the same topic, instance and layout."""
+        version = 1
+        for index, known in enumerate(self._subscriptions):
+            if (known.topic, known.instance) == (topic, instance):
+                if known.layout == layout:
+                    return index
+                version += 1
+        if len(self._subscriptions) >= MAX_SUBSCRIPTIONS:
+            return -1
+        stream = topic + (f"#{instance}" if instance else "") + (f"~{version}" if version > 1 else "")
+        self._subscriptions.append(Subscription(stream, topic, instance, layout))
+        return len(self._subscriptions) - 1
+
+    def _unsubscribe(self, body: memoryview) -> None:
+        self._framer.sizes.remove(body[0] | body[1] << 8)
+        self._framer.changed()
+
+    def _add_dropout(self, body: memoryview) -> None:
+        self._tally.dropouts["records"] += 1
+        self._tally.dropouts["ms"] += self.words.add_dropout(body, self._now_ns)
+
+    _OWN: ClassVar[Mapping[int, Callable[[UlogReader, memoryview], None]]] = {
+        ord("F"): _add_format,
+        ord("A"): _subscribe,
+        ord("R"): _unsubscribe,
+        ord("B"): _add_flags,
+        ord("O"): _add_dropout,
+    }
+
+    # ------------------------------------------------------------------ data
+
+    def _decode(self, batch: _Batch) -> Iterator[StreamPart]:
+        if not batch.runs:
+            return
+        at = np.concatenate([run.at for run in batch.runs]) + 5
+        number = np.concatenate([run.subscription for run in batch.runs])
+        order = np.argsort(number.astype(np.uint16), kind="stable")
+        cuts = np.flatnonzero(np.diff(number[order])) + 1
+        groups = [(int(number[which[0]]), which) for which in np.split(order, cuts)]
+        time_us = self._times(at, groups)
+        ahead = far_ahead(time_us)
+        for index, which in groups:
+            kept = self._without_outliers(index, which, ahead, time_us) if ahead[which].any() else which
+            if len(kept):
+                yield self._part(index, at[kept], time_us[kept])
+
+    def _without_outliers(self, index: int, which: Index, ahead: NDArray[np.bool_], time_us: Index) -> Index:
+        """The records whose time can be used; that of a retained first one is set to its neighbours'."""
+        stream, first = self._subscriptions[index].stream, int(which[0])
+        if ahead[first] and index not in self._previous_ns and time_us[first] < MAX_RETAINED_US:
+            near = np.flatnonzero(~ahead[first + 1 : first + NEIGHBOURS])
+            time_us[first] = time_us[first + 1 + near[0]] if len(near) else self._time_us
+            ahead[first] = False
+            self._tally.out_of_order[stream] += 1
+        rejected = ahead[which]
+        if rejected.any():
+            self._tally.time_outliers[stream] += int(rejected.sum())
+        return which[~rejected]
+
+    def _times(self, at: Index, groups: list[tuple[int, Index]]) -> Index:
+        """Times of all records in file order, in us; those of topics without any are the last one before."""
+        time_us = np.full(len(at), -1, dtype=np.int64)
+        for index, which in groups:
+            spec = self._subscriptions[index].layout.time
+            if spec is not None:
+                raw = numbers(self._framer.data, at[which] + spec.offset, NUMBERS[spec.kind])
+                time_us[which] = np.where(raw > MAX_TIME_US, MAX_TIME_US, raw).astype(np.int64)
+        unknown = np.flatnonzero(time_us < 0)
+        if len(unknown):
+            known = np.maximum.accumulate(np.where(time_us >= 0, np.arange(len(at)), -1))
+            before = known[unknown]
+            time_us[unknown] = np.where(before >= 0, time_us[before], 0)
+        return time_us
+
+    def _part(self, index: int, at: Index, time_us: Index) -> StreamPart:
+        subscription = self._subscriptions[index]
+        layout = subscription.layout
+        table = rows(self._framer.data, at, layout.size).view(layout.dtype())
+        time_ns = time_us * 1000
+        self._observe(index, table, time_ns)
+        arrays = [
+            arrow_arrays.numeric(time_ns),
+            arrow_arrays.numeric(np.zeros(len(time_ns), dtype=np.int32)),
+            *(_column(spec, table[str(k)]) for k, spec in enumerate(layout.fields)),
+        ]
+        if index not in self._schemas:
+            self._schemas[index] = _schema(subscription, arrays)
+        return StreamPart(subscription.stream, pa.Table.from_arrays(arrays, schema=self._schemas[index]))
+
+    def _observe(self, index: int, table: Values, time_ns: Index) -> None:
+        """Count steps back and collect pairs of vehicle time and UTC."""
+        subscription = self._subscriptions[index]
+        back = int((np.diff(time_ns) < 0).sum()) + int(time_ns[0] < self._previous_ns.get(index, 0))
+        self._previous_ns[index] = int(time_ns[-1])
+        if back:
+            self._tally.out_of_order[subscription.stream] += back
+        self.utc.add(0, time_ns, None)
+        for k, spec in enumerate(subscription.layout.fields):
+            if spec.name == "time_utc_usec" and not spec.count:
+                utc_us = table[str(k)].astype(np.int64)
+                good = (utc_us > FIRST_UTC_US) & (utc_us < MAX_TIME_US)
+                self.utc.add(0, time_ns[good], utc_us[good] * 1000)
+
+
+def _column(spec: UlogField, values: Values) -> pa.Array:
+    if spec.kind == "char" and spec.count:
+        return arrow_arrays.fixed_text(values)
+    if spec.kind == "bool":
+        values = values != 0
+    return arrow_arrays.matrix(values) if spec.count else arrow_arrays.numeric(values)
+
+
+def _schema(subscription: Subscription, arrays: list[pa.Array]) -> pa.Schema:
+    layout = subscription.layout
+    names = [TIME, BOOT]
+    for spec in layout.fields:
+        names.append(arrow_arrays.free_name(spec.name, set(names)))
+    about = {
+        "time_source": "timestamp" if layout.time else "neighbours",
+        "topic": subscription.topic,
+        "instance": str(subscription.instance),
+    }
+    fields = [pa.field(name, array.type) for name, array in zip(names, arrays, strict=True)]
+    return pa.schema(fields, metadata=about)
+
+
+def far_ahead(time_us: Index) -> NDArray[np.bool_]:
+    """True where a time is over a minute ahead of all 16 records before and of all but one of 16 behind.
+
+    Times in file order, (n,). Alone in the file, or before a step back, a time is not ahead of anything.
+    """
+    ahead = time_us >= MAX_TIME_US
+    times = np.where(ahead, 0, time_us)
+    for _ in range(8):
+        found = _jumps(times)
+        if not len(found):
+            break
+        ahead[found] = True
+        times[found] = 0
+    return ahead
+
+
+def _jumps(times: Index) -> Index:
+    """Places that stand out to the future from both sides."""
+    before = np.zeros(len(times), dtype=np.int64)
+    for shift in range(1, NEIGHBOURS + 1):
+        np.maximum(before[shift:], times[:-shift], out=before[shift:])
+    steps = np.flatnonzero((times > before + AHEAD_US)[1:]) + 1
+    behind = [times[p + 1 : p + 1 + NEIGHBOURS] for p in steps.tolist()]
+    later = [int((b > times[p] - AHEAD_US).sum()) for p, b in zip(steps.tolist(), behind, strict=True)]
+    lone = [n < 2 and len(b) >= 4 for n, b in zip(later, behind, strict=True)]
+    return steps[np.array(lone, dtype=np.bool_)] if len(steps) else steps
+
+
+def read_ulog(view: memoryview, name: str, limits: Limits) -> Parts:
+    """Parts of a ULog file.
+
+    Raises
+    ------
+    FormatError : it is not a ULog, or nothing in it can be read.
+    """
+    if len(view) < FILE_HEAD_BYTES or bytes(view[:4]) != MAGIC[:4]:
+        raise FormatError("not a ULog: the header is missing or cut", path=name, byte=0)
+    tally = Tally()
+    reader = UlogReader(view, limits, tally)
+    yield from reader.parts()
+    return Summary(tally.freeze(), reader.utc.clocks(), _about(reader.words))
+
+
+def _about(words: Words) -> dict[str, str]:
+    """Autopilot and firmware, then the file's own information."""
+    release = words.numbers.get("ver_sw_release")
+    known = {"autopilot": "px4"} if words.info.get("sys_name", "PX4") == "PX4" else {}
+    if release is not None:
+        known["firmware"] = ".".join(str(release >> shift & 255) for shift in (24, 16, 8))
+    return {**words.info, **known}
+
+
+def sniff_ulog(head: bytes, name: str) -> float:  # noqa: ARG001
+    """1 for the magic of 7 bytes; 0.6 where only its first four are right."""
+    if head.startswith(MAGIC):
+        return 1.0
+    return 0.6 if head.startswith(MAGIC[:4]) else 0.0
+
+
+FORMAT = Format("ulog", "PX4 ULog", (".ulg",), sniff_ulog, read_ulog)
