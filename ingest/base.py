@@ -13,7 +13,7 @@ import importlib.util
 import mmap
 import pkgutil
 from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -130,8 +130,15 @@ def open_log(path: Path) -> Iterator[memoryview]:
                 raise FormatError(
                     "the file is empty", path=path, byte=0, hint="check that the download or copy finished"
                 )
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped, memoryview(mapped) as view:
+            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+            view = memoryview(mapped)
+            try:
                 yield view
+            finally:
+                # A traceback or a cycle may keep arrays that look at the map; it closes with the last of them.
+                with suppress(BufferError):
+                    view.release()
+                    mapped.close()
     except OSError as error:
         raise FormatError(f"cannot be read: {error.strerror}", path=path) from error
 

@@ -107,7 +107,7 @@ class UlogReader:
         batch, since = _Batch(), at
         self._batch = batch
         while at < framer.stop:
-            run = framer.data_run(at) if self.view[at + 2 : at + 3] == b"D" else None
+            run = framer.data_run(at) if framer.head(at)[0] == ord("D") else None
             if run is None:
                 at = self._other(at)
                 continue
