@@ -135,7 +135,7 @@ def open_log(path: Path) -> Iterator[memoryview]:
             try:
                 yield view
             finally:
-                # A traceback or a cycle may keep arrays that look at the map; it closes with the last of them.
+                # A traceback or cycle may keep arrays that look at the map; it closes with the last of them.
                 with suppress(BufferError):
                     view.release()
                     mapped.close()
