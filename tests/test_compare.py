@@ -13,6 +13,7 @@ from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.start import estimate_start
 from flysid.validate.compare import Comparison, across_channels, compare
+from flysid.validate.diagnostics import diagnose
 from flysid.validate.document import to_json
 from flysid.validate.terminal import summary, table
 from flysid.validate.trials import free_run, run_trials
@@ -168,6 +169,19 @@ def test_document_has_the_promised_shape_and_never_nan() -> None:
         assert {"rmse", "fit_pct", "vaf_pct"} <= set(horizon["models"]["arx"])
         assert len(horizon["ci95"]) == 2
         assert horizon["verdict"] in set(Verdict)
+
+
+def test_document_with_diagnoses_has_cautions_and_tests() -> None:
+    c = compare([WRONG, TS], flown(TRUTH, [300] * 3, noise=0.05))
+    document = to_json({"roll": c}, {"roll": diagnose(c, flown(TRUTH, [300], noise=0.05, seed=9))})
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+    found = document["diagnostics"]["roll"]
+    assert found["largest_pole_radius"] == {"arx": 0.9, "ts": 0.9}
+    assert {o["signal"] for o in found["outside_training"]} == {"u", "y"}
+    assert found["outputs"]["y"]["dependence"]["arx"]["u"]["fails"]
+    assert not found["outputs"]["y"]["dependence"]["ts"]["u"]["fails"]
+    assert found["outputs"]["y"]["coherence"]["u"]["largest"] > 0.8
+    assert any("still follows the input on y (arx)" in c["text"] for c in document["cautions"])
 
 
 def test_equal_input_equal_document() -> None:

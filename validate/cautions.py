@@ -33,12 +33,12 @@ def cautions(
     """At most six, worst first; what holds for several channels is said once."""
     found = [
         caution
-        for rule in (_diverged, _unstable, _extrapolates, _missing_dynamics, _undecided, _few, _feedback)
+        for rule in (_diverged, _unstable, _unexplained, _extrapolates, _missing_dynamics, _undecided, _few)
         for caution in rule(comparisons, diagnoses)
     ]
     found += [
         c
-        for rule in (_not_white, _one_step_flatters, _idle_rules, _unused)
+        for rule in (_feedback, _noisy_start, _not_white, _one_step_flatters, _idle_rules, _unused)
         for c in rule(comparisons, diagnoses)
     ]
     if not any(c.level == "danger" for c in found):
@@ -140,6 +140,48 @@ def _missing_dynamics(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterato
             "Some dynamics are missing.",
             "try more input lags, a higher order or another antecedent variable.",
             1.0 + 0.01 * len(said),
+        )
+
+
+def _unexplained(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    del comparisons
+    said = [
+        out.output.name
+        for d in diagnoses.values()
+        for out in d.outputs
+        if any(s is not None for s in out.responses)
+        and all(s is None or s.largest < 0.5 for s in out.responses)
+    ]
+    if said:
+        yield Caution(
+            "warning",
+            f"At no frequency does any input explain half of {_join(said)} (coherence below 0.5): no model "
+            "from these inputs can follow it.",
+            "excite the command more, look for a missing input or wind, or check the recipe's signals.",
+            4.0,
+        )
+
+
+def _noisy_start(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    del diagnoses
+    said: dict[str, set[str]] = {}
+    for c in comparisons.values():
+        steps = [h for h in c.horizons if h not in (FREE_RUN, "1")]
+        if FREE_RUN not in c.horizons or not steps:
+            continue
+        for output in c.test.outputs:
+            free, ahead = c.entry(output.name, FREE_RUN), c.entry(output.name, steps[0])
+            for name in _heads(c):
+                pair = [e.models[name].scores.rmse for e in (free, ahead)]
+                if pair[1] > 1.2 * pair[0] and pair[1] > pair[0] + free.resolution:
+                    said.setdefault(output.name, set()).add(name)
+    if said:
+        yield Caution(
+            "note",
+            f"Some steps ahead the error is larger than in free run on {_who(said)}: each prediction starts "
+            "from a few raw, noisy samples.",
+            "simulate with these models; to predict, filter the measurement first.",
+            0.9,
         )
 
 

@@ -183,6 +183,11 @@ class Comparison:
 
         return write_report(path, ReportContext.of({self.channel or "channel": self}))
 
+    def _repr_html_(self) -> str:
+        from flysid.validate.tables import to_html
+
+        return str(to_html({self.channel or "channel": self}))
+
     def __str__(self) -> str:
         from flysid.validate.terminal import table
 

@@ -7,17 +7,23 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from flysid.validate.cautions import cautions
 from flysid.validate.compare import Comparison, Entry, ModelScore, Pair
+from flysid.validate.diagnostics import Diagnosis
+from flysid.validate.residuals import Correlation
 
 DOCUMENT_VERSION = 1
 
 
-def to_json(comparisons: Mapping[str, Comparison]) -> dict[str, Any]:
+def to_json(
+    comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagnosis] | None = None
+) -> dict[str, Any]:
     """{"channels": {NAME: {HORIZON: {"models", "change_pct", "ci95", "verdict", ...}, "about": {...}}}}.
 
     A channel with several outputs is listed once per output, as "channel/output". "change_pct", "ci95"
     and "verdict" speak of the contender ("ts" where there is one) against the baseline ("arx"); "pairs" holds
-    every model against the baseline. What is said of a whole channel stands under "about".
+    every model against the baseline. What is said of a whole channel stands under "about";
+    with `diagnoses` there are also "cautions", worst first, and "diagnostics" by channel.
     """
     channels: dict[str, Any] = {}
     about: dict[str, Any] = {}
@@ -27,11 +33,57 @@ def to_json(comparisons: Mapping[str, Comparison]) -> dict[str, Any]:
             key = name if len(outputs) == 1 else f"{name}/{entry.output.name}"
             channels.setdefault(key, {})[entry.horizon] = _entry(entry, comparison)
         about[name] = _about(comparison)
-    return {
+    document: dict[str, Any] = {
         "format": "flysid-validation",
         "version": DOCUMENT_VERSION,
-        "channels": _plain(channels),
-        "about": _plain(about),
+        "channels": channels,
+        "about": about,
+    }
+    if diagnoses is not None:
+        document["cautions"] = [
+            {"level": c.level, "text": c.text, "todo": c.todo} for c in cautions(comparisons, diagnoses)
+        ]
+        document["diagnostics"] = {name: _diagnosis(d, comparisons[name]) for name, d in diagnoses.items()}
+    plain: dict[str, Any] = _plain(document)
+    return plain
+
+
+def _diagnosis(d: Diagnosis, comparison: Comparison) -> dict[str, Any]:
+    inputs = comparison.test.inputs
+    return {
+        "largest_pole_radius": d.pole_radius,
+        "outside_training": [
+            {"signal": o.signal.name, "share": o.share, "low": o.low, "high": o.high} for o in d.outside
+        ],
+        "rule_use": {name: asdict(use) for name, use in d.rule_use.items()},
+        "outputs": {
+            out.output.name: {
+                "whiteness": {name: _correlation(c, comparison.dt_s) for name, c in out.whiteness.items()},
+                "dependence": {
+                    name: {s.name: _correlation(c, comparison.dt_s) for s, c in zip(inputs, cs, strict=True)}
+                    for name, cs in out.dependence.items()
+                },
+                "coherence": {
+                    s.name: None
+                    if r is None
+                    else {"largest": r.largest, "explained_to_hz": r.explained_to_hz}
+                    for s, r in zip(inputs, out.responses, strict=True)
+                },
+            }
+            for out in d.outputs
+        },
+    }
+
+
+def _correlation(c: Correlation, dt_s: float) -> dict[str, Any]:
+    lag, rho = c.peak
+    return {
+        "lags_tested": c.tested,
+        "lags_outside_99": c.outside,
+        "band_99": c.band,
+        "peak": rho,
+        "peak_s": lag * dt_s,
+        "fails": c.fails,
     }
 
 

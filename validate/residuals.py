@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
+import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 
@@ -124,8 +125,20 @@ class Spectrum:
     """
 
     hz: FloatArray
-    response: np.ndarray[tuple[int], np.dtype[np.complex128]]
+    response: npt.NDArray[np.complex128]
     coherence: FloatArray
+
+    @property
+    def largest(self) -> float:
+        """The largest coherence, averaged over three neighbours: one line alone may be chance."""
+        smooth = np.convolve(self.coherence, np.full(3, 1.0 / 3.0), mode="same")
+        return float(smooth.max())
+
+    @property
+    def explained_to_hz(self) -> float | None:
+        """The highest frequency at which the input explains more than half of the output, or None."""
+        known = np.flatnonzero(np.convolve(self.coherence, np.full(3, 1.0 / 3.0), mode="same") > 0.5)
+        return float(self.hz[known[-1]]) if len(known) else None
 
 
 def spectrum(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: float) -> Spectrum | None:

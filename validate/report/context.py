@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from flysid.dataset import Dataset
 from flysid.validate.compare import Comparison
+from flysid.validate.diagnostics import Diagnosis, diagnose
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,11 @@ class ReportContext:
     command: str = ""
     provenance: Mapping[str, str] = field(default_factory=dict)
     remark: str = ""
+
+    @cached_property
+    def diagnoses(self) -> dict[str, Diagnosis]:
+        """Tests of every channel on its held-out data; made once."""
+        return {name: diagnose(c, self.train.get(name)) for name, c in self.comparisons.items()}
 
     @classmethod
     def of(cls, comparisons: Mapping[str, Comparison]) -> ReportContext:

@@ -24,7 +24,7 @@ import flysid
 from flysid.errors import StoreError
 from flysid.validate.cautions import cautions
 from flysid.validate.compare import Comparison, Pair
-from flysid.validate.diagnostics import Diagnosis, diagnose
+from flysid.validate.diagnostics import Diagnosis
 from flysid.validate.report import narrative
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.figures import interval_bar
@@ -75,7 +75,7 @@ def write_report(path: str | Path, context: ReportContext) -> Path:
 def render(context: ReportContext) -> str:
     """The page; equal contexts give equal pages."""
     comparisons = context.comparisons
-    diagnoses = {name: diagnose(c, context.train.get(name)) for name, c in comparisons.items()}
+    diagnoses = context.diagnoses
     parts = _sections(context, diagnoses)
     pairs = narrative.heads(comparisons)
     styles = _asset("uPlot.min.css") + "\n" + _asset("page.css")

@@ -1,0 +1,72 @@
+"""Markdown, CSV and notebook tables: complete, and harmless with hostile names."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import replace
+
+import pytest
+
+from flysid.dataset import Signal
+from flysid.validate.compare import Comparison, compare
+from flysid.validate.tables import to_csv, to_html, to_markdown
+from tests.fakes import FirstOrder, flown
+
+EVIL = "=cmd|' /C calc'!A1\n<b>|`x`"
+
+
+def compared(name: str = "roll") -> Comparison:
+    signals = (Signal(name, "m/s"),)
+    arx = FirstOrder(b=0.07, outputs=signals)
+    ts = FirstOrder(structure="ts", outputs=signals)
+    return compare([arx, ts], replace(flown(ts, [300] * 5, noise=0.02), outputs=signals, name=name))
+
+
+def test_csv_holds_every_segment_and_reads_back() -> None:
+    c = compared()
+    rows = list(csv.DictReader(io.StringIO(to_csv({"roll": c}))))
+    assert len(rows) == 3 * 2 * (1 + 5)
+    (pooled,) = [r for r in rows if (r["horizon"], r["model"], r["segment"]) == ("free_run", "ts", "")]
+    assert float(pooled["rmse"]) == c.entry().models["ts"].scores.rmse
+    assert float(pooled["change_pct"]) == c.verdict["roll"].change_pct
+    assert pooled["verdict"] == "better"
+
+
+def test_csv_cells_are_no_formulas() -> None:
+    for row in csv.reader(io.StringIO(to_csv({EVIL: compared(EVIL)}))):
+        assert len(row) == 21
+        for cell in row:
+            assert not cell.startswith(("=", "@"))
+            assert not cell.startswith("+") or float(cell)
+            assert not cell.startswith("-") or float(cell)
+
+
+def test_markdown_is_one_table_whatever_the_names() -> None:
+    calm = to_markdown({"roll": compared()}).splitlines()
+    assert calm[2].startswith("| roll | free run | ts | 0.0")
+    evil = to_markdown({EVIL: compared(EVIL)})
+    assert len(evil.splitlines()) == len(calm)
+    assert "<b>" not in evil
+    for line in evil.splitlines():
+        assert line.replace("\\|", "").count("|") == 10
+
+
+def test_notebook_table_escapes() -> None:
+    html = str(to_html({EVIL: compared(EVIL)}))
+    assert "<b>" not in html
+    assert html.count("<tr>") == 7
+    assert compared()._repr_html_().startswith("<table>")
+
+
+def test_percentages_of_hopeless_models_stay_short() -> None:
+    wild = FirstOrder(a=1.2, b=0.07, limit=1e6, structure="ts")
+    text = to_markdown({"x": compare([FirstOrder(), wild], flown(FirstOrder(), [300] * 5, noise=0.02))})
+    assert "< −999" in text
+    assert "diverged" in text
+
+
+@pytest.mark.parametrize("function", [to_csv, to_markdown, to_html])
+def test_nothing_compared_is_an_empty_table(function: object) -> None:
+    assert callable(function)
+    assert len(str(function({})).splitlines()) <= 2

@@ -1,0 +1,138 @@
+"""Comparisons as Markdown for a pull request, CSV for a spreadsheet, and a table for a notebook.
+
+Names come from logs: Markdown's signs are escaped, and a CSV cell that a spreadsheet would run as a formula
+(=, +, -, @ at its start) gets a leading apostrophe, except numbers.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+from markupsafe import Markup
+
+from flysid.validate.compare import Comparison, Entry, Pair
+from flysid.validate.metrics import Scores
+from flysid.validate.terminal import verdict_words
+from flysid.validate.words import (
+    change_words,
+    horizon_words,
+    interval_words,
+    number,
+    one_line,
+    percentage,
+)
+
+CSV_HEADER = (
+    "channel", "output", "unit", "horizon", "model", "segment", "flight", "n", "rmse", "mae", "worst", "bias",
+    "fit_pct", "vaf_pct", "r2", "diverged_s", "change_pct", "ci95_low", "ci95_high", "p_holm", "verdict",
+)  # fmt: skip
+
+
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+Cell = str | float | int | None
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One model of one entry, in the order of its error."""
+
+    channel: str
+    entry: Entry
+    model: str
+    pair: Pair | None
+    dt_s: float
+
+
+def _ranked(comparisons: Mapping[str, Comparison]) -> Iterator[_Row]:
+    for channel, c in comparisons.items():
+        for entry in c.entries:
+            several = len(c.test.outputs) > 1
+            label = f"{channel}/{entry.output.name}" if several else channel
+            for model in sorted(entry.models, key=lambda m: entry.models[m].scores.rmse):
+                yield _Row(label, entry, model, entry.pairs.get(model), c.dt_s)
+
+
+def to_markdown(comparisons: Mapping[str, Comparison]) -> str:
+    """A table of every model at every horizon, the best first; GitHub's dialect, ends with a line break."""
+    lines = [
+        "| channel | horizon | model | RMSE | fit % | VAF % | change in RMSE | 95 % | verdict |",
+        "|---|---|---|---:|---:|---:|---:|---|---|",
+    ]
+    lines += [f"| {' | '.join(_cells(row, _escape))} |" for row in _ranked(comparisons)]
+    return "\n".join(lines) + "\n"
+
+
+def _cells(row: _Row, escape: Callable[[str], str]) -> list[str]:
+    """The nine cells of a row as text."""
+    s = row.entry.models[row.model].scores
+    unit = f" {escape(row.entry.output.unit)}" if row.entry.output.unit else ""
+    return [
+        escape(row.channel),
+        horizon_words(row.entry.horizon, row.dt_s),
+        escape(row.model),
+        number(s.rmse) + unit,
+        percentage(s.fit_pct),
+        percentage(s.vaf_pct),
+        change_words(row.pair) if row.pair else "",
+        interval_words(row.pair) if row.pair else "",
+        escape(verdict_words(row.pair.verdict, row.pair.model)) if row.pair else "baseline",
+    ]
+
+
+def _escape(name: str) -> str:
+    return re.sub(r"([\\`*_{}\[\]()#+!|<>~&$@-])", r"\\\1", one_line(name))
+
+
+def to_csv(comparisons: Mapping[str, Comparison]) -> str:
+    """One row per model, horizon and segment; before them one for all segments, whose segment is empty."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(CSV_HEADER)
+    for row in _ranked(comparisons):
+        score = row.entry.models[row.model]
+        head = [row.channel, row.entry.output.name, row.entry.output.unit, row.entry.horizon, row.model]
+        first = min((s.diverged_s for s in score.diverged if s.diverged_s is not None), default=None)
+        writer.writerow(_safe([*head, "", "", *_numbers(score.scores), first, *_judged(row.pair)]))
+        for s in score.segments:
+            where: list[Cell] = [s.segment + 1, s.flight]
+            writer.writerow(_safe([*head, *where, *_numbers(s.scores), s.diverged_s, *_judged(None)]))
+    return out.getvalue()
+
+
+def _numbers(s: Scores) -> list[Cell]:
+    return [s.n, s.rmse, s.mae, s.worst, s.bias, s.fit_pct, s.vaf_pct, s.r2]
+
+
+def _judged(pair: Pair | None) -> list[Cell]:
+    if pair is None:
+        return [""] * 5
+    low, high = pair.ci95 or (None, None)
+    return [pair.change_pct, low, high, pair.p_holm, str(pair.verdict)]
+
+
+def _safe(cells: list[Cell]) -> list[Cell]:
+    return [
+        "'" + one_line(c)
+        if isinstance(c, str) and c[:1] in FORMULA
+        else one_line(c)
+        if isinstance(c, str)
+        else c
+        for c in cells
+    ]
+
+
+def to_html(comparisons: Mapping[str, Comparison]) -> Markup:
+    """A plain table for a notebook."""
+    heads = ("channel", "horizon", "model", "RMSE", "fit %", "VAF %", "change", "95 %", "verdict")
+    head = Markup("").join(Markup("<th>{}</th>").format(h) for h in heads)
+    body = Markup("").join(
+        Markup("<tr>{}</tr>").format(
+            Markup("").join(Markup("<td>{}</td>").format(c) for c in _cells(row, one_line))
+        )
+        for row in _ranked(comparisons)
+    )
+    return Markup("<table><thead><tr>{}</tr></thead><tbody>{}</tbody></table>").format(head, body)
