@@ -6,7 +6,7 @@ A manoeuvre is a function (time_s, amplitudes, rng) -> (N, 3) of theta_in (deg),
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,11 +25,11 @@ PULSE_S = (1.0, 3.0, 0.7)
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """A named command; `scale` multiplies the amplitudes of the plan."""
+    """A named command; `scale` multiplies the gentle amplitudes, loop by loop."""
 
     name: str
     command: Command
-    scale: float = 1.0
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
 def _same_on_all(signal: Callable[[FloatArray], FloatArray]) -> Command:
@@ -95,6 +95,10 @@ PRBS = Manoeuvre("prbs", _held(manoeuvres.prbs))
 STEPS = Manoeuvre("steps", _held(manoeuvres.amplitude_steps))
 PILOT = Manoeuvre("pilot", _pilot)
 
+# As far as the AR.Drone's factory settings allow: 12 degrees of tilt, 1 m/s of climb.
+BOLD = (2.4, 2.4, 1.25)
+DEMO = tuple(replace(m, scale=BOLD) for m in (STEPS, PILOT, MULTISINE, STEPS, PILOT, MULTISINE))
+
 PLANS: Mapping[str, tuple[Manoeuvre, ...]] = {
     "paper": (TRAINING, VALIDATION),
     "paper-training": (TRAINING,),
@@ -106,6 +110,7 @@ PLANS: Mapping[str, tuple[Manoeuvre, ...]] = {
     "prbs": (PRBS,),
     "steps": (STEPS,),
     "pilot": (PILOT,),
+    "demo": DEMO,
     "mixed": (MULTISINE, DOUBLETS, MULTISINE, STEPS, PULSES_3211, PILOT),
 }
 

@@ -1,4 +1,4 @@
-"""Fly plants through flight plans, and turn the flights into recordings that the writers take.
+"""Fly vehicles through flight plans, and turn the flights into recordings that the writers take.
 
 Everything is fixed by the seed, times included: flights start at `EPOCH_NS`, ten minutes apart, so that the
 same command writes the same bytes on every day.
@@ -14,20 +14,31 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.ingest.plans import GENTLE, Manoeuvre, plan_named
-from flysid.ingest.plants import LOOPS, fly
+from flysid.ingest.sensors import SENSORS, Sensor, observe, velocity_sensor
 from flysid.ingest.telemetry import MS_NS, SECOND_NS, Recording, Series
-from flysid.ingest.write_mcap import mcap_bytes
-from flysid.ingest.write_tlog import tlog_bytes
+from flysid.ingest.vehicles import VEHICLES, Air
 
 EPOCH_NS = 1_767_225_600 * SECOND_NS  # 2026-01-01T00:00:00Z
 APART_NS = 600 * SECOND_NS
 TAKE_OFF_NS = 12 * SECOND_NS  # vehicle time of the first sample: boot, arm, climb
-PERIOD_NS = 20 * MS_NS  # 50 Hz
-ATTITUDE_LAG_S = 0.12
+PERIOD_NS = 20 * MS_NS  # commands go out at 50 Hz
+
+
+def _write_tlog(recording: Recording) -> bytes:
+    from flysid.ingest.write_tlog import tlog_bytes
+
+    return tlog_bytes(recording)
+
+
+def _write_mcap(recording: Recording) -> bytes:
+    from flysid.ingest.write_mcap import mcap_bytes
+
+    return mcap_bytes(recording)
+
 
 WRITERS: Mapping[str, tuple[str, Callable[[Recording], bytes]]] = {
-    "tlog": (".tlog", tlog_bytes),
-    "mcap": (".mcap", mcap_bytes),
+    "tlog": (".tlog", _write_tlog),
+    "mcap": (".mcap", _write_mcap),
 }
 
 
@@ -37,13 +48,16 @@ class Order:
 
     Attributes
     ----------
-    plant : "ardrone-linear".
+    plant : a name of `vehicles.VEHICLES`.
     plan : a name of `plans.PLANS`.
     duration_s : of each flight.
-    noise : standard deviation of the velocities' measurement noise, m/s.
-    seed : fixes signals, noise and jitter.
+    noise : standard deviation of the velocities' noise, m/s, of the sensor "telemetry".
+    seed : fixes signals, noise, wind, dispersion and jitter.
     amplitude : multiplies the plan's amplitudes (the paper's own signals keep theirs).
     dropouts_s : (start, length) of silent stretches of the link, seconds from the first sample.
+    sensor : a name of `sensors.SENSORS`.
+    wind_m_s : steady wind with its turbulence, for plants that feel it.
+    fleet : number of vehicles; from the second on their parameters are dispersed.
     """
 
     plant: str = "ardrone-linear"
@@ -53,10 +67,15 @@ class Order:
     seed: int = 1
     amplitude: float = 1.0
     dropouts_s: tuple[tuple[float, float], ...] = ()
+    sensor: str = "telemetry"
+    wind_m_s: float = 0.0
+    fleet: int = 1
 
     def __post_init__(self) -> None:
-        if self.plant not in VEHICLES:
-            raise UsageError(f"no plant {self.plant!r}", hint="one of " + ", ".join(VEHICLES))
+        for kind, name, known in (("plant", self.plant, VEHICLES), ("sensor", self.sensor, SENSORS)):
+            if name not in known:
+                raise UsageError(f"no {kind} {name!r}", hint="one of " + ", ".join(known))
+        plan_named(self.plan)
         if not 1.0 <= self.duration_s <= 86400.0:
             raise UsageError(f"a flight of {self.duration_s:g} s", hint="between 1 s and 86400 s")
         if not (0.0 <= self.noise < np.inf and 0.0 < self.amplitude < np.inf):
@@ -65,81 +84,60 @@ class Order:
             raise UsageError(
                 "seeds and the starts of drop-outs must not be negative, lengths must be positive"
             )
+        if not 1 <= self.fleet <= 250:
+            raise UsageError(f"a fleet of {self.fleet}", hint="1 to 250 vehicles")
+        if self.wind_m_s and not VEHICLES[self.plant].feels_wind:
+            raise UsageError(f"the plant {self.plant!r} does not feel wind", hint="--plant ardrone")
 
 
 def flight_names(order: Order) -> list[str]:
-    """The names of the order's flights: number in the plan, manoeuvre, seed."""
+    """The names of the order's flights: vehicle (in a fleet), number in the plan, manoeuvre, seed."""
+    plan = plan_named(order.plan)
     return [
-        f"{i:02d}-{manoeuvre.name}-seed{order.seed}"
-        for i, manoeuvre in enumerate(plan_named(order.plan), start=1)
+        (f"v{vehicle + 1:03d}-" if order.fleet > 1 else "") + f"{i:02d}-{manoeuvre.name}-seed{order.seed}"
+        for vehicle in range(order.fleet)
+        for i, manoeuvre in enumerate(plan, start=1)
     ]
 
 
 def flights(order: Order) -> list[Recording]:
-    """Fly every manoeuvre of the plan."""
-    return [fly_one(order, index) for index in range(len(plan_named(order.plan)))]
+    """Fly the whole order, one flight after the other."""
+    return [fly_one(order, index) for index in range(len(flight_names(order)))]
 
 
 def fly_one(order: Order, index: int) -> Recording:
-    """Fly one manoeuvre of the plan; independent of the others, so flights can be flown in any order."""
-    manoeuvre = plan_named(order.plan)[index]
+    """Fly one flight of the order; independent of the others, so they can be flown in any order."""
+    plan = plan_named(order.plan)
+    vehicle, manoeuvre = index // len(plan), plan[index % len(plan)]
     rng = np.random.default_rng([order.seed, index])
-    time_s = np.arange(round(order.duration_s / (PERIOD_NS * 1e-9)), dtype=np.float64) * (PERIOD_NS * 1e-9)
+    period_s = PERIOD_NS * 1e-9
+    time_s = np.arange(round(order.duration_s / period_s), dtype=np.float64) * period_s
     command = commands(order, manoeuvre, time_s, rng)
-    truth = VEHICLES[order.plant](command, PERIOD_NS * 1e-9)
     time_ns = TAKE_OFF_NS + PERIOD_NS * np.arange(len(time_s), dtype=np.int64)
+    air = Air(order.wind_m_s, np.random.default_rng([order.seed, index, 1]), vehicle, order.seed)
+    truth = VEHICLES[order.plant].fly(command, period_s, air)
     return Recording(
         name=flight_names(order)[index],
         boot_utc_ns=EPOCH_NS + index * APART_NS,
         command=Series(time_ns, dict(zip(("theta_in", "phi_in", "vz_in"), command.T, strict=True))),
-        state=Series(time_ns, measured(truth, order.noise, rng)),
+        state=observe(Series(time_ns, truth), sensor_of(order), rng),
         truth=Series(time_ns, truth),
         seed=order.seed * 1000 + index,
         lost=tuple(_interval_ns(start, length) for start, length in order.dropouts_s),
+        system=vehicle + 1,
     )
+
+
+def sensor_of(order: Order) -> Sensor:
+    """The order's sensor; telemetry has the noise that was asked for."""
+    telemetry = order.sensor == "telemetry"
+    return velocity_sensor(50.0, order.noise) if telemetry else SENSORS[order.sensor]
 
 
 def commands(order: Order, manoeuvre: Manoeuvre, time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     """(N, 3) theta_in (deg), phi_in (deg), vz_in (m/s)."""
-    size = order.amplitude * manoeuvre.scale
-    return manoeuvre.command(time_s, (GENTLE[0] * size, GENTLE[1] * size, GENTLE[2] * size), rng)
-
-
-def fly_linear(command: FloatArray, dt_s: float) -> dict[str, FloatArray]:
-    """The plants (10), (11), (12), from rest, uncoupled.
-
-    Tilt is not part of those equations; it follows the command with a first-order lag of 0.12 s, so that the
-    attitude messages have something to say. Position is the integral of velocity (trapezoidal).
-    """
-    truth = {loop.output: fly(loop, u, dt_s) for loop, u in zip(LOOPS.values(), command.T, strict=True)}
-    keep = np.exp(-dt_s / ATTITUDE_LAG_S)
-    truth |= {name: _lagged(u, keep) for name, u in zip(("theta", "phi"), command.T, strict=False)}
-    truth["psi"] = np.zeros(len(command))
-    for axis in "xyz":
-        v = truth[f"v{axis}"]
-        truth[axis] = np.concatenate([[0.0], np.cumsum((v[1:] + v[:-1]) * dt_s / 2)])
-    return truth
-
-
-VEHICLES: Mapping[str, Callable[[FloatArray, float], dict[str, FloatArray]]] = {"ardrone-linear": fly_linear}
-
-
-def measured(
-    truth: Mapping[str, FloatArray], noise: float, rng: np.random.Generator
-) -> dict[str, FloatArray]:
-    """What the sensors say: white noise on the velocities; position and tilt are taken as exact."""
-    return {
-        name: values + noise * rng.standard_normal(len(values)) if name in ("vx", "vy", "vz") else values
-        for name, values in truth.items()
-    }
-
-
-def _lagged(u: FloatArray, keep: float) -> FloatArray:
-    """x[k+1] = keep x[k] + (1 - keep) u[k], from rest."""
-    x = np.zeros(len(u))
-    for k in range(len(u) - 1):
-        x[k + 1] = keep * x[k] + (1.0 - keep) * u[k]
-    return x
+    theta, phi, climb = (order.amplitude * s * g for s, g in zip(manoeuvre.scale, GENTLE, strict=True))
+    return manoeuvre.command(time_s, (theta, phi, climb), rng)
 
 
 def _interval_ns(start_s: float, length_s: float) -> tuple[int, int]:

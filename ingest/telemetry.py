@@ -53,6 +53,7 @@ class Recording:
     truth : the same without sensor errors.
     seed : of the link's jitter.
     lost : [start, end) vehicle times in nanoseconds during which nothing reached the recorder.
+    system : the vehicle's number in its fleet.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Recording:
     truth: Series
     seed: int = 0
     lost: tuple[tuple[int, int], ...] = ()
+    system: int = 1
 
 
 def heard(recording: Recording, time_ns: IntArray) -> BoolArray:

@@ -3,7 +3,8 @@
 Layout: for every message 8 bytes of big-endian microseconds (UTC of arrival at the ground), then the frame as
 it came over the link. Vehicle time travels as time_boot_ms, so sources are sampled at whole milliseconds.
 
-Signs (FRD body, NED local frame, heading 0): nose-up pitch = -theta, roll = phi, vx = vx, vy = vy, vz = -vz.
+Signs (FRD body, NED local frame): nose-up pitch = -theta, roll = phi, yaw = psi, down = -z; the recording's
+velocities are along the heading and are turned north and east.
 Commanded tilt is ATTITUDE_TARGET.q (w, x, y, z), the commanded climb SET_POSITION_TARGET_LOCAL_NED.vz.
 """
 
@@ -18,7 +19,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.ingest.telemetry import MS_NS, SECOND_NS, Recording, Series, arrival_utc_ns, heard
 
-SYSTEM, COMPONENT = 1, 1
+COMPONENT = 1
 ONLY_ATTITUDE = 0b00000111  # ATTITUDE_TARGET: body rates are to be ignored
 ONLY_VZ = 0b0000_1101_1101_1111  # SET_POSITION_TARGET: everything but vz is to be ignored
 HOVER_THRUST = 0.5
@@ -38,7 +39,7 @@ def tlog_bytes(recording: Recording) -> bytes:
     order = np.lexsort((kind, due))
     due, kind, row = due[order], kind[order], row[order]
     arrival_us = arrival_utc_ns(recording, due) // 1000
-    link = common.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
+    link = common.MAVLink(None, srcSystem=recording.system, srcComponent=COMPONENT)
     pieces = []
     for i in np.flatnonzero(heard(recording, due)).tolist():
         link.seq = i & 0xFF
@@ -55,7 +56,7 @@ def _sources(recording: Recording) -> list[tuple[Any, Encoder]]:
     return [
         (beats, _heartbeat),
         (command.time_ns, _attitude_target(command)),
-        (command.time_ns, _climb_target(command)),
+        (command.time_ns, _climb_target(command, recording.system)),
         (state.time_ns, _attitude(state)),
         (state.time_ns, _local_position(state)),
     ]
@@ -85,7 +86,7 @@ def _attitude_target(command: Series) -> Encoder:
     return encode
 
 
-def _climb_target(command: Series) -> Encoder:
+def _climb_target(command: Series, system: int) -> Encoder:
     from pymavlink.dialects.v20 import common
 
     time_ms, down = command.time_ns // MS_NS, -command["vz_in"]
@@ -94,7 +95,7 @@ def _climb_target(command: Series) -> Encoder:
     def encode(link: Any, k: int) -> Message:
         velocity = (0.0, 0.0, float(down[k]))
         return link.set_position_target_local_ned_encode(
-            int(time_ms[k]), SYSTEM, COMPONENT, frame, ONLY_VZ, *(0.0,) * 3, *velocity, *(0.0,) * 5
+            int(time_ms[k]), system, COMPONENT, frame, ONLY_VZ, *(0.0,) * 3, *velocity, *(0.0,) * 5
         )
 
     return encode
@@ -113,7 +114,9 @@ def _attitude(state: Series) -> Encoder:
 
 def _local_position(state: Series) -> Encoder:
     time_ms = state.time_ns // MS_NS
-    ned = np.column_stack([state["x"], state["y"], -state["z"], state["vx"], state["vy"], -state["vz"]])
+    c, s = np.cos(np.radians(state["psi"])), np.sin(np.radians(state["psi"]))
+    north, east = c * state["vx"] - s * state["vy"], s * state["vx"] + c * state["vy"]
+    ned = np.column_stack([state["x"], state["y"], -state["z"], north, east, -state["vz"]])
 
     def encode(link: Any, k: int) -> Message:
         return link.local_position_ned_encode(int(time_ms[k]), *ned[k].tolist())

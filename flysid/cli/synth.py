@@ -23,7 +23,8 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     if not wanted:
         return
     from flysid.ingest.plans import PLANS
-    from flysid.ingest.synth import VEHICLES, WRITERS
+    from flysid.ingest.synth import WRITERS
+    from flysid.ingest.vehicles import VEHICLES
 
     for kind, names in (("plant", VEHICLES), ("plan", PLANS), ("format", WRITERS)):
         for name in names:
