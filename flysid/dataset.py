@@ -9,12 +9,18 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from flysid import tabular
 from flysid.errors import DataError, UsageError
 from flysid.split import By, Split, plan_split
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -173,6 +179,26 @@ class Dataset:
     ) -> tuple[Dataset, Dataset]:
         """(train, test) by whole flights or by blocks of time, never by sample; see `plan_split`."""
         return self.plan_split(holdout=holdout, by=by, seed=seed, guard_s=guard_s).apply(self)
+
+    def __arrow_c_stream__(self, requested_schema: object = None) -> object:
+        """The Arrow stream protocol: one row per sample; see `flysid.tabular`."""
+        return tabular.table_of(self).__arrow_c_stream__(requested_schema)
+
+    def to_arrow(self) -> pa.Table:
+        """A pyarrow.Table, one row per sample, units in the columns' metadata."""
+        return tabular.table_of(self)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A pandas.DataFrame, one row per sample: flight, segment, time_ns, marks, then the signals."""
+        return tabular.table_of(self).to_pandas()
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset over `sample`, units as attributes; needs xarray."""
+        return tabular.xarray_of(self)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: signals, and a bar per flight with the lost time left white."""
+        return tabular.html_of(self)
 
     def content_hash(self) -> str:
         """sha256 over sample time, signals and all samples: equal data, equal hash."""

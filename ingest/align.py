@@ -8,7 +8,7 @@ conditions) hold is there a segment; short ones are dropped and counted.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import Dataset, Segment, Signal
+from flysid.datasetfile import write_dataset
 from flysid.errors import DataError, RecipeError
 from flysid.flight import Flight
 from flysid.ingest import resample
@@ -62,16 +63,10 @@ def align(flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel:
     RecipeError : no such channel; no flight has the streams; a unit is missing.
     DataError : no segment is long enough, or an input or output never changes.
     """
-    recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
-    job = _Job(recipe, channel, {name: recipe.signals[name] for name in recipe.signals_of(channel)})
-    logs = [FlightLog(f) if isinstance(f, Flight) else f for f in flights]
-    usable = [log for log in logs if job.absent(log) is None]
-    if not usable:
-        raise job.nothing_found(logs)
-    dt_ns = job.sample_time_ns(usable)
+    job, logs, dt_ns = _prepare(flights, recipe, channel)
     parts = [job.align_log(log, dt_ns) for log in logs]
     segments = tuple(s for _, found, _ in parts for s in found)
-    report = AlignReport(recipe.name, channel, 1e9 / dt_ns, tuple(part for part, _, _ in parts))
+    report = AlignReport(job.recipe.name, channel, 1e9 / dt_ns, tuple(part for part, _, _ in parts))
     if not segments:
         raise _too_short(report, job.min_samples(dt_ns))
     aligned = Dataset(
@@ -83,6 +78,43 @@ def align(flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel:
     )
     check_excitation(aligned)
     return Aligned(aligned, replace(report, cautions=_cautions(aligned)))
+
+
+def align_to_file(
+    path: str | Path, flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel: str
+) -> AlignReport:
+    """As `align`, but the segments go to a dataset file, one flight in memory at a time.
+
+    Raises as `align`, except that inputs which never move are written too; and UsageError, WriteError.
+    """
+    job, logs, dt_ns = _prepare(flights, recipe, channel)
+    first = next(log for log in logs if job.absent(log) is None)
+    steps = {n: load_signal(n, spec, first).resolution for n, spec in job.specs.items()}
+    signals = (job.signals_as(names, [steps]) for names in (job.inputs, job.outputs))
+    head = Dataset(dt_ns / 1e9, *signals, segments=(), name=channel)
+    reports: list[FlightReport] = []
+
+    def segments() -> Iterator[Segment]:
+        for log in logs:
+            report, found, _ = job.align_log(log, dt_ns)
+            reports.append(report)
+            yield from found
+
+    write_dataset(path, head, segments())
+    return AlignReport(job.recipe.name, channel, 1e9 / dt_ns, tuple(reports))
+
+
+def _prepare(
+    flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel: str
+) -> tuple[_Job, list[Log], int]:
+    """The job, the logs and the sample time in ns."""
+    recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
+    job = _Job(recipe, channel, {name: recipe.signals[name] for name in recipe.signals_of(channel)})
+    logs = [FlightLog(f) if isinstance(f, Flight) else f for f in flights]
+    usable = [log for log in logs if job.absent(log) is None]
+    if not usable:
+        raise job.nothing_found(logs)
+    return job, logs, job.sample_time_ns(usable)
 
 
 def check_excitation(data: Dataset) -> None:

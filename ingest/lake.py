@@ -12,8 +12,9 @@ import pyarrow as pa
 from flysid.dataset import Dataset
 from flysid.errors import DataError, RecipeError, UsageError
 from flysid.flight import Flight
-from flysid.ingest.align import Aligned, align
+from flysid.ingest.align import Aligned, align, align_to_file
 from flysid.ingest.recipe import Recipe, load_recipe, shipped_recipes
+from flysid.ingest.report import AlignReport
 from flysid.ingest.signals import find_source
 from flysid.ingest.suggest import Suggestion, suggest
 from flysid.manifest import FLIGHTS, Manifest, check_data_folder, find_flight, list_flights
@@ -90,6 +91,10 @@ class Lake:
     def dataset(self, recipe: Recipe | str | Path, channel: str) -> Dataset:
         """The dataset of a channel; raises as `flysid.ingest.align.align`."""
         return self.align(recipe, channel).dataset
+
+    def write(self, recipe: Recipe | str | Path, channel: str, path: str | Path) -> AlignReport:
+        """The dataset of a channel into a parquet file, in bounded memory; see `align_to_file`."""
+        return align_to_file(path, self.logs, _as_recipe(recipe), channel)
 
     def datasets(self, recipe: Recipe | str | Path) -> dict[str, Dataset]:
         """Datasets of all channels of a recipe that the flights can serve.

@@ -6,6 +6,7 @@ import pyarrow as pa
 import pytest
 
 import flysid
+from flysid.datasetfile import open_dataset
 from flysid.errors import DataError, RecipeError, UsageError
 from flysid.flight import Source, field_metadata
 from flysid.ingest.base import StreamPart, Summary
@@ -80,3 +81,11 @@ def test_what_is_not_there_is_said(folder: Path, tmp_path: Path) -> None:
         flysid.open(tmp_path / "empty")
     with pytest.raises(RecipeError, match="no flights"):
         flysid.open(create_data_folder(tmp_path / "new")).dataset("ardupilot-attitude", "roll")
+
+
+def test_a_dataset_goes_to_disk_flight_by_flight(folder: Path, tmp_path: Path) -> None:
+    lake = flysid.open(folder)
+    report = lake.write("ardupilot-attitude", "pitch", tmp_path / "pitch.parquet")
+    opened = open_dataset(tmp_path / "pitch.parquet")
+    assert opened.read().content_hash() == lake.dataset("ardupilot-attitude", "pitch").content_hash()
+    assert report.used_s == pytest.approx(sum(len(s) - 1 for s in opened) * opened.dt_s)
