@@ -132,6 +132,6 @@ def as_json(strip: Strip, label: str) -> dict[str, Any]:
         "errors": [rounded(error) for error in strip.errors],
         "range": list(vertical(strip)),
         "error_range": list(error_range(strip)),
-        "input_range": list(span(strip.u)),
+        "input_range": list(span(strip.u, pad=0.1)),
         "runs": [[round(a, 3), round(b, 3), r] for a, b, r in strip.runs],
     }

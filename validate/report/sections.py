@@ -227,13 +227,14 @@ def _rule_rows(model: Fitted, j: int, signal: int) -> tuple[RuleRow, ...]:
 def _rule_row(rule: Rule, css: str, j: int, signal: int) -> RuleRow:
     gain = float(np.asarray(rule.dc_gain)[j, signal])
     tau = rule.time_constant_s
+    without = "unstable" if rule.pole_radius > 1.0 + 1e-6 else ""
     return RuleRow(
         label=one_line(rule.label),
         css=css,
         condition=_typeset(rule.condition),
         conclusion=_typeset(rule.conclusion),
-        gain=number(gain) if np.isfinite(gain) else "integrates",
-        time_constant=f"{number(tau)} s" if np.isfinite(tau) else "integrates",
+        gain=without or (number(gain) if np.isfinite(gain) else "integrates"),
+        time_constant=without or (f"{number(tau)} s" if np.isfinite(tau) else "integrates"),
         pole=f"{rule.pole_radius:.4f}",
         used=float(np.clip(rule.support, 0.0, 1.0)),
     )

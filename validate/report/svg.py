@@ -44,7 +44,7 @@ class Axes:
     def py(self, y: FloatArray | float) -> FloatArray:
         low, high = self.y
         share = (np.asarray(y, dtype=np.float64) - low) / (high - low)
-        return self.top + self.height * (1.0 - np.clip(share, -0.2, 1.2))
+        return self.top + self.height * (1.0 - np.clip(share, 0.0, 1.0))
 
     @property
     def bottom(self) -> float:
@@ -113,8 +113,7 @@ def frame(
         y = float(axes.py(value))
         parts.append(segment(axes.left, y, axes.right, y, "grid"))
         parts.append(text(axes.left - 6, y + 3.5, tick_text(value), anchor="end"))
-    where = log_ticks(*axes.x) if axes.log_x else ticks(*axes.x, count=max(2, int(axes.width / 70)))
-    for value in where:
+    for value in log_ticks(*axes.x) if axes.log_x else _spaced_ticks(axes):
         x = float(axes.px(value))
         parts.append(segment(x, axes.top, x, axes.bottom, "grid"))
         if x_ticks:
@@ -126,13 +125,25 @@ def frame(
     return Markup("").join(parts)
 
 
+def _spaced_ticks(axes: Axes) -> list[float]:
+    """As many ticks of the x axis as their labels leave room for."""
+    for count in range(max(2, int(axes.width / 70)), 1, -1):
+        found = ticks(*axes.x, count=count)
+        longest = max((len(tick_text(t)) for t in found), default=1)
+        if len(found) * (6.5 * longest + 12) <= axes.width:
+            return found
+    return found[:1]
+
+
 def segment(x1: float, y1: float, x2: float, y2: float, css: str) -> Markup:
     """A straight line in pixels."""
     return Markup('<path d="M{} {}L{} {}" class="{}"/>').format(_n(x1), _n(y1), _n(x2), _n(y2), css)
 
 
 def line(axes: Axes, x: FloatArray, y: FloatArray, css: str) -> Markup:
-    """A polyline in data coordinates, broken where a value is not finite."""
+    """A polyline in data coordinates, broken where a value is not finite or outside the axes."""
+    margin = 0.02 * (axes.y[1] - axes.y[0])
+    y = np.where((y >= axes.y[0] - margin) & (y <= axes.y[1] + margin), y, np.nan)
     return Markup('<path d="{}" class="{}"/>').format(_path(axes.px(x), axes.py(y)), css)
 
 

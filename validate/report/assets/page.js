@@ -8,6 +8,10 @@
     return getComputedStyle(root).getPropertyValue("--" + name).trim();
   }
 
+  function plain(value) {
+    return value === null ? "" : String(+value.toPrecision(9)).replace("-", "\u2212");
+  }
+
   function series(label, css, dash, width) {
     return { label: label, stroke: function () { return colour(css); }, width: width, dash: dash, points: { show: false } };
   }
@@ -17,7 +21,7 @@
     var grid = { stroke: function () { return colour("grid"); }, width: 1 };
     return [
       { stroke: ink, grid: grid, ticks: { show: false }, size: showTime ? 40 : 8, values: showTime ? undefined : function (u, v) { return v.map(function () { return ""; }); }, label: showTime ? "time, s" : undefined, labelSize: 16, font: "11px system-ui", labelFont: "11px system-ui" },
-      { stroke: ink, grid: grid, ticks: { show: false }, size: 44, font: "11px system-ui" }
+      { stroke: ink, grid: grid, ticks: { show: false }, size: 56, font: "11px system-ui", values: function (u, v) { return v.map(plain); } }
     ];
   }
 
