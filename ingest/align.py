@@ -90,8 +90,8 @@ def align_to_file(
     job, logs, dt_ns = _prepare(flights, recipe, channel)
     first = next(log for log in logs if job.absent(log) is None)
     steps = {n: load_signal(n, spec, first).resolution for n, spec in job.specs.items()}
-    signals = (job.signals_as(names, [steps]) for names in (job.inputs, job.outputs))
-    head = Dataset(dt_ns / 1e9, *signals, segments=(), name=channel)
+    inputs, outputs = job.signals_as(job.inputs, [steps]), job.signals_as(job.outputs, [steps])
+    head = Dataset(dt_ns / 1e9, inputs, outputs, segments=(), name=channel)
     reports: list[FlightReport] = []
 
     def segments() -> Iterator[Segment]:
