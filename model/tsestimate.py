@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -30,6 +30,8 @@ from flysid.model.tsselect import Candidate, choose, hold_out, initial_state_gai
 _HIGHEST_ORDER = 4
 _RIDGES = (1e-3, 3e-2, 1.0, 1e3)  # the last one leaves the rules equal
 _ORDER_LOSS = 0.01
+_RULE_GAIN = 0.05  # of the mean square: what a rule must win, about 2.5 % of the error
+_CLEARLY = 0.9  # of the mean square: other orders must do better by this to be taken
 _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
 _SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
 
@@ -74,13 +76,18 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     fit_part, check_part, own = _parts(train, validation, least)
     shift, scale = scaling(fit_part)
     workshop = Workshop(settings, fit_part, check_part, shift, scale, least)
-    linear, notes = workshop.linear(choices)
-    models, grown = workshop.growth(linear, named)
-    at = choose(models) if settings.rules == "auto" else len(models) - 1
+    candidates, notes = workshop.linear(choices)
+    workshop = replace(workshop, must_be_bounded=any(c.stable for c in candidates))
+    if not workshop.must_be_bounded:
+        notes.append(
+            "The process integrates: linear models of it drift too, so boundedness was not asked for."
+        )
+    models, grown = workshop.growth(candidates, named)
+    at = choose(models, least_gain=_RULE_GAIN) if settings.rules == "auto" else len(models) - 1
     chosen = models[at]
     if not chosen.stable:
         raise FitError(
-            "no stable model was found: each one left its output limits under bounded random inputs",
+            "no stable model was found: none came back from bounded random inputs",
             hint="give more data, lower orders, or fewer rules",
         )
     stage = ordered(chosen.stage)
@@ -163,6 +170,7 @@ class Workshop:
     shift: FloatArray
     scale: FloatArray
     least: int
+    must_be_bounded: bool = True
 
     def problem(self, orders: Orders) -> Problem:
         """The problem of a linear model of these orders."""
@@ -174,56 +182,84 @@ class Workshop:
         basis = first_basis(layout, runs)
         return Problem(layout, runs, basis, np.zeros((layout.n_y, len(basis))), np.zeros((2, 0)), limits)
 
-    def judge(self, stage: Stage, *, must_be_bounded: bool = True) -> Candidate:
+    def judge(self, stage: Stage) -> Candidate:
         """The stage on the validation part."""
         runs = runs_of(stage.problem.layout, self.check_part.segments, self.least)
-        return judged(stage, runs, self.least - _SPARE_ROWS, must_be_bounded=must_be_bounded)
+        return judged(stage, runs, self.least - _SPARE_ROWS, must_be_bounded=self.must_be_bounded)
 
-    def linear(self, choices: Sequence[Orders]) -> tuple[Candidate, list[str]]:
-        """The linear model of the best orders, each refined from the one before."""
-        if not self.settings.refine:
-            stages = [unrefined(self.problem(o)) for o in choices]
-            candidates = [self.judge(s, must_be_bounded=False) for s in stages]
-        else:
-            candidates = []
-            for orders in choices:
-                start = embedded_start(candidates[-1].stage, self.problem(orders)) if candidates else ()
-                stage = linear_stage(self.problem(orders), self.settings.iterations, start)
-                candidates.append(self.judge(stage))
-        at = choose(candidates, _ORDER_LOSS)
+    def linear(self, choices: Sequence[Orders]) -> tuple[list[Candidate], list[str]]:
+        """Linear models, each refined from the one before, up to the best orders."""
+        candidates: list[Candidate] = []
+        for orders in choices:
+            problem = self.problem(orders)
+            if self.settings.refine:
+                start = embedded_start(candidates[-1].stage, problem) if candidates else ()
+                stage = linear_stage(problem, self.settings.iterations, start)
+            else:
+                stage = unrefined(problem)
+            candidates.append(self.judge(stage))
+        at = choose(candidates, most_loss=_ORDER_LOSS)
         orders = candidates[at].stage.problem.layout.orders
         how = (
             "as given" if len(choices) == 1 else "the simplest within 1 % and one standard error of the best"
         )
-        return candidates[at], [f"Orders {orders}: {how} (validation free run of the linear model)."]
+        note = f"Orders {orders}: {how} (validation free run of the linear model)."
+        others = [c for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
+        return [candidates[at], *others], [note]
 
-    def growth(self, linear: Candidate, named: tuple[Antecedent, ...]) -> tuple[list[Candidate], list[str]]:
-        """Models with 1, 2, 3, ... rules."""
-        settings = self.settings
-        stage = linear.stage
+    def growth(
+        self, linear: Sequence[Candidate], named: tuple[Antecedent, ...]
+    ) -> tuple[list[Candidate], list[str]]:
+        """Models with 1, 2, 3, ... rules, simplest first, from the best linear model.
+
+        Where rules help, the next orders are grown too: what the best linear orders are says little about
+        a nonlinear plant, whose bends a linear model cannot use its lags for.
+        """
+        models, notes = self._grown(linear[0], named)
+        self._check_count(models)
+        if (
+            self.settings.rules != "auto"
+            or choose(models, least_gain=_RULE_GAIN) == 0
+            or not self.settings.refine
+        ):
+            return models, notes
+        first = linear[0].stage.problem.layout.orders
+        near = [c for c in linear[1:] if abs(c.stage.problem.layout.orders.na - first.na) == 1]
+        best, trail = models, notes
+        for other in sorted(near, key=lambda c: c.mean)[:2]:
+            rival, said = self._grown(other, named)
+            if rival[choose(rival)].mean < best[choose(best)].mean * _CLEARLY:
+                orders = other.stage.problem.layout.orders
+                best, trail = rival, [*said, f"With rules, orders {orders} did better and were taken."]
+        return best, trail
+
+    def _grown(self, linear: Candidate, named: tuple[Antecedent, ...]) -> tuple[list[Candidate], list[str]]:
+        settings, stage = self.settings, linear.stage
         candidates = named or found_antecedents(stage.problem.layout)
-        models = [linear if settings.rules != 1 else self.judge(stage)]
-        notes: list[str] = []
+        models, notes = [linear], []
         most = settings.most_rules if settings.rules == "auto" else settings.rules
         parameters = stage.body.a.size
         while len(models) < most and parameters * (len(models) + 1) * 4 < stage.problem.samples:
             models.append(self.one_rule_more(models[-1], candidates))
             if settings.rules == "auto" and _has_stalled(models):
                 break
-        if settings.rules != "auto" and len(models) < settings.rules:
-            raise DataError(
-                f"{settings.rules} rules of {parameters} numbers need more than the "
-                f"{stage.problem.samples} samples there are",
-                hint="ask for fewer rules or lower orders, or record longer",
-            )
         unstable = [len(m.stage.body.a) for m in models if not m.stable]
         if unstable:
             notes.append(
-                "Left the output limits under bounded random inputs, and were not offered: models with "
+                "Did not come back from bounded random inputs, and were not offered: models with "
                 + ", ".join(map(str, unstable))
                 + " rules."
             )
         return models, notes
+
+    def _check_count(self, models: Sequence[Candidate]) -> None:
+        rules, stage = self.settings.rules, models[0].stage
+        if rules != "auto" and len(models) < rules:
+            raise DataError(
+                f"{rules} rules of {stage.body.a.size} numbers need more than the "
+                f"{stage.problem.samples} samples there are",
+                hint="ask for fewer rules or lower orders, or record longer",
+            )
 
     def one_rule_more(self, before: Candidate, candidates: tuple[Antecedent, ...]) -> Candidate:
         """The best split; held together by a ridge where freedom made it unstable or worse.
@@ -271,5 +307,5 @@ def _method(settings: Settings) -> str:
         return "Consequents are one-step least squares; the simulation error was not refined."
     return (
         "Consequents and memberships were refined on the simulation error with exact sensitivities; models "
-        "were offered only if bounded random inputs kept them inside their output limits."
+        "were offered only if they came back from bounded random inputs."
     )

@@ -26,6 +26,7 @@ from flysid.model.tsproblem import (
 )
 
 _PLACES = (0.15, 0.5, 0.85)
+_RIDGE = 0.05  # of the mean square error: as if 20 samples said that the rules are equal
 _PIECE = 600  # rows of a piece, where long records are thinned
 _FEW, _MORE = 5000, 15000  # rows for ranking insertions, and for trying the best ones
 
@@ -124,13 +125,14 @@ def _linear_starts(problem: Problem) -> Iterator[Body]:
     Y = np.vstack([W[d:, :n_y] for W in problem.runs])
     a: FloatArray = np.zeros((E.shape[1], n_y))
     for _ in range(3):  # repeated on the remainder: the regressors are nearly collinear
-        a = np.asarray(a + np.linalg.lstsq(E, Y - X @ (problem.basis.T @ a), rcond=1e-13)[0])
+        remainder: FloatArray = Y - X @ (problem.basis.T @ a)
+        a = a + np.asarray(np.linalg.lstsq(E, remainder, rcond=1e-13)[0], dtype=np.float64)
     for _ in range(6):
         body = Body(np.ascontiguousarray(a.T[None]), problem.z_range.mean(axis=0)[None], np.ones((1, n_z)))
         yield body
         runs = simulate_runs(problem, body, problem.measured_initial())
         Z = np.vstack([regressors(problem.layout, W) for W in runs]) @ problem.basis.T
-        a = np.linalg.lstsq(Z.T @ E, Z.T @ Y, rcond=1e-12)[0]
+        a = np.asarray(np.linalg.lstsq(Z.T @ E, Z.T @ Y, rcond=1e-12)[0], dtype=np.float64)
 
 
 def refine(stage: Stage, iterations: int, tolerance: float) -> Stage:
@@ -281,13 +283,17 @@ def one_rule_more(
 
     Promises are computed on few samples, tried out on more, and the best is refined on all.
     """
+    stage = with_ridge(stage, _RIDGE * stage.cost)
     few, more = thinned(stage, _FEW), thinned(stage, _MORE)
     options = insertions(few, candidates)
     order = np.argsort([expected_cost(option) for option in options], kind="stable")
     starts = [_on(options[i], more) for i in order[:tries]]
-    trials = [refine(start, max(6, iterations // 3), 1e-3) for start in starts]
+    trials = [refine(start, iterations, 1e-4) for start in starts]
     at = min(range(len(trials)), key=lambda i: trials[i].cost)
-    return _on(starts[at], stage), refine(_on(trials[at], stage), iterations, 1e-5)
+    # overlapping rules make long curved valleys: many cheap steps on fewer samples, then some on all
+    best = refine(with_ridge(trials[at], _RIDGE * trials[at].cost), 4 * iterations, 1e-7)
+    best = refine(with_ridge(_on(best, stage), _RIDGE * best.cost), iterations, 1e-6)
+    return _on(starts[at], stage), best
 
 
 def _on(stage: Stage, other: Stage) -> Stage:

@@ -1,0 +1,55 @@
+"""Rules in words: labels a pilot understands, equations that read well."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flysid.errors import StoreError
+from flysid.model.memberships import Partition
+from flysid.model.words import condition_in_words, equation, labels, number, write_model
+
+
+def test_speeds_are_told_by_size_and_direction() -> None:
+    said = labels(np.array([-2.0, -0.6, 0.02, 0.7, 2.1]), "v_x(k-1)", "m/s", 4.1)
+    assert said == ["fast backward", "slow backward", "hovering", "slow forward", "fast forward"]
+    assert labels(np.array([-1.0, 1.0]), "v_z(k-1)", "m/s", 2.2) == ["fast down", "fast up"]
+
+
+def test_other_quantities_are_low_middle_high() -> None:
+    assert labels(np.array([3.0, 1.0, 2.0]), "theta(k)", "deg", 2.0) == ["high", "low", "middle"]
+    assert labels(np.array([1.0, 1.001]), "u", "", 2.0) == ["any", "any"]
+    assert len(set(labels(np.arange(9.0), "u", "", 9.0))) == 9
+
+
+def test_equations_read_well() -> None:
+    text = equation("y(k)", np.array([1.95828, -0.95898, 0.0]), ["y(k-1)", "y(k-2)", "u(k)"], -0.01)
+    assert text == "y(k) = 1.95828 y(k-1) - 0.95898 y(k-2) - 0.01"
+    assert equation("y(k)", np.array([0.0]), ["u(k)"], 0.0) == "y(k) = 0"
+    assert number(0.0) == "0"
+    assert number(1234567.0) == "1.23e+06"
+
+
+def test_conditions_name_variable_label_place_and_unit() -> None:
+    one = np.array([[0.3], [0.3]])
+    p = Partition(np.array([[-1.0], [1.0]]), one, one, np.array([-2.0]), np.array([2.0]))
+    said = condition_in_words(p, 1, ["v_x(k-1)"], ["m/s"])
+    assert said == "v_x(k-1) is A2 'slow forward' (about 1 +- 0.3 m/s)"
+    alone = Partition(p.centre[:1], one[:1], one[:1], p.low, p.high)
+    assert condition_in_words(alone, 0, ["v_x(k-1)"], ["m/s"]) == "always"
+
+
+def test_a_variable_that_covers_everything_is_left_out() -> None:
+    width = np.array([[0.3, 50.0], [0.3, 50.0]])
+    centre = np.array([[-1.0, 0.0], [1.0, 0.0]])
+    p = Partition(centre, width, width, np.array([-2.0, -1.0]), np.array([2.0, 1.0]))
+    assert "u(k)" not in condition_in_words(p, 0, ["y(k-1)", "u(k)"], ["", ""])
+
+
+def test_write_says_where_it_failed(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="nowhere"):
+        write_model({}, tmp_path / "nowhere" / "m.json")
+    write_model({"a": 1.5}, tmp_path / "m.json")
+    assert [p.name for p in tmp_path.iterdir()] == ["m.json"]
