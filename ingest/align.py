@@ -27,7 +27,7 @@ from flysid.ingest.labels import Labels, labels_of
 from flysid.ingest.recipe import Recipe, SignalSpec, load_recipe
 from flysid.ingest.report import AlignReport, FlightReport, SignalReport
 from flysid.ingest.resample import Series, Span
-from flysid.ingest.signals import FlightLog, Loaded, Log, find_source, load_signal, missing
+from flysid.ingest.signals import FlightLog, Loaded, Log, Samples, find_source, load_signal, missing
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -204,7 +204,7 @@ class _Job:
         segments: list[Segment] = []
         for boot in boots:
             name = log.name if len(boots) == 1 else f"{log.name}#{boot}"
-            series = {n: resample.tidy(f.boots[boot].t_ns, f.boots[boot].x) for n, f in loaded.items()}
+            series = {n: self._tidy(n, f.boots[boot]) for n, f in loaded.items()}
             if all(len(s.t_ns) for s in series.values()):
                 part = _Boot(self, name, series, dt_ns, labels.get(boot, Labels()))
                 found, counts = part.segments(conditions.spans.get(boot))
@@ -212,8 +212,11 @@ class _Job:
                 report = report.plus(counts)
         return report, tuple(segments), {n: f.resolution for n, f in loaded.items()}
 
+    def _tidy(self, name: str, samples: Samples) -> Series:
+        return resample.tidy(samples.t_ns, samples.x, self.specs[name].max_rate)
+
     def _describe(self, name: str, found: Loaded) -> SignalReport:
-        series = [resample.tidy(b.t_ns, b.x) for b in found.boots.values()]
+        series = [self._tidy(name, samples) for samples in found.boots.values()]
         return SignalReport(
             name=name,
             stream=found.stream,
@@ -224,6 +227,7 @@ class _Job:
             samples=sum(len(s.t_ns) for s in series),
             non_finite=sum(s.non_finite for s in series),
             duplicates=sum(s.duplicates for s in series),
+            spikes=sum(s.spikes for s in series),
             notes=found.notes,
         )
 

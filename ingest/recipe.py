@@ -83,6 +83,8 @@ class SignalSpec:
     hold : "zero" for commands (the last value counts until the next), "linear" for states.
     max_gap_s : a longer pause in the source cuts the segment; None: relative to its own period. Write
         `inf` for commands that are only sent when they change.
+    max_rate : fastest change that is physically possible, in unit per second; samples that jump away from
+        their neighbours by more are dropped, which cuts where several follow one another.
     limits : lowest and highest value the actuator or controller allows; segments are marked with the share
         of samples that stand there.
     description : what it is, for people.
@@ -92,6 +94,7 @@ class SignalSpec:
     sources: tuple[Source, ...]
     hold: Literal["zero", "linear"] = "linear"
     max_gap_s: float | None = None
+    max_rate: float | None = None
     limits: tuple[float, float] | None = None
     description: str = ""
 

@@ -22,6 +22,7 @@ class SignalReport:
     samples: int
     non_finite: int = 0
     duplicates: int = 0
+    spikes: int = 0
     notes: tuple[str, ...] = ()
 
 
@@ -110,8 +111,14 @@ def _flight_lines(flight: FlightReport) -> list[str]:
     filtered = f", low-pass for 1:{flight.filtered}" if flight.filtered > 1 else ""
     lines = [f"  {flight.flight}: {flight.segments} segments, {cut}{filtered}; {sources}"]
     for signal in flight.signals:
-        if signal.non_finite or signal.duplicates:
-            lost = f"{signal.non_finite} samples not finite, {signal.duplicates} of equal time"
-            lines.append(f"    {signal.name}: {lost}")
+        kinds = {
+            "samples not finite": signal.non_finite,
+            "of equal time": signal.duplicates,
+            "that jump": signal.spikes,
+        }
+        if any(kinds.values()):
+            lines.append(
+                f"    {signal.name}: dropped " + ", ".join(f"{n} {k}" for k, n in kinds.items() if n)
+            )
         lines += [f"    {note}" for note in signal.notes]
     return lines + [f"    {note}" for note in flight.notes]

@@ -22,6 +22,7 @@ Span = tuple[int, int]  # half-open, ns
 FOREVER = 1 << 62
 GAP_PERIODS = 2.5  # a pause of more than this many periods is a gap: one lost sample is bridged, two are not
 TAPS_PER_SIDE = 5  # half length of the low-pass, in grid samples
+SPIKE_SAMPLES = 9
 CUTOFF = 0.4  # of the grid's rate, where the low-pass has fallen to one half
 
 
@@ -29,23 +30,40 @@ CUTOFF = 0.4  # of the grid's rate, where the low-pass has fallen to one half
 class Series:
     """A signal as recorded, made fit for resampling: (N,) strictly increasing times, (N,) finite values.
 
-    `non_finite` and `duplicates` count the samples that were left out.
+    `non_finite`, `duplicates` and `spikes` count the samples that were left out.
     """
 
     t_ns: IntArray
     x: FloatArray
     non_finite: int = 0
     duplicates: int = 0
+    spikes: int = 0
 
 
-def tidy(t_ns: IntArray, x: FloatArray) -> Series:
-    """Samples in time order; values that are not finite dropped; of equal times the last one kept."""
+def tidy(t_ns: IntArray, x: FloatArray, max_rate: float | None = None) -> Series:
+    """Samples in time order; values that are not finite dropped; of equal times the last one kept.
+
+    With `max_rate`, per second, samples that jump away from their neighbours faster are dropped too.
+    """
     finite = np.isfinite(x)
     times, values = t_ns[finite], x[finite]
     order = np.argsort(times, kind="stable")
     times, values = times[order], values[order]
     last = np.append(np.diff(times) > 0, True)[: len(times)]
-    return Series(times[last], values[last], int((~finite).sum()), int((~last).sum()))
+    times, values = times[last], values[last]
+    jumps = spikes(times, values, max_rate) if max_rate is not None else np.zeros(len(times), dtype=bool)
+    lost = (int((~finite).sum()), int((~last).sum()), int(jumps.sum()))
+    return Series(times[~jumps], values[~jumps], *lost)
+
+
+def spikes(t_ns: IntArray, x: FloatArray, max_rate: float) -> npt.NDArray[np.bool_]:
+    """(N,) samples further from the median of nine than `max_rate` allows in half of that stretch."""
+    if len(x) < SPIKE_SAMPLES:
+        return np.zeros(len(x), dtype=bool)
+    half = SPIKE_SAMPLES // 2
+    padded = np.pad(x, half, mode="edge")
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, SPIKE_SAMPLES), axis=1)
+    return np.asarray(np.abs(x - middle) > max_rate * half * period_ns(t_ns) * 1e-9)
 
 
 def period_ns(t_ns: IntArray) -> float:

@@ -21,6 +21,18 @@ def test_tidy_sorts_drops_and_counts() -> None:
     assert (series.non_finite, series.duplicates) == (1, 1)
 
 
+def test_jumps_that_no_vehicle_can_make_are_dropped_and_steps_of_a_signal_are_not() -> None:
+    t = np.arange(200, dtype=np.int64) * 10 * MS
+    x = np.sin(t * 1e-9 * 5.0)
+    x[50] += 3.0
+    x[120:122] -= 3.0
+    series = resample.tidy(t, x, max_rate=20.0)
+    assert series.spikes == 3
+    np.testing.assert_array_equal(np.setdiff1d(t, series.t_ns) // (10 * MS), [50, 120, 121])
+    step = np.where(np.arange(200) < 100, 0.0, 3.0)
+    assert resample.tidy(t, step, max_rate=100.0).spikes == 0
+
+
 def test_the_period_ignores_pauses_and_bursts() -> None:
     t = np.concatenate([np.arange(100), 1000 + np.arange(100)]) * 20 * MS
     assert resample.period_ns(t) == 20 * MS
