@@ -82,8 +82,8 @@ def _rule_tables(result: LoopResult) -> list[str]:
     lines = [f"  the paper's rules ({loop.tables})" + " " * 20 + "flysid's static TS, 7 rules"]
     ours = result.models["static_ts_7"].rules()
     for i, (theirs, rule) in enumerate(zip(loop.rules, ours, strict=False), start=1):
-        centre = "lost in print" if theirs.centre is None else f"{theirs.centre:g}"
-        left = f"{i}. u about {centre}: y = {theirs.gain:g} u {theirs.offset:+g}"
+        centre = "(centre lost in print)" if theirs.centre is None else f"u about {theirs.centre:g}"
+        left = f"{i}. {centre}: y = {theirs.gain:g} u {theirs.offset:+g}"
         lines.append(f"    {left:52}{rule.label}: if {rule.condition} then {rule.conclusion}")
     lines.append("  flysid's dynamic TS, 3 rules")
     lines += [
