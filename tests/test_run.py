@@ -1,0 +1,150 @@
+"""From an ingested folder to a run, a judgement and a report; and back from disk."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from flysid.errors import DataError, StoreError, UsageError
+from flysid.flightwriter import write_atomically
+from flysid.ingest.batch import find_logs, ingest_logs
+from flysid.ingest.lake import open as open_lake
+from flysid.ingest.synth import WRITERS, Order, flights
+from flysid.validate.judge import judge_run, write_judgement
+from flysid.validate.run import FitSettings, Run, fit_run, held_out, open_run, replacing_folder
+
+CHANNEL = "longitudinal"
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six flights of 20 s of the linear plants, in both formats, ingested."""
+    root = tmp_path_factory.mktemp("flights")
+    for i, recording in enumerate(flights(Order(duration_s=20.0))):
+        suffix, encode = (WRITERS["tlog"], WRITERS["mcap"])[i % 2]
+        write_atomically(root / f"{recording.name}{suffix}", encode(recording))
+    list(ingest_logs(find_logs([root]), root / "data"))
+    return root / "data"
+
+
+@pytest.fixture(scope="module")
+def run(data: Path) -> Run:
+    settings = FitSettings(channels=(CHANNEL,), rules=2)
+    return fit_run(open_lake(data), "ardrone-synthetic", data.parent / "run", settings)
+
+
+@pytest.fixture
+def copied(run: Run, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(run.folder, tmp_path / "run"))
+
+
+def test_a_run_reads_back_as_it_was_written(run: Run) -> None:
+    assert open_run(run.folder) == run
+
+
+def test_the_held_out_part_is_made_again_and_was_never_trained_on(run: Run) -> None:
+    (held,) = held_out(run)
+    assert set(held.models) == {"line", "arx", "static_ts", "ts"}
+    assert not set(held.train.flights) & set(held.test.flights)
+    assert len(held.test) / (len(held.train) + len(held.test)) == pytest.approx(0.3, abs=0.12)
+
+
+def test_the_judgement_finds_a_linear_model_enough_on_a_linear_plant(run: Run) -> None:
+    judgement = judge_run(open_run(run.folder))
+    free = judgement.document["channels"][CHANNEL]["free_run"]
+    assert free["verdict"] in ("same", "worse")
+    assert free["models"]["arx"]["rmse"] == pytest.approx(0.02, rel=0.15)  # the noise that was flown
+    assert free["models"]["line"]["rmse"] > 3 * free["models"]["arx"]["rmse"]
+    assert set(judgement.document["channels"][CHANNEL]) >= {"free_run", "10", "1"}
+    json.dumps(judgement.document, allow_nan=False)
+
+
+def test_the_report_is_written_whole_and_says_where_it_came_from(run: Run, tmp_path: Path) -> None:
+    judgement = judge_run(open_run(run.folder))
+    page = write_judgement(judgement, tmp_path / "report")
+    text = page.read_text("utf-8")
+    assert "flysid fit DATA --recipe ardrone-synthetic" in text
+    assert str(open_run(run.folder).channels[0].split["test_sha256"]) in text
+    assert page.stat().st_size < 1_500_000
+    assert [p.name for p in tmp_path.iterdir()] == ["report"]
+
+
+def test_two_fits_give_the_same_files(data: Path, run: Run, tmp_path: Path) -> None:
+    again = fit_run(open_lake(data), "ardrone-synthetic", tmp_path / "again", run.settings)
+    for file in run.channels[0].models.values():
+        assert (tmp_path / "again" / file).read_bytes() == (run.folder / file).read_bytes()
+    assert again.channels[0].split == run.channels[0].split
+
+
+def test_data_that_changed_since_the_fit_is_noticed(copied: Path, data: Path, tmp_path: Path) -> None:
+    moved = tmp_path / "data"
+    shutil.copytree(data, moved)
+    shutil.rmtree(next((moved / "flights").iterdir()))
+    with pytest.raises(DataError, match="hash differs"):
+        held_out(open_run(copied), moved)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"version": 99}, "version 99"),
+        ({"format": "other"}, "not a flysid run"),
+        ({"channels": [{"name": "x"}]}, "damaged"),
+        ({"settings": {"nonsense": 1}}, "damaged"),
+    ],
+)
+def test_a_run_of_another_version_or_damaged_is_refused(
+    copied: Path, change: dict[str, object], message: str
+) -> None:
+    document = json.loads((copied / "run.json").read_text())
+    (copied / "run.json").write_text(json.dumps(document | change))
+    with pytest.raises(StoreError, match=message):
+        open_run(copied)
+
+
+def test_a_run_cannot_name_files_outside_its_folder(copied: Path) -> None:
+    document = json.loads((copied / "run.json").read_text())
+    document["channels"][0]["models"] = {"arx": "../../etc/passwd"}
+    (copied / "run.json").write_text(json.dumps(document))
+    with pytest.raises(StoreError, match="outside its folder"):
+        held_out(open_run(copied))
+
+
+def test_a_model_file_of_another_version_is_refused(copied: Path) -> None:
+    path = copied / CHANNEL / "arx.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"version": 2}))
+    with pytest.raises(StoreError, match="version 2"):
+        held_out(open_run(copied))
+
+
+def test_what_is_asked_for_must_exist(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no channel 'yaw'"):
+        fit_run(open_lake(data), "ardrone-synthetic", tmp_path / "run", FitSettings(channels=("yaw",)))
+    with pytest.raises(UsageError, match="no such run folder"):
+        open_run(tmp_path / "absent")
+    with pytest.raises(StoreError, match="not a run"):
+        open_run(data)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    target = tmp_path / "out"
+    with replacing_folder(target) as folder:
+        (folder / "a").write_text("1")
+        assert not target.exists()
+    with pytest.raises(IsADirectoryError), replacing_folder(target) as folder:
+        folder.write_text("a folder is not a file")
+    assert (target / "a").read_text() == "1"
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_segments_too_short_for_the_grid_are_named_and_nothing_is_left(data: Path, tmp_path: Path) -> None:
+    recipe = tmp_path / "tiny.toml"
+    text = (Path(__file__).parents[1] / "ingest/recipes/ardrone-synthetic.toml").read_text()
+    recipe.write_text("rate_hz = 0.5\n" + text)
+    with pytest.raises(DataError, match=r"longitudinal: .*no segment of 20 samples"):
+        fit_run(open_lake(data), str(recipe), tmp_path / "run", FitSettings(channels=(CHANNEL,)))
+    assert [p.name for p in tmp_path.iterdir()] == ["tiny.toml"]
