@@ -25,23 +25,14 @@ from flysid.model.gram import LeastSquares, Triangle, reduce_data
 from flysid.model.linear import FittedLinear, from_dict
 from flysid.model.linear_data import Parts, as_tuple
 from flysid.model.linear_start import equation_starts
+from flysid.model.oe_search import SHARE, Refined, check_orders, search
 from flysid.model.orders import Choice, Grid, best_per_order
-from flysid.model.output_error import (
-    HIGHEST_ORDER,
-    assemble,
-    choose_orders,
-    delay_steps,
-    find_delays,
-    refit,
-)
+from flysid.model.output_error import delay_steps, runner
 from flysid.model.regressors import chunks
-from flysid.model.selection import block_errors, clearly_better, simplest
-from flysid.model.simulation_error import Orders
+from flysid.model.selection import block_errors, clearly_better, judging_window, simplest
 
 Auto = Literal["auto"]
 HIGHEST_NA = 6
-SHARE = 10
-"""A regression needs this many samples per parameter before an order is tried."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +45,8 @@ class ARX:
     nb : past inputs, one number or one per input, or "auto".
     nk : delay in samples from input to output, one number or one per input, or "auto". 0 is feed-through.
     offset : estimate a constant.
-    refine : fit the simulation error instead of the next sample: "auto" where the validation free run is
-        better for it by more than noise, True or False to force. A refined model has no coupling between
+    refine : fit the simulation error instead of the next sample: "auto" unless the validation free run is
+        worse for it by more than noise, True or False to force. A refined model has no coupling between
         outputs.
     n_init : measured samples that start a refined model's simulation; None chooses.
     """
@@ -76,14 +67,16 @@ class ARX:
         DataError : no or too few samples, a signal that never changes.
         FitError : refine=True and no stable model was found.
         """
-        self._check(len(train.inputs))
+        check_orders(self, len(train.inputs))
+        if self.refine not in (True, False, "auto"):
+            raise UsageError(f"refine is {self.refine!r}", hint="use 'auto', True or False")
         parts = Parts.of(train, validation)
         plain = None if self.refine is True else _LeastSquaresFit(self, parts)
         if self.refine is False:
             assert plain is not None
             return plain.final()
         try:
-            refined = _refined(self, parts)
+            refined = search("arx", self, parts, None if plain is None else plain.choice.nk)
         except FitError as error:
             if plain is None:
                 raise
@@ -93,19 +86,6 @@ class ARX:
             return refined.final(())
         return _decided(parts, plain, refined)
 
-    def _check(self, n_u: int) -> None:
-        for name, low in (("na", 0), ("nb", 0), ("nk", 0)):
-            value = getattr(self, name)
-            if value == "auto":
-                continue
-            values = tuple(np.atleast_1d(np.asarray(value, dtype=object)))
-            if not all(isinstance(v, (int, np.integer)) and v >= low for v in values):
-                raise UsageError(f"{name} must be whole numbers of at least {low}, not {value!r}")
-            if name != "na" and not isinstance(value, int) and len(values) != n_u:
-                raise UsageError(f"{name} has {len(values)} numbers for {n_u} inputs")
-        if self.refine not in (True, False, "auto"):
-            raise UsageError(f"refine is {self.refine!r}", hint="use 'auto', True or False")
-
 
 class _LeastSquaresFit:
     """The one-step fit: orders from one pass over the fitting part, free run on the checking part."""
@@ -114,10 +94,9 @@ class _LeastSquaresFit:
         self.settings, self.parts = settings, parts
         self.n_y, self.n_u = len(parts.train.outputs), len(parts.train.inputs)
         choices, grid = self._candidates()
-        models = [self._model(c, grid.fit(c), "") for c in choices]
-        skip = max(m.n_init for m in models)
-        scale = parts.scaling.y_scale
-        errors = [block_errors(m, parts.check, skip, scale) for m in models]
+        window = judging_window(parts, max(c.lags(self.n_y).depth for c in choices))
+        models = [self._model(c, grid.fit(c), "", window) for c in choices]
+        errors = [block_errors(m, parts.check, window, parts.scaling.y_scale) for m in models]
         index = simplest(errors)
         self.choice = choices[index]
         self.model = models[index]
@@ -174,7 +153,10 @@ class _LeastSquaresFit:
                 free.append(choice.na * n_y * n_y + b.size + i)
         return Difference(a, b, c), tuple(free)
 
-    def _model(self, choice: Choice, fits: Sequence[LeastSquares], note: str) -> FittedLinear:
+    def _model(
+        self, choice: Choice, fits: Sequence[LeastSquares], note: str, window: int | None = None
+    ) -> FittedLinear:
+        """The model, its start estimated from `window` samples (default: its depth)."""
         parts = self.parts
         system, free = self._system(choice, fits)
         physical = parts.scaling.physical(system)
@@ -188,13 +170,13 @@ class _LeastSquaresFit:
             block = slice(i * size, (i + 1) * size)
             covariance[block, block] = fit.covariance
         depth = max(choice.lags(self.n_y).depth, 1)
-        starts = equation_starts(system, parts, depth)
+        starts = equation_starts(system, parts, window or depth)
         return FittedLinear(
             structure="arx",
             dt_s=parts.train.dt_s,
             inputs=parts.train.inputs,
             outputs=parts.train.outputs,
-            n_init=depth,
+            n_init=depth if starts is None else starts.shape[2],
             output_limits=parts.limits,
             system=physical,
             u_origin=parts.scaling.u_origin,
@@ -236,61 +218,12 @@ def _order_note(choices: Sequence[Choice], errors: Sequence[FloatArray], index: 
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Refined:
-    settings: ARX
-    parts: Parts
-    fits: list  # type: ignore[type-arg]
-    model: FittedLinear
-    note: str
-
-    def final(self, notes: Sequence[str]) -> FittedLinear:
-        fits = refit(self.parts, self.fits)
-        return assemble("arx", self.parts, fits, (self.note, *notes), self.settings.n_init)
-
-
-def _refined(settings: ARX, parts: Parts) -> _Refined:
-    """Delays, then orders, on the simulation error."""
-    n_y, n_u = len(parts.train.outputs), len(parts.train.inputs)
-    longest = max(len(s) for s in parts.fit.segments)
-    most = max(1, min(HIGHEST_ORDER, (len(parts.fit) // SHARE - 1) // (1 + n_u), (longest - 2) // 5))
-    nas = range(1, most + 1) if settings.na == "auto" else [int(settings.na)]
-    probe = min(2, max(nas))
-    delays = []
-    for i in range(n_y):
-        if settings.nk == "auto":
-            counts = as_tuple(probe if settings.nb == "auto" else settings.nb, n_u)
-            delays.append(find_delays(parts.fit, i, probe, counts, settings.offset))
-        else:
-            delays.append(as_tuple(settings.nk, n_u))
-    candidates = [[_orders(settings, na, nk) for nk in delays] for na in nas]
-    fits, note = choose_orders(parts, candidates)
-    delay = ", ".join(
-        f"{s.name} -> {o.name} {k}"
-        for o, nk in zip(parts.train.outputs, delays, strict=True)
-        for s, k in zip(parts.train.inputs, nk, strict=True)
-    )
-    words = (
-        f"Refined on the simulation error: {note or f'order {fits[0].problem.orders.na}'}; "
-        f"delays in samples: {delay}."
-    )
-    return _Refined(settings, parts, fits, assemble("arx", parts, fits, (), settings.n_init), words)
-
-
-def _orders(settings: ARX, na: int, nk: tuple[int, ...]) -> Orders:
-    if settings.nb == "auto":
-        nb = tuple(max(na, 1) + (1 if k == 0 else 0) for k in nk)
-    else:
-        nb = as_tuple(settings.nb, len(nk))
-    return Orders(na, nb, nk, settings.offset)
-
-
-def _decided(parts: Parts, plain: _LeastSquaresFit, refined: _Refined) -> FittedLinear:
-    """The refined model where its validation free run is better by more than noise, or level and simpler."""
-    scale = parts.scaling.y_scale
-    skip = max(plain.model.n_init, refined.model.n_init)
-    before = block_errors(plain.model, parts.check, skip, scale)
-    after = block_errors(refined.model, parts.check, skip, scale)
+def _decided(parts: Parts, plain: _LeastSquaresFit, refined: Refined) -> FittedLinear:
+    """The refined model, unless the validation free run of the plain one is better by more than noise."""
+    window = max(plain.model.n_init, judging_window(parts, refined.depth))
+    judged = runner("arx", parts, refined.fits, window)
+    before = block_errors(plain.model, parts.check, window, parts.scaling.y_scale)
+    after = block_errors(judged, parts.check, window, parts.scaling.y_scale)
     if not len(before):
         return _noted(
             plain.final(), "No validation segment is long enough to judge a refinement; not refined."
@@ -298,10 +231,9 @@ def _decided(parts: Parts, plain: _LeastSquaresFit, refined: _Refined) -> Fitted
     figures = (
         f"validation free run RMSE {np.sqrt(after.mean()):.3g} refined against {np.sqrt(before.mean()):.3g}"
     )
-    simpler = refined.model.n_parameters < plain.model.n_parameters
-    if clearly_better(after, before) or (simpler and not clearly_better(before, after)):
-        return refined.final((f"The refined model was kept: {figures} (standard deviations of the output).",))
-    return _noted(plain.final(), f"Refinement on the simulation error was tried and not kept: {figures}.")
+    if clearly_better(before, after):
+        return _noted(plain.final(), f"Refinement on the simulation error was tried and not kept: {figures}.")
+    return refined.final((f"The refined model was kept: {figures} (standard deviations of the output).",))
 
 
 def _noted(model: FittedLinear, note: str) -> FittedLinear:

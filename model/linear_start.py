@@ -8,6 +8,7 @@ measured samples instead (linear least mean square estimate), which is exact whe
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,73 +20,89 @@ from flysid.model.simulation_error import free_space, without
 START_SHARE = 0.05
 
 
-def start_gains(system: Difference, parts: Parts, sigmas: Sequence[float], n_init: int | None) -> FloatArray:
-    """(n_y, L, n) start gains in physical units; n grows until more samples help little."""
+@dataclass(frozen=True, eq=False)
+class Past:
+    """One output's equation, the states it went through in training, and the noise on top.
+
+    Attributes
+    ----------
+    single : the equation of this output alone.
+    states : (M, L) states along the free run that fits the training segments best.
+    sigma : standard deviation of the measured minus that free run.
+    """
+
+    single: Difference
+    states: FloatArray
+    sigma: float
+
+
+def pasts(system: Difference, parts: Parts) -> list[Past]:
+    """One per output of a system whose outputs do not feed each other."""
+    depth, small = system.depth, shortened(parts.whole, SEARCH_ROWS)
+    found = []
+    for i in range(len(system.c)):
+        pick = slice(i, i + 1)
+        single = Difference(system.a[:, pick, pick], system.b[:, pick], system.c[pick])
+        states, squares, rows = [np.zeros((0, depth))], 0.0, 0
+        for segment in small.segments:
+            if len(segment) <= 2 * depth + 1:
+                continue
+            run = single.run(segment.u, np.zeros((depth, 1)))[depth:, 0]
+            miss = run - segment.y[depth:, i]
+            left = without(free_space(single.a[:, 0, 0], len(miss)), miss)
+            fitted = segment.y[depth:, i] + left
+            states.append(single.state_history(segment.u[depth:], fitted[:, None])[depth:, :, 0])
+            squares, rows = squares + float(left @ left), rows + len(left)
+        found.append(Past(single, np.concatenate(states), float(np.sqrt(squares / rows)) if rows else 1.0))
+    return found
+
+
+def start_gains(system: Difference, parts: Parts, n_init: int | None) -> FloatArray:
+    """(n_y, L, n) start gains; n is n_init, or grows until more samples help little."""
     depth = max(system.depth, 1)
     shortest = min(len(s) for s in parts.train.segments)
     most = max(depth, min(round(1.0 / parts.train.dt_s), int(START_SHARE * shortest)))
-    small = shortened(parts.whole, SEARCH_ROWS)
-    zero = np.zeros((system.depth, len(sigmas)))
-    states = np.concatenate([system.state_history(s.u, system.run(s.u, zero)) for s in small.segments])
-    singles = [_single(system, i) for i in range(len(sigmas))]
-
-    def gains(rows: int) -> FloatArray:
-        return np.stack([start_gain(s, states[:, :, i], sigmas[i], rows) for i, s in enumerate(singles)])
-
-    if n_init is not None:
-        return gains(max(n_init, 1))
-    rows = depth
-    spread = _start_spread(singles, states, sigmas, rows)
-    while rows < most:
+    past = pasts(system, parts)
+    rows = depth if n_init is None else max(n_init, 1)
+    spread = _start_spread(past, rows)
+    while n_init is None and rows < most:
         wider = min(2 * rows, most)
-        better = _start_spread(singles, states, sigmas, wider)
+        better = _start_spread(past, wider)
         if spread < 0.3 or better > 0.8 * spread:
             break
         rows, spread = wider, better
-    return gains(rows)
+    return np.stack([start_gain(p, rows) for p in past])
 
 
-def _single(system: Difference, i: int) -> Difference:
-    pick = slice(i, i + 1)
-    return Difference(system.a[:, pick, pick], system.b[:, pick], system.c[pick])
-
-
-def _start_spread(
-    singles: Sequence[Difference], states: FloatArray, sigmas: Sequence[float], rows: int
-) -> float:
+def _start_spread(past: Sequence[Past], rows: int) -> float:
     """How far the free run errs for want of the right start, in standard deviations of the noise."""
     worst = 0.0
-    for i, single in enumerate(singles):
-        prior = states[:: max(len(states) // 500, 1), :, i]
-        gain = start_gain(single, states[:, :, i], sigmas[i], rows)
-        horizon = min(max(10 * rows, 100), 2000)
-        basis = np.stack(
-            [single.respond(np.zeros((horizon, 1)), e[:, None])[:, 0] for e in np.eye(single.depth)], axis=1
-        )
-        missed = prior - prior @ (gain @ basis[:rows]).T
-        bias = np.mean((missed @ basis.T) ** 2)
-        scatter = np.mean((basis @ gain) ** 2) * rows * sigmas[i] ** 2
-        worst = max(worst, float(np.sqrt(bias + scatter)) / max(sigmas[i], EXACT))
+    for p in past:
+        some = p.states[:: max(len(p.states) // 500, 1)]
+        gain = start_gain(p, rows)
+        basis = responses(p.single, min(max(10 * rows, 100), 2000))
+        missed = some - some @ (gain @ basis[:rows]).T
+        bias = np.mean((missed @ basis.T) ** 2) if len(some) else 0.0
+        scatter = np.mean((basis @ gain) ** 2) * rows * p.sigma**2
+        worst = max(worst, float(np.sqrt(bias + scatter)) / max(p.sigma, EXACT))
     return worst
 
 
-def start_gain(system: Difference, prior: FloatArray, noise: float, rows: int) -> FloatArray:
-    """(L, rows) linear estimate of the state from `rows` deviations of outputs from the forced response.
+def responses(single: Difference, rows: int) -> FloatArray:
+    """(rows, L) free responses to every state."""
+    zero = np.zeros((rows, 1))
+    columns = [single.respond(zero, e[:, None])[:, 0] for e in np.eye(single.depth)]
+    return np.stack(columns, axis=1) if columns else np.zeros((rows, 0))
 
-    For one output. The least mean square estimate for a state drawn from the states seen in training:
-    with fast sampling, lags taken as measured would put the noise into the derivatives.
 
-    Parameters
-    ----------
-    prior : (M, L) states along training data.
-    noise : standard deviation of the simulation error.
+def start_gain(past: Past, rows: int) -> FloatArray:
+    """(L, rows) linear estimate of the state from how far `rows` outputs are off the forced response.
+
+    The least mean square estimate for a state drawn from the states seen in training.
     """
-    root = np.linalg.qr(prior, mode="r") / np.sqrt(max(len(prior), 1))
-    response = np.stack(
-        [system.respond(np.zeros((rows, 1)), e[:, None])[:, 0] for e in np.eye(system.depth)], axis=1
-    )
-    left, sigma, right = np.linalg.svd(response @ root.T, full_matrices=False)
-    damped = sigma / np.maximum(sigma**2 + noise**2, np.finfo(float).tiny)
+    root = np.linalg.qr(past.states, mode="r") / np.sqrt(max(len(past.states), 1))
+    left, sigma, right = np.linalg.svd(responses(past.single, rows) @ root.T, full_matrices=False)
+    damped = sigma / np.maximum(sigma**2 + past.sigma**2, np.finfo(float).tiny)
     gain: FloatArray = root.T @ (right.T * damped) @ left.T
     return gain
 
@@ -101,15 +118,6 @@ def equation_starts(system: Difference, parts: Parts, rows: int) -> FloatArray |
     radius = max(float(np.abs(np.roots(system.a[:, i, i])).max(initial=0.0)) for i in range(n_y))
     if radius >= 1.0:
         return None
-    zero = np.zeros((system.depth, n_y))
-    small = shortened(parts.whole, SEARCH_ROWS)
-    sigmas = []
-    for i in range(n_y):
-        misses = [(system.run(s.u, zero) - s.y)[system.depth :, i] for s in small.segments]
-        left = [
-            without(free_space(system.a[:, i, i], len(m)), m) for m in misses if len(m) > 2 * system.depth
-        ]
-        sigmas.append(float(np.sqrt(np.mean(np.concatenate(left) ** 2))) if left else 1.0)
-    if max(sigmas) < EXACT:
+    if max(p.sigma for p in pasts(system, parts)) < EXACT:
         return None
-    return start_gains(system, parts, sigmas, rows)
+    return start_gains(system, parts, rows)

@@ -19,7 +19,7 @@ from flysid.model.linear_data import EXACT, SEARCH_ROWS, Parts, records, shorten
 from flysid.model.linear_start import start_gains
 from flysid.model.noise import coloured_covariance, noise_model
 from flysid.model.polynomials import free_basis, monic_basis
-from flysid.model.selection import block_means, simplest
+from flysid.model.selection import LEVEL, block_errors, judging_window, simplest
 from flysid.model.simulation_error import (
     Orders,
     OutputError,
@@ -28,10 +28,11 @@ from flysid.model.simulation_error import (
     to_transfer,
 )
 
-HIGHEST_ORDER = 4
+HIGHEST_ORDER = 6
 DELAY_S = 0.5
 MOST_DELAYS = 50
 ORDER_LOSS = 0.02
+PATIENCE = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,21 +115,27 @@ def assemble(
     structure: str, parts: Parts, fits: Sequence[OneOutput], notes: Sequence[str], n_init: int | None = None
 ) -> FittedLinear:
     """One model of several refined outputs, with noise model, start and covariance."""
-    system = _joined([f.transfer for f in fits], len(parts.whole.inputs))
-    noises, covariances, sigmas = [], [], []
+    noises, covariances = [], []
     for fit in fits:
-        errors = fit.problem.errors(fit.theta)
-        d, variance = noise_model(errors)
+        d, variance = noise_model(fit.problem.errors(fit.theta))
         noises.append(d)
-        sigmas.append(float(np.sqrt(np.mean(np.concatenate(errors) ** 2))))
         covariances.append(_covariance(fit, d, variance))
-    free, covariance = _placed(system, fits, covariances, parts)
-    order = max(len(d) for d in noises)
-    noise = np.zeros((order, len(noises)))
+    noise = np.zeros((max(len(d) for d in noises), len(noises)))
     for i, d in enumerate(noises):
         noise[: len(d), i] = d
-    starts = start_gains(system, parts, sigmas, n_init)
-    physical = parts.scaling.physical(system)
+    return replace(
+        runner(structure, parts, fits, n_init),
+        noise=noise,
+        covariance=_joint(covariances, fits, parts),
+        notes=tuple(notes),
+    )
+
+
+def runner(structure: str, parts: Parts, fits: Sequence[OneOutput], n_init: int | None) -> FittedLinear:
+    """A model good for free runs only: its noise is white, its covariance unknown."""
+    system = _joined([f.transfer for f in fits], len(parts.whole.inputs))
+    starts = start_gains(system, parts, n_init)
+    free = _free(system, fits)
     return FittedLinear(
         structure=structure,
         dt_s=parts.train.dt_s,
@@ -136,14 +143,13 @@ def assemble(
         outputs=parts.train.outputs,
         n_init=starts.shape[2],
         output_limits=parts.limits,
-        system=physical,
+        system=parts.scaling.physical(system),
         u_origin=parts.scaling.u_origin,
         y_origin=parts.scaling.y_origin,
-        noise=noise,
+        noise=np.ones((1, len(fits))),
         starts=starts,
         free=free,
-        covariance=covariance,
-        notes=tuple(notes),
+        covariance=np.full((len(free), len(free)), np.nan),
     )
 
 
@@ -177,34 +183,41 @@ def _covariance(fit: OneOutput, d: FloatArray, variance: float) -> FloatArray:
     return covariance
 
 
-def _placed(
-    system: Difference, fits: Sequence[OneOutput], covariances: Sequence[FloatArray], parts: Parts
-) -> tuple[tuple[int, ...], FloatArray]:
-    """Where each output's parameters stand in the flat order, and their joint covariance, physical units."""
+def _free(system: Difference, fits: Sequence[OneOutput]) -> tuple[int, ...]:
+    """Where each output's parameters stand in the flat order."""
     n_y, n_u = system.b.shape[1:]
     a_size, b_size = system.a[1:].size, system.b.size
     free: list[int] = []
-    factors: list[float] = []
-    scaling = parts.scaling
     for i, fit in enumerate(fits):
         orders = fit.problem.orders
         free += [lag * n_y * n_y + i * n_y + i for lag in range(orders.na)]
-        factors += [1.0] * orders.na
         for j, (count, delay) in enumerate(zip(orders.nb, orders.nk, strict=True)):
             free += [a_size + lag * n_y * n_u + i * n_u + j for lag in range(delay, delay + count)]
-            factors += [float(scaling.y_scale[i] / scaling.u_scale[j])] * count
         if orders.offset:
             free.append(a_size + b_size + i)
-            factors.append(float(scaling.y_scale[i]))
-    joint, position = np.zeros((len(free), len(free))), 0
+    return tuple(free)
+
+
+def _joint(covariances: Sequence[FloatArray], fits: Sequence[OneOutput], parts: Parts) -> FloatArray:
+    """The covariance of all outputs' parameters, in physical units."""
+    factors: list[float] = []
+    for scale, fit in zip(parts.scaling.y_scale, fits, strict=True):
+        orders = fit.problem.orders
+        factors += [1.0] * orders.na
+        for count, source in zip(orders.nb, parts.scaling.u_scale, strict=True):
+            factors += [float(scale / source)] * count
+        factors += [float(scale)] * orders.offset
+    joint, position = np.zeros((len(factors), len(factors))), 0
     for block in covariances:
         joint[position : position + len(block), position : position + len(block)] = block
         position += len(block)
-    return tuple(free), joint * np.outer(factors, factors)
+    return joint * np.outer(factors, factors)
 
 
 def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple[list[OneOutput], str]:
     """Fit every candidate on the fitting part, judge by the validation free run, simplest within noise.
+
+    The search ends when two orders in a row were no better than the best before.
 
     Parameters
     ----------
@@ -214,15 +227,21 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
     ------
     FitError : no candidate could be fitted.
     """
-    check = parts.scaling.apply(parts.check)
     deepest = max(o.depth for orders in candidates for o in orders)
+    window = judging_window(parts, deepest)
     tried: list[tuple[list[OneOutput], FloatArray]] = []
+    best, since = np.inf, 0
     for orders in candidates:
         try:
             fits = [fit_output(OutputError(records(parts.fit, i), o)) for i, o in enumerate(orders)]
         except (FitError, DataError):
             continue
-        tried.append((fits, validation_errors(fits, check, deepest)))
+        model = runner("oe", parts, fits, window)
+        tried.append((fits, block_errors(model, parts.check, window, parts.scaling.y_scale)))
+        mean = float(tried[-1][1].mean()) if len(tried[-1][1]) else np.inf
+        best, since = (mean, 0) if mean < (1.0 - LEVEL) * best else (best, since + 1)
+        if since == PATIENCE:
+            break
     if not tried:
         raise FitError(
             "no stable output-error model was found",
@@ -243,21 +262,6 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
 
 def _order(fits: Sequence[OneOutput]) -> int:
     return max(f.problem.orders.na for f in fits)
-
-
-def validation_errors(fits: Sequence[OneOutput], check: Dataset, skip: int) -> FloatArray:
-    """Block means of squared simulation errors on held-out segments, their initial states fitted.
-
-    So that orders are compared by their dynamics, not by how well a few noisy samples start them. What the
-    fitted states take from the noise, na of N squares, is given back.
-    """
-    squares = []
-    for i, fit in enumerate(fits):
-        problem = replace(fit.problem, records=records(check, i))
-        rest = skip - problem.start_row()
-        na = problem.orders.na
-        squares.append([e[rest:] ** 2 * len(e) / (len(e) - na) for e in problem.errors(fit.theta)])
-    return block_means([np.mean(parts, axis=0) for parts in zip(*squares, strict=True)])
 
 
 def refit(parts: Parts, fits: Sequence[OneOutput]) -> list[OneOutput]:

@@ -13,6 +13,9 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.line import Line
+from flysid.model.oe import OE
+from flysid.model.static_ts import StaticTS
+from flysid.model.ts import TS
 
 
 def plant(u: FloatArray) -> FloatArray:
@@ -51,5 +54,11 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "arx, refined": (ARX(na=2, nb=2, nk=1, refine=True).fit, data()),
     "arx, refined, two inputs and outputs": (ARX(na=2, nb=2, nk=1, refine=True).fit, data(2, 2)),
     "arx, coupled outputs": (ARX(na=2, nb=2, nk=(1, 0), refine=False).fit, data(2, 2)),
+    "oe": (OE(na=2, nb=2, nk=1).fit, data()),
+    "static-ts": (StaticTS(rules=3).fit, data()),
+    "ts": (TS(rules=2, na=2, nb=2, nk=1).fit, data()),
     "arx, static": (ARX(na=0, nb=1, nk=0, refine=False).fit, data()),
 }
+
+SCALING_TOLERANCE = {"ts": 1e-2}
+"""Of the output's range, where a search ends at a tolerance and not at the last digit; 1e-6 for the others."""

@@ -64,7 +64,7 @@ def test_defaults_free_run_within_a_tenth_of_the_noise(plant: str) -> None:
     noisy = response(plant, u, dt) + 0.02 * np.random.default_rng(3).standard_normal(len(u))
     model = ARX().fit(Dataset.from_arrays(u, noisy, dt))
     assert truth_error(model, held, response(plant, held, dt), 0.02) < 0.002
-    assert any("Refined" in note for note in model.notes)
+    assert any("simulation error" in note for note in model.notes)
 
 
 def test_the_papers_signals_with_noise_at_100_hz() -> None:
@@ -135,7 +135,7 @@ def test_printing_names_polynomials_errors_poles_and_choices() -> None:
         "+-",
         "rad/s, damping 0.7",
         "steady gain: theta -> v_x 0.11",
-        "Refined",
+        "simulation error",
     ):
         assert part in text, text
 
