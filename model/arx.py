@@ -30,6 +30,7 @@ from flysid.model.orders import Choice, Grid, best_per_order
 from flysid.model.output_error import delay_steps, runner
 from flysid.model.regressors import chunks
 from flysid.model.selection import block_errors, clearly_better, judging_window, simplest
+from flysid.model.threads import on_one_thread
 
 Auto = Literal["auto"]
 HIGHEST_NA = 6
@@ -58,6 +59,7 @@ class ARX:
     refine: bool | Auto = "auto"
     n_init: int | None = None
 
+    @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
         """Choose orders and fit.
 

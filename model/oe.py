@@ -18,6 +18,7 @@ from flysid.model.base import Structure
 from flysid.model.linear import FittedLinear, from_dict
 from flysid.model.linear_data import Parts
 from flysid.model.oe_search import check_orders, search
+from flysid.model.threads import on_one_thread
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class OE:
     offset: bool = True
     n_init: int | None = None
 
+    @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
         """Choose delays and orders, refine.
 

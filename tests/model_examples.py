@@ -61,4 +61,4 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
 }
 
 SCALING_TOLERANCE = {"ts": 1e-2}
-"""Of the output's range, where a search ends at a tolerance and not at the last digit; 1e-6 for the others."""
+"""Share of the output's range, where a search ends at a tolerance; 1e-6 for the others."""
