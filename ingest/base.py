@@ -25,6 +25,7 @@ from flysid.flight import ClockMap, Damage, Flight, Source
 
 HEAD_BYTES = 65536
 _HASH_BYTES = 16 << 20
+WHOLE_BATCH_BYTES = 256 << 20  # in memory anyway: fewer, larger parts need not be joined
 
 
 @dataclass(frozen=True)
@@ -187,7 +188,7 @@ def read(path: str | Path, *, format: str | None = None, limits: Limits | None =
     path = Path(path)
     with open_log(path) as view:
         fmt = detect(bytes(view[:HEAD_BYTES]), path.name) if format is None else _format_named(format)
-        return collect(view, path.name, fmt, limits or Limits())
+        return collect(view, path.name, fmt, limits or Limits(batch_bytes=WHOLE_BATCH_BYTES))
 
 
 def collect(view: memoryview, name: str, fmt: Format, limits: Limits) -> Flight:

@@ -59,6 +59,11 @@ class Layout:
         return int(self.dtype.itemsize)
 
 
+def as_array(content: memoryview | bytes) -> npt.NDArray[np.uint8]:
+    """Bytes as an array, not copied."""
+    return np.frombuffer(content, dtype=np.uint8)
+
+
 def numbers(values: npt.NDArray[np.generic]) -> pa.Array:
     """A 1-D numeric array as an Arrow array; (n, k) becomes a list of fixed size k."""
     if values.ndim == 2:
@@ -136,14 +141,27 @@ def message_schema(
 
 
 def gather(buffer: npt.NDArray[np.uint8], starts: IntArray, lengths: IntArray, size: int) -> ByteMatrix:
-    """(n, size) bytes: row i is buffer[starts[i]:][:lengths[i]], zero-padded or cut to `size`.
-
-    The buffer must reach at least `size` bytes beyond every start.
-    """
-    if size == 0:
-        return np.zeros((len(starts), 0), dtype=np.uint8)
+    """(n, size) bytes: row i is buffer[starts[i]:][:lengths[i]], zero-padded or cut to `size`."""
+    if size == 0 or not len(starts):
+        return np.zeros((len(starts), size), dtype=np.uint8)
+    beyond = np.flatnonzero(starts > len(buffer) - size)
+    if len(beyond):
+        return _gather_tail(buffer, starts, lengths, size, beyond)
     rows = np.lib.stride_tricks.sliding_window_view(buffer, size)[starts]
     short = np.flatnonzero(lengths < size)
     if len(short):
         rows[short] *= np.arange(size, dtype=np.int64) < lengths[short, None]
+    return rows
+
+
+def _gather_tail(
+    buffer: npt.NDArray[np.uint8], starts: IntArray, lengths: IntArray, size: int, beyond: IntArray
+) -> ByteMatrix:
+    """`gather` where the windows of the rows `beyond` reach over the buffer's end."""
+    rows = np.zeros((len(starts), size), dtype=np.uint8)
+    within = np.setdiff1d(np.arange(len(starts)), beyond)
+    rows[within] = gather(buffer, starts[within], lengths[within], size)
+    for i in beyond.tolist():
+        piece = buffer[starts[i] : starts[i] + min(int(lengths[i]), size)]
+        rows[i, : len(piece)] = piece
     return rows

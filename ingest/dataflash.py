@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,8 @@ GPS_EPOCH_NS = 315_964_800 * SECOND_NS
 WEEK_NS = 7 * 86400 * SECOND_NS
 LEAP_SECONDS = ((1_483_228_800, 18), (1_435_708_800, 17), (1_341_100_800, 16), (1_230_768_000, 15), (0, 14))
 MAX_NS = (1 << 63) - 1
+TELLING = frozenset({"UNIT", "MULT", "FMTU", "MSG", "DSF"})
+TIME_COLUMNS = frozenset({"TimeUS", "TimeMS", "T", "Time", "GMS", "GWk", "Week", "Wk"})
 FIRMWARE = re.compile(
     r"(?:ArduPilot |APM:)?(?:Ardu)?(Copter|Plane|Rover|Sub|Blimp|Tracker)\s+V?(\d[\w.\-]*)", re.I
 )
@@ -40,7 +43,7 @@ def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
     """Confidence that these bytes begin a DataFlash log: does it define a message, and chain?"""
     if HEAD + bytes([FMT_ID]) not in head[:SNIFF_BYTES]:
         return 0.0
-    messages, _ = Walker().walk(head, 0, len(head))
+    messages, _ = Walker().walk(memoryview(head), 0, len(head))
     return 0.95 if len(messages) >= 3 else 0.6 if len(messages) else 0.0
 
 
@@ -64,13 +67,9 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     reader, position = _Reader(), 0
     while position < len(view):
         start = position
-        stop = start + limits.batch_bytes
-        if stop + LOOK_AHEAD >= len(view):
-            data = bytes(view[start:])
-            messages, position = reader.walker.walk(data, start, len(data))
-        else:
-            data = bytes(view[start : stop + LOOK_AHEAD])
-            messages, position = reader.walker.walk(data, start, limits.batch_bytes)
+        size = min(limits.batch_bytes + LOOK_AHEAD, len(view) - start)
+        limit = size if start + size == len(view) else limits.batch_bytes
+        messages, position = reader.walker.walk(view[start : start + size], start, limit)
         release(view, start, position)
         yield from _parts(reader, messages)
     if reader.row == 0:
@@ -82,26 +81,36 @@ def _parts(reader: _Reader, messages: Messages) -> Iterator[StreamPart]:
     """The tables of one batch, one per definition in it."""
     groups = _groups(messages)
     items = reader.walker.definitions.items
-    matrices: dict[int, ByteMatrix] = {}
+    kept: dict[int, IntArray] = {}
     for code, rows in groups.items():
-        layout = items[code].layout
-        if layout is None:
+        if items[code].layout is None:
             key = items[code].stream
             reader.undecoded[key] = reader.undecoded.get(key, 0) + len(rows)
-            continue
-        lengths = np.full(len(rows), layout.size, dtype=np.int64)
-        matrices[code] = gather(messages.buffer, messages.start[rows] + HEADER_BYTES, lengths, layout.size)
-        _learn(reader, items[code], matrices[code])
-    clocked = _clocks_of(reader, groups, matrices)
-    systems = np.full(len(messages), SYSTEM, dtype=np.uint8)
+        else:
+            kept[code] = rows
+            if items[code].name in TELLING:
+                _learn(reader, items[code], _matrix(messages, rows, items[code]))
+    clocked = {code: c for code, rows in kept.items() if (c := _clocked(reader, messages, code, rows))}
     order = np.arange(reader.row, reader.row + len(messages), dtype=np.int64)
-    placed, boots = reader.time.place(systems, list(clocked.values()), order, utc=False)
-    for code, matrix in matrices.items():
-        rows = groups[code]
-        time_ns = reader.time.settle(clocked[code], placed[rows]) if code in clocked else placed[rows]
-        _note_utc(reader, items[code], matrix, time_ns, boots[rows])
-        yield _table(reader, code, matrix, time_ns, boots[rows])
+    reader.time.begin(list(clocked.values()), order, utc=False)
+    for code, rows in kept.items():
+        time_ns, boots = reader.time.times((SYSTEM, 1, code), rows, clocked.get(code))
+        matrix = _matrix(messages, rows, items[code])
+        _note_utc(reader, items[code], matrix, time_ns, boots)
+        yield _table(reader, code, matrix, time_ns, boots)
     reader.row += len(messages)
+
+
+def _matrix(messages: Messages, rows: IntArray, definition: Definition) -> ByteMatrix:
+    """The bodies of the messages of one definition."""
+    size = _layout_of(definition).size
+    lengths = np.full(len(rows), size, dtype=np.int64)
+    return gather(messages.buffer, messages.start[rows] + HEADER_BYTES, lengths, size)
+
+
+def _layout_of(definition: Definition) -> Layout:
+    assert definition.layout is not None, "messages without a layout are counted, not decoded"
+    return definition.layout
 
 
 def _groups(messages: Messages) -> dict[int, IntArray]:
@@ -121,9 +130,8 @@ def _records(matrix: ByteMatrix, layout: Layout) -> npt.NDArray[np.void]:
 
 def _learn(reader: _Reader, definition: Definition, matrix: ByteMatrix) -> None:
     """Take in units, the firmware's name and counts of dropped messages."""
-    assert definition.layout is not None
-    names = definition.layout.dtype.names or ()
-    records = _records(matrix, definition.layout)
+    layout = _layout_of(definition)
+    names, records = layout.dtype.names or (), _records(matrix, layout)
     if definition.name == "UNIT" and {"Id", "Label"} <= set(names):
         reader.units.labels.update(
             (chr(int(i) & 255), _text(label))
@@ -158,19 +166,29 @@ def _text(raw: bytes) -> str:
 # -------------------------------------------------------------------------------------------- time
 
 
-def _clocks_of(
-    reader: _Reader, groups: dict[int, IntArray], matrices: dict[int, ByteMatrix]
-) -> dict[int, Clocked]:
-    clocked = {}
-    for code, matrix in matrices.items():
-        layout = reader.walker.definitions.items[code].layout
-        assert layout is not None
-        stated = _stated_time(reader, layout, matrix)
-        if stated is not None:
-            name, time_ns, is_boot, period = stated
-            stream = Clocked((SYSTEM, 1, code), name, groups[code], time_ns, is_boot, period)
-            clocked[code] = reader.time.unwrapped(stream)
-    return clocked
+def _clocked(reader: _Reader, messages: Messages, code: int, rows: IntArray) -> Clocked | None:
+    """The times that the messages of a definition state."""
+    definition = reader.walker.definitions.items[code]
+    layout = _layout_of(definition)
+    wanted = [n for n in layout.dtype.names or () if n in TIME_COLUMNS]
+    if not wanted:
+        return None
+    end = max(layout.dtype.fields[n][1] + layout.dtype[n].itemsize for n in wanted)  # type: ignore[index]
+    lengths = np.full(len(rows), end, dtype=np.int64)
+    places = [layout.dtype.fields[n] for n in wanted]  # type: ignore[index]
+    spec: Any = {
+        "names": wanted,
+        "formats": [p[0] for p in places],
+        "offsets": [p[1] for p in places],
+    }
+    spec["itemsize"] = end
+    head: np.dtype[np.void] = np.dtype(spec)
+    matrix = gather(messages.buffer, messages.start[rows] + HEADER_BYTES, lengths, end)
+    stated = _stated_time(reader, Layout(layout.name, head, ()), matrix)
+    if stated is None:
+        return None
+    name, time_ns, is_boot, period = stated
+    return reader.time.unwrapped(Clocked((SYSTEM, 1, code), name, rows, time_ns, is_boot, period))
 
 
 def _stated_time(
@@ -221,10 +239,10 @@ def _note_utc(
     reader: _Reader, definition: Definition, matrix: ByteMatrix, time_ns: IntArray, boots: IntArray
 ) -> None:
     """Anchor vehicle time to UTC by GPS messages that have a fix."""
-    assert definition.layout is not None
     if not definition.name.startswith("GPS"):
         return
-    records, names = _records(matrix, definition.layout), definition.layout.dtype.names or ()
+    layout = _layout_of(definition)
+    records, names = _records(matrix, layout), layout.dtype.names or ()
     gps_ns = _gps_ns(records, names)
     if gps_ns is None:
         return
@@ -249,17 +267,15 @@ def utc_of_gps(gps_ns: IntArray) -> IntArray:
 
 def _table(reader: _Reader, code: int, matrix: ByteMatrix, time_ns: IntArray, boots: IntArray) -> StreamPart:
     definition = reader.walker.definitions.items[code]
-    assert definition.layout is not None
-    columns = decode(matrix, definition.layout)
+    columns = decode(matrix, _layout_of(definition))
     if definition.stream not in reader.schemas:
         layout, instance = reader.units.apply(definition)
         source = (SYSTEM, 1, code)
         metadata = {
-            "time_source": reader.time.sources.get(source) or reader.time.source_of(source),
+            "time_source": reader.time.source_of(source).replace("arrival-mapped", "order-mapped"),
             "message": definition.name,
             **({"instance": instance} if instance else {}),
         }
-        metadata["time_source"] = metadata["time_source"].replace("arrival-mapped", "order-mapped")
         reader.schemas[definition.stream] = message_schema(layout, columns, metadata, received=False)
     schema = reader.schemas[definition.stream]
     table = pa.Table.from_arrays([numbers(time_ns), numbers(boots.astype(np.int32)), *columns], schema=schema)

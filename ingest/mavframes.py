@@ -30,9 +30,14 @@ SIGNATURE_BYTES = 13
 LOOK_AHEAD = 8192
 MAX_UNKNOWN_IN_A_ROW = 16
 STAMP_BYTES = 8
+LONGEST = 512
+PLAIN_STEP = 1 << 16
+HEADER_BLOCK = 1 << 14
 
 IntArray = npt.NDArray[np.int64]
-Chain = Callable[[bytes, int, int, int], tuple[IntArray, int]]
+ByteArray = npt.NDArray[np.uint8]
+Chain = Callable[[ByteArray, int, int, int], tuple[IntArray, int]]
+Buffer = bytes | memoryview
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +46,7 @@ class Frames:
 
     Attributes
     ----------
-    buffer : the batch's bytes, padded with zeros so that any payload may be read whole.
+    buffer : the batch's bytes.
     start : (n,) offset of the marker.
     message : (n,) message id.
     payload, length : (n,) offset and size of the payload.
@@ -50,14 +55,14 @@ class Frames:
         it; 0 where it is absurd.
     """
 
-    buffer: npt.NDArray[np.uint8]
+    buffer: ByteArray
     start: IntArray
     message: IntArray
     payload: IntArray
     length: IntArray
-    system: npt.NDArray[np.uint8]
-    component: npt.NDArray[np.uint8]
-    sequence: npt.NDArray[np.uint8]
+    system: ByteArray
+    component: ByteArray
+    sequence: ByteArray
     stamp_us: IntArray | None
 
     def __len__(self) -> int:
@@ -74,13 +79,32 @@ class Header:
 
 
 def plain_chain(crc_extra: npt.NDArray[np.int16]) -> Chain:
-    """A chain function in plain Python: no compilation, about 0.7 us a frame."""
+    """A chain function in plain Python: no compilation, about 1 us a frame.
+
+    chain(raw, position, limit, stamp) walks valid records from `position`. It returns the
+    frames' offsets and where it stopped: at the first record that starts at or after `limit`, or is not a
+    complete valid frame of a known id.
+    """
     import fastcrc
 
     crc16 = fastcrc.crc16.mcrf4xx
     seeds = {int(i): bytes([crc_extra[i]]) for i in np.flatnonzero(crc_extra != UNKNOWN)}
 
-    def chain(buffer: bytes, position: int, limit: int, stamp: int) -> tuple[IntArray, int]:
+    def chain(raw: ByteArray, position: int, limit: int, stamp: int) -> tuple[IntArray, int]:
+        size = len(raw)
+        # a few kilobytes at a time: after damage the chain is often entered only to stop again
+        starts: list[int] = []
+        first = position
+        while first < limit:
+            buffer = raw[first : min(first + PLAIN_STEP, size)].tobytes()
+            some, stopped = walk(buffer, 0, min(limit - first, PLAIN_STEP - LONGEST), stamp)
+            starts.extend([first + q for q in some])
+            first += stopped
+            if stopped < PLAIN_STEP - LONGEST:
+                break
+        return np.array(starts, dtype=np.int64), first
+
+    def walk(buffer: bytes, position: int, limit: int, stamp: int) -> tuple[list[int], int]:
         size = len(buffer)
         starts: list[int] = []
         while position < limit:
@@ -110,7 +134,7 @@ def plain_chain(crc_extra: npt.NDArray[np.int16]) -> Chain:
                 break
             starts.append(q)
             position = end
-        return np.array(starts, dtype=np.int64), position
+        return starts, position
 
     return chain
 
@@ -141,17 +165,20 @@ class Scanner:
     _expected: int = -1
     _seen: set[int] = field(default_factory=set)
 
-    def scan(self, buffer: bytes, base: int, limit: int) -> tuple[Frames, int]:
-        """Frames of the records that start in buffer[:limit], and where in the file the next batch begins.
+    def scan(self, raw: ByteArray, base: int, limit: int) -> tuple[Frames, int]:
+        """Frames of the records that start in raw[:limit], and where in the file the next batch begins.
 
-        `base` is the offset of the buffer in the file. The buffer must reach `LOOK_AHEAD` bytes beyond the
-        limit, except at the end of the file, where limit == len(buffer).
+        Parameters
+        ----------
+        raw : the batch's bytes: `LOOK_AHEAD` beyond `limit`, or up to it at the file's end.
+        base : offset of the batch in the file.
         """
+        buffer = raw.data
         found: list[IntArray] = []
         bare: list[int] = []
         position = 0 if self._lost_at is None else self._search(buffer, base, self.stamp, limit, found, bare)
         while position < limit and self._lost_at is None:
-            starts, position = self.chain(buffer, position, limit, self.stamp)
+            starts, position = self.chain(raw, position, limit, self.stamp)
             if len(starts):
                 found.append(starts)
                 self._seen.add(_sender(buffer, int(starts[-1])))
@@ -159,10 +186,10 @@ class Scanner:
                 position = self._recover(buffer, base, position, limit, found, bare)
         starts = np.concatenate(found) if found else np.empty(0, np.int64)
         self.unstamped += len(bare)
-        return read_headers(buffer, starts, self.stamp, bare), base + position
+        return read_headers(raw, starts, self.stamp, bare), base + position
 
     def _recover(
-        self, buffer: bytes, base: int, position: int, limit: int, found: list[IntArray], bare: list[int]
+        self, buffer: Buffer, base: int, position: int, limit: int, found: list[IntArray], bare: list[int]
     ) -> int:
         """What stopped the chain at `position`? Returns where to go on."""
         q = position + self.stamp
@@ -179,7 +206,7 @@ class Scanner:
         return self._search(buffer, base, position, limit, found, bare)
 
     def _search(
-        self, buffer: bytes, base: int, begin: int, limit: int, found: list[IntArray], bare: list[int]
+        self, buffer: Buffer, base: int, begin: int, limit: int, found: list[IntArray], bare: list[int]
     ) -> int:
         """Go on at the next valid frame whose marker is at or after `begin`, or at the end of the batch.
 
@@ -222,15 +249,15 @@ class Scanner:
     def _is_known(self, message: int) -> bool:
         return message < len(self.crc_extra) and self.crc_extra[message] != UNKNOWN
 
-    def _is_valid(self, buffer: bytes, q: int, head: Header) -> bool:
+    def _is_valid(self, buffer: Buffer, q: int, head: Header) -> bool:
         """True where the CRC of a known message holds."""
         import fastcrc
 
         seed = bytes([self.crc_extra[head.message]])
         stated = int.from_bytes(buffer[head.crc_at : head.crc_at + 2], "little")
-        return bool(fastcrc.crc16.mcrf4xx(buffer[q + 1 : head.crc_at] + seed) == stated)
+        return bool(fastcrc.crc16.mcrf4xx(bytes(buffer[q + 1 : head.crc_at]) + seed) == stated)
 
-    def _is_confirmed(self, buffer: bytes, position: int) -> bool:
+    def _is_confirmed(self, buffer: Buffer, position: int) -> bool:
         """Does a checked frame follow exactly, perhaps after more unknown ones?"""
         for _ in range(MAX_UNKNOWN_IN_A_ROW):
             q = position + self.stamp
@@ -242,7 +269,7 @@ class Scanner:
             position = head.end
         return False
 
-    def _is_plausible(self, buffer: bytes, q: int, head: Header) -> bool:
+    def _is_plausible(self, buffer: Buffer, q: int, head: Header) -> bool:
         """A CRC of 16 bits holds by chance once in 65,536: ask for a known sender, or a neighbour."""
         after = head.end + self.stamp
         return (
@@ -252,7 +279,7 @@ class Scanner:
         )
 
 
-def read_header(buffer: bytes, q: int) -> Header | None:
+def read_header(buffer: Buffer, q: int) -> Header | None:
     """The header at q; None where the buffer holds no complete frame there."""
     size = len(buffer)
     if q + 8 > size:
@@ -269,7 +296,7 @@ def read_header(buffer: bytes, q: int) -> Header | None:
     return head if head.end <= size else None
 
 
-def _is_cut(buffer: bytes, q: int) -> bool:
+def _is_cut(buffer: Buffer, q: int) -> bool:
     """Does the buffer end inside a record whose marker is (or would be) at q?"""
     size = len(buffer)
     if q >= size:
@@ -279,40 +306,40 @@ def _is_cut(buffer: bytes, q: int) -> bool:
     return read_header(buffer, q) is None
 
 
-def _sender(buffer: bytes, q: int) -> int:
+def _sender(buffer: Buffer, q: int) -> int:
     """system * 256 + component."""
     at = q + (5 if buffer[q] == V2 else 3)
     return buffer[at] * 256 + buffer[at + 1]
 
 
-def read_headers(buffer: bytes, starts: IntArray, stamp: int, bare: list[int]) -> Frames:
-    """The header fields of frames that begin at `starts`; those in `bare` have no timestamp."""
-    raw = np.frombuffer(buffer + bytes(256), dtype=np.uint8)
-    is_v2 = raw[starts] == V2
-    at = starts + np.where(is_v2, 4, 2)
-    message = raw[at + 3].astype(np.int64)
-    message[is_v2] |= (raw[at[is_v2] + 4].astype(np.int64) << 8) | (raw[at[is_v2] + 5].astype(np.int64) << 16)
-    stamps = None
-    if stamp:
-        stamps = gather_stamps(raw, starts)
+def read_headers(raw: ByteArray, starts: IntArray, stamp: int, bare: list[int]) -> Frames:
+    """The header fields of frames that begin at `starts`; those in `bare` have no timestamp.
+
+    Done in blocks that stay in the processor's cache: each field is another pass over the same bytes.
+    """
+    count = len(starts)
+    message, payload, length = (np.empty(count, dtype=np.int64) for _ in range(3))
+    system, component, sequence = (np.empty(count, dtype=np.uint8) for _ in range(3))
+    stamps = np.empty(count, dtype=np.int64) if stamp else None
+    for first in range(0, count, HEADER_BLOCK):
+        block = slice(first, first + HEADER_BLOCK)
+        q = starts[block]
+        is_v2 = raw[q] == V2
+        at = q + np.where(is_v2, 4, 2)
+        wide = np.flatnonzero(is_v2)
+        number = raw[at + 3].astype(np.int64)
+        number[wide] |= (raw[at[wide] + 4].astype(np.int64) << 8) | (raw[at[wide] + 5].astype(np.int64) << 16)
+        message[block], payload[block], length[block] = number, q + np.where(is_v2, 10, 6), raw[q + 1]
+        sequence[block], system[block], component[block] = raw[at], raw[at + 1], raw[at + 2]
+        if stamps is not None:
+            stamps[block] = gather_stamps(raw, q)
+    if stamps is not None and bare:
         stamps[np.isin(starts, bare)] = -1
-    return Frames(
-        buffer=raw,
-        start=starts,
-        message=message,
-        payload=starts + np.where(is_v2, 10, 6),
-        length=raw[starts + 1].astype(np.int64),
-        system=raw[at + 1],
-        component=raw[at + 2],
-        sequence=raw[at],
-        stamp_us=stamps,
-    )
+    return Frames(raw, starts, message, payload, length, system, component, sequence, stamps)
 
 
-def gather_stamps(raw: npt.NDArray[np.uint8], starts: IntArray) -> IntArray:
+def gather_stamps(raw: ByteArray, starts: IntArray) -> IntArray:
     """The microseconds in the 8 bytes before each frame; 0 where they exceed 2^63 ns (year 2262)."""
-    if not len(starts):
-        return np.empty(0, np.int64)
     before = np.lib.stride_tricks.sliding_window_view(raw, STAMP_BYTES)[np.maximum(starts - STAMP_BYTES, 0)]
     micros = before.view(">u8").reshape(-1)
     return np.where(micros < (1 << 63) // 1000, micros, np.uint64(0)).astype(np.int64)

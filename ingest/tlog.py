@@ -22,7 +22,7 @@ from flysid.errors import FormatError
 from flysid.flight import ClockMap, Damage
 from flysid.ingest.base import HEAD_BYTES, Format, Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.clock import SECOND_NS, IntArray, is_outlier
-from flysid.ingest.columns import Layout, decode, gather, message_schema, numbers
+from flysid.ingest.columns import ByteMatrix, Layout, as_array, decode, gather, message_schema, numbers
 from flysid.ingest.mavdialect import DEFAULT, OTHERS, Dialect, load_dialect
 from flysid.ingest.mavframes import (
     LOOK_AHEAD,
@@ -38,6 +38,7 @@ from flysid.ingest.mavframes import (
 from flysid.ingest.vehicletime import Clocked, Source, VehicleTime
 
 PROBE_BYTES = 1 << 20
+COMPILE_ABOVE_BYTES = 32 << 20
 HEARTBEAT = 0
 AUTOPILOT_INVALID = 8
 TIME_FIELDS = {"time_boot_ms": 1_000_000, "time_boot_us": 1000, "time_usec": 1000, "time_us": 1000}
@@ -83,12 +84,21 @@ def _stamp_bytes(head: bytes) -> int:
 def _count_frames(head: bytes, stamp: int) -> tuple[int, int]:
     """(valid frames, valid frames less lost regions) in `head` under one hypothesis."""
     scanner = _scanner(DEFAULT, stamp)
-    frames, _ = scanner.scan(head, 0, len(head))
+    frames, _ = scanner.scan(as_array(head), 0, len(head))
     return len(frames), len(frames) - scanner.region_count - scanner.unstamped
 
 
-def _scanner(dialect: str, stamp: int) -> Scanner:
-    return Scanner(load_dialect(dialect).crc_extra, stamp, _plain_chain(dialect))
+def _scanner(dialect: str, stamp: int, size: int = 0) -> Scanner:
+    """A scanner for a log of `size` bytes: large ones are walked by compiled code."""
+    chain = _compiled_chain(dialect) if size > COMPILE_ABOVE_BYTES else _plain_chain(dialect)
+    return Scanner(load_dialect(dialect).crc_extra, stamp, chain)
+
+
+@cache
+def _compiled_chain(dialect: str) -> Chain:
+    from flysid.ingest.mavkernel import compiled_chain
+
+    return compiled_chain(load_dialect(dialect).crc_extra)
 
 
 @cache
@@ -101,7 +111,7 @@ def choose_dialect(sample: bytes, stamp: int) -> str:
     misses = {}
     for name in (DEFAULT, *OTHERS):
         scanner = _scanner(name, stamp)
-        scanner.scan(sample, 0, len(sample))
+        scanner.scan(as_array(sample), 0, len(sample))
         misses[name] = scanner.bad_checksums + sum(scanner.unknown.values())
         if misses[name] == 0:
             break
@@ -131,7 +141,7 @@ class _Reader:
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
     """Parts of a tlog or raw MAVLink file; see `Format.read`."""
     stamp = _stamp_bytes(bytes(view[:HEAD_BYTES]))
-    reader = _Reader(load_dialect(), _scanner(DEFAULT, stamp))
+    reader = _Reader(load_dialect(), _scanner(DEFAULT, stamp, len(view)))
     position = 0
     while position < len(view):
         start = position
@@ -139,7 +149,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
         if start == 0 and (reader.scanner.bad_checksums or reader.scanner.unknown):
             dialect = choose_dialect(bytes(view[:PROBE_BYTES]), stamp)
             if dialect != DEFAULT:
-                reader = _Reader(load_dialect(dialect), _scanner(dialect, stamp))
+                reader = _Reader(load_dialect(dialect), _scanner(dialect, stamp, len(view)))
                 frames, position = _next_frames(reader.scanner, view, start, limits)
         release(view, start, position)
         yield from _parts(reader, frames)
@@ -152,9 +162,8 @@ def _next_frames(scanner: Scanner, view: memoryview, start: int, limits: Limits)
     """Frames of the batch that begins at `start`, and where the next one begins."""
     stop = start + limits.batch_bytes
     if stop + LOOK_AHEAD >= len(view):
-        buffer = bytes(view[start:])
-        return scanner.scan(buffer, start, len(buffer))
-    return scanner.scan(bytes(view[start : stop + LOOK_AHEAD]), start, limits.batch_bytes)
+        return scanner.scan(as_array(view[start:]), start, len(view) - start)
+    return scanner.scan(as_array(view[start : stop + LOOK_AHEAD]), start, limits.batch_bytes)
 
 
 def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
@@ -164,24 +173,23 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
     arrival, has_utc = _arrival(reader, frames)
     groups = dict(_streams(frames))
     _count_gaps(reader, frames)
-    matrices = {}
     clocked: dict[Source, Clocked] = {}
     for source, rows in groups.items():
         layout = reader.dialect.layout(source[2])
-        matrix = gather(frames.buffer, frames.payload[rows], frames.length[rows], layout.size)
-        matrices[source] = matrix
         if source[2] == HEARTBEAT:
-            _note_vehicle(reader, source, matrix, layout)
+            _note_vehicle(reader, source, _matrix(frames, rows, layout), layout)
         if (name := _time_field(layout)) is not None:
-            clocked[source] = reader.time.unwrapped(_clocked(source, name, rows, matrix, layout))
-    placed, boots = reader.time.place(frames.system, list(clocked.values()), arrival, utc=has_utc)
+            clocked[source] = reader.time.unwrapped(_clocked(source, name, rows, frames, layout))
+    reader.time.begin(list(clocked.values()), arrival, utc=has_utc)
     for source, rows in groups.items():
-        time_ns = placed[rows]
-        if source in clocked:
-            time_ns = reader.time.settle(clocked[source], time_ns)
-        received = arrival[rows] if has_utc else None
-        yield _table(reader, source, matrices.pop(source), time_ns, boots[rows], received)
+        time_ns, boots = reader.time.times(source, rows, clocked.get(source))
+        matrix = _matrix(frames, rows, reader.dialect.layout(source[2]))
+        yield _table(reader, source, matrix, (time_ns, boots), arrival[rows] if has_utc else None)
     reader.row += len(frames)
+
+
+def _matrix(frames: Frames, rows: IntArray, layout: Layout) -> ByteMatrix:
+    return gather(frames.buffer, frames.payload[rows], frames.length[rows], layout.size)
 
 
 def _arrival(reader: _Reader, frames: Frames) -> tuple[IntArray, bool]:
@@ -208,26 +216,36 @@ def _arrival(reader: _Reader, frames: Frames) -> tuple[IntArray, bool]:
 
 def _streams(frames: Frames) -> Iterator[tuple[Source, IntArray]]:
     """(system, component, message id) and the rising row numbers of its frames."""
-    sender = (frames.system.astype(np.int64) << 8) | frames.component
-    key = (sender << 24) | frames.message
-    values, codes = _encode(key)
-    order = np.argsort(codes, kind="stable")
-    edges = np.searchsorted(codes[order], np.arange(len(values) + 1))
-    for i, value in enumerate(values.tolist()):
-        yield (value >> 32, (value >> 24) & 255, value & 0xFFFFFF), order[edges[i] : edges[i + 1]]
+    senders, who = _dense(_senders(frames))
+    messages, what = _dense(frames.message)
+    codes = who * len(messages) + what
+    order = np.argsort(codes.astype(np.uint16) if codes.max() < 1 << 16 else codes, kind="stable")
+    counts = np.bincount(codes)
+    present = np.flatnonzero(counts)
+    edges = np.concatenate([[0], np.cumsum(counts[present])])
+    for i, code in enumerate(present.tolist()):
+        sender, message = divmod(code, len(messages))
+        key = (*divmod(int(senders[sender]), 256), int(messages[message]))
+        yield key, order[edges[i] : edges[i + 1]]
 
 
-def _encode(key: IntArray) -> tuple[IntArray, npt.NDArray[np.uint16] | IntArray]:
-    """(distinct keys rising, their codes); 16-bit codes let NumPy sort by radix."""
-    values = np.unique(key)
-    codes = np.searchsorted(values, key)
-    return values, codes.astype(np.uint16) if len(values) < 1 << 16 else codes
+def _senders(frames: Frames) -> IntArray:
+    """(n,) system * 256 + component."""
+    return (frames.system.astype(np.int64) << 8) | frames.component
+
+
+def _dense(values: IntArray) -> tuple[IntArray, IntArray]:
+    """(distinct values rising, index of each value among them), for small non-negative integers."""
+    present = np.flatnonzero(np.bincount(values))
+    place = np.zeros(int(present[-1]) + 1, dtype=np.int64)
+    place[present] = np.arange(len(present))
+    return present, place[values]
 
 
 def _count_gaps(reader: _Reader, frames: Frames) -> None:
     """Messages missing per sender by the 8-bit sequence number; repeats and late frames are no gap."""
-    sender = (frames.system.astype(np.int64) << 8) | frames.component
-    for who in np.unique(sender).tolist():
+    sender = _senders(frames)
+    for who in np.flatnonzero(np.bincount(sender)).tolist():
         numbers_seen = frames.sequence[sender == who].astype(np.int64)
         before = reader.last_sequence.get(who)
         steps = np.diff(numbers_seen, prepend=numbers_seen[0] - 1 if before is None else before) % 256
@@ -243,21 +261,24 @@ def _time_field(layout: Layout) -> str | None:
     return next((f for f in TIME_FIELDS if f in names), None)
 
 
-def _clocked(
-    source: Source, name: str, rows: IntArray, matrix: npt.NDArray[np.uint8], layout: Layout
-) -> Clocked:
+def _clocked(source: Source, name: str, rows: IntArray, frames: Frames, layout: Layout) -> Clocked:
+    """The times that a stream states; only the bytes of that field are gathered."""
+    kind, at = layout.dtype.fields[name][:2]  # type: ignore[index]
+    width = kind.itemsize
+    left = np.clip(frames.length[rows] - at, 0, width)
+    bare = Layout(name, np.dtype([(name, kind)]), ())
+    matrix = gather(frames.buffer, frames.payload[rows] + at, left, width)
     unit = TIME_FIELDS[name]
-    time_ns = np.minimum(_field_values(matrix, layout, name), MAX_NS // unit) * unit
-    period = (1 << 32) * unit if layout.dtype[name].itemsize == 4 else 0
-    return Clocked(source, name, rows, time_ns, name in BOOT_FIELDS, period)
+    time_ns = np.minimum(_field_values(matrix, bare, name), MAX_NS // unit) * unit
+    return Clocked(source, name, rows, time_ns, name in BOOT_FIELDS, (1 << 32) * unit if width == 4 else 0)
 
 
-def _field_values(matrix: npt.NDArray[np.uint8], layout: Layout, name: str) -> IntArray:
+def _field_values(matrix: ByteMatrix, layout: Layout, name: str) -> IntArray:
     values: npt.NDArray[np.uint64] = matrix.view(layout.dtype).reshape(len(matrix))[name]
     return np.minimum(values, np.uint64((1 << 63) - 1)).astype(np.int64)
 
 
-def _note_vehicle(reader: _Reader, source: Source, matrix: npt.NDArray[np.uint8], layout: Layout) -> None:
+def _note_vehicle(reader: _Reader, source: Source, matrix: ByteMatrix, layout: Layout) -> None:
     autopilots = _field_values(matrix, layout, "autopilot")
     real = autopilots[autopilots != AUTOPILOT_INVALID]
     if not len(real):
@@ -277,22 +298,21 @@ def _short(enum_name: str) -> str:
 def _table(
     reader: _Reader,
     source: Source,
-    matrix: npt.NDArray[np.uint8],
-    time_ns: IntArray,
-    boots: IntArray,
+    matrix: ByteMatrix,
+    times: tuple[IntArray, IntArray],
     received: IntArray | None,
 ) -> StreamPart:
     layout = reader.dialect.layout(source[2])
     columns = decode(matrix, layout)
     if source not in reader.schemas:
         metadata = {
-            "time_source": reader.time.sources.get(source) or reader.time.source_of(source),
+            "time_source": reader.time.source_of(source),
             "system": str(source[0]),
             "component": str(source[1]),
             "message": layout.name,
         }
         reader.schemas[source] = message_schema(layout, columns, metadata, received=received is not None)
-    heads = [numbers(time_ns), numbers(boots.astype(np.int32))]
+    heads = [numbers(times[0]), numbers(times[1].astype(np.int32))]
     if received is not None:
         heads.append(numbers(received))
     table = pa.Table.from_arrays(heads + columns, schema=reader.schemas[source])

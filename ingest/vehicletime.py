@@ -14,9 +14,9 @@ the main vehicle. A format with a single source of messages (DataFlash) is one s
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from flysid.ingest.clock import (
     SECOND_NS,
@@ -28,6 +28,7 @@ from flysid.ingest.clock import (
     wrap_points,
 )
 
+NO_TIME = -(1 << 63)
 LONG_PERIOD_NS = 86400 * SECOND_NS
 UNIX_NS = 10**18  # 2001: a clock that counts from boot does not get there
 AGREES_NS = 5 * SECOND_NS
@@ -60,11 +61,23 @@ class Clocked:
 
 @dataclass(frozen=True, eq=False)
 class Knots:
-    """One system's clock within a batch: rising rows, with time and boot."""
+    """One system's clock within a batch: rising rows with their time.
+
+    `splits` are the rows at which boots begin, counted on from `first_boot`; `whole` are the streams of
+    which every row is a knot.
+    """
 
     rows: IntArray
     time_ns: IntArray
-    boots: IntArray
+    splits: tuple[int, ...]
+    first_boot: int
+    whole: frozenset[Source]
+
+    def boots_of(self, rows: IntArray) -> IntArray:
+        """The boot that each row belongs to."""
+        if not self.splits:
+            return np.full(len(rows), self.first_boot, dtype=np.int64)
+        return self.first_boot + np.searchsorted(np.array(self.splits), rows, side="right")
 
 
 @dataclass
@@ -93,6 +106,9 @@ class VehicleTime:
     sources: dict[Source, str] = field(default_factory=dict)
     _systems: dict[int, _System] = field(default_factory=dict)
     _wraps: dict[Source, int] = field(default_factory=dict)
+    _knots: dict[int, Knots] = field(default_factory=dict)
+    _arrival: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    _utc: bool = False
 
     def unwrapped(self, stream: Clocked) -> Clocked:
         """The stream with wraps of its own counter undone, those of earlier batches included.
@@ -109,33 +125,38 @@ class VehicleTime:
         count = before + np.searchsorted(wraps, np.arange(len(stream.rows)), side="right")
         return replace(stream, time_ns=stream.time_ns + count * stream.period_ns)
 
-    def place(
-        self, systems: npt.NDArray[np.uint8], clocked: list[Clocked], arrival: IntArray, *, utc: bool
-    ) -> tuple[IntArray, IntArray]:
-        """Vehicle time and boot of every frame of a batch, before a stream's own times are put in.
+    def begin(self, clocked: list[Clocked], arrival: IntArray, *, utc: bool) -> None:
+        """Take in the next batch.
 
         Parameters
         ----------
-        systems : (n,) system of every frame, in file order.
-        clocked : all streams that carry a time.
-        arrival : (n,) arrival in nanoseconds UTC, or positions where `utc` is False.
+        clocked : all streams that carry a time (`unwrapped`).
+        arrival : (n,) arrival of every message in nanoseconds UTC, or its position where `utc` is False.
         """
-        knots = {system: self._knots(system, clocked, arrival, utc) for system in _clock_owners(clocked)}
-        if self.main is None or (self.main not in self.vehicles and self.vehicles & set(knots)):
-            self.main = self._choose_main(knots)
-        time_ns, boots = arrival.copy(), np.zeros(len(arrival), dtype=np.int64)
-        for system in np.unique(systems).tolist():
-            rows = np.flatnonzero(systems == system)
-            owner = self._owner(system)
-            if owner is not None:
-                time_ns[rows], boots[rows] = self._between(owner, rows, knots.get(owner), arrival, utc)
-        return time_ns, boots
+        self._arrival, self._utc = arrival, utc
+        owners = sorted({stream.source[0] for stream in clocked})
+        self._knots = {system: self._make_knots(system, clocked) for system in owners}
+        if self.main is None or (self.main not in self.vehicles and self.vehicles & set(self._knots)):
+            self.main = self._choose_main()
 
-    def settle(self, stream: Clocked, placed_ns: IntArray) -> IntArray:
-        """The times of a stream: its own where they agree with `placed_ns`, otherwise those.
+    def times(self, source: Source, rows: IntArray, stated: Clocked | None) -> tuple[IntArray, IntArray]:
+        """Vehicle time and boot of the messages of one stream in the batch.
 
-        Rows that disagree alone are counted as outliers, unless they say 0 ("not set").
+        Its own times are taken where they agree with their place among the knots. Rows that disagree alone
+        are counted as outliers, unless they say 0 ("not set").
         """
+        owner = self._owner(source[0])
+        if owner is None:
+            return self._arrival[rows], np.zeros(len(rows), dtype=np.int64)
+        knots = self._knots.get(owner)
+        if stated is not None and owner == source[0] and knots is not None and source in knots.whole:
+            self.sources.setdefault(source, stated.field)
+            if self.sources[source] == stated.field:
+                return stated.time_ns, knots.boots_of(rows)
+        placed_ns, boots = self._between(owner, rows, knots)
+        return (placed_ns if stated is None else self._settle(stated, placed_ns)), boots
+
+    def _settle(self, stream: Clocked, placed_ns: IntArray) -> IntArray:
         own = stream.time_ns
         if stream.period_ns:
             own = own + np.rint((placed_ns - own) / stream.period_ns).astype(np.int64) * stream.period_ns
@@ -153,7 +174,9 @@ class VehicleTime:
         return np.where(wrong, placed_ns, own)
 
     def source_of(self, source: Source) -> str:
-        """How a stream without a time field of its own was placed."""
+        """Where a stream's times come from: its field, or how it was placed."""
+        if source in self.sources:
+            return self.sources[source]
         return "arrival" if self._owner(source[0]) is None else "arrival-mapped"
 
     def fit(self) -> UtcFit:
@@ -166,11 +189,11 @@ class VehicleTime:
             return system
         return self.main
 
-    def _choose_main(self, knots: dict[int, Knots]) -> int | None:
-        known = [s for s in knots if s in self.vehicles] or list(knots)
-        return max(known, key=lambda s: (len(knots[s].rows), -s), default=self.main)
+    def _choose_main(self) -> int | None:
+        known = [s for s in self._knots if s in self.vehicles] or list(self._knots)
+        return max(known, key=lambda s: (len(self._knots[s].rows), -s), default=self.main)
 
-    def _knots(self, system: int, clocked: list[Clocked], arrival: IntArray, utc: bool) -> Knots:
+    def _make_knots(self, system: int, clocked: list[Clocked]) -> Knots:
         """The knots of a system in this batch; splits boots and feeds the fit to UTC."""
         state = self._systems.get(system)
         if state is None:
@@ -178,17 +201,19 @@ class VehicleTime:
         streams = _clock_streams(system, state.component, clocked)
         good = [_without_outliers(s) for s in streams]
         splits = split_points([i for s in good for i in self._steps(state, s)], len(good))
-        rows = np.concatenate([s.rows for s in good]) if good else np.empty(0, np.int64)
-        order = np.argsort(rows, kind="stable")
-        rows = rows[order]
-        times = np.concatenate([s.time_ns for s in good])[order] if good else rows
-        boots = state.boot + np.searchsorted(np.array(splits, dtype=np.int64), rows, side="right")
-        for boot in np.unique(boots).tolist():
-            inside = boots == boot
-            times[inside] = np.maximum.accumulate(times[inside])
-            state.fit.add(boot, times[inside], arrival[rows[inside]] if utc else None)
-        state.boot += len(splits)
-        return Knots(rows, times, boots)
+        times = np.full(len(self._arrival), NO_TIME, dtype=np.int64)
+        for stream in good:
+            times[stream.rows] = stream.time_ns
+        rows = np.flatnonzero(times != NO_TIME)
+        times = times[rows]
+        edges = [0, *np.searchsorted(rows, splits).tolist(), len(rows)]
+        for number, (start, stop) in enumerate(pairwise(edges)):
+            np.maximum.accumulate(times[start:stop], out=times[start:stop])
+            arrival = self._arrival[rows[start:stop]] if self._utc else None
+            state.fit.add(state.boot + number, times[start:stop], arrival)
+        first_boot, state.boot = state.boot, state.boot + len(splits)
+        whole = frozenset(s.source for s, g in zip(streams, good, strict=True) if s is g)
+        return Knots(rows, times, tuple(splits), first_boot, whole)
 
     def _steps(self, state: _System, stream: Clocked) -> list[tuple[int, int]]:
         """Intervals of positions in which a stream steps back, the step from the last batch included."""
@@ -200,34 +225,27 @@ class VehicleTime:
         state.last[stream.source] = int(stream.time_ns[-1])
         return intervals
 
-    def _between(
-        self, owner: int, rows: IntArray, knots: Knots | None, arrival: IntArray, utc: bool
-    ) -> tuple[IntArray, IntArray]:
-        """Time and boot of frames between the knots of `owner`."""
-        state = self._systems[owner]
-        slope = 1.0 / state.fit.slope(state.boot) if utc else 0.0
+    def _between(self, owner: int, rows: IntArray, knots: Knots | None) -> tuple[IntArray, IntArray]:
+        """Time and boot of messages between the knots of `owner`."""
+        state, arrival = self._systems[owner], self._arrival
+        slope = 1.0 / state.fit.slope(state.boot) if self._utc else 0.0
         if knots is None or not len(knots.rows):
             at, time = state.knot or (int(arrival[0]), 0)
             ahead = ((arrival[rows] - at) * slope).astype(np.int64)
             return time + np.maximum(ahead, 0), np.full(len(rows), state.boot, dtype=np.int64)
         after = np.searchsorted(knots.rows, rows, side="right")
         left, right = np.maximum(after - 1, 0), np.minimum(after, len(knots.rows) - 1)
-        boots = np.where(after == 0, knots.boots[0], knots.boots[left])
-        left = np.where(after == 0, 0, left)
-        right = np.where(knots.boots[right] == boots, right, left)
+        boots = knots.boots_of(np.maximum(rows, knots.rows[0]))
+        right = np.where(knots.boots_of(knots.rows[right]) == boots, right, left)
         start, stop = arrival[knots.rows[left]], arrival[knots.rows[right]]
         share = np.clip((arrival[rows] - start) / np.maximum(stop - start, 1), 0.0, 1.0)
         step = knots.time_ns[right] - knots.time_ns[left]
         beyond = ((arrival[rows] - start) * slope).astype(np.int64)
-        inside = (right > left) & (after > 0)
         beyond = np.where(after == 0, np.minimum(beyond, 0), np.maximum(beyond, 0))
+        inside = (right > left) & (after > 0)
         time_ns = knots.time_ns[left] + np.where(inside, (share * step).astype(np.int64), beyond)
         state.knot = (int(arrival[knots.rows[-1]]), int(knots.time_ns[-1]))
         return time_ns, boots
-
-
-def _clock_owners(clocked: list[Clocked]) -> list[int]:
-    return sorted({stream.source[0] for stream in clocked})
 
 
 def _clock_component(system: int, clocked: list[Clocked]) -> int:
