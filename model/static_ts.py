@@ -25,7 +25,7 @@ from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, Structure
 from flysid.model.cluster import Method, cluster, project
 from flysid.model.memberships import Conjunction, Partition, Shape
 from flysid.model.threads import on_one_thread
-from flysid.model.words import condition_in_words, equation, number, write_model
+from flysid.model.words import condition_in_words, equation, in_words, number, write_model
 
 
 @dataclass(frozen=True)
@@ -174,6 +174,11 @@ class FittedStaticTS:
             pole_radius=0.0,
             support=float(self.support[r]),
         )
+
+    def __str__(self) -> str:
+        """The rules in words."""
+        title = f"Static Takagi-Sugeno model, {len(self.partition)} rules, {self.n_parameters} parameters"
+        return in_words(title, self.rules(), self.notes)
 
     @cached_property
     def table(self) -> tuple[tuple[str, str, str, str], ...]:

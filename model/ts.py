@@ -25,7 +25,7 @@ from flysid.model.tsestimate import Learned, learn
 from flysid.model.tskernel import Parameters, firing, free_run, predict
 from flysid.model.tslayout import Antecedent, Layout, Orders, at
 from flysid.model.tsselect import estimated_initial
-from flysid.model.words import condition_in_words, equation, write_model
+from flysid.model.words import condition_in_words, equation, in_words, write_model
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class TS:
     na : past outputs in every consequent, or "auto".
     nb, nk : past inputs and their delay, one number, one per input, or "auto".
     antecedents : names such as ("v_x(k-1)", "theta_in(k-1)"), or "auto": found by splitting.
-    refine : lower the simulation error; False keeps one-step least squares (a demonstration of what the
-        literature's default costs).
+    refine : lower the simulation error; False keeps clusters and one-step least squares, the
+        literature's default, whose free run shows what refinement is for.
     most_rules : where "auto" stops.
     iterations : Levenberg-Marquardt steps per stage.
     """
@@ -236,6 +236,12 @@ class FittedTS:
             pole_radius=radius,
             support=float(self.support[r]),
         )
+
+    def __str__(self) -> str:
+        """The rules and how they were chosen, in words."""
+        count = len(self.parameters.theta)
+        title = f"Takagi-Sugeno model, {count} rule{'s' if count > 1 else ''}, {self.layout.orders}"
+        return in_words(f"{title}, {self.n_parameters} parameters", self.rules(), self.notes)
 
     def _stack(self, u: FloatArray, y: FloatArray) -> FloatArray:
         u, y = _columns(u, len(self.inputs), "u"), _columns(y, self.layout.n_y, "y")

@@ -10,6 +10,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
+from flysid.model.tsclustered import clustered_stage
 from flysid.model.tsgrow import (
     Stage,
     embedded_start,
@@ -91,7 +92,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
             hint="give more data, lower orders, or fewer rules",
         )
     stage = ordered(chosen.stage)
-    if own:
+    if own and settings.refine:
         stage = on_all_runs(stage, runs_of(stage.problem.layout, train.segments, least), settings.iterations)
         grown.append("The model was refined once more on the held-out part together with the rest.")
     verdict = rule_verdict(settings, models, at)
@@ -238,6 +239,9 @@ class Workshop:
         candidates = named or found_antecedents(stage.problem.layout)
         models, notes = [linear], []
         most = settings.most_rules if settings.rules == "auto" else settings.rules
+        if not settings.refine:
+            plain = (clustered_stage(stage, candidates[:2], r) for r in range(2, most + 1))
+            return [linear, *(self.judge(s) for s in plain)], []
         parameters = stage.body.a.size
         while len(models) < most and parameters * (len(models) + 1) * 4 < stage.problem.samples:
             models.append(self.one_rule_more(models[-1], candidates))

@@ -70,7 +70,8 @@ class Problem:
         was reached before a change of basis, to the last digit.
     z_range : (2, n_z) range of the antecedents in training.
     limits : (2, n_y) normalised output limits.
-    ridge : weight on the spread of the rules' consequents about their mean.
+    ridge : weight on the spread of the rules' consequents about their mean, and on how far memberships
+        have moved from where a refinement began.
     """
 
     layout: Layout
@@ -179,7 +180,7 @@ class SimulationError:
         for run, W in zip(simulate_runs(self.problem, body, initial), self.problem.runs, strict=True):
             gap = run[:, :n_y] - W[:, :n_y]
             total += float(np.einsum("ni,ni->", gap, gap))
-        return total / self.problem.samples + self.problem.ridge * _spread(body.a)
+        return total / self.problem.samples + self.problem.ridge * self._departure(body)
 
     def normal(self, p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Cost, its Gauss-Newton matrix H and half its gradient g, so that a full step is -H^-1 g."""
@@ -204,8 +205,35 @@ class SimulationError:
         n = self.problem.samples
         H, g = H / n, g / n
         if self.problem.ridge:
-            _add_ridge(H, g, body.a, self.problem.ridge)
-        return total / n + self.problem.ridge * _spread(body.a), H, g
+            self._add_ridge(H, g, body)
+        return total / n + self.problem.ridge * self._departure(body), H, g
+
+    def _departures(self, body: Body) -> tuple[FloatArray, FloatArray]:
+        """What the ridge is on, and what one unit of each unknown but the first outputs adds to it.
+
+        Consequents are held to their mean; centres (in widths) and log widths to where they started,
+        weakly, so that no direction of the search is flat.
+        """
+        old = self.body
+        gaps = [body.a - body.a.mean(axis=0), (body.centre - old.centre) / old.width]
+        values = np.concatenate([g.ravel() for g in gaps] + [np.log(body.width / old.width).ravel()])
+        slopes = np.concatenate([np.ones(body.a.size), 1.0 / old.width.ravel(), np.ones(old.width.size)])
+        return values, slopes
+
+    def _departure(self, body: Body) -> float:
+        values, _ = self._departures(body)
+        return float(values @ values)
+
+    def _add_ridge(self, H: FloatArray, g: FloatArray, body: Body) -> None:
+        """Add the ridge's half gradient and its matrix."""
+        values, slopes = self._departures(body)
+        rules, m = len(body.a), body.a[0].size
+        own = np.diag(slopes * slopes)
+        own[: body.a.size, : body.a.size] = np.kron(np.eye(rules) - 1.0 / rules, np.eye(m))
+        chosen = np.flatnonzero(self.free > 0)
+        count = len(chosen)
+        g[:count] += self.problem.ridge * (values * slopes)[chosen]
+        H[:count, :count] += self.problem.ridge * own[np.ix_(chosen, chosen)]
 
 
 def _segment_normal(
@@ -239,17 +267,3 @@ def _segment_normal(
         total += float(error @ error)
         J[:depth] = J[end - begin : end - begin + depth].copy()
     return H, g, total
-
-
-def _spread(a: FloatArray) -> float:
-    gap = a - a.mean(axis=0)
-    return float((gap * gap).sum())
-
-
-def _add_ridge(H: FloatArray, g: FloatArray, a: FloatArray, ridge: float) -> None:
-    """Add the ridge's gradient and matrix; the consequents always stand first among the unknowns."""
-    rules, m = len(a), a[0].size
-    gap = (a - a.mean(axis=0)).ravel()
-    g[: a.size] += ridge * gap
-    centring = np.eye(rules) - 1.0 / rules
-    H[: a.size, : a.size] += ridge * np.kron(centring, np.eye(m))

@@ -64,7 +64,8 @@ def initial_state_gain(stage: Stage) -> FloatArray:
     Y = np.vstack(targets)
     gram = X.T @ X / len(X)
     noise = float((Y * Y).mean())
-    return np.asarray(np.linalg.solve(gram + (1e-9 + 1e-3 * noise) * np.eye(len(gram)), X.T @ Y / len(X)).T)
+    gain = np.linalg.solve(gram + (1e-9 + 1e-3 * noise) * np.eye(len(gram)), X.T @ Y / len(X))
+    return np.ascontiguousarray(gain.T)
 
 
 def _windows(W: FloatArray, depth: int) -> FloatArray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import StoreError
+from flysid.model.base import Rule
 from flysid.model.memberships import Partition
 
 _SCALES: Mapping[int, tuple[str, ...]] = {
@@ -123,6 +124,28 @@ def condition_in_words(partition: Partition, r: int, names: Sequence[str], units
         about = f"about {number(centre)} +- {number(width)}" + (f" {unit}" if unit else "")
         parts.append(f"{name} is A{r + 1} '{word}' ({about})")
     return " and ".join(parts) if parts else "always, a little"
+
+
+def in_words(title: str, rules: Sequence[Rule], notes: Sequence[str]) -> str:
+    """A whole model as text: title, rules with what they mean, notes."""
+    lines = [title]
+    for rule in rules:
+        always = rule.condition.startswith("always")
+        then = f"{rule.condition.capitalize()}:" if always else f"If {rule.condition}, then"
+        lines.append(f"  {rule.label}. {then} {rule.conclusion}  [{meaning(rule)}]")
+    return "\n".join([*lines, *(f"  - {note}" for note in notes)])
+
+
+def meaning(rule: Rule) -> str:
+    """ "gain 0.11, time constant 0.48 s, strongest for 32 % of the samples"; * where nearly integrating."""
+    gain = ", ".join(number(float(g)) if np.isfinite(g) else "integrates" for g in rule.dc_gain.ravel())
+    parts = [f"gain {gain}"]
+    if rule.pole_radius > 0:
+        star = "*" if rule.pole_radius > 0.999 else ""
+        parts.append(f"time constant {number(rule.time_constant_s)} s{star}")
+    if rule.pole_radius >= 1.0:
+        parts.append("unstable by itself")
+    return ", ".join([*parts, f"strongest for {100 * rule.support:.0f} % of the samples"])
 
 
 def write_model(document: Mapping[str, Any], path: str | Path) -> None:

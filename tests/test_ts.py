@@ -136,3 +136,19 @@ def test_bad_input_is_named() -> None:
         TS().fit(Dataset.from_arrays(u[:8], y[:8], DT))
     with pytest.raises(UsageError, match="rules"):
         TS(rules=0).fit(Dataset.from_arrays(u, y, DT))
+
+
+def test_without_refinement_the_free_run_is_worse(bent: FittedTS) -> None:
+    data = Dataset.from_arrays(*second_order(2000, 1, bend=0.1), DT)
+    plain = TS(rules=len(bent.rules()), na=2, nb=2, nk=1, refine=False).fit(data)
+    u, y = second_order(1500, 7, bend=0.1)
+    assert len(plain.rules()) == len(bent.rules())
+    assert free_run_rmse(bent, u, y) < free_run_rmse(plain, u, y)
+    assert any("not refined" in note for note in plain.notes)
+
+
+def test_a_model_reads_as_text(bent: FittedTS) -> None:
+    text = str(bent)
+    assert "R1. If" in text
+    assert "time constant" in text
+    assert "rules" in text.splitlines()[0]
