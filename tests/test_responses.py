@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flysid.dataset import FloatArray
-from flysid.validate.responses import impulse_response, responses, steady_outputs
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.arx import ARX
+from flysid.validate.responses import Linear, impulse_response, responses, steady_outputs
 from tests.fakes import FirstOrder
 
 HZ = np.geomspace(0.01, 9.9, 50)
@@ -32,6 +33,17 @@ def test_polynomials_and_simulation_agree_with_the_transfer_function() -> None:
     np.testing.assert_allclose(by_rule[0], truth, rtol=1e-9)
     np.testing.assert_allclose(by_rule[1], 2 * truth, rtol=1e-9)
     assert responses(replace(LINEAR, labels=("R1", "R2")), HZ, 0, 0) == []
+
+
+def test_a_linear_model_answers_by_its_difference_equation() -> None:
+    rng = np.random.default_rng(0)
+    u = rng.normal(size=(2000, 1))
+    y = LINEAR.simulate(u) + 0.001 * rng.normal(size=(2000, 1))
+    fitted = ARX(na=1, nb=1, nk=1).fit(Dataset.from_arrays(u, y, LINEAR.dt_s))
+    assert isinstance(fitted, Linear)
+    z = np.exp(2j * np.pi * HZ * LINEAR.dt_s)
+    (response,) = responses(fitted, HZ, 0, 0)
+    np.testing.assert_allclose(response, 0.1 / (z - 0.9), rtol=0.02)
 
 
 def test_an_integrator_has_no_gain_at_zero_frequency() -> None:

@@ -25,10 +25,29 @@ class LocallyLinear(Protocol):
         ...
 
 
+class DifferenceEquation(Protocol):
+    """sum_k a[k] y(t - k) = sum_k b[k] u(t - k) + constant, with a[0] the identity."""
+
+    @property
+    def a(self) -> FloatArray: ...
+    @property
+    def b(self) -> FloatArray: ...
+
+
+@runtime_checkable
+class Linear(Protocol):
+    """A linear model that offers its difference equation."""
+
+    @property
+    def system(self) -> DifferenceEquation: ...
+
+
 def responses(model: Fitted, hz: FloatArray, output: int, signal: int) -> list[ComplexArray]:
     """Response (F,) of every rule from input `signal` to `output`; or of a one-rule model simulated."""
     if isinstance(model, LocallyLinear):
         return [_rational(A, B, hz, model.dt_s)[:, output, signal] for A, B, _ in model.local_polynomials()]
+    if isinstance(model, Linear):
+        return [_rational(-model.system.a[1:], model.system.b, hz, model.dt_s)[:, output, signal]]
     if len(model.rules()) > 1:
         return []
     impulse = impulse_response(model, output, signal)

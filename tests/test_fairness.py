@@ -1,0 +1,31 @@
+"""A small version of tests/bench/verdict_fairness.py: real fits, plants whose nature is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flysid.model.arx import ARX
+from flysid.model.ts import TS
+from flysid.validate.compare import compare
+from tests.bench.verdict_fairness import flights, linear_plant, nonlinear_plant
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_fuzzy_is_not_called_better_on_a_linear_plant(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    plant = linear_plant(rng)
+    train, test = flights(plant, 3, rng, "t"), flights(plant, 6, rng, "h")
+    ts = TS(rules=2, na=2, nb=2, nk=1).fit(train)
+    pair = compare([ARX(refine=False).fit(train), ARX().fit(train), ts], test, baseline="arx-2").verdict["y"]
+    assert pair.verdict != "better"
+
+
+def test_a_true_advantage_is_found_with_real_fits() -> None:
+    rng = np.random.default_rng(4)
+    plant = nonlinear_plant(rng)
+    train, test = flights(plant, 3, rng, "t"), flights(plant, 8, rng, "h")
+    pair = compare([ARX().fit(train), TS(rules=3, na=2, nb=2, nk=1).fit(train)], test).verdict["y"]
+    assert pair.verdict == "better"
+    assert pair.ci95 is not None
+    assert -35.0 < pair.ci95[0] < pair.ci95[1] < -5.0
