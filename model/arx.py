@@ -21,12 +21,12 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
 from flysid.model.base import Structure
 from flysid.model.freerun import Difference
-from flysid.model.gram import LeastSquares, Triangle, reduce_data
+from flysid.model.gram import LeastSquares, reduce_data
 from flysid.model.linear import FittedLinear, from_dict
-from flysid.model.linear_data import Parts, as_tuple
+from flysid.model.linear_data import Parts, Scaling, as_tuple
 from flysid.model.linear_start import equation_starts
 from flysid.model.oe_search import SHARE, Refined, check_orders, search
-from flysid.model.orders import Choice, Grid, best_per_order
+from flysid.model.orders import Choice, Grid, best_per_order, grid_gram
 from flysid.model.output_error import delay_steps, runner
 from flysid.model.regressors import chunks
 from flysid.model.selection import block_errors, clearly_better, judging_window, simplest
@@ -72,7 +72,7 @@ class ARX:
         check_orders(self, len(train.inputs))
         if self.refine not in (True, False, "auto"):
             raise UsageError(f"refine is {self.refine!r}", hint="use 'auto', True or False")
-        parts = Parts.of(train, validation)
+        parts = Parts.of(train, validation, centred=self.offset)
         plain = None if self.refine is True else _LeastSquaresFit(self, parts)
         if self.refine is False:
             assert plain is not None
@@ -95,6 +95,9 @@ class _LeastSquaresFit:
     def __init__(self, settings: ARX, parts: Parts) -> None:
         self.settings, self.parts = settings, parts
         self.n_y, self.n_u = len(parts.train.outputs), len(parts.train.inputs)
+        if settings.refine is False and "auto" not in (settings.na, settings.nb, settings.nk):
+            self.choice, self.note = self._fixed(), f"Orders as given: {self._fixed()}."
+            return
         choices, grid = self._candidates()
         window = judging_window(parts, max(c.lags(self.n_y).depth for c in choices))
         models = [self._model(c, grid.fit(c), "", window) for c in choices]
@@ -104,9 +107,13 @@ class _LeastSquaresFit:
         self.model = models[index]
         self.note = _order_note(choices, errors, index)
 
+    def _fixed(self) -> Choice:
+        s, n_u = self.settings, self.n_u
+        return Choice(int(s.na), as_tuple(s.nb, n_u), as_tuple(s.nk, n_u))  # type: ignore[arg-type]
+
     def final(self) -> FittedLinear:
         """The chosen orders on all training data."""
-        grid = _grid(self.parts.whole, [self.choice], self.settings.offset)
+        grid = _grid(self.parts.train, [self.choice], self.settings.offset, self.parts.scaling)
         return self._model(self.choice, grid.fit(self.choice), self.note)
 
     def _candidates(self) -> tuple[list[Choice], Grid]:
@@ -191,8 +198,12 @@ class _LeastSquaresFit:
         )
 
 
-def _grid(data: Dataset, choices: Sequence[Choice], offset: bool) -> Grid:
-    """The triangle over all lags that the choices need.
+def _grid(data: Dataset, choices: Sequence[Choice], offset: bool, scaling: Scaling | None = None) -> Grid:
+    """The triangle over all lags that the choices need, in one pass.
+
+    Parameters
+    ----------
+    scaling : to apply on the way; None when the data are scaled already.
 
     Raises
     ------
@@ -202,7 +213,8 @@ def _grid(data: Dataset, choices: Sequence[Choice], offset: bool) -> Grid:
     na = max(c.na for c in choices)
     last = max((k + n - 1 for c in choices for n, k in zip(c.nb, c.nk, strict=True) if n), default=0)
     lags = Grid.lags(n_y, n_u, na, last)
-    triangle: Triangle = reduce_data(lambda: chunks(data, lags))
+    gram = grid_gram(data, lags, scaling)
+    triangle = reduce_data(lambda: chunks(data, lags, transform=scaling), gram)
     return Grid(triangle, n_y, n_u, na, last, offset)
 
 

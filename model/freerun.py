@@ -42,7 +42,8 @@ class Difference:
         """(N, n_y) sum_l B_l u(k-l) + c for inputs that were zero before."""
         from scipy.signal import lfilter
 
-        out = np.tile(self.c, (len(u), 1))
+        out = np.empty((len(u), len(self.c)))
+        out[:] = self.c
         for i, j in np.ndindex(*self.b.shape[1:]):
             taps = np.trim_zeros(self.b[:, i, j], "b")
             if len(taps):

@@ -3,7 +3,9 @@
 The data matrix [Phi Y 1] is reduced to its triangle R (RᵀR = [Phi Y 1]ᵀ[Phi Y 1]); every regression on a
 subset of its columns is then a small problem on R, without another pass. Two ways lead to R:
 
-1. the Gram matrix, chunk by chunk, and its Cholesky factor: fastest, but the condition enters squared;
+1. the Gram matrix and its Cholesky factor: fastest, but the condition enters squared. Lagged columns are
+   shifts of each other, so only the products with lag 0 are summed over the data, the others follow from
+   the segment's edges (displacement structure; Kailath, Kung, Morf, 1979, J. Math. Anal. Appl. 68);
 2. TSQR (Demmel et al., 2012, SIAM J. Sci. Comput. 34): QR of each chunk stacked under the R so far.
 
 `reduce_data` takes the first where the scaled Gram's condition leaves at least six digits, else the second.
@@ -11,12 +13,13 @@ subset of its columns is then a small problem on R, without another pass. Two wa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.model.regressors import CHUNK_ROWS
 
 LARGEST_GRAM_CONDITION = 1e10
 """Condition of the column-scaled Gram (that of Phi squared) up to which Cholesky keeps six digits."""
@@ -77,10 +80,125 @@ class LeastSquares:
         return self.unscaled_covariance * (self.rss / freedom)
 
 
-def reduce_data(pieces: Pieces) -> Triangle:
-    """The triangle of all pieces, by the Gram where its condition allows, else by TSQR (a second pass)."""
-    triangle = _by_gram(pieces())
-    return _by_tsqr(pieces()) if triangle is None else triangle
+def reduce_data(pieces: Pieces, gram: FloatArray | None = None) -> Triangle:
+    """The triangle of all pieces (Phi, Y), by the Gram where its condition allows, else by TSQR.
+
+    Parameters
+    ----------
+    pieces : called for every pass over the data.
+    gram : of [Phi Y 1], where it is known already (see `lagged_gram`).
+    """
+    first, rows = next(iter(pieces())), 0
+    n, m = first[0].shape[1], first[1].shape[1]
+    if gram is None:
+        gram, rows = _summed(pieces())
+    rows = rows or round(float(gram[-1, -1]))
+    r = triangle_of(gram)
+    if r is not None:
+        return Triangle(r, n, m, rows, "gram")
+    return Triangle(_by_tsqr(pieces(), n + m + 1), n, m, rows, "tsqr")
+
+
+def triangle_of(gram: FloatArray) -> FloatArray | None:
+    """The Cholesky factor R of a Gram, or None where its condition, columns scaled, is too large."""
+    scale = np.sqrt(np.diag(gram))
+    if not (scale > 0).all():
+        return None
+    scaled = gram / np.outer(scale, scale)
+    values = np.linalg.eigvalsh(scaled)
+    if not values[0] * LARGEST_GRAM_CONDITION > values[-1]:
+        return None
+    r: FloatArray = np.linalg.cholesky(scaled).T * scale
+    return r
+
+
+def lagged_gram(
+    signals: Iterable[Callable[[int, int], FloatArray]], lengths: Sequence[int], depth: int
+) -> FloatArray:
+    """Gram of all lags 0..depth of some signals and of a constant, rows `depth`.. of every segment.
+
+    Parameters
+    ----------
+    signals : per segment a function (start, stop) -> (s, stop - start) samples, signals in rows.
+    lengths : samples of every segment.
+
+    Returns
+    -------
+    (s (depth + 1) + 1, same) Gram; column a (depth + 1) + p is signal a at lag p, the last is the constant.
+    """
+    total: FloatArray | None = None
+    for read, length in zip(signals, lengths, strict=True):
+        if length > depth:
+            part = _segment_gram(read, length, depth)
+            total = part if total is None else total + part
+    return np.zeros((1, 1)) if total is None else total
+
+
+def _segment_gram(read: Callable[[int, int], FloatArray], length: int, depth: int) -> FloatArray:
+    head = read(0, depth)
+    count, lags = len(head), depth + 1
+    now = np.zeros((count, count, lags))  # sum over k of x_a(k) x_b(k - q)
+    sums = np.zeros(count)
+    for start in range(depth, length, CHUNK_ROWS):
+        block = read(start - depth, min(start + CHUNK_ROWS, length))
+        sums += block[:, depth:].sum(axis=1)
+        for a in range(count):
+            for b in range(count):
+                now[a, b] += np.correlate(block[b], block[a, depth:], "valid")[::-1]
+    tail = read(length - depth, length)
+    gram = np.zeros((lags, lags, count, count))
+    gram[0] = now.transpose(2, 0, 1)
+    means = np.zeros((lags, count))
+    means[0] = sums
+    for p in range(1, lags):  # one sample enters at the segment's start, one leaves at its end
+        enters, leaves = head[:, depth - p], tail[:, depth - p]
+        gram[p, p:] = gram[p - 1, p - 1 : -1]
+        gram[p, p:] += np.einsum("a,bq->qab", enters, head[:, : depth - p + 1][:, ::-1])
+        gram[p, p:] -= np.einsum("a,bq->qab", leaves, tail[:, : depth - p + 1][:, ::-1])
+        means[p] = means[p - 1] + enters - leaves
+    full = np.empty((count * lags + 1,) * 2)
+    body = gram.transpose(2, 0, 3, 1).reshape(count * lags, count * lags)
+    later = np.tril(np.ones((lags, lags), dtype=bool), -1)  # q < p: the transposed pair
+    mirrored = np.tile(later, (count, count))
+    full[:-1, :-1] = np.where(mirrored, body.T, body)
+    full[-1, :-1] = full[:-1, -1] = means.T.ravel()
+    full[-1, -1] = length - depth
+    return full
+
+
+def _summed(pieces: Iterable[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, int]:
+    gram, rows = np.zeros((0, 0)), 0
+    for phi, y in pieces:
+        block = np.column_stack([phi, y, np.ones(len(y))])
+        gram = block.T @ block if not rows else gram + block.T @ block
+        rows += len(block)
+    return gram, rows
+
+
+def _by_tsqr(pieces: Iterable[tuple[FloatArray, FloatArray]], columns: int) -> FloatArray:
+    r = np.zeros((0, columns))
+    for phi, y in pieces:
+        r = np.asarray(np.linalg.qr(np.vstack([r, np.column_stack([phi, y, np.ones(len(y))])]), mode="r"))
+    full = np.zeros((columns, columns))
+    full[: len(r)] = r
+    return full
+
+
+def residuals_of(
+    triangle: Triangle, columns: Sequence[int], *, tolerance: float = 1e-15
+) -> FloatArray | None:
+    """(m,) residual sums of squares of all columns of Y on the given columns; None where these are collinear.
+
+    Cheaper than `solve` by several times: for grids.
+    """
+    p = len(columns)
+    pick = [*columns, *range(triangle.n, triangle.n + triangle.m)]
+    r = np.asarray(np.linalg.qr(triangle.r[:, pick], mode="r"))
+    lengths = np.linalg.norm(r[:, :p], axis=0)
+    if p > len(r) or (np.abs(np.diag(r)[:p]) <= tolerance * lengths).any():
+        return None
+    rest: FloatArray = np.einsum("ij,ij->j", r[p:, p:], r[p:, p:])
+    return rest
 
 
 def solve(
@@ -111,35 +229,3 @@ def solve(
         condition=largest / smallest if smallest > 0 else np.inf,
         unscaled_covariance=half @ half.T,
     )
-
-
-def _bordered(pieces: Iterable[tuple[FloatArray, FloatArray]]) -> Iterator[tuple[FloatArray, int, int]]:
-    for phi, y in pieces:
-        yield np.column_stack([phi, y, np.ones(len(y))]), phi.shape[1], y.shape[1]
-
-
-def _by_gram(pieces: Iterable[tuple[FloatArray, FloatArray]]) -> Triangle | None:
-    """The Cholesky factor of the Gram, or None where its condition is too large."""
-    gram, rows, n, m = np.zeros((0, 0)), 0, 0, 0
-    for block, n, m in _bordered(pieces):  # noqa: B007
-        gram = block.T @ block if not rows else gram + block.T @ block
-        rows += len(block)
-    scale = np.sqrt(np.diag(gram))
-    if not (scale > 0).all():
-        return None
-    scaled = gram / np.outer(scale, scale)
-    values = np.linalg.eigvalsh(scaled)
-    if not values[0] * LARGEST_GRAM_CONDITION > values[-1]:
-        return None
-    return Triangle(np.linalg.cholesky(scaled).T * scale, n, m, rows, "gram")
-
-
-def _by_tsqr(pieces: Iterable[tuple[FloatArray, FloatArray]]) -> Triangle:
-    r, rows, n, m = np.zeros((0, 0)), 0, 0, 0
-    for block, n, m in _bordered(pieces):  # noqa: B007
-        below = block if not rows else np.vstack([r, block])
-        r = np.asarray(np.linalg.qr(below, mode="r"))
-        rows += len(block)
-    full = np.zeros((n + m + 1, n + m + 1))
-    full[: len(r)] = r
-    return Triangle(full, n, m, rows, "tsqr")

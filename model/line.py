@@ -35,7 +35,7 @@ class Line:
         ------
         DataError : no samples, or a signal that never changes.
         """
-        parts = Parts.of(train, train)
+        parts = Parts.of(train, train, centred=self.offset)
         n_u, n_y = len(train.inputs), len(train.outputs)
         data = parts.whole if self.offset else train
         lags = Lags(y=((),) * n_y, u=((0,),) * n_u)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError
 from flysid.model.freerun import Difference
+from flysid.model.regressors import CHUNK_ROWS
 from flysid.model.simulation_error import Record
 
 HELD_OUT = 0.25
@@ -20,46 +22,52 @@ EXACT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """Deviation from the origin over scale: means and standard deviations of the training part."""
+    """Deviation from the origin over scale: means and standard deviations of the training part.
+
+    `y_range` is (2, n_y), the lowest and the highest output.
+    """
 
     u_origin: FloatArray
     y_origin: FloatArray
     u_scale: FloatArray
     y_scale: FloatArray
+    y_range: FloatArray
 
     @classmethod
-    def of(cls, data: Dataset) -> Scaling:
-        """Of all samples of a dataset.
+    def of(cls, data: Dataset, *, centred: bool = True) -> Scaling:
+        """Of all samples of a dataset; the origins are zero unless `centred`.
 
         Raises
         ------
         DataError : an input or output never changes.
         """
-        means, sizes = [], []
+        means, sizes, lows, highs = [], [], [], []
         for name, signals in (("u", data.inputs), ("y", data.outputs)):
-            arrays = [getattr(s, name) for s in data.segments]
-            total = max(sum(len(a) for a in arrays), 1)
-            mean = sum(a.sum(axis=0) for a in arrays) / total
-            size = np.sqrt(sum(((a - mean) ** 2).sum(axis=0) for a in arrays) / total)
-            for signal, value, centre in zip(signals, size, np.atleast_1d(mean), strict=True):
+            mean, size, low, high = _moments([getattr(s, name) for s in data.segments])
+            for signal, value, centre in zip(signals, size, mean, strict=True):
                 if not value > 1e-12 * max(abs(float(centre)), 1e-300):
                     kind = "input" if name == "u" else "output"
                     raise DataError(
                         f"{kind} {signal.name!r} never changes: nothing can be learnt from it",
                         hint="choose segments in which it moves, or leave it out of the recipe",
                     )
-            means.append(np.asarray(mean, dtype=np.float64))
-            sizes.append(np.asarray(size, dtype=np.float64))
-        return cls(means[0], means[1], sizes[0], sizes[1])
+            means.append(mean if centred else np.zeros_like(mean))
+            sizes.append(size)
+            lows.append(low)
+            highs.append(high)
+        return cls(means[0], means[1], sizes[0], sizes[1], np.stack([lows[1], highs[1]]))
+
+    def u(self, values: FloatArray) -> FloatArray:
+        """Inputs in scaled deviations."""
+        return (values - self.u_origin) / self.u_scale
+
+    def y(self, values: FloatArray) -> FloatArray:
+        """Outputs in scaled deviations."""
+        return (values - self.y_origin) / self.y_scale
 
     def apply(self, data: Dataset) -> Dataset:
         """The dataset in scaled deviations."""
-        return data.with_segments(
-            [
-                Segment((s.u - self.u_origin) / self.u_scale, (s.y - self.y_origin) / self.y_scale)
-                for s in data.segments
-            ]
-        )
+        return data.with_segments([Segment(self.u(s.u), self.y(s.y)) for s in data.segments])
 
     def physical(self, system: Difference) -> Difference:
         """The same system in physical units (still around the origins)."""
@@ -68,21 +76,45 @@ class Scaling:
         return Difference(system.a * ratio, system.b * gain, system.c * self.y_scale)
 
 
+def _moments(arrays: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Mean, standard deviation, minimum and maximum of every column over all arrays, in one pass.
+
+    Sums are of deviations from the first row, chunk by chunk, so that a large offset costs no digits.
+    """
+    first = next(a[0] for a in arrays if len(a))
+    n = len(first)
+    total, squares, rows = np.zeros(n), np.zeros(n), 0
+    low, high = first.copy(), first.copy()
+    for array in arrays:
+        for start in range(0, len(array), CHUNK_ROWS):
+            block = np.ascontiguousarray(array[start : start + CHUNK_ROWS].T)
+            low, high = np.minimum(low, block.min(axis=1)), np.maximum(high, block.max(axis=1))
+            block = block - first[:, None]
+            total += block.sum(axis=1)
+            squares += np.einsum("ij,ij->i", block, block)
+            rows += block.shape[1]
+    shift = total / rows
+    return first + shift, np.sqrt(np.maximum(squares / rows - shift**2, 0.0)), low, high
+
+
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Training data in scaled deviations: all of it, the part that choices are fitted on, and the part
-    that judges them (in physical units)."""
+    """Training data, and what choices need: a part to fit candidates on and a part that judges them.
 
-    scaling: Scaling
-    whole: Dataset
-    fit: Dataset
-    check: Dataset
+    Attributes
+    ----------
+    train : all of it, as given.
+    validation : the judging part, or None: blocks of the training part are held out.
+    scaling : of the training data.
+    """
+
     train: Dataset
-    own: bool
+    validation: Dataset | None
+    scaling: Scaling
 
     @classmethod
-    def of(cls, train: Dataset, validation: Dataset | None) -> Parts:
-        """Use the validation part given, or hold out blocks of the training part.
+    def of(cls, train: Dataset, validation: Dataset | None, *, centred: bool = True) -> Parts:
+        """Check and measure the data.
 
         Raises
         ------
@@ -90,22 +122,39 @@ class Parts:
         """
         if not len(train):
             raise DataError("there are no samples to learn from", hint="check the recipe and the splits")
-        scaling = Scaling.of(train)
-        if validation is not None:
-            scaled = scaling.apply(train)
-            return cls(scaling, scaled, scaled, validation, train, own=False)
+        return cls(train, validation, Scaling.of(train, centred=centred))
+
+    @cached_property
+    def _split(self) -> tuple[Dataset, Dataset]:
+        if self.validation is not None:
+            return self.train, self.validation
         try:
-            fit, check = train.split(holdout=HELD_OUT)
+            fit, check = self.train.split(holdout=HELD_OUT)
             Scaling.of(fit)
         except DataError:  # too short to hold anything out: choices lean on the training part
-            fit = check = train
-        return cls(scaling, scaling.apply(train), scaling.apply(fit), check, train, own=True)
+            return self.train, self.train
+        return fit, check
+
+    @cached_property
+    def whole(self) -> Dataset:
+        """All training data in scaled deviations."""
+        return self.scaling.apply(self.train)
+
+    @cached_property
+    def fit(self) -> Dataset:
+        """The part to fit candidates on, in scaled deviations."""
+        part = self._split[0]
+        return self.whole if part is self.train else self.scaling.apply(part)
+
+    @property
+    def check(self) -> Dataset:
+        """The part that judges candidates, in physical units."""
+        return self._split[1]
 
     @property
     def limits(self) -> FloatArray:
         """(2, n_y) the training range, widened by its width on both sides."""
-        low = np.min([s.y.min(axis=0) for s in self.train.segments if len(s)], axis=0)
-        high = np.max([s.y.max(axis=0) for s in self.train.segments if len(s)], axis=0)
+        low, high = self.scaling.y_range
         return np.stack([low - (high - low), high + (high - low)])
 
 

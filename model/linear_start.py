@@ -38,7 +38,7 @@ class Past:
 
 def pasts(system: Difference, parts: Parts) -> list[Past]:
     """One per output of a system whose outputs do not feed each other."""
-    depth, small = system.depth, shortened(parts.whole, SEARCH_ROWS)
+    depth, small = system.depth, parts.scaling.apply(shortened(parts.train, SEARCH_ROWS))
     found = []
     for i in range(len(system.c)):
         pick = slice(i, i + 1)
@@ -118,6 +118,7 @@ def equation_starts(system: Difference, parts: Parts, rows: int) -> FloatArray |
     radius = max(float(np.abs(np.roots(system.a[:, i, i])).max(initial=0.0)) for i in range(n_y))
     if radius >= 1.0:
         return None
-    if max(p.sigma for p in pasts(system, parts)) < EXACT:
+    past = pasts(system, parts)
+    if max(p.sigma for p in past) < EXACT:
         return None
-    return start_gains(system, parts, rows)
+    return np.stack([start_gain(p, rows) for p in past])

@@ -52,7 +52,7 @@ class OE:
         FitError : no stable model was found.
         """
         check_orders(self, len(train.inputs))
-        return search("oe", self, Parts.of(train, validation)).final()
+        return search("oe", self, Parts.of(train, validation, centred=self.offset)).final()
 
 
 MODEL = Structure("oe", from_dict)

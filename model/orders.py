@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from flysid.model.gram import LeastSquares, Triangle, solve
-from flysid.model.regressors import Lags
+from flysid.dataset import Dataset, FloatArray, Segment
+from flysid.model.gram import LeastSquares, Triangle, lagged_gram, residuals_of, solve
+from flysid.model.regressors import Lags, Transform, usable_segments
 
 ROUNDING = 1e-31
 """Mean square, relative to the output's, below which a one-step residual is rounding."""
@@ -63,16 +64,50 @@ class Grid:
 
     def bic(self, choice: Choice) -> float:
         """Bayesian information criterion (Schwarz, 1978) of the one-step residuals; inf where collinear."""
-        fits = self.fit(choice)
-        if any(f.rank < len(f.theta) for f in fits):
+        columns = self.columns(choice)
+        rss = residuals_of(self.triangle, columns)
+        if rss is None:
             return np.inf
-        return sum(self._criterion(f, i) for i, f in enumerate(fits))
+        targets = self.triangle.r[:, self.triangle.n : self.triangle.n + self.n_y]
+        floor = np.maximum(ROUNDING * np.sum(targets**2, axis=0), np.finfo(float).tiny)
+        rows = self.triangle.rows
+        fit = rows * float(np.sum(np.log(np.maximum(rss, floor) / rows)))
+        return fit + self.n_y * len(columns) * float(np.log(rows))
 
-    def _criterion(self, fit: LeastSquares, output: int) -> float:
-        total = float(np.sum(self.triangle.r[:, self.triangle.n + output] ** 2))
-        rows = fit.rows
-        floor = max(ROUNDING * total, np.finfo(float).tiny)
-        return rows * float(np.log(max(fit.rss, floor) / rows)) + len(fit.theta) * float(np.log(rows))
+
+def grid_gram(data: Dataset, lags: Lags, transform: Transform | None = None) -> FloatArray:
+    """Gram of [Phi Y 1] for the lags of a Grid, by displacement structure: one cheap pass.
+
+    Raises
+    ------
+    DataError : no segment is longer than the deepest lag.
+    """
+    usable = usable_segments(data, lags.depth)
+    origin, scale = np.zeros(len(lags.y) + len(lags.u)), np.ones(len(lags.y) + len(lags.u))
+    if transform is not None:
+        origin = np.concatenate([transform.y_origin, transform.u_origin])
+        scale = np.concatenate([transform.y_scale, transform.u_scale])
+    full = lagged_gram([_reader(s, origin) for s in usable], [len(s) for s in usable], lags.depth)
+    step = lags.depth + 1
+    pick = [j * step + lag for j, own in enumerate((*lags.y, *lags.u)) for lag in own]
+    pick += [j * step for j in range(len(lags.y))]
+    factor = np.append(np.repeat(scale, step)[pick], 1.0)
+    found: FloatArray = full[np.ix_([*pick, -1], [*pick, -1])] / np.outer(factor, factor)
+    return found
+
+
+def _reader(segment: Segment, origin: FloatArray) -> Callable[[int, int], FloatArray]:
+    """Outputs, then inputs, of some rows as deviations, signals in rows."""
+
+    def read(start: int, stop: int) -> FloatArray:
+        block = np.empty((len(origin), stop - start))
+        n_y = segment.y.shape[1]
+        block[:n_y] = segment.y[start:stop].T
+        block[n_y:] = segment.u[start:stop].T
+        block -= origin[:, None]
+        return block
+
+    return read
 
 
 def best_of(grid: Grid, choices: Iterable[Choice]) -> Choice | None:

@@ -266,7 +266,7 @@ def _order(fits: Sequence[OneOutput]) -> int:
 
 def refit(parts: Parts, fits: Sequence[OneOutput]) -> list[OneOutput]:
     """The same orders on all training data, refined from where the search ended."""
-    if not parts.own or parts.fit is parts.whole:
+    if parts.fit is parts.whole:
         return list(fits)
     again = []
     for i, fit in enumerate(fits):

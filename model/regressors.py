@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -103,8 +104,27 @@ def stacked(data: Dataset, lags: Lags, start: int | None = None) -> tuple[FloatA
     )
 
 
+class Transform(Protocol):
+    """Inputs and outputs as scaled deviations."""
+
+    @property
+    def u_origin(self) -> FloatArray: ...
+    @property
+    def y_origin(self) -> FloatArray: ...
+    @property
+    def u_scale(self) -> FloatArray: ...
+    @property
+    def y_scale(self) -> FloatArray: ...
+    def u(self, values: FloatArray) -> FloatArray: ...
+    def y(self, values: FloatArray) -> FloatArray: ...
+
+
 def chunks(
-    data: Dataset, lags: Lags, start: int | None = None, rows: int = CHUNK_ROWS
+    data: Dataset,
+    lags: Lags,
+    start: int | None = None,
+    rows: int = CHUNK_ROWS,
+    transform: Transform | None = None,
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Phi and Y in pieces of at most `rows` rows: a fit needs memory for one piece only.
 
@@ -116,7 +136,10 @@ def chunks(
     for segment in usable_segments(data, first):
         for begin in range(first, len(segment), rows):
             end = min(begin + rows, len(segment))
-            yield regressors(segment.u, segment.y, lags, begin, end), segment.y[begin:end]
+            u, y = segment.u[begin - first : end], segment.y[begin - first : end]
+            if transform is not None:
+                u, y = transform.u(u), transform.y(y)
+            yield regressors(u, y, lags, first), y[first:]
 
 
 def usable_segments(data: Dataset, depth: int) -> tuple[Segment, ...]:

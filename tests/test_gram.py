@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.dataset import FloatArray
-from flysid.model.gram import reduce_data, solve
+from flysid.model.gram import lagged_gram, reduce_data, solve
+
+
+def window(x: FloatArray, start: int, stop: int) -> FloatArray:
+    return x[:, start:stop]
 
 
 def pieces(phi: FloatArray, y: FloatArray, size: int = 37) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -66,3 +71,17 @@ def test_the_covariance_is_that_of_the_textbook() -> None:
     fit = solve(reduce_data(lambda: pieces(phi, y)), range(3), 0)
     expected = np.linalg.inv(phi.T @ phi) * fit.rss / (400 - 3)
     assert fit.covariance == pytest.approx(expected, rel=1e-9)
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=st.integers(0, 2**31), depth=st.integers(0, 5), signals=st.integers(1, 3))
+def test_the_gram_of_lags_is_the_plain_gram(seed: int, depth: int, signals: int) -> None:
+    rng = np.random.default_rng(seed)
+    records = [rng.standard_normal((signals, int(n))) + 3.0 for n in rng.integers(1, 40, 3)]
+    gram = lagged_gram([partial(window, x) for x in records], [x.shape[1] for x in records], depth)
+    rows = []
+    for x in records:
+        lags = [(a, p) for a in range(signals) for p in range(depth + 1)]
+        rows += [np.append([x[a, k - p] for a, p in lags], 1.0) for k in range(depth, x.shape[1])]
+    if rows:
+        assert gram == pytest.approx(np.array(rows).T @ np.array(rows), rel=1e-9, abs=1e-9)

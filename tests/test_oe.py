@@ -38,7 +38,10 @@ def problem(seed: int, n_u: int) -> tuple[OutputError, FloatArray]:
     rng = np.random.default_rng(seed)
     orders = Orders(3, (2,) * n_u, (1, 0)[:n_u])
     theta = rng.standard_normal(orders.count) * 0.2
-    stable = replace(to_transfer(theta, orders), a=np.poly([0.9, 0.7 + 0.3j, 0.7 - 0.3j]).real)
+    stable = replace(
+        to_transfer(theta, orders),
+        a=np.asarray(np.real(np.poly([0.9, 0.7 + 0.3j, 0.7 - 0.3j])), dtype=np.float64),
+    )
     theta[:3] = from_transfer(stable, orders)[:3]
     records = tuple(Record(rng.standard_normal((n, n_u)), rng.standard_normal(n)) for n in (40, 60))
     return OutputError(records, orders), theta
