@@ -203,7 +203,8 @@ def _stated_time(
             continue
         if layout.dtype[name].kind not in "iu" or layout.dtype[name].shape:
             continue
-        time_ns = np.minimum(np.maximum(records[name], 0), MAX_NS // unit).astype(np.int64) * unit
+        stated = records[name].astype(np.int64)  # 2^63 and more become negative, and are cut to 0
+        time_ns = np.clip(stated, 0, MAX_NS // unit) * unit
         return name, time_ns, True, (1 << 32) * unit if layout.dtype[name].itemsize == 4 else 0
     gps_ns = _gps_ns(records, names)
     if gps_ns is None:

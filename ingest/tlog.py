@@ -40,6 +40,7 @@ from flysid.ingest.vehicletime import Clocked, Source, VehicleTime
 PROBE_BYTES = 1 << 20
 COMPILE_ABOVE_BYTES = 32 << 20
 HEARTBEAT = 0
+AUTOPILOT_VERSION = 148
 AUTOPILOT_INVALID = 8
 TIME_FIELDS = {"time_boot_ms": 1_000_000, "time_boot_us": 1000, "time_usec": 1000, "time_us": 1000}
 BOOT_FIELDS = ("time_boot_ms", "time_boot_us")
@@ -178,6 +179,8 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
         layout = reader.dialect.layout(source[2])
         if source[2] == HEARTBEAT:
             _note_vehicle(reader, source, _matrix(frames, rows, layout), layout)
+        elif source[2] == AUTOPILOT_VERSION:
+            _note_firmware(reader, _matrix(frames, rows, layout), layout)
         if (name := _time_field(layout)) is not None:
             clocked[source] = reader.time.unwrapped(_clocked(source, name, rows, frames, layout))
     reader.time.begin(list(clocked.values()), arrival, utc=has_utc)
@@ -288,6 +291,13 @@ def _note_vehicle(reader: _Reader, source: Source, matrix: ByteMatrix, layout: L
         kinds = _field_values(matrix, layout, "type")[autopilots != AUTOPILOT_INVALID]
         reader.info["autopilot"] = _short(reader.dialect.enum_name("MAV_AUTOPILOT", int(real[0])))
         reader.info["vehicle"] = _short(reader.dialect.enum_name("MAV_TYPE", int(kinds[0])))
+
+
+def _note_firmware(reader: _Reader, matrix: ByteMatrix, layout: Layout) -> None:
+    """flight_sw_version holds major, minor and patch in its upper bytes, the kind of release below."""
+    version = int(_field_values(matrix, layout, "flight_sw_version")[-1])
+    if version:
+        reader.info["firmware"] = ".".join(str(version >> shift & 255) for shift in (24, 16, 8))
 
 
 def _short(enum_name: str) -> str:

@@ -1,0 +1,128 @@
+"""`flysid doctor LOG...`: one line per log."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from flysid.cli.ls import aligned, clock_text
+from flysid.cli.output import say
+
+if TYPE_CHECKING:
+    from flysid.flight import Damage
+    from flysid.ingest.survey import Survey
+
+HEADINGS = (
+    "FILE",
+    "FORMAT",
+    "VEHICLE",
+    "FIRMWARE",
+    "TIME",
+    "ATTITUDE",
+    "COMMAND",
+    "VELOCITY",
+    "MOVED",
+    "LOST",
+    "VERDICT",
+)
+
+
+@click.command("doctor")
+@click.argument("logs", nargs=-1, required=True, metavar="LOG...")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("-q", "--quiet", is_flag=True, help="No words on stderr but for logs that cannot be read.")
+def command(logs: tuple[str, ...], as_json: bool, quiet: bool) -> int:
+    """Say of every log what it holds, what was lost, and what to log next time.
+
+    Ends with 3 when something was lost or a log cannot be read, and with 1 when none can.
+    """
+    from flysid.errors import FlysidError
+    from flysid.ingest.batch import find_logs
+    from flysid.ingest.survey import survey
+
+    found, unreadable = find_logs(logs), 0
+    surveys = []
+    for skipped in found.unreadable:
+        say(f"skipped: {skipped.path}: {skipped.reason}")
+        unreadable += 1
+    for path in found.paths:
+        try:
+            surveys.append(survey(path))
+        except FlysidError as error:
+            say(f"skipped: {path}: {error.message}")
+            unreadable += 1
+    if as_json:
+        click.echo(json.dumps({"logs": [as_document(s) for s in surveys]}, indent=1))
+    elif surveys:
+        click.echo("\n".join(aligned([HEADINGS, *(row(s) for s in surveys)])))
+    say(f"{len(surveys)} looked over" + (f", {unreadable} skipped" if unreadable else ""), quiet)
+    if not surveys:
+        return 1
+    return 3 if unreadable or any(s.damage.lossy for s in surveys) else 0
+
+
+def row(found: Survey) -> tuple[str, ...]:
+    """One log as the cells of a table."""
+    from flysid.ingest.survey import verdict
+
+    words, advice = verdict(found)
+    return (
+        found.source.name,
+        found.source.format,
+        found.info.get("vehicle") or found.info.get("autopilot") or "-",
+        found.info.get("firmware") or "-",
+        clock_text(found.duration_s),
+        *(rate_cell(found.role(role)[1]) for role in ("attitude", "command", "velocity")),
+        found.excited(),
+        lost_text(found.damage),
+        f"{words}: {advice}" if advice else words,
+    )
+
+
+def rate_cell(rate_hz: float) -> str:
+    """A rate, or "-" where nothing is logged."""
+    return f"{rate_hz:.0f} Hz" if rate_hz >= 9.5 else f"{rate_hz:.1f} Hz" if rate_hz > 0 else "-"
+
+
+def lost_text(damage: Damage) -> str:
+    """Losses in a few words: in the file, then before it was written."""
+    parts = []
+    if damage.bytes_skipped:
+        parts.append(f"{damage.bytes_skipped:,} bytes in {damage.region_count:,} places")
+    if damage.truncated:
+        parts.append("end cut off")
+    for count, words in (
+        (damage.bad_checksums, "bad checksums"),
+        (sum(damage.undecoded.values()), "undecoded"),
+        (sum(damage.time_outliers.values()), "bad times"),
+        (sum(damage.sequence_gaps.values()), "lost on the link"),
+    ):
+        if count:
+            parts.append(f"{count:,} {words}")
+    parts += [f"{count:,} {kind} dropped" for kind, count in damage.dropouts.items() if count]
+    return ", ".join(parts) or "0"
+
+
+def as_document(found: Survey) -> dict[str, Any]:
+    """One log for `--json`."""
+    import msgspec
+
+    from flysid.ingest.survey import ROLES, verdict
+
+    words, advice = verdict(found)
+    return {
+        "file": found.source.name,
+        "format": found.source.format,
+        "size_bytes": found.source.size_bytes,
+        "info": dict(found.info),
+        "duration_s": found.duration_s,
+        "rates_hz": {role: dict([found.role(role)]) if found.role(role)[0] else {} for role in ROLES},
+        "streams": {key: count.rows for key, count in found.streams.items()},
+        "moved": found.excited(),
+        "lossy": found.damage.lossy,
+        "damage": msgspec.to_builtins(found.damage),
+        "verdict": words,
+        "advice": advice,
+    }
