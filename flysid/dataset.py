@@ -168,6 +168,17 @@ class Dataset:
         """The same signals with other segments."""
         return replace(self, segments=tuple(segments))
 
+    def group_by(self, mark: str) -> dict[str, Dataset]:
+        """One dataset per value of a mark of the segments, e.g. "vehicle", "mode", or "flight" itself.
+
+        Segments without the mark are under "".
+        """
+        groups: dict[str, list[Segment]] = {}
+        for segment in self.segments:
+            value = segment.flight if mark == "flight" else str(segment.marks.get(mark, ""))
+            groups.setdefault(value, []).append(segment)
+        return {value: self.with_segments(members) for value, members in groups.items()}
+
     def plan_split(
         self, *, holdout: float = 0.3, by: By = "auto", seed: int = 0, guard_s: float | None = None
     ) -> Split:

@@ -199,14 +199,15 @@ class _Job:
         if reason:
             return FlightReport(log.name, signals=reports, reason=reason), (), {}
         boots = sorted(set.intersection(*(set(found.boots) for found in loaded.values())))
-        conditions, labels = condition_spans(self.recipe.conditions, log), labels_of(self.recipe.labels, log)
+        conditions = condition_spans(self.recipe.conditions, log)
+        labels = labels_of(self.recipe.labels, log)
         report = FlightReport(log.name, signals=reports, notes=(*clocks.notes, *conditions.notes))
         segments: list[Segment] = []
         for boot in boots:
             name = log.name if len(boots) == 1 else f"{log.name}#{boot}"
             series = {n: self._tidy(n, f.boots[boot]) for n, f in loaded.items()}
             if all(len(s.t_ns) for s in series.values()):
-                part = _Boot(self, name, series, dt_ns, labels.get(boot, Labels()))
+                part = _Boot(self, name, series, dt_ns, labels.get(boot, Labels()), _vehicle(log))
                 found, counts = part.segments(conditions.spans.get(boot))
                 segments += found
                 report = report.plus(counts)
@@ -256,6 +257,7 @@ class _Boot:
     series: Mapping[str, Series]
     dt_ns: int
     labels: Labels
+    vehicle: str = ""
 
     def segments(self, allowed: Sequence[Span] | None) -> tuple[list[Segment], FlightReport]:
         """Segments, and the counts of what was kept and dropped. `allowed`: where conditions hold."""
@@ -322,6 +324,8 @@ class _Boot:
         if len(u) == 0 or not (np.isfinite(u).all() and np.isfinite(y).all()):
             return None
         marks = {**self._marks(u), **self.labels.marks(span)}
+        if self.vehicle:
+            marks["vehicle"] = self.vehicle
         return Segment(u, y, t0_ns=int(coarse[trimmed]), flight=self.name, marks=marks)
 
     def _marks(self, u: FloatArray) -> dict[str, str | float]:
@@ -349,6 +353,12 @@ def _period(found: Loaded) -> float:
     """Shortest of the boots' sample times, ns: a boot of two samples must not decide."""
     longest = max(found.boots.values(), key=lambda b: len(b.t_ns), default=None)
     return float("inf") if longest is None else resample.period_ns(longest.t_ns)
+
+
+def _vehicle(log: Log) -> str:
+    """What tells vehicles apart: the board's own number, else autopilot and frame."""
+    info = log.info
+    return info.get("sys_uuid", "") or " ".join(info[k] for k in ("autopilot", "vehicle") if info.get(k))
 
 
 def _cautions(data: Dataset) -> tuple[str, ...]:

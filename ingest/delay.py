@@ -24,7 +24,7 @@ FloatArray = npt.NDArray[np.float64]
 ORDER = 2
 ITERATIONS = 6
 ARX_ORDERS = (20, 10)  # of past outputs and inputs
-MAX_SAMPLES = 60_000  # of the longest segments; more does not sharpen an answer in whole samples
+MAX_SAMPLES = 20_000  # of the longest segments; more does not sharpen an answer in whole samples
 STEP_S = 0.5  # the sign is that of the step response so long after the dead time
 
 
@@ -191,11 +191,13 @@ def _output_error(pieces: list[tuple[FloatArray, FloatArray]], nk: int) -> _Fit:
     from scipy.signal import lfilter
 
     poles, best = np.array([1.0, *np.zeros(ORDER)]), _Fit(np.inf, np.zeros(1), np.ones(1))
-    for _ in range(ITERATIONS):
+    for iteration in range(ITERATIONS):
         filtered = [(lfilter([1.0], poles, u), lfilter([1.0], poles, y)) for u, y in pieces]
         theta, _ = _least_squares(filtered, nk, (ORDER, ORDER))
         poles = _stable(np.concatenate([[1.0], theta[:ORDER]]))
         zeros = np.concatenate([np.zeros(nk), theta[ORDER:]])
+        if iteration < ITERATIONS - 3:
+            continue
         error = sum(float(np.sum((y - _simulate(zeros, poles, u, y)) ** 2)) for u, y in pieces)
         error /= sum(len(y) for _, y in pieces)
         if error < best.error:
@@ -235,7 +237,8 @@ def _simulate(zeros: FloatArray, poles: FloatArray, u: FloatArray, y: FloatArray
     impulse[0] = 1.0
     first = lfilter([1.0], poles, impulse)
     free = np.stack([first, np.concatenate([[0.0], first[:-1]])], axis=1)
-    start, *_ = np.linalg.lstsq(free, y - forced, rcond=None)
+    gram = free.T @ free
+    start = np.linalg.solve(gram + 1e-9 * np.trace(gram) * np.eye(ORDER), free.T @ (y - forced))
     return np.asarray(forced + free @ start)
 
 

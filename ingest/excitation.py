@@ -161,13 +161,13 @@ def _power_band(parts: Sequence[FloatArray], dt_s: float) -> float:
 
 
 def _order(parts: Sequence[FloatArray], lags: int = 20) -> int:
-    """Numerical rank of the covariance of `lags` successive inputs."""
-    covariance = np.zeros((lags, lags))
+    """Numerical rank of the covariance of `lags` successive inputs, from their autocovariance."""
+    auto = np.zeros(lags)
     for x in parts:
         if len(x) > lags:
-            rows = np.lib.stride_tricks.sliding_window_view(x, lags)
-            covariance += rows.T @ rows
-    values = np.linalg.eigvalsh(covariance)
+            auto += [float(x[k:] @ x[: len(x) - k]) for k in range(lags)]
+    steps = np.abs(np.subtract.outer(np.arange(lags), np.arange(lags)))
+    values = np.linalg.eigvalsh(auto[steps])
     return int((values > 1e-3 * values[-1]).sum()) if values[-1] > 0 else 0
 
 

@@ -37,6 +37,11 @@ class StoredLog:
         """Rows of every stream, by key."""
         return {s.stream: s.rows for s in self.manifest.streams}
 
+    @property
+    def info(self) -> Mapping[str, str]:
+        """Facts about the vehicle."""
+        return self.manifest.info
+
     def columns(self, stream: str) -> Sequence[str]:
         """Names of a stream's columns."""
         return [c.name for c in self.manifest.stream(stream).columns]

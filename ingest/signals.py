@@ -42,6 +42,11 @@ class Log(Protocol):
         """Number of rows of every stream, by key."""
         ...
 
+    @property
+    def info(self) -> Mapping[str, str]:
+        """Facts about the vehicle."""
+        ...
+
     def columns(self, stream: str) -> Sequence[str]:
         """Names of a stream's columns."""
         ...
@@ -65,6 +70,10 @@ class FlightLog:
     @property
     def rows(self) -> Mapping[str, int]:
         return {key: table.num_rows for key, table in self.flight.tables.items()}
+
+    @property
+    def info(self) -> Mapping[str, str]:
+        return self.flight.info
 
     def columns(self, stream: str) -> Sequence[str]:
         return list(self.flight.tables[stream].column_names)

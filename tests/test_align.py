@@ -4,6 +4,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from flysid.errors import DataError, RecipeError
 from flysid.flight import Flight, Source, field_metadata
@@ -331,3 +333,52 @@ def test_segments_are_cut_by_time_and_marked_where_an_input_stands_at_its_limit(
     for segment in data.segments:
         assert segment.marks["saturated"] == pytest.approx(float((np.abs(segment.u) >= 1.0).mean()))
         assert segment.marks["duration_s"] == pytest.approx(len(segment) * 0.02)
+
+
+def test_segments_are_grouped_by_flight_vehicle_and_mode() -> None:
+    mode = np.where(np.arange(500) < 200, 0, 4)
+    labels = [{"name": "mode", "sources": [{"stream": "MODE", "field": "m"}]}]
+    tables = {"CMD": table(T50, u=U50), "STATE": table(T50, y=Y50), "MODE": table(T50, m=mode)}
+    logs = [
+        Flight(Source(f"{i}", "tlog", 1, "0" * 64), tables, info={"autopilot": "px4", "vehicle": f"v{i}"})
+        for i in range(2)
+    ]
+    data = dataset(logs, recipe(labels=labels), "c")
+    assert {k: len(d.segments) for k, d in data.group_by("vehicle").items()} == {"px4 v0": 2, "px4 v1": 2}
+    assert {k: len(d) for k, d in data.group_by("mode").items()} == {"0": 400, "4": 600}
+    assert list(data.group_by("flight")) == ["0", "1"]
+    assert list(data.group_by("absent")) == [""]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(0, 480), st.integers(1, 60)), max_size=6),
+    st.integers(0, 2**31),
+    st.sampled_from(["order", "shuffle", "repeat"]),
+)
+def test_no_sample_is_made_up_inside_a_gap_whatever_the_stamps(
+    gaps: list[tuple[int, int]], seed: int, disorder: str
+) -> None:
+    rng = np.random.default_rng(seed)
+    keep = np.ones(500, dtype=bool)
+    for start, length in gaps:
+        keep[start : start + length] = False
+    t = T50[keep] + rng.integers(-2 * MS, 2 * MS, size=int(keep.sum()))
+    y = Y50[keep]
+    if disorder == "shuffle":
+        order = rng.permutation(len(t))
+        t, y = t[order], y[order]
+    elif disorder == "repeat":
+        t, y = np.repeat(t, 2), np.repeat(y, 2)
+    try:
+        data = dataset([flight_of(CMD=table(T50, u=U50), STATE=table(t, y=y))], recipe(rate_hz=50.0), "c")
+    except DataError:
+        return
+    stamps = np.sort(t)
+    for segment in data.segments:
+        at = segment.t0_ns + np.arange(len(segment), dtype=np.int64) * 20 * MS
+        after = np.clip(np.searchsorted(stamps, at), 1, len(stamps) - 1)
+        assert (at >= stamps[0]).all()
+        assert (at <= stamps[-1]).all()
+        assert ((stamps[after] - stamps[after - 1]) <= 2.5 * 20.2 * MS).all()
+        assert np.abs(segment.y).max() <= np.abs(Y50).max()
