@@ -40,14 +40,14 @@ class Axis:
 class InnerLoop:
     """Gains of the inner loop, tuned by `flysid.ingest.tuning`; limits are the firmware's settings.
 
-    `tilt_max_rad` is euler_angle_max (default 12 deg), `climb_max_m_s` is control_vz_max (0.2 to 2 m/s).
+    `tilt_max_rad` is euler_angle_max, `climb_max_m_s` is control_vz_max, both as the factory sets them.
     """
 
     pitch: Axis = field(default_factory=lambda: Axis(1.16331, 0.257943, 0.151522))
     roll: Axis = field(default_factory=lambda: Axis(0.689570, 0.02, 0.0151495, 0.00365680, 0.409313))
     assist_max_rad: float = 0.08
-    tilt_max_rad: float = 0.2094
-    climb_max_m_s: float = 1.0
+    tilt_max_rad: float = 0.209
+    climb_max_m_s: float = 0.7
     attitude_rad_s: float = 18.0
     attitude_damping: float = 0.9
     yaw_1_s: float = 4.0

@@ -16,8 +16,8 @@ from flysid.ingest import manoeuvres
 
 Command = Callable[[FloatArray, tuple[float, float, float], np.random.Generator], FloatArray]
 
-# Tilt of 5 degrees and 0.8 m/s of climb stay inside what AR.Drone pilots call gentle.
-GENTLE = (5.0, 5.0, 0.8)
+# Of the 12 degrees and 0.7 m/s that the AR.Drone's factory settings allow.
+GENTLE = (5.0, 5.0, 0.6)
 # Each loop is excited up to about three times its natural frequency: 0.43, 0.09 and 0.72 Hz.
 BANDS_HZ = ((0.02, 1.2), (0.02, 0.4), (0.02, 2.0))
 PULSE_S = (1.0, 3.0, 0.7)
@@ -95,8 +95,8 @@ PRBS = Manoeuvre("prbs", _held(manoeuvres.prbs))
 STEPS = Manoeuvre("steps", _held(manoeuvres.amplitude_steps))
 PILOT = Manoeuvre("pilot", _pilot)
 
-# As far as the AR.Drone's factory settings allow: 12 degrees of tilt, 1 m/s of climb.
-BOLD = (2.4, 2.4, 1.25)
+# 11.95 degrees and 0.69 m/s: as far as the factory settings allow.
+BOLD = (2.39, 2.39, 1.15)
 DEMO = tuple(replace(m, scale=BOLD) for m in (STEPS, PILOT, MULTISINE, STEPS, PILOT, MULTISINE))
 
 PLANS: Mapping[str, tuple[Manoeuvre, ...]] = {

@@ -163,10 +163,10 @@ def rigid_body_rates(
     return out[:12]
 
 
-def closed_loop_rates(x: FloatArray, u: FloatArray, physics: Physics) -> FloatArray:
+def closed_loop_rates(x: FloatArray, u: FloatArray, physics: Physics | np.void) -> FloatArray:
     """(26,) time derivative of vehicle and inner loop; states and inputs in `quadkernel`'s order."""
     out = np.empty(STATES)
-    rates(x, u, physics.packed(), out)
+    rates(x, u, physics.packed() if isinstance(physics, Physics) else physics, out)
     return out
 
 

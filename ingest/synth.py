@@ -6,6 +6,7 @@ same command writes the same bytes on every day.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -24,21 +25,27 @@ TAKE_OFF_NS = 12 * SECOND_NS  # vehicle time of the first sample: boot, arm, cli
 PERIOD_NS = 20 * MS_NS  # commands go out at 50 Hz
 
 
-def _write_tlog(recording: Recording) -> bytes:
-    from flysid.ingest.write_tlog import tlog_bytes
+def _writer(module: str, function: str) -> Callable[[Recording], bytes]:
+    """A writer that is imported when it is first used."""
 
-    return tlog_bytes(recording)
+    def write(recording: Recording) -> bytes:
+        encode: Callable[[Recording], bytes] = getattr(
+            importlib.import_module(f"flysid.ingest.{module}"), function
+        )
+        return encode(recording)
 
-
-def _write_mcap(recording: Recording) -> bytes:
-    from flysid.ingest.write_mcap import mcap_bytes
-
-    return mcap_bytes(recording)
+    return write
 
 
 WRITERS: Mapping[str, tuple[str, Callable[[Recording], bytes]]] = {
-    "tlog": (".tlog", _write_tlog),
-    "mcap": (".mcap", _write_mcap),
+    "tlog": (".tlog", _writer("write_tlog", "tlog_bytes")),
+    "mcap": (".mcap", _writer("write_mcap", "mcap_bytes")),
+    "dataflash": (".bin", _writer("write_dataflash", "dataflash_bytes")),
+    "ulog": (".ulg", _writer("write_ulog", "ulog_bytes")),
+    "mcap-ros1": (".ros1.mcap", _writer("write_ros", "ros1_bytes")),
+    "mcap-ros2": (".ros2.mcap", _writer("write_ros", "ros2_bytes")),
+    "navdata": (".navdata", _writer("write_navdata", "navdata_bytes")),
+    "pcap": (".pcap", _writer("write_navdata", "pcap_bytes")),
 }
 
 

@@ -66,6 +66,24 @@ class Recording:
     system: int = 1
 
 
+def in_sending_order(*times_ns: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Messages of several sources in the order they are sent: (time, source, row in its source), each (N,).
+
+    Messages that are due at once are sent in the order of their sources.
+    """
+    due = np.concatenate(times_ns)
+    source = np.repeat(np.arange(len(times_ns)), [len(t) for t in times_ns])
+    row = np.concatenate([np.arange(len(t)) for t in times_ns])
+    order = np.lexsort((source, due))
+    return due[order], source[order], row[order]
+
+
+def as_bytes(rows: npt.NDArray[np.void]) -> list[bytes]:
+    """The bytes of each record of a contiguous array, gaps between fields included."""
+    blob, size = rows.view(np.uint8).tobytes(), rows.dtype.itemsize
+    return [blob[i : i + size] for i in range(0, len(blob), size)]
+
+
 def heard(recording: Recording, time_ns: IntArray) -> BoolArray:
     """(N,) True where a message sent at that vehicle time reached the recorder."""
     reached = np.ones(len(time_ns), dtype=np.bool_)

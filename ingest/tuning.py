@@ -44,7 +44,7 @@ class Linear:
 
 def linearise(vehicle: Vehicle, altitude_m: float = 20.0) -> Linear:
     """Vehicle and inner loop about hover, in still air, on a full battery, without the link's delay."""
-    physics, x0, u0 = vehicle.physics(), vehicle.hover(altitude_m), np.zeros(INPUTS)
+    physics, x0, u0 = vehicle.physics().packed(), vehicle.hover(altitude_m), np.zeros(INPUTS)
 
     def slope(direction: FloatArray, on_input: bool, size: float) -> FloatArray:
         ends = []

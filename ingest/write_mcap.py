@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from flysid.ingest.telemetry import Recording, Series, arrival_utc_ns, heard
+from flysid.ingest.telemetry import Recording, Series, arrival_utc_ns, heard, in_sending_order
 
 # Goes into the file's header; the library's own name carries a version, which would change the bytes.
 LIBRARY = "flysid"
@@ -74,11 +74,7 @@ def _channel(writer: Any, topic: str, title: str, units: dict[str, str]) -> int:
 
 def _messages(writer: Any, recording: Recording, topics: list[int]) -> None:
     rows = [_rows(recording, recording.command, COMMAND), _rows(recording, recording.state, STATE)]
-    due = np.concatenate([recording.command.time_ns, recording.state.time_ns])
-    kind = np.repeat([0, 1], [len(recording.command), len(recording.state)])
-    row = np.concatenate([np.arange(len(recording.command)), np.arange(len(recording.state))])
-    order = np.lexsort((kind, due))
-    due, kind, row = due[order], kind[order], row[order]
+    due, kind, row = in_sending_order(recording.command.time_ns, recording.state.time_ns)
     arrival = arrival_utc_ns(recording, due)
     for i in np.flatnonzero(heard(recording, due)).tolist():
         writer.add_message(

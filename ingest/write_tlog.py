@@ -11,13 +11,21 @@ Commanded tilt is ATTITUDE_TARGET.q (w, x, y, z), the commanded climb SET_POSITI
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.ingest.telemetry import MS_NS, SECOND_NS, Recording, Series, arrival_utc_ns, heard
+from flysid.ingest.telemetry import (
+    MS_NS,
+    SECOND_NS,
+    Recording,
+    Series,
+    arrival_utc_ns,
+    heard,
+    in_sending_order,
+)
 
 COMPONENT = 1
 ONLY_ATTITUDE = 0b00000111  # ATTITUDE_TARGET: body rates are to be ignored
@@ -30,22 +38,25 @@ Encoder = Callable[[Any, int], Message]
 
 def tlog_bytes(recording: Recording) -> bytes:
     """The whole log. Messages that were lost leave a gap in the sequence numbers, as on a real link."""
+    due = in_sending_order(*(times for times, _ in _sources(recording)))[0]
+    arrival_us = arrival_utc_ns(recording, due)[heard(recording, due)] // 1000
+    frames = (frame for _, frame in timed_frames(recording))
+    return b"".join(
+        struct.pack(">Q", stamp) + frame for stamp, frame in zip(arrival_us.tolist(), frames, strict=True)
+    )
+
+
+def timed_frames(recording: Recording) -> Iterator[tuple[int, bytes]]:
+    """(vehicle time in ns, frame) of every message that arrives, in the order they are sent."""
     from pymavlink.dialects.v20 import common
 
     sources = _sources(recording)
-    due = np.concatenate([times for times, _ in sources])
-    kind = np.repeat(np.arange(len(sources)), [len(times) for times, _ in sources])
-    row = np.concatenate([np.arange(len(times)) for times, _ in sources])
-    order = np.lexsort((kind, due))
-    due, kind, row = due[order], kind[order], row[order]
-    arrival_us = arrival_utc_ns(recording, due) // 1000
+    due, kind, row = in_sending_order(*(times for times, _ in sources))
     link = common.MAVLink(None, srcSystem=recording.system, srcComponent=COMPONENT)
-    pieces = []
     for i in np.flatnonzero(heard(recording, due)).tolist():
         link.seq = i & 0xFF
         message = sources[kind[i]][1](link, int(row[i]))
-        pieces.append(struct.pack(">Q", int(arrival_us[i])) + message.pack(link))
-    return b"".join(pieces)
+        yield int(due[i]), bytes(message.pack(link))
 
 
 def _sources(recording: Recording) -> list[tuple[Any, Encoder]]:

@@ -1,8 +1,8 @@
-"""flysid synth: fly simulated plants, write the logs that a vehicle would have written."""
+"""flysid synth: fly simulated vehicles, write the logs that they would have written."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,26 +19,36 @@ Writer = tuple[str, Callable[["Recording"], bytes]]
 
 
 def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
-    """Print plants, plans and formats, one `kind name` per line, and end."""
+    """Print plants, plans, sensors and formats, one `kind name` per line, and end."""
     if not wanted:
         return
     from flysid.ingest.plans import PLANS
+    from flysid.ingest.sensors import SENSORS
     from flysid.ingest.synth import WRITERS
     from flysid.ingest.vehicles import VEHICLES
 
-    for kind, names in (("plant", VEHICLES), ("plan", PLANS), ("format", WRITERS)):
+    for kind, names in (("plant", VEHICLES), ("plan", PLANS), ("sensor", SENSORS), ("format", WRITERS)):
         for name in names:
             click.echo(f"{kind}\t{name}")
     context.exit()
 
 
 @click.command("synth")
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="Folder for the logs.")
-@click.option("--plant", default="ardrone-linear", show_default=True, help="What flies.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder for the logs.")
+@click.option(
+    "--plant", default="ardrone-linear", show_default=True, help="What flies; ardrone is nonlinear."
+)
 @click.option("--plan", default="mixed", show_default=True, help="What is flown; --list names all.")
 @click.option("--duration", default=120.0, show_default=True, metavar="S", help="Seconds of each flight.")
-@click.option("--noise", default=0.02, show_default=True, help="Velocity noise, m/s (one sigma).")
 @click.option("--amplitude", default=1.0, show_default=True, help="Factor on the plan's amplitudes.")
+@click.option("--sensor", default="telemetry", show_default=True, help="What measures.")
+@click.option(
+    "--noise", default=0.02, show_default=True, help="Velocity noise of telemetry, m/s (one sigma)."
+)
+@click.option("--wind", default=0.0, show_default=True, metavar="M/S", help="Steady wind with turbulence.")
+@click.option(
+    "--fleet", default=1, show_default=True, metavar="N", help="Vehicles, their parameters dispersed."
+)
 @click.option("--seed", default=1, show_default=True, help="Same seed, same bytes.")
 @click.option(
     "--format", "formats", multiple=True, metavar="NAME", help="Again for several.  [default: tlog]"
@@ -46,62 +56,117 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.option(
     "--dropout", "dropouts", multiple=True, metavar="START:LENGTH", help="The link is silent then, s."
 )
+@click.option("--truth/--no-truth", default=False, help="Also NAME.truth.parquet: what really happened.")
+@click.option(
+    "-j", "--jobs", default=1, show_default=True, metavar="N", help="Processes; 0 for one per core."
+)
+@click.option(
+    "--live", metavar="udp:HOST:PORT", help="Fly now and send MAVLink there instead of writing logs."
+)
+@click.option(
+    "--speed", default=1.0, show_default=True, help="Of --live: 2 flies twice as fast as the clock."
+)
 @click.option(
     "--list",
     is_flag=True,
     is_eager=True,
     expose_value=False,
     callback=list_all,
-    help="Name the plants, plans, formats.",
+    help="Name the plants, plans, sensors, formats.",
 )
 @click.option("--force", is_flag=True, help="Replace logs that exist.")
 @click.option("-q", "--quiet", is_flag=True, help="Only paths and errors.")
 def command(
-    output: Path,
+    output: Path | None,
     formats: tuple[str, ...],
-    dropouts: tuple[str, ...],
+    live: str | None,
     force: bool,
     quiet: bool,
-    **order: Any,
+    **options: Any,
 ) -> None:
-    """Fly simulated plants and write the logs that a vehicle would have written; prints their paths."""
-    from flysid.ingest.synth import Order, flight_names
+    """Fly simulated vehicles and write the logs that they would have written; prints their paths."""
+    order = ordered(**options)
+    if live is not None:
+        from flysid.ingest.live import Pace, fly_live
 
+        say(f"flying to {live}; interrupt to end", quiet)
+        sent = fly_live(order, live, Pace(options["speed"]))
+        say(f"{sent:,} messages sent", quiet)
+        return
+    if output is None:
+        raise UsageError("no folder for the logs", hint="-o DIR, or --live udp:HOST:PORT")
     writers = writers_named(formats or ("tlog",))
-    asked = Order(
-        plant=order["plant"],
-        plan=order["plan"],
-        duration_s=order["duration"],
-        noise=order["noise"],
-        seed=order["seed"],
-        amplitude=order["amplitude"],
-        dropouts_s=tuple(parse_dropout(text) for text in dropouts),
-    )
-    for name in flight_names(asked):
-        for suffix, _ in writers:
-            check_target(output / f"{name}{suffix}", force)
+    if options["truth"]:
+        from flysid.ingest.truth import truth_bytes
+
+        writers.append((".truth.parquet", truth_bytes))
+    check_paths(order, output, writers, force)
     make_folder(output)
-    for path in write_flights(asked, output, writers, lambda text: say(text, quiet)):
+    say(f"flying {order.plan} with {order.plant}: {order.duration_s:g} s each", quiet)
+    for path in fly_all(order, output, tuple(s for s, _ in writers), options["jobs"]):
         click.echo(path)
 
 
-def write_flights(
-    order: Order, folder: Path, writers: Sequence[Writer], tell: Callable[[str], None]
-) -> list[Path]:
-    """Fly the whole order; every log appears whole."""
-    from flysid.flightwriter import write_atomically, writing_to
-    from flysid.ingest.synth import flight_names, fly_one
+def ordered(*, dropouts: tuple[str, ...], **options: Any) -> Order:
+    """The order that the options describe."""
+    from flysid.ingest.synth import Order
 
-    written = []
-    for index, name in enumerate(flight_names(order)):
-        tell(f"fly {name}: {order.duration_s:g} s")
-        recording = fly_one(order, index)
-        for suffix, encode in writers:
-            path = folder / f"{name}{suffix}"
-            with writing_to(path):
-                write_atomically(path, encode(recording))
-            written.append(path)
-    return written
+    return Order(
+        plant=options["plant"],
+        plan=options["plan"],
+        duration_s=options["duration"],
+        noise=options["noise"],
+        seed=options["seed"],
+        amplitude=options["amplitude"],
+        dropouts_s=tuple(parse_dropout(text) for text in dropouts),
+        sensor=options["sensor"],
+        wind_m_s=options["wind"],
+        fleet=options["fleet"],
+    )
+
+
+def check_paths(order: Order, folder: Path, writers: Sequence[Writer], force: bool) -> None:
+    """Raise UsageError where a log would replace another; before anything flies."""
+    from flysid.ingest.synth import flight_names
+
+    for name in flight_names(order):
+        for suffix, _ in writers:
+            check_target(folder / f"{name}{suffix}", force)
+
+
+def fly_all(order: Order, folder: Path, suffixes: tuple[str, ...], jobs: int) -> Iterator[Path]:
+    """Fly and write every flight, in `jobs` processes; paths in the order of the flights."""
+    import os
+
+    from flysid.ingest.synth import flight_names
+
+    tasks = [(order, index, folder, suffixes) for index in range(len(flight_names(order)))]
+    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
+    if jobs <= 1:
+        for task in tasks:
+            yield from fly_and_write(*task)
+        return
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for paths in pool.map(fly_and_write, *zip(*tasks, strict=True)):
+            yield from paths
+
+
+def fly_and_write(order: Order, index: int, folder: Path, suffixes: Sequence[str]) -> list[Path]:
+    """Fly one flight and write it in every format; each log appears whole."""
+    from flysid.flightwriter import write_atomically, writing_to
+    from flysid.ingest.synth import WRITERS, fly_one
+    from flysid.ingest.truth import truth_bytes
+
+    encoders = {**dict(WRITERS.values()), ".truth.parquet": truth_bytes}
+    recording = fly_one(order, index)
+    paths = [folder / f"{recording.name}{suffix}" for suffix in suffixes]
+    for path, suffix in zip(paths, suffixes, strict=True):
+        with writing_to(path):
+            write_atomically(path, encoders[suffix](recording))
+    return paths
 
 
 def writers_named(names: Sequence[str]) -> list[Writer]:
