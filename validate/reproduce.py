@@ -13,7 +13,7 @@ from typing import Any
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.ingest.plants import LOOPS as PLANT_LOOPS
 from flysid.ingest.plants import paper_experiment
-from flysid.model.base import Fitted
+from flysid.model.base import Estimator, Fitted
 from flysid.validate.compare import Comparison, compare
 from flysid.validate.metrics import scores
 from flysid.validate.paper import LOOPS, PaperLoop
@@ -64,7 +64,7 @@ def _reproduce_loop(loop: PaperLoop, progress: Callable[[str], None]) -> LoopRes
     return LoopResult(loop, models, free, comparison, _with_noise(loop))
 
 
-def _estimators() -> dict[str, Any]:
+def _estimators() -> dict[str, Estimator]:
     from flysid.model.arx import ARX
     from flysid.model.line import Line
     from flysid.model.static_ts import StaticTS
@@ -109,12 +109,13 @@ def _with_noise(loop: PaperLoop) -> dict[str, float]:
 
     train, _ = experiment(loop, "training", NOISE_M_S)
     test, truth = experiment(loop, "validation", NOISE_M_S)
-    found = {}
-    for label, estimator in {
+    estimators: dict[str, Estimator] = {
         "arx_one_step": ARX(refine=False),
         "arx": ARX(),
         "dynamic_ts_3": TS(rules=3),
-    }.items():
+    }
+    found = {}
+    for label, estimator in estimators.items():
         model = estimator.fit(train)
         found[label] = scores(truth, model.simulate(test.segments[0].u)[:, 0]).rmse
     return found
