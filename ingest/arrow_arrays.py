@@ -53,11 +53,11 @@ def lists(child: pa.Array, counts: Index) -> pa.Array:
     return pa.Array.from_buffers(kind, len(counts), [None, pa.py_buffer(_offsets(counts))], children=[child])
 
 
-def text(joined: Bytes, sizes: Index) -> pa.Array:
-    """Strings from their bytes one after the other; bytes that are not UTF-8 become U+FFFD."""
+def text(joined: Bytes, sizes: Index, kind: pa.DataType | None = None) -> pa.Array:
+    """Strings (or `kind` binary) from their bytes one after the other; what is not UTF-8 becomes U+FFFD."""
     buffers = [None, pa.py_buffer(_offsets(sizes)), pa.py_buffer(np.ascontiguousarray(joined))]
-    array = pa.Array.from_buffers(pa.string(), len(sizes), buffers)
-    if len(joined) and int(joined.max()) >= 0x80:
+    array = pa.Array.from_buffers(kind or pa.string(), len(sizes), buffers)
+    if kind is None and len(joined) and int(joined.max()) >= 0x80:
         try:
             array.validate(full=True)
         except pa.ArrowInvalid:
@@ -78,6 +78,13 @@ def strings(values: Iterable[str]) -> pa.Array:
     encoded = [v.encode("utf-8", "replace") for v in values]
     sizes = np.array([len(v) for v in encoded], dtype=np.int64)
     return text(as_bytes(b"".join(encoded)), sizes)
+
+
+def blobs(values: Sequence[bytes]) -> pa.Array:
+    """Byte strings."""
+    sizes = np.array([len(v) for v in values], dtype=np.int64)
+    buffers = [None, pa.py_buffer(_offsets(sizes)), pa.py_buffer(b"".join(values))]
+    return pa.Array.from_buffers(pa.binary(), len(values), buffers)
 
 
 def structs(names: Sequence[str], children: Sequence[pa.Array]) -> pa.Array:

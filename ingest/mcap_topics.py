@@ -16,6 +16,7 @@ from flysid.ingest.gather import Bytes, Index
 from flysid.ingest.jsonmsg import decode_json, parse_json_schema
 from flysid.ingest.mcap_records import Channel
 from flysid.ingest.protomsg import decode_protobuf, parse_descriptors
+from flysid.ingest.protowire import LeftToLibrary, decode_wire
 from flysid.ingest.rosmsg import DefinitionError, parse_definition
 from flysid.ingest.tally import Tally
 
@@ -85,11 +86,16 @@ def _whole(column: pa.ChunkedArray) -> pa.Array:
 
 def _protobuf_decoder(name: str, raw: bytes) -> Decoder:
     layout = parse_descriptors(name, raw)
-    notes = {f.path: f.metadata for f in layout.fields}
+    notes = dict(layout.columns())
 
     def decode_batch(messages: Messages) -> Decoded:
-        arrays, kept = decode_protobuf(messages.data, messages.at, messages.size, layout)
-        return Decoded([(f.path, a) for f, a in zip(layout.fields, arrays, strict=True)], kept, notes)
+        try:
+            arrays, kept = decode_wire(messages.data, messages.at, messages.size, layout.fields)
+            which = arrow_arrays.numeric(kept) if len(kept) < len(messages.at) else None
+            arrays = arrays if which is None else [array.take(which) for array in arrays]
+        except LeftToLibrary:
+            arrays, kept = decode_protobuf(messages.data, messages.at, messages.size, layout)
+        return Decoded(list(zip(notes, arrays, strict=True)), kept, notes)
 
     return decode_batch
 

@@ -43,25 +43,46 @@ _ENUM, _BYTES_TYPE = 8, 12
 
 @dataclass(frozen=True)
 class ProtoField:
-    """A column: where it is in the message, and what its values are.
+    """A field of a message: its own name and dotted path, and what its values are.
 
     `shape` is "one", "many" (repeated) or "map"; `dtype` a NumPy type, or "str", "bytes" or "message", whose
-    own columns are `inner`. `metadata` is that of the column.
+    own columns are `inner`. `metadata` is that of the column. `number`, `wire` (descriptor.proto's type) and
+    `default` are what reading from the wire needs.
     """
 
+    name: str
     path: str
     shape: str
     dtype: str
     metadata: dict[bytes, bytes] | None = None
     inner: tuple[ProtoField, ...] = ()
+    number: int = 0
+    wire: int = 0
+    default: float | int | bool = 0
+
+    def inner_names(self) -> list[str]:
+        """Names of the columns of the nested message."""
+        return [name for name, _ in _columns_of(self.inner)]
 
 
 @dataclass(frozen=True)
 class ProtoLayout:
-    """A message class and the columns it flattens to."""
+    """A message class and its fields; those of nested messages are inside theirs."""
 
     message: Any
     fields: tuple[ProtoField, ...]
+
+    def columns(self) -> Iterator[tuple[str, dict[bytes, bytes] | None]]:
+        """Dotted name and metadata of every column, in order."""
+        return _columns_of(self.fields)
+
+
+def _columns_of(fields: Sequence[ProtoField]) -> Iterator[tuple[str, dict[bytes, bytes] | None]]:
+    for field in fields:
+        if field.shape == "one" and field.dtype == "message":
+            yield from _columns_of(field.inner)
+        else:
+            yield field.path, field.metadata
 
 
 def parse_descriptors(name: str, raw: bytes) -> ProtoLayout:
@@ -117,16 +138,26 @@ def _fields(descriptor: Any, path: str, above: tuple[str, ...], leaves: list[int
         here = f"{path}.{field.name}" if path else field.name
         dtype = "bytes" if field.type == _BYTES_TYPE else _TYPES[field.cpp_type]
         if dtype != "message":
-            yield ProtoField(here, "many" if _repeated(field) else "one", dtype, _enum_names(field))
+            shape = "many" if _repeated(field) else "one"
+            default = 0 if dtype in ("str", "bytes") or shape == "many" else field.default_value
+            if dtype in ("str", "bytes") and shape == "one" and field.default_value:
+                raise DefinitionError("text defaults of proto2 are not read")
+            yield ProtoField(
+                field.name, here, shape, dtype, _enum_names(field), (), field.number, field.type, default
+            )
             continue
         kind = field.message_type
         if kind.full_name in above or len(above) >= MAX_DEPTH:
-            yield ProtoField(here, "many" if _repeated(field) else "one", "serial")
+            yield ProtoField(
+                field.name, here, "many" if _repeated(field) else "one", "serial", number=field.number
+            )
         elif not _repeated(field):
-            yield from _fields(kind, here, (*above, kind.full_name), leaves)
+            inner = tuple(_fields(kind, here, (*above, kind.full_name), leaves))
+            yield ProtoField(field.name, here, "one", "message", None, inner, field.number)
         else:
             inner = tuple(_fields(kind, "", (*above, kind.full_name), leaves))
-            yield ProtoField(here, "map" if kind.GetOptions().map_entry else "many", "message", None, inner)
+            shape = "map" if kind.GetOptions().map_entry else "many"
+            yield ProtoField(field.name, here, shape, "message", None, inner, field.number)
 
 
 def _repeated(field: Any) -> bool:
@@ -142,7 +173,7 @@ def _enum_names(field: Any) -> dict[bytes, bytes] | None:
 
 
 def decode_protobuf(data: Bytes, at: Index, size: Index, layout: ProtoLayout) -> tuple[list[pa.Array], Index]:
-    """One array per field of the layout, and the numbers of the messages that parse."""
+    """One array per column of the layout, and the numbers of the messages that parse."""
     from google.protobuf.message import DecodeError
 
     window = data.data
@@ -154,11 +185,20 @@ def decode_protobuf(data: Bytes, at: Index, size: Index, layout: ProtoLayout) ->
         except DecodeError:
             continue
         kept.append(number)
-    return [_column(messages, field) for field in layout.fields], np.array(kept, dtype=np.int64)
+    return list(_arrays(messages, layout.fields)), np.array(kept, dtype=np.int64)
+
+
+def _arrays(messages: Sequence[Any], fields: Sequence[ProtoField]) -> Iterator[pa.Array]:
+    """Arrays of all columns; each nested message is taken from its owner once, not once a field."""
+    for field in fields:
+        if field.shape == "one" and field.dtype == "message":
+            yield from _arrays(list(map(attrgetter(field.name), messages)), field.inner)
+        else:
+            yield _column(messages, field)
 
 
 def _column(messages: Sequence[Any], field: ProtoField) -> pa.Array:
-    values = map(attrgetter(field.path), messages)
+    values = map(attrgetter(field.name), messages)
     if field.shape == "one":
         return _values(values, len(messages), field.dtype)
     containers = list(values)
@@ -174,18 +214,18 @@ def _column(messages: Sequence[Any], field: ProtoField) -> pa.Array:
 
 def _values(values: Iterable[Any], count: int, dtype: str) -> pa.Array:
     if dtype == "str":
-        return pa.array(list(values), pa.string())
+        return arrow_arrays.strings(values)
     if dtype == "bytes":
-        return pa.array(list(values), pa.binary())
+        return arrow_arrays.blobs(list(values))
     if dtype == "serial":
-        return pa.array([v.SerializeToString() for v in values], pa.binary())
+        return arrow_arrays.blobs([v.SerializeToString() for v in values])
     return arrow_arrays.numeric(np.fromiter(values, dtype=dtype, count=count))
 
 
 def _records(messages: Sequence[Any], fields: Sequence[ProtoField]) -> pa.Array:
     if not fields:
         return pa.nulls(len(messages))
-    return arrow_arrays.structs([f.path for f in fields], [_column(messages, f) for f in fields])
+    return arrow_arrays.structs([n for n, _ in _columns_of(fields)], list(_arrays(messages, fields)))
 
 
 def _entries(containers: Sequence[Mapping[Any, Any]], total: int, field: ProtoField) -> pa.Array:
@@ -193,11 +233,9 @@ def _entries(containers: Sequence[Mapping[Any, Any]], total: int, field: ProtoFi
     items = list(chain.from_iterable(c.items() for c in containers))
     key, *rest = field.inner
     keys = _values((k for k, _ in items), total, key.dtype)
-    if len(rest) == 1 and rest[0].path == "value" and rest[0].shape == "one":
-        values = _values((v for _, v in items), total, rest[0].dtype)
+    value = rest[0]
+    if value.dtype == "message":
+        values = list(_arrays([v for _, v in items], value.inner))
     else:
-        inner = [
-            ProtoField(f.path.removeprefix("value."), f.shape, f.dtype, f.metadata, f.inner) for f in rest
-        ]
-        values = _records([v for _, v in items], inner)
-    return arrow_arrays.structs(["key", "value"], [keys, values])
+        values = [_values((v for _, v in items), total, value.dtype)]
+    return arrow_arrays.structs(field.inner_names(), [keys, *values])

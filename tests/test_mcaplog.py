@@ -240,3 +240,153 @@ def test_front_door(tmp_path: Path) -> None:
     assert flight["velocity"].num_rows == 5
     assert not flight.damage.lossy
     assert flight.clocks[0].first_ns == 5
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_protobuf_payloads_damaged_anywhere_are_read_as_the_library_reads_them_or_counted(seed: int) -> None:
+    pytest.importorskip("google.protobuf")
+    from google.protobuf.message import DecodeError
+    from mcap_protobuf.schema import build_file_descriptor_set
+
+    from tests.samplelogs.proto import sample_class, sample_message
+
+    rng = np.random.default_rng(seed)
+    cls = sample_class()
+    payloads = []
+    for k in range(120):
+        raw = bytearray(sample_message(cls, k % 7 + 1).SerializeToString())
+        if k % 3 == 0:
+            raw = raw[: rng.integers(len(raw))]
+        elif k % 3 == 1:
+            raw[rng.integers(len(raw))] ^= 1 << int(rng.integers(8))
+        payloads.append(bytes(raw))
+    schema = build_file_descriptor_set(cls).SerializeToString()
+    stamped = [(10**9 + k, p) for k, p in enumerate(payloads)]
+    flight = read(mcap_file([Topic("/p", "protobuf", "test.Sample", "protobuf", schema, stamped)]))
+    table = flight["/p"]
+    assert table.num_rows + flight.damage.undecoded.get("/p", 0) == 120
+    ours = dict(zip(table["recv_ns"].to_pylist(), table.to_pylist(), strict=True))
+    for when, payload in stamped:
+        try:
+            theirs = cls.FromString(payload)
+        except DecodeError:
+            continue  # the library also refuses text that is not UTF-8; ours replaces it
+        mine = ours[when]
+        np.testing.assert_equal(mine["values"], list(theirs.values))
+        np.testing.assert_equal(mine["counts"], list(theirs.counts))
+        np.testing.assert_equal(mine["words"], list(theirs.words))
+        for name in ("signed", "fixed", "flag", "mode", "name", "blob"):
+            assert mine[name] == getattr(theirs, name), name
+        np.testing.assert_equal(mine["position.x"], theirs.position.x)
+
+
+NAVDATA_FIELDS = """Header header
+float32 batteryPercent
+uint32 state
+int32 magX
+int32 magY
+int32 magZ
+int32 pressure
+int32 temp
+float32 wind_speed
+float32 wind_angle
+float32 wind_comp_angle
+float32 rotX
+float32 rotY
+float32 rotZ
+int32 altd
+float32 vx
+float32 vy
+float32 vz
+float32 ax
+float32 ay
+float32 az
+uint8 motor1
+uint8 motor2
+uint8 motor3
+uint8 motor4
+uint32 tags_count
+uint32[] tags_type
+uint32[] tags_xc
+uint32[] tags_yc
+uint32[] tags_width
+uint32[] tags_height
+float32[] tags_orientation
+float32[] tags_distance
+float32 tm
+"""
+ARDRONE = Path(__file__).resolve().parents[2] / "shared" / "logs" / "ardrone"
+NAMES = {"rotX": "rotX_deg", "rotY": "rotY_deg", "rotZ": "rotZ_deg", "vx": "vx_mm_s", "vy": "vy_mm_s"}
+NAMES |= {"vz": "vz_mm_s", "ax": "ax_g", "ay": "ay_g", "az": "az_g", "altd": "altd_mm"}
+NAMES |= {f"motor{k}": f"motor{k}" for k in range(1, 5)}
+
+
+def split_stamp(seconds: np.ndarray[Any, Any]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    whole = np.floor(seconds).astype(np.int64)
+    return whole, np.round((seconds - whole) * 1e9).astype(np.int64)
+
+
+@pytest.mark.skipif(not ARDRONE.exists(), reason="no ../shared/logs/ardrone here")
+def test_a_real_ardrone_flight_as_ros1_navdata_comes_back_equal(tmp_path: Path) -> None:
+    import struct
+
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(ARDRONE / "ardrone2_flight_nav_198hz.parquet")
+    source = {name: table[name].to_numpy() for name in table.column_names}
+    seconds, nanos = split_stamp(source["stamp"])
+    payloads = []
+    order = ["rotX", "rotY", "rotZ", "altd", "vx", "vy", "vz", "ax", "ay", "az"]
+    columns = [source[NAMES[n]].tolist() for n in order] + [source[f"motor{k}"].tolist() for k in range(1, 5)]
+    for k, values in enumerate(zip(*columns, strict=True)):
+        head = struct.pack("<III", k, seconds[k], nanos[k]) + struct.pack("<I", 9) + b"base_link"
+        body = struct.pack("<fI3i2i3f", 80.0, 3, 0, 0, 0, 0, 0, 0.0, 0.0, 0.0)
+        body += struct.pack("<3fi6f4B", *values)
+        tags = k % 3
+        body += struct.pack("<I", tags)
+        body += b"".join(struct.pack(f"<I{tags}I", tags, *range(tags)) for _ in range(5))
+        body += b"".join(struct.pack(f"<I{tags}f", tags, *([0.5] * tags)) for _ in range(2))
+        payloads.append(head + body + struct.pack("<f", k))
+    text = ros.definition(NAVDATA_FIELDS, std_msgs__Header=ros.HEADER_1)
+    path = tmp_path / "ardrone.mcap"
+    topic = ros1_topic("/ardrone/navdata", "ardrone_autonomy/Navdata", text, payloads)
+    path.write_bytes(mcap_file([topic], chunk_size=1 << 20))
+    flight = flysid.read(path)
+    back = flight["/ardrone/navdata"]
+    assert not flight.damage.lossy
+    assert back["time_ns"].to_pylist() == (seconds * 10**9 + nanos).tolist()
+    for name, column in NAMES.items():
+        expected = source[column]
+        if expected.dtype == np.float64:
+            expected = expected.astype(np.float32)
+        np.testing.assert_array_equal(back[name].to_numpy(), expected, err_msg=name)
+    assert back["tags_type"].to_pylist()[:3] == [[], [0], [0, 1]]
+
+
+@pytest.mark.skipif(not ARDRONE.exists(), reason="no ../shared/logs/ardrone here")
+def test_motion_capture_as_ros1_poses_comes_back_equal(tmp_path: Path) -> None:
+    import struct
+
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(ARDRONE / "ardrone2_flight_optitrack_120hz.parquet")
+    source = {name: table[name].to_numpy() for name in table.column_names}
+    seconds, nanos = split_stamp(source["stamp"])
+    names = ["x", "y", "z", "qx", "qy", "qz", "qw"]
+    rows = zip(*(source[n].tolist() for n in names), strict=True)
+    payloads = [
+        struct.pack("<III", k, seconds[k], nanos[k])
+        + struct.pack("<I", 5)
+        + b"world"
+        + struct.pack("<7d", *row)
+        for k, row in enumerate(rows)
+    ]
+    path = tmp_path / "optitrack.mcap"
+    topic = ros1_topic("/optitrack/pose", "geometry_msgs/PoseStamped", ros.POSE_STAMPED_1, payloads)
+    path.write_bytes(mcap_file([topic], chunk_size=1 << 20))
+    back = flysid.read(path)["/optitrack/pose"]
+    assert back["time_ns"].to_pylist() == (seconds * 10**9 + nanos).tolist()
+    for name in "xyz":
+        np.testing.assert_array_equal(back[f"pose.position.{name}"].to_numpy(), source[name])
+    for name in "xyzw":
+        np.testing.assert_array_equal(back[f"pose.orientation.{name}"].to_numpy(), source[f"q{name}"])

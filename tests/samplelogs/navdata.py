@@ -41,12 +41,14 @@ def references(k: int) -> bytes:
 
 
 def flight(count: int, start_us: int = 5_000_000, first: int = 1) -> list[bytes]:
-    """Packets at 200 Hz, every fifth with only demo and time."""
+    """Packets at 200 Hz, every fifth without references."""
     found = []
     for k in range(count):
         options = {DEMO: demo(k), TIME: clock(start_us + 5000 * k)}
         if k % 5:
-            options |= {REFERENCES: references(k), DETECT: bytes(324)}
+            options[REFERENCES] = references(k)
+        if k % 20 == 3:
+            options[DETECT] = bytes(324)
         found.append(packet(first + k, options))
     return found
 

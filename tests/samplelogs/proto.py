@@ -48,6 +48,27 @@ def sample_class() -> Any:
     return GetMessageClass(pool.FindMessageTypeByName("test.Sample"))
 
 
+def flight_class() -> Any:
+    """The class of `test.Flight`: a stamp, a string, two nested points and a packed sequence."""
+    from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
+    from google.protobuf.descriptor_pool import DescriptorPool
+    from google.protobuf.message_factory import GetMessageClass
+
+    kinds = FieldDescriptorProto
+    file = FileDescriptorProto(name="flight.proto", package="test", syntax="proto3")
+    _message(file, "Point", [(axis, kinds.TYPE_DOUBLE) for axis in "xyz"])
+    _message(file, "Time", [("seconds", kinds.TYPE_INT64), ("nanos", kinds.TYPE_INT32)])
+    flight = _message(file, "Flight", [])
+    own = [("stamp", ".test.Time"), ("rotation", ".test.Point"), ("velocity", ".test.Point")]
+    for number, (name, type_name) in enumerate(own, start=1):
+        flight.field.add(name=name, number=number, type=kinds.TYPE_MESSAGE, label=1, type_name=type_name)
+    flight.field.add(name="frame", number=4, type=kinds.TYPE_STRING, label=1)
+    flight.field.add(name="motors", number=5, type=kinds.TYPE_FLOAT, label=3)
+    pool = DescriptorPool()
+    pool.Add(file)
+    return GetMessageClass(pool.FindMessageTypeByName("test.Flight"))
+
+
 def _message(file: Any, name: str, fields: list[tuple[str, int]]) -> Any:
     message = file.message_type.add(name=name)
     for number, (field, kind) in enumerate(fields, start=1):
