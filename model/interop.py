@@ -1,0 +1,154 @@
+"""To and from python-control, without loss.
+
+python-control is imported inside the functions: it costs seconds of CPU at import.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from flysid.dataset import FloatArray, Signal
+from flysid.errors import UsageError
+from flysid.model.freerun import Difference
+from flysid.model.linear import FittedLinear
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+def state_space(system: Difference) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """(A, B, C, D) of a difference equation in observer form, order L n_y."""
+    depth, n_y, n_u = system.depth, system.a.shape[1], system.b.shape[2]
+    a, b = np.zeros((depth + 1, n_y, n_y)), np.zeros((depth + 1, n_y, n_u))
+    a[: len(system.a)], b[: len(system.b)] = system.a, system.b
+    n = depth * n_y
+    big_a, big_b = np.eye(n, k=n_y), np.zeros((n, n_u))
+    for lag in range(1, depth + 1):
+        rows = slice((lag - 1) * n_y, lag * n_y)
+        big_a[rows, :n_y] -= a[lag]
+        big_b[rows] = b[lag] - a[lag] @ b[0]
+    return big_a, big_b, np.eye(n_y, n), b[0]
+
+
+def to_control(model: FittedLinear, form: Literal["auto", "tf", "ss"] = "auto") -> Any:
+    """The model as a discrete python-control system with named inputs and outputs; offsets are left out.
+
+    Parameters
+    ----------
+    form : "tf", control.TransferFunction, the polynomials digit by digit (not for coupled outputs); "ss",
+        control.StateSpace; "auto" is "tf" for one input and output, else "ss" (python-control simulates
+        transfer matrices with an extra library only).
+
+    Raises
+    ------
+    UsageError : a transfer matrix was asked for of coupled outputs.
+    """
+    import control
+
+    names = {"inputs": [s.name for s in model.inputs], "outputs": [s.name for s in model.outputs]}
+    system = model.system
+    single = len(model.inputs) == len(model.outputs) == 1
+    if form == "tf" and not system.is_diagonal:
+        raise UsageError("coupled outputs have no common denominators to keep", hint="use form='ss'")
+    if form == "ss" or (form == "auto" and not single):
+        return control.ss(*state_space(system), model.dt_s, **names)
+    size = system.depth + 1
+    num = [[_padded(system.b[:, i, j], size) for j in range(len(model.inputs))] for i in range(len(system.c))]
+    den = [[_padded(system.a[:, i, i], size)] * len(model.inputs) for i in range(len(system.c))]
+    return control.tf(num, den, model.dt_s, **names)
+
+
+def _padded(values: FloatArray, size: int) -> FloatArray:
+    """Coefficients in rising powers of the delay are those in falling powers of z, both of degree L."""
+    out = np.zeros(size)
+    out[: len(values)] = values
+    return out
+
+
+def from_control(
+    system: Any,
+    dt_s: float | None = None,
+    *,
+    inputs: Sequence[Signal | str] | None = None,
+    outputs: Sequence[Signal | str] | None = None,
+) -> FittedLinear:
+    """A python-control transfer function as a model that predicts and compares like a fitted one.
+
+    Parameters
+    ----------
+    system : control.TransferFunction, or control.StateSpace with one input and output. A continuous one is
+        sampled behind a zero-order hold.
+    dt_s : sample time of a continuous system.
+
+    Raises
+    ------
+    UsageError : continuous and no sample time given, or improper.
+    """
+    import control
+
+    timed = not (system.dt is None or system.dt is True or system.dt == 0)
+    if not timed and dt_s is None:
+        raise UsageError("the system has no sample time", hint="give dt_s, in seconds")
+    step = float(system.dt) if timed else float(dt_s or 0.0)
+    try:
+        transfer = control.tf(control.sample_system(system, step, "zoh") if system.dt == 0 else system)
+    except control.ControlMIMONotImplemented as error:
+        raise UsageError(f"python-control cannot convert this system: {error}") from error
+    n_y, n_u = transfer.noutputs, transfer.ninputs
+    rows = [_common(transfer, i) for i in range(n_y)]
+    size = max(len(a) for a, _ in rows)
+    a, b = np.zeros((size, n_y, n_y)), np.zeros((size, n_y, n_u))
+    for i, (den, nums) in enumerate(rows):
+        a[: len(den), i, i] = den
+        b[: len(den), i] = nums.T
+    found = Difference(a, b, np.zeros(n_y))
+    return FittedLinear(
+        structure="arx",
+        dt_s=step,
+        inputs=_signals(inputs, transfer.input_labels),
+        outputs=_signals(outputs, transfer.output_labels),
+        n_init=max(found.depth, 1),
+        output_limits=np.array([[-1e12] * n_y, [1e12] * n_y]),
+        system=found,
+        u_origin=np.zeros(n_u),
+        y_origin=np.zeros(n_y),
+        noise=None,
+        starts=None,
+        free=(),
+        covariance=np.zeros((0, 0)),
+        notes=("Taken over from python-control; nothing was estimated.",),
+    )
+
+
+def _common(transfer: Any, i: int) -> tuple[FloatArray, FloatArray]:
+    """Monic denominator and (n_u, size) numerators of one output over their common denominator."""
+    dens = [np.trim_zeros(np.asarray(d, dtype=np.float64), "f") for d in transfer.den[i]]
+    nums = [np.asarray(n, dtype=np.float64) for n in transfer.num[i]]
+    same = all(len(d) == len(dens[0]) and np.array_equal(d, dens[0]) for d in dens)
+    if same:
+        common, factors = dens[0], [np.ones(1)] * len(dens)
+    else:
+        common = np.ones(1)
+        for d in dens:
+            common = np.convolve(common, d)
+        factors = [_product(dens[:j] + dens[j + 1 :]) for j in range(len(dens))]
+    out = np.zeros((len(nums), len(common)))
+    for j, (n, f) in enumerate(zip(nums, factors, strict=True)):
+        taps = np.trim_zeros(np.convolve(n, f), "f")
+        if len(taps) > len(common):
+            raise UsageError("the transfer function is improper: it would have to know the future")
+        out[j, len(common) - len(taps) :] = taps
+    return common / common[0], out / common[0]
+
+
+def _product(polynomials: list[FloatArray]) -> FloatArray:
+    out = np.ones(1)
+    for p in polynomials:
+        out = np.convolve(out, p)
+    return out
+
+
+def _signals(given: Sequence[Signal | str] | None, labels: Sequence[str]) -> tuple[Signal, ...]:
+    return tuple(s if isinstance(s, Signal) else Signal(s) for s in (labels if given is None else given))
