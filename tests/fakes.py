@@ -76,7 +76,7 @@ class FirstOrder:
 
     def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:  # noqa: ARG002
         centres = np.linspace(-1.0, 1.0, len(self.labels))
-        weights = np.exp(-((y[:, :1] - centres) ** 2))
+        weights = np.exp(-((np.clip(y[:, :1], -5.0, 5.0) - centres) ** 2))
         normalised: FloatArray = weights / weights.sum(axis=1, keepdims=True)
         return normalised
 

@@ -86,8 +86,15 @@ def _autocovariance(x: FloatArray) -> FloatArray:
     return covariance
 
 
+def _scaled(ea: Sequence[FloatArray], eb: Sequence[FloatArray]) -> tuple[list[FloatArray], list[FloatArray]]:
+    """All errors divided by the largest one, so that their squares neither overflow nor vanish."""
+    largest = max(max(float(np.max(np.abs(e))) for e in (*ea, *eb)), 1e-300)
+    return [e / largest for e in ea], [e / largest for e in eb]
+
+
 def block_length(ea: Sequence[FloatArray], eb: Sequence[FloatArray]) -> int:
     """Samples per block: five correlation lengths of the loss difference, two where data are short."""
+    ea, eb = _scaled(ea, eb)
     tau = max(correlation_length([b**2 - a**2 for a, b in zip(ea, eb, strict=True)]), correlation_length(ea))
     n = sum(len(e) for e in ea)
     length = max(2.0 * tau, min(5.0 * tau, n / 20.0), n / MAX_UNITS)
@@ -96,8 +103,8 @@ def block_length(ea: Sequence[FloatArray], eb: Sequence[FloatArray]) -> int:
 
 def make_units(ea: Sequence[FloatArray], eb: Sequence[FloatArray], flights: Sequence[str]) -> Units:
     """Group the errors of baseline (ea) and other model (eb), one array per segment, into units."""
-    largest = max(max(float(np.max(np.abs(e))) for e in (*ea, *eb)), 1e-300)
-    sa, sb = [(e / largest) ** 2 for e in ea], [(e / largest) ** 2 for e in eb]
+    ea, eb = _scaled(ea, eb)
+    sa, sb = [e**2 for e in ea], [e**2 for e in eb]
     names = list(dict.fromkeys(flights))
     if len(names) >= MIN_FLIGHTS:
         a, b = np.zeros(len(names)), np.zeros(len(names))
@@ -105,7 +112,7 @@ def make_units(ea: Sequence[FloatArray], eb: Sequence[FloatArray], flights: Sequ
             a[names.index(flight)] += squares_a.sum()
             b[names.index(flight)] += squares_b.sum()
         return Units(a, b, "flights", 0)
-    length = block_length([e / largest for e in ea], [e / largest for e in eb])
+    length = block_length(ea, eb)
     return Units(_block_sums(sa, length), _block_sums(sb, length), "blocks", length)
 
 
@@ -184,8 +191,7 @@ def diebold_mariano(ea: Sequence[FloatArray], eb: Sequence[FloatArray], lags: in
     Diebold & Mariano (1995) with the small-sample factor of Harvey, Leybourne & Newbold (1997). Covariances
     never cross a segment's edge. None where the loss difference does not vary.
     """
-    largest = max(max(float(np.max(np.abs(e))) for e in (*ea, *eb)), 1e-300)
-    d = [(b / largest) ** 2 - (a / largest) ** 2 for a, b in zip(ea, eb, strict=True)]
+    d = [b**2 - a**2 for a, b in zip(*_scaled(ea, eb), strict=True)]
     n = sum(len(x) for x in d)
     mean = float(np.concatenate(d).mean())
     lags = min(lags, n // 3)

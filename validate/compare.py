@@ -127,7 +127,8 @@ class Comparison:
     models : by name, in the order given.
     baseline, contender : the pair the headline speaks of; contender is None for a single model.
     entries : one per output and horizon.
-    start : measured samples that start every model and are left out of every score.
+    lags : measured samples that every model needs at least.
+    start_s : the longest window at a segment's start that gave the starting state of a free run; not scored.
     unused_segments : held-out segments too short to score in free run.
     test_hash : content hash of the test part.
     fitted, test : what was compared, for drawing; not part of equality.
@@ -139,7 +140,8 @@ class Comparison:
     baseline: str
     contender: str | None
     entries: tuple[Entry, ...]
-    start: int
+    lags: int
+    start_s: float
     scored_segments: int
     unused_segments: int
     test_hash: str
@@ -224,10 +226,12 @@ def compare(
     if not names:
         raise UsageError("no horizon given", hint="use 'free_run', 10 and 1")
     entries: list[Entry] = []
-    scored = 0
+    scored, start_s = 0, 0.0
     for horizon in names:
         trials = run_trials(named, test, horizon)
         scored = max(scored, len(trials))
+        if horizon == FREE_RUN:
+            start_s = max(t.first for t in trials) * test.dt_s
         entries += _entries(trials, test, horizon, base, seed)
     comparison = Comparison(
         channel=test.name,
@@ -236,7 +240,8 @@ def compare(
         baseline=base,
         contender=_contender(named, base),
         entries=tuple(entries),
-        start=start_of(named),
+        lags=start_of(named),
+        start_s=start_s,
         scored_segments=scored,
         unused_segments=len(test.segments) - scored,
         test_hash=test.content_hash(),

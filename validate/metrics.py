@@ -24,7 +24,7 @@ class Scores:
     ----------
     n : samples scored.
     rmse, mae, worst : root mean square, mean absolute and largest absolute error, in the output's unit.
-    fit_pct, vaf_pct : percent; None where the measured output is constant.
+    fit_pct, vaf_pct : percent; None where the measured output is constant (beside the error).
     r2 : coefficient of determination; None where the measured output is constant.
     bias : mean of measured minus modelled, in the output's unit.
     """
@@ -49,7 +49,7 @@ def scores(y: FloatArray, yh: FloatArray) -> Scores:
     rms = root_mean_square(e)
     spread = root_mean_square(y - np.mean(y))
     fit = vaf = r2 = None
-    if spread > 1e-14 * float(np.max(np.abs(y))):
+    if spread > max(1e-14 * float(np.max(np.abs(y))), 1e-100 * worst):
         ratio = rms / spread
         fit = 100.0 * (1.0 - ratio)
         r2 = 1.0 - ratio**2

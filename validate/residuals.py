@@ -92,8 +92,14 @@ def cross_correlation(errors: Sequence[FloatArray], inputs: Sequence[FloatArray]
 
 
 def _centred(series: Sequence[FloatArray]) -> list[FloatArray]:
-    mean = float(np.mean(np.concatenate(list(series))))
-    return [s - mean for s in series]
+    """Without their common mean, and divided by the largest value: squares neither overflow nor vanish."""
+    largest = _largest(series)
+    mean = float(np.mean(np.concatenate([s / largest for s in series])))
+    return [s / largest - mean for s in series]
+
+
+def _largest(series: Sequence[FloatArray]) -> float:
+    return max(max(float(np.max(np.abs(s))) for s in series), 1e-300)
 
 
 def _pooled_products(a: Sequence[FloatArray], b: Sequence[FloatArray], lags: int) -> FloatArray:
@@ -147,6 +153,8 @@ def spectrum(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
     width = 1 << int(np.log2(max(total / 8.0, 1.0)))
     width = min(width, 4096, 1 << int(np.log2(max(max(len(u) for u in inputs), 1))))
     window = np.hanning(width)
+    unit_u, unit_y = _largest(inputs), _largest(outputs)
+    inputs, outputs = [u / unit_u for u in inputs], [y / unit_y for y in outputs]
     uu, yy = np.zeros(width // 2 + 1), np.zeros(width // 2 + 1)
     uy, count = np.zeros(width // 2 + 1, dtype=np.complex128), 0
     for u, y in zip(inputs, outputs, strict=True):
@@ -162,4 +170,4 @@ def spectrum(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
     if not keep.any():
         return None
     coherence = np.abs(uy[keep]) ** 2 / (uu[keep] * yy[keep])
-    return Spectrum(hz[keep], uy[keep] / uu[keep], np.minimum(coherence, 1.0))
+    return Spectrum(hz[keep], uy[keep] / uu[keep] * (unit_y / unit_u), np.minimum(coherence, 1.0))

@@ -50,7 +50,10 @@ def responses(model: Fitted, hz: FloatArray, output: int, signal: int) -> list[C
         return [_rational(-model.system.a[1:], model.system.b, hz, model.dt_s)[:, output, signal]]
     if len(model.rules()) > 1:
         return []
-    impulse = impulse_response(model, output, signal)
+    with np.errstate(invalid="ignore"):  # inf - inf, of a model that breaks the laws
+        impulse = impulse_response(model, output, signal)
+    if not np.isfinite(impulse).all():
+        return []
     return [np.exp(-2j * np.pi * np.outer(hz, np.arange(len(impulse))) * model.dt_s) @ impulse]
 
 
@@ -90,6 +93,8 @@ def steady_outputs(
         u = np.tile(fixed, (n, 1))
         u[:, signal] = level
         y = model.simulate(u)[:, output]
+        if not np.isfinite(y).all():
+            continue
         tail = y[-max(2, n // 10) :]
         if np.ptp(tail) <= 1e-2 * max(float(np.ptp(y)), 1e-12):
             settled[i] = tail[-1]

@@ -144,8 +144,11 @@ def _modelled(model: Fitted, segment: Segment, horizon: str, first: int) -> tupl
 
 def free_run(model: Fitted, segment: Segment, start: int) -> FloatArray:
     """(N - start, n_y) simulation of `segment`; its first `start` samples only give the initial state."""
-    y0 = estimate_start(model, segment.u[:start], segment.y[:start])
-    return model.simulate(segment.u, y0)[start:]
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # a model that breaks the laws is counted, not warned of
+        y0 = estimate_start(model, segment.u[:start], segment.y[:start])
+        return model.simulate(segment.u, y0)[start:]
 
 
 def _diverged_at(model: Fitted, yh: FloatArray) -> int | None:
@@ -156,9 +159,9 @@ def _diverged_at(model: Fitted, yh: FloatArray) -> int | None:
 
 
 def _finite(yh: FloatArray, y: FloatArray) -> tuple[FloatArray, int | None]:
-    """yh with what is not finite replaced by a value far away, and the first such row."""
-    bad = ~np.isfinite(yh)
+    """yh with what is not finite, or absurd, replaced by a value far away, and the first such row."""
+    far = 1e3 * max(float(np.max(np.abs(y))), 1.0)
+    bad = ~(np.abs(yh) < 1e12 * far)
     if not bad.any():
         return yh, None
-    far = 1e3 * max(float(np.max(np.abs(y))), 1.0)
     return np.where(bad, far, yh), int(np.flatnonzero(bad.any(axis=1))[0])

@@ -103,9 +103,16 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
         unit = pairs[0][1].unit
         words += f" Judged on free-run error with a paired bootstrap over {units} {one_line(unit)}"
         words += ", corrected for several channels (Holm)." if len(pairs) > 1 else "."
-    start = first.start
-    many = f"{start} measured samples" if start != 1 else "measured sample"
-    return f"{words} Every model starts from the same {many}."
+    return f"{words} {start_words(comparisons)}"
+
+
+def start_words(comparisons: Mapping[str, Comparison]) -> str:
+    """How free runs start."""
+    longest = max(c.start_s for c in comparisons.values())
+    return (
+        f"Every model's starting state is estimated from the same measured window, up to {longest:.2g} s "
+        "long, which no score counts."
+    )
 
 
 def duration(seconds: float) -> str:
