@@ -41,7 +41,7 @@ class Judgement:
     @property
     def document(self) -> dict[str, Any]:
         """The comparison as JSON types: {"channels": {NAME: {HORIZON: {...}}}, ...}."""
-        return to_json(self.comparisons) | {
+        return to_json(self.comparisons, self.context.diagnoses) | {
             "skipped": dict(self.skipped),
             "provenance": dict(self.context.provenance),
         }
