@@ -29,9 +29,11 @@ from flysid.model.tsrefit import on_all_runs
 from flysid.model.tsselect import Candidate, choose, hold_out, initial_state_gain, judged
 
 _HIGHEST_ORDER = 4
-_RIDGES = (1e-3, 3e-2, 1.0, 1e3)  # the last one leaves the rules equal
+_RIDGES = (1e-2, 1.0, 1e3)  # the last one leaves the rules equal
 _ORDER_LOSS = 0.01
 _RULE_GAIN = 0.05  # of the mean square: what a rule must win, about 2.5 % of the error
+_SMALL = 4000  # samples below which every quarter is held out in turn
+_HOPELESS = 4.0  # times the mean square of the best linear model: such orders are not grown
 _CLEARLY = 0.9  # of the mean square: other orders must do better by this to be taken
 _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
 _SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
@@ -84,6 +86,9 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
             "The process integrates: linear models of it drift too, so boundedness was not asked for."
         )
     models, grown = workshop.growth(candidates, named)
+    if own and settings.rules == "auto" and settings.refine and len(train) < _SMALL:
+        models = _cross_validated(workshop, train, models, named)
+        notes.append("Little data: every quarter of it was held out in turn to choose the number of rules.")
     at = choose(models, least_gain=_RULE_GAIN) if settings.rules == "auto" else len(models) - 1
     chosen = models[at]
     if not chosen.stable:
@@ -99,6 +104,33 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     return Learned(
         stage, initial_state_gain(stage), rule_support(stage), (*notes, *grown, *verdict, _method(settings))
     )
+
+
+def _cross_validated(
+    workshop: Workshop, train: Dataset, models: Sequence[Candidate], named: tuple[Antecedent, ...]
+) -> list[Candidate]:
+    """The models with the validation errors of all four folds, as far as every fold reached."""
+    errors = [[m.errors] for m in models]
+    orders = models[0].stage.problem.layout.orders
+    for fold in (1, 2, 3):
+        fit_part, check_part = hold_out(train, workshop.least, fold)
+        if fit_part.segments == check_part.segments:
+            continue
+        try:
+            shift, scale = scaling(fit_part)
+        except DataError:  # a quarter in which nothing moves says nothing
+            continue
+        other = replace(workshop, fit_part=fit_part, check_part=check_part, shift=shift, scale=scale)
+        linear, _ = other.linear([orders])
+        grown = other.grown_from(linear[0], named, len(models))
+        for known, model in zip(errors, grown, strict=False):
+            known.append(model.errors)
+    folds = len(errors[0])
+    return [
+        Candidate(m.stage, np.concatenate(e), m.stable)
+        for m, e in zip(models, errors, strict=True)
+        if len(e) == folds
+    ]
 
 
 def check(settings: Settings) -> None:
@@ -213,48 +245,41 @@ class Workshop:
     ) -> tuple[list[Candidate], list[str]]:
         """Models with 1, 2, 3, ... rules, simplest first, from the best linear model.
 
-        Where rules help, the next orders are grown too: what the best linear orders are says little about
-        a nonlinear plant, whose bends a linear model cannot use its lags for.
+        Neighbouring orders are grown too (lower ones always, higher ones where rules help): a linear model
+        uses lags to imitate bends, so that its best orders say little about a nonlinear plant.
         """
-        models, notes = self._grown(linear[0], named)
-        self._check_count(models)
-        if (
-            self.settings.rules != "auto"
-            or choose(models, least_gain=_RULE_GAIN) == 0
-            or not self.settings.refine
-        ):
-            return models, notes
-        first = linear[0].stage.problem.layout.orders
-        near = [c for c in linear[1:] if abs(c.stage.problem.layout.orders.na - first.na) == 1]
-        best, trail = models, notes
-        for other in sorted(near, key=lambda c: c.mean)[:2]:
-            rival, said = self._grown(other, named)
-            if rival[choose(rival)].mean < best[choose(best)].mean * _CLEARLY:
+        settings, first = self.settings, linear[0].stage.problem.layout.orders
+        most = settings.most_rules if settings.rules == "auto" else settings.rules
+        best = self.grown_from(linear[0], named, most)
+        self._check_count(best)
+        notes: list[str] = []
+        if settings.rules == "auto" and settings.refine:
+            helped = choose(best, least_gain=_RULE_GAIN) > 0
+            for other in linear[1:]:
                 orders = other.stage.problem.layout.orders
-                best, trail = rival, [*said, f"With rules, orders {orders} did better and were taken."]
-        return best, trail
+                lower = orders.na == first.na - 1 and other.mean < _HOPELESS * linear[0].mean
+                if not lower and not (helped and orders.na == first.na + 1):
+                    continue
+                rival = self.grown_from(other, named, most)
+                if rival[choose(rival)].mean < best[choose(best)].mean * _CLEARLY:
+                    best = rival
+                    notes = [f"With rules, orders {orders} did better and were taken."]
+        return best, [*notes, *_unstable(best)]
 
-    def _grown(self, linear: Candidate, named: tuple[Antecedent, ...]) -> tuple[list[Candidate], list[str]]:
+    def grown_from(self, linear: Candidate, named: tuple[Antecedent, ...], most: int) -> list[Candidate]:
+        """Models with 1 to `most` rules that grow from one linear model; fewer where growth stalls."""
         settings, stage = self.settings, linear.stage
         candidates = named or found_antecedents(stage.problem.layout)
-        models, notes = [linear], []
-        most = settings.most_rules if settings.rules == "auto" else settings.rules
+        models = [linear]
         if not settings.refine:
             plain = (clustered_stage(stage, candidates[:2], r) for r in range(2, most + 1))
-            return [linear, *(self.judge(s) for s in plain)], []
+            return [linear, *(self.judge(s) for s in plain)]
         parameters = stage.body.a.size
         while len(models) < most and parameters * (len(models) + 1) * 4 < stage.problem.samples:
             models.append(self.one_rule_more(models[-1], candidates))
             if settings.rules == "auto" and _has_stalled(models):
                 break
-        unstable = [len(m.stage.body.a) for m in models if not m.stable]
-        if unstable:
-            notes.append(
-                "Did not come back from bounded random inputs, and were not offered: models with "
-                + ", ".join(map(str, unstable))
-                + " rules."
-            )
-        return models, notes
+        return models
 
     def _check_count(self, models: Sequence[Candidate]) -> None:
         rules, stage = self.settings.rules, models[0].stage
@@ -266,18 +291,26 @@ class Workshop:
             )
 
     def one_rule_more(self, before: Candidate, candidates: tuple[Antecedent, ...]) -> Candidate:
-        """The best split; held together by a ridge where freedom made it unstable or worse.
+        """The best insertion; held together by a stronger ridge where freedom made it unstable.
 
         In the basis of the linear model's Gauss-Newton matrix a ridge of 1 halves what the data say about
         the difference of two rules, so that the ladder is the same for every data set.
         """
         start, stage = one_rule_more(before.stage, candidates, self.settings.iterations)
-        tried = [self.judge(stage)]
+        model = self.judge(stage)
         for ridge in _RIDGES:
-            if tried[-1].stable and tried[-1].mean <= max(before.mean, _EXACT):
+            if model.stable:
                 break
-            tried.append(self.judge(refine(with_ridge(start, ridge), self.settings.iterations, 1e-4)))
-        return min(tried, key=lambda c: (not c.stable, c.mean))
+            model = self.judge(refine(with_ridge(start, ridge), self.settings.iterations, 1e-4))
+        return model
+
+
+def _unstable(models: Sequence[Candidate]) -> list[str]:
+    """Which models may not be offered, in words."""
+    counts = ", ".join(str(len(m.stage.body.a)) for m in models if not m.stable)
+    if not counts:
+        return []
+    return [f"Did not come back from bounded random inputs, and were not offered: {counts} rules."]
 
 
 def found_antecedents(layout: Layout) -> tuple[Antecedent, ...]:

@@ -22,26 +22,28 @@ _BLOCKS = 16
 _RESOLUTION = 1e-10  # mean squares (of normalised outputs) below this are all "exact"
 
 
-def hold_out(train: Dataset, least: int) -> tuple[Dataset, Dataset]:
-    """Training and validation parts of `train`: every fourth segment, or the end of each where few.
+def hold_out(train: Dataset, least: int, fold: int = 0) -> tuple[Dataset, Dataset]:
+    """Training and validation parts of `train`: every fourth segment, or a quarter of each where few.
 
-    Whole segments are held out where there are at least four long enough; otherwise the last quarter of
-    each. Nothing is drawn sample by sample.
+    Whole segments are held out where there are at least four long enough; otherwise one quarter of each,
+    the last one in fold 0, earlier ones in folds 1 to 3. Nothing is drawn sample by sample.
     """
     usable = [s for s in train.segments if len(s) >= least]
     if len(usable) >= 4:
-        held = [s for i, s in enumerate(usable) if i % 4 == 2]
-        kept = [s for i, s in enumerate(usable) if i % 4 != 2]
+        held = [s for i, s in enumerate(usable) if i % 4 == (2 + fold) % 4]
+        kept = [s for i, s in enumerate(usable) if i % 4 != (2 + fold) % 4]
         return train.with_segments(kept), train.with_segments(held)
     first: list[Segment] = []
     last: list[Segment] = []
     for segment in usable:
-        cut = len(segment) - len(segment) // 4
-        if len(segment) // 4 < least or cut < least:
+        n = len(segment)
+        begin, end = n - (fold + 1) * (n // 4), n - fold * (n // 4)
+        parts = [segment.slice(a, b, train.dt_s) for a, b in ((0, begin), (end, n)) if b - a >= least]
+        if end - begin < least or not parts:
             first.append(segment)
             continue
-        first.append(segment.slice(0, cut, train.dt_s))
-        last.append(segment.slice(cut, len(segment), train.dt_s))
+        first += parts
+        last.append(segment.slice(begin, end, train.dt_s))
     return train.with_segments(first), train.with_segments(last or first)
 
 
