@@ -32,8 +32,10 @@ _HIGHEST_ORDER = 4
 _RIDGES = (1e-2, 1.0, 1e3)  # the last one leaves the rules equal
 _ORDER_LOSS = 0.01
 _RULE_GAIN = 0.05  # of the mean square: what a rule must win, about 2.5 % of the error
-_SMALL = 4000  # samples below which every quarter is held out in turn
+_SMALL = 4000  # samples below which every quarter is held out in turn,
+_SMALL_GAIN = 0.2  # and a rule must win more: the choice itself overfits
 _HOPELESS = 4.0  # times the mean square of the best linear model: such orders are not grown
+_WORSE = 1.5  # times the mean square of a rule less: such a model has gone astray
 _CLEARLY = 0.9  # of the mean square: other orders must do better by this to be taken
 _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
 _SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
@@ -78,18 +80,19 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     least = max([*(o.depth for o in choices), *(max(a.lag, a.minus) for a in named), 1]) + _SPARE_ROWS
     fit_part, check_part, own = _parts(train, validation, least)
     shift, scale = scaling(fit_part)
-    workshop = Workshop(settings, fit_part, check_part, shift, scale, least)
+    small = own and settings.rules == "auto" and settings.refine and len(train) < _SMALL
+    folds = tuple(hold_out(train, least, fold) for fold in (1, 2, 3)) if small else ()
+    workshop = Workshop(settings, fit_part, check_part, shift, scale, least, folds=folds)
     candidates, notes = workshop.linear(choices)
     workshop = replace(workshop, must_be_bounded=any(c.stable for c in candidates))
     if not workshop.must_be_bounded:
         notes.append(
             "The process integrates: linear models of it drift too, so boundedness was not asked for."
         )
-    models, grown = workshop.growth(candidates, named)
-    if own and settings.rules == "auto" and settings.refine and len(train) < _SMALL:
-        models = _cross_validated(workshop, train, models, named)
+    if folds:
         notes.append("Little data: every quarter of it was held out in turn to choose the number of rules.")
-    at = choose(models, least_gain=_RULE_GAIN) if settings.rules == "auto" else len(models) - 1
+    models, grown = workshop.growth(candidates, named)
+    at = choose(models, least_gain=workshop.rule_gain) if settings.rules == "auto" else len(models) - 1
     chosen = models[at]
     if not chosen.stable:
         raise FitError(
@@ -104,33 +107,6 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     return Learned(
         stage, initial_state_gain(stage), rule_support(stage), (*notes, *grown, *verdict, _method(settings))
     )
-
-
-def _cross_validated(
-    workshop: Workshop, train: Dataset, models: Sequence[Candidate], named: tuple[Antecedent, ...]
-) -> list[Candidate]:
-    """The models with the validation errors of all four folds, as far as every fold reached."""
-    errors = [[m.errors] for m in models]
-    orders = models[0].stage.problem.layout.orders
-    for fold in (1, 2, 3):
-        fit_part, check_part = hold_out(train, workshop.least, fold)
-        if fit_part.segments == check_part.segments:
-            continue
-        try:
-            shift, scale = scaling(fit_part)
-        except DataError:  # a quarter in which nothing moves says nothing
-            continue
-        other = replace(workshop, fit_part=fit_part, check_part=check_part, shift=shift, scale=scale)
-        linear, _ = other.linear([orders])
-        grown = other.grown_from(linear[0], named, len(models))
-        for known, model in zip(errors, grown, strict=False):
-            known.append(model.errors)
-    folds = len(errors[0])
-    return [
-        Candidate(m.stage, np.concatenate(e), m.stable)
-        for m, e in zip(models, errors, strict=True)
-        if len(e) == folds
-    ]
 
 
 def check(settings: Settings) -> None:
@@ -204,6 +180,12 @@ class Workshop:
     scale: FloatArray
     least: int
     must_be_bounded: bool = True
+    folds: tuple[tuple[Dataset, Dataset], ...] = ()
+
+    @property
+    def rule_gain(self) -> float:
+        """What a rule must win of the mean square."""
+        return _SMALL_GAIN if self.folds else _RULE_GAIN
 
     def problem(self, orders: Orders) -> Problem:
         """The problem of a linear model of these orders."""
@@ -250,17 +232,17 @@ class Workshop:
         """
         settings, first = self.settings, linear[0].stage.problem.layout.orders
         most = settings.most_rules if settings.rules == "auto" else settings.rules
-        best = self.grown_from(linear[0], named, most)
+        best = self.cross_validated(self.grown_from(linear[0], named, most), named)
         self._check_count(best)
         notes: list[str] = []
         if settings.rules == "auto" and settings.refine:
-            helped = choose(best, least_gain=_RULE_GAIN) > 0
+            helped = choose(best, least_gain=self.rule_gain) > 0
             for other in linear[1:]:
                 orders = other.stage.problem.layout.orders
                 lower = orders.na == first.na - 1 and other.mean < _HOPELESS * linear[0].mean
                 if not lower and not (helped and orders.na == first.na + 1):
                     continue
-                rival = self.grown_from(other, named, most)
+                rival = self.cross_validated(self.grown_from(other, named, most), named)
                 if rival[choose(rival)].mean < best[choose(best)].mean * _CLEARLY:
                     best = rival
                     notes = [f"With rules, orders {orders} did better and were taken."]
@@ -281,6 +263,26 @@ class Workshop:
                 break
         return models
 
+    def cross_validated(self, models: Sequence[Candidate], named: tuple[Antecedent, ...]) -> list[Candidate]:
+        """The models with the validation errors of all further folds, as far as every fold reached."""
+        errors = [[m.errors] for m in models]
+        orders = models[0].stage.problem.layout.orders
+        for fit_part, check_part in self.folds:
+            try:
+                shift, scale = scaling(fit_part)
+            except DataError:  # a quarter without which nothing moves says nothing
+                continue
+            other = replace(self, fit_part=fit_part, check_part=check_part, shift=shift, scale=scale)
+            linear, _ = other.linear([orders])
+            grown = other.grown_from(linear[0], named, len(models))
+            for known, model in zip(errors, grown, strict=False):
+                known.append(model.errors)
+        return [
+            Candidate(m.stage, np.concatenate(e), m.stable)
+            for m, e in zip(models, errors, strict=True)
+            if len(e) == len(errors[0])
+        ]
+
     def _check_count(self, models: Sequence[Candidate]) -> None:
         rules, stage = self.settings.rules, models[0].stage
         if rules != "auto" and len(models) < rules:
@@ -291,18 +293,18 @@ class Workshop:
             )
 
     def one_rule_more(self, before: Candidate, candidates: tuple[Antecedent, ...]) -> Candidate:
-        """The best insertion; held together by a stronger ridge where freedom made it unstable.
+        """The best insertion; held together by a stronger ridge where freedom made it unstable or blind.
 
         In the basis of the linear model's Gauss-Newton matrix a ridge of 1 halves what the data say about
         the difference of two rules, so that the ladder is the same for every data set.
         """
         start, stage = one_rule_more(before.stage, candidates, self.settings.iterations)
-        model = self.judge(stage)
+        tried = [self.judge(stage)]
         for ridge in _RIDGES:
-            if model.stable:
+            if tried[-1].stable and tried[-1].mean <= _WORSE * max(before.mean, _EXACT):
                 break
-            model = self.judge(refine(with_ridge(start, ridge), self.settings.iterations, 1e-4))
-        return model
+            tried.append(self.judge(refine(with_ridge(start, ridge), self.settings.iterations, 1e-4)))
+        return min(tried, key=lambda c: (not c.stable, c.mean))
 
 
 def _unstable(models: Sequence[Candidate]) -> list[str]:

@@ -26,7 +26,7 @@ from flysid.model.tsproblem import (
 )
 
 _PLACES = (0.15, 0.5, 0.85)
-_RIDGE = 0.05  # of the mean square error: as if 20 samples said that the rules are equal
+_RIDGE = 0.01  # of the mean square error: as if a hundred samples said that the rules are equal
 _PIECE = 600  # rows of a piece, where long records are thinned
 _FEW, _MORE = 5000, 15000  # rows for ranking insertions, and for trying the best ones
 
