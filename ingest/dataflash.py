@@ -20,7 +20,7 @@ import pyarrow as pa
 from flysid.errors import FormatError
 from flysid.flight import ClockMap, Damage
 from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary, release
-from flysid.ingest.clock import SECOND_NS, IntArray
+from flysid.ingest.clock import SECOND_NS, IntArray, UtcFit
 from flysid.ingest.columns import ByteMatrix, Layout, decode, gather, message_schema, numbers
 from flysid.ingest.dfformats import FMT_ID, HEADER_BYTES, Definition, Units
 from flysid.ingest.dfframes import HEAD, LOOK_AHEAD, Messages, Walker
@@ -58,7 +58,7 @@ class _Reader:
     undecoded: dict[str, int] = field(default_factory=dict)
     dropped: int = 0
     row: int = 0
-    gps_zero_ns: int | None = None
+    gps_zero: list[int] = field(default_factory=list)
     info: dict[str, str] = field(default_factory=dict)
 
 
@@ -96,7 +96,8 @@ def _parts(reader: _Reader, messages: Messages) -> Iterator[StreamPart]:
     for code, rows in kept.items():
         time_ns, boots = reader.time.times((SYSTEM, 1, code), rows, clocked.get(code))
         matrix = _matrix(messages, rows, items[code])
-        _note_utc(reader, items[code], matrix, time_ns, boots)
+        if items[code].name.startswith("GPS"):
+            note_utc(reader.time.fit(), _records(matrix, _layout_of(items[code])), time_ns, boots)
         yield _table(reader, code, matrix, time_ns, boots)
     reader.row += len(messages)
 
@@ -149,14 +150,15 @@ def _learn(reader: _Reader, definition: Definition, matrix: ByteMatrix) -> None:
     elif definition.name == "DSF" and "Dp" in names:
         reader.dropped = max(reader.dropped, int(records["Dp"].max()))
     elif definition.name == "MSG" and "Message" in names and "firmware" not in reader.info:
-        _learn_firmware(reader, [_text(text) for text in records["Message"][:200].tolist()])
+        reader.info.update(firmware_in([_text(text) for text in records["Message"][:200].tolist()]))
 
 
-def _learn_firmware(reader: _Reader, texts: list[str]) -> None:
+def firmware_in(texts: list[str]) -> dict[str, str]:
+    """The vehicle and firmware that the first banner among `texts` names."""
     for text in texts:
         if found := FIRMWARE.search(text):
-            reader.info["vehicle"], reader.info["firmware"] = found[1].lower(), found[2]
-            return
+            return {"vehicle": found[1].lower(), "firmware": found[2]}
+    return {}
 
 
 def _text(raw: bytes) -> str:
@@ -184,38 +186,37 @@ def _clocked(reader: _Reader, messages: Messages, code: int, rows: IntArray) -> 
     spec["itemsize"] = end
     head: np.dtype[np.void] = np.dtype(spec)
     matrix = gather(messages.buffer, messages.start[rows] + HEADER_BYTES, lengths, end)
-    stated = _stated_time(reader, Layout(layout.name, head, ()), matrix)
+    stated = stated_time(matrix.view(head).reshape(len(matrix)), reader.gps_zero)
     if stated is None:
         return None
     name, time_ns, is_boot, period = stated
     return reader.time.unwrapped(Clocked((SYSTEM, 1, code), name, rows, time_ns, is_boot, period))
 
 
-def _stated_time(
-    reader: _Reader, layout: Layout, matrix: ByteMatrix
-) -> tuple[str, IntArray, bool, int] | None:
-    """(field, nanoseconds, counts from boot, period) of a message's own time; None where it has none."""
-    names = layout.dtype.names or ()
-    records = _records(matrix, layout)
+def stated_time(records: npt.NDArray[np.void], gps_zero: list[int]) -> tuple[str, IntArray, bool, int] | None:
+    """(field, nanoseconds, counts from boot, period) of a message's own time; None where it has none.
+
+    Where nothing but GPS time is logged, it counts from the first fix, which `gps_zero` remembers.
+    """
+    names = records.dtype.names or ()
     week = _week_field(names)
     for name, unit in (("TimeUS", 1000), ("T", 1_000_000), ("TimeMS", 1_000_000)):
         if name not in names or (name == "TimeMS" and week) or (name == "T" and not week):
             continue
-        if layout.dtype[name].kind not in "iu" or layout.dtype[name].shape:
+        if records.dtype[name].kind not in "iu" or records.dtype[name].shape:
             continue
         stated = records[name].astype(np.int64)  # 2^63 and more become negative, and are cut to 0
         time_ns = np.clip(stated, 0, MAX_NS // unit) * unit
-        return name, time_ns, True, (1 << 32) * unit if layout.dtype[name].itemsize == 4 else 0
+        return name, time_ns, True, (1 << 32) * unit if records.dtype[name].itemsize == 4 else 0
     gps_ns = _gps_ns(records, names)
     if gps_ns is None:
         return None
-    if reader.gps_zero_ns is None:
-        fixes = gps_ns[gps_ns > WEEK_NS]
-        reader.gps_zero_ns = int(fixes[0]) if len(fixes) else None
-    zero = reader.gps_zero_ns
-    if zero is None:
+    fixes = gps_ns[gps_ns > WEEK_NS]
+    if not gps_zero and len(fixes):
+        gps_zero.append(int(fixes[0]))
+    if not gps_zero:
         return None
-    return "GPS", np.where(gps_ns > WEEK_NS, gps_ns - zero + SECOND_NS, 0), False, 0
+    return "GPS", np.where(gps_ns > WEEK_NS, gps_ns - gps_zero[0] + SECOND_NS, 0), False, 0
 
 
 def _week_field(names: tuple[str, ...]) -> str:
@@ -236,14 +237,9 @@ def _gps_ns(records: npt.NDArray[np.void], names: tuple[str, ...]) -> IntArray |
     return records[week].astype(np.int64) * WEEK_NS + records[within].astype(np.int64) * 1_000_000
 
 
-def _note_utc(
-    reader: _Reader, definition: Definition, matrix: ByteMatrix, time_ns: IntArray, boots: IntArray
-) -> None:
+def note_utc(fit: UtcFit, records: npt.NDArray[np.void], time_ns: IntArray, boots: IntArray) -> None:
     """Anchor vehicle time to UTC by GPS messages that have a fix."""
-    if not definition.name.startswith("GPS"):
-        return
-    layout = _layout_of(definition)
-    records, names = _records(matrix, layout), layout.dtype.names or ()
+    names = records.dtype.names or ()
     gps_ns = _gps_ns(records, names)
     if gps_ns is None:
         return
@@ -252,7 +248,7 @@ def _note_utc(
         fixed &= records["Status"] >= 2
     for boot in np.unique(boots[fixed]).tolist():
         rows = fixed & (boots == boot)
-        reader.time.fit().anchor(boot, time_ns[rows], utc_of_gps(gps_ns[rows]))
+        fit.anchor(boot, time_ns[rows], utc_of_gps(gps_ns[rows]))
 
 
 def utc_of_gps(gps_ns: IntArray) -> IntArray:

@@ -180,3 +180,31 @@ def test_damage_anywhere_never_raises_and_small_batches_agree(edits: list[tuple[
     whole, pieces = read(bytes(blob)), read(bytes(blob), batch_bytes=512)
     assert pieces.rows == whole.rows
     assert pieces.damage.bytes_skipped == whole.damage.bytes_skipped
+
+
+def test_the_text_of_a_log_gives_the_same_physical_values() -> None:
+    from flysid.ingest import dataflash_text
+    from tests.samplelogs.dataflash_text import build as build_text
+
+    text = collect(memoryview(build_text()), "x.log", dataflash_text.FORMAT, Limits())
+    binary = read(build())
+    for stream in ("ATT", "IMU", "GPS"):
+        for name in binary[stream].column_names[2:]:
+            ours, theirs = (
+                f[stream][name].to_numpy() * field_scale(f[stream].schema.field(name)) for f in (text, binary)
+            )
+            assert ours == pytest.approx(theirs, rel=1e-6, abs=0.0051), f"{stream}.{name}"
+        assert text[stream]["time_ns"].equals(binary[stream]["time_ns"])
+    assert text["MSG"]["Message"].to_pylist() == ["ArduCopter V4.3.1, (0123abcd)"]
+    assert text.info["firmware"] == "4.3.1"
+
+
+def test_windows_line_ends_are_line_ends() -> None:
+    from flysid.ingest import dataflash_text
+    from tests.samplelogs.dataflash_text import build as build_text
+
+    flight = collect(
+        memoryview(build_text().replace(b"\n", b"\r\n")), "x.log", dataflash_text.FORMAT, Limits()
+    )
+    assert flight.rows == collect(memoryview(build_text()), "x.log", dataflash_text.FORMAT, Limits()).rows
+    assert not flight.damage.lossy

@@ -1,0 +1,44 @@
+"""The binary sample as a ground station writes it: one message a line, physical values."""
+
+from __future__ import annotations
+
+import math
+
+from tests.samplelogs import Record, record_at
+from tests.samplelogs.dataflash import TYPES
+
+SUFFIX = ".log"
+RESYNC_BYTES = 120  # garbage without a line end swallows the line behind it
+
+
+def build() -> bytes:
+    """Formats, a banner, 45 steps of 20 ms."""
+    lines = []
+    for number, (name, form, labels) in TYPES.items():
+        lines.append(f"FMT, {number}, 20, {name}, {form}, {labels}")
+    lines.append("MSG, 1, ArduCopter V4.3.1, (0123abcd)")
+    for i in range(45):
+        us = 10_000_000 + 20_000 * i
+        lines.append(f"ATT, {us}, {10 * math.sin(0.1 * i):.2f}, {-i / 100:.2f}, {i}, {0.25 * i}")
+        lines += [f"IMU, {us + 100 + k}, {k}, {0.5 * i}, -0.5, {-9.8 - k}" for k in (0, 1)]
+        if i % 10 == 0:
+            lines.append(
+                f"GPS, {us + 500}, 3, {200_000_000 + 20 * i}, 2300, 49.1234567, -1.2345678, {123.45 + i}"
+            )
+            lines.append(f"NOTE, {i}, 7")
+    return "\n".join(lines).encode() + b"\n"
+
+
+def records(blob: bytes) -> list[Record]:
+    """Every line."""
+    found, at = [], 0
+    for line in blob.splitlines(keepends=True):
+        found.append(Record(at, at + len(line), 1))
+        at += len(line)
+    return found
+
+
+def at_risk(blob: bytes, byte: int) -> int:
+    """A FMT decides over all lines of its kind; a damaged line end joins two lines."""
+    hit = record_at(records(blob), byte)
+    return len(records(blob)) if blob[hit.start : hit.start + 3] == b"FMT" else 2
