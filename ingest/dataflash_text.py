@@ -24,7 +24,7 @@ from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary, relea
 from flysid.ingest.clock import IntArray
 from flysid.ingest.columns import Layout, message_schema, numbers, strings
 from flysid.ingest.dataflash import SYSTEM, TIME_COLUMNS, firmware_in, note_utc, stated_time
-from flysid.ingest.dfformats import FMT_ID, Definition, Definitions, Units
+from flysid.ingest.dfformats import FMT_ID, HEADER_BYTES, Definition, Definitions, Units, packed_length
 from flysid.ingest.vehicletime import Clocked, VehicleTime
 
 FMT_LINE = re.compile(rb"(?:^|\n)FMT, ?\d+, ?\d+, ?\w+, ?\w+, ?\w")
@@ -147,9 +147,9 @@ def _define(reader: _Reader, rest: str) -> int | None:
     cells = [c.strip() for c in rest.split(",", 4)]
     if len(cells) < 5 or not (cells[0].isdigit() and cells[1].isdigit()):
         return None
-    number, length = int(cells[0]), int(cells[1])
+    number, length = int(cells[0]), packed_length(cells[3]) or HEADER_BYTES
     if number != FMT_ID and number < 256:
-        reader.definitions.add(number, max(length, 3), cells[2], cells[3], cells[4].replace(" ", ""))
+        reader.definitions.add(number, length, cells[2], cells[3], cells[4].replace(" ", ""))
         reader.by_name[cells[2]] = reader.definitions.current.get(number, 0)
     return reader.definitions.current[FMT_ID]
 

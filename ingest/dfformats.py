@@ -134,6 +134,14 @@ class Definitions:
         return name if which == 1 else f"{name}~{which}"
 
 
+def packed_length(form: str) -> int:
+    """Bytes of a message of this format with its header; 0 where a character is unknown."""
+    if any(c not in CHARACTERS for c in form):
+        return 0
+    kinds = (CHARACTERS[c] for c in form)
+    return HEADER_BYTES + sum(np.dtype(kind).itemsize * max(count, 1) for kind, count, _ in kinds)
+
+
 def is_consistent(number: int, length: int, name: str, form: str, labels: str) -> bool:
     """Does a FMT agree with itself: plain name, a label per field, the right length?"""
     columns = tuple(labels.split(",")) if labels else ()
