@@ -12,6 +12,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
+from flysid.model.fir import FIR
 from flysid.model.line import Line
 from flysid.model.oe import OE
 from flysid.model.static_ts import StaticTS
@@ -60,6 +61,8 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "ts": (TS(rules=2, na=2, nb=2, nk=1, iterations=10).fit, data()),
     "ts, one step": (TS(rules=2, na=2, nb=2, nk=1, refine=False).fit, data()),
     "ts, two inputs and outputs": (TS(rules=2, na=2, nb=1, nk=1, iterations=5).fit, data(2, 2)),
+    "fir": (FIR(taps=12).fit, data()),
+    "fir, two inputs and outputs": (FIR(taps=6, nk=(1, 0)).fit, data(2, 2)),
     "arx, static": (ARX(na=0, nb=1, nk=0, refine=False).fit, data()),
 }
 

@@ -1,0 +1,192 @@
+"""FIR: the impulse response itself, regularised so that it is smooth and decays.
+
+    y(k) = sum_j sum_l g_j(l) u_j(k - l) + c + v(k)
+
+with a Gaussian prior of covariance c λ^max(i, j) on the taps (the TC kernel; Chen, Ohlsson, Ljung, 2012,
+Automatica 48). Its scale, its decay and the noise variance are those of highest marginal likelihood, so no
+order has to be chosen, and many taps on few data do no harm. The model is unbiased by coloured noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import FitError, UsageError
+from flysid.model.base import Structure
+from flysid.model.freerun import Difference
+from flysid.model.linear import FittedLinear, from_dict
+from flysid.model.linear_data import Parts, Scaling, as_tuple
+from flysid.model.noise import noise_model
+from flysid.model.orders import grid_gram
+from flysid.model.regressors import Lags
+from flysid.model.threads import on_one_thread
+
+MOST_TAPS = 120
+DECAYS = (0.3, 0.5, 0.65, 0.75, 0.82, 0.88, 0.92, 0.95, 0.97, 0.985, 0.995)
+SCALES = tuple(10.0 ** np.arange(-4.0, 12.1, 0.5))
+
+
+@dataclass(frozen=True)
+class FIR:
+    """Settings of a finite impulse response.
+
+    Parameters
+    ----------
+    taps : coefficients per input, or "auto": a quarter of the shortest segment, at most 120.
+    nk : delay in samples, one number or one per input.
+    offset : estimate a constant.
+    """
+
+    taps: int | Literal["auto"] = "auto"
+    nk: int | Sequence[int] = 0
+    offset: bool = True
+
+    @on_one_thread
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002
+        """Posterior mean and covariance of the taps. Nothing is chosen on validation data.
+
+        Raises
+        ------
+        UsageError : settings that cannot be.
+        DataError : no or too short segments, a signal that never changes.
+        """
+        taps = self._taps(train)
+        n_y, n_u = len(train.outputs), len(train.inputs)
+        parts = Parts.of(train, None, centred=self.offset)
+        lags = Lags.arx((0,) * n_y, (taps,) * n_u, as_tuple(self.nk, n_u))
+        gram = grid_gram(train, lags, parts.scaling)
+        rows = float(gram[-1, -1])
+        if self.offset:
+            gram = _centred(gram)
+        posteriors = [_posterior(gram, rows, i, (taps, n_u)) for i in range(n_y)]
+        return self._model(parts, lags, posteriors)
+
+    def _taps(self, train: Dataset) -> int:
+        shortest = min((len(s) for s in train.segments), default=0)
+        taps = max(min(MOST_TAPS, shortest // 4), 1) if self.taps == "auto" else self.taps
+        if not isinstance(taps, int) or taps < 1:
+            raise UsageError(f"taps must be a whole number of at least 1, not {self.taps!r}")
+        return taps
+
+    def _model(self, parts: Parts, lags: Lags, posteriors: Sequence[_Posterior]) -> FittedLinear:
+        n_y, n_u, scaling = len(lags.y), len(lags.u), parts.scaling
+        b = np.zeros((lags.depth + 1, n_y, n_u))
+        free: list[int] = []
+        for i, posterior in enumerate(posteriors):
+            position = 0
+            for j, own in enumerate(lags.u):
+                b[list(own), i, j] = posterior.mean[position : position + len(own)]
+                position += len(own)
+                free += [lag * n_y * n_u + i * n_u + j for lag in own]
+        system = Difference(np.eye(n_y)[None], b, _offset(parts, b, self.offset))
+        note = "; ".join(f"{o.name}: {p.words}" for o, p in zip(parts.train.outputs, posteriors, strict=True))
+        return FittedLinear(
+            structure="fir",
+            dt_s=parts.train.dt_s,
+            inputs=parts.train.inputs,
+            outputs=parts.train.outputs,
+            n_init=max(lags.depth, 1),
+            output_limits=parts.limits,
+            system=scaling.physical(system),
+            u_origin=scaling.u_origin,
+            y_origin=scaling.y_origin,
+            noise=_noise(system, parts),
+            starts=None,
+            free=tuple(free),
+            covariance=_covariance(posteriors, scaling, lags),
+            notes=(
+                f"{len(lags.u[0])} taps per input, smoothed by a TC kernel of highest likelihood ({note}).",
+            ),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Posterior:
+    mean: FloatArray
+    covariance: FloatArray
+    words: str
+
+
+def _centred(gram: FloatArray) -> FloatArray:
+    """The Gram about the means of its columns: the constant is eliminated exactly."""
+    means = gram[-1] / gram[-1, -1]
+    return gram - np.outer(means, gram[-1])
+
+
+def _posterior(gram: FloatArray, rows: float, output: int, shape: tuple[int, int]) -> _Posterior:
+    """Over a grid of decays and scales, the posterior of highest marginal likelihood."""
+    taps, n_u = shape
+    n = taps * n_u
+    inner, cross, power = gram[:n, :n], gram[:n, n + output], float(gram[n + output, n + output])
+    best: tuple[float, float, float, float] | None = None
+    for decay in DECAYS:
+        root = _kernel_root(taps, n_u, decay)
+        values, vectors = np.linalg.eigh(root.T @ inner @ root)
+        values, rotated = np.maximum(values, 0.0), vectors.T @ (root.T @ cross)
+        for weight in SCALES:  # prior variance of the first tap in noise variances
+            damped = weight / (1.0 + weight * values)
+            rest = max(power - float(damped @ rotated**2), 1e-12 * power)
+            likelihood = -rows * np.log(rest / rows) - float(np.sum(np.log1p(weight * values)))
+            if best is None or likelihood > best[0]:
+                best = (likelihood, decay, weight, rest / rows)
+    if best is None or not np.isfinite(best[0]):
+        raise FitError(
+            "the impulse response could not be estimated", hint="check the data for extreme values"
+        )
+    _, decay, weight, variance = best
+    root = _kernel_root(taps, n_u, decay) * np.sqrt(weight)
+    inverse = np.linalg.inv(np.eye(n) + root.T @ inner @ root)
+    covariance = root @ inverse @ root.T
+    words = f"decay {decay:g} per sample, noise {np.sqrt(variance):.3g} standard deviations of the output"
+    return _Posterior(covariance @ cross, covariance * variance, words)
+
+
+def _kernel_root(taps: int, n_u: int, decay: float) -> FloatArray:
+    """L with L Lᵀ = λ^max(i, j) per input: a sum of independent steps λ^i - λ^(i+1)."""
+    powers = decay ** np.arange(taps)
+    steps = np.sqrt(np.append(powers[:-1] - powers[1:], powers[-1]))
+    one = np.triu(np.ones((taps, taps))) * steps
+    root: FloatArray = np.kron(np.eye(n_u), one)
+    return root
+
+
+def _offset(parts: Parts, b: FloatArray, estimated: bool) -> FloatArray:
+    """The constant that makes the mean simulation error zero, in scaled units."""
+    n_y = b.shape[1]
+    if not estimated:
+        return np.zeros(n_y)
+    system = Difference(np.eye(n_y)[None], b, np.zeros(n_y))
+    misses = [(s.y - system.drive(s.u))[len(b) - 1 :] for s in parts.whole.segments]
+    mean: FloatArray = np.concatenate(misses).mean(axis=0)
+    return mean
+
+
+def _noise(system: Difference, parts: Parts) -> FloatArray:
+    """(p + 1, n_y) autoregressions of what the taps leave over."""
+    depth = system.depth
+    usable = [s for s in parts.whole.segments if len(s) > depth]
+    found = [
+        noise_model([(s.y - system.drive(s.u))[depth:, i] for s in usable])[0] for i in range(len(system.c))
+    ]
+    noise = np.zeros((max(len(d) for d in found), len(found)))
+    for i, d in enumerate(found):
+        noise[: len(d), i] = d
+    return noise
+
+
+def _covariance(posteriors: Sequence[_Posterior], scaling: Scaling, lags: Lags) -> FloatArray:
+    size = lags.count
+    joint = np.zeros((size * len(posteriors),) * 2)
+    for i, posterior in enumerate(posteriors):
+        factor = np.repeat(scaling.y_scale[i] / scaling.u_scale, [len(own) for own in lags.u])
+        block = slice(i * size, (i + 1) * size)
+        joint[block, block] = posterior.covariance * np.outer(factor, factor)
+    return joint
+
+
+MODEL = Structure("fir", from_dict)
