@@ -22,8 +22,9 @@ def build() -> bytes:
         lines.append(f"ATT, {us}, {10 * math.sin(0.1 * i):.2f}, {-i / 100:.2f}, {i}, {0.25 * i}")
         lines += [f"IMU, {us + 100 + k}, {k}, {0.5 * i}, -0.5, {-9.8 - k}" for k in (0, 1)]
         if i % 10 == 0:
+            alt = 123.45 + i / 100
             lines.append(
-                f"GPS, {us + 500}, 3, {200_000_000 + 20 * i}, 2300, 49.1234567, -1.2345678, {123.45 + i / 100:.2f}"
+                f"GPS, {us + 500}, 3, {200_000_000 + 20 * i}, 2300, 49.1234567, -1.2345678, {alt:.2f}"
             )
             lines.append(f"NOTE, {i}, 7")
     return "\n".join(lines).encode() + b"\n"
