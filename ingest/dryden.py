@@ -41,6 +41,10 @@ class Gust:
     rise_s: float
     peak_m_s: tuple[float, float, float]
 
+    def __post_init__(self) -> None:
+        if not (self.start_s >= 0.0 and self.rise_s > 0.0 and np.isfinite(self.peak_m_s).all()):
+            raise UsageError("a gust starts at 0 s or later, rises in some time and has a finite peak")
+
 
 @dataclass(frozen=True)
 class Wind:

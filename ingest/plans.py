@@ -21,6 +21,7 @@ GENTLE = (5.0, 5.0, 0.6)
 # Each loop is excited up to about three times its natural frequency: 0.43, 0.09 and 0.72 Hz.
 BANDS_HZ = ((0.02, 1.2), (0.02, 0.4), (0.02, 2.0))
 PULSE_S = (1.0, 3.0, 0.7)
+SWEEP_HZ = (0.3, 0.1, 0.5)
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,12 @@ def _pilot(time_s: FloatArray, peaks: tuple[float, ...], rng: np.random.Generato
     return np.column_stack([manoeuvres.pilot(time_s, peak, rng) for peak in peaks])
 
 
+def _amplitude_sweep(time_s: FloatArray, peaks: tuple[float, ...], _: np.random.Generator) -> FloatArray:
+    return np.column_stack(
+        [manoeuvres.amplitude_sweep(time_s, hz, p) for hz, p in zip(SWEEP_HZ, peaks, strict=True)]
+    )
+
+
 TRAINING = Manoeuvre("training", _same_on_all(manoeuvres.paper_training))
 VALIDATION = Manoeuvre("validation", _same_on_all(manoeuvres.paper_validation))
 MULTISINE = Manoeuvre("multisine", _multisine)
@@ -92,6 +99,7 @@ CHIRP = Manoeuvre("chirp", _chirp)
 DOUBLETS = Manoeuvre("doublets", _pulses(manoeuvres.doublet, 2))
 PULSES_3211 = Manoeuvre("3-2-1-1", _pulses(manoeuvres.three_two_one_one, 7))
 PRBS = Manoeuvre("prbs", _held(manoeuvres.prbs))
+SWEEP = Manoeuvre("amplitude-sweep", _amplitude_sweep)
 STEPS = Manoeuvre("steps", _held(manoeuvres.amplitude_steps))
 PILOT = Manoeuvre("pilot", _pilot)
 
@@ -109,6 +117,7 @@ PLANS: Mapping[str, tuple[Manoeuvre, ...]] = {
     "3-2-1-1": (PULSES_3211,),
     "prbs": (PRBS,),
     "steps": (STEPS,),
+    "amplitude-sweep": (SWEEP,),
     "pilot": (PILOT,),
     "demo": DEMO,
     "mixed": (MULTISINE, DOUBLETS, MULTISINE, STEPS, PULSES_3211, PILOT),

@@ -14,6 +14,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
+from flysid.ingest.dryden import Gust, Wind
 from flysid.ingest.plans import GENTLE, Manoeuvre, plan_named
 from flysid.ingest.sensors import SENSORS, Sensor, observe, velocity_sensor
 from flysid.ingest.telemetry import MS_NS, SECOND_NS, Recording, Series
@@ -65,6 +66,9 @@ class Order:
     sensor : a name of `sensors.SENSORS`.
     wind_m_s : steady wind with its turbulence, for plants that feel it.
     fleet : number of vehicles; from the second on their parameters are dispersed.
+    gusts : for plants that feel wind.
+    altitude_m : above ground at the start, for plants that have a ground.
+    without : effects to switch off, names of `rigidbody.Effects`, for plants that have them.
     """
 
     plant: str = "ardrone-linear"
@@ -77,6 +81,9 @@ class Order:
     sensor: str = "telemetry"
     wind_m_s: float = 0.0
     fleet: int = 1
+    gusts: tuple[Gust, ...] = ()
+    altitude_m: float = 20.0
+    without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for kind, name, known in (("plant", self.plant, VEHICLES), ("sensor", self.sensor, SENSORS)):
@@ -93,8 +100,15 @@ class Order:
             )
         if not 1 <= self.fleet <= 250:
             raise UsageError(f"a fleet of {self.fleet}", hint="1 to 250 vehicles")
-        if self.wind_m_s and not VEHICLES[self.plant].feels_wind:
-            raise UsageError(f"the plant {self.plant!r} does not feel wind", hint="--plant ardrone")
+        if (self.wind_m_s or self.gusts or self.without) and not VEHICLES[self.plant].effects:
+            raise UsageError(f"the plant {self.plant!r} has neither wind nor effects", hint="--plant ardrone")
+        for name in self.without:
+            if name not in VEHICLES[self.plant].effects:
+                raise UsageError(
+                    f"no effect {name!r}", hint="one of " + ", ".join(VEHICLES[self.plant].effects)
+                )
+        if not 0.2 <= self.altitude_m <= 1000.0:
+            raise UsageError(f"an altitude of {self.altitude_m:g} m", hint="0.2 to 1000 m")
 
 
 def flight_names(order: Order) -> list[str]:
@@ -121,7 +135,14 @@ def fly_one(order: Order, index: int) -> Recording:
     time_s = np.arange(round(order.duration_s / period_s), dtype=np.float64) * period_s
     command = commands(order, manoeuvre, time_s, rng)
     time_ns = TAKE_OFF_NS + PERIOD_NS * np.arange(len(time_s), dtype=np.int64)
-    air = Air(order.wind_m_s, np.random.default_rng([order.seed, index, 1]), vehicle, order.seed)
+    air = Air(
+        Wind(order.wind_m_s, gusts=order.gusts),
+        np.random.default_rng([order.seed, index, 1]),
+        vehicle,
+        order.seed,
+        order.altitude_m,
+        order.without,
+    )
     truth = VEHICLES[order.plant].fly(command, period_s, air)
     return Recording(
         name=flight_names(order)[index],

@@ -9,25 +9,35 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.ingest.dryden import Wind, wind_field
 from flysid.ingest.plants import LOOPS, fly
 
 if TYPE_CHECKING:
     from flysid.ingest.rigidbody import Vehicle
 
 ATTITUDE_LAG_S = 0.12
-START_ALTITUDE_M = 20.0
 # Spread of a fleet, as standard deviations of the logarithm.
 SPREAD = {"mass_kg": 0.03, "thrust_factor": 0.03, "motor_lag_s": 0.1, "sag": 0.1}
 
 
 @dataclass(frozen=True)
 class Air:
-    """What a flight meets: wind, the generator of its turbulence; and which vehicle of a fleet flies."""
+    """What a flight meets.
 
-    wind_m_s: float
+    Attributes
+    ----------
+    wind, rng : the wind, and the generator of its direction and turbulence.
+    vehicle, seed : which of a fleet flies; the first is the nominal one, `seed` disperses the others.
+    altitude_m : at the start.
+    without : names of the effects that are switched off.
+    """
+
+    wind: Wind
     rng: np.random.Generator
     vehicle: int = 0
     seed: int = 0
+    altitude_m: float = 20.0
+    without: tuple[str, ...] = ()
 
 
 Truth = dict[str, FloatArray]
@@ -35,10 +45,13 @@ Truth = dict[str, FloatArray]
 
 @dataclass(frozen=True)
 class Flyer:
-    """A vehicle: (commands (N, 3), period in seconds, air) -> truth at the same N times."""
+    """A vehicle: (commands (N, 3), period in seconds, air) -> truth at the same N times.
+
+    `effects` can be switched off; a vehicle with any also feels the wind.
+    """
 
     fly: Callable[[FloatArray, float, Air], Truth]
-    feels_wind: bool = False
+    effects: tuple[str, ...] = ()
 
 
 def fly_linear(command: FloatArray, dt_s: float, _: Air) -> Truth:
@@ -58,18 +71,17 @@ def fly_linear(command: FloatArray, dt_s: float, _: Air) -> Truth:
 
 
 def fly_rigid_body(command: FloatArray, dt_s: float, air: Air) -> Truth:
-    """The nonlinear AR.Drone with all effects, from hover at 20 m."""
-    from flysid.ingest.dryden import Wind, wind_field
-    from flysid.ingest.rigidbody import Vehicle, fly_vehicle
+    """The nonlinear AR.Drone, from hover; z is counted from there."""
+    from flysid.ingest.rigidbody import ALL, Vehicle, fly_vehicle
 
-    vehicle = Vehicle()
+    vehicle = Vehicle(effects=replace(ALL, **dict.fromkeys(air.without, False)))
     if air.vehicle:
         vehicle = dispersed(vehicle, np.random.default_rng([air.seed, air.vehicle, 2]))
-    towards = float(air.rng.uniform(0.0, 360.0))
-    wind = Wind(air.wind_m_s, towards)
-    field = wind_field(wind, len(command), dt_s, START_ALTITUDE_M, air.rng) if air.wind_m_s else None
-    flown = fly_vehicle(vehicle, command, period_s=dt_s, record_s=dt_s, wind_m_s=field)
-    return {**flown.series(), "z": flown.states[:, 2] - START_ALTITUDE_M}
+    wind = replace(air.wind, towards_deg=float(air.rng.uniform(0.0, 360.0)))
+    field = wind_field(wind, len(command), dt_s, air.altitude_m, air.rng)
+    start = vehicle.hover(air.altitude_m)
+    flown = fly_vehicle(vehicle, command, period_s=dt_s, record_s=dt_s, wind_m_s=field, start=start)
+    return {**flown.series(), "z": flown.states[:, 2] - air.altitude_m}
 
 
 def dispersed(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
@@ -100,7 +112,21 @@ def _lagged(u: FloatArray, keep: float) -> FloatArray:
     return x
 
 
+# Named here too, so that an order can be checked without compiling the vehicle; a test holds them equal.
+EFFECTS = (
+    "motor_lag",
+    "motor_limits",
+    "linear_drag",
+    "quadratic_drag",
+    "ground_effect",
+    "battery_sag",
+    "gyroscopic",
+    "altitude_drop",
+    "delay",
+    "command_limits",
+)
+
 VEHICLES: Mapping[str, Flyer] = {
     "ardrone-linear": Flyer(fly_linear),
-    "ardrone": Flyer(fly_rigid_body, feels_wind=True),
+    "ardrone": Flyer(fly_rigid_body, EFFECTS),
 }

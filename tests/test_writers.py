@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import socket
 import threading
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,13 @@ from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.flight import TIME
 from flysid.ingest.base import all_formats
+from flysid.ingest.dryden import Gust
 from flysid.ingest.live import Pace, fly_live
+from flysid.ingest.rigidbody import Effects
 from flysid.ingest.synth import WRITERS, Order, flight_names, fly_one
 from flysid.ingest.telemetry import Recording, Series, as_bytes
 from flysid.ingest.truth import truth_bytes
+from flysid.ingest.vehicles import EFFECTS
 from flysid.ingest.write_navdata import _wrapped_time
 from flysid.ingest.write_ros import ROS1, ROS2, layout
 
@@ -237,11 +241,28 @@ def test_processes_write_what_one_process_writes(tmp_path: Path) -> None:
 
 
 def test_wind_is_refused_by_plants_that_do_not_feel_it_and_felt_by_the_other() -> None:
-    with pytest.raises(UsageError, match="does not feel wind"):
+    with pytest.raises(UsageError, match="neither wind nor effects"):
         Order(wind_m_s=3.0)
     calm = fly_one(BOLD, 0)
     windy = fly_one(Order(**{**vars(BOLD), "wind_m_s": 4.0}), 0)
-    assert np.abs(windy.truth["vx"] - calm.truth["vx"]).max() > 0.1
+    gust = fly_one(Order(**{**vars(BOLD), "gusts": (Gust(1.0, 1.0, (0.0, 3.0, 0.0)),)}), 0)
+    for other, least in ((windy, 0.1), (gust, 0.1)):
+        assert np.abs(other.truth["vy"] - calm.truth["vy"]).max() > least
+    np.testing.assert_array_equal(gust.truth["vy"][:50], calm.truth["vy"][:50])
+
+
+def test_effects_can_be_switched_off_by_name() -> None:
+    assert tuple(f.name for f in fields(Effects)) == EFFECTS
+    whole, without = fly_one(BOLD, 0), fly_one(Order(**{**vars(BOLD), "without": ("quadratic_drag",)}), 0)
+    assert np.abs(whole.truth["vx"] - without.truth["vx"]).max() > 1e-3
+    with pytest.raises(UsageError, match="no effect 'gravity'"):
+        Order(plant="ardrone", without=("gravity",))
+
+
+def test_the_ground_is_felt_near_it() -> None:
+    low = fly_one(Order(**{**vars(BOLD), "duration_s": 2.0, "altitude_m": 1.0}), 0)
+    high = fly_one(Order(**{**vars(BOLD), "duration_s": 2.0, "altitude_m": 50.0}), 0)
+    assert 1e-4 < np.abs(low.truth["vz"] - high.truth["vz"]).max() < 0.1
 
 
 def test_live_flights_are_heard_by_mavutil() -> None:

@@ -12,6 +12,7 @@ from flysid.cli.output import check_target, say
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
+    from flysid.ingest.dryden import Gust
     from flysid.ingest.synth import Order
     from flysid.ingest.telemetry import Recording
 
@@ -46,6 +47,11 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     "--noise", default=0.02, show_default=True, help="Velocity noise of telemetry, m/s (one sigma)."
 )
 @click.option("--wind", default=0.0, show_default=True, metavar="M/S", help="Steady wind with turbulence.")
+@click.option(
+    "--gust", "gusts", multiple=True, metavar="START:RISE:X:Y:Z", help="1 - cosine gust, s and m/s."
+)
+@click.option("--without", multiple=True, metavar="EFFECT", help="Switch an effect of the vehicle off.")
+@click.option("--altitude", default=20.0, show_default=True, metavar="M", help="Above ground at the start.")
 @click.option(
     "--fleet", default=1, show_default=True, metavar="N", help="Vehicles, their parameters dispersed."
 )
@@ -122,6 +128,9 @@ def ordered(*, dropouts: tuple[str, ...], **options: Any) -> Order:
         sensor=options["sensor"],
         wind_m_s=options["wind"],
         fleet=options["fleet"],
+        gusts=tuple(parse_gust(text) for text in options["gusts"]),
+        altitude_m=options["altitude"],
+        without=options["without"],
     )
 
 
@@ -186,6 +195,17 @@ def parse_dropout(text: str) -> tuple[float, float]:
     except ValueError:
         raise UsageError(f"no drop-out {text!r}", hint="START:LENGTH in seconds, e.g. 20:5") from None
     return start, length
+
+
+def parse_gust(text: str) -> Gust:
+    """START:RISE:X:Y:Z in seconds and m/s."""
+    from flysid.ingest.dryden import Gust
+
+    try:
+        start, rise, x, y, z = (float(part) for part in text.split(":"))
+        return Gust(start, rise, (x, y, z))
+    except ValueError:
+        raise UsageError(f"no gust {text!r}", hint="START:RISE:X:Y:Z, e.g. 20:2:3:0:-1") from None
 
 
 def make_folder(folder: Path) -> None:
