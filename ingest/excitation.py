@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from flysid.dataset import Dataset, Segment
+from flysid.dataset import Dataset
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -169,10 +169,3 @@ def _order(parts: Sequence[FloatArray], lags: int = 20) -> int:
     steps = np.abs(np.subtract.outer(np.arange(lags), np.arange(lags)))
     values = np.linalg.eigvalsh(auto[steps])
     return int((values > 1e-3 * values[-1]).sum()) if values[-1] > 0 else 0
-
-
-def quiet_segments(data: Dataset, segments: Sequence[Segment] | None = None) -> int:
-    """How many segments have no input that moves above its noise."""
-    chosen = data.segments if segments is None else segments
-    floor = [max(QUIET.get(s.unit, 0.0), 0.5 * s.resolution) for s in data.inputs]
-    return sum(1 for s in chosen if bool((s.u.std(axis=0) <= floor).all()))
