@@ -4,7 +4,7 @@ A lag of the dynamics shifts the peak of the correlation too, so the peak alone 
 time. The search fits a model for every dead time and takes the one that errs least:
 
 - without feedback, second order by output error (Steiglitz and McBride 1965, iterated least squares on
-  filtered data), whose free run the measurement noise does not bias;
+  filtered data, then Gauss-Newton), whose free run the measurement noise does not bias;
 - with feedback (the output leads the input: a pilot or a controller answers it), ARX of high order by one
   step prediction, since output error is biased there (Ljung 1999, System Identification, section 13.4).
 """
@@ -22,7 +22,7 @@ from flysid.errors import DataError
 FloatArray = npt.NDArray[np.float64]
 
 ORDER = 2
-ITERATIONS = 6
+ITERATIONS, REFINEMENTS = 6, 6  # of Steiglitz-McBride, then of Gauss-Newton
 ARX_ORDERS = (20, 10)  # of past outputs and inputs
 MAX_SAMPLES = 20_000  # of the longest segments; more does not sharpen an answer in whole samples
 STEP_S = 0.5  # the sign is that of the step response so long after the dead time
@@ -34,8 +34,8 @@ class Delay:
 
     Attributes
     ----------
-    nk : samples until the output can answer: y[k] depends on u[k - nk] and earlier; at least 1 unless the
-        log shows an answer within the same sample.
+    nk : samples until the output can answer: y[k] depends on u[k - nk] and earlier, so the dead time lies
+        between nk - 1 and nk samples; 0 where the log shows an answer within the same sample.
     delay_s : dead time in seconds, between samples by interpolation of the error.
     low_s, high_s : dead times whose error is not significantly larger.
     sign : +1 where the output follows the input, -1 where it goes against it.
@@ -143,7 +143,7 @@ def estimate_delay(data: Dataset, column: int = 0, output: int = 0, max_delay_s:
     close = np.flatnonzero(errors <= errors[best] * (1.0 + slack))
     return Delay(
         nk=best,
-        delay_s=max(0.0, (best - 1 + _vertex(errors, best)) * data.dt_s),
+        delay_s=max(0.0, (best - 0.5 + _vertex(errors, best)) * data.dt_s),
         low_s=max(0.0, (int(close[0]) - 1) * data.dt_s),
         high_s=int(close[-1]) * data.dt_s,
         sign=fits[best].sign(best + round(STEP_S / data.dt_s)),
@@ -190,19 +190,55 @@ def _output_error(pieces: list[tuple[FloatArray, FloatArray]], nk: int) -> _Fit:
     """The best second-order model with this dead time, by its free run."""
     from scipy.signal import lfilter
 
-    poles, best = np.array([1.0, *np.zeros(ORDER)]), _Fit(np.inf, np.zeros(1), np.ones(1))
-    for iteration in range(ITERATIONS):
+    poles, best = np.array([1.0, *np.zeros(ORDER)]), _Fit(np.inf, np.zeros(nk + ORDER), np.ones(1 + ORDER))
+    for _ in range(ITERATIONS):
         filtered = [(lfilter([1.0], poles, u), lfilter([1.0], poles, y)) for u, y in pieces]
         theta, _ = _least_squares(filtered, nk, (ORDER, ORDER))
         poles = _stable(np.concatenate([[1.0], theta[:ORDER]]))
-        zeros = np.concatenate([np.zeros(nk), theta[ORDER:]])
-        if iteration < ITERATIONS - 3:
-            continue
-        error = sum(float(np.sum((y - _simulate(zeros, poles, u, y)) ** 2)) for u, y in pieces)
-        error /= sum(len(y) for _, y in pieces)
-        if error < best.error:
-            best = _Fit(error, zeros, poles)
+        fit = _free_run(pieces, np.concatenate([np.zeros(nk), theta[ORDER:]]), poles)
+        best = min(best, fit, key=lambda f: f.error)
+    for _ in range(REFINEMENTS):
+        step = _gauss_newton_step(pieces, best, nk)
+        tried = [_moved(pieces, best, share * step, nk) for share in (1.0, 0.3)]
+        better = min(tried, key=lambda f: f.error)
+        if better.error > best.error * (1.0 - 1e-4):
+            break
+        best = better
     return best
+
+
+def _free_run(pieces: list[tuple[FloatArray, FloatArray]], zeros: FloatArray, poles: FloatArray) -> _Fit:
+    error = sum(float(np.sum((y - _simulate(zeros, poles, u, y)) ** 2)) for u, y in pieces)
+    return _Fit(error / sum(len(y) for _, y in pieces), zeros, poles)
+
+
+def _moved(pieces: list[tuple[FloatArray, FloatArray]], fit: _Fit, step: FloatArray, nk: int) -> _Fit:
+    """The fit with its parameters (a1, a2, b1, b2) moved."""
+    poles = _stable(np.concatenate([[1.0], fit.poles[1:] + step[:ORDER]]))
+    return _free_run(pieces, np.concatenate([np.zeros(nk), fit.zeros[nk:] + step[ORDER:]]), poles)
+
+
+def _gauss_newton_step(pieces: list[tuple[FloatArray, FloatArray]], fit: _Fit, nk: int) -> FloatArray:
+    """(4,) change of (a1, a2, b1, b2) by the free run's own sensitivities: -y_hat/A and u/A, delayed."""
+    from scipy.signal import lfilter
+
+    gram, right = np.zeros((2 * ORDER, 2 * ORDER)), np.zeros(2 * ORDER)
+    for u, y in pieces:
+        model = _simulate(fit.zeros, fit.poles, u, y)
+        by_pole, by_zero = lfilter([-1.0], fit.poles, model), lfilter([1.0], fit.poles, u)
+        columns = [_late(by_pole, i + 1) for i in range(ORDER)] + [
+            _late(by_zero, nk + i) for i in range(ORDER)
+        ]
+        jacobian = np.stack(columns, axis=1)
+        gram += jacobian.T @ jacobian
+        right += jacobian.T @ (y - model)
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    return np.asarray(np.linalg.lstsq(gram / np.outer(scale, scale), right / scale, rcond=1e-10)[0] / scale)
+
+
+def _late(x: FloatArray, samples: int) -> FloatArray:
+    """x delayed, zeros before it."""
+    return np.concatenate([np.zeros(samples), x[: len(x) - samples]])
 
 
 def _predictor(pieces: list[tuple[FloatArray, FloatArray]], nk: int) -> _Fit:
@@ -229,16 +265,16 @@ def _least_squares(
 
 
 def _simulate(zeros: FloatArray, poles: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
-    """Free run from the best initial state: the model's own free responses are fitted to the error."""
+    """Free run from the best initial state and input offset: the model's own responses to them are fitted."""
     from scipy.signal import lfilter
 
     forced = lfilter(zeros, poles, u)
     impulse = np.zeros(len(u))
     impulse[0] = 1.0
     first = lfilter([1.0], poles, impulse)
-    free = np.stack([first, np.concatenate([[0.0], first[:-1]])], axis=1)
-    gram = free.T @ free
-    start = np.linalg.solve(gram + 1e-9 * np.trace(gram) * np.eye(ORDER), free.T @ (y - forced))
+    free = np.stack([first, _late(first, 1), np.cumsum(first)], axis=1)
+    free = free / np.linalg.norm(free, axis=0)
+    start = np.linalg.solve(free.T @ free + 1e-10 * np.eye(free.shape[1]), free.T @ (y - forced))
     return np.asarray(forced + free @ start)
 
 
