@@ -21,7 +21,8 @@ from flysid.errors import FlysidError
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.ts import TS
-from flysid.validate.compare import FREE_RUN, Pair, compare
+from flysid.validate.compare import Pair, compare
+from flysid.validate.trials import FREE_RUN
 
 DT_S = 0.05
 TRAIN, TEST, FRESH = 4, 8, 60
