@@ -232,6 +232,25 @@ def test_decimation_keeps_every_peak() -> None:
     assert rounded(np.array([1.23456789, np.nan, -0.0])) == [1.2346, None, 0.0]
 
 
+def test_sweep_is_read_from_the_notes_of_a_model() -> None:
+    notes = (
+        "Orders na = 3.",
+        "Validation free-run error by number of rules, in standard deviations of the output: "
+        "1: 0.134, 2: 5e-02.",
+        "2 rules: the fewest within one standard error of the best.",
+    )
+    sweep = Sweep.from_notes(notes, 2)
+    assert sweep is not None
+    assert (sweep.rules, sweep.error, sweep.chosen) == ((1, 2), (0.134, 0.05), 2)
+    assert sweep.unit == "standard deviations of the output"
+    assert sweep.words.startswith("2 rules")
+    assert Sweep.from_notes(("made by hand",), 1) is None
+    ts = replace(TS, notes=notes)
+    page = Page(render(ReportContext.of({"x": compare([ARX, ts], flown(TS, [300], noise=0.02))})))
+    assert "Rule count" in page.words
+    assert "RMSE, standard deviations of the output" in page.words
+
+
 def test_ticks_are_round_and_inside() -> None:
     assert ticks(0.0, 10.0, 5) == [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
     assert ticks(-1.0, 1.0, 4) == [-1.0, -0.5, 0.0, 0.5, 1.0]

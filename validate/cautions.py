@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from flysid.validate.bootstrap import MIN_FLIGHTS
 from flysid.validate.compare import Comparison
 from flysid.validate.diagnostics import Diagnosis, Outside
 from flysid.validate.trials import FREE_RUN
@@ -204,14 +205,16 @@ def _undecided(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cauti
 
 def _few(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
     del diagnoses
-    one = [name for name, c in comparisons.items() if len(c.test.flights) == 1]
-    if one:
+    few = {name: len(c.test.flights) for name, c in comparisons.items() if len(c.test.flights) < MIN_FLIGHTS}
+    if few:
+        counts = sorted(set(few.values()))
+        number = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else str(counts[0])
         yield Caution(
             "note",
-            f"One held-out flight on {_join(one)}: the intervals speak of that flight, "
-            "not of another day, battery or wind.",
-            "hold out whole flights, five or more.",
-            2.0,
+            f"Only {number} held-out flight{'s' if counts[-1] > 1 else ''} on {_join(few)}: the intervals "
+            "come from blocks of time and do not speak of another day, battery or wind.",
+            f"hold out whole flights, {MIN_FLIGHTS} or more.",
+            2.0 if counts[0] == 1 else 0.95,
         )
 
 

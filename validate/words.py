@@ -55,7 +55,7 @@ def change_words(pair: Pair) -> str:
 
 def interval_words(pair: Pair) -> str:
     """ "[−38, −24]", or "" where there is none or it would say nothing."""
-    if pair.ci95 is None or change_words(pair) in ("< resolution", "diverged"):
+    if pair.ci95 is None or change_words(pair) in ("< resolution", "diverged") or pair.ci95[0] > 1000.0:
         return ""
     low, high = (percent(v, 1).removesuffix(" %") for v in pair.ci95)
     return f"[{low}, {high}]"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -17,10 +18,11 @@ class Sweep:
 
     Attributes
     ----------
-    rules, error, spread : per count, the error (in the output's unit) and its standard error.
+    rules, error, spread : per count, the error and its standard error (0 where not known).
     chosen : the count taken.
     linear : error and spread of the linear model on the same data, or None.
     words : how the choice was made, one sentence.
+    unit : of the error; the output's when None.
     """
 
     rules: tuple[int, ...]
@@ -29,6 +31,25 @@ class Sweep:
     chosen: int
     linear: tuple[float, float] | None = None
     words: str = ""
+    unit: str | None = None
+
+    @classmethod
+    def from_notes(cls, notes: Sequence[str], chosen: int) -> Sweep | None:
+        """The sweep that TS tells of in its notes, or None.
+
+        It reads "... by number of rules, in UNIT: 1: 0.13, 2: 0.15, ..."; the next note says why. Notes are what a saved model keeps of how it was chosen.
+        """
+        for i, note in enumerate(notes):
+            match = re.search(r"by number of rules, in ([^:]+): ((?:\d+: [\d.e+-]+(?:, )?)+)", note)
+            if match is None:
+                continue
+            pairs = re.findall(r"(\d+): (\d+(?:\.\d+)?(?:e[+-]?\d+)?)", match[2])
+            if len(pairs) < 2:
+                return None
+            rules, errors = tuple(int(r) for r, _ in pairs), tuple(float(e) for _, e in pairs)
+            words = notes[i + 1] if i + 1 < len(notes) else ""
+            return cls(rules, errors, (0.0,) * len(rules), chosen, words=words, unit=match[1])
+        return None
 
 
 @dataclass(frozen=True)

@@ -177,7 +177,7 @@ def sweep_figure(sweep: Sweep, unit: str) -> Markup:
     if sweep.linear is not None:
         limits.append(np.array([sweep.linear[0] - sweep.linear[1], sweep.linear[0] + sweep.linear[1]]))
     axes = Axes((float(x.min()) - 0.5, float(x.max()) + 0.5), span(*limits), width=HALF - 60, height=120)
-    parts = [frame(axes, f"RMSE, {unit}", "number of rules")]
+    parts = [frame(axes, f"RMSE, {sweep.unit or unit}", "number of rules")]
     if sweep.linear is not None:
         mean, sd = sweep.linear
         parts.append(
@@ -185,7 +185,8 @@ def sweep_figure(sweep: Sweep, unit: str) -> Markup:
         )
         parts.append(line(axes, np.array(axes.x), np.array([mean, mean]), "arx"))
         parts.append(text(axes.right - 4, float(axes.py(mean)) - 4, "linear", anchor="end"))
-    for xi, e, s in zip(x, error, spread, strict=True):
+    known = spread > 0.0
+    for xi, e, s in zip(x[known], error[known], spread[known], strict=True):
         parts.append(line(axes, np.array([xi, xi]), np.array([e - s, e + s]), "whisker"))
     parts += [line(axes, x, error, "ts"), dots(axes, x, error, "bead")]
     chosen = np.array([float(sweep.chosen)])

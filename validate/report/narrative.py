@@ -66,6 +66,9 @@ def title(pairs: Heads) -> str:
 
 def subtitle(pairs: Heads) -> str:
     """What the title leaves open, and what to do."""
+    if pairs and all(pair.verdict is Verdict.SAME for _, pair in pairs):
+        both = f"the {called(pairs[0][1].model)} and the {called(pairs[0][1].baseline)}"
+        return f"In free run the flights show no difference between {both}: keep the simpler one."
     sentences = []
     base = called(pairs[0][1].baseline) if pairs else ""
     for verdict, text in (
@@ -74,7 +77,7 @@ def subtitle(pairs: Heads) -> str:
         (Verdict.NOT_ENOUGH, "there is not enough held-out data to tell."),
     ):
         names = [name for name, pair in pairs if pair.verdict is verdict]
-        if names and (len(names) < len(pairs) or verdict is Verdict.SAME):
+        if names and len(names) < len(pairs):
             sentences.append(f"On {_listed(names)} {text.format(base=base)}")
     return " ".join(sentences)
 
@@ -92,7 +95,8 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
     segments = max(c.scored_segments for c in comparisons.values())
     seconds = max(sum(len(s) for s in c.test.segments) * c.dt_s for c in comparisons.values())
     rates = sorted({round(1.0 / c.dt_s, 3) for c in comparisons.values()})
-    others = [one_line(m).upper() for m in first.models if m != first.baseline]
+    ranked = sorted(first.models, key=lambda m: m != first.contender)
+    others = [one_line(m).upper() for m in ranked if m != first.baseline]
     against = f"{_listed(others)} against {one_line(first.baseline).upper()}" if others else first.baseline
     words = f"{against} on {segments} held-out segment{'s' if segments != 1 else ''} ({duration(seconds)})"
     if train_s:

@@ -105,7 +105,7 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         buttons=_buttons(source, j, labels),
         residuals=_residuals(source, j),
         dynamics=_dynamics(source, j, signal),
-        rules=tuple((m, _rule_rows(c.fitted[m], j, signal)) for m, _ in reversed(overlay.drawn(c))),
+        rules=tuple((m, _rule_rows(c.fitted[m], css, j, signal)) for m, css in reversed(overlay.drawn(c))),
         sets=_sets(source, j, signal),
         wide=_wide(source, j, pieces[longest].index, labels[longest]),
         data={
@@ -174,13 +174,19 @@ def _dependence(correlation: Correlation, c: Comparison, model: str, css: str, i
 
 def _dynamics(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
     panels = [_bode(source, j, signal)]
-    if source.sweep is not None:
+    sweep = source.sweep or _noted_sweep(source.comparison)
+    if sweep is not None:
         unit = one_line(source.comparison.test.outputs[j].unit)
-        panels.append(
-            Panel("Rule count", one_line(source.sweep.words), figures.sweep_figure(source.sweep, unit))
-        )
+        panels.append(Panel("Rule count", one_line(sweep.words), figures.sweep_figure(sweep, unit)))
     panels.append(_static(source, j, signal))
     return tuple(panels)
+
+
+def _noted_sweep(c: Comparison) -> Sweep | None:
+    if c.contender is None:
+        return None
+    info = c.models[c.contender]
+    return Sweep.from_notes(info.notes, info.n_rules)
 
 
 def _bode(source: Source, j: int, signal: int) -> Panel:
@@ -217,11 +223,11 @@ def _static(source: Source, j: int, signal: int) -> Panel:
     )
 
 
-def _rule_rows(model: Fitted, j: int, signal: int) -> tuple[RuleRow, ...]:
+def _rule_rows(model: Fitted, css: str, j: int, signal: int) -> tuple[RuleRow, ...]:
+    """Rows of the If-Then table; a model of one rule keeps its own colour."""
     rules = model.rules()
-    return tuple(
-        _rule_row(r, f"r{i % 8 + 1}" if len(rules) > 1 else "arx", j, signal) for i, r in enumerate(rules)
-    )
+    colours = [css] if len(rules) == 1 else [f"r{i % 8 + 1}" for i in range(len(rules))]
+    return tuple(_rule_row(rule, colour, j, signal) for rule, colour in zip(rules, colours, strict=True))
 
 
 def _rule_row(rule: Rule, css: str, j: int, signal: int) -> RuleRow:
