@@ -37,7 +37,8 @@ class Sweep:
     def from_notes(cls, notes: Sequence[str], chosen: int) -> Sweep | None:
         """The sweep that TS tells of in its notes, or None.
 
-        It reads "... by number of rules, in UNIT: 1: 0.13, 2: 0.15, ..."; the next note says why. Notes are what a saved model keeps of how it was chosen.
+        It reads "... by number of rules, in UNIT: 1: 0.13, 2: 0.15, ..."; the next note says why. Notes are
+        what a saved model keeps of how it was chosen.
         """
         for i, note in enumerate(notes):
             match = re.search(r"by number of rules, in ([^:]+): ((?:\d+: [\d.e+-]+(?:, )?)+)", note)
