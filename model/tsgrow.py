@@ -28,7 +28,7 @@ from flysid.model.tsproblem import (
 _PLACES = (0.15, 0.5, 0.85)
 _RIDGE = 0.01  # of the mean square error: as if a hundred samples said that the rules are equal
 _PIECE = 600  # rows of a piece, where long records are thinned
-_FEW, _MORE = 5000, 15000  # rows for ranking insertions, and for trying the best ones
+_FEW, _MORE = 3000, 8000  # rows for ranking insertions, and for trying the best ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +90,11 @@ def linear_stage(problem: Problem, iterations: int, more: tuple[Stage, ...] = ()
     return refine(rebased(min(trials, key=lambda s: s.cost)), iterations, 1e-6)
 
 
-def unrefined(problem: Problem, body: Body | None = None) -> Stage:
+def unrefined(problem: Problem, body: Body | None = None, initial: FloatArray | None = None) -> Stage:
     """A stage that has not seen its simulation error; one-step least squares where no body is given."""
     body = next(_linear_starts(problem)) if body is None else body
     error = SimulationError(problem, body, _free(body))
-    initial = problem.measured_initial()
+    initial = problem.measured_initial() if initial is None else initial
     return Stage(problem, body, initial, error.cost(error.start(initial)))
 
 
@@ -106,7 +106,10 @@ def embedded_start(stage: Stage, problem: Problem) -> tuple[Stage, ...]:
     theta = np.zeros((1, problem.layout.n_y, len(new)))
     theta[:, :, [new.index(term) for term in old]] = stage.problem.parameters(stage.body).theta
     body = Body(np.zeros_like(theta), stage.body.centre, stage.body.width)
-    return (unrefined(replace(problem, offset=theta[0]), body),)
+    depth, n_y = problem.layout.depth, problem.layout.n_y
+    runs = simulate_runs(stage.problem, stage.body, stage.initial)
+    initial = np.stack([run[:depth, :n_y] for run in runs])
+    return (unrefined(replace(problem, offset=theta[0]), body, initial),)
 
 
 def _free(body: Body) -> FloatArray:
@@ -288,10 +291,10 @@ def one_rule_more(
     options = insertions(few, candidates)
     order = np.argsort([expected_cost(option) for option in options], kind="stable")
     starts = [_on(options[i], more) for i in order[:tries]]
-    trials = [refine(start, iterations, 1e-4) for start in starts]
+    trials = [refine(start, max(6, iterations // 2), 1e-4) for start in starts]
     at = min(range(len(trials)), key=lambda i: trials[i].cost)
     # overlapping rules make long curved valleys: many cheap steps on fewer samples, then some on all
-    best = refine(with_ridge(trials[at], _RIDGE * trials[at].cost), 4 * iterations, 1e-7)
+    best = refine(with_ridge(trials[at], _RIDGE * trials[at].cost), 3 * iterations, 1e-6)
     best = refine(with_ridge(_on(best, stage), _RIDGE * best.cost), iterations, 1e-6)
     return _on(starts[at], stage), best
 

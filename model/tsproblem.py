@@ -21,6 +21,7 @@ from flysid.dataset import FloatArray, Segment
 from flysid.model.tskernel import IntArray, Lags, Parameters, free_run, sensitivities
 from flysid.model.tslayout import Layout
 
+_HOLD = 3.0  # on memberships, relative to the ridge on consequents
 _CHUNK = 1024  # rows of sensitivities at a time: they stay in the cache
 _MOST_INITIAL = 200  # segments whose initial outputs are estimated; beyond, the measured ones are used
 
@@ -215,9 +216,14 @@ class SimulationError:
         weakly, so that no direction of the search is flat.
         """
         old = self.body
-        gaps = [body.a - body.a.mean(axis=0), (body.centre - old.centre) / old.width]
-        values = np.concatenate([g.ravel() for g in gaps] + [np.log(body.width / old.width).ravel()])
-        slopes = np.concatenate([np.ones(body.a.size), 1.0 / old.width.ravel(), np.ones(old.width.size)])
+        parts = (
+            body.a - body.a.mean(axis=0),
+            _HOLD * (body.centre - old.centre) / old.width,
+            _HOLD * np.log(body.width / old.width),
+        )
+        ones = np.ones(old.width.size)
+        values = np.concatenate([part.ravel() for part in parts])
+        slopes = np.concatenate([np.ones(body.a.size), _HOLD / old.width.ravel(), _HOLD * ones])
         return values, slopes
 
     def _departure(self, body: Body) -> float:
