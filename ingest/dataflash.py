@@ -70,8 +70,8 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
         size = min(limits.batch_bytes + LOOK_AHEAD, len(view) - start)
         limit = size if start + size == len(view) else limits.batch_bytes
         messages, position = reader.walker.walk(view[start : start + size], start, limit)
-        release(view, start, position)
         yield from _parts(reader, messages)
+        release(view, start, position)
     if reader.row == 0:
         raise FormatError("no DataFlash message", path=name, hint="check that this is an ArduPilot .bin log")
     return _summary(reader)

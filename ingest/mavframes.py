@@ -140,6 +140,17 @@ def plain_chain(crc_extra: npt.NDArray[np.int16]) -> Chain:
 
 
 @dataclass
+class _Batch:
+    """One batch while it is scanned: its bytes, its offset in the file, and the frames found so far."""
+
+    buffer: Buffer
+    base: int
+    limit: int
+    found: list[IntArray] = field(default_factory=list)
+    bare: list[int] = field(default_factory=list)
+
+
+@dataclass
 class Scanner:
     """Finds frames batch by batch and keeps account of every byte that belongs to none.
 
@@ -173,47 +184,42 @@ class Scanner:
         raw : the batch's bytes: `LOOK_AHEAD` beyond `limit`, or up to it at the file's end.
         base : offset of the batch in the file.
         """
-        buffer = raw.data
-        found: list[IntArray] = []
-        bare: list[int] = []
-        position = 0 if self._lost_at is None else self._search(buffer, base, self.stamp, limit, found, bare)
+        batch = _Batch(raw.data, base, limit)
+        position = 0 if self._lost_at is None else self._search(batch, self.stamp)
         while position < limit and self._lost_at is None:
             starts, position = self.chain(raw, position, limit, self.stamp)
             if len(starts):
-                found.append(starts)
-                self._seen.add(_sender(buffer, int(starts[-1])))
+                batch.found.append(starts)
+                self._seen.add(_sender(batch.buffer, int(starts[-1])))
             if position < limit:
-                position = self._recover(buffer, base, position, limit, found, bare)
-        starts = np.concatenate(found) if found else np.empty(0, np.int64)
-        self.unstamped += len(bare)
-        return read_headers(raw, starts, self.stamp, bare), base + position
+                position = self._recover(batch, position)
+        starts = np.concatenate(batch.found) if batch.found else np.empty(0, np.int64)
+        self.unstamped += len(batch.bare)
+        return read_headers(raw, starts, self.stamp, batch.bare), base + position
 
-    def _recover(
-        self, buffer: Buffer, base: int, position: int, limit: int, found: list[IntArray], bare: list[int]
-    ) -> int:
+    def _recover(self, batch: _Batch, position: int) -> int:
         """What stopped the chain at `position`? Returns where to go on."""
-        q = position + self.stamp
+        buffer, q = batch.buffer, position + self.stamp
         head = read_header(buffer, q)
         self._reason, self._expected = "no MAVLink frame", -1
         if head is not None and self._is_known(head.message):
             self.bad_checksums += 1
-            self._reason, self._expected = "bad checksum", base + head.end
+            self._reason, self._expected = "bad checksum", batch.base + head.end
         elif head is not None and self._is_confirmed(buffer, head.end):
             key = (*divmod(_sender(buffer, q), 256), head.message)
             self.unknown[key] = self.unknown.get(key, 0) + 1
             return head.end
-        self._lost_at = base + position
-        return self._search(buffer, base, position, limit, found, bare)
+        self._lost_at = batch.base + position
+        return self._search(batch, position)
 
-    def _search(
-        self, buffer: Buffer, base: int, begin: int, limit: int, found: list[IntArray], bare: list[int]
-    ) -> int:
+    def _search(self, batch: _Batch, begin: int) -> int:
         """Go on at the next valid frame whose marker is at or after `begin`, or at the end of the batch.
 
         A frame that follows a damaged one exactly and fails its CRC too is counted; other failures are
         chance markers inside garbage.
         """
         assert self._lost_at is not None
+        buffer, base, limit = batch.buffer, batch.base, batch.limit
         lost = self._lost_at - base
         for match in MARKER.finditer(buffer, begin, min(limit + self.stamp, len(buffer))):
             q = match.start()
@@ -224,8 +230,8 @@ class Scanner:
                 if self._is_plausible(buffer, q, head):
                     start = q - self.stamp if q - self.stamp >= lost else q
                     self._close(base + start, self._reason)
-                    found.append(np.array([q], dtype=np.int64))
-                    bare.extend([q] if start == q and self.stamp else [])
+                    batch.found.append(np.array([q], dtype=np.int64))
+                    batch.bare.extend([q] if start == q and self.stamp else [])
                     return head.end
             elif base + q == self._expected + self.stamp:
                 self.bad_checksums += 1

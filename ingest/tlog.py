@@ -152,8 +152,8 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
             if dialect != DEFAULT:
                 reader = _Reader(load_dialect(dialect), _scanner(dialect, stamp, len(view)))
                 frames, position = _next_frames(reader.scanner, view, start, limits)
-        release(view, start, position)
         yield from _parts(reader, frames)
+        release(view, start, position)
     if reader.row == 0 and not reader.scanner.unknown:
         raise FormatError("no valid MAVLink frame", path=name, hint="check that this is a telemetry log")
     return _summary(reader)
