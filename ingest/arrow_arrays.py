@@ -42,6 +42,13 @@ def numeric(values: Values) -> pa.Array:
     )
 
 
+def whole_numbers(array: pa.Array) -> Index:
+    """An array of integers without nulls, as int64; `to_numpy` would import pandas."""
+    kind = np.dtype(f"{'i' if pa.types.is_signed_integer(array.type) else 'u'}{array.type.bit_width // 8}")
+    values = np.frombuffer(array.buffers()[1], dtype=kind, count=array.offset + len(array))
+    return values[array.offset :].astype(np.int64)
+
+
 def matrix(values: Values) -> pa.Array:
     """An (n, k) array as n lists of the fixed length k; k > 0."""
     return pa.FixedSizeListArray.from_arrays(numeric(values.reshape(-1)), values.shape[1])

@@ -21,11 +21,12 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from flysid.ingest import arrow_arrays
-from flysid.ingest.gather import Bytes, Index, numbers, rows, runs, spread
+from flysid.ingest.gather import Bytes, Index, Values, numbers, rows, runs, spread
 from flysid.ingest.rosmsg import Array, DefinitionError, Number, Record, Text, Type
 
 MAX_STEPS = 50_000  # element-by-element steps over all sequences of one batch
 MAX_FIXED_BYTES = 1 << 26
+CACHE_BYTES = 1 << 18
 
 Columns = list[tuple[str, pa.Array]]
 
@@ -243,32 +244,42 @@ def _decode_steps(cursors: Cursors, steps: tuple[Step, ...]) -> Columns:
 
 
 def _decode_run(cursors: Cursors, run: Run) -> Columns:
+    """Columns of a run, filled in passes that stay in the processor's cache."""
     unit = run.unit(cursors.wire)
     phase = (cursors.at - cursors.origin) % unit if unit > 1 else np.zeros(len(cursors.at), dtype=np.int64)
-    if len(phase) == 0 or (phase == phase[0]).all():
-        kind, size = run.layout(int(phase[0]) if len(phase) else 0, cursors.wire)
-        table = rows(cursors.data, cursors.take(size), size).view(kind)
-        return [(leaf.path, _leaf_array(leaf, table[str(k)])) for k, leaf in enumerate(run.leaves)]
-    layouts = [run.layout(p, cursors.wire) for p in range(unit)]
-    starts = cursors.take(np.array([size for _, size in layouts])[phase])
-    packed = np.empty(
-        len(phase), dtype=np.dtype([(str(k), *_packed(leaf)) for k, leaf in enumerate(run.leaves)])
-    )
-    for p in np.unique(phase).tolist():
-        which = np.flatnonzero(phase == p)
-        kind, size = layouts[p]
-        table = rows(cursors.data, starts[which], size).view(kind)
-        for name in packed.dtype.names or ():
-            packed[name][which] = table[name]
-    return [(leaf.path, _leaf_array(leaf, packed[str(k)])) for k, leaf in enumerate(run.leaves)]
+    one = len(phase) == 0 or bool((phase == phase[0]).all())
+    phases = np.unique(phase[:1] if one else phase).tolist() or [0]
+    layouts = {p: run.layout(p, cursors.wire) for p in phases}
+    sizes = np.zeros(unit, dtype=np.int64)
+    sizes[phases] = [layouts[p][1] for p in phases]
+    starts = cursors.take(int(sizes[phases[0]]) if one else sizes[phase])
+    columns = [_empty(leaf, len(phase)) for leaf in run.leaves]
+    for p, (kind, size) in layouts.items():
+        which = slice(None) if one else np.flatnonzero(phase == p)
+        _fill(columns, cursors.data, starts, (which, kind, size))
+    return [(leaf.path, _leaf_array(leaf, values)) for leaf, values in zip(run.leaves, columns, strict=True)]
 
 
-def _packed(leaf: Leaf) -> tuple[str] | tuple[str, int]:
-    kind = "u1" if leaf.dtype == "b1" else leaf.dtype
-    return (kind,) if leaf.count is None else (kind, leaf.count)
+def _fill(
+    columns: list[Values], data: Bytes, starts: Index, group: tuple[slice | Index, np.dtype[np.void], int]
+) -> None:
+    """Write one group of messages, those numbered `which`, into the columns."""
+    which, kind, size = group
+    own = starts[which]
+    step = max(1, CACHE_BYTES // max(size, 1))
+    for first in range(0, len(own), step):
+        table = rows(data, own[first : first + step], size).view(kind)
+        into = slice(first, first + step) if isinstance(which, slice) else which[first : first + step]
+        for k, values in enumerate(columns):
+            values[into] = table[str(k)]
 
 
-def _leaf_array(leaf: Leaf, values: NDArray[np.generic]) -> pa.Array:
+def _empty(leaf: Leaf, count: int) -> Values:
+    shape = count if leaf.count is None else (count, leaf.count)
+    return np.empty(shape, dtype="u1" if leaf.dtype == "b1" else leaf.dtype)
+
+
+def _leaf_array(leaf: Leaf, values: Values) -> pa.Array:
     if leaf.dtype == "b1":
         values = values != 0
     return arrow_arrays.numeric(values) if leaf.count is None else arrow_arrays.matrix(values)

@@ -10,7 +10,6 @@ skipped alone. Where a record does not hold together, the next one that does is 
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Generator, Iterator
 
 import numpy as np
@@ -24,6 +23,7 @@ from flysid.ingest.mcap_chunks import (
     bind,
     check_bounds,
     checksum_fails,
+    crc32,
     expand,
     expand_cut,
     find_indexed,
@@ -67,12 +67,13 @@ _DATA_END_HEAD = HEAD.pack(DATA_END, 4)
 
 
 class McapReader:
-    """Blocks of one file. `registry` and `info` fill while `blocks` is consumed."""
+    """Blocks of one file. `registry` and `info` fill, and `place` advances, while `blocks` is consumed."""
 
     def __init__(self, view: memoryview, limits: Limits, tally: Tally) -> None:
         self.view = view
         self.registry = Registry()
         self.info: dict[str, str] = {}
+        self.place = 0
         self._limits = limits
         self._tally = tally
         self._limit = len(view)
@@ -87,6 +88,7 @@ class McapReader:
         self._read_summary()
         at = 0
         while at < self._limit:
+            self.place = at
             end = record_end(self.view, at, self._limit)
             if end < 0:
                 at = yield from self._recover(at)
@@ -126,7 +128,7 @@ class McapReader:
         starts = [start, *self._behind_data_end(at)] if start else []
         for start in starts:
             covered = self.view[start : at + HEAD_BYTES + 16]
-            if len(MAGIC) <= start < at and (not crc or zlib.crc32(covered) == crc):
+            if len(MAGIC) <= start < at and (not crc or crc32(covered) == crc):
                 self._define_all(start, at, bool(crc))
                 return
         self._tally.bad_checksums += 1 if starts else 0
@@ -187,7 +189,7 @@ class McapReader:
     def _check_data(self, body: int) -> None:
         """The checksum of the data section; where chunks carry their own, theirs say more."""
         (crc,) = U32.unpack_from(self.view, body)
-        if crc and not self._chunked and zlib.crc32(self.view[: body - HEAD_BYTES]) != crc:
+        if crc and not self._chunked and crc32(self.view[: body - HEAD_BYTES]) != crc:
             self._tally.bad_checksums += 1
 
     def _chunk(self, at: int, end: int) -> Steps:

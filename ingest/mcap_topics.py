@@ -284,5 +284,4 @@ def _is_whole(array: pa.Array | None) -> bool:
 
 
 def _integers(array: pa.Array) -> Index:
-    values: Index = array.to_numpy(zero_copy_only=False).astype(np.int64)
-    return values
+    return arrow_arrays.whole_numbers(array)

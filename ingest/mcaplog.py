@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from flysid.errors import FormatError
 from flysid.flight import ClockMap
-from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary
+from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.gather import Bytes
 from flysid.ingest.mcap_chunks import Block
 from flysid.ingest.mcap_reader import McapReader
@@ -26,6 +26,7 @@ from flysid.ingest.mcap_topics import ZERO_PAGE, Messages, Topic
 from flysid.ingest.tally import Tally
 
 MAX_TOPICS = 5000
+BATCH_BYTES = 16 << 20  # larger ones touch new memory for every message, which costs more than decoding
 FIRST_UTC_NS = 10**18  # 2001: a log time below this is not UTC
 
 
@@ -79,12 +80,14 @@ def read_mcap(view: memoryview, name: str, limits: Limits) -> Parts:
     reader = McapReader(view, limits, tally)
     topics: dict[int, Topic] = {}
     streams: dict[str, pa.Schema] = {}
-    batch = _Batch()
+    batch, released = _Batch(), 0
     for block in reader.blocks():
         batch.add(block)
-        if batch.payload >= limits.batch_bytes:
+        if batch.payload >= min(limits.batch_bytes, BATCH_BYTES):
             yield from _decode(batch, reader.registry, topics, streams, tally)
             batch = _Batch()
+            release(view, released, reader.place)
+            released = reader.place
     yield from _decode(batch, reader.registry, topics, streams, tally)
     damage = tally.freeze()
     if not topics and damage.lossy and not reader.registry.channels:

@@ -203,9 +203,10 @@ def _converted(value: NDArray[np.uint64], spec: ProtoField) -> Values:
     if spec.dtype == "b1":
         return value != 0
     if spec.dtype in ("i4", "u4"):
-        return value.astype(np.uint32).view(spec.dtype)
-    typed: Values = value.view(spec.dtype)
-    return typed
+        low: Values = value.astype(np.uint32).view(spec.dtype)
+        return low
+    whole: Values = value.view(spec.dtype)
+    return whole
 
 
 _BYTES = ("str", "bytes", "serial", "message")
