@@ -22,6 +22,7 @@ from flysid.errors import UsageError
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
 from flysid.model.freerun import Difference, saturated
 from flysid.model.linear_text import conclusion, describe
+from flysid.model.noise import k_step_ahead, output_error_ahead
 from flysid.model.polynomials import ComplexArray
 
 
@@ -118,11 +119,10 @@ class FittedLinear:
             return out
         if self.noise is None:
             drive = self.system.drive(u - self.u_origin)
-            ahead = _k_step(self.system.a, y - self.y_origin, drive, k) + self.y_origin
+            ahead = k_step_ahead(self.system.a, y - self.y_origin, drive, k) + self.y_origin
         else:
             free = self.simulate(u, y[: self.n_init])
-            coloured = np.stack([np.diag(row) for row in self.noise])
-            ahead = free + _k_step(coloured, y - free, np.zeros_like(y), k)
+            ahead = output_error_ahead(free, y, self.noise, k)
         out[first:] = ahead[first:]
         return out
 
@@ -220,31 +220,6 @@ class FittedLinear:
 def _without_nan(matrix: FloatArray) -> list[list[float | None]]:
     """Rows for JSON, which knows no NaN: null stands for it (and reads back as NaN)."""
     return [[float(x) if np.isfinite(x) else None for x in row] for row in matrix]
-
-
-def _k_step(a: FloatArray, y: FloatArray, drive: FloatArray, k: int) -> FloatArray:
-    """(N, n_y) k-step predictions of A y = drive from measured y; rows before lag + k lean on zeros.
-
-    Row t of `ahead[j]` holds the prediction of y(t + j) at time t; every step is one pass over all t.
-    """
-    y, drive = (
-        np.concatenate([np.zeros((1, y.shape[1])), x]) for x in (y, drive)
-    )  # so that row k - 1 exists
-    n = len(y)
-    ahead: list[FloatArray] = []
-    for j in range(1, k + 1):
-        value = np.zeros_like(y)
-        value[: n - j] = drive[j:]
-        for lag in range(1, len(a)):
-            if lag < j:
-                value -= ahead[j - lag - 1] @ a[lag].T
-            else:
-                back = lag - j
-                value[back:] -= y[: n - back] @ a[lag].T
-        ahead.append(value)
-    out = np.full((n - 1, y.shape[1]), np.nan)
-    out[k - 1 :] = ahead[-1][: n - k]
-    return out
 
 
 def _columns(values: FloatArray, count: int, name: str) -> FloatArray:

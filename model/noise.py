@@ -1,4 +1,4 @@
-"""Autoregressive models of what a simulation leaves over, and what its colour does to the covariance."""
+"""Autoregressive models of what a simulation leaves over: for prediction, and for covariance in its colour."""
 
 from __future__ import annotations
 
@@ -71,3 +71,49 @@ def coloured_covariance(jacobians: Sequence[FloatArray], d: FloatArray, variance
         return np.full((n, n), np.nan)
     covariance: FloatArray = variance * (inverse @ coloured @ inverse) / np.outer(scale, scale)
     return covariance
+
+
+def noise_models(errors: Sequence[FloatArray]) -> FloatArray:
+    """(p + 1, n_y) monic autoregression of lowest BIC per column of (N, n_y) errors, padded with zeros."""
+    found = [noise_model([e[:, j] for e in errors])[0] for j in range(errors[0].shape[1])]
+    noise = np.zeros((max(len(d) for d in found), len(found)))
+    for j, d in enumerate(found):
+        noise[: len(d), j] = d
+    return noise
+
+
+def output_error_ahead(free: FloatArray, y: FloatArray, noise: FloatArray, k: int) -> FloatArray:
+    """(N, n_y) k-step prediction: the free run, and what the noise model foresees of its error.
+
+    Parameters
+    ----------
+    free, y : (N, n_y) free run and measured outputs.
+    noise : (p + 1, n_y) monic autoregression of y - free per output.
+    """
+    coloured = np.stack([np.diag(row) for row in noise])
+    return free + k_step_ahead(coloured, y - free, np.zeros_like(y), k)
+
+
+def k_step_ahead(a: FloatArray, y: FloatArray, drive: FloatArray, k: int) -> FloatArray:
+    """(N, n_y) k-step predictions of A y = drive from measured y; rows before lag + k lean on zeros.
+
+    Row t of `ahead[j]` holds the prediction of y(t + j) at time t; every step is one pass over all t.
+    """
+    y, drive = (
+        np.concatenate([np.zeros((1, y.shape[1])), x]) for x in (y, drive)
+    )  # so that row k - 1 exists
+    n = len(y)
+    ahead: list[FloatArray] = []
+    for j in range(1, k + 1):
+        value = np.zeros_like(y)
+        value[: n - j] = drive[j:]
+        for lag in range(1, len(a)):
+            if lag < j:
+                value -= ahead[j - lag - 1] @ a[lag].T
+            else:
+                back = lag - j
+                value[back:] -= y[: n - back] @ a[lag].T
+        ahead.append(value)
+    out = np.full((n - 1, y.shape[1]), np.nan)
+    out[k - 1 :] = ahead[-1][: n - k]
+    return out

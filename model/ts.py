@@ -9,7 +9,7 @@ estimator grows the model from a refined linear one, rule by rule, and stops by 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -20,6 +20,7 @@ from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, Structure
 from flysid.model.memberships import Partition
+from flysid.model.noise import noise_models, output_error_ahead
 from flysid.model.threads import on_one_thread
 from flysid.model.tsestimate import Learned, learn
 from flysid.model.tskernel import Parameters, firing, free_run, predict
@@ -76,6 +77,8 @@ class FittedTS:
     parameters : consequents and memberships in normalised units.
     initial_gain : correction of measured first samples, see `initial_state_gain`.
     support : (R,) share of training samples for which each rule is the strongest.
+    noise : (p + 1, n_y) monic autoregression of the free run's error per output, which predictions lean
+        on; None: predictions regress on measured lags.
     """
 
     dt_s: float
@@ -84,6 +87,7 @@ class FittedTS:
     initial_gain: FloatArray
     support: FloatArray
     notes: tuple[str, ...]
+    noise: FloatArray | None = None
 
     structure = "ts"
 
@@ -120,10 +124,20 @@ class FittedTS:
         return tuple(a.name(self.layout.signals) for a in self.layout.antecedents)
 
     def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
-        """(N, n_y) k-step predictions from measured lags; the first n_init + k - 1 rows are NaN."""
+        """(N, n_y) predictions from outputs at least k steps old; the first n_init + k - 1 rows are NaN.
+
+        A model refined on the simulation error adds to its free run what its noise model foresees; lags as
+        they were measured would carry their noise into every step.
+        """
         if k < 1:
             raise UsageError(f"a prediction {k} steps ahead", hint="k counts from 1")
         W = self._stack(u, y)
+        first = self.n_init + k - 1
+        if self.noise is not None and len(W) > first:
+            y = _columns(y, self.layout.n_y, "y")
+            ahead = output_error_ahead(self.simulate(u, y[: self.n_init]), y, self.noise, k)
+            ahead[:first] = np.nan
+            return ahead
         return self.layout.outputs_of(predict(W, self.n_init, int(k), self.layout.lags, self.parameters))
 
     def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
@@ -268,6 +282,7 @@ class FittedTS:
             "parameters": {name: value.tolist() for name, value in p._asdict().items()},
             "initial_gain": self.initial_gain.tolist(),
             "support": self.support.tolist(),
+            "noise": None if self.noise is None else self.noise.tolist(),
             "notes": list(self.notes),
         }
 
@@ -312,7 +327,7 @@ def _columns(values: FloatArray, count: int, name: str) -> FloatArray:
 
 def _fitted(train: Dataset, learned: Learned) -> FittedTS:
     stage = learned.stage
-    return FittedTS(
+    fitted = FittedTS(
         dt_s=train.dt_s,
         layout=stage.problem.layout,
         parameters=stage.problem.parameters(stage.body),
@@ -320,6 +335,23 @@ def _fitted(train: Dataset, learned: Learned) -> FittedTS:
         support=learned.support,
         notes=learned.notes,
     )
+    return _with_noise_model(fitted, train)
+
+
+def _with_noise_model(fitted: FittedTS, train: Dataset) -> FittedTS:
+    """The model with a noise model, where that predicts the training data better one step ahead."""
+    n = fitted.n_init
+    pieces = [s for s in train.segments if len(s) > n + 1]
+    errors = [s.y[n:] - fitted.simulate(s.u, s.y[:n])[n:] for s in pieces]
+    if not errors:
+        return fitted
+    noisy = replace(fitted, noise=noise_models(errors))
+    scale = fitted.layout.scale[: fitted.layout.n_y]
+    plain, coloured = (
+        sum(float((((s.y - m.predict(s.u, s.y))[n:] / scale) ** 2).sum()) for s in pieces)
+        for m in (fitted, noisy)
+    )
+    return noisy if coloured < plain else fitted
 
 
 def _from_dict(document: Mapping[str, Any]) -> FittedTS:
@@ -343,6 +375,7 @@ def _from_dict(document: Mapping[str, Any]) -> FittedTS:
         initial_gain=np.array(document["initial_gain"], dtype=np.float64),
         support=np.array(document["support"], dtype=np.float64),
         notes=tuple(document["notes"]),
+        noise=None if document["noise"] is None else np.array(document["noise"], dtype=np.float64),
     )
 
 
