@@ -97,7 +97,10 @@ class Fitted(Protocol):
         ...
 
     def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
-        """(N, n_y) free run from the first `n_init` measured outputs y0; from rest when None."""
+        """(N, n_y) free run from the first `n_init` measured outputs y0.
+
+        When None: from rest, with inputs and outputs at zero before the first sample.
+        """
         ...
 
     def rules(self) -> tuple[Rule, ...]:

@@ -1,4 +1,4 @@
-"""Autoregressive models of what a simulation leaves over: for prediction, and for covariance in its colour."""
+"""Autoregressive models of what a simulation leaves over: for prediction, and for coloured covariance."""
 
 from __future__ import annotations
 

@@ -141,20 +141,30 @@ class FittedTS:
         return self.layout.outputs_of(predict(W, self.n_init, int(k), self.layout.lags, self.parameters))
 
     def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
-        """(N, n_y) free run from the first n_init measured outputs; from zero outputs when None."""
+        """(N, n_y) free run from the first n_init measured outputs.
+
+        When None: from rest, that is with inputs and outputs at zero before the first sample.
+        """
         d, n_y = self.n_init, self.layout.n_y
         u = _columns(u, len(self.inputs), "u")
-        given = np.zeros((d, n_y)) if y0 is None else _columns(y0, n_y, "y0")
+        if y0 is None:
+            before = np.concatenate([np.zeros((d, u.shape[1])), u])
+            return self._run(self.layout.stack(before, np.zeros((d, n_y))))[d:]
+        given = _columns(y0, n_y, "y0")
         if len(given) < d:
             raise UsageError(f"{len(given)} measured samples; the model starts from {d}")
         W = self.layout.stack(u, given[: min(d, len(u))])
         if len(u) > d:
-            if y0 is not None:
-                W[:d, :n_y] = estimated_initial(self.initial_gain, W, d, n_y)
-            free_run(W, d, self.layout.lags, self.parameters)
-        result = np.clip(self.layout.outputs_of(W), *self.output_limits)
+            W[:d, :n_y] = estimated_initial(self.initial_gain, W, d, n_y)
+        result = self._run(W)
         result[:d] = given[: min(d, len(u))]
-        return np.asarray(result)
+        return result
+
+    def _run(self, W: FloatArray) -> FloatArray:
+        """(N, n_y) outputs of a free run of W, whose first n_init rows are the start."""
+        if len(W) > self.n_init:
+            free_run(W, self.n_init, self.layout.lags, self.parameters)
+        return np.asarray(np.clip(self.layout.outputs_of(W), *self.output_limits))
 
     def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, R) normalised firing strengths along measured data; the first n_init rows repeat the next."""

@@ -27,6 +27,7 @@ from flysid.model.tslayout import Antecedent, Layout, Orders, parse_antecedent, 
 from flysid.model.tsproblem import Problem, runs_of
 from flysid.model.tsrefit import on_all_runs
 from flysid.model.tsselect import Candidate, choose, hold_out, initial_state_gain, judged
+from flysid.model.tsstart import arx_start
 
 _HIGHEST_ORDER = 4
 _RIDGES = (1e-2, 1.0, 1e3)  # the last one leaves the rules equal
@@ -209,6 +210,7 @@ class Workshop:
             problem = self.problem(orders)
             if self.settings.refine:
                 start = embedded_start(candidates[-1].stage, problem) if candidates else ()
+                start += arx_start(problem, self.fit_part)
                 stage = linear_stage(problem, self.settings.iterations, start)
             else:
                 stage = unrefined(problem)

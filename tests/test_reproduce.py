@@ -1,0 +1,97 @@
+"""The paper's three loops: what issue tables promise, on signals (13) and (14)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flysid.cli.reproduce import loop_text
+from flysid.dataset import FloatArray
+from flysid.model.arx import ARX
+from flysid.model.base import Fitted
+from flysid.model.static_ts import StaticTS
+from flysid.model.ts import TS
+from flysid.validate.compare import compare
+from flysid.validate.paper import CANNOT_REPRODUCE, LOOPS, PaperLoop
+from flysid.validate.reproduce import LoopResult, experiment, from_rest, to_document
+
+NAMES = [loop.name for loop in LOOPS]
+STATIC_CEILING = {"longitudinal": 0.0256, "lateral": 0.1225, "vertical": 0.0690}  # m/s
+
+
+def loop_named(name: str) -> PaperLoop:
+    return LOOPS[NAMES.index(name)]
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def dynamic(request: pytest.FixtureRequest) -> tuple[str, Fitted]:
+    train, _ = experiment(loop_named(request.param), "training")
+    return request.param, TS(rules=3).fit(train)
+
+
+@pytest.mark.parametrize("rules", [3, 7])
+@pytest.mark.parametrize("name", NAMES)
+def test_the_static_model_reaches_the_floor_of_memoryless_maps(name: str, rules: int) -> None:
+    train, _ = experiment(loop_named(name), "training")
+    test, _ = experiment(loop_named(name), "validation")
+    found = from_rest(StaticTS(rules=rules).fit(train), test)
+    assert found["rmse"] is not None
+    assert found["rmse"] <= STATIC_CEILING[name]
+    if name == "lateral":
+        assert found["vaf_pct"] is not None
+        assert found["vaf_pct"] < 84.0  # not the claimed 95
+
+
+def test_three_dynamic_rules_follow_a_noise_free_loop(dynamic: tuple[str, Fitted]) -> None:
+    name, model = dynamic
+    test, truth = experiment(loop_named(name), "validation")
+    found = from_rest(model, test)
+    assert len(model.rules()) == 3
+    assert found["rmse"] is not None
+    assert found["rmse"] <= 1e-5 * np.ptp(truth)
+
+
+def test_on_a_linear_loop_no_verdict_calls_the_rules_better(dynamic: tuple[str, Fitted]) -> None:
+    name, model = dynamic
+    train, _ = experiment(loop_named(name), "training")
+    test, _ = experiment(loop_named(name), "validation")
+    arx = ARX().fit(train)
+    comparison = compare({"arx": arx, "dynamic_ts_3": model}, test)
+    assert {str(p.verdict) for e in comparison.entries for p in e.pairs.values()} <= {"same", "worse"}
+    result = LoopResult(
+        paper=loop_named(name),
+        models={"arx": arx, "dynamic_ts_3": model, "static_ts_7": StaticTS(rules=7).fit(train)},
+        scores={
+            k: {"rmse": 0.1, "vaf_pct": 90.0}
+            for k in ("static_ts_7", "static_ts_3", "line", "arx", "dynamic_ts_3")
+        },
+        comparison=comparison,
+        noisy_rmse={"arx_one_step": 0.1, "arx": 0.01, "dynamic_ts_3": 0.02},
+    )
+    assert to_document([result])["loops"][name]["verdict"] == result.verdict
+    text = loop_text(result)
+    assert loop_named(name).equation in text
+    assert text.count("R7:") == 1
+    if name == "lateral":
+        assert text.count("centre lost in print") == 5
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_with_measurement_noise_free_runs_stay_near_the_truth(name: str) -> None:
+    train, _ = experiment(loop_named(name), "training", 0.02)
+    test, truth = experiment(loop_named(name), "validation", 0.02)
+
+    def off(simulated: FloatArray) -> float:
+        return float(np.sqrt(np.mean((simulated[:, 0] - truth) ** 2)))
+
+    for model in (ARX().fit(train), TS(rules=3).fit(train)):
+        assert off(model.simulate(test.segments[0].u)) < 0.01
+
+
+def test_the_ambiguity_of_the_horizon_is_as_the_text_says() -> None:
+    train, _ = experiment(LOOPS[0], "training")
+    u = train.segments[0].u[:, 0]
+    assert u[1:401].min() > 0.0
+    assert min(r.centre for r in LOOPS[0].rules if r.centre is not None) < 0.0
+    assert u.min() < -2.9
+    assert any("400 samples" in text for text in CANNOT_REPRODUCE)
