@@ -26,9 +26,15 @@ def segments(count: int, rows: int) -> Iterator[Segment]:
     """A command in steps and an output with the resolution of a log, different in every segment."""
     for i in range(count):
         rng = np.random.default_rng(i)
-        u = np.repeat(rng.integers(-200, 200, size=rows // 50 + 1), 50)[:rows] * 0.1
-        y = np.round(100 * (np.cumsum(u - u.mean()) * 1e-3 + rng.normal(scale=0.02, size=rows))) / 100
-        yield Segment(u, y, t0_ns=i * 10**12, flight=f"flight-{i // 10}", marks={"mode": "LOITER"})
+        u = np.asarray(np.repeat(rng.integers(-200, 200, size=rows // 50 + 1), 50)[:rows] * 0.1)
+        y = 0.01 * np.round(100 * (np.cumsum(u - u.mean()) * 1e-3 + rng.normal(scale=0.02, size=rows)))
+        yield Segment(
+            u.astype(np.float64),
+            y.astype(np.float64),
+            t0_ns=i * 10**12,
+            flight=f"flight-{i // 10}",
+            marks={"mode": "LOITER"},
+        )
 
 
 def peak_mb() -> float:
