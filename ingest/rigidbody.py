@@ -172,13 +172,17 @@ def closed_loop_rates(x: FloatArray, u: FloatArray, physics: Physics | np.void) 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """States (N, 26) at a fixed period from t = 0; `series` gives them in the paper's signs and units."""
+    """States (N, 26) at a fixed period from t = 0; `series` gives them in the paper's signs and units.
+
+    thrust is the rotors' lift over that of hover.
+    """
 
     dt_s: float
     states: FloatArray
+    hover_rad_s: float
 
     def series(self) -> Mapping[str, FloatArray]:
-        """vx, vy (right), vz (m/s) along the heading, x, y, z (m), phi, theta, psi (deg), rates (deg/s)."""
+        """vx, vy (right), vz (m/s) along the heading, x, y, z (m), angles (deg), rates (deg/s), thrust."""
         s = self.states
         heading = s[:, 8]
         ahead = np.cos(heading) * s[:, 3] + np.sin(heading) * s[:, 4]
@@ -187,6 +191,7 @@ class Trajectory:
         return {
             "vx": ahead, "vy": right, "vz": s[:, 5], "x": s[:, 0], "y": -s[:, 1], "z": s[:, 2],
             "psi": -np.degrees(heading), **angles,
+            "thrust": np.mean(s[:, 12:16] ** 2, axis=1) / self.hover_rad_s**2,
         }  # fmt: skip
 
 
@@ -222,7 +227,7 @@ def fly_vehicle(
     x = vehicle.hover() if start is None else np.array(start, dtype=np.float64)
     integrate(x, inputs, vehicle.physics().packed(), STEP_S, hold, record)
     _check(record, record_s)
-    return Trajectory(record_s, record)
+    return Trajectory(record_s, record, vehicle.airframe.hover_rad_s)
 
 
 def _inputs(

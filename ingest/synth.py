@@ -153,6 +153,7 @@ def fly_one(order: Order, index: int) -> Recording:
         seed=order.seed * 1000 + index,
         lost=tuple(_interval_ns(start, length) for start, length in order.dropouts_s),
         system=vehicle + 1,
+        start_height_m=order.altitude_m,
     )
 
 

@@ -49,11 +49,13 @@ class Recording:
     name : of the flight; the log's file name without its suffix.
     boot_utc_ns : UTC of vehicle time zero.
     command : theta_in, phi_in (deg), vz_in (m/s), as sent.
-    state : measured vx, vy, vz (m/s), x, y, z (m), theta, phi, psi (deg).
+    state : measured vx, vy, vz (m/s), x, y, z (m), theta, phi, psi (deg); and, where the vehicle has rotors,
+        p, q, r (deg/s) and thrust (lift over the lift of hover).
     truth : the same without sensor errors.
     seed : of the link's jitter.
     lost : [start, end) vehicle times in nanoseconds during which nothing reached the recorder.
     system : the vehicle's number in its fleet.
+    start_height_m : height of z = 0 above the ground.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Recording:
     seed: int = 0
     lost: tuple[tuple[int, int], ...] = ()
     system: int = 1
+    start_height_m: float = 20.0
 
 
 def in_sending_order(*times_ns: IntArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -82,6 +85,15 @@ def as_bytes(rows: npt.NDArray[np.void]) -> list[bytes]:
     """The bytes of each record of a contiguous array, gaps between fields included."""
     blob, size = rows.view(np.uint8).tobytes(), rows.dtype.itemsize
     return [blob[i : i + size] for i in range(0, len(blob), size)]
+
+
+def throttle(recording: Recording, time_ns: IntArray) -> FloatArray:
+    """(N,) thrust as autopilots state it, 0 to 1: half at hover, and half where there are no rotors."""
+    state = recording.state
+    thrust = state.values.get("thrust", np.ones(len(state)))
+    start = int(state.time_ns[0])
+    at, grid = (time_ns - start).astype(np.float64), (state.time_ns - start).astype(np.float64)
+    return np.clip(0.5 * np.interp(at, grid, thrust), 0.0, 1.0)
 
 
 def heard(recording: Recording, time_ns: IntArray) -> BoolArray:

@@ -15,7 +15,15 @@ import pyarrow.parquet as pq
 from flysid.flight import TIME, field_metadata
 from flysid.ingest.telemetry import Recording
 
-UNITS = {"theta_in": "deg", "phi_in": "deg", "vz_in": "m/s", "p": "deg/s", "q": "deg/s", "r": "deg/s"}
+UNITS = {
+    "theta_in": "deg",
+    "phi_in": "deg",
+    "vz_in": "m/s",
+    "p": "deg/s",
+    "q": "deg/s",
+    "r": "deg/s",
+    "thrust": "",
+}
 UNITS |= dict.fromkeys(("vx", "vy", "vz"), "m/s") | dict.fromkeys("xyz", "m")
 UNITS |= dict.fromkeys(("phi", "theta", "psi"), "deg")
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import FloatArray
-from flysid.ingest.telemetry import IntArray, Recording, Series, as_bytes, heard, in_sending_order
+from flysid.ingest.telemetry import IntArray, Recording, Series, as_bytes, heard, in_sending_order, throttle
 
 HEAD = b"\xa3\x95"
 FMT = 128
@@ -79,7 +79,7 @@ def dataflash_bytes(recording: Recording) -> bytes:
     """The whole log. Attitude and climb demands are logged with the state, as ArduPilot samples them."""
     first_us = int(recording.state.time_ns[0]) // 1000
     held = _held(recording.command, recording.state.time_ns)
-    streams = [_attitude(recording.state, held), _estimate(recording.state), _climb(recording.state, held)]
+    streams = [_attitude(recording.state, held), _estimate(recording.state), _climb(recording, held)]
     times = [recording.state.time_ns] * len(streams)
     due, kind, row = in_sending_order(*times)
     raw = [as_bytes(rows) for rows in streams]
@@ -145,9 +145,12 @@ def _estimate(state: Series) -> npt.NDArray[np.void]:
     return rows
 
 
-def _climb(state: Series, held: dict[str, FloatArray]) -> npt.NDArray[np.void]:
+def _climb(recording: Recording, held: dict[str, FloatArray]) -> npt.NDArray[np.void]:
+    state = recording.state
     rows = CTUN.rows(len(state))
     rows["TimeUS"] = state.time_ns // 1000
     rows["DCRt"], rows["CRt"] = _cents(held["vz_in"]), _cents(state["vz"])
-    rows["Alt"], rows["BAlt"], rows["ThO"], rows["ThH"] = state["z"], _cents(state["z"]), 0.5, 0.5
+    height = state["z"] + recording.start_height_m
+    rows["Alt"], rows["BAlt"] = height, _cents(height)
+    rows["ThO"], rows["ThH"] = throttle(recording, state.time_ns), 0.5
     return rows

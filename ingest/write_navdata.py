@@ -102,7 +102,8 @@ def _packets(recording: Recording) -> npt.NDArray[np.void]:
         1000.0 * v for v in (-state["theta"], state["phi"], state["psi"])
     )
     rows["vx"], rows["vy"] = 1000.0 * state["vx"], 1000.0 * state["vy"]
-    rows["altitude"] = rows["altitude_vision"] = rows["altitude_raw"] = np.round(1000.0 * state["z"])
+    height_mm = np.round(1000.0 * (state["z"] + recording.start_height_m))
+    rows["altitude"] = rows["altitude_vision"] = rows["altitude_raw"] = height_mm
     rows["altitude_vz"] = 1000.0 * state["vz"]
     at = np.maximum(np.searchsorted(recording.command.time_ns, state.time_ns, side="right") - 1, 0)
     rows["ref_theta"] = np.round(-1000.0 * recording.command["theta_in"][at])

@@ -185,7 +185,7 @@ def _navdata(recording: Recording, ros: Dialect) -> npt.NDArray[np.void]:
     rows["batteryPercent"], rows["state"] = 90.0, FLYING
     rows["rotX"], rows["rotY"], rows["rotZ"] = state["phi"], state["theta"], -state["psi"]
     rows["vx"], rows["vy"] = 1000.0 * state["vx"], -1000.0 * state["vy"]
-    rows["altd"] = np.round(1000.0 * state["z"])
+    rows["altd"] = np.round(1000.0 * (state["z"] + recording.start_height_m))
     rows["az"] = 1.0
     rows["tm"] = state.time_ns * 1e-3
     return rows
@@ -194,7 +194,7 @@ def _navdata(recording: Recording, ros: Dialect) -> npt.NDArray[np.void]:
 def _pose(recording: Recording, ros: Dialect) -> npt.NDArray[np.void]:
     names = ("px", "py", "pz", "qx", "qy", "qz", "qw")
     rows, state = _stamped(recording, "world", [(n, "<f8") for n in names], ros), recording.state
-    rows["px"], rows["py"], rows["pz"] = state["x"], -state["y"], state["z"]
+    rows["px"], rows["py"], rows["pz"] = state["x"], -state["y"], state["z"] + recording.start_height_m
     for name, value in zip(names[3:], _orientation(state["phi"], state["theta"], -state["psi"]), strict=True):
         rows[name] = value
     return rows

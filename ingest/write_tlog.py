@@ -25,12 +25,12 @@ from flysid.ingest.telemetry import (
     arrival_utc_ns,
     heard,
     in_sending_order,
+    throttle,
 )
 
 COMPONENT = 1
 ONLY_ATTITUDE = 0b00000111  # ATTITUDE_TARGET: body rates are to be ignored
 ONLY_VZ = 0b0000_1101_1101_1111  # SET_POSITION_TARGET: everything but vz is to be ignored
-HOVER_THRUST = 0.5
 
 Message = Any
 Encoder = Callable[[Any, int], Message]
@@ -66,7 +66,7 @@ def _sources(recording: Recording) -> list[tuple[Any, Encoder]]:
     beats = np.arange(first, last + 1, SECOND_NS, dtype=np.int64)
     return [
         (beats, _heartbeat),
-        (command.time_ns, _attitude_target(command)),
+        (command.time_ns, _attitude_target(command, throttle(recording, command.time_ns))),
         (command.time_ns, _climb_target(command, recording.system)),
         (state.time_ns, _attitude(state)),
         (state.time_ns, _local_position(state)),
@@ -85,13 +85,13 @@ def _heartbeat(link: Any, _: int) -> Message:
     )
 
 
-def _attitude_target(command: Series) -> Encoder:
+def _attitude_target(command: Series, thrust: FloatArray) -> Encoder:
     time_ms = command.time_ns // MS_NS
     q = quaternion(np.radians(command["phi_in"]), -np.radians(command["theta_in"]))
 
     def encode(link: Any, k: int) -> Message:
         return link.attitude_target_encode(
-            int(time_ms[k]), ONLY_ATTITUDE, q[k].tolist(), 0.0, 0.0, 0.0, HOVER_THRUST
+            int(time_ms[k]), ONLY_ATTITUDE, q[k].tolist(), 0.0, 0.0, 0.0, float(thrust[k])
         )
 
     return encode

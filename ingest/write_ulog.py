@@ -16,7 +16,16 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import FloatArray
-from flysid.ingest.telemetry import MS_NS, SECOND_NS, Recording, Series, as_bytes, heard, in_sending_order
+from flysid.ingest.telemetry import (
+    MS_NS,
+    SECOND_NS,
+    Recording,
+    Series,
+    as_bytes,
+    heard,
+    in_sending_order,
+    throttle,
+)
 from flysid.ingest.write_tlog import quaternion
 
 MAGIC = b"ULog\x01\x12\x35\x01"
@@ -46,7 +55,7 @@ TOPICS = {
 def ulog_bytes(recording: Recording) -> bytes:
     """The whole log."""
     command, state = recording.command, recording.state
-    rows = [_setpoint(command), _climb(command), _attitude(state), _position(state)]
+    rows = [_setpoint(recording), _climb(command), _attitude(state), _position(state)]
     raw = [as_bytes(table) for table in rows]
     due, topic, row = in_sending_order(command.time_ns, command.time_ns, state.time_ns, state.time_ns)
     pieces = [_preamble(recording)]
@@ -102,10 +111,11 @@ def _table(series: Series, fields: Fields) -> npt.NDArray[np.void]:
     return rows
 
 
-def _setpoint(command: Series) -> npt.NDArray[np.void]:
+def _setpoint(recording: Recording) -> npt.NDArray[np.void]:
+    command = recording.command
     rows = _table(command, SETPOINT)
     rows["q_d"] = quaternion(np.radians(command["phi_in"]), -np.radians(command["theta_in"]))
-    rows["thrust_body"][:, 2] = -0.5
+    rows["thrust_body"][:, 2] = -throttle(recording, command.time_ns)
     return rows
 
 

@@ -104,6 +104,9 @@ def test_ulog(recording: Recording, tmp_path: Path) -> None:
     close(-pitch, state["theta"], 2e-5)
     close(yaw, state["psi"], 2e-5)
     close(-column(flight, "vehicle_local_position_setpoint", "vz"), sent["vz_in"], 1e-6)
+    thrust = -column(flight, "vehicle_attitude_setpoint", "thrust_body")[:, 2]
+    close(thrust, recording.truth["thrust"] / 2, 1e-6)
+    assert 0.01 < np.std(thrust) < 0.2
     where = "vehicle_local_position"
     ahead, right = along_heading(column(flight, where, "vx"), column(flight, where, "vy"), state["psi"])
     close(ahead, state["vx"], 1e-5)
@@ -135,7 +138,7 @@ def test_ros(recording: Recording, name: str, tmp_path: Path) -> None:
     names = ("rotY", "rotX") if name == "mcap-ros1" else ("rot_y", "rot_x")
     close(column(flight, nav, names[0]), state["theta"], 1e-5)
     close(column(flight, nav, names[1]), state["phi"], 1e-5)
-    close(column(flight, nav, "altd") / 1000, state["z"], 0.000501)
+    close(column(flight, nav, "altd") / 1000 - 20.0, state["z"], 0.000501)
     np.testing.assert_array_equal(
         np.array(flight[nav][TIME].to_pylist()), state.time_ns + recording.boot_utc_ns
     )
