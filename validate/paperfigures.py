@@ -1,0 +1,173 @@
+"""Figures for a paper, drawn by matplotlib as PDF, SVG or PNG; no window, no pyplot, no global state.
+
+One file per channel and output: measured and simulated output, error, input; static map; frequency response;
+memberships where the model has them. Sizes fit a double column (170 mm); fonts are embedded as text.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from flysid.errors import StoreError, UsageError
+from flysid.flightwriter import write_atomically
+from flysid.validate.report.context import ReportContext
+from flysid.validate.report.overlay import drawn
+from flysid.validate.report.rulefigures import HasMemberships, antecedent_range
+from flysid.validate.responses import responses, steady_outputs
+from flysid.validate.trials import Trial
+from flysid.validate.words import one_line
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+KINDS = ("pdf", "svg", "png")
+WIDTH_IN, HEIGHT_IN = 6.7, 7.2
+SETTINGS: dict[Any, Any] = {
+    "pdf.fonttype": 42,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "flysid",
+    "font.size": 8.0,
+    "axes.linewidth": 0.6,
+}
+STYLES: dict[str, dict[str, Any]] = {
+    "arx": {"color": "#c2570c", "linestyle": "--", "linewidth": 1.0},
+    "ts": {"color": "#1d5fd6", "linewidth": 1.0},
+}
+
+
+def write_figures(folder: str | Path, context: ReportContext, kind: str = "pdf") -> list[Path]:
+    """One figure per channel and output; returns the paths.
+
+    Raises
+    ------
+    UsageError : an unknown kind, or matplotlib is not installed.
+    StoreError : a file cannot be written.
+    """
+    if kind not in KINDS:
+        raise UsageError(f"figures of kind {kind!r} are not known", hint=f"use one of {', '.join(KINDS)}")
+    paths = []
+    folder = Path(folder)
+    for number, name in enumerate(context.comparisons):
+        for j in range(len(context.comparisons[name].test.outputs)):
+            path = folder / f"channel-{number + 1}-{j + 1}.{kind}"
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                write_atomically(path, _rendered(context, name, j, kind))
+            except OSError as error:
+                raise StoreError(f"the figure cannot be written: {error.strerror}", path=path) from error
+            paths.append(path)
+    return paths
+
+
+def draw(context: ReportContext, channel: str, output: int = 0) -> Figure:
+    """The figure of one channel and output, for a notebook; needs matplotlib."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
+    grid = figure.add_gridspec(4, 2, height_ratios=(3.0, 1.2, 1.0, 3.0))
+    top = figure.add_subplot(grid[0, :])
+    middle = figure.add_subplot(grid[1, :], sharex=top)
+    low = figure.add_subplot(grid[2, :], sharex=top)
+    _time_panels((top, middle, low), context, channel, output)
+    _static_panel(figure.add_subplot(grid[3, 0]), context, channel, output)
+    _last_panel(figure.add_subplot(grid[3, 1]), context, channel, output)
+    return figure
+
+
+def _rendered(context: ReportContext, channel: str, output: int, kind: str) -> bytes:
+    """The file's bytes; equal input gives equal bytes (no dates, no random ids)."""
+    import io
+
+    try:
+        from matplotlib import rc_context
+    except ImportError as error:
+        raise UsageError("matplotlib is not installed", hint="pip install matplotlib") from error
+    metadata: dict[str, dict[str, Any]] = {
+        "pdf": {"CreationDate": None, "Producer": None, "Creator": "flysid"},
+        "svg": {"Date": None, "Creator": "flysid"},
+        "png": {"Software": "flysid"},
+    }
+    buffer = io.BytesIO()
+    with rc_context(SETTINGS):
+        draw(context, channel, output).savefig(buffer, format=kind, metadata=metadata[kind], dpi=200)
+    return buffer.getvalue()
+
+
+def _literal(text: str) -> str:
+    """`text` for matplotlib, which reads $...$ as mathematics: names come from logs."""
+    return one_line(text).replace("$", r"\$")
+
+
+def _label(name: str, unit: str) -> str:
+    return _literal(f"{name}, {unit}" if unit else name)
+
+
+def _longest(trials: tuple[Trial, ...]) -> Trial:
+    return max(trials, key=lambda t: len(t.y))
+
+
+def _time_panels(panels: tuple[Axes, Axes, Axes], context: ReportContext, channel: str, j: int) -> None:
+    c = context.comparisons[channel]
+    trial = _longest(context.diagnoses[channel].free_runs)
+    top, middle, low = panels
+    t = c.dt_s * np.arange(trial.first, trial.first + len(trial.y))
+    y = trial.y[:, j]
+    reach = float(np.ptp(y)) or 1.0
+    top.plot(t, y, color="black", linewidth=0.8, label="measured")
+    for name, css in drawn(c):
+        yh = trial.yh[name][:, j]
+        top.plot(t, yh, label=f"{_literal(name).upper()}, free run", **STYLES[css])
+        middle.plot(t, y - yh, **STYLES[css])
+    top.set_ylim(float(y.min()) - 0.3 * reach, float(y.max()) + 0.3 * reach)
+    segment = c.test.segments[trial.segment]
+    low.plot(t, segment.u[trial.first :, 0], color="0.35", linewidth=0.8)
+    top.set_ylabel(_label(c.test.outputs[j].name, c.test.outputs[j].unit))
+    middle.set_ylabel("error")
+    low.set_ylabel(_label(c.test.inputs[0].name, c.test.inputs[0].unit))
+    low.set_xlabel("time, s")
+    top.set_title(f"{_literal(channel)}: held-out segment H{trial.segment + 1}")
+    top.tick_params(labelbottom=False)
+    middle.tick_params(labelbottom=False)
+    top.legend(loc="upper right", ncols=3, frameon=False)
+
+
+def _static_panel(panel: Axes, context: ReportContext, channel: str, j: int) -> None:
+    c = context.comparisons[channel]
+    data = context.train.get(channel, c.test)
+    u = np.concatenate([s.u for s in data.segments])
+    y = np.concatenate([s.y[:, j] for s in data.segments])
+    step = max(1, len(u) // 800)
+    panel.plot(u[::step, 0], y[::step], ".", color="0.75", markersize=2)
+    levels = np.linspace(float(u[:, 0].min()), float(u[:, 0].max()), 25)
+    for name, css in drawn(c):
+        panel.plot(levels, steady_outputs(c.fitted[name], levels, u.mean(axis=0), j, 0), **STYLES[css])
+    panel.set_xlabel(_label(c.test.inputs[0].name, c.test.inputs[0].unit))
+    panel.set_ylabel("static map")
+    panel.set_ylim(float(y.min()) - 0.3 * float(np.ptp(y)), float(y.max()) + 0.3 * float(np.ptp(y)) + 1e-12)
+
+
+def _last_panel(panel: Axes, context: ReportContext, channel: str, j: int) -> None:
+    """Memberships over the first antecedent where there are several rules; else the frequency response."""
+    c = context.comparisons[channel]
+    model = c.fitted[c.contender] if c.contender else None
+    data = context.train.get(channel, c.test)
+    if isinstance(model, HasMemberships) and c.contender and c.models[c.contender].n_rules > 1:
+        name = model.antecedents[0]
+        limits = antecedent_range(name, data)
+        if limits is not None:
+            x = np.linspace(*limits, 200)
+            panel.plot(x, model.memberships(0, x), linewidth=1.0)
+            panel.set_xlabel(_literal(name))
+            panel.set_ylabel("membership")
+            return
+    seconds = max(len(s) for s in c.test.segments) * c.dt_s
+    hz = np.geomspace(2.0 / seconds, 0.5 / c.dt_s, 200)
+    for name, css in drawn(c):
+        for response in responses(c.fitted[name], hz, j, 0):
+            panel.loglog(hz, np.abs(response), **STYLES[css])
+    panel.set_xlabel("frequency, Hz")
+    panel.set_ylabel("gain")
