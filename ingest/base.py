@@ -25,7 +25,8 @@ from flysid.flight import ClockMap, Damage, Flight, Source
 
 HEAD_BYTES = 65536
 _HASH_BYTES = 16 << 20
-WHOLE_BATCH_BYTES = 256 << 20  # in memory anyway: fewer, larger parts need not be joined
+WHOLE_BATCH_BYTES = 32 << 20  # to memory: few, large parts
+JOIN_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -202,8 +203,13 @@ def collect(view: memoryview, name: str, fmt: Format, limits: Limits) -> Flight:
             summary: Summary = stop.value
             break
         parts.setdefault(part.stream, []).append(part.table)
-    tables = {stream: pa.concat_tables(pieces).combine_chunks() for stream, pieces in sorted(parts.items())}
+    tables = {stream: _joined(pa.concat_tables(parts.pop(stream))) for stream in sorted(parts)}
     return Flight(source_of(view, name, fmt), tables, summary.damage, summary.clocks, summary.info)
+
+
+def _joined(table: pa.Table) -> pa.Table:
+    """One chunk per column where that is cheap; a large table keeps its few parts, which are not copied."""
+    return table.combine_chunks() if table.nbytes <= JOIN_BYTES else table
 
 
 def _format_named(name: str) -> Format:
