@@ -51,7 +51,7 @@ class TS:
     nk: int | Sequence[int] | Literal["auto"] = "auto"
     antecedents: Sequence[str] | Literal["auto"] = "auto"
     refine: bool = True
-    most_rules: int = 6
+    most_rules: int = 5
     iterations: int = 30
 
     @on_one_thread

@@ -109,7 +109,10 @@ def embedded_start(stage: Stage, problem: Problem) -> tuple[Stage, ...]:
     depth, n_y = problem.layout.depth, problem.layout.n_y
     runs = simulate_runs(stage.problem, stage.body, stage.initial)
     initial = np.stack([run[:depth, :n_y] for run in runs])
-    return (unrefined(replace(problem, offset=theta[0]), body, initial),)
+    wider = replace(problem, offset=theta[0])
+    # from the simulated start the lower order is a saddle that no gradient leaves; from the measured one
+    # the search is pushed off it, but a noisy start may be hopeless: try both
+    return unrefined(wider, body, initial), unrefined(wider, body)
 
 
 def _free(body: Body) -> FloatArray:

@@ -1,0 +1,125 @@
+"""Local views, certificates, explanations, updates and exports of TS models."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import UsageError
+from flysid.model.ts import TS, FittedTS
+from flysid.model.tsexplain import explain, outside_share
+from flysid.model.tsinterop import to_nonlinear_system, to_state_space
+from flysid.model.tslocal import certificate, linearise, polytope
+from flysid.model.tsupdate import update
+
+DT = 0.05
+
+
+def flight(n: int, seed: int, gain: float = 0.1, bend: float = 0.08) -> tuple[FloatArray, FloatArray]:
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-1, 1, n // 10 + 1), 10)[:n]
+    y = np.zeros(n)
+    for k in range(2, n):
+        y[k] = 1.5 * y[k - 1] - 0.6 * y[k - 2] + gain * u[k - 1] - bend * y[k - 1] * abs(y[k - 1])
+    return u, y
+
+
+@pytest.fixture(scope="module")
+def model() -> FittedTS:
+    return TS(rules=3, na=2, nb=2, nk=1, antecedents=["y(k-1)"], iterations=10).fit(
+        Dataset.from_arrays(*flight(1200, 1), DT)
+    )
+
+
+def test_the_blend_of_the_polytope_is_the_model(model: FittedTS) -> None:
+    u, y = flight(60, 2)
+    rules, phi, one = polytope(model), model.firing(u, y), model.predict(u, y, 1)
+    k = 30
+    x = np.array([y[k - 1], y[k - 2], u[k - 1], u[k - 2]])
+    blend = sum(p * (s.C @ x + s.D @ [u[k]] + s.g) for p, s in zip(phi[k], rules, strict=True))
+    assert blend == pytest.approx(one[k], abs=1e-12)
+    nxt = rules[0].A @ x + rules[0].B @ [u[k]] + rules[0].f
+    assert nxt[1:] == pytest.approx([y[k - 1], u[k], u[k - 1]])
+
+
+def test_linearisation_predicts_small_steps(model: FittedTS) -> None:
+    local = linearise(model, np.array([0.2]), np.array([0.1]))
+    u, y = np.full(8, 0.2), np.full(8, 0.1)
+    base = model.predict(u, y, 1)[-1, 0]
+    y2 = y.copy()
+    y2[-2] += 1e-4
+    assert model.predict(u, y2, 1)[-1, 0] - base == pytest.approx(1e-4 * local.C[0, 0], rel=1e-3)
+    with pytest.raises(UsageError):
+        linearise(model, np.zeros(3), np.zeros(1))
+
+
+def test_a_certificate_is_a_proof(model: FittedTS) -> None:
+    found = certificate(model)
+    rules = [s.A[:2, :2] for s in polytope(model)]
+    assert found.proved
+    assert found.decay < 1.0
+    assert np.linalg.eigvalsh(found.P).min() > 0
+    for A in rules:
+        assert np.linalg.eigvalsh(found.P - A.T @ found.P @ A).min() > 0
+
+
+def test_an_unstable_rule_is_named(model: FittedTS) -> None:
+    theta = model.parameters.theta.copy()
+    theta[1, 0, 0] += 1.0
+    wild = replace(model, parameters=model.parameters._replace(theta=theta))
+    found = certificate(wild)
+    assert not found.proved
+    assert "R2" in found.reason
+
+
+def test_an_explanation_adds_up(model: FittedTS) -> None:
+    u, y = flight(60, 2)
+    told = explain(model, u, y, 40)
+    assert sum(v.share for v in told.voices) == pytest.approx(1.0)
+    assert [v.share for v in told.voices] == sorted((v.share for v in told.voices), reverse=True)
+    mean = sum(v.share * v.output[0] for v in told.voices)
+    assert mean == pytest.approx(told.output[0])
+    assert told.antecedents["y(k-1)"] == pytest.approx(y[39])
+    assert "spoke with" in str(told)
+    assert told.outside == ()
+    far = explain(model, u, y + 100, 40)
+    assert far.outside == ("y(k-1)",)
+    assert outside_share(model, u, y + 100) == 1.0
+    with pytest.raises(UsageError, match="cannot be explained"):
+        explain(model, u, y, 0)
+
+
+def test_an_update_follows_a_changed_gain(model: FittedTS) -> None:
+    u, y = flight(1500, 5, gain=0.15)
+    newer = update(model, Dataset.from_arrays(u, y, DT), forgetting=0.999)
+    fresh_u, fresh_y = flight(400, 6, gain=0.15)
+
+    def error(m: FittedTS) -> float:
+        return float(np.nanstd(m.predict(fresh_u, fresh_y, 1)[:, 0] - fresh_y))
+
+    assert error(newer) < 0.3 * error(model)
+    assert np.array_equal(newer.parameters.centre, model.parameters.centre)
+    assert "recursive least squares" in newer.notes[-1]
+
+
+def test_an_update_refuses_other_signals(model: FittedTS) -> None:
+    u, y = flight(100, 5)
+    with pytest.raises(UsageError, match="the model knows"):
+        update(model, Dataset.from_arrays(u, y, 2 * DT))
+    with pytest.raises(UsageError, match="forgetting"):
+        update(model, Dataset.from_arrays(u, y, DT), forgetting=2.0)
+
+
+def test_python_control_follows_the_free_run(model: FittedTS) -> None:
+    control = pytest.importorskip("control")
+    u, _ = flight(20, 3)
+    d = model.n_init
+    system = to_nonlinear_system(model)
+    run = model.simulate(u)  # from rest: no estimated start
+    x0 = np.concatenate([run[d - 1 :: -1, 0][:d], u[d - 1 :: -1][:d]])
+    answer = control.input_output_response(system, DT * np.arange(20 - d), u[d:], x0)
+    assert np.allclose(np.ravel(answer.outputs), run[d:, 0], atol=1e-9)
+    assert to_state_space(model, np.array([0.0]), np.array([0.0])).dt == DT
