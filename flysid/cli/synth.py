@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from flysid.ingest.synth import Order
     from flysid.ingest.telemetry import Recording
 
+TRUTH = ".truth.parquet"
 Writer = tuple[str, Callable[["Recording"], bytes]]
 
 
@@ -62,7 +63,7 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.option(
     "--dropout", "dropouts", multiple=True, metavar="START:LENGTH", help="The link is silent then, s."
 )
-@click.option("--truth/--no-truth", default=False, help="Also NAME.truth.parquet: what really happened.")
+@click.option("--truth/--no-truth", default=True, help="Beside the logs: NAME.truth.parquet.")
 @click.option(
     "-j", "--jobs", default=1, show_default=True, metavar="N", help="Processes; 0 for one per core."
 )
@@ -105,12 +106,15 @@ def command(
     if options["truth"]:
         from flysid.ingest.truth import truth_bytes
 
-        writers.append((".truth.parquet", truth_bytes))
+        writers.append((TRUTH, truth_bytes))
     check_paths(order, output, writers, force)
     make_folder(output)
     say(f"flying {order.plan} with {order.plant}: {order.duration_s:g} s each", quiet)
     for path in fly_all(order, output, tuple(s for s, _ in writers), options["jobs"]):
-        click.echo(path)
+        if path.name.endswith(TRUTH):
+            say(f"truth: {path}", quiet)  # not a log, so not among the paths that a pipe passes on
+        else:
+            click.echo(path)
 
 
 def ordered(*, dropouts: tuple[str, ...], **options: Any) -> Order:
@@ -169,7 +173,7 @@ def fly_and_write(order: Order, index: int, folder: Path, suffixes: Sequence[str
     from flysid.ingest.synth import WRITERS, fly_one
     from flysid.ingest.truth import truth_bytes
 
-    encoders = {**dict(WRITERS.values()), ".truth.parquet": truth_bytes}
+    encoders = {**dict(WRITERS.values()), TRUTH: truth_bytes}
     recording = fly_one(order, index)
     paths = [folder / f"{recording.name}{suffix}" for suffix in suffixes]
     for path, suffix in zip(paths, suffixes, strict=True):
