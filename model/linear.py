@@ -22,7 +22,7 @@ from flysid.errors import UsageError
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
 from flysid.model.freerun import Difference, saturated
 from flysid.model.linear_text import conclusion, describe
-from flysid.model.noise import k_step_ahead, output_error_ahead
+from flysid.model.noise import k_step_ahead
 from flysid.model.polynomials import ComplexArray
 
 
@@ -43,6 +43,8 @@ class FittedLinear:
     covariance : (n_parameters, n_parameters) of the estimated parameters; NaN where unknown.
     output_limits : the training range, widened by its width on both sides.
     scores : figures of the fit for people, e.g. {"validation free run RMSE": 0.02}.
+    ma : (q + 1, n_y) monic moving average C of the noise per output, or None: C = 1.
+    noise_parameters : how many coefficients of the noise model were estimated as the model's own.
     """
 
     structure: str
@@ -60,10 +62,12 @@ class FittedLinear:
     covariance: FloatArray
     notes: tuple[str, ...] = ()
     scores: Mapping[str, float] = field(default_factory=dict)
+    ma: FloatArray | None = None
+    noise_parameters: int = 0
 
     @property
     def n_parameters(self) -> int:
-        return len(self.free)
+        return len(self.free) + self.noise_parameters
 
     @property
     def flat(self) -> FloatArray:
@@ -119,10 +123,13 @@ class FittedLinear:
             return out
         if self.noise is None:
             drive = self.system.drive(u - self.u_origin)
-            ahead = k_step_ahead(self.system.a, y - self.y_origin, drive, k) + self.y_origin
+            e = self._innovations(self.system.a, y - self.y_origin, drive)
+            ahead = k_step_ahead(self.system.a, y - self.y_origin, drive, k, self.ma, e) + self.y_origin
         else:
             free = self.simulate(u, y[: self.n_init])
-            ahead = output_error_ahead(free, y, self.noise, k)
+            coloured = np.stack([np.diag(row) for row in self.noise])
+            e = self._innovations(coloured, y - free, np.zeros_like(y))
+            ahead = free + k_step_ahead(coloured, y - free, np.zeros_like(y), k, self.ma, e)
         out[first:] = ahead[first:]
         return out
 
@@ -186,6 +193,8 @@ class FittedLinear:
             "y_origin": self.y_origin.tolist(),
             "noise": None if self.noise is None else self.noise.tolist(),
             "starts": None if self.starts is None else self.starts.tolist(),
+            "ma": None if self.ma is None else self.ma.tolist(),
+            "noise_parameters": self.noise_parameters,
             "free": list(self.free),
             "covariance": _without_nan(self.covariance),
             "notes": list(self.notes),
@@ -197,6 +206,18 @@ class FittedLinear:
         write_document(self.to_dict(), path)
 
     # -- parts -------------------------------------------------------------------------------------------
+
+    def _innovations(self, a: FloatArray, y: FloatArray, drive: FloatArray) -> FloatArray | None:
+        """(N, n_y) e of A y = drive + C e, zero in the first n_init rows; None where C = 1."""
+        if self.ma is None:
+            return None
+        from scipy.signal import lfilter
+
+        right = y - drive
+        for lag in range(1, len(a)):
+            right[lag:] += y[:-lag] @ a[lag].T
+        right[: self.n_init] = 0.0
+        return np.stack([lfilter([1.0], self.ma[:, i], right[:, i]) for i in range(y.shape[1])], axis=1)
 
     def _from_rest(self, u: FloatArray) -> FloatArray:
         depth = self.system.depth
@@ -273,4 +294,6 @@ def from_dict(document: Mapping[str, Any]) -> FittedLinear:
         covariance=covariance,
         notes=tuple(str(n) for n in document["notes"]),
         scores={str(k): float(v) for k, v in document["scores"].items()},
+        ma=None if document.get("ma") is None else array("ma", 2),
+        noise_parameters=int(document.get("noise_parameters", 0)),
     )

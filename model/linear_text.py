@@ -79,4 +79,8 @@ def _polynomials(model: FittedLinear) -> list[str]:
                 lines.append(f"A[{output.name}, {other.name}] = {text}")
         for j, source in enumerate(model.inputs):
             lines.append(f"B[{output.name}, {source.name}] = {polynomial_text(s.b[:, i, j], b_err[:, i, j])}")
+        if model.ma is not None:
+            lines.append(f"C[{output.name}] = {polynomial_text(model.ma[:, i])}")
+        if model.noise is not None and len(model.noise) > 1:
+            lines.append(f"D[{output.name}] = {polynomial_text(model.noise[:, i])} (of the noise)")
     return lines

@@ -94,14 +94,25 @@ def output_error_ahead(free: FloatArray, y: FloatArray, noise: FloatArray, k: in
     return free + k_step_ahead(coloured, y - free, np.zeros_like(y), k)
 
 
-def k_step_ahead(a: FloatArray, y: FloatArray, drive: FloatArray, k: int) -> FloatArray:
-    """(N, n_y) k-step predictions of A y = drive from measured y; rows before lag + k lean on zeros.
+def k_step_ahead(
+    a: FloatArray,
+    y: FloatArray,
+    drive: FloatArray,
+    k: int,
+    ma: FloatArray | None = None,
+    e: FloatArray | None = None,
+) -> FloatArray:
+    """(N, n_y) k-step predictions of A y = drive + C e from measured y; early rows lean on zeros.
 
     Row t of `ahead[j]` holds the prediction of y(t + j) at time t; every step is one pass over all t.
+
+    Parameters
+    ----------
+    ma, e : (q + 1, n_y) C and (N, n_y) innovations; C = 1 where they are None.
     """
-    y, drive = (
-        np.concatenate([np.zeros((1, y.shape[1])), x]) for x in (y, drive)
-    )  # so that row k - 1 exists
+    blank = np.zeros((1, y.shape[1]))  # so that row k - 1 exists
+    y, drive = np.concatenate([blank, y]), np.concatenate([blank, drive])
+    e = None if e is None else np.concatenate([blank, e])
     n = len(y)
     ahead: list[FloatArray] = []
     for j in range(1, k + 1):
@@ -113,6 +124,9 @@ def k_step_ahead(a: FloatArray, y: FloatArray, drive: FloatArray, k: int) -> Flo
             else:
                 back = lag - j
                 value[back:] -= y[: n - back] @ a[lag].T
+        if ma is not None and e is not None:
+            for lag in range(j, len(ma)):
+                value[lag - j :] += e[: n - lag + j] * ma[lag]
         ahead.append(value)
     out = np.full((n - 1, y.shape[1]), np.nan)
     out[k - 1 :] = ahead[-1][: n - k]

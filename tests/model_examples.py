@@ -10,8 +10,10 @@ from collections.abc import Callable
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
+from flysid.model.armax import ARMAX
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
+from flysid.model.bj import BJ
 from flysid.model.fir import FIR
 from flysid.model.line import Line
 from flysid.model.oe import OE
@@ -63,6 +65,9 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "ts, two inputs and outputs": (TS(rules=2, na=2, nb=1, nk=1, iterations=5).fit, data(2, 2)),
     "fir": (FIR(taps=12).fit, data()),
     "fir, two inputs and outputs": (FIR(taps=6, nk=(1, 0)).fit, data(2, 2)),
+    "armax": (ARMAX(na=2, nb=2, nk=1, nc=2).fit, data()),
+    "bj": (BJ(na=2, nb=2, nk=1, nc=1, nd=1).fit, data()),
+    "bj, two inputs and outputs": (BJ(na=2, nb=2, nk=1, nc=0, nd=2).fit, data(2, 2)),
     "arx, static": (ARX(na=0, nb=1, nk=0, refine=False).fit, data()),
 }
 
