@@ -1,0 +1,182 @@
+"""Continuous-time transfer functions with intervals, in the style flight-test engineers print them.
+
+A fitted discrete model behind a zero-order hold is turned into the continuous one with the same samples
+(the inverse of step-invariant sampling; Åström & Wittenmark, 1997, Computer-Controlled Systems, 2.3); delays
+beyond one sample become a dead time. Standard errors follow from the model's covariance (delta method).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.errors import FitError, UsageError
+from flysid.model.linear import FittedLinear
+from flysid.model.polynomials import modes_of
+
+STEP = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuousTransfer:
+    """G(s) = e^(-dead_time_s s) numerator(s) / denominator(s), one input to one output.
+
+    Attributes
+    ----------
+    numerator, denominator : coefficients in falling powers of s; the denominator is monic.
+    numerator_error, denominator_error : their standard errors (NaN where the model has no covariance).
+    dead_time_s : delay beyond the hold's own sample.
+    input, output : names.
+    """
+
+    numerator: FloatArray
+    denominator: FloatArray
+    numerator_error: FloatArray
+    denominator_error: FloatArray
+    dead_time_s: float
+    input: str
+    output: str
+
+    @property
+    def poles(self) -> FloatArray:
+        """Roots of the denominator, rad/s."""
+        return np.asarray(np.roots(self.denominator))
+
+    @property
+    def zeros(self) -> FloatArray:
+        """Roots of the numerator, rad/s."""
+        return np.asarray(np.roots(self.numerator))
+
+    def __str__(self) -> str:
+        top = _text(self.numerator, self.numerator_error)
+        bottom = _text(self.denominator, self.denominator_error)
+        dead = f" e^(-{self.dead_time_s:.4g} s)" if self.dead_time_s else ""
+        words = "; ".join(str(m) for m in modes_of(np.exp(np.asarray(self.poles, dtype=complex)), 1.0))
+        rule = "-" * max(len(top), len(bottom))
+        return f"{self.output} / {self.input} ={dead}\n{top}\n{rule}\n{bottom}\npoles: {words}"
+
+
+def _text(values: FloatArray, errors: FloatArray) -> str:
+    terms = []
+    for position, (value, error) in enumerate(zip(values, errors, strict=True)):
+        power = len(values) - 1 - position
+        symbol = {0: "", 1: " s"}.get(power, f" s^{power}")
+        spread = f" (+- {error:.2g})" if error > 0 else ""
+        lead = (
+            symbol.strip() if value == 1.0 and power and not spread else f"{abs(value):.4g}{spread}{symbol}"
+        )
+        sign = ("-" if value < 0 else "") if not terms else (" - " if value < 0 else " + ")
+        terms.append(sign + lead)
+    return "".join(terms)
+
+
+def continuous(model: FittedLinear, output: int = 0, source: int = 0) -> ContinuousTransfer:
+    """The continuous transfer function behind a fitted model.
+
+    Parameters
+    ----------
+    output, source : which output and which input.
+
+    Raises
+    ------
+    UsageError : coupled outputs; feed-through with a delay structure that no proper transfer function has.
+    FitError : a pole on the negative real axis of z or at zero: faster than the sampling can show.
+    """
+    if not model.system.is_diagonal:
+        raise UsageError(
+            "coupled outputs have no transfer function of their own", hint="fit with refine=True"
+        )
+    flat = model.flat
+    own = _own_parameters(model, output, source)
+    delay = _delay(model, output, source)
+    numerator, denominator = _inverse_hold(*_polynomials(model, flat, output, source), delay, model.dt_s)
+    slopes = []
+    for index in own:
+        step = STEP * max(model.standard_errors[index], 1e-9 * abs(flat[index]), 1e-300)
+        moved = flat.copy()
+        moved[index] += step
+        top, bottom = _inverse_hold(*_polynomials(model, moved, output, source), delay, model.dt_s)
+        slopes.append(np.concatenate([top - numerator, bottom - denominator]) / step)
+    errors = _errors(model, own, slopes, len(numerator) + len(denominator))
+    return ContinuousTransfer(
+        numerator=numerator,
+        denominator=denominator,
+        numerator_error=errors[: len(numerator)],
+        denominator_error=errors[len(numerator) :],
+        dead_time_s=max(delay - 1, 0) * model.dt_s,
+        input=model.inputs[source].name,
+        output=model.outputs[output].name,
+    )
+
+
+def _polynomials(
+    model: FittedLinear, flat: FloatArray, output: int, source: int
+) -> tuple[FloatArray, FloatArray]:
+    """b and a of one channel from a flat parameter vector."""
+    s = model.system
+    a_size = s.a[1:].size
+    a = np.concatenate([[1.0], flat[:a_size].reshape(s.a[1:].shape)[:, output, output]])
+    return flat[a_size : a_size + s.b.size].reshape(s.b.shape)[:, output, source], a
+
+
+def _own_parameters(model: FittedLinear, output: int, source: int) -> list[int]:
+    """Indices in flat order of the estimated coefficients of one channel."""
+    marks = np.zeros(len(model.flat))
+    s = model.system
+    a_size = s.a[1:].size
+    marks[:a_size].reshape(s.a[1:].shape)[:, output, output] = 1
+    marks[a_size : a_size + s.b.size].reshape(s.b.shape)[:, output, source] = 1
+    return [i for i in model.free if marks[i]]
+
+
+def _delay(model: FittedLinear, output: int, source: int) -> int:
+    taps = np.flatnonzero(model.system.b[:, output, source])
+    if not len(taps):
+        raise UsageError(f"input {model.inputs[source].name!r} has no effect in this model")
+    return int(taps[0])
+
+
+def _inverse_hold(b: FloatArray, a: FloatArray, delay: int, dt_s: float) -> tuple[FloatArray, FloatArray]:
+    """Numerator and monic denominator in s whose step-invariant samples are b / a (delay taken out)."""
+    from scipy.linalg import logm
+
+    a = np.trim_zeros(a, "b")
+    n = len(a) - 1
+    taps = b[max(delay - 1, 0) :] if delay else b
+    taps = np.trim_zeros(taps, "b")
+    if len(taps) > n + 1:
+        raise UsageError(
+            f"{len(taps) - 1} coefficients of B on an order of {n} have no continuous transfer function",
+            hint="fit with nb not above na (na + 1 where nk = 0)",
+        )
+    taps = np.concatenate([taps, np.zeros(n + 1 - len(taps))])
+    phi = np.eye(n, k=1)
+    phi[:, 0] -= a[1:]
+    gamma, through = taps[1:] - a[1:] * taps[0], taps[0]
+    poles = np.linalg.eigvals(phi)
+    if (np.abs(poles) < 1e-8).any() or ((poles.real < 0) & (np.abs(poles.imag) < 1e-9)).any():
+        raise FitError(
+            "a pole is faster than the sampling can show: there is no continuous model",
+            hint="choose a lower order, or sample faster",
+        )
+    joint = np.zeros((n + 1, n + 1))
+    joint[:n, :n], joint[:n, n], joint[n, n] = phi, gamma, 1.0
+    generator = np.real(np.asarray(logm(joint))) / dt_s
+    big_a, big_b, row = generator[:n, :n], generator[:n, n], np.eye(1, n)
+    denominator = np.real(np.poly(big_a))
+    numerator = np.real(np.poly(big_a - np.outer(big_b, row[0]))) - denominator + through * denominator
+    if through == 0.0:
+        numerator = numerator[1:]
+    return numerator, denominator
+
+
+def _errors(model: FittedLinear, own: Sequence[int], slopes: Sequence[FloatArray], size: int) -> FloatArray:
+    if not own:
+        return np.full(size, np.nan)
+    place = [model.free.index(i) for i in own]
+    covariance = model.covariance[np.ix_(place, place)]
+    matrix = np.stack(slopes, axis=1)
+    return np.sqrt(np.maximum(np.einsum("ip,pq,iq->i", matrix, covariance, matrix), 0.0))
