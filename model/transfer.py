@@ -60,7 +60,7 @@ class ContinuousTransfer:
 
 
 def _text(values: FloatArray, errors: FloatArray) -> str:
-    terms = []
+    terms: list[str] = []
     for position, (value, error) in enumerate(zip(values, errors, strict=True)):
         power = len(values) - 1 - position
         symbol = {0: "", 1: " s"}.get(power, f" s^{power}")
@@ -86,9 +86,7 @@ def continuous(model: FittedLinear, output: int = 0, source: int = 0) -> Continu
     FitError : a pole on the negative real axis of z or at zero: faster than the sampling can show.
     """
     if not model.system.is_diagonal:
-        raise UsageError(
-            "coupled outputs have no transfer function of their own", hint="fit with refine=True"
-        )
+        raise UsageError("coupled outputs have no transfer functions", hint="fit with refine=True")
     flat = model.flat
     own = _own_parameters(model, output, source)
     delay = _delay(model, output, source)
@@ -179,4 +177,4 @@ def _errors(model: FittedLinear, own: Sequence[int], slopes: Sequence[FloatArray
     place = [model.free.index(i) for i in own]
     covariance = model.covariance[np.ix_(place, place)]
     matrix = np.stack(slopes, axis=1)
-    return np.sqrt(np.maximum(np.einsum("ip,pq,iq->i", matrix, covariance, matrix), 0.0))
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ip,pq,iq->i", matrix, covariance, matrix), 0.0)))

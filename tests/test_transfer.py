@@ -24,9 +24,8 @@ def experiment(plant: str, dt_s: float, noise: float, delay: int = 0) -> Dataset
     u = np.repeat(rng.choice([-1.0, 1.0], 600), round(0.2 / dt_s))
     b, a, _ = cont2discrete(PLANTS[plant], dt_s, "zoh")
     y = np.asarray(lfilter(np.append(np.zeros(delay), b.ravel()), a.ravel(), u))
-    return Dataset.from_arrays(
-        u, y + noise * rng.standard_normal(len(u)), dt_s, inputs=["theta"], outputs=["v_x"]
-    )
+    y = y + noise * rng.standard_normal(len(u))
+    return Dataset.from_arrays(u, y, dt_s, inputs=["theta"], outputs=["v_x"])
 
 
 def aligned(short: FloatArray, length: int) -> FloatArray:
