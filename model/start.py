@@ -21,12 +21,16 @@ STEPS = 4
 
 
 def start_window(n_init: int, n_samples: int, dt_s: float) -> int:
-    """Samples that start a free run: 1 s or five times the lags, at most a tenth of the segment.
+    """Samples that start a free run: `full_window`, at most a tenth of the segment.
 
     Never fewer than `n_init`; a static model (n_init 0) uses none of them, but leaves them out alike.
     """
-    wanted = max(round(WINDOW_S / dt_s), WINDOW_LAGS * n_init)
-    return max(n_init, min(wanted, int(MAX_SHARE * n_samples)))
+    return max(n_init, min(full_window(n_init, dt_s), int(MAX_SHARE * n_samples)))
+
+
+def full_window(n_init: int, dt_s: float) -> int:
+    """Samples that suffice to estimate a start: 1 s, or five times the lags."""
+    return max(round(WINDOW_S / dt_s), WINDOW_LAGS * n_init)
 
 
 def estimate_start(model: Fitted, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -41,11 +45,14 @@ def estimate_start(model: Fitted, u: FloatArray, y: FloatArray) -> FloatArray:
     The measured lags themselves where W gives no more equations than unknowns, or where no better start
     was found.
     """
-    best = np.array(y[: model.n_init], dtype=np.float64)
-    if len(y) <= 2 * model.n_init or best.size == 0:
-        return best
+    measured = np.array(y[: model.n_init], dtype=np.float64)
+    if len(y) <= 2 * model.n_init or measured.size == 0:
+        return measured
     scale = np.where(np.ptp(y, axis=0) > 0.0, np.ptp(y, axis=0), 1.0)
-    cost, residual = _cost(model, u, y, best, scale)
+    guesses = [measured, *_smooth_guesses(y, model.n_init)]
+    costs = [_cost(model, u, y, guess, scale) for guess in guesses]
+    at = int(np.argmin([cost for cost, _ in costs]))
+    best, (cost, residual) = guesses[at], costs[at]
     for _ in range(STEPS):
         jacobian = _jacobian(model, u, best, scale)
         if not np.isfinite(jacobian).all():
@@ -57,6 +64,17 @@ def estimate_start(model: Fitted, u: FloatArray, y: FloatArray) -> FloatArray:
             break
         best, cost, residual = trial, new_cost, new_residual
     return best
+
+
+def _smooth_guesses(y: FloatArray, n_init: int) -> list[FloatArray]:
+    """First lags on a constant and on a straight line through the window's beginning.
+
+    From noisy lags a simulation may run into its output limits, where no derivative shows the way back.
+    """
+    rows = np.arange(min(len(y), max(2 * n_init, 10)), dtype=np.float64)
+    lines = [np.polynomial.polynomial.polyfit(rows, y[: len(rows)], degree) for degree in (0, 1)]
+    powers = [np.vander(rows[:n_init], degree + 1, increasing=True) for degree in (0, 1)]
+    return [power @ line for power, line in zip(powers, lines, strict=True)]
 
 
 def _cost(

@@ -21,6 +21,7 @@ from flysid.errors import UsageError
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, Structure
 from flysid.model.memberships import Partition
 from flysid.model.noise import noise_models, output_error_ahead
+from flysid.model.start import estimate_start, full_window, start_window
 from flysid.model.threads import on_one_thread
 from flysid.model.tsestimate import Learned, learn
 from flysid.model.tskernel import Parameters, firing, free_run, predict
@@ -126,19 +127,21 @@ class FittedTS:
     def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
         """(N, n_y) predictions from outputs at least k steps old; the first n_init + k - 1 rows are NaN.
 
-        A model refined on the simulation error adds to its free run what its noise model foresees; lags as
-        they were measured would carry their noise into every step.
+        A model refined on the simulation error adds to its free run what its noise model foresees, once it
+        has seen enough to start that run; lags as they were measured carry their noise into every step.
         """
         if k < 1:
             raise UsageError(f"a prediction {k} steps ahead", hint="k counts from 1")
         W = self._stack(u, y)
-        first = self.n_init + k - 1
-        if self.noise is not None and len(W) > first:
-            y = _columns(y, self.layout.n_y, "y")
-            ahead = output_error_ahead(self.simulate(u, y[: self.n_init]), y, self.noise, k)
-            ahead[:first] = np.nan
-            return ahead
-        return self.layout.outputs_of(predict(W, self.n_init, int(k), self.layout.lags, self.parameters))
+        measured = predict(W, self.n_init, int(k), self.layout.lags, self.parameters)
+        ahead = self.layout.outputs_of(measured)
+        window = full_window(self.n_init, self.dt_s)
+        later = window + k - 1
+        if self.noise is not None and len(W) > later:
+            u, y = _columns(u, len(self.inputs), "u"), _columns(y, self.layout.n_y, "y")
+            free = self.simulate(u, estimate_start(self, u[:window], y[:window]))
+            ahead[later:] = output_error_ahead(free, y, self.noise, k)[later:]
+        return ahead
 
     def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
         """(N, n_y) free run from the first n_init measured outputs.
@@ -352,7 +355,7 @@ def _with_noise_model(fitted: FittedTS, train: Dataset) -> FittedTS:
     """The model with a noise model, where that predicts the training data better one step ahead."""
     n = fitted.n_init
     pieces = [s for s in train.segments if len(s) > n + 1]
-    errors = [s.y[n:] - fitted.simulate(s.u, s.y[:n])[n:] for s in pieces]
+    errors = [_free_run_error(fitted, s.u, s.y) for s in pieces]
     if not errors:
         return fitted
     noisy = replace(fitted, noise=noise_models(errors))
@@ -362,6 +365,12 @@ def _with_noise_model(fitted: FittedTS, train: Dataset) -> FittedTS:
         for m in (fitted, noisy)
     )
     return noisy if coloured < plain else fitted
+
+
+def _free_run_error(fitted: FittedTS, u: FloatArray, y: FloatArray) -> FloatArray:
+    """(N - window, n_y) measured less free run, after the window that starts it."""
+    window = start_window(fitted.n_init, len(y), fitted.dt_s)
+    return y[window:] - fitted.simulate(u, estimate_start(fitted, u[:window], y[:window]))[window:]
 
 
 def _from_dict(document: Mapping[str, Any]) -> FittedTS:

@@ -67,8 +67,8 @@ def test_the_same_samples_start_every_model_and_none_is_scored() -> None:
         start = estimate_start(model, u[:10], y[:10])
         np.testing.assert_array_equal(trial.yh[name], model.simulate(u, start)[10:])
     (ten,) = run_trials({"arx": slow, "ts": TS}, test, "10")
-    assert ten.first == 16
-    np.testing.assert_array_equal(ten.yh["ts"], TS.predict(u, y, 10)[16:])
+    assert ten.first == 19
+    np.testing.assert_array_equal(ten.yh["ts"], TS.predict(u, y, 10)[19:])
 
 
 def test_errors_below_the_resolution_are_the_same_however_large_their_ratio() -> None:

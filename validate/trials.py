@@ -1,8 +1,8 @@
 """Every model over every held-out segment: free runs and k-step predictions from the same start.
 
-A free run starts alike for all models: each estimates its first lags from the same window of measured
-samples (`flysid.model.start`), and the window is left out of every score. k-step predictions start at
-n = max(n_init); the n + k - 1 samples before the first prediction are left out.
+All models start alike: each estimates its first lags from the same window of measured samples
+(`flysid.model.start`), and the window is left out of every score, at every horizon; so are the k - 1 samples
+after it for predictions k steps ahead.
 """
 
 from __future__ import annotations
@@ -92,9 +92,8 @@ class Plan:
 
     def first(self, n_samples: int) -> int:
         """The first scored row of a segment of `n_samples`; all rows before it may start the models."""
-        if self.horizon == FREE_RUN:
-            return start_window(self.lags, n_samples, self.dt_s)
-        return self.lags + int(self.horizon) - 1
+        ahead = 0 if self.horizon == FREE_RUN else int(self.horizon) - 1
+        return start_window(self.lags, n_samples, self.dt_s) + ahead
 
 
 def run_trials(models: Mapping[str, Fitted], test: Dataset, horizon: str) -> tuple[Trial, ...]:
