@@ -201,7 +201,8 @@ def _converted(value: NDArray[np.uint64], spec: ProtoField) -> Values:
     if spec.wire in ZIGZAG:
         value = (value >> np.uint64(1)) ^ (np.uint64(0) - (value & np.uint64(1)))
     if spec.dtype == "b1":
-        return value != 0
+        true: Values = value != 0
+        return true
     if spec.dtype in ("i4", "u4"):
         low: Values = value.astype(np.uint32).view(spec.dtype)
         return low
