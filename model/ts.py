@@ -143,6 +143,11 @@ class FittedTS:
             ahead[later:] = output_error_ahead(free, y, self.noise, k)[later:]
         return ahead
 
+    def one_step(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, n_y) what the rules conclude from measured lags, eq. (3); NaN in the first n_init rows."""
+        W = self._stack(u, y)
+        return self.layout.outputs_of(predict(W, self.n_init, 1, self.layout.lags, self.parameters))
+
     def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
         """(N, n_y) free run from the first n_init measured outputs.
 

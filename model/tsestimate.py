@@ -18,6 +18,7 @@ from flysid.model.tsgrow import (
     linear_stage,
     one_rule_more,
     ordered,
+    rebased,
     refine,
     rule_support,
     unrefined,
@@ -27,9 +28,10 @@ from flysid.model.tslayout import Antecedent, Layout, Orders, parse_antecedent, 
 from flysid.model.tsproblem import Problem, runs_of
 from flysid.model.tsrefit import on_all_runs
 from flysid.model.tsselect import Candidate, choose, hold_out, initial_state_gain, judged
-from flysid.model.tsstart import arx_start
+from flysid.model.tsstart import arx_start, as_stage, chosen_by_arx
 
 _HIGHEST_ORDER = 4
+_DEEPEST_DELAY = 40  # samples of delay and lags that the linear side may choose on long records
 _RIDGES = (1e-2, 1.0, 1e3)  # the last one leaves the rules equal
 _ORDER_LOSS = 0.01
 _RULE_GAIN = 0.05  # of the mean square: what a rule must win, about 2.5 % of the error
@@ -78,7 +80,9 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     check(settings)
     choices = order_choices(settings, len(train.inputs))
     named = _named(settings, train)
-    least = max([*(o.depth for o in choices), *(max(a.lag, a.minus) for a in named), 1]) + _SPARE_ROWS
+    deepest = _DEEPEST_DELAY if len(choices) > 1 and len(train) > _SMALL else 0
+    depths = [deepest, *(o.depth for o in choices), *(max(a.lag, a.minus) for a in named)]
+    least = max(depths) + _SPARE_ROWS
     fit_part, check_part, own = _parts(train, validation, least)
     shift, scale = scaling(fit_part)
     small = own and settings.rules == "auto" and settings.refine and len(train) < _SMALL
@@ -215,6 +219,7 @@ class Workshop:
             else:
                 stage = unrefined(problem)
             candidates.append(self.judge(stage))
+        candidates += self._linear_side(len(choices))
         at = choose(candidates, most_loss=_ORDER_LOSS)
         orders = candidates[at].stage.problem.layout.orders
         how = (
@@ -223,6 +228,18 @@ class Workshop:
         note = f"Orders {orders}: {how} (validation free run of the linear model)."
         others = [c for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
         return [candidates[at], *others], [note]
+
+    def _linear_side(self, choices: int) -> list[Candidate]:
+        """What the linear side chooses by itself, with its delays, as it is and refined."""
+        if choices == 1 or not self.settings.refine:
+            return []
+        found = chosen_by_arx(self.fit_part, self.check_part)
+        if found is None or found[0].depth + _SPARE_ROWS > self.least:
+            return []
+        plain = as_stage(found[1], self.problem(found[0]))
+        plain = rebased(plain)
+        refined = refine(plain, self.settings.iterations, 1e-6)
+        return [self.judge(plain), self.judge(refined)]
 
     def growth(
         self, linear: Sequence[Candidate], named: tuple[Antecedent, ...]
@@ -244,14 +261,23 @@ class Workshop:
                 lower = orders.na == first.na - 1 and other.mean < _HOPELESS * linear[0].mean
                 if not lower and not (helped and orders.na == first.na + 1):
                     continue
-                rival = self.cross_validated(self.grown_from(other, named, most), named)
+                rival = self.cross_validated(self.grown_from(other, named, most, best), named)
                 if rival[choose(rival)].mean < best[choose(best)].mean * _CLEARLY:
                     best = rival
                     notes = [f"With rules, orders {orders} did better and were taken."]
         return best, [*notes, *_unstable(best)]
 
-    def grown_from(self, linear: Candidate, named: tuple[Antecedent, ...], most: int) -> list[Candidate]:
-        """Models with 1 to `most` rules that grow from one linear model; fewer where growth stalls."""
+    def grown_from(
+        self,
+        linear: Candidate,
+        named: tuple[Antecedent, ...],
+        most: int,
+        against: Sequence[Candidate] = (),
+    ) -> list[Candidate]:
+        """Models with 1 to `most` rules that grow from one linear model.
+
+        Fewer where growth stalls, or where two rules do much worse than two do in `against`.
+        """
         settings, stage = self.settings, linear.stage
         candidates = named or found_antecedents(stage.problem.layout)
         models = [linear]
@@ -261,7 +287,8 @@ class Workshop:
         parameters = stage.body.a.size
         while len(models) < most and parameters * (len(models) + 1) * 4 < stage.problem.samples:
             models.append(self.one_rule_more(models[-1], candidates))
-            if settings.rules == "auto" and _has_stalled(models):
+            behind = len(against) > 1 and models[1].mean > _WORSE * against[1].mean
+            if settings.rules == "auto" and (_has_stalled(models) or behind):
                 break
         return models
 

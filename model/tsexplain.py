@@ -94,7 +94,7 @@ def explain(model: FittedTS, u: FloatArray, y: FloatArray, row: int) -> Explanat
         {name: float(v) for name, v in zip(model.antecedents, z, strict=True)},
         far,
         tuple(voices),
-        tuple(float(v) for v in model.predict(part_u, part_y, 1)[-1]),
+        tuple(float(v) for v in model.one_step(part_u, part_y)[-1]),
     )
 
 

@@ -294,10 +294,10 @@ def one_rule_more(
     options = insertions(few, candidates)
     order = np.argsort([expected_cost(option) for option in options], kind="stable")
     starts = [_on(options[i], more) for i in order[:tries]]
-    trials = [refine(start, max(6, iterations // 2), 1e-4) for start in starts]
+    trials = [refine(start, max(6, iterations // 3), 1e-4) for start in starts]
     at = min(range(len(trials)), key=lambda i: trials[i].cost)
     # overlapping rules make long curved valleys: many cheap steps on fewer samples, then some on all
-    best = refine(with_ridge(trials[at], _RIDGE * trials[at].cost), 3 * iterations, 1e-6)
+    best = refine(with_ridge(trials[at], _RIDGE * trials[at].cost), 2 * iterations, 1e-6)
     best = refine(with_ridge(_on(best, stage), _RIDGE * best.cost), iterations, 1e-6)
     return _on(starts[at], stage), best
 

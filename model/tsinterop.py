@@ -26,7 +26,7 @@ def to_nonlinear_system(model: FittedTS) -> Any:
         past_u = np.asarray(x[n * n_y :]).reshape(n, n_u)[::-1]
         U = np.vstack([past_u, np.atleast_1d(u)])
         Y = np.vstack([past_y, np.zeros((1, n_y))])
-        return np.asarray(model.predict(U, Y, 1)[n])
+        return np.asarray(model.one_step(U, Y)[n])
 
     def step(t: float, x: FloatArray, u: FloatArray, params: Any) -> FloatArray:
         y = output(t, x, u, params)

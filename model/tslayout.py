@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -104,7 +105,7 @@ class Layout:
             past += [(self.n_y + j, lag) for lag in range(nk, nk + nb)]
         return [*past, (-1, 0)]
 
-    @property
+    @cached_property
     def lags(self) -> Lags:
         """The layout as the compiled kernels take it."""
         columns, delays = zip(*self.regressors, strict=True)

@@ -82,7 +82,7 @@ def linearise(model: FittedTS, u: FloatArray, y: FloatArray) -> StateSpace:
             moved_y[d - k, column] += size
         else:
             moved_u[d - k, column - n_y] += size
-        return np.asarray(model.predict(moved_u, moved_y, 1)[d])
+        return np.asarray(model.one_step(moved_u, moved_y)[d])
 
     deepest = max([0, *(lag for c, lag in model.layout.regressors if c >= n_y)])
     deepest = max([deepest, *(max(a.lag, a.minus) for a in model.layout.antecedents if a.column >= n_y)])
@@ -99,7 +99,7 @@ def linearise(model: FittedTS, u: FloatArray, y: FloatArray) -> StateSpace:
                 A[k - 1, :, column] = slope
             else:
                 B[k, :, column - n_y] = slope
-    offset = model.predict(U, Y, 1)[d] - A.sum(axis=0) @ y - B.sum(axis=0) @ u
+    offset = model.one_step(U, Y)[d] - A.sum(axis=0) @ y - B.sum(axis=0) @ u
     return _companion(model, A, B, offset)
 
 

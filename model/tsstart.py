@@ -15,8 +15,29 @@ from flysid.errors import FlysidError
 from flysid.model.arx import ARX
 from flysid.model.linear import FittedLinear
 from flysid.model.tsgrow import Stage, unrefined
-from flysid.model.tslayout import Layout
+from flysid.model.tslayout import Layout, Orders
 from flysid.model.tsproblem import Body, Problem
+
+
+def chosen_by_arx(train: Dataset, validation: Dataset) -> tuple[Orders, FittedLinear] | None:
+    """The orders, delays included, that ARX chooses by itself, with its model; None where it cannot."""
+    try:
+        fitted = ARX().fit(train, validation)
+    except FlysidError:
+        return None
+    a, b = fitted.system.a, fitted.system.b
+    lags = [np.flatnonzero(np.abs(b[:, :, j]).max(axis=1) > 0) for j in range(b.shape[2])]
+    nk = tuple(int(at[0]) if len(at) else 0 for at in lags)
+    nb = tuple(int(at[-1] - at[0]) + 1 if len(at) else 0 for at in lags)
+    return Orders(len(a) - 1, nb, nk), fitted
+
+
+def as_stage(fitted: FittedLinear, problem: Problem) -> Stage:
+    """A linear model as a stage of a problem with the same orders."""
+    n_y, n_x = problem.layout.n_y, len(problem.layout.regressors)
+    still = np.zeros((1, problem.z_range.shape[1]))
+    body = Body(np.zeros((1, n_y, n_x)), still, np.ones_like(still))
+    return unrefined(replace(problem, offset=consequents(fitted, problem.layout)), body)
 
 
 def arx_start(problem: Problem, data: Dataset) -> tuple[Stage, ...]:
@@ -26,10 +47,7 @@ def arx_start(problem: Problem, data: Dataset) -> tuple[Stage, ...]:
         fitted = ARX(na=orders.na, nb=orders.nb, nk=orders.nk, refine=True).fit(data)
     except FlysidError:
         return ()
-    n_y, n_x = problem.layout.n_y, len(problem.layout.regressors)
-    still = np.zeros((1, problem.z_range.shape[1]))
-    body = Body(np.zeros((1, n_y, n_x)), still, np.ones_like(still))
-    return (unrefined(replace(problem, offset=consequents(fitted, problem.layout)), body),)
+    return (as_stage(fitted, problem),)
 
 
 def consequents(fitted: FittedLinear, layout: Layout) -> FloatArray:

@@ -53,7 +53,8 @@ def update(
         f"{forgetting:g}): one-step error on them {before:.3g} -> {_one_step_error(parts, theta):.3g} of the "
         "output's spread. Memberships are as before."
     )
-    return replace(model, parameters=par._replace(theta=consequents), notes=(*model.notes, note))
+    parameters = par._replace(theta=consequents)
+    return replace(model, parameters=parameters, notes=(*model.notes, note), noise=None)
 
 
 def _check(model: FittedTS, data: Dataset, forgetting: float, trust_samples: float) -> None:

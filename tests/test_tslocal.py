@@ -36,7 +36,7 @@ def model() -> FittedTS:
 
 def test_the_blend_of_the_polytope_is_the_model(model: FittedTS) -> None:
     u, y = flight(60, 2)
-    rules, phi, one = polytope(model), model.firing(u, y), model.predict(u, y, 1)
+    rules, phi, one = polytope(model), model.firing(u, y), model.one_step(u, y)
     k = 30
     x = np.array([y[k - 1], y[k - 2], u[k - 1], u[k - 2]])
     blend = sum(p * (s.C @ x + s.D @ [u[k]] + s.g) for p, s in zip(phi[k], rules, strict=True))
@@ -48,10 +48,10 @@ def test_the_blend_of_the_polytope_is_the_model(model: FittedTS) -> None:
 def test_linearisation_predicts_small_steps(model: FittedTS) -> None:
     local = linearise(model, np.array([0.2]), np.array([0.1]))
     u, y = np.full(8, 0.2), np.full(8, 0.1)
-    base = model.predict(u, y, 1)[-1, 0]
+    base = model.one_step(u, y)[-1, 0]
     y2 = y.copy()
     y2[-2] += 1e-4
-    assert model.predict(u, y2, 1)[-1, 0] - base == pytest.approx(1e-4 * local.C[0, 0], rel=1e-3)
+    assert model.one_step(u, y2)[-1, 0] - base == pytest.approx(1e-4 * local.C[0, 0], rel=1e-3)
     with pytest.raises(UsageError):
         linearise(model, np.zeros(3), np.zeros(1))
 
@@ -98,7 +98,7 @@ def test_an_update_follows_a_changed_gain(model: FittedTS) -> None:
     fresh_u, fresh_y = flight(400, 6, gain=0.15)
 
     def error(m: FittedTS) -> float:
-        return float(np.nanstd(m.predict(fresh_u, fresh_y, 1)[:, 0] - fresh_y))
+        return float(np.nanstd(m.one_step(fresh_u, fresh_y)[:, 0] - fresh_y))
 
     assert error(newer) < 0.3 * error(model)
     assert np.array_equal(newer.parameters.centre, model.parameters.centre)
