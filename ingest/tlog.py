@@ -39,6 +39,7 @@ from flysid.ingest.vehicletime import Clocked, Source, VehicleTime
 
 PROBE_BYTES = 1 << 20
 COMPILE_ABOVE_BYTES = 32 << 20
+MAX_STREAMS = 2000
 HEARTBEAT = 0
 AUTOPILOT_VERSION = 148
 AUTOPILOT_INVALID = 8
@@ -130,6 +131,8 @@ class _Reader:
     scanner: Scanner
     time: VehicleTime = field(default_factory=VehicleTime)
     schemas: dict[Source, pa.Schema] = field(default_factory=dict)
+    admitted: set[Source] = field(default_factory=set)
+    surplus: int = 0
     last_sequence: dict[int, int] = field(default_factory=dict)
     gaps: dict[int, int] = field(default_factory=dict)
     last_stamp: int = 0
@@ -172,7 +175,7 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
     if not len(frames):
         return
     arrival, has_utc = _arrival(reader, frames)
-    groups = dict(_streams(frames))
+    groups = _admitted(reader, dict(_streams(frames)))
     _count_gaps(reader, frames)
     clocked: dict[Source, Clocked] = {}
     for source, rows in groups.items():
@@ -189,6 +192,21 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
         matrix = _matrix(frames, rows, reader.dialect.layout(source[2]))
         yield _table(reader, source, matrix, (time_ns, boots), arrival[rows] if has_utc else None)
     reader.row += len(frames)
+
+
+def _admitted(reader: _Reader, groups: dict[Source, IntArray]) -> dict[Source, IntArray]:
+    """Streams within the bound on their number; messages of others are counted, not decoded.
+
+    Real traffic has some hundred streams. A forged log can name 65,536 senders, each with its own tables.
+    """
+    kept = {}
+    for source, rows in groups.items():
+        if source in reader.admitted or len(reader.admitted) < MAX_STREAMS:
+            reader.admitted.add(source)
+            kept[source] = rows
+        else:
+            reader.surplus += len(rows)
+    return kept
 
 
 def _matrix(frames: Frames, rows: IntArray, layout: Layout) -> ByteMatrix:
@@ -247,15 +265,19 @@ def _dense(values: IntArray) -> tuple[IntArray, IntArray]:
 
 def _count_gaps(reader: _Reader, frames: Frames) -> None:
     """Messages missing per sender by the 8-bit sequence number; repeats and late frames are no gap."""
-    sender = _senders(frames)
-    for who in np.flatnonzero(np.bincount(sender)).tolist():
-        numbers_seen = frames.sequence[sender == who].astype(np.int64)
-        before = reader.last_sequence.get(who)
-        steps = np.diff(numbers_seen, prepend=numbers_seen[0] - 1 if before is None else before) % 256
-        lost = int((steps[(steps > 1) & (steps < 128)] - 1).sum())
-        reader.last_sequence[who] = int(numbers_seen[-1])
-        if lost:
-            reader.gaps[who] = reader.gaps.get(who, 0) + lost
+    senders = _senders(frames)
+    order = np.argsort(senders.astype(np.uint16), kind="stable")
+    who, sequence = senders[order], frames.sequence[order].astype(np.int64)
+    first = np.flatnonzero(np.diff(who, prepend=-1))
+    steps = np.diff(sequence, prepend=0) % 256
+    for i, sender in zip(first.tolist(), who[first].tolist(), strict=True):
+        steps[i] = (int(sequence[i]) - reader.last_sequence.get(sender, int(sequence[i]) - 1)) % 256
+    lost = np.add.reduceat(np.where((steps > 1) & (steps < 128), steps - 1, 0), first)
+    last = sequence[np.append(first[1:], len(who)) - 1]
+    for sender, count, number in zip(who[first].tolist(), lost.tolist(), last.tolist(), strict=True):
+        reader.last_sequence[sender] = number
+        if count:
+            reader.gaps[sender] = reader.gaps.get(sender, 0) + count
 
 
 def _time_field(layout: Layout) -> str | None:
@@ -337,13 +359,16 @@ def _summary(reader: _Reader) -> Summary:
     outliers = {_key(reader, source): n for source, n in sorted(reader.time.outliers.items())}
     if reader.bad_stamps:
         outliers["recv_ns"] = reader.bad_stamps
+    undecoded = {_key(reader, source): n for source, n in sorted(scanner.unknown.items())}
+    if reader.surplus:
+        undecoded[f"streams beyond {MAX_STREAMS:,}"] = reader.surplus
     damage = Damage(
         bytes_skipped=scanner.bytes_skipped,
         regions=tuple(scanner.regions),
         region_count=scanner.region_count,
         bad_checksums=scanner.bad_checksums,
         truncated=scanner.truncated,
-        undecoded={_key(reader, source): n for source, n in sorted(scanner.unknown.items())},
+        undecoded=undecoded,
         time_outliers=outliers,
         sequence_gaps={f"{who >> 8}.{who & 255}": n for who, n in sorted(reader.gaps.items())},
     )

@@ -323,3 +323,16 @@ def test_every_byte_is_in_a_frame_or_in_a_region(garbage: bytes, stamp: int) -> 
     assert end == len(blob)
     assert scanner.bytes_skipped + framed - stamp * scanner.unstamped == len(blob)
     assert len(found) >= 7
+
+
+def test_a_log_that_names_every_sender_there_can_be_is_bounded() -> None:
+    import fastcrc
+
+    frames = []
+    for sender_id in range(1 << 14):
+        body = bytes([9, 0, sender_id >> 8, sender_id & 255, 0]) + bytes(9)
+        crc = fastcrc.crc16.mcrf4xx(body + bytes([50]))
+        frames.append(b"\xfe" + body + struct.pack("<H", crc))
+    flight = read(b"".join(frames))
+    assert len(flight.streams) == tlog.MAX_STREAMS
+    assert flight.damage.undecoded == {"streams beyond 2,000": (1 << 14) - tlog.MAX_STREAMS}
