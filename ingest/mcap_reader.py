@@ -245,7 +245,7 @@ class McapReader:
         resume = at + found.stop
         if resume < self._limit and record_end(self.view, resume, self._limit) < 0:
             found, resume = self._doubt_last(found, at)
-        yield bind(piece, found, self.registry)
+        yield bind(piece[: found.stop], found, self.registry)
         return resume
 
     def _lone(self, at: int) -> Steps:

@@ -155,7 +155,9 @@ class UlogReader:
             self._tally.truncated = True
             self._tally.skip(at, framer.stop, "cut off inside a record")
         else:
-            self._tally.skip(at, resume, "no record here")
+            named = kind == ord("D") and framer.knows(body)
+            wrong = f"record of {self._name_of(kind, body, body + 2)} has a wrong size" if named else ""
+            self._tally.skip(at, resume, wrong or "no record here")
         return resume
 
     def _resume(self, at: int) -> int:

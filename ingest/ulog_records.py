@@ -128,6 +128,10 @@ class Framer:
         )
         return known and end > self.stop
 
+    def knows(self, body: int) -> bool:
+        """Whether the data record with its payload at `body` is of an id that was ever subscribed."""
+        return body + 2 <= self.stop and bool(self.sizes.known[self._id(body)])
+
     def is_cut_data(self, at: int) -> bool:
         """Whether a data record of the right size starts at `at` and the end cuts it."""
         kind, body, end = self.head(at)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 import tracemalloc
 import zlib
 from functools import cache
@@ -298,6 +299,20 @@ def test_a_great_many_topics_are_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
     assert flight is not None
     assert len(flight.streams) == 100
     assert flight.damage.undecoded == {"(topics beyond 100)": 2900}
+
+
+def test_channels_by_the_ten_thousand_do_not_slow_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flysid.ingest.mcaplog.MAX_TOPICS", 10)
+    topics = []
+    for k in range(20_000):
+        body = struct.pack("<HH", k, 1) + prefixed(f"/t{k}") + prefixed("json") + prefixed("")
+        topics.append(record(4, body) + message(b'{"k": 1}', k))
+    raw = whole(definitions(), *topics)
+    began = time.process_time()
+    flight = read(raw)
+    assert flight is not None
+    assert sum(flight.damage.undecoded.values()) == 19_990
+    assert time.process_time() - began < 8  # quadratic behaviour took minutes
 
 
 @settings(max_examples=60, deadline=None)

@@ -99,7 +99,7 @@ def test_a_record_of_the_wrong_size_is_named_and_the_rest_equals_pyulog() -> Non
     path = LOGS / "corrupt_actuator_armed_wrong_size.ulg"
     flight = flysid.read(path)
     assert_equals_pyulog(flight, pyulog(str(path)))
-    assert flight.damage.undecoded.get("actuator_armed", 0) + flight.damage.region_count > 0
+    assert [r.reason for r in flight.damage.regions] == ["record of actuator_armed has a wrong size"]
 
 
 @needs_logs
