@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: bench-ingest soak demo test check unit lint clean samples bench-accuracy
+.PHONY: bench-model bench-ingest soak demo test check unit lint clean samples bench-accuracy
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "flysid needs Python 3.11 or newer; try: make PYTHON=python3.12")'
@@ -34,6 +34,9 @@ soak: $(VENV)/.installed  ## hours: the verdict against known truth
 	$(BIN)/python -m tests.bench.verdict_coverage 1000
 	$(BIN)/python -m tests.bench.verdict_fairness linear 200
 	$(BIN)/python -m tests.bench.verdict_fairness nonlinear 200
+
+bench-model: $(VENV)/.installed  ## linear models against their peers (installed with pip beforehand), ratios
+	$(BIN)/python -m tests.bench.bench_model
 
 bench-accuracy: $(VENV)/.installed  ## free-run accuracy on ../shared/benchmarks, default settings
 	$(BIN)/python -m tests.bench.accuracy

@@ -1,0 +1,223 @@
+"""Linear models against their peers, CPU time and memory: `make bench-model`.
+
+Every measurement is a fresh process on one BLAS thread: data are made, the work is done once to warm up on a
+tenth of it, then timed. Peers run where they are installed (sysidentpy, scikit-learn from the registry;
+octave with its control package on the path); absent ones are named. Figures are medians of one run.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import resource
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+
+ROOT = Path(__file__).resolve().parents[2]
+ROWS = 1_000_000
+A, B = [1.0, -1.5, 0.7, -0.1, 0.05], [0.0, 1.0, 0.5, 0.2, 0.1]
+
+
+def siso(rows: int, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+    """A stable fourth-order plant under white noise, equation noise added."""
+    from scipy.signal import lfilter
+
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(rows)
+    drive = lfilter(B, [1.0], u) + 0.1 * rng.standard_normal(rows)
+    return u, np.asarray(lfilter([1.0], A, drive))
+
+
+def mimo(rows: int) -> tuple[FloatArray, FloatArray]:
+    """Three such plants side by side."""
+    pairs = [siso(rows, seed) for seed in range(3)]
+    return np.stack([u for u, _ in pairs], axis=1), np.stack([y for _, y in pairs], axis=1)
+
+
+def ours_arx(u: FloatArray, y: FloatArray) -> Any:
+    from flysid.model.arx import ARX
+
+    return ARX(na=4, nb=4, nk=1, refine=False).fit(Dataset.from_arrays(u, y, 0.01)).flat
+
+
+def ours_grid(u: FloatArray, y: FloatArray) -> Any:
+    """400 orders from one pass."""
+    from flysid.model.gram import reduce_data
+    from flysid.model.linear_data import Scaling
+    from flysid.model.orders import Choice, Grid, best_of, grid_gram
+    from flysid.model.regressors import chunks
+
+    data = Dataset.from_arrays(u, y, 0.01)
+    lags, scaling = Grid.lags(1, 1, 20, 20), Scaling.of(data)
+    triangle = reduce_data(lambda: chunks(data, lags, transform=scaling), grid_gram(data, lags, scaling))
+    grid = Grid(triangle, 1, 1, 20, 20, offset=True)
+    return best_of(grid, [Choice(a, (b,), (1,)) for a in range(1, 21) for b in range(1, 21)])
+
+
+def numpy_qr(u: FloatArray, y: FloatArray) -> Any:
+    columns = [-y[4 - i : len(y) - i] for i in range(1, 5)] + [u[4 - i : len(u) - i] for i in range(1, 5)]
+    phi = np.column_stack([*columns, np.ones(len(y) - 4)])
+    r = np.linalg.qr(np.column_stack([phi, y[4:]]), mode="r")
+    return np.linalg.solve(r[:9, :9], r[:9, 9])
+
+
+def sysidentpy_arx(u: FloatArray, y: FloatArray) -> Any:
+    from sklearn.linear_model import LinearRegression  # type: ignore[import-not-found,import-untyped]
+    from sysidentpy.basis_function import Polynomial  # type: ignore[import-not-found,import-untyped]
+    from sysidentpy.general_estimators import NARX  # type: ignore[import-not-found,import-untyped]
+
+    model = NARX(
+        base_estimator=LinearRegression(),
+        xlag=4,
+        ylag=4,
+        basis_function=Polynomial(degree=1),
+        model_type="NARMAX",
+    )
+    return model.fit(X=u[:, None], y=y[:, None])
+
+
+def sysidentpy_frols(u: FloatArray, y: FloatArray) -> Any:
+    return _frols().fit(X=u[:, None], y=y[:, None])
+
+
+def _frols() -> Any:
+    from sysidentpy.basis_function import Polynomial
+    from sysidentpy.model_structure_selection import FROLS  # type: ignore[import-not-found,import-untyped]
+    from sysidentpy.parameter_estimation import LeastSquares  # type: ignore[import-not-found,import-untyped]
+
+    return FROLS(
+        order_selection=False,
+        n_terms=9,
+        xlag=4,
+        ylag=4,
+        basis_function=Polynomial(degree=1),
+        estimator=LeastSquares(),
+    )
+
+
+def ours_free_run(u: FloatArray, y: FloatArray) -> Any:
+    """1e5 steps; the fit is not timed (see `PREPARED`)."""
+    from flysid.model.arx import ARX
+
+    data = Dataset.from_arrays(u[:5000], y[:5000], 0.01)
+    model = ARX(na=4, nb=4, nk=1, refine=False).fit(data)
+    return lambda: model.simulate(u[:, None], y[: model.n_init, None])
+
+
+def sysidentpy_free_run(u: FloatArray, y: FloatArray) -> Any:
+    model = _frols()
+    model.fit(X=u[:5000, None], y=y[:5000, None])
+    return lambda: model.predict(X=u[:, None], y=y[:4, None])
+
+
+OCTAVE = """
+pkg load control; load('{path}'); d = iddata(y, u, 0.01); t = cputime(); m = arx(d, 'na', 4, 'nb', 4);
+printf('%.6f\\n', cputime() - t);
+"""
+
+
+def octave_arx(make: Callable[[int], tuple[FloatArray, FloatArray]]) -> float | None:
+    """CPU seconds of Octave's arx, or None where it cannot run."""
+    if shutil.which("octave") is None:
+        return None
+    from scipy.io import savemat
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "data.mat"
+        u, y = make(ROWS)
+        savemat(path, {"u": u.reshape(len(u), -1), "y": y.reshape(len(y), -1)})
+        done = subprocess.run(
+            ["octave", "--quiet", "--eval", OCTAVE.format(path=path)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    return float(done.stdout.split()[-1]) if done.returncode == 0 and done.stdout.split() else None
+
+
+WORK: dict[str, tuple[Callable[[FloatArray, FloatArray], Any], Callable[[int], Any], int, str]] = {
+    "ARX(4,4), 1e6: flysid": (ours_arx, siso, ROWS, ""),
+    "ARX(4,4), 1e6: QR of NumPy": (numpy_qr, siso, ROWS, ""),
+    "ARX(4,4), 1e6: sysidentpy + scikit-learn": (sysidentpy_arx, siso, ROWS, "sklearn"),
+    "ARX(4,4), 1e6: sysidentpy FROLS": (sysidentpy_frols, siso, ROWS, "sysidentpy"),
+    "3x3 ARX(4,4), 1e6: flysid": (ours_arx, mimo, ROWS, ""),
+    "400 orders, 1e6: flysid": (ours_grid, siso, ROWS, ""),
+    "free run, 1e5: flysid": (ours_free_run, siso, 100_000, ""),
+    "free run, 1e5: sysidentpy": (sysidentpy_free_run, siso, 100_000, "sysidentpy"),
+}
+PREPARED = {"free run, 1e5: flysid", "free run, 1e5: sysidentpy"}
+
+
+def one(name: str) -> dict[str, float]:
+    """CPU seconds and peak memory above the data, in this process."""
+    work, make, rows, _ = WORK[name]
+    u, y = make(rows)
+    tenth = rows // 10
+    if name in PREPARED:
+        run = work(u, y)
+    else:
+        work(u[:tenth], y[:tenth])
+        run = lambda: work(u, y)  # noqa: E731
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    began = time.process_time()
+    run()
+    seconds = time.process_time() - began
+    return {"s": seconds, "mb": (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024}
+
+
+def measured(name: str, times: int) -> tuple[float, float] | None:
+    """Medians over fresh processes; None where the peer is not installed."""
+    needs = WORK[name][3]
+    if needs and importlib.util.find_spec(needs) is None:
+        return None
+    single = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
+    command = [sys.executable, "-m", "tests.bench.bench_model", "--one", name]
+    runs = []
+    for _ in range(times):
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=single)
+        if done.returncode:
+            raise SystemExit(f"{name} failed:\n{done.stderr[-2000:]}")
+        runs.append(json.loads(done.stdout.splitlines()[-1]))
+    return statistics.median(r["s"] for r in runs), statistics.median(r["mb"] for r in runs)
+
+
+def main(times: int = 5) -> None:
+    """All cases, ratios to ours of the same work."""
+    base: dict[str, float] = {}
+    for name in WORK:
+        work, who = name.split(": ")
+        found = measured(name, times)
+        if found is None:
+            print(f"{name:45s} not installed")
+            continue
+        seconds, memory = found
+        base.setdefault(work, seconds)
+        ratio = "" if who == "flysid" else f"  {seconds / base[work]:.1f} times ours"
+        print(f"{name:45s} {1000 * seconds:9.1f} ms {memory:8.1f} MB{ratio}", flush=True)
+    single, grid = base["ARX(4,4), 1e6"], base["400 orders, 1e6"]
+    print(f"400 orders take {grid / single:.1f} times one fit")
+    for title, make in (("ARX(4,4), 1e6", siso), ("3x3 ARX(4,4), 1e6", mimo)):
+        seconds_octave = octave_arx(make)
+        words = (
+            "not installed" if seconds_octave is None else f"{seconds_octave / base[title]:.1f} times ours"
+        )
+        print(f"{title}: octave arx {words}")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--one"]:
+        print(json.dumps(one(sys.argv[2])))
+    else:
+        main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)
