@@ -16,6 +16,7 @@ from flysid.dataset import FloatArray
 from flysid.model.freerun import Difference
 from flysid.model.linear_data import EXACT, SEARCH_ROWS, Parts, shortened
 from flysid.model.simulation_error import free_space, without
+from flysid.model.start import WINDOW_LAGS, WINDOW_S
 
 START_SHARE = 0.05
 
@@ -61,7 +62,8 @@ def start_gains(system: Difference, parts: Parts, n_init: int | None) -> FloatAr
     """(n_y, L, n) start gains; n is n_init, or grows until more samples help little."""
     depth = max(system.depth, 1)
     shortest = min(len(s) for s in parts.train.segments)
-    most = max(depth, min(round(1.0 / parts.train.dt_s), int(START_SHARE * shortest)))
+    wanted = max(round(WINDOW_S / parts.train.dt_s), WINDOW_LAGS * depth)
+    most = max(depth, min(wanted, int(START_SHARE * shortest)))
     past = pasts(system, parts)
     rows = depth if n_init is None else max(n_init, 1)
     spread = _start_spread(past, rows)

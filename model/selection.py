@@ -9,7 +9,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Fitted
 from flysid.model.linear_data import Parts
-from flysid.model.start import start_window
+from flysid.model.start import MAX_SHARE
 
 BLOCKS = 16
 LEVEL = 0.01
@@ -20,7 +20,7 @@ def judging_window(parts: Parts, depth: int) -> int:
     """Samples of every validation segment from which all candidates estimate their start alike."""
     longest = max((len(s) for s in parts.check.segments), default=0)
     usable = [len(s) for s in parts.check.segments if len(s) > longest // 4]
-    return start_window(max(depth, 1), min(usable, default=0), parts.train.dt_s)
+    return max(depth, 1, int(MAX_SHARE * min(usable, default=0)))
 
 
 def block_errors(model: Fitted, data: Dataset, skip: int, scale: FloatArray) -> FloatArray:

@@ -146,3 +146,14 @@ def test_robot_arm() -> None:
     data = np.loadtxt(benchmark("robot_arm.dat"))
     model = OE().fit(Dataset.from_arrays(data[:512, 0], data[:512, 1], 0.01))
     assert held_out_rmse(model, data[512:, :1], data[512:, 1:])[0] <= 0.0105
+
+
+def test_silverbox() -> None:
+    """A weak nonlinearity: the linear figures, mV. Selection sees three quarters of the multisine."""
+    table = np.genfromtxt(benchmark("silverbox_snls80mv.csv"), delimiter=",", skip_header=1)[:, :2]
+    arrow, multisine = table[100:40575], table[40650:127400]
+    cut = int(0.75 * len(multisine))
+    model = OE().fit(Dataset.from_arrays(multisine[:cut, 0], multisine[:cut, 1], 1 / 610.35))
+    parts = (multisine[cut:], arrow, arrow[:32_000])
+    found = [1000 * held_out_rmse(model, p[:, :1], p[:, 1:], 50)[0] for p in parts]
+    assert (np.array(found) <= [7.0, 14.5, 6.6]).all(), found
