@@ -13,8 +13,9 @@ from flysid.flightwriter import write_atomically
 from flysid.ingest.batch import find_logs, ingest_logs
 from flysid.ingest.lake import open as open_lake
 from flysid.ingest.synth import WRITERS, Order, flights
+from flysid.validate.fitting import fit_run
 from flysid.validate.judge import judge_run, write_judgement
-from flysid.validate.run import FitSettings, Run, fit_run, held_out, open_run, replacing_folder
+from flysid.validate.run import FitSettings, Run, held_out, open_run, replacing_folder
 
 CHANNEL = "longitudinal"
 

@@ -12,11 +12,9 @@ The whole folder appears at once: it is made beside its final place and renamed.
 from __future__ import annotations
 
 import json
-import os
 import platform
 import shutil
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from importlib import metadata
@@ -24,14 +22,13 @@ from pathlib import Path
 from typing import Any
 
 from flysid.dataset import Dataset
-from flysid.errors import DataError, FitError, StoreError, UsageError
-from flysid.flightwriter import slug, write_atomically, writing_to
-from flysid.ingest.align import Aligned
+from flysid.errors import StoreError, UsageError
+from flysid.flightwriter import writing_to
 from flysid.ingest.lake import Lake
 from flysid.ingest.lake import open as open_lake
-from flysid.ingest.recipe import Recipe, load_recipe, recipe_text
-from flysid.model.base import Estimator, Fitted, load
-from flysid.split import By, Split, plan_split
+from flysid.ingest.recipe import Recipe, load_recipe
+from flysid.model.base import Fitted, load
+from flysid.split import By, Split
 from flysid.version import __version__
 
 RUN_FORMAT = "flysid-run"
@@ -110,110 +107,6 @@ class HeldOut:
     test: Dataset
 
 
-def estimators(settings: FitSettings) -> dict[str, Estimator]:
-    """The models of a run, by label: linear, the paper's static TS, dynamic TS."""
-    from flysid.model.arx import ARX
-    from flysid.model.line import Line
-    from flysid.model.static_ts import StaticTS
-    from flysid.model.ts import TS
-
-    antecedents: Any = settings.antecedents or "auto"
-    rules: Any = settings.rules
-    return {
-        "line": Line(),
-        "arx": ARX(),
-        "static_ts": StaticTS(seed=settings.seed),
-        "ts": TS(rules=rules, antecedents=antecedents),
-    }
-
-
-# ------------------------------------------------------------------------------------------- fitting
-
-
-def fit_run(
-    lake: Lake, recipe_name: str, out: Path, settings: FitSettings, progress: Progress = lambda _: None
-) -> Run:
-    """Fit every channel of a recipe and write the run folder.
-
-    A channel that cannot be fitted is skipped with its reason (`Run.skipped`).
-
-    Parameters
-    ----------
-    recipe_name : a shipped recipe, or the path of one.
-    out : the run's folder; what is there is replaced once the run is complete.
-    progress : told what is being done.
-
-    Raises
-    ------
-    DataError : no channel could be fitted; the message gives each channel's reason.
-    RecipeError : the recipe names what the data does not hold.
-    UsageError : `settings.channels` names a channel that the recipe does not have.
-    """
-    recipe = load_recipe(recipe_name)
-    fitted: list[ChannelRun] = []
-    held = lake.channels(recipe)
-    skipped = {
-        name: "no flight holds its streams"
-        for name in (recipe.channels if held and not settings.channels else ())
-        if name not in held
-    }
-    with replacing_folder(out) as folder:
-        for name in _chosen([n for n in recipe.channels if n not in skipped], settings.channels):
-            try:
-                fitted.append(_fit_channel(lake.align(recipe, name), folder, settings, progress))
-            except (DataError, FitError) as error:
-                skipped[name] = str(error)
-                progress(f"{name}: skipped: {error}")
-        if not fitted:
-            reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
-            raise DataError(f"no channel of recipe {recipe.name!r} could be fitted: {reasons}")
-        run = Run(
-            folder=out,
-            data=os.path.abspath(lake.folder),
-            recipe=recipe.name,
-            flights=tuple(m.id for m in lake.flights),
-            settings=settings,
-            channels=tuple(fitted),
-            skipped=skipped,
-            versions=versions(),
-        )
-        write_atomically(folder / RECIPE_FILE, recipe_text(recipe_name)[0].encode())
-        write_atomically(folder / RUN_FILE, _run_document(run))
-    return run
-
-
-def _chosen(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
-    for name in wanted:
-        if name not in names:
-            raise UsageError(f"the recipe has no channel {name!r}", hint=f"one of {', '.join(names)}")
-    return [n for n in names if not wanted or n in wanted]
-
-
-def _fit_channel(aligned: Aligned, folder: Path, settings: FitSettings, progress: Progress) -> ChannelRun:
-    dataset = aligned.dataset
-    split = plan_split(dataset, holdout=settings.holdout, by=settings.by, seed=settings.seed)
-    train, _ = split.apply(dataset)
-    files: dict[str, str] = {}
-    seconds: dict[str, float] = {}
-    failed: dict[str, str] = {}
-    place = slug(dataset.name)
-    (folder / place).mkdir()
-    for label, estimator in estimators(settings).items():
-        progress(f"{dataset.name}: fitting {label}")
-        started = time.perf_counter()
-        try:
-            model = estimator.fit(train)
-        except (FitError, DataError) as error:
-            if label == "arx":
-                raise
-            failed[label] = str(error)
-            continue
-        seconds[label] = time.perf_counter() - started
-        files[label] = f"{place}/{label}.json"
-        model.save(folder / files[label])
-    return ChannelRun(dataset.name, files, split.to_dict(), tuple(aligned.report.lines()), seconds, failed)
-
-
 def versions() -> dict[str, str]:
     """Versions that a result depends on."""
     found = {"flysid": __version__, "python": platform.python_version()}
@@ -239,7 +132,8 @@ def replacing_folder(out: Path) -> Iterator[Path]:
         shutil.rmtree(incoming, ignore_errors=True)
 
 
-def _run_document(run: Run) -> bytes:
+def run_document(run: Run) -> bytes:
+    """The JSON of a run."""
     body = {
         "format": RUN_FORMAT,
         "version": RUN_VERSION,
@@ -337,16 +231,3 @@ def _inside(folder: Path, file: str) -> Path:
     if not path.is_relative_to(folder.resolve()):
         raise StoreError(f"the run names a file outside its folder: {file!r}", path=folder / RUN_FILE)
     return path
-
-
-__all__ = [
-    "ChannelRun",
-    "FitSettings",
-    "HeldOut",
-    "Run",
-    "estimators",
-    "fit_run",
-    "held_out",
-    "load_recipe",
-    "open_run",
-]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.output import check_target, say, status
+from flysid.cli.output import check_target, cores, say, status
 
 if TYPE_CHECKING:
     from flysid.validate.judge import Judgement
@@ -128,9 +128,11 @@ def take_in(stages: Stages) -> str:
 def fit(stages: Stages, seed: int, progress: Callable[[str], None]) -> Run:
     """Fit all models to all channels."""
     from flysid.ingest.lake import open as open_lake
-    from flysid.validate.run import FitSettings, fit_run
+    from flysid.validate.fitting import fit_run
+    from flysid.validate.run import FitSettings
 
-    return fit_run(open_lake(stages.data), RECIPE, stages.run, FitSettings(seed=seed), progress)
+    settings = FitSettings(seed=seed)
+    return fit_run(open_lake(stages.data), RECIPE, stages.run, settings, jobs=cores(), progress=progress)
 
 
 def describe_run(run: Run) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.output import check_target, say, status
+from flysid.cli.output import check_target, cores, say, status
 
 if TYPE_CHECKING:
     from flysid.split import By
@@ -33,6 +33,7 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
 )
 @click.option("--by", default="auto", show_default=True, type=click.Choice(["auto", "flight", "time"]))
 @click.option("--seed", default=7, show_default=True)
+@click.option("--jobs", "-j", default=0, metavar="N", help="Channels at a time; one per core when not given.")
 @click.option("--force", is_flag=True, help="Replace the run if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was fitted as JSON.")
 @click.option("--quiet", "-q", is_flag=True)
@@ -46,6 +47,7 @@ def command(
     holdout: float,
     by: By,
     seed: int,
+    jobs: int,
     force: bool,
     as_json: bool,
     quiet: bool,
@@ -57,11 +59,12 @@ def command(
     """
     check_target(output, force)
     from flysid.ingest.lake import open as open_lake
-    from flysid.validate.run import FitSettings, fit_run
+    from flysid.validate.fitting import fit_run
+    from flysid.validate.run import FitSettings
 
     settings = FitSettings(holdout, by, seed, rules, antecedents, channels)
     with status(quiet) as progress:
-        run = fit_run(open_lake(data), recipe, output, settings, progress)
+        run = fit_run(open_lake(data), recipe, output, settings, jobs=jobs or cores(), progress=progress)
     if as_json:
         click.echo((output / "run.json").read_text("utf-8"), nl=False)
     else:

@@ -1,0 +1,185 @@
+"""From an ingested folder and a recipe to a run: every channel aligned, split and fitted.
+
+Channels are independent of each other, so they are fitted side by side in processes of their own; the
+result does not depend on how many.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flysid.dataset import Dataset
+from flysid.errors import DataError, FitError, UsageError
+from flysid.flightwriter import slug, write_atomically
+from flysid.ingest.align import Aligned
+from flysid.ingest.lake import Lake
+from flysid.ingest.recipe import load_recipe, recipe_text
+from flysid.model.base import Estimator
+from flysid.split import plan_split
+from flysid.validate.run import (
+    RECIPE_FILE,
+    RUN_FILE,
+    ChannelRun,
+    FitSettings,
+    Progress,
+    Run,
+    replacing_folder,
+    run_document,
+    versions,
+)
+
+
+def estimators(settings: FitSettings) -> dict[str, Estimator]:
+    """The models of a run, by label: linear, the paper's static TS, dynamic TS."""
+    from flysid.model.arx import ARX
+    from flysid.model.line import Line
+    from flysid.model.static_ts import StaticTS
+    from flysid.model.ts import TS
+
+    antecedents: Any = settings.antecedents or "auto"
+    rules: Any = settings.rules
+    return {
+        "line": Line(),
+        "arx": ARX(),
+        "static_ts": StaticTS(seed=settings.seed),
+        "ts": TS(rules=rules, antecedents=antecedents),
+    }
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One channel to fit: what a worker process needs."""
+
+    aligned: Aligned
+    folder: Path
+    settings: FitSettings
+
+
+def fit_run(
+    lake: Lake,
+    recipe_name: str,
+    out: Path,
+    settings: FitSettings,
+    *,
+    jobs: int = 1,
+    progress: Progress = lambda _: None,
+) -> Run:
+    """Fit every channel of a recipe and write the run folder.
+
+    A channel that cannot be fitted is skipped with its reason (`Run.skipped`).
+
+    Parameters
+    ----------
+    recipe_name : a shipped recipe, or the path of one.
+    out : the run's folder; what is there is replaced once the run is complete.
+    jobs : channels fitted at a time, each in a process of its own where more than one.
+    progress : told what is being done.
+
+    Raises
+    ------
+    DataError : no channel could be fitted; the message gives each channel's reason.
+    RecipeError : the recipe names what the data does not hold.
+    UsageError : `settings.channels` names a channel that the recipe does not have.
+    """
+    recipe = load_recipe(recipe_name)
+    held = lake.channels(recipe)
+    skipped = {
+        name: "no flight holds its streams"
+        for name in (recipe.channels if held and not settings.channels else ())
+        if name not in held
+    }
+    wanted = _chosen([n for n in recipe.channels if n not in skipped], settings.channels)
+    with replacing_folder(out) as folder:
+        queue: list[_Job] = []
+        for name in wanted:
+            try:
+                queue.append(_Job(lake.align(recipe, name), folder, settings))
+            except DataError as error:
+                skipped[name] = str(error)
+        found = dict(_fitted(queue, jobs, progress))
+        fitted = tuple(found[name] for name in wanted if isinstance(found.get(name), ChannelRun))
+        skipped |= {name: str(why) for name, why in found.items() if not isinstance(why, ChannelRun)}
+        if not fitted:
+            reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
+            raise DataError(f"no channel of recipe {recipe.name!r} could be fitted: {reasons}")
+        run = Run(
+            folder=out,
+            data=os.path.abspath(lake.folder),
+            recipe=recipe.name,
+            flights=tuple(m.id for m in lake.flights),
+            settings=settings,
+            channels=tuple(c for c in fitted if isinstance(c, ChannelRun)),
+            skipped=skipped,
+            versions=versions(),
+        )
+        write_atomically(folder / RECIPE_FILE, recipe_text(recipe_name)[0].encode())
+        write_atomically(folder / RUN_FILE, run_document(run))
+    return run
+
+
+def _chosen(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
+    for name in wanted:
+        if name not in names:
+            raise UsageError(f"the recipe has no channel {name!r}", hint=f"one of {', '.join(names)}")
+    return [n for n in names if not wanted or n in wanted]
+
+
+def _fitted(queue: Sequence[_Job], jobs: int, progress: Progress) -> Iterator[tuple[str, ChannelRun | str]]:
+    """(channel, its run or why there is none), in the order in which they are done."""
+    names = ", ".join(job.aligned.dataset.name for job in queue)
+    if min(jobs, len(queue)) <= 1:
+        for job in queue:
+            progress(f"fitting {job.aligned.dataset.name}")
+            yield job.aligned.dataset.name, _fit_channel(job)
+        return
+    progress(f"fitting {names}")
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(jobs, len(queue)), mp_context=context) as pool:
+        waiting = {pool.submit(_fit_channel, job): job.aligned.dataset.name for job in queue}
+        for done in as_completed(waiting):
+            name = waiting.pop(done)
+            progress(f"{name} fitted" + (f", fitting {', '.join(waiting.values())}" if waiting else ""))
+            yield name, done.result()
+
+
+def _fit_channel(job: _Job) -> ChannelRun | str:
+    """Split, fit and save one channel; or the reason why its baseline cannot be fitted."""
+    dataset, settings = job.aligned.dataset, job.settings
+    files: dict[str, str] = {}
+    seconds: dict[str, float] = {}
+    failed: dict[str, str] = {}
+    place = slug(dataset.name)
+    try:
+        split = plan_split(dataset, holdout=settings.holdout, by=settings.by, seed=settings.seed)
+        train, _ = split.apply(dataset)
+        (job.folder / place).mkdir()
+        for label, estimator in estimators(settings).items():
+            started = time.perf_counter()
+            why = _fit_one(estimator, train, job.folder / f"{place}/{label}.json")
+            if why and label == "arx":
+                return why
+            if why:
+                failed[label] = why
+                continue
+            seconds[label] = time.perf_counter() - started
+            files[label] = f"{place}/{label}.json"
+    except DataError as error:
+        return str(error)
+    aligned = tuple(job.aligned.report.lines())
+    return ChannelRun(dataset.name, files, split.to_dict(), aligned, seconds, failed)
+
+
+def _fit_one(estimator: Estimator, train: Dataset, path: Path) -> str:
+    """Fit and save a model; why it could not be fitted, or ''."""
+    try:
+        estimator.fit(train).save(path)
+    except (FitError, DataError) as error:
+        return str(error)
+    return ""
