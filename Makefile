@@ -34,6 +34,7 @@ soak: $(VENV)/.installed  ## hours: the verdict against known truth
 	$(BIN)/python -m tests.bench.verdict_coverage 1000
 	$(BIN)/python -m tests.bench.verdict_fairness linear 200
 	$(BIN)/python -m tests.bench.verdict_fairness nonlinear 200
+	FLYSID_SOAK=1 $(BIN)/python -m pytest -n 2 tests/test_format_contract.py
 
 bench-model: $(VENV)/.installed  ## linear models against their peers (installed with pip beforehand), ratios
 	$(BIN)/python -m tests.bench.bench_model

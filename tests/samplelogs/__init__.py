@@ -8,7 +8,8 @@ A module `tests/samplelogs/<format name>.py` offers
 - optionally `at_risk(blob, byte) -> int`: rows that damage to this byte may cost; by default those of
   the record it belongs to. (A definition puts all rows of its stream at risk; a chunk all of its rows.)
 - optionally `RESYNC_BYTES`: intact bytes after damage that the reader may lose before it finds its way
-  again; 0 by default.
+  again; 0 by default;
+- optionally `HARMLESS`: bytes that mean nothing between records (empty lines of a text log).
 """
 
 from __future__ import annotations

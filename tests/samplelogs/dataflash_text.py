@@ -8,6 +8,7 @@ from tests.samplelogs import Record, record_at
 from tests.samplelogs.dataflash import TYPES
 
 SUFFIX = ".log"
+HARMLESS = b"\r\n"
 RESYNC_BYTES = 120  # garbage without a line end swallows the line behind it
 
 
