@@ -12,6 +12,11 @@ from flysid.version import __version__
 
 _HOME = {
     "ARX": "flysid.model.arx",
+    "OE": "flysid.model.oe",
+    "ARMAX": "flysid.model.armax",
+    "BJ": "flysid.model.bj",
+    "FIR": "flysid.model.fir",
+    "Line": "flysid.model.line",
     "TS": "flysid.model.ts",
     "StaticTS": "flysid.model.static_ts",
     "Dataset": "flysid.dataset",
@@ -35,6 +40,11 @@ _HOME = {
 __all__ = [  # noqa: RUF022
     "__version__",
     "ARX",
+    "OE",
+    "ARMAX",
+    "BJ",
+    "FIR",
+    "Line",
     "TS",
     "StaticTS",
     "Dataset",
@@ -69,8 +79,13 @@ if TYPE_CHECKING:
     from flysid.flight import Damage, Flight
     from flysid.ingest.base import read
     from flysid.ingest.lake import open  # noqa: A004
+    from flysid.model.armax import ARMAX
     from flysid.model.arx import ARX
     from flysid.model.base import load
+    from flysid.model.bj import BJ
+    from flysid.model.fir import FIR
+    from flysid.model.line import Line
+    from flysid.model.oe import OE
     from flysid.model.static_ts import StaticTS
     from flysid.model.ts import TS
     from flysid.validate.compare import compare

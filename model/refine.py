@@ -96,20 +96,15 @@ def levenberg_marquardt(
     ------
     FitError : the cost of the start is not finite.
     """
-    point = _evaluate(evaluate, np.asarray(theta0, dtype=np.float64))
-    if point is None:
-        raise FitError("the start of the refinement diverges", hint="give a stable start")
+    point = _started(evaluate, theta0)
     scale = _floored(point.diagonal)
     damping, growth = FIRST_DAMPING, 2.0
     best = _Best(point, None if validate is None else _finite_or_inf(validate(point.theta)))
     reason: Reason = "max_iterations"
     start_cost, accepted, tries = point.cost, 0, 0
     while tries < max_iterations:
-        if stop is not None and stop():
-            reason = "stopped"
-            break
-        if point.cost == 0.0 or _is_stationary(point, scale):
-            reason = "converged"
+        if (stop is not None and stop()) or point.cost == 0.0 or _is_stationary(point, scale):
+            reason = "converged" if point.cost == 0.0 or _is_stationary(point, scale) else "stopped"
             break
         tries += 1
         step = _step(point, scale, damping)
@@ -135,6 +130,13 @@ def levenberg_marquardt(
     return Refinement(
         best.point.theta, best.point.cost, start_cost, best.iteration, reason, best.validation_cost
     )
+
+
+def _started(evaluate: Callable[[FloatArray], Residuals | NormalEquations], theta0: FloatArray) -> _Point:
+    point = _evaluate(evaluate, np.asarray(theta0, dtype=np.float64))
+    if point is None:
+        raise FitError("the start of the refinement diverges", hint="give a stable start")
+    return point
 
 
 @dataclass(frozen=True)
