@@ -20,7 +20,7 @@ from flysid.errors import DataError, UsageError
 
 Method = Literal["gustafson-kessel", "fuzzy-c-means", "subtractive"]
 
-MOST_SAMPLES = 2000
+MOST_SAMPLES = 1000
 _FUZZINESS = 2.0
 _MOST_CONDITION = 1e6  # of a cluster's covariance; flatter clusters are fattened to it
 
@@ -148,7 +148,7 @@ def _gustafson_kessel(X: FloatArray, rules: int, rng: np.random.Generator) -> tu
             gap = X - c
             covariance = (weight[:, r, None] * gap).T @ gap / max(weight[:, r].sum(), 1e-300)
             metric = _unit_volume_inverse(0.99 * covariance + 0.01 * overall)
-            result[:, r] = np.einsum("ni,ij,nj->n", gap, metric, gap, optimize=True)
+            result[:, r] = ((gap @ metric) * gap).sum(axis=1)
         return np.maximum(result, 0.0)
 
     return _iterate(X, _seeds(X, rules, rng), squares)
