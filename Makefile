@@ -46,6 +46,8 @@ clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache flysid-demo .bench
 
 samples: $(VENV)/.installed  ## sample_logs/, bit for bit
-	$(BIN)/python -m flysid synth -o sample_logs --force --no-truth --plan multisine --seed 1 --duration 30 --format tlog --format mcap
-	$(BIN)/python -m flysid synth -o sample_logs --force --no-truth --plan steps --seed 2 --duration 30 --format tlog --format mcap
+	$(BIN)/python -m flysid synth -o sample_logs --force --no-truth --plan multisine --seed 1 --duration 30 --format tlog
+	$(BIN)/python -m flysid synth -o sample_logs --force --no-truth --plan steps --seed 2 --duration 30 --format tlog
+	$(BIN)/python -m flysid synth -o sample_logs --force --no-truth --plan multisine --seed 3 --duration 30 --format mcap
+	$(BIN)/python -m flysid synth -o sample_logs --force --no-truth --plan steps --seed 4 --duration 30 --format mcap
 	cd sample_logs && sha256sum *.mcap *.tlog > SHA256SUMS

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from flysid.validate.judge import Judgement
     from flysid.validate.run import Run
 
-PLANT = "ardrone-linear"
+PLANT = "ardrone"
+PLAN = "demo"
 RECIPE = "ardrone-synthetic"
 DURATION_S = 60.0
 MARKER = ".flysid-demo"
@@ -101,7 +102,7 @@ def fly(stages: Stages, seed: int, progress: Callable[[str], None]) -> str:
     from flysid.ingest.plans import plan_named
     from flysid.ingest.synth import WRITERS, Order, flights
 
-    order = Order(plant=PLANT, duration_s=DURATION_S, seed=seed)
+    order = Order(plant=PLANT, plan=PLAN, duration_s=DURATION_S, seed=seed)
     progress(f"flying {len(plan_named(order.plan))} flights")
     make_folder(stages.logs)
     writers = [WRITERS["tlog"], WRITERS["mcap"]]
