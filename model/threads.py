@@ -11,18 +11,31 @@ import functools
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
+import numpy as np
+
+from flysid.errors import FitError
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
 def on_one_thread(fit: Callable[P, R]) -> Callable[P, R]:
-    """`fit`, run with BLAS limited to one thread; the caller's limits are restored."""
+    """`fit`, run with BLAS limited to one thread; the caller's limits are restored.
+
+    Where linear algebra fails for good it raises FitError: a caller never meets NumPy's own error.
+    """
 
     @functools.wraps(fit)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:
         from threadpoolctl import threadpool_limits
 
         with threadpool_limits(limits=1, user_api="blas"):
-            return fit(*args, **kwargs)
+            try:
+                return fit(*args, **kwargs)
+            except np.linalg.LinAlgError as error:
+                raise FitError(
+                    f"the numbers broke down: {error}",
+                    hint="lower the orders, record longer, or check the data for jumps",
+                ) from error
 
     return limited

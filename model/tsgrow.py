@@ -159,9 +159,14 @@ def refine(stage: Stage, iterations: int, tolerance: float) -> Stage:
 
 
 def rebased(stage: Stage) -> Stage:
-    """The same one-rule model in the basis where its Gauss-Newton matrix is the identity."""
+    """The same one-rule model in the basis where its Gauss-Newton matrix is the identity.
+
+    Where its sensitivities overflow it is no start: its cost becomes infinite.
+    """
     error = SimulationError(stage.problem, stage.body, _free(stage.body))
     _, H, _ = error.normal(error.start(stage.initial))
+    if not np.isfinite(H).all():
+        return replace(stage, cost=float("inf"))
     m = stage.body.a[0].size
     n_x = stage.body.a.shape[2]
     block = sum(H[i : i + n_x, i : i + n_x] for i in range(0, m, n_x))
