@@ -46,9 +46,9 @@ class ARX:
     nb : past inputs, one number or one per input, or "auto".
     nk : delay in samples from input to output, one number or one per input, or "auto". 0 is feed-through.
     offset : estimate a constant.
-    refine : fit the simulation error instead of the next sample: "auto" unless the validation free run is
-        worse for it by more than noise, True or False to force. A refined model has no coupling between
-        outputs.
+    refine : fit the simulation error instead of the next sample: "auto" unless the free run is worse for it,
+        on validation by more than noise and on all training data, True or False to force. A refined model
+        has no coupling between outputs.
     n_init : measured samples that start a refined model's simulation; None chooses.
     """
 
@@ -233,7 +233,8 @@ def _order_note(choices: Sequence[Choice], errors: Sequence[FloatArray], index: 
 
 
 def _decided(parts: Parts, plain: _LeastSquaresFit, refined: Refined) -> FittedLinear:
-    """The refined model, unless the validation free run of the plain one is better by more than noise."""
+    """The refined model, unless the plain one free-runs better: on validation by more than noise, and on all
+    training data too. One held-out flight alone is too little to give up what fits every flight better."""
     window = max(plain.model.n_init, judging_window(parts, refined.depth))
     judged = runner("arx", parts, refined.fits, window)
     before = block_errors(plain.model, parts.check, window, parts.scaling.y_scale)
@@ -245,9 +246,19 @@ def _decided(parts: Parts, plain: _LeastSquaresFit, refined: Refined) -> FittedL
     figures = (
         f"validation free run RMSE {np.sqrt(after.mean()):.3g} refined against {np.sqrt(before.mean()):.3g}"
     )
-    if clearly_better(before, after):
-        return _noted(plain.final(), f"Refinement on the simulation error was tried and not kept: {figures}.")
+    final = plain.final()
+    if clearly_better(before, after) and _better_everywhere(parts, final, refined, window):
+        return _noted(final, f"Refinement on the simulation error was tried and not kept: {figures}.")
     return refined.final((f"The refined model was kept: {figures} (standard deviations of the output).",))
+
+
+def _better_everywhere(parts: Parts, plain: FittedLinear, refined: Refined, window: int) -> bool:
+    """The plain model's free run of all training data has the lower mean square."""
+    skip = max(window, plain.n_init, refined.final(()).n_init)
+    plain_error, refined_error = (
+        block_errors(m, parts.train, skip, parts.scaling.y_scale) for m in (plain, refined.final(()))
+    )
+    return bool(len(plain_error) and plain_error.mean() < refined_error.mean())
 
 
 def _noted(model: FittedLinear, note: str) -> FittedLinear:

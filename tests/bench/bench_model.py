@@ -69,14 +69,14 @@ def ours_grid(u: FloatArray, y: FloatArray) -> Any:
 def numpy_qr(u: FloatArray, y: FloatArray) -> Any:
     columns = [-y[4 - i : len(y) - i] for i in range(1, 5)] + [u[4 - i : len(u) - i] for i in range(1, 5)]
     phi = np.column_stack([*columns, np.ones(len(y) - 4)])
-    r = np.linalg.qr(np.column_stack([phi, y[4:]]), mode="r")
+    r = np.asarray(np.linalg.qr(np.column_stack([phi, y[4:]]), mode="r"))
     return np.linalg.solve(r[:9, :9], r[:9, 9])
 
 
 def sysidentpy_arx(u: FloatArray, y: FloatArray) -> Any:
-    from sklearn.linear_model import LinearRegression  # type: ignore[import-not-found,import-untyped]
-    from sysidentpy.basis_function import Polynomial  # type: ignore[import-not-found,import-untyped]
-    from sysidentpy.general_estimators import NARX  # type: ignore[import-not-found,import-untyped]
+    from sklearn.linear_model import LinearRegression
+    from sysidentpy.basis_function import Polynomial
+    from sysidentpy.general_estimators import NARX
 
     model = NARX(
         base_estimator=LinearRegression(),
@@ -94,8 +94,8 @@ def sysidentpy_frols(u: FloatArray, y: FloatArray) -> Any:
 
 def _frols() -> Any:
     from sysidentpy.basis_function import Polynomial
-    from sysidentpy.model_structure_selection import FROLS  # type: ignore[import-not-found,import-untyped]
-    from sysidentpy.parameter_estimation import LeastSquares  # type: ignore[import-not-found,import-untyped]
+    from sysidentpy.model_structure_selection import FROLS
+    from sysidentpy.parameter_estimation import LeastSquares
 
     return FROLS(
         order_selection=False,
