@@ -8,7 +8,7 @@ A percentile interval of few units is too short. Hesterberg (2015, The American 
 it: its quantiles are taken at Phi(-sqrt(n / (n - 1)) t) with t of Student's distribution. The degrees of
 freedom here are those of the effective number of units, 1 / sum w_i^2 with w_i the share of unit i in the
 squared errors (Kish 1965), less one: a few bad flights carry most of an error. Measured coverage:
-docs/measured-verdict.md.
+docs/measured.md.
 """
 
 from __future__ import annotations

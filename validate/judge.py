@@ -56,8 +56,16 @@ class Judgement:
         return evaluate_condition(condition, self.document)
 
 
-def judge_run(run: Run, data: str | Path | None = None, progress: Progress = lambda _: None) -> Judgement:
+def judge_run(
+    run: Run, data: str | Path | None = None, progress: Progress = lambda _: None, remark: str = ""
+) -> Judgement:
     """Compare every channel of a run on its held-out part.
+
+    Parameters
+    ----------
+    data : the ingested folder, where it moved since the fit.
+    progress : told what is being done.
+    remark : stands above the report's title, e.g. "simulated flights".
 
     Raises
     ------
@@ -76,7 +84,7 @@ def judge_run(run: Run, data: str | Path | None = None, progress: Progress = lam
     if not comparisons:
         raise DataError("no channel can be judged: " + "; ".join(f"{n}: {w}" for n, w in skipped.items()))
     corrected = across_channels(comparisons)
-    return Judgement(run, corrected, skipped, _context(run, corrected, held))
+    return Judgement(run, corrected, skipped, _context(run, corrected, held, remark))
 
 
 def write_judgement(judgement: Judgement, folder: Path) -> Path:
@@ -88,12 +96,15 @@ def write_judgement(judgement: Judgement, folder: Path) -> Path:
     return folder / PAGE
 
 
-def _context(run: Run, comparisons: Mapping[str, Comparison], held: list[HeldOut]) -> ReportContext:
+def _context(
+    run: Run, comparisons: Mapping[str, Comparison], held: list[HeldOut], remark: str
+) -> ReportContext:
     return ReportContext(
         comparisons=comparisons,
         train={h.channel.name: h.train for h in held},
         command=_command(run),
         provenance=_provenance(run, held),
+        remark=remark,
     )
 
 

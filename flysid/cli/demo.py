@@ -12,13 +12,17 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.output import check_target, cores, say, status
+from flysid.errors import UsageError
 
 if TYPE_CHECKING:
     from flysid.validate.judge import Judgement
     from flysid.validate.run import Run
 
-PLANT = "ardrone"
-PLAN = "demo"
+PLANS = {"ardrone": "demo", "ardrone-linear": "mixed"}
+FLOWN = {
+    "ardrone": "the nonlinear AR.Drone (rigid body, drag, limits)",
+    "ardrone-linear": "the paper's loops (10), (11), (12)",
+}
 RECIPE = "ardrone-synthetic"
 DURATION_S = 60.0
 MARKER = ".flysid-demo"
@@ -56,19 +60,23 @@ class Stages:
     type=click.Path(path_type=Path),
     help="Folder.",
 )
+@click.option(
+    "--plant", default="ardrone", show_default=True, type=click.Choice(list(PLANS)), help="What flies."
+)
 @click.option("--seed", default=1, show_default=True)
 @click.option("--force", is_flag=True, help="Replace an earlier demo in that folder.")
 @click.option("--quiet", "-q", is_flag=True)
-def command(output: Path, seed: int, force: bool, quiet: bool) -> None:
+def command(output: Path, plant: str, seed: int, force: bool, quiet: bool) -> None:
     """Fly, ingest, fit and validate on simulated flights; end with the path of a report.
 
-    The vehicle is the paper's AR.Drone: transfer functions (10), (11) and (12) with measurement noise.
+    The vehicle is a nonlinear AR.Drone; with --plant ardrone-linear the paper's transfer functions (10),
+    (11) and (12), on which rules cannot help.
     """
     started = time.perf_counter()
     prepare(output, force)
     stages = Stages(output)
     with status(quiet) as progress:
-        say(f"  synthesise  {fly(stages, seed, progress)}", quiet)
+        say(f"  synthesise  {fly(stages, plant, seed, progress)}", quiet)
         say(f"  ingest      {take_in(stages)}", quiet)
         run = fit(stages, seed, progress)
         say(f"  fit         {describe_run(run)}", quiet)
@@ -85,24 +93,26 @@ def command(output: Path, seed: int, force: bool, quiet: bool) -> None:
 
 def prepare(output: Path, force: bool) -> None:
     """An empty demo folder. With `force` an earlier demo is removed, and nothing but a demo."""
-    if output.exists():
-        check_target(output, force and (output / MARKER).is_file())
+    if output.exists() and not (output.is_dir() and not any(output.iterdir())):
+        check_target(output, force)
+        if not (output / MARKER).is_file():
+            raise UsageError("not an earlier demo, so it is not replaced", path=output, hint="another -o")
         shutil.rmtree(output)
     from flysid.flightwriter import writing_to
 
     with writing_to(output):
-        output.mkdir(parents=True)
+        output.mkdir(parents=True, exist_ok=True)
         (output / MARKER).touch()
 
 
-def fly(stages: Stages, seed: int, progress: Callable[[str], None]) -> str:
-    """Fly the mixed plan; half of the flights are logged as tlog, the others as MCAP."""
+def fly(stages: Stages, plant: str, seed: int, progress: Callable[[str], None]) -> str:
+    """Fly the plant's plan; half of the flights are logged as tlog, the others as MCAP."""
     from flysid.cli.synth import make_folder
     from flysid.flightwriter import write_atomically
     from flysid.ingest.plans import plan_named
     from flysid.ingest.synth import WRITERS, Order, flights
 
-    order = Order(plant=PLANT, plan=PLAN, duration_s=DURATION_S, seed=seed)
+    order = Order(plant=plant, plan=PLANS[plant], duration_s=DURATION_S, seed=seed)
     progress(f"flying {len(plan_named(order.plan))} flights")
     make_folder(stages.logs)
     writers = [WRITERS["tlog"], WRITERS["mcap"]]
@@ -111,7 +121,7 @@ def fly(stages: Stages, seed: int, progress: Callable[[str], None]) -> str:
         suffix, encode = writers[i % 2]
         write_atomically(stages.logs / f"{recording.name}{suffix}", encode(recording))
     return (
-        f"{len(recordings)} flights of {DURATION_S:.0f} s, the paper's loops (10), (11), (12), "
+        f"{len(recordings)} flights of {DURATION_S:.0f} s, {FLOWN[plant]}, "
         f"{order.noise} m/s of noise  -> tlog and MCAP"
     )
 
@@ -148,7 +158,7 @@ def judge(stages: Stages, progress: Callable[[str], None]) -> Judgement:
     from flysid.validate.judge import judge_run, write_judgement
     from flysid.validate.run import open_run
 
-    judgement = judge_run(open_run(stages.run), progress=progress)
+    judgement = judge_run(open_run(stages.run), progress=progress, remark="simulated flights")
     progress("drawing the report")
     write_judgement(judgement, stages.report)
     return judgement
@@ -163,8 +173,11 @@ def describe_judgement(judgement: Judgement) -> str:
 
 
 def meaning(judgement: Judgement) -> str:
-    """What the verdicts say about these plants."""
-    verdicts = {str(pair.verdict) for c in judgement.comparisons.values() for pair in c.verdict.values()}
-    if "better" in verdicts:
-        return "Rules help on at least one channel: read the cautions in the report before you rely on it."
-    return "These plants are linear, and flysid says so: one linear model per channel is enough."
+    """What the verdicts say, in one line."""
+    pairs = {name: pair for c in judgement.comparisons.values() for name, pair in c.verdict.items()}
+    better = [name for name, pair in pairs.items() if pair.verdict == "better"]
+    if not better:
+        return "One linear model per channel is enough here."
+    others = [name for name in pairs if name not in better]
+    rest = f"; on {', '.join(others)} a linear model is enough" if others else ""
+    return f"Rules help on {', '.join(better)}{rest}. Read the cautions in the report before you rely on it."
