@@ -98,6 +98,13 @@ def test_from_synth_to_verdict_on_one_channel(tmp_path: Path) -> None:
         "validate", "run", "-o", "r2", "--fail-if", "free_run.models.arx.fit_pct > 50", cwd=tmp_path
     )
     assert failed.returncode == 4
+    markdown = call(*("validate", "run", "-o", "r3", "--markdown", "--figures", "svg", "-q"), cwd=tmp_path)
+    assert markdown.returncode == 0, markdown.stderr
+    assert markdown.stdout.startswith("| channel | horizon | model |")
+    assert {p.name for p in (tmp_path / "r3").iterdir()} == {"report.html", "report.json", "channel-1-1.svg"}
+    both = call("validate", "run", "-o", "r4", "--csv", "--json", cwd=tmp_path)
+    assert (both.returncode, both.stdout) == (2, "")
+    assert "json and csv" in both.stderr
     unexcited = call("fit", "data", "-r", "ardrone-synthetic", "-c", "yaw", "-o", "run2", cwd=tmp_path)
     assert unexcited.returncode == 2
     assert not (tmp_path / "run2").exists()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,7 @@ from flysid.ingest.synth import WRITERS, Order, flights
 from flysid.validate.fitting import fit_run
 from flysid.validate.judge import judge_run, write_judgement
 from flysid.validate.run import FitSettings, Run, held_out, open_run, replacing_folder
+from flysid.validate.words import number
 
 CHANNEL = "longitudinal"
 
@@ -71,6 +74,28 @@ def test_the_report_is_written_whole_and_says_where_it_came_from(run: Run, tmp_p
     assert str(open_run(run.folder).channels[0].split["test_sha256"]) in text
     assert page.stat().st_size < 1_500_000
     assert [p.name for p in tmp_path.iterdir()] == ["report"]
+
+
+def test_other_forms_of_the_judgement_tell_the_same_numbers(run: Run) -> None:
+    judgement = judge_run(open_run(run.folder))
+    rmse = judgement.document["channels"][CHANNEL]["free_run"]["models"]["arx"]["rmse"]
+    rows = list(csv.DictReader(judgement.text("csv").splitlines()))
+    arx = [r for r in rows if (r["horizon"], r["model"], r["segment"]) == ("free_run", "arx", "")]
+    assert [float(r["rmse"]) for r in arx] == [rmse]
+    assert json.loads(judgement.text("json")) == judgement.document
+    assert f"| arx | {number(rmse)} m/s |" in judgement.text("markdown")
+    with pytest.raises(UsageError, match="no form 'docx'"):
+        judgement.text("docx")
+
+
+def test_figures_without_matplotlib_name_the_extra_and_leave_nothing(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judgement = judge_run(open_run(run.folder))
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(UsageError, match=r"flysid\[plot\]"):
+        write_judgement(judgement, tmp_path / "report", "pdf")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_two_fits_give_the_same_files(data: Path, run: Run, tmp_path: Path) -> None:

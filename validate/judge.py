@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flysid.errors import DataError
+from flysid.errors import DataError, UsageError
 from flysid.flightwriter import write_atomically
 from flysid.validate.compare import Comparison, across_channels, compare
 from flysid.validate.condition import evaluate_condition
 from flysid.validate.document import to_json
+from flysid.validate.paperfigures import write_figures
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.page import render
 from flysid.validate.run import HeldOut, Progress, Run, held_out, replacing_folder
+from flysid.validate.tables import to_csv, to_markdown
 from flysid.validate.terminal import summary, table
 
 PAGE = "report.html"
@@ -50,6 +52,18 @@ class Judgement:
     def table(self) -> str:
         """The comparison for a terminal: every model, channel and horizon, then the verdicts in words."""
         return f"{table(self.comparisons)}\n\n{summary(self.comparisons)}"
+
+    def text(self, form: str = "table") -> str:
+        """The comparison as "table", "json", "markdown" or "csv", without a line break at the end."""
+        forms: dict[str, Callable[[], str]] = {
+            "table": lambda: self.table,
+            "json": lambda: json.dumps(self.document, indent=1, allow_nan=False),
+            "markdown": lambda: to_markdown(self.comparisons),
+            "csv": lambda: to_csv(self.comparisons),
+        }
+        if form not in forms:
+            raise UsageError(f"no form {form!r} of a comparison", hint=f"one of {', '.join(forms)}")
+        return forms[form]().rstrip("\n")
 
     def violates(self, condition: str) -> bool:
         """Whether a `--fail-if` condition holds; raises UsageError where it is not understood."""
@@ -87,12 +101,23 @@ def judge_run(
     return Judgement(run, corrected, skipped, _context(run, corrected, held, remark))
 
 
-def write_judgement(judgement: Judgement, folder: Path) -> Path:
-    """Write report.html and report.json; returns the page's path. The folder appears whole."""
+def write_judgement(judgement: Judgement, folder: Path, figures: str | None = None) -> Path:
+    """Write report.html and report.json; returns the page's path. The folder appears whole.
+
+    Parameters
+    ----------
+    figures : "pdf", "svg" or "png": figures for a paper beside the page, one per channel and output.
+
+    Raises
+    ------
+    UsageError : matplotlib is needed and not installed. WriteError : nothing can be written there.
+    """
     with replacing_folder(folder) as incoming:
         document = json.dumps(judgement.document, indent=1, allow_nan=False) + "\n"
         write_atomically(incoming / DOCUMENT, document.encode())
         write_atomically(incoming / PAGE, render(judgement.context).encode())
+        if figures is not None:
+            write_figures(incoming, judgement.context, figures)
     return folder / PAGE
 
 

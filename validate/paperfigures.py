@@ -63,6 +63,14 @@ def write_figures(folder: str | Path, context: ReportContext, kind: str = "pdf")
     return paths
 
 
+def require_matplotlib() -> None:
+    """Raise UsageError where matplotlib is not installed, before any work is done."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise UsageError("matplotlib is not installed", hint="pip install 'flysid[plot]'") from error
+
+
 def draw(context: ReportContext, channel: str, output: int = 0) -> Figure:
     """The figure of one channel and output, for a notebook; needs matplotlib."""
     from matplotlib.figure import Figure
@@ -82,10 +90,9 @@ def _rendered(context: ReportContext, channel: str, output: int, kind: str) -> b
     """The file's bytes; equal input gives equal bytes (no dates, no random ids)."""
     import io
 
-    try:
-        from matplotlib import rc_context
-    except ImportError as error:
-        raise UsageError("matplotlib is not installed", hint="pip install matplotlib") from error
+    require_matplotlib()
+    from matplotlib import rc_context
+
     metadata: dict[str, dict[str, Any]] = {
         "pdf": {"CreationDate": None, "Producer": None, "Creator": "flysid"},
         "svg": {"Date": None, "Creator": "flysid"},

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any, TypeVar
 
 import click
 
 from flysid.errors import UsageError
+
+F = TypeVar("F", bound=Callable[..., Any])
+FORMS = ("json", "markdown", "csv")
 
 
 def printable(text: str) -> str:
@@ -35,6 +39,25 @@ def check_target(path: Path, force: bool) -> None:
     """Raise UsageError where `path` exists and may not be replaced."""
     if path.exists() and not force:
         raise UsageError("the target exists", path=path, hint="choose another with -o, or add --force")
+
+
+def comparison_forms(function: F) -> F:
+    """Adds --json, --markdown and --csv, as flags of these names; see `chosen_form`."""
+    for name, what in (("csv", "CSV"), ("markdown", "Markdown"), ("json", "JSON")):
+        text = f"Print the comparison as {what} instead of a table."
+        function = click.option(f"--{name}", name, is_flag=True, help=text)(function)
+    return function
+
+
+def chosen_form(flags: Mapping[str, bool]) -> str:
+    """The form asked for, "table" where none; raises UsageError where there is more than one."""
+    asked = [name for name in FORMS if flags[name]]
+    if len(asked) > 1:
+        raise UsageError(
+            f"stdout has room for one form, not for {' and '.join(asked)}",
+            hint="run it twice with different -o, or read report.json",
+        )
+    return asked[0] if asked else "table"
 
 
 @contextlib.contextmanager

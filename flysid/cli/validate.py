@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
-from flysid.cli.output import check_target, say, status
+from flysid.cli.output import check_target, chosen_form, comparison_forms, say, status
 
 
 @click.command("validate")
@@ -19,33 +18,43 @@ from flysid.cli.output import check_target, say, status
     "--data", type=click.Path(path_type=Path), help="The ingested folder, where it moved since the fit."
 )
 @click.option("--fail-if", "condition", help="Exit with 4 where this holds, e.g. 'free_run.change_pct > 5'.")
+@click.option(
+    "--figures",
+    type=click.Choice(["pdf", "svg", "png"]),
+    help="Also draw figures for a paper into the report's folder (needs matplotlib: flysid[plot]).",
+)
 @click.option("--force", is_flag=True, help="Replace the report if it is there.")
-@click.option("--json", "as_json", is_flag=True, help="Print the comparison as JSON instead of a table.")
+@comparison_forms
 @click.option("--quiet", "-q", is_flag=True)
 def command(
     run: Path,
     output: Path | None,
     data: Path | None,
     condition: str | None,
+    figures: str | None,
     force: bool,
-    as_json: bool,
     quiet: bool,
+    **forms: bool,
 ) -> int:
     """Compare the models of a run on its held-out segments; write report.html and report.json.
 
     Free run is the headline: models see the inputs and a window at the start, nothing else.
     """
+    form = chosen_form(forms)
     target = output if output is not None else run / "report"
     from flysid.validate.judge import judge_run, write_judgement
+    from flysid.validate.paperfigures import require_matplotlib
     from flysid.validate.run import open_run
 
+    if figures is not None:
+        require_matplotlib()
     opened = open_run(run)
     check_target(target, force)
     with status(quiet) as progress:
         judgement = judge_run(opened, data, progress)
         progress("writing the report")
-        page = write_judgement(judgement, target)
-    click.echo(json.dumps(judgement.document, indent=1) if as_json else judgement.table)
+        page = write_judgement(judgement, target, figures)
+    click.echo(judgement.text(form))
     say(f"report: {page}", quiet)
     if condition is not None and judgement.violates(condition):
         say(f"check failed: {condition}")
