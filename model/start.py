@@ -9,10 +9,11 @@ differences: exact in one step for a linear model). All structures are treated a
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.base import Fitted
 
 WINDOW_S = 1.0
 WINDOW_LAGS = 5
@@ -33,7 +34,15 @@ def full_window(n_init: int, dt_s: float) -> int:
     return max(round(WINDOW_S / dt_s), WINDOW_LAGS * n_init)
 
 
-def estimate_start(model: Fitted, u: FloatArray, y: FloatArray) -> FloatArray:
+class Runs(Protocol):
+    """What a start is estimated for: anything that simulates from its first outputs."""
+
+    @property
+    def n_init(self) -> int: ...
+    def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray: ...
+
+
+def estimate_start(model: Runs, u: FloatArray, y: FloatArray) -> FloatArray:
     """(n_init, n_y) first outputs from which the model follows a measured window best.
 
     Parameters
@@ -78,13 +87,13 @@ def _smooth_guesses(y: FloatArray, n_init: int) -> list[FloatArray]:
 
 
 def _cost(
-    model: Fitted, u: FloatArray, y: FloatArray, y0: FloatArray, scale: FloatArray
+    model: Runs, u: FloatArray, y: FloatArray, y0: FloatArray, scale: FloatArray
 ) -> tuple[float, FloatArray]:
     residual = ((y - model.simulate(u, y0)) / scale).ravel()
     return float(residual @ residual), residual
 
 
-def _jacobian(model: Fitted, u: FloatArray, y0: FloatArray, scale: FloatArray) -> FloatArray:
+def _jacobian(model: Runs, u: FloatArray, y0: FloatArray, scale: FloatArray) -> FloatArray:
     """(W n_y, n_init n_y) sensitivity of simulation to start, both scaled, by central differences."""
     columns = []
     for i, j in np.ndindex(*y0.shape):

@@ -93,9 +93,16 @@ def linear_stage(problem: Problem, iterations: int, more: tuple[Stage, ...] = ()
 def unrefined(problem: Problem, body: Body | None = None, initial: FloatArray | None = None) -> Stage:
     """A stage that has not seen its simulation error; one-step least squares where no body is given."""
     body = next(_linear_starts(problem)) if body is None else body
+    if initial is None:
+        return best_started(problem, body)
     error = SimulationError(problem, body, _free(body))
-    initial = problem.measured_initial() if initial is None else initial
     return Stage(problem, body, initial, error.cost(error.start(initial)))
+
+
+def best_started(problem: Problem, body: Body) -> Stage:
+    """The stage from measured or from smoothed first outputs, whichever simulates better."""
+    starts = (problem.measured_initial(), problem.smooth_initial())
+    return min((unrefined(problem, body, initial) for initial in starts), key=lambda s: s.cost)
 
 
 def embedded_start(stage: Stage, problem: Problem) -> tuple[Stage, ...]:

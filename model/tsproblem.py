@@ -108,6 +108,20 @@ class Problem:
         d, n_y = self.layout.depth, self.layout.n_y
         return np.stack([W[:d, :n_y] for W in self.runs])
 
+    def smooth_initial(self) -> FloatArray:
+        """(S, depth, n_y) first outputs on a straight line through the beginning of every run.
+
+        Noisy lags of a high order can start a simulation that runs into its limits, where no gradient
+        shows the way back.
+        """
+        d, n_y = self.layout.depth, self.layout.n_y
+        found = []
+        for W in self.runs:
+            rows = np.arange(min(len(W), max(2 * d, 10)), dtype=np.float64)
+            line = np.polynomial.polynomial.polyfit(rows, W[: len(rows), :n_y], 1)
+            found.append(np.vander(rows[:d], 2, increasing=True) @ line)
+        return np.stack(found)
+
     def with_antecedents(self, layout: Layout) -> Problem:
         """The same data for other antecedents; the depth must not grow."""
         return replace(self, layout=layout, z_range=antecedent_range(layout, self.runs))

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
+from flysid.model.start import MAX_SHARE, estimate_start
 from flysid.model.tsgrow import Stage
 from flysid.model.tskernel import free_run
 from flysid.model.tsproblem import simulate_runs
@@ -82,18 +83,42 @@ def estimated_initial(gain: FloatArray, W: FloatArray, depth: int, n_y: int) -> 
     return np.asarray(W[:depth, :n_y] + (gain @ window).reshape(depth, n_y))
 
 
-def free_run_errors(stage: Stage, runs: Sequence[FloatArray]) -> list[FloatArray]:
-    """(N - depth, n_y) simulated minus measured outputs of every run, normalised."""
-    problem, d, n_y = stage.problem, stage.problem.layout.depth, stage.problem.layout.n_y
-    gain = initial_state_gain(stage)
-    lags, par = problem.layout.lags, problem.parameters(stage.body)
+@dataclass(frozen=True, eq=False)
+class _Runner:
+    """What `estimate_start` needs of a model, in normalised units."""
+
+    stage: Stage
+
+    @property
+    def n_init(self) -> int:
+        return self.stage.problem.layout.depth
+
+    def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray:
+        problem = self.stage.problem
+        W = np.hstack([np.zeros((len(u), problem.layout.n_y)), u])
+        W[: self.n_init, : problem.layout.n_y] = y0
+        free_run(W, self.n_init, problem.layout.lags, problem.parameters(self.stage.body))
+        return W[:, : problem.layout.n_y]
+
+
+def free_run_errors(stage: Stage, runs: Sequence[FloatArray], window: int) -> list[FloatArray]:
+    """(N - window, n_y) simulated minus measured outputs of every run, normalised.
+
+    The first `window` rows only give the initial state, as in the comparison on held-out data: a choice
+    must not hang on how well a few noisy samples start a high order.
+    """
+    n_y, runner = stage.problem.layout.n_y, _Runner(stage)
     errors = []
     for W in runs:
-        run = W.copy()
-        run[:d, :n_y] = estimated_initial(gain, W, d, n_y)
-        free_run(run, d, lags, par)
-        errors.append(run[d:, :n_y] - W[d:, :n_y])
+        u, y = W[:, n_y:], W[:, :n_y]
+        start = estimate_start(runner, u[:window], y[:window])
+        errors.append(runner.simulate(u, start)[window:] - y[window:])
     return errors
+
+
+def judging_window(runs: Sequence[FloatArray], least: int) -> int:
+    """Rows of every validation run that start the candidates: a tenth of the shortest, or `least`."""
+    return max(least, int(MAX_SHARE * min(len(W) for W in runs)))
 
 
 def blocks(errors: Sequence[FloatArray]) -> FloatArray:
@@ -162,6 +187,5 @@ def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
 
 def judged(stage: Stage, runs: Sequence[FloatArray], skip: int, *, must_be_bounded: bool) -> Candidate:
     """A stage with its validation errors after `skip` rows of every run, and whether it may be offered."""
-    late = skip - stage.problem.layout.depth
-    errors = blocks([e[late:] for e in free_run_errors(stage, runs)])
+    errors = blocks(free_run_errors(stage, runs, judging_window(runs, skip)))
     return Candidate(stage, errors, is_bounded(stage) if must_be_bounded else True)
