@@ -13,7 +13,7 @@ import pytest
 import flysid
 
 ROOT = Path(__file__).resolve().parents[1]
-VERBS = ("demo", "doctor", "fit", "ingest", "ls", "reproduce", "show", "synth", "validate")
+VERBS = ("demo", "doctor", "fit", "ingest", "ls", "reproduce", "runs", "show", "synth", "validate")
 
 
 def call(*args: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -53,6 +53,8 @@ def test_version(tmp_path: Path) -> None:
         (["validate", "absent"], 2, "no such run"),
         (["validate", "folder"], 2, "not a run"),
         (["reproduce", "moon-landing"], 2, "ardrone-ts"),
+        (["runs", "absent"], 2, "no such folder"),
+        (["runs", "folder"], 2, "no run found"),
         (["synth", "-o", "logs", "--plan", "aerobatics"], 2, "aerobatics"),
     ],
 )
@@ -105,6 +107,13 @@ def test_from_synth_to_verdict_on_one_channel(tmp_path: Path) -> None:
     both = call("validate", "run", "-o", "r4", "--csv", "--json", cwd=tmp_path)
     assert (both.returncode, both.stdout) == (2, "")
     assert "json and csv" in both.stderr
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken/run.json").write_text("{")
+    listed = call("runs", cwd=tmp_path)
+    assert listed.returncode == 3
+    assert "broken" in listed.stderr
+    assert [line.split()[:2] for line in listed.stdout.splitlines()[1:]] == [["ardrone-synthetic", "lateral"]]
+    assert json.loads(call("runs", "run", "--json", cwd=tmp_path).stdout)["runs"][0]["rank"] == 1
     unexcited = call("fit", "data", "-r", "ardrone-synthetic", "-c", "yaw", "-o", "run2", cwd=tmp_path)
     assert unexcited.returncode == 2
     assert not (tmp_path / "run2").exists()

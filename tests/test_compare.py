@@ -15,6 +15,7 @@ from flysid.model.start import estimate_start
 from flysid.validate.compare import Comparison, across_channels, compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.document import to_json
+from flysid.validate.tables import to_markdown
 from flysid.validate.terminal import summary, table
 from flysid.validate.trials import free_run, run_trials
 from flysid.validate.verdict import Evidence, Verdict, decide
@@ -94,8 +95,11 @@ def test_divergence_is_a_loss_with_a_time() -> None:
     assert "diverged at t = " in table({"channel": c})
     other_way = compare({"arx": wild, "ts": TRUTH}, test)
     assert verdict_of(other_way) == "better"
+    assert "TS better: ARX diverged" in table({"channel": other_way})
+    assert "TS better: ARX diverged" in to_markdown({"channel": other_way})
     both = compare({"arx": wild, "ts": wild}, test)
     assert verdict_of(both) == "same"
+    assert "both diverged" in table({"channel": both})
 
 
 def test_not_enough_data() -> None:

@@ -145,6 +145,12 @@ def test_one_model_alone_and_a_diverging_one() -> None:
     wild = replace(TS, a=1.4, limit=30.0)
     text = render(ReportContext.of({"x": compare([ARX, wild], test)}))
     assert "diverged in free run on x, in 2 of 2 held-out segments, first at t = " in text
+    swapped = {"arx": replace(wild, structure="arx"), "ts": TS}
+    words = Page(render(ReportContext.of({"x": compare(swapped, test)}))).words
+    assert "On x the linear model diverged in free run, so there is no error to compare with." in words
+    words = Page(render(ReportContext.of({"x": compare({"arx": wild, "ts": wild}, test)}))).words
+    assert "Neither the fuzzy model nor the linear model is usable on x." in words
+    assert "is enough" not in words
 
 
 def hostile_context() -> ReportContext:

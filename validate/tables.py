@@ -16,7 +16,6 @@ from markupsafe import Markup
 
 from flysid.validate.compare import Comparison, Entry, Pair
 from flysid.validate.metrics import Scores
-from flysid.validate.terminal import verdict_words
 from flysid.validate.words import (
     change_words,
     horizon_words,
@@ -24,6 +23,7 @@ from flysid.validate.words import (
     number,
     one_line,
     percentage,
+    verdict_words,
 )
 
 CSV_HEADER = (
@@ -79,7 +79,7 @@ def _cells(row: _Row, escape: Callable[[str], str]) -> list[str]:
         percentage(s.vaf_pct),
         change_words(row.pair) if row.pair else "",
         interval_words(row.pair) if row.pair else "",
-        escape(verdict_words(row.pair.verdict, row.pair.model)) if row.pair else "baseline",
+        escape(verdict_words(row.pair)) if row.pair else "baseline",
     ]
 
 

@@ -6,8 +6,15 @@ from collections.abc import Mapping, Sequence
 
 from flysid.validate.compare import Comparison, Entry
 from flysid.validate.trials import FREE_RUN
-from flysid.validate.verdict import Verdict
-from flysid.validate.words import change_words, horizon_words, interval_words, number, one_line, percentage
+from flysid.validate.words import (
+    change_words,
+    horizon_words,
+    interval_words,
+    number,
+    one_line,
+    percentage,
+    verdict_words,
+)
 
 HEADER = ("CHANNEL", "HORIZON", "MODEL", "RMSE", "UNIT", "FIT %", "VAF %", "CHANGE", "95 %", "VERDICT")
 
@@ -34,7 +41,7 @@ def summary(comparisons: Mapping[str, Comparison]) -> str:
             rows.append(
                 (
                     one_line(output),
-                    verdict_words(pair.verdict, pair.model),
+                    verdict_words(pair),
                     f"RMSE {from_} -> {to} {one_line(entry.output.unit)}".rstrip(),
                     change_words(pair),
                     interval_words(pair),
@@ -46,19 +53,12 @@ def summary(comparisons: Mapping[str, Comparison]) -> str:
     return "\n".join("  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in rows)
 
 
-def verdict_words(verdict: Verdict, model: str) -> str:
-    """ "TS better", "TS worse", "no difference shown", "not enough data"."""
-    if verdict in (Verdict.BETTER, Verdict.WORSE):
-        return f"{model.upper()} {verdict}"
-    return "no difference shown" if verdict is Verdict.SAME else str(verdict)
-
-
 def _rows(entry: Entry, label: str, comparison: Comparison) -> list[Sequence[str]]:
     rows: list[Sequence[str]] = []
     for name, score in sorted(entry.models.items(), key=lambda item: item[1].scores.rmse):
         pair = entry.pairs.get(name)
         s = score.scores
-        verdict = "baseline" if pair is None else verdict_words(pair.verdict, name)
+        verdict = "baseline" if pair is None else verdict_words(pair)
         if score.diverged and entry.horizon == FREE_RUN:
             first = score.diverged[0]
             verdict += f" (diverged at t = {first.diverged_s:.1f} s, segment {first.segment + 1})"

@@ -6,6 +6,7 @@ import math
 
 from flysid.validate.compare import Pair
 from flysid.validate.trials import FREE_RUN
+from flysid.validate.verdict import Verdict
 
 
 def one_line(text: str) -> str:
@@ -51,6 +52,18 @@ def change_words(pair: Pair) -> str:
     if abs(pair.evidence.rmse_model - pair.evidence.rmse_baseline) < pair.evidence.resolution:
         return percent(pair.change_pct, 1) if abs(pair.change_pct) < 100.0 else "< resolution"
     return percent(pair.change_pct, 1)
+
+
+def verdict_words(pair: Pair) -> str:
+    """ "TS better", "TS worse", "no difference shown", "not enough data"; who diverged where one did."""
+    model, base = one_line(pair.model).upper(), one_line(pair.baseline).upper()
+    if pair.evidence.diverged_baseline:
+        return "both diverged" if pair.evidence.diverged_model else f"{model} better: {base} diverged"
+    if pair.evidence.diverged_model:
+        return f"{model} worse: it diverged"
+    if pair.verdict in (Verdict.BETTER, Verdict.WORSE):
+        return f"{model} {pair.verdict}"
+    return "no difference shown" if pair.verdict is Verdict.SAME else str(pair.verdict)
 
 
 def interval_words(pair: Pair) -> str:

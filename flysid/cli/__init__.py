@@ -23,6 +23,7 @@ VERBS = {
     "ingest": "Read flight logs into typed parquet tables.",
     "ls": "List the flights and streams of an ingested folder.",
     "reproduce": "Print a paper's results beside what can be reproduced.",
+    "runs": "List run folders and rank them by free-run error.",
     "show": "Show one flight or stream of an ingested folder.",
     "synth": "Fly simulated plants and write the logs that a vehicle would have written.",
     "validate": "Compare fitted models on held-out segments; write the report.",

@@ -49,6 +49,8 @@ def title(pairs: Heads) -> str:
     count = {v: sum(p.verdict is v for _, p in pairs) for v in Verdict}
     total = len(pairs)
     on_all = f"on all {total} channels" if total > 1 else f"on {pairs[0][0]}"
+    if all(map(_both_diverged, pairs)):
+        return f"Neither the {model} nor the {base} is usable {on_all}."
     if count[Verdict.NOT_ENOUGH] == total:
         return "Not enough held-out data for a verdict."
     if count[Verdict.BETTER] == total:
@@ -66,10 +68,14 @@ def title(pairs: Heads) -> str:
 
 def subtitle(pairs: Heads) -> str:
     """What the title leaves open, and what to do."""
+    lost = [name for name, pair in pairs if _both_diverged((name, pair))]
+    if lost:
+        rest = subtitle([(name, pair) for name, pair in pairs if name not in lost])
+        return f"Both models diverged in free run on {_listed(lost)}: see the cautions. {rest}".rstrip()
     if pairs and all(pair.verdict is Verdict.SAME for _, pair in pairs):
         both = f"the {called(pairs[0][1].model)} and the {called(pairs[0][1].baseline)}"
         return f"In free run the flights show no difference between {both}: keep the simpler one."
-    sentences = []
+    sentences = _diverged(pairs)
     base = called(pairs[0][1].baseline) if pairs else ""
     for verdict, text in (
         (Verdict.SAME, "the flights show no difference in free run: keep the {base} there."),
@@ -80,6 +86,19 @@ def subtitle(pairs: Heads) -> str:
         if names and len(names) < len(pairs):
             sentences.append(f"On {_listed(names)} {text.format(base=base)}")
     return " ".join(sentences)
+
+
+def _both_diverged(head: tuple[str, Pair]) -> bool:
+    return head[1].evidence.diverged_baseline and head[1].evidence.diverged_model
+
+
+def _diverged(pairs: Heads) -> list[str]:
+    """Where a better verdict only says that the baseline diverged: no error to compare, so no number."""
+    names = [n for n, p in pairs if p.evidence.diverged_baseline and not p.evidence.diverged_model]
+    if not names:
+        return []
+    base = called(pairs[0][1].baseline)
+    return [f"On {_listed(names)} the {base} diverged in free run, so there is no error to compare with."]
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -30,8 +30,15 @@ from flysid.validate.report.context import ReportContext
 from flysid.validate.report.figures import interval_bar
 from flysid.validate.report.sections import Section, Source, sections
 from flysid.validate.trials import FREE_RUN
-from flysid.validate.verdict import Verdict
-from flysid.validate.words import change_words, horizon_words, interval_words, number, one_line, percentage
+from flysid.validate.words import (
+    change_words,
+    horizon_words,
+    interval_words,
+    number,
+    one_line,
+    percentage,
+    verdict_words,
+)
 
 NUMBERS_ON_PAGE = 90_000
 
@@ -201,13 +208,7 @@ def _size(name: str, rules: int, parameters: int) -> str:
 
 def badge(pair: Pair) -> dict[str, str]:
     """Symbol, words and CSS class of a verdict: never colour alone."""
-    name = one_line(pair.model).upper()
-    words = {
-        Verdict.BETTER: f"{name} better",
-        Verdict.WORSE: f"{name} worse",
-        Verdict.SAME: "no difference shown",
-        Verdict.NOT_ENOUGH: "not enough data",
-    }[pair.verdict]
+    words = verdict_words(pair)
     return {"symbol": narrative.SYMBOLS[pair.verdict], "words": words, "css": narrative.CSS[pair.verdict]}
 
 

@@ -1,0 +1,64 @@
+"""`flysid runs [FOLDER...]`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from flysid.cli.ls import aligned
+from flysid.cli.output import say
+
+if TYPE_CHECKING:
+    from flysid.validate.history import RunChannel
+
+HEADINGS = ("RECIPE", "CHANNEL", "HELD OUT", "RANK", "RUN", "ARX", "TS", "UNIT", "VERDICT", "FITTED (UTC)")
+
+
+@click.command("runs")
+@click.argument("folders", nargs=-1, type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def command(folders: tuple[Path, ...], as_json: bool) -> int:
+    """List run folders and rank them by free-run error, channel by channel.
+
+    Searches the folders given, or the present one. Runs are ranked only among those that were judged on the
+    same held-out part. A run that cannot be read is named and left out (exit code 3).
+    """
+    from flysid.errors import StoreError
+    from flysid.validate.history import find_runs, ranked, run_channels
+
+    channels: list[RunChannel] = []
+    damaged: list[StoreError] = []
+    for folder in find_runs(folders or (Path(),)):
+        try:
+            channels += run_channels(folder)
+        except StoreError as error:
+            damaged.append(error)
+    order = ranked(channels)
+    if as_json:
+        click.echo(json.dumps({"runs": [c.to_dict() for c in order]}, indent=1, allow_nan=False))
+    elif order:
+        click.echo("\n".join(aligned([HEADINGS, *(row(c) for c in order)])))
+    for reason in damaged:
+        say(f"left out: {reason}")
+    return 3 if damaged else 0
+
+
+def row(channel: RunChannel) -> tuple[str, ...]:
+    """One channel of a run as the cells of a table; the errors are free-run RMSE on the held-out part."""
+    from flysid.validate.words import number
+
+    return (
+        channel.recipe,
+        channel.channel,
+        channel.held_out[:8] or "-",
+        "-" if channel.rank is None else str(channel.rank),
+        channel.folder,
+        number(channel.rmse.get("arx")),
+        number(channel.rmse.get("ts")),
+        channel.unit,
+        channel.verdict,
+        channel.fitted_at[:16].replace("T", " "),
+    )
