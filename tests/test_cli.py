@@ -13,7 +13,7 @@ import pytest
 import flysid
 
 ROOT = Path(__file__).resolve().parents[1]
-VERBS = ("demo", "doctor", "fit", "ingest", "ls", "reproduce", "runs", "show", "synth", "validate")
+VERBS = ("compare", "demo", "doctor", "fit", "ingest", "ls", "reproduce", "runs", "show", "synth", "validate")
 
 
 def call(*args: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -53,6 +53,7 @@ def test_version(tmp_path: Path) -> None:
         (["validate", "absent"], 2, "no such run"),
         (["validate", "folder"], 2, "not a run"),
         (["reproduce", "moon-landing"], 2, "ardrone-ts"),
+        (["compare", "absent", "folder"], 2, "no such run"),
         (["runs", "absent"], 2, "no such folder"),
         (["runs", "folder"], 2, "no run found"),
         (["synth", "-o", "logs", "--plan", "aerobatics"], 2, "aerobatics"),
@@ -107,6 +108,10 @@ def test_from_synth_to_verdict_on_one_channel(tmp_path: Path) -> None:
     both = call("validate", "run", "-o", "r4", "--csv", "--json", cwd=tmp_path)
     assert (both.returncode, both.stdout) == (2, "")
     assert "json and csv" in both.stderr
+    compared = call("compare", "run", "run", "--csv", "-q", "-o", "both", cwd=tmp_path)
+    assert (compared.returncode, compared.stderr) == (0, "")
+    assert ",b:ts," in compared.stdout
+    assert (tmp_path / "both/report.html").is_file()
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken/run.json").write_text("{")
     listed = call("runs", cwd=tmp_path)

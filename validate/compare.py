@@ -202,6 +202,7 @@ def compare(
     *,
     horizons: Sequence[str | int] = HORIZONS,
     baseline: str | None = "arx",
+    contender: str | None = None,
     seed: int = 0,
 ) -> Comparison:
     """Compare fitted models on held-out data.
@@ -212,6 +213,7 @@ def compare(
     test : the held-out part; nothing is fitted to it.
     horizons : "free_run" and numbers of steps.
     baseline : the model the others are compared with; the first one where there is no "arx" or it is None.
+    contender : the model the headline speaks of; "ts" where there is one, else the first, when None.
     seed : of the bootstrap.
 
     Raises
@@ -222,6 +224,8 @@ def compare(
     named = dict(models) if isinstance(models, Mapping) else _named(models)
     check_models(named, test)
     base = _baseline(named, baseline)
+    if contender is not None and (contender not in named or contender == base):
+        raise UsageError(f"the contender {contender!r} is not among the models compared with {base!r}")
     names = [horizon_name(h) for h in dict.fromkeys(horizons)]
     if not names:
         raise UsageError("no horizon given", hint="use 'free_run', 10 and 1")
@@ -238,7 +242,7 @@ def compare(
         dt_s=test.dt_s,
         models={name: _info(name, model) for name, model in named.items()},
         baseline=base,
-        contender=_contender(named, base),
+        contender=contender or _contender(named, base),
         entries=tuple(entries),
         lags=start_of(named),
         start_s=start_s,

@@ -17,6 +17,7 @@ from flysid.cli.output import printable
 from flysid.errors import FlysidError
 
 VERBS = {
+    "compare": "Compare the models of two runs on flights that neither has trained on.",
     "demo": "Fly, ingest, fit and validate on embedded data; end with a report.",
     "doctor": "One line per log: what it holds, what was lost, what to log next time.",
     "fit": "Fit linear and Takagi-Sugeno models to an ingested folder.",

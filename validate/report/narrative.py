@@ -37,7 +37,10 @@ def heads(comparisons: Mapping[str, Comparison]) -> list[tuple[str, Pair]]:
 
 
 def called(model: str) -> str:
-    """ "fuzzy model" for "ts"; an unknown name stays as it is."""
+    """ "fuzzy model" for "ts", "fuzzy model of run A" for "a:ts"; an unknown name stays as it is."""
+    run, _, label = model.rpartition(":")
+    if run in ("a", "b") and label in NAMES:
+        return f"{NAMES[label]} of run {run.upper()}"
     return NAMES.get(model, one_line(model))
 
 

@@ -1,0 +1,61 @@
+"""`flysid compare RUN_A RUN_B [-o REPORT]`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from flysid.cli.output import check_target, chosen_form, comparison_forms, say, status
+
+FOLDER = click.Path(path_type=Path)
+
+
+@click.command("compare")
+@click.argument("run_a", type=FOLDER)
+@click.argument("run_b", type=FOLDER)
+@click.option("--output", "-o", type=FOLDER, help="Folder of the report; none is written when not given.")
+@click.option("--model", "-m", "label", help="Model of the headline, in both runs [default: ts, else arx].")
+@click.option("--data-a", type=FOLDER, help="The ingested folder of RUN_A, where it moved since the fit.")
+@click.option("--data-b", type=FOLDER, help="The ingested folder of RUN_B, where it moved since the fit.")
+@click.option("--fail-if", "condition", help="Exit with 4 where this holds, e.g. 'free_run.change_pct > 5'.")
+@click.option("--force", is_flag=True, help="Replace the report if it is there.")
+@comparison_forms
+@click.option("--quiet", "-q", is_flag=True)
+def command(
+    run_a: Path,
+    run_b: Path,
+    output: Path | None,
+    label: str | None,
+    data_a: Path | None,
+    data_b: Path | None,
+    condition: str | None,
+    force: bool,
+    quiet: bool,
+    **forms: bool,
+) -> int:
+    """Compare the models of two runs on flights that neither has trained on.
+
+    The data are what RUN_B held out, without the flights that RUN_A was trained on. Changes are of RUN_B's
+    models against RUN_A's; below 0 % RUN_B is better.
+    """
+    form = chosen_form(forms)
+    if output is not None:
+        check_target(output, force)
+    from flysid.validate.crossrun import RunSource, judge_runs
+    from flysid.validate.judge import write_judgement
+    from flysid.validate.run import open_run
+
+    a, b = RunSource(open_run(run_a), data_a), RunSource(open_run(run_b), data_b)
+    with status(quiet) as progress:
+        judgement = judge_runs(a, b, label=label, progress=progress)
+        page = None if output is None else write_judgement(judgement, output)
+    click.echo(judgement.text(form))
+    for name, why in judgement.skipped.items():
+        say(f"channel {name} skipped: {why}")
+    if page is not None:
+        say(f"report: {page}", quiet)
+    if condition is not None and judgement.violates(condition):
+        say(f"check failed: {condition}")
+        return 4
+    return 0

@@ -1,0 +1,113 @@
+"""Two runs against each other: only on what neither has trained on, and refused where that is not known."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flysid.dataset import Dataset, Signal
+from flysid.errors import DataError, UsageError
+from flysid.flightwriter import write_atomically
+from flysid.ingest.batch import find_logs, ingest_logs
+from flysid.ingest.lake import open as open_lake
+from flysid.ingest.synth import WRITERS, Order, flights
+from flysid.split import plan_split
+from flysid.validate.crossrun import RunSource, judge_runs, unseen
+from flysid.validate.fitting import fit_run
+from flysid.validate.report.narrative import called
+from flysid.validate.run import ChannelRun, FitSettings, HeldOut, Run, held_out
+
+CHANNEL = "longitudinal"
+
+
+def flown(names: str, seed: int = 0) -> Dataset:
+    """One segment of 200 samples per letter: the same letter is the same flight."""
+    made = [np.random.default_rng([seed, ord(n)]).normal(size=(200, 2)) for n in names]
+    data = Dataset.from_arrays([m[:, :1] for m in made], [m[:, 1:] for m in made], 0.05)
+    return data.with_segments([replace(s, flight=n) for s, n in zip(data.segments, names, strict=True)])
+
+
+def held(train: Dataset, test: Dataset) -> HeldOut:
+    """As of two runs on different data: the hash tells them apart."""
+    split = {"by": "flight", "seed": 0, "holdout": 0.3, "guard_s": 0, "train": [], "test": []}
+    return HeldOut(
+        ChannelRun("c", {}, split | {"data_sha256": train.content_hash()}), {}, train=train, test=test
+    )
+
+
+def test_flights_that_the_other_run_trained_on_are_left_out() -> None:
+    left = unseen(held(flown("abc"), flown("z")), held(flown("xy"), flown("bde")))
+    assert left.flights == ("d", "e")
+    with pytest.raises(DataError, match="every held-out flight"):
+        unseen(held(flown("abc"), flown("z")), held(flown("xy"), flown("ab")))
+
+
+def test_a_copy_of_a_training_flight_under_another_name_is_refused() -> None:
+    copy = flown("b")
+    copy = copy.with_segments([replace(copy.segments[0], flight="renamed")])
+    with pytest.raises(DataError, match="'renamed' repeats training flight 'b'"):
+        unseen(held(flown("abc"), flown("z")), held(flown("xy"), copy))
+
+
+def test_blocks_of_one_flight_serve_only_where_both_runs_held_out_the_same() -> None:
+    data = flown("a")
+    one, other = (plan_split(data, by="time", guard_s=0.0, seed=seed) for seed in (1, 2))
+    sides = [HeldOut(ChannelRun("c", {}, s.to_dict()), {}, *s.apply(data)) for s in (one, one, other)]
+    assert unseen(sides[0], sides[1]) == sides[1].test
+    with pytest.raises(DataError, match="every held-out flight"):
+        unseen(sides[0], sides[2])
+
+
+def test_other_units_or_rates_are_not_compared() -> None:
+    a, b = held(flown("a"), flown("z")), held(flown("x"), flown("d"))
+    with pytest.raises(DataError, match="different outputs"):
+        unseen(a, replace(b, test=replace(b.test, outputs=(Signal(b.test.outputs[0].name, "km/h"),))))
+    with pytest.raises(DataError, match="different sample times"):
+        unseen(a, replace(b, test=replace(b.test, dt_s=0.1)))
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run]:
+    """Two runs on the same six flights that hold out different ones."""
+    root = tmp_path_factory.mktemp("flights")
+    for recording in flights(Order(duration_s=20.0)):
+        write_atomically(root / f"{recording.name}{WRITERS['mcap'][0]}", WRITERS["mcap"][1](recording))
+    list(ingest_logs(find_logs([root]), root / "data"))
+    lake = open_lake(root / "data")
+    a, b = (
+        fit_run(lake, "ardrone-synthetic", root / f"r{s}", FitSettings(channels=(CHANNEL,), rules=1, seed=s))
+        for s in (7, 13)
+    )
+    return a, b
+
+
+def test_two_runs_are_compared_like_with_like(runs: tuple[Run, Run]) -> None:
+    a = RunSource(runs[0])
+    judgement = judge_runs(a, a)
+    c = judgement.comparisons[CHANNEL]
+    assert (c.baseline, c.contender) == ("a:ts", "b:ts")
+    assert c.verdict[c.test.outputs[0].name].verdict == "same"
+    assert set(c.models) == {f"{r}:{m}" for r in "ab" for m in ("line", "arx", "static_ts", "ts")}
+    assert judge_runs(a, a, label="arx").comparisons[CHANNEL].contender == "b:arx"
+    with pytest.raises(UsageError, match="model 'bj'"):
+        judge_runs(a, a, label="bj")
+    assert called("b:ts") == "fuzzy model of run B"
+
+
+def test_only_flights_held_out_by_both_are_used(runs: tuple[Run, Run]) -> None:
+    (c,) = judge_runs(*map(RunSource, runs)).comparisons.values()
+    a, b = (held_out(r)[0] for r in runs)
+    assert set(c.test.flights) == set(a.test.flights) & set(b.test.flights)
+    assert set(c.test.flights) < set(b.test.flights)
+
+
+def test_without_the_other_runs_data_nothing_is_compared(runs: tuple[Run, Run], tmp_path: Path) -> None:
+    a = Path(shutil.copytree(runs[0].folder, tmp_path / "a"))
+    moved = replace(runs[0], folder=a, data=str(tmp_path / "gone"))
+    with pytest.raises(DataError, match="cannot be ruled out") as caught:
+        judge_runs(RunSource(moved), RunSource(runs[1]))
+    assert "--data-a" in caught.value.hint

@@ -1,0 +1,156 @@
+"""Two runs against each other on data that neither has trained on.
+
+The data are the held-out part of run B without the flights that run A has trained on. Run A's training data
+are made again to know which flights those are, and to find copies of them under other names. Where that
+cannot be done, nothing is compared: a verdict on training data is worth nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from flysid.dataset import Dataset
+from flysid.errors import DataError, FlysidError, UsageError
+from flysid.model.base import Fitted
+from flysid.split import Piece, Split, refuse_copies
+from flysid.validate.compare import Comparison, across_channels, compare
+from flysid.validate.judge import Judgement
+from flysid.validate.report.context import ReportContext
+from flysid.validate.run import HeldOut, Progress, Run, held_out
+
+PREFERRED = ("ts", "arx")
+
+
+@dataclass(frozen=True)
+class RunSource:
+    """A run, and where its ingested folder is now (None: where it was at the fit)."""
+
+    run: Run
+    data: Path | None = None
+
+
+def judge_runs(
+    a: RunSource, b: RunSource, *, label: str | None = None, progress: Progress = lambda _: None
+) -> Judgement:
+    """Compare every channel that two runs share.
+
+    Parameters
+    ----------
+    label : the model the headline speaks of, in both runs; "ts" where both have it, else "arx".
+
+    Raises
+    ------
+    DataError : no channel can be compared, or it cannot be ruled out that A was trained on B's held-out part.
+    StoreError, UsageError : a run or a data folder cannot be read.
+    """
+    progress("making the data of both runs again")
+    ours = {h.channel.name: h for h in held_out(b.run, b.data)}
+    theirs = {h.channel.name: h for h in _training_of(a)}
+    shared = [name for name in ours if name in theirs]
+    if not shared:
+        raise DataError(f"the runs share no channel: {_names(theirs)} and {_names(ours)}")
+    found: dict[str, Comparison] = {}
+    skipped: dict[str, str] = {}
+    for name in shared:
+        progress(f"{name}: comparing")
+        try:
+            found[name] = _compare(theirs[name], ours[name], label, b.run.settings.seed)
+        except DataError as error:
+            skipped[name] = str(error)
+    if not found:
+        raise DataError("no channel can be compared: " + "; ".join(f"{n}: {w}" for n, w in skipped.items()))
+    corrected = across_channels(found)
+    return Judgement(b.run, corrected, skipped, _context(a.run, b.run, corrected, [ours[n] for n in found]))
+
+
+def unseen(a: HeldOut, b: HeldOut) -> Dataset:
+    """The held-out part of `b` without what `a` was trained on.
+
+    Raises
+    ------
+    DataError : nothing is left, the signals differ, or a flight repeats a training flight of `a`.
+    """
+    _check_alike(a.train, b.test)
+    if _same_split(a, b):
+        return b.test
+    known = set(a.train.flights)
+    left = b.test.with_segments([s for s in b.test.segments if s.flight not in known])
+    if not left.segments:
+        raise DataError(
+            "run A was trained on every held-out flight of run B",
+            hint="compare on flights that neither run has seen: fit B with more flights, split by flight",
+        )
+    n = len(a.train.segments)
+    both = left.with_segments([*a.train.segments, *left.segments])
+    pieces = [Piece(i, 0, len(s)) for i, s in enumerate(both.segments)]
+    refuse_copies(both, pieces[:n], pieces[n:])
+    return left
+
+
+def _training_of(a: RunSource) -> list[HeldOut]:
+    try:
+        return held_out(a.run, a.data)
+    except FlysidError as error:
+        raise DataError(
+            f"it cannot be ruled out that run A was trained on these flights: {error.message}",
+            path=a.run.folder,
+            hint="give the folder that run A was fitted on with --data-a",
+        ) from error
+
+
+def _same_split(a: HeldOut, b: HeldOut) -> bool:
+    """The same data held out alike: then A's training part ends where B's does, blocks of one flight too."""
+    one, other = Split.from_dict(a.channel.split), Split.from_dict(b.channel.split)
+    return (one.data_sha256, one.train, one.test) == (other.data_sha256, other.train, other.test)
+
+
+def _check_alike(a: Dataset, b: Dataset) -> None:
+    for side in ("inputs", "outputs"):
+        one, other = ([f"{s.name} [{s.unit}]" for s in getattr(x, side)] for x in (a, b))
+        if one != other:
+            raise DataError(f"the runs have different {side}: {', '.join(one)} and {', '.join(other)}")
+    if abs(a.dt_s - b.dt_s) > 1e-6 * b.dt_s:
+        raise DataError(
+            f"the runs have different sample times: {a.dt_s:g} s and {b.dt_s:g} s",
+            hint="fit both with the same rate_hz in the recipe",
+        )
+
+
+def _compare(a: HeldOut, b: HeldOut, label: str | None, seed: int) -> Comparison:
+    test = unseen(a, b)
+    head = _headline(a.models, b.models, label)
+    models = {f"a:{name}": model for name, model in a.models.items()}
+    models |= {f"b:{name}": model for name, model in b.models.items()}
+    return compare(models, test, baseline=f"a:{head}", contender=f"b:{head}", seed=seed)
+
+
+def _headline(a: Mapping[str, Fitted], b: Mapping[str, Fitted], label: str | None) -> str:
+    shared = [name for name in a if name in b]
+    if label is not None and label not in shared:
+        raise UsageError(f"not both runs have a model {label!r}", hint=f"one of {', '.join(shared)}")
+    if not shared:
+        raise DataError(f"the runs share no model: {_names(a)} and {_names(b)}")
+    return label or next((name for name in PREFERRED if name in shared), shared[0])
+
+
+def _context(a: Run, b: Run, comparisons: Mapping[str, Comparison], held: Sequence[HeldOut]) -> ReportContext:
+    provenance = {"run A": str(a.folder), "run B": str(b.folder), "recipe": f"A {a.recipe}, B {b.recipe}"}
+    for item in held:
+        c = comparisons[item.channel.name]
+        provenance[f"{item.channel.name}: flights"] = ", ".join(c.test.flights)
+        provenance[f"{item.channel.name}: held-out sha256"] = c.test_hash
+    provenance |= {f"version of {k} (run A)": v for k, v in a.versions.items()}
+    provenance |= {f"version of {k} (run B)": v for k, v in b.versions.items()}
+    return ReportContext(
+        comparisons=comparisons,
+        train={h.channel.name: h.train for h in held},
+        command="flysid compare RUN_A RUN_B",
+        provenance=provenance,
+        remark="two runs, on flights held out by run B that run A has not trained on",
+    )
+
+
+def _names(named: Mapping[str, object]) -> str:
+    return ", ".join(named) or "none"
