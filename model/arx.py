@@ -46,9 +46,9 @@ class ARX:
     nb : past inputs, one number or one per input, or "auto".
     nk : delay in samples from input to output, one number or one per input, or "auto". 0 is feed-through.
     offset : estimate a constant.
-    refine : fit the simulation error instead of the next sample: "auto" unless the free run is worse for it,
-        on validation by more than noise and on all training data, True or False to force. A refined model
-        has no coupling between outputs.
+    refine : fit the simulation error instead of the next sample: "auto" unless the validation free run is
+        worse for it by more than noise, True or False to force. A refined model has no coupling between
+        outputs.
     n_init : measured samples that start a refined model's simulation; None chooses.
     """
 
@@ -233,8 +233,11 @@ def _order_note(choices: Sequence[Choice], errors: Sequence[FloatArray], index: 
 
 
 def _decided(parts: Parts, plain: _LeastSquaresFit, refined: Refined) -> FittedLinear:
-    """The refined model, unless the plain one free-runs better: on validation by more than noise, and on all
-    training data too. One held-out flight alone is too little to give up what fits every flight better."""
+    """The refined model, unless the plain one free-runs better on validation by more than noise.
+
+    Where the validation part is only a piece of the training data, held out by ourselves, the plain one must
+    free-run all of them better too: one flight is too little to give up what fits every flight better.
+    """
     window = max(plain.model.n_init, judging_window(parts, refined.depth))
     judged = runner("arx", parts, refined.fits, window)
     before = block_errors(plain.model, parts.check, window, parts.scaling.y_scale)
@@ -247,7 +250,8 @@ def _decided(parts: Parts, plain: _LeastSquaresFit, refined: Refined) -> FittedL
         f"validation free run RMSE {np.sqrt(after.mean()):.3g} refined against {np.sqrt(before.mean()):.3g}"
     )
     final = plain.final()
-    if clearly_better(before, after) and _better_everywhere(parts, final, refined, window):
+    confirmed = parts.validation is not None or _better_everywhere(parts, final, refined, window)
+    if clearly_better(before, after) and confirmed:
         return _noted(final, f"Refinement on the simulation error was tried and not kept: {figures}.")
     return refined.final((f"The refined model was kept: {figures} (standard deviations of the output).",))
 
