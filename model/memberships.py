@@ -1,6 +1,6 @@
 """Membership functions and firing strengths, always finite.
 
-A rule fires with the conjunction of its memberships, eq. (7) of Santoso, Garratt, Anavatti (2015), and the
+A rule fires with the conjunction of its memberships, the paper's eq. (7), and the
 strengths are normalised, eq. (2). Both are computed as logarithms: where every membership underflows, the
 quotient of (2) is 0/0, but the logarithms still tell the nearest rule, which then speaks alone.
 """

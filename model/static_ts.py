@@ -1,7 +1,7 @@
 """The paper's static Takagi-Sugeno model: memoryless rules from clusters in the product space.
 
-Santoso, Garratt, Anavatti (2015), section 2: clusters of (u, y) are projected to Gaussian memberships of
-the inputs, and the consequents are the global least squares of eq. (4)-(5),
+The paper's section 2 (after Takagi and Sugeno, 1985): clusters of (u, y) are projected to Gaussian
+memberships of the inputs, and the consequents are the global least squares of eq. (4)-(5),
 
     R_r: If u is A_r then y = a_r u + b_r,      P = (X^T X)^-1 X^T Y,   X = [phi_r u, phi_r]
 
@@ -21,11 +21,11 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
-from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, Structure
+from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, Structure, write_document
 from flysid.model.cluster import Method, cluster, project
 from flysid.model.memberships import Conjunction, Partition, Shape
 from flysid.model.threads import on_one_thread
-from flysid.model.words import condition_in_words, equation, in_words, number, write_model
+from flysid.model.words import condition_in_words, equation, in_words, number
 
 
 @dataclass(frozen=True)
@@ -211,7 +211,7 @@ class FittedStaticTS:
 
     def save(self, path: str | Path) -> None:
         """Write the model as JSON, whole or not at all."""
-        write_model(self.to_dict(), path)
+        write_document(self.to_dict(), path)
 
 
 def least_squares(u: FloatArray, y: FloatArray, phi: FloatArray) -> FloatArray:

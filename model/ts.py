@@ -2,7 +2,7 @@
 
     R_r: If z_1(k) is A_r1 and ... then y(k) = sum a_rj y(k-j) + sum b_rj u(k-nk-j) + c_r
 
-with the firing strengths and the weighted mean of Santoso, Garratt, Anavatti (2015), eq. (1)-(3). The
+with the firing strengths and the weighted mean of the paper's eq. (1)-(3) (Takagi and Sugeno, 1985). The
 estimator grows the model from a refined linear one, rule by rule, and stops by the validation free run.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import UsageError
-from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, Structure
+from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, Structure, write_document
 from flysid.model.memberships import Partition
 from flysid.model.noise import noise_models, output_error_ahead
 from flysid.model.start import estimate_start, full_window, start_window
@@ -27,7 +27,7 @@ from flysid.model.tsestimate import Learned, learn
 from flysid.model.tskernel import Parameters, firing, free_run, predict
 from flysid.model.tslayout import Antecedent, Layout, Orders, at
 from flysid.model.tsselect import estimated_initial
-from flysid.model.words import condition_in_words, equation, in_words, write_model
+from flysid.model.words import condition_in_words, equation, in_words
 
 
 @dataclass(frozen=True)
@@ -306,7 +306,7 @@ class FittedTS:
 
     def save(self, path: str | Path) -> None:
         """Write the model as JSON, whole or not at all."""
-        write_model(self.to_dict(), path)
+        write_document(self.to_dict(), path)
 
 
 def pole_radius(A: FloatArray) -> float:

@@ -1,7 +1,7 @@
 """A dynamic TS model as the literature makes it: product-space clusters and one-step least squares.
 
 Babuska, Fuzzy Modeling for Control (1998): clusters of antecedents and outputs give the memberships, eq. (4)
-of Santoso, Garratt, Anavatti (2015) the consequents. Cheap, and good one step ahead; in free run it is where
+of the paper the consequents. Cheap, and good one step ahead; in free run it is where
 refinement on the simulation error begins, not where it ends. `TS(refine=False)` stops here.
 """
 

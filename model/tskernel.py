@@ -2,7 +2,7 @@
 
 All signals stand in one matrix W (N, n_y + n_u), outputs first, in normalised units. A regressor is a
 column of W at a lag, an antecedent variable z is one too, or the difference of two lags. With the firing
-strengths phi_r of eq. (2) and (7) of Santoso, Garratt, Anavatti (2015),
+strengths phi_r of the paper's eq. (2) and (7),
 
     y(k) = sum_r phi_r(z(k)) theta_r x(k),    phi_r = w_r / sum w,    log w_r = -1/2 sum ((z-c_r)/s_r)^2
 

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.errors import StoreError
 from flysid.model.base import Rule
 from flysid.model.memberships import Partition
 
@@ -146,24 +141,3 @@ def meaning(rule: Rule) -> str:
     if rule.pole_radius >= 1.0:
         parts.append("unstable by itself")
     return ", ".join([*parts, f"strongest for {100 * rule.support:.0f} % of the samples"])
-
-
-def write_model(document: Mapping[str, Any], path: str | Path) -> None:
-    """Write a model's JSON so that it appears whole: temporary file, fsync, rename.
-
-    Raises
-    ------
-    StoreError : the folder is not there or not writable.
-    """
-    path = Path(path)
-    scratch = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with scratch.open("w", encoding="utf-8") as stream:
-            json.dump(document, stream, allow_nan=False, indent=1)
-            stream.write("\n")
-            stream.flush()
-            os.fsync(stream.fileno())
-        scratch.replace(path)
-    except OSError as error:
-        scratch.unlink(missing_ok=True)
-        raise StoreError(f"cannot be written: {error.strerror}", path=path) from error

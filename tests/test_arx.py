@@ -14,7 +14,7 @@ from flysid.model.arx import ARX
 from flysid.model.linear import FittedLinear
 from tests import model_examples
 
-# Transfer functions (10) to (12) of Santoso, Garratt, Anavatti (2015)
+# The paper's transfer functions (10) to (12)
 PLANTS = {
     "longitudinal": ([0.7995], [1.0, 4.1881, 7.1429]),
     "lateral": ([116.24, 67.2488], [1000.0, 982.664, 301.338]),

@@ -44,14 +44,14 @@ def test_without_noise_the_true_lags_come_back(
     noisy: tuple[Oscillator, FloatArray, FloatArray, FloatArray],
 ) -> None:
     model, u, truth, _ = noisy
-    np.testing.assert_allclose(estimate_start(model, u[:100], truth[:100]), truth[:2], atol=1e-9)  # type: ignore[arg-type]
+    np.testing.assert_allclose(estimate_start(model, u[:100], truth[:100]), truth[:2], atol=1e-9)
 
 
 def test_with_noise_the_free_run_starts_far_closer_than_from_measured_lags(
     noisy: tuple[Oscillator, FloatArray, FloatArray, FloatArray],
 ) -> None:
     model, u, truth, y = noisy
-    start = estimate_start(model, u[:100], y[:100])  # type: ignore[arg-type]
+    start = estimate_start(model, u[:100], y[:100])
     estimated = np.sqrt(np.mean((model.simulate(u, start)[100:] - truth[100:]) ** 2))
     measured = np.sqrt(np.mean((model.simulate(u, y[:2])[100:] - truth[100:]) ** 2))
     assert estimated < 0.01
@@ -60,7 +60,7 @@ def test_with_noise_the_free_run_starts_far_closer_than_from_measured_lags(
 
 def test_a_window_with_no_more_equations_than_unknowns_gives_the_measured_lags() -> None:
     y = np.array([[1.0], [2.0], [3.0]])
-    np.testing.assert_array_equal(estimate_start(Oscillator(), np.zeros((3, 1)), y), y[:2])  # type: ignore[arg-type]
+    np.testing.assert_array_equal(estimate_start(Oscillator(), np.zeros((3, 1)), y), y[:2])
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from flysid.errors import StoreError
+from flysid.model.base import write_document
 from flysid.model.memberships import Partition
-from flysid.model.words import condition_in_words, equation, labels, number, write_model
+from flysid.model.words import condition_in_words, equation, labels, number
 
 
 def test_speeds_are_told_by_size_and_direction() -> None:
@@ -50,6 +51,6 @@ def test_a_variable_that_covers_everything_is_left_out() -> None:
 
 def test_write_says_where_it_failed(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="nowhere"):
-        write_model({}, tmp_path / "nowhere" / "m.json")
-    write_model({"a": 1.5}, tmp_path / "m.json")
+        write_document({}, tmp_path / "nowhere" / "m.json")
+    write_document({"a": 1.5}, tmp_path / "m.json")
     assert [p.name for p in tmp_path.iterdir()] == ["m.json"]
