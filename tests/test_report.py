@@ -222,6 +222,18 @@ def test_cautions_are_at_most_six_worst_first() -> None:
     assert levels[-1] == "good"
 
 
+def test_low_coherence_is_no_warning_where_a_free_run_follows_the_output() -> None:
+    test = flown(TS, [300] * 2, noise=0.02)
+    for gain, warned in ((1.0, False), (0.0, True)):
+        models = {"arx": replace(ARX, b=gain * TS.b), "ts": replace(TS, b=gain * TS.b)}
+        c = compare(models, test)
+        d = diagnose(c)
+        (out,) = d.outputs
+        faint = tuple(r and replace(r, coherence=np.zeros_like(r.coherence)) for r in out.responses)
+        told = cautions({"c": c}, {"c": replace(d, outputs=(replace(out, responses=faint),))})
+        assert any("coherence below 0.5" in t.text for t in told) is warned
+
+
 def test_decimation_keeps_every_peak() -> None:
     rng = np.random.default_rng(0)
     t = np.linspace(0.0, 100.0, 10_001)
