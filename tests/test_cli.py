@@ -97,6 +97,8 @@ def test_from_synth_to_verdict_on_one_channel(tmp_path: Path) -> None:
     assert {"rmse", "fit_pct", "vaf_pct"} <= set(free["models"]["ts"])
     assert free["verdict"] in ("better", "worse", "same", "not enough data")
     assert (tmp_path / "run/report/report.html").is_file()
+    assert call("validate", "run", "-q", cwd=tmp_path).returncode == 0  # its own report is made anew
+    assert call("validate", "run", "-o", "data", cwd=tmp_path).returncode == 2
     failed = call(
         "validate", "run", "-o", "r2", "--fail-if", "free_run.models.arx.fit_pct > 50", cwd=tmp_path
     )

@@ -98,6 +98,15 @@ def test_figures_without_matplotlib_name_the_extra_and_leave_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_every_model_has_its_rules_in_words_beside_it(run: Run) -> None:
+    for file in run.channels[0].models.values():
+        assert "if " in (run.folder / file).with_suffix(".txt").read_text("utf-8").lower()
+    words = (run.folder / CHANNEL / "ts.txt").read_text("utf-8")
+    assert words.startswith("R1: if ")
+    assert "\nR2: if " in words
+    assert "v_x(k) = " in words
+
+
 def test_two_fits_give_the_same_files(data: Path, run: Run, tmp_path: Path) -> None:
     again = fit_run(open_lake(data), "ardrone-synthetic", tmp_path / "again", run.settings)
     for file in run.channels[0].models.values():

@@ -21,7 +21,7 @@ from flysid.flightwriter import slug, write_atomically
 from flysid.ingest.align import Aligned
 from flysid.ingest.lake import Lake
 from flysid.ingest.recipe import load_recipe, recipe_text
-from flysid.model.base import Estimator
+from flysid.model.base import Estimator, Fitted
 from flysid.split import plan_split
 from flysid.validate.run import (
     RECIPE_FILE,
@@ -177,9 +177,17 @@ def _fit_channel(job: _Job) -> ChannelRun | str:
 
 
 def _fit_one(estimator: Estimator, train: Dataset, path: Path) -> str:
-    """Fit and save a model; why it could not be fitted, or ''."""
+    """Fit and save a model, and its rules in words beside it; why it could not be fitted, or ''."""
     try:
-        estimator.fit(train).save(path)
+        model = estimator.fit(train)
     except (FitError, DataError) as error:
         return str(error)
+    model.save(path)
+    write_atomically(path.with_suffix(".txt"), in_words(model).encode())
     return ""
+
+
+def in_words(model: Fitted) -> str:
+    """A model's rules, a line each: If ..., then ...; and how it was chosen."""
+    lines = [f"{r.label}: if {r.condition}, then {r.conclusion}" for r in model.rules()]
+    return "\n".join([*lines, *model.notes, ""])

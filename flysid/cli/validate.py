@@ -49,7 +49,7 @@ def command(
     if figures is not None:
         require_matplotlib()
     opened = open_run(run)
-    check_target(target, force)
+    check_target(target, force or is_own_report(target, run))
     with status(quiet) as progress:
         judgement = judge_run(opened, data, progress)
         progress("writing the report")
@@ -60,3 +60,8 @@ def command(
         say(f"check failed: {condition}")
         return 4
     return 0
+
+
+def is_own_report(target: Path, run: Path) -> bool:
+    """Whether `target` is the report inside the run, which follows from the run and may be made anew."""
+    return target == run / "report" and (target / "report.json").is_file()
