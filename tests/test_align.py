@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from flysid.errors import DataError, RecipeError
@@ -365,6 +365,7 @@ def test_segments_are_grouped_by_flight_vehicle_and_mode() -> None:
     st.integers(0, 2**31),
     st.sampled_from(["order", "shuffle", "repeat"]),
 )
+@example(gaps=[(374, 23)], seed=374, disorder="order")
 def test_no_sample_is_made_up_inside_a_gap_whatever_the_stamps(
     gaps: list[tuple[int, int]], seed: int, disorder: str
 ) -> None:
