@@ -303,6 +303,8 @@ class Workshop:
                 continue
             other = replace(self, fit_part=fit_part, check_part=check_part, shift=shift, scale=scale)
             linear, _ = other.linear([orders])
+            if linear[0].mean > _HOPELESS * max(models[0].mean, _EXACT):
+                continue  # the linear refit went astray: rules that mend it would look useful
             grown = other.grown_from(linear[0], named, len(models))
             for known, model in zip(errors, grown, strict=False):
                 known.append(model.errors)
