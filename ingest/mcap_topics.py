@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
 
-from flysid.flight import BOOT, RECEIVED, TIME
+from flysid.flight import BOOT, RECEIVED, TIME, ClockMap
 from flysid.ingest import arrow_arrays
 from flysid.ingest.base import StreamPart
 from flysid.ingest.cdr import ROS1_WIRE, Columns, UnevenError, Wire, decode, largest_run, plan
@@ -23,6 +23,7 @@ from flysid.ingest.tally import Tally
 MAX_LAGS = 4096
 MAX_COLUMNS = 20_000
 ZERO_PAGE = 1 << 14
+FIRST_UTC_NS = 10**18  # 2001: a log time below this is not UTC
 
 
 @dataclass(frozen=True)
@@ -248,6 +249,20 @@ class Topic:
         self.last_ns = max(self.last_ns, int(time_ns.max()))
         if self._clock != "log_time" and len(self.lags) < MAX_LAGS:
             self.lags += (log_ns - time_ns)[:: max(1, len(time_ns) // 64)].tolist()
+
+
+def log_clock(topics: Sequence[Topic]) -> ClockMap:
+    """Log time (UTC) against the messages' own stamps: their median distance, at slope 1."""
+    first = min((t.first_ns for t in topics if t.rows), default=0)
+    last = max((t.last_ns for t in topics if t.rows), default=0)
+    lags = np.array([lag for t in topics for lag in t.lags], dtype=np.int64)
+    if len(lags) == 0:
+        return ClockMap(0, first, last)
+    offset = int(np.median(lags))
+    log_is_utc = last + offset > FIRST_UTC_NS
+    return ClockMap(
+        0, first, last, offset if log_is_utc else None, 1.0, int(np.median(np.abs(lags - offset)))
+    )
 
 
 _PARTS = (("secs", "nsecs"), ("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"))

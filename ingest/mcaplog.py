@@ -16,18 +16,16 @@ import numpy as np
 import pyarrow as pa
 
 from flysid.errors import FormatError
-from flysid.flight import ClockMap
 from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.gather import Bytes
 from flysid.ingest.mcap_chunks import Block
 from flysid.ingest.mcap_reader import McapReader
 from flysid.ingest.mcap_records import MAGIC, Registry
-from flysid.ingest.mcap_topics import ZERO_PAGE, Messages, Topic
+from flysid.ingest.mcap_topics import ZERO_PAGE, Messages, Topic, log_clock
 from flysid.ingest.tally import Tally
 
 MAX_TOPICS = 5000
 BATCH_BYTES = 16 << 20  # larger ones touch new memory for every message, which costs more than decoding
-FIRST_UTC_NS = 10**18  # 2001: a log time below this is not UTC
 
 
 @dataclass
@@ -97,7 +95,7 @@ def read_mcap(view: memoryview, name: str, limits: Limits) -> Parts:
             path=name,
             byte=why.start if why else 0,
         )
-    return Summary(damage, (_clock(topics),) if topics else (), reader.info)
+    return Summary(damage, (log_clock(list(topics.values())),) if topics else (), reader.info)
 
 
 def _decode(
@@ -115,20 +113,6 @@ def _decode(
                 continue
             topic = topics[number] = Topic(registry.channels[number])
         yield from topic.decode(messages, tally, streams)
-
-
-def _clock(topics: dict[int, Topic]) -> ClockMap:
-    """Log time (UTC) against the messages' own stamps: their median distance, at slope 1."""
-    first = min((t.first_ns for t in topics.values() if t.rows), default=0)
-    last = max((t.last_ns for t in topics.values() if t.rows), default=0)
-    lags = np.array([lag for t in topics.values() for lag in t.lags], dtype=np.int64)
-    if len(lags) == 0:
-        return ClockMap(0, first, last)
-    offset = int(np.median(lags))
-    log_is_utc = last + offset > FIRST_UTC_NS
-    return ClockMap(
-        0, first, last, offset if log_is_utc else None, 1.0, int(np.median(np.abs(lags - offset)))
-    )
 
 
 def sniff_mcap(head: bytes, name: str) -> float:

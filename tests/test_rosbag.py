@@ -1,0 +1,82 @@
+"""ROS 1 bags against the rosbags library, which writes them here; see also the contract tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flysid.errors import FormatError
+from flysid.ingest.base import Limits, collect, detect, read
+from flysid.ingest.rosbag import FORMAT
+from tests.samplelogs import rosbag as sample
+
+rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="the rosbags library is not installed")
+
+
+@pytest.mark.parametrize("compression", ["", "BZ2", "LZ4"])
+def test_a_bag_of_the_library_comes_back_bit_for_bit(tmp_path: Path, compression: str) -> None:
+    path = tmp_path / "a.bag"
+    sent = _write(path, compression)
+    flight = read(path)
+    assert not flight.damage.lossy, flight.damage
+    table = flight.tables["/pose"]
+    assert flight.source.format == "rosbag"
+    assert table["pose.position.x"].to_pylist() == sent[:, 0].tolist()
+    assert table["pose.orientation.w"].to_pylist() == sent[:, 1].tolist()
+    assert table["time_ns"].to_pylist() == [10**18 + k * 10**7 for k in range(len(sent))]
+    assert table["recv_ns"].to_pylist() == [10**18 + k * 10**7 + 999 for k in range(len(sent))]
+    assert table["header.frame_id"].to_pylist() == ["world"] * len(sent)
+
+
+def _write(path: Path, compression: str) -> Any:
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    types = store.types
+    sent = np.random.default_rng(0).normal(size=(300, 2))
+    writer = rosbag1.Writer(path)
+    if compression:
+        writer.set_compression(rosbag1.Writer.CompressionFormat[compression])
+    with writer:
+        link = writer.add_connection("/pose", "geometry_msgs/msg/PoseStamped", typestore=store)
+        for k, (x, w) in enumerate(sent.tolist()):
+            stamp = types["builtin_interfaces/msg/Time"](sec=10**9 + k // 100, nanosec=k % 100 * 10**7)
+            header = types["std_msgs/msg/Header"](seq=k, stamp=stamp, frame_id="world")
+            point = types["geometry_msgs/msg/Point"](x=x, y=0.0, z=0.0)
+            turn = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=w)
+            pose = types["geometry_msgs/msg/Pose"](position=point, orientation=turn)
+            message = types["geometry_msgs/msg/PoseStamped"](header=header, pose=pose)
+            raw = store.serialize_ros1(message, "geometry_msgs/msg/PoseStamped")
+            writer.write(link, 10**18 + k * 10**7 + 999, raw)
+    return sent
+
+
+def test_a_bag_that_was_never_closed_is_read_from_the_connections_in_its_chunks() -> None:
+    blob = sample.build()
+    cut = blob.index(sample.message(0, 100))  # in the third chunk
+    flight = collect(memoryview(blob[:cut]), "a.bag", FORMAT, Limits())
+    assert flight.rows == 100
+    assert set(flight.tables) == {"/imu", "/pair"}
+
+
+def test_a_chunk_that_would_fill_the_memory_is_refused_and_counted() -> None:
+    bomb = sample.chunk(bytes(50_000_000), b"bz2")
+    at = len(sample.MAGIC)
+    blob = sample.build()
+    flight = collect(memoryview(blob[:at] + bomb + blob[at:]), "a.bag", FORMAT, Limits())
+    assert flight.rows == 160
+    assert [(r.start, r.end) for r in flight.damage.regions] == [(at, at + len(bomb))]
+    assert "beyond the limits" in flight.damage.regions[0].reason
+
+
+def test_no_record_at_all_is_an_error_that_names_the_file() -> None:
+    with pytest.raises(FormatError, match="no record") as caught:
+        collect(memoryview(sample.MAGIC + bytes(99)), "a.bag", FORMAT, Limits())
+    assert caught.value.path == "a.bag"
+
+
+def test_it_is_found_by_its_magic_whatever_its_name() -> None:
+    assert detect(sample.MAGIC, "flight.dat").name == "rosbag"
