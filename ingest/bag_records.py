@@ -3,8 +3,8 @@
 A record is a u32 header length, header fields (u32 length, `name=value`), a u32 data length, data. The format
 is that of the ROS wiki, "Bags/Format/2.0". Nothing but a bzip2 chunk carries a checksum: a record counts as
 one where its header divides into fields, its op is known and the fields that this op needs have their sizes.
-A plain chunk is no more than the records in it, so its own lengths, which damage or a cut may falsify, are not
-needed; the index behind the data only serves to know connections before their first message.
+A plain chunk is no more than the records in it, so its own lengths, which damage or a cut may falsify, are
+not needed; the index behind the data only serves to know connections before their first message.
 """
 
 from __future__ import annotations
