@@ -22,7 +22,7 @@ from flysid.model.tsproblem import Body, Problem
 def chosen_by_arx(train: Dataset, validation: Dataset) -> tuple[Orders, FittedLinear] | None:
     """The orders, delays included, that ARX chooses by itself, with its model; None where it cannot."""
     try:
-        fitted = ARX().fit(train, validation)
+        fitted = ARX(refine=True).fit(train, validation)
     except FlysidError:
         return None
     a, b = fitted.system.a, fitted.system.b
