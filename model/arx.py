@@ -249,18 +249,22 @@ def _decided(parts: Parts, plain: _LeastSquaresFit, refined: Refined) -> FittedL
     figures = (
         f"validation free run RMSE {np.sqrt(after.mean()):.3g} refined against {np.sqrt(before.mean()):.3g}"
     )
+    words = f"The refined model was kept: {figures} (standard deviations of the output)."
+    if not clearly_better(before, after):
+        return refined.final((words,))
     final = plain.final()
-    confirmed = parts.validation is not None or _better_everywhere(parts, final, refined, window)
-    if clearly_better(before, after) and confirmed:
-        return _noted(final, f"Refinement on the simulation error was tried and not kept: {figures}.")
-    return refined.final((f"The refined model was kept: {figures} (standard deviations of the output).",))
+    if parts.validation is None:
+        kept = refined.final((words,))
+        if not _better_everywhere(parts, final, kept, window):
+            return kept
+    return _noted(final, f"Refinement on the simulation error was tried and not kept: {figures}.")
 
 
-def _better_everywhere(parts: Parts, plain: FittedLinear, refined: Refined, window: int) -> bool:
+def _better_everywhere(parts: Parts, plain: FittedLinear, refined: FittedLinear, window: int) -> bool:
     """The plain model's free run of all training data has the lower mean square."""
-    skip = max(window, plain.n_init, refined.final(()).n_init)
+    skip = max(window, plain.n_init, refined.n_init)
     plain_error, refined_error = (
-        block_errors(m, parts.train, skip, parts.scaling.y_scale) for m in (plain, refined.final(()))
+        block_errors(m, parts.train, skip, parts.scaling.y_scale) for m in (plain, refined)
     )
     return bool(len(plain_error) and plain_error.mean() < refined_error.mean())
 
