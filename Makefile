@@ -30,11 +30,11 @@ lint: $(VENV)/.installed
 bench-ingest: $(VENV)/.installed  ## readers against their peers, ratios in CPU time
 	$(BIN)/python -m tests.bench.bench_ingest
 
-soak: $(VENV)/.installed  ## hours: the verdict against known truth
+soak: $(VENV)/.installed  ## hours: long campaigns (docs/reliability.md), the verdict against known truth
 	$(BIN)/python -m tests.bench.verdict_coverage 1000
 	$(BIN)/python -m tests.bench.verdict_fairness linear 200
 	$(BIN)/python -m tests.bench.verdict_fairness nonlinear 200
-	FLYSID_SOAK=1 $(BIN)/python -m pytest -n 2 tests/test_format_contract.py
+	$(BIN)/python -m tests.soak
 
 bench-model: $(VENV)/.installed  ## linear models against their peers (installed with pip beforehand), ratios
 	$(BIN)/python -m tests.bench.bench_model

@@ -1,0 +1,174 @@
+"""Damage done to the sample log of a format, trial by trial, and what a reader must keep.
+
+The contract tests run these at a small size, `tests/soak` at the full size of the catalogue. Every function
+fills an Outcome; its `failures` say where a promise was broken. `goes_on` is asked before each trial.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from functools import cache
+from types import ModuleType
+
+from flysid.errors import FormatError
+from flysid.flight import Flight
+from flysid.ingest.base import Limits, all_formats, collect
+from tests.samplelogs import Record, record_at, sample_modules
+from tests.soak import Outcome
+
+SAMPLES = {name: module for name, module in sample_modules().items() if hasattr(module, "build")}
+FORMATS = sorted(set(all_formats()) & set(SAMPLES))
+Ask = Callable[[], bool]
+
+
+def module_of(name: str) -> ModuleType:
+    """The module of a format's sample log."""
+    return SAMPLES[name]
+
+
+@cache
+def sample(name: str) -> bytes:
+    """The sample log of a format."""
+    blob = module_of(name).build()
+    assert isinstance(blob, bytes)
+    return blob
+
+
+@cache
+def records_of(name: str) -> list[Record]:
+    """Its records, in order."""
+    found: list[Record] = module_of(name).records(sample(name))
+    return found
+
+
+@cache
+def intact(name: str) -> Flight:
+    """The flight in the undamaged sample log."""
+    return read(name, sample(name))
+
+
+def read(name: str, blob: bytes, **limits: int) -> Flight:
+    """The flight in these bytes, by the reader of one format."""
+    return collect(memoryview(blob), "sample" + module_of(name).SUFFIX, all_formats()[name], Limits(**limits))
+
+
+def read_or_none(name: str, blob: bytes, outcome: Outcome) -> Flight | None:
+    """The flight; None where the reader says that nothing can be read. Other errors are failures."""
+    with outcome.trial():
+        try:
+            return read(name, blob)
+        except FormatError:
+            outcome.raised += 1
+        except Exception as error:  # noqa: BLE001 - this is what the trials look for
+            outcome.failures.append(f"trial {outcome.trials}: {type(error).__name__}: {error}")
+    return None
+
+
+def at_risk(name: str, byte: int) -> int:
+    """Rows that damage to this byte may cost."""
+    module = module_of(name)
+    if hasattr(module, "at_risk"):
+        return int(module.at_risk(sample(name), byte))
+    return record_at(records_of(name), byte).rows
+
+
+def cut(name: str, every: int, goes_on: Ask) -> Outcome:
+    """Truncated at every `every`-th byte: all records before the cut stay, and the cut is noticed."""
+    outcome, blob, records = Outcome(name), sample(name), records_of(name)
+    borders = sorted({r.end for r in records})
+    kept = {0: 0}
+    for record in records:
+        kept[record.end] = kept[record.start] + record.rows
+    at = 0
+    for place in range(1, len(blob), every):
+        while at < len(borders) and borders[at] <= place:
+            at += 1
+        if not goes_on():
+            break
+        expected = kept[borders[at - 1]] if at else 0
+        flight = read_or_none(name, blob[:place], outcome)
+        rows = flight.rows if flight is not None else 0
+        outcome.keep(rows, expected)
+        if rows != expected:
+            outcome.failures.append(f"cut at {place}: {rows} rows of {expected}")
+        elif flight is not None and flight.damage.truncated == (place in kept):
+            outcome.failures.append(f"cut at {place}: truncated is {flight.damage.truncated}")
+    return outcome
+
+
+def flip(name: str, count: int, goes_on: Ask) -> Outcome:
+    """Single bits flipped: at most the record hit is lost, and never in silence."""
+    outcome, blob, rng, whole = Outcome(name), sample(name), random.Random(name), intact(name).rows
+    for _ in range(count):
+        byte, bit = rng.randrange(len(blob)), rng.randrange(8)
+        if not goes_on():
+            break
+        damaged = bytearray(blob)
+        damaged[byte] ^= 1 << bit
+        where = f"bit {bit} of byte {byte}"
+        flight = read_or_none(name, bytes(damaged), outcome)
+        rows, risk = (flight.rows if flight is not None else 0), at_risk(name, byte)
+        outcome.keep(rows, whole)
+        if rows < whole - risk:
+            outcome.failures.append(f"{where}: {rows} rows of {whole}, {risk} at risk")
+        elif flight is not None and rows < whole and not flight.damage.lossy:
+            outcome.failures.append(f"{where}: {whole - rows} rows lost in silence")
+    return outcome
+
+
+def insert(name: str, count: int, goes_on: Ask) -> Outcome:
+    """Garbage between two records: all rows stay, and exactly the garbage is skipped."""
+    outcome, blob, rng, whole = Outcome(name), sample(name), random.Random(name), intact(name).rows
+    borders = [r.end for r in records_of(name) if r.end < len(blob) and at_risk(name, r.end) < whole]
+    harmless = getattr(module_of(name), "HARMLESS", b"")
+    for turn in range(count):
+        at, size = rng.choice(borders), rng.choice((1, 7, 64, 511, 4096))
+        garbage = bytes(size) if turn % 4 == 0 else rng.randbytes(size)
+        if not goes_on():
+            break
+        if not garbage.strip(harmless):
+            continue
+        flight = read_or_none(name, blob[:at] + garbage + blob[at:], outcome)
+        outcome.keep(flight.rows if flight is not None else 0, whole)
+        if (wrong := _judge_insertion(name, at, size, flight)) is not None:
+            outcome.failures.append(f"{size} bytes at {at}: {wrong}")
+    return outcome
+
+
+def _judge_insertion(name: str, at: int, size: int, flight: Flight | None) -> str | None:
+    """What is wrong with the reading of a log with `size` bytes of garbage at `at`; None if nothing."""
+    if flight is None:
+        return "nothing was read"
+    slack, whole = int(getattr(module_of(name), "RESYNC_BYTES", 0)), intact(name).rows
+    damage = flight.damage
+    if not damage.lossy:
+        return "the garbage was not noticed"
+    near = sum(r.rows for r in records_of(name) if at - slack <= r.start <= at + slack) if slack else 0
+    if flight.rows < (0.99 * (whole - near) if slack else whole):
+        return f"{flight.rows} rows of {whole}"
+    if not size <= damage.bytes_skipped <= size + slack:
+        return f"{damage.bytes_skipped} bytes skipped"
+    if not slack and [(r.start, r.end) for r in damage.regions] != [(at, at + size)]:
+        return f"regions {damage.regions}"
+    return None
+
+
+def delete(name: str, count: int, goes_on: Ask) -> Outcome:
+    """64 bytes deleted: what they do not touch stays."""
+    outcome, blob, rng = Outcome(name), sample(name), random.Random(name + "-")
+    whole, slack = intact(name).rows, int(getattr(module_of(name), "RESYNC_BYTES", 0))
+    for _ in range(count):
+        at = rng.randrange(len(blob) - 64)
+        if not goes_on():
+            break
+        if max(at_risk(name, byte) for byte in range(at, at + 64)) == whole:
+            continue
+        touched = [r for r in records_of(name) if r.start < at + 64 + slack and r.end > at - slack]
+        risk = sum({r: max(r.rows, at_risk(name, max(at, r.start))) for r in touched}.values())
+        flight = read_or_none(name, blob[:at] + blob[at + 64 :], outcome)
+        rows = flight.rows if flight is not None else 0
+        outcome.keep(rows, whole)
+        if rows < whole - risk:
+            outcome.failures.append(f"64 bytes from {at}: {rows} rows of {whole}, {risk} at risk")
+    return outcome

@@ -1,0 +1,59 @@
+"""The soak runner itself: campaigns are found, outcomes become lines, lines of others stay."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.soak import Budget, Campaign, Outcome, peak_memory
+from tests.soak.__main__ import PAGE, campaigns, chosen
+from tests.soak.table import line, merge, parse
+
+
+def test_every_campaign_is_found_and_has_a_name_of_its_own() -> None:
+    names = [c.name for c in campaigns().values()]
+    assert "truncation at every byte" in names
+    assert len(set(names)) == len(names)
+
+
+def test_campaigns_are_chosen_by_row_or_by_a_part_of_the_name() -> None:
+    assert "row_01_truncation" in chosen(["1"])
+    assert list(chosen(["truncation at"])) == ["row_01_truncation"]
+    with pytest.raises(SystemExit, match="no campaign 'nonsense'"):
+        chosen(["nonsense"])
+
+
+def test_new_outcomes_replace_those_of_their_campaign_only() -> None:
+    mine, other = (Campaign(2, name, lambda _: iter(())) for name in ("mine", "other"))
+    page = "before\n<!-- soak: begin -->\n<!-- soak: end -->\nafter\n"
+    page = merge(
+        page, [line(mine, Outcome("a", 3), "2026-01-01"), line(other, Outcome("a", 4), "2026-01-01")]
+    )
+    outcome = Outcome("b", 5, kept=99, lost=1, failures=["x"], peak_mb=1.6, slowest_s=0.123, remark="a|b")
+    page = merge(page, [line(mine, outcome, "2026-01-02")])
+    assert page.startswith("before\n")
+    assert page.endswith("\nafter\n")
+    assert parse(page) == [
+        ("2", "mine", "b", "5", "99 of 100 (99.000 %)", "0", "1", "2", "0.12", "a/b", "2026-01-02"),
+        ("2", "other", "a", "4", "", "0", "0", "", "", "", "2026-01-01"),
+    ]
+    with pytest.raises(ValueError, match="has no"):
+        merge("a page without marks", [])
+
+
+def test_the_page_has_its_marks() -> None:
+    text = PAGE.read_text("utf-8")
+    assert merge(text, []).count("\n") >= text.count("\n") - 1
+
+
+def test_a_budget_runs_out_and_none_does_not() -> None:
+    assert Budget().clock()()
+    assert not Budget(0.0).shares(2)[0].clock()()
+
+
+def test_trials_are_counted_and_memory_is_seen() -> None:
+    outcome = Outcome("a")
+    with peak_memory(outcome), outcome.trial():
+        block = bytearray(b"x" * (32 << 20))
+    assert len(block)
+    assert outcome.trials == 1
+    assert outcome.peak_mb is None or outcome.peak_mb > 25
