@@ -54,6 +54,8 @@ def writing_to(path: Path) -> Iterator[None]:
     """Turn the system's refusal to write into a WriteError that names the path."""
     try:
         yield
+    except MemoryError:  # Arrow's is an ArrowException too; the folder is not at fault
+        raise
     except (OSError, pa.ArrowException) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise WriteError(

@@ -43,6 +43,7 @@ __all__ = [
     "StreamEntry",
     "clean",
     "create_data_folder",
+    "discard",
     "find_flight",
     "list_flights",
     "locked",
@@ -137,6 +138,12 @@ def clean(data: Path) -> int:
                 shutil.rmtree(folder)
             removed += 1
     return removed
+
+
+def discard(data: Path, pid: int) -> None:
+    """Remove what one writer, a process that has ended, left unfinished."""
+    for folder in (data / FLIGHTS).glob(f".incoming-*-{pid}"):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 # ------------------------------------------------------------------------------------------- writing

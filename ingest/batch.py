@@ -1,28 +1,29 @@
 """Many logs into one folder: found, hashed, read in parallel; one bad log never stops the rest.
 
 Logs whose content is in the folder already are recognised by their hash before any worker starts. Each
-worker reads one log at a time in bounded memory. A worker that the system kills (out of memory) costs only
-the log it was reading: the others are tried again, each in a process of its own.
+worker reads one log at a time, within bounds of memory and time (`workers`). A log that breaks them, or the
+process that reads it, is named; it costs no other log.
 """
 
 from __future__ import annotations
 
 import glob
 import os
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from flysid.errors import FlysidError, FormatError, UsageError, WriteError
 from flysid.flight import Source
 from flysid.ingest.base import HEAD_BYTES, Limits, all_formats, detect, hash_log, open_log
+from flysid.ingest.workers import Bounds, Lost, memory_reason, run_bounded
 from flysid.manifest import Manifest, list_flights
-from flysid.store import clean, create_data_folder, locked, write_flight
+from flysid.store import clean, create_data_folder, discard, locked, write_flight
 
-IN_PROCESS_BYTES = 12 << 20
+ONE_WORKER_BYTES = 12 << 20
 GLOB_MARKS = frozenset("*?[")
+NO_MEMORY = "needs more memory than there is"
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,13 @@ def _logs_in(folder: Path, unreadable: list[Result]) -> Iterator[Path]:
 
 
 def ingest_logs(
-    logs: Found, data: str | Path, *, jobs: int = 0, force: bool = False, limits: Limits | None = None
+    logs: Found,
+    data: str | Path,
+    *,
+    jobs: int = 0,
+    force: bool = False,
+    limits: Limits | None = None,
+    bounds: Bounds | None = Bounds(),  # noqa: B008 - frozen
 ) -> Iterator[Result]:
     """Read logs into a folder; yields one result per log, as they finish.
 
@@ -130,8 +137,11 @@ def ingest_logs(
     ----------
     logs : from `find_logs`.
     data : the folder; made where it does not exist.
-    jobs : worker processes; 0 means one per core.
+    jobs : worker processes; 0 means one per core, one where there is little to read.
     force : read again what is there unchanged.
+    limits : what readers hold to.
+    bounds : of memory and time for each log. None reads in this process, without bounds: for logs of
+        one's own making.
 
     Raises
     ------
@@ -154,7 +164,11 @@ def ingest_logs(
                 yield Result(path, reason="the same content as another log of this run")
             else:
                 waiting.append(prepared)
-        yield from _run(waiting, folder, _workers(waiting, jobs), limits or Limits(), force)
+        read = partial(ingest_one, data=folder, limits=limits or Limits(), replace=force)
+        if bounds is None:
+            yield from map(read, waiting)
+        else:
+            yield from _in_workers(read, waiting, _workers(waiting, jobs), bounds, folder)
 
 
 def _prepare(path: Path) -> Job | Result:
@@ -169,49 +183,22 @@ def _prepare(path: Path) -> Job | Result:
 
 def _workers(waiting: Sequence[Job], jobs: int) -> int:
     cores = jobs or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    small = not jobs and sum(job.size for job in waiting) <= IN_PROCESS_BYTES
+    small = not jobs and sum(job.size for job in waiting) <= ONE_WORKER_BYTES
     return 1 if small else max(1, min(cores, len(waiting)))
 
 
-def _run(waiting: list[Job], data: Path, workers: int, limits: Limits, replace: bool) -> Iterator[Result]:
-    if workers == 1:
-        for job in waiting:
-            yield ingest_one(job, data, limits, replace)
-        return
-    pending = sorted(waiting, key=lambda job: -job.size)
-    finished: set[Path] = set()
-    try:
-        for result in _in_pool(pending, data, workers, limits, replace):
-            finished.add(result.path)
-            yield result
-    except BrokenProcessPool:
-        for job in [job for job in pending if job.path not in finished]:
-            yield _alone(job, data, limits, replace)
-
-
-def _in_pool(
-    waiting: Sequence[Job], data: Path, workers: int, limits: Limits, replace: bool
+def _in_workers(
+    read: Callable[[Job], Result], waiting: Sequence[Job], workers: int, bounds: Bounds, data: Path
 ) -> Iterator[Result]:
-    import multiprocessing
-
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, mp_context=context)
-    try:
-        futures: list[Future[Result]] = [
-            pool.submit(ingest_one, job, data, limits, replace) for job in waiting
-        ]
-        for future in as_completed(futures):
-            yield future.result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _alone(job: Job, data: Path, limits: Limits, replace: bool) -> Result:
-    """Read one log in a process of its own, after a worker died."""
-    try:
-        return next(iter(_in_pool([job], data, 1, limits, replace)))
-    except BrokenProcessPool:
-        return Result(job.path, reason="the process that read it was killed (out of memory?)")
+    """Large logs first, so that none is begun when all others are done."""
+    for job, result in run_bounded(read, sorted(waiting, key=lambda job: -job.size), workers, bounds):
+        if isinstance(result, Lost):
+            discard(data, result.pid)
+            yield Result(job.path, reason=result.reason)
+        else:
+            memory = bounds.memory_bytes
+            lacks = result.reason == NO_MEMORY and memory is not None
+            yield Result(job.path, reason=memory_reason(memory or 0)) if lacks else result
 
 
 def ingest_one(job: Job, data: Path, limits: Limits, replace: bool) -> Result:
@@ -227,6 +214,8 @@ def ingest_one(job: Job, data: Path, limits: Limits, replace: bool) -> Result:
             return Result(job.path, write_flight(data, source, parts, replace=replace))
     except WriteError:
         raise
+    except MemoryError:
+        return Result(job.path, reason=NO_MEMORY)
     except FlysidError as error:
         return Result(job.path, reason=error.message)
     except OSError as error:

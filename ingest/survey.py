@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
+from flysid.errors import FlysidError
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Source, field_scale, field_unit
 from flysid.ingest.base import HEAD_BYTES, Limits, Summary, detect, open_log, source_of
 
@@ -135,6 +136,16 @@ def survey(path: Path, limits: Limits | None = None) -> Survey:
             _count(streams.setdefault(part.stream, StreamCount()), part.table)
         source = source_of(view, path.name, fmt)
     return Survey(source, dict(sorted(streams.items())), summary.damage, summary.clocks, summary.info)
+
+
+def survey_or_reason(path: Path) -> Survey | str:
+    """`survey`, or why it cannot be had: a task for a worker process."""
+    try:
+        return survey(path)
+    except FlysidError as error:
+        return error.message
+    except MemoryError:
+        return "needs more memory than there is"
 
 
 def _count(count: StreamCount, table: pa.Table) -> None:

@@ -17,6 +17,7 @@ from flysid import store
 from flysid.errors import UsageError, WriteError
 from flysid.ingest import base, batch
 from flysid.ingest.batch import Result, find_logs, ingest_logs
+from flysid.ingest.workers import Bounds
 from tests.samplelogs import dataflash, tlog
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -35,7 +36,9 @@ def write_logs(folder: Path, count: int) -> list[Path]:
 
 
 def run(*given: Path | str, data: Path, jobs: int = 1, force: bool = False) -> list[Result]:
-    return list(ingest_logs(find_logs(given), data, jobs=jobs, force=force))
+    return list(
+        ingest_logs(find_logs(given), data, jobs=jobs, force=force, bounds=None if jobs == 1 else Bounds())
+    )
 
 
 def tree_hash(data: Path) -> str:

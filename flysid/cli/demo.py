@@ -130,7 +130,7 @@ def take_in(stages: Stages) -> str:
     """Ingest the logs."""
     from flysid.ingest.batch import find_logs, ingest_logs
 
-    results = list(ingest_logs(find_logs([stages.logs]), stages.data))
+    results = list(ingest_logs(find_logs([stages.logs]), stages.data, bounds=None))
     manifests = [r.manifest for r in results if r.manifest is not None]
     lost = sum(m.damage.lossy for m in manifests) + sum(r.skipped for r in results)
     return f"{len(manifests)} logs, {sum(m.rows for m in manifests):,} records, {lost} with losses"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.ls import aligned, clock_text
 from flysid.cli.output import say
 
@@ -31,28 +32,32 @@ HEADINGS = (
 
 @click.command("doctor")
 @click.argument("logs", nargs=-1, required=True, metavar="LOG...")
+@memory_option
+@time_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-q", "--quiet", is_flag=True, help="No words on stderr but for logs that cannot be read.")
-def command(logs: tuple[str, ...], as_json: bool, quiet: bool) -> int:
+def command(
+    logs: tuple[str, ...], max_memory: int | None, max_time: float | None, as_json: bool, quiet: bool
+) -> int:
     """Say of every log what it holds, what was lost, and what to log next time.
 
     Ends with 3 when something was lost or a log cannot be read, and with 1 when none can.
     """
-    from flysid.errors import FlysidError
     from flysid.ingest.batch import find_logs
-    from flysid.ingest.survey import survey
+    from flysid.ingest.survey import survey_or_reason
+    from flysid.ingest.workers import Bounds, Lost, run_bounded
 
     found, unreadable = find_logs(logs), 0
     surveys = []
     for skipped in found.unreadable:
         say(f"skipped: {skipped.path}: {skipped.reason}")
         unreadable += 1
-    for path in found.paths:
-        try:
-            surveys.append(survey(path))
-        except FlysidError as error:
-            say(f"skipped: {path}: {error.message}")
+    for path, outcome in run_bounded(survey_or_reason, found.paths, 1, Bounds(max_memory, max_time)):
+        if isinstance(outcome, (str, Lost)):
+            say(f"skipped: {path}: {outcome if isinstance(outcome, str) else outcome.reason}")
             unreadable += 1
+        else:
+            surveys.append(outcome)
     if as_json:
         click.echo(json.dumps({"logs": [as_document(s) for s in surveys]}, indent=1))
     elif surveys:

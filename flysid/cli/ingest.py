@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.output import printable, say
 
 if TYPE_CHECKING:
@@ -22,21 +23,35 @@ REGIONS_SHOWN = 12
 @click.argument("logs", nargs=-1, required=True, metavar="LOG...")
 @click.option("-o", "--output", "data", default="data", show_default=True, help="The folder to fill.")
 @click.option("-j", "--jobs", default=0, metavar="N", help="Worker processes; one per core when not given.")
+@memory_option
+@time_option
 @click.option("--force", is_flag=True, help="Read logs again that are there unchanged.")
 @click.option("--json", "as_json", is_flag=True, help="Print what happened to every log as JSON.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress.")
-def command(logs: tuple[str, ...], data: str, jobs: int, force: bool, as_json: bool, quiet: bool) -> int:
+def command(
+    logs: tuple[str, ...],
+    data: str,
+    jobs: int,
+    max_memory: int | None,
+    max_time: float | None,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+) -> int:
     """Read flight logs (files, folders, patterns) into typed parquet tables, one per message.
 
     Logs whose content is there already are skipped. Prints the id of each flight that was ingested.
-    Ends with 3 when something was lost or skipped, and says what and where.
+    Ends with 3 when something was lost or skipped, and says what and where. A log that needs more
+    memory or time than it may have is skipped and named; the others are read.
     """
     from flysid.ingest.batch import find_logs, ingest_logs
+    from flysid.ingest.workers import Bounds
 
     found = find_logs(logs)
     results = []
     with progress(len(found.paths), quiet) as advance:
-        for result in ingest_logs(found, data, jobs=jobs, force=force):
+        bounds = Bounds(max_memory, max_time)
+        for result in ingest_logs(found, data, jobs=jobs, force=force, bounds=bounds):
             results.append(result)
             advance(result)
     results.sort(key=lambda r: str(r.path))

@@ -1,0 +1,59 @@
+"""--max-memory and --max-time: quantities with units, for one log."""
+
+from __future__ import annotations
+
+import re
+
+import click
+
+MEMORY = {"": 1.0, "B": 1.0, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KIB": 2**10, "MIB": 2**20, "GIB": 2**30}
+TIME = {"": 1.0, "MS": 1e-3, "S": 1.0, "MIN": 60.0, "H": 3600.0}
+LEAST_MEMORY = 256 * 10**6
+
+
+def quantity(text: str, units: dict[str, float]) -> float | None:
+    """ "2GB", "10 min", ... in the smallest unit; None for "none" (no bound).
+
+    Raises
+    ------
+    click.BadParameter : not a positive number with one of `units`.
+    """
+    if text.strip().lower() == "none":
+        return None
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-zA-Z]*)\s*", text)
+    if found is None or found[2].upper() not in units or float(found[1]) <= 0:
+        raise click.BadParameter(
+            f"{text!r} is not a number with a unit; units: {', '.join(filter(None, units))}"
+        )
+    return float(found[1]) * units[found[2].upper()]
+
+
+def _memory(_ctx: click.Context, _param: click.Parameter, value: str) -> int | None:
+    size = quantity(value, MEMORY)
+    if size is not None and size < LEAST_MEMORY:
+        raise click.BadParameter(f"no log can be read in less than {LEAST_MEMORY // 10**6}MB")
+    return None if size is None else int(size)
+
+
+def _time(_ctx: click.Context, _param: click.Parameter, value: str) -> float | None:
+    return quantity(value, TIME)
+
+
+memory_option = click.option(
+    "--max-memory",
+    default="4GB",
+    show_default=True,
+    metavar="SIZE",
+    envvar="FLYSID_MAX_MEMORY",
+    callback=_memory,
+    help="Memory that one log may take, or none; also FLYSID_MAX_MEMORY.",
+)
+time_option = click.option(
+    "--max-time",
+    default="10min",
+    show_default=True,
+    metavar="TIME",
+    envvar="FLYSID_MAX_TIME",
+    callback=_time,
+    help="Time that one log may take, or none; also FLYSID_MAX_TIME.",
+)
