@@ -52,6 +52,7 @@ class Rule:
     time_constant_s : slowest time constant; inf where the rule integrates.
     pole_radius : largest pole modulus (0 for a static rule).
     support : share of training samples for which this rule is the strongest, 0 to 1.
+    gain_interval : (2, n_y, n_u) 95 % interval of `dc_gain` from the parameters' uncertainty; None: unknown.
     """
 
     label: str
@@ -61,6 +62,7 @@ class Rule:
     time_constant_s: float
     pole_radius: float
     support: float
+    gain_interval: FloatArray | None = None
 
 
 @runtime_checkable

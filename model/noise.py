@@ -54,23 +54,26 @@ def coloured_covariance(jacobians: Sequence[FloatArray], d: FloatArray, variance
     The sandwich (JᵀJ)⁻¹ Jᵀ R J (JᵀJ)⁻¹, R the covariance of the noise: Jᵀ R J is the Gram of J filtered
     backwards in time with 1/D (Söderström & Stoica, 1989, System Identification, 7.5).
     """
-    from scipy.signal import lfilter
-
     n = jacobians[0].shape[1]
-    plain, coloured = np.zeros((n, n)), np.zeros((n, n))
     lengths = np.sqrt(sum(np.einsum("ij,ij->j", j, j) for j in jacobians))
     scale = np.where(lengths > 0, lengths, 1.0)
-    for jacobian in jacobians:
-        scaled = jacobian / scale
-        backwards = lfilter([1.0], d, scaled[::-1], axis=0)
-        plain += scaled.T @ scaled
-        coloured += backwards.T @ backwards
+    scaled = [jacobian / scale for jacobian in jacobians]
     try:
-        inverse = np.linalg.inv(plain)
+        inverse = np.linalg.inv(sum((j.T @ j for j in scaled), np.zeros((n, n))))
     except np.linalg.LinAlgError:
         return np.full((n, n), np.nan)
-    covariance: FloatArray = variance * (inverse @ coloured @ inverse) / np.outer(scale, scale)
+    covariance: FloatArray = variance * (inverse @ coloured_gram(scaled, d) @ inverse)
+    covariance /= np.outer(scale, scale)
     return covariance
+
+
+def coloured_gram(jacobians: Sequence[FloatArray], d: FloatArray) -> FloatArray:
+    """(n, n) Jᵀ R J for noise that is white noise of variance 1 through 1/D: J filtered backwards in time."""
+    from scipy.signal import lfilter
+
+    backwards = (lfilter([1.0], d, jacobian[::-1], axis=0) for jacobian in jacobians)
+    n = jacobians[0].shape[1]
+    return np.asarray(sum((b.T @ b for b in backwards), np.zeros((n, n))))
 
 
 def noise_models(errors: Sequence[FloatArray]) -> FloatArray:

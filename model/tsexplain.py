@@ -8,7 +8,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.model.ts import FittedTS
+from flysid.model.tsmodel import FittedTS
 from flysid.model.words import number
 
 

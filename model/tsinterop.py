@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.ts import FittedTS
 from flysid.model.tslocal import StateSpace, linearise
+from flysid.model.tsmodel import FittedTS
 
 
 def to_nonlinear_system(model: FittedTS) -> Any:

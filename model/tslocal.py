@@ -14,7 +14,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.model.ts import FittedTS
+from flysid.model.tsmodel import FittedTS
 
 _ROUNDS = 4000
 

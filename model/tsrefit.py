@@ -1,13 +1,17 @@
-"""A chosen model refined once more on all the training data."""
+"""A chosen model refined once more: on all the training data, on new flights, after its rules were edited."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from flysid.dataset import FloatArray
-from flysid.model.tsgrow import Stage, best_started, refine
-from flysid.model.tsproblem import antecedent_range
+from flysid.model.tsgrow import Stage, best_started, first_basis, refine
+from flysid.model.tskernel import Parameters
+from flysid.model.tslayout import Layout
+from flysid.model.tsproblem import Body, Problem, antecedent_range
 from flysid.model.tsselect import is_bounded
 
 
@@ -16,3 +20,12 @@ def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int) -> St
     problem = replace(stage.problem, runs=tuple(runs), z_range=antecedent_range(stage.problem.layout, runs))
     refit = refine(best_started(problem, stage.body), iterations, 1e-5)
     return refit if is_bounded(refit) else stage
+
+
+def restated(layout: Layout, parameters: Parameters, runs: tuple[FloatArray, ...]) -> tuple[Problem, Body]:
+    """A fitted model as refinement writes it: consequents in a basis in which `runs` are well conditioned."""
+    basis = np.ascontiguousarray(first_basis(layout, runs))
+    theta, p = parameters.theta, parameters
+    problem = Problem(layout, runs, basis, theta[0].copy(), p.z_range, p.limits)
+    a = np.linalg.solve(basis.T, (theta - theta[0]).reshape(-1, len(basis)).T).T
+    return problem, Body(np.ascontiguousarray(a.reshape(theta.shape)), p.centre, p.width)

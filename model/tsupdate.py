@@ -13,9 +13,9 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.model.ts import FittedTS
 from flysid.model.tskernel import Parameters, firing
 from flysid.model.tslayout import Layout
+from flysid.model.tsmodel import FittedTS
 
 
 def update(

@@ -133,11 +133,26 @@ def in_words(title: str, rules: Sequence[Rule], notes: Sequence[str]) -> str:
 
 def meaning(rule: Rule) -> str:
     """ "gain 0.11, time constant 0.48 s, strongest for 32 % of the samples"; * where nearly integrating."""
-    gain = ", ".join(number(float(g)) if np.isfinite(g) else "integrates" for g in rule.dc_gain.ravel())
-    parts = [f"gain {gain}"]
+    parts = [f"gain {', '.join(gains(rule))}"]
     if rule.pole_radius > 0:
         star = "*" if rule.pole_radius > 0.999 else ""
         parts.append(f"time constant {number(rule.time_constant_s)} s{star}")
     if rule.pole_radius >= 1.0:
         parts.append("unstable by itself")
     return ", ".join([*parts, f"strongest for {100 * rule.support:.0f} % of the samples"])
+
+
+def gains(rule: Rule) -> list[str]:
+    """Every steady gain with its 95 % interval where that is known: "0.29 [0.27, 0.31]"."""
+    intervals = (
+        np.full((2, *rule.dc_gain.shape), np.nan) if rule.gain_interval is None else rule.gain_interval
+    )
+    low, high = intervals.reshape(2, -1)
+    return [_gain(*values) for values in zip(rule.dc_gain.ravel(), low, high, strict=True)]
+
+
+def _gain(value: float, low: float, high: float) -> str:
+    if not np.isfinite(value):
+        return "integrates"
+    known = np.isfinite(low) and np.isfinite(high)
+    return f"{number(value)} [{number(low)}, {number(high)}]" if known else number(value)

@@ -1,0 +1,55 @@
+"""Intervals of TS models: repeated experiments hold what they promise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flysid.dataset import Dataset
+from flysid.errors import DataError, UsageError
+from flysid.model.tsmodel import FittedTS
+from flysid.model.tsuncertainty import uncertainty
+from tests.bench.ts_intervals import coverage, experiment, known_model, refitted
+
+
+@pytest.fixture(scope="module")
+def truth() -> FittedTS:
+    return known_model()
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    shares = coverage(25)
+    assert 0.85 <= shares["consequents"] <= 0.995
+    assert 0.84 <= shares["gains"] <= 1.0
+    assert 0.84 <= shares["simulation"] <= 0.995
+
+
+def test_more_data_make_narrower_intervals(truth: FittedTS) -> None:
+    data = experiment(truth, 3)
+    model = refitted(truth, data)
+    whole = uncertainty(model, data).consequent_errors
+    half = Dataset.from_arrays(data.segments[0].u[:400], data.segments[0].y[:400], data.dt_s)
+    assert (uncertainty(model, half).consequent_errors > whole).all()
+
+
+def test_the_same_draws_every_time_and_every_run_finite(truth: FittedTS) -> None:
+    data = experiment(truth, 4)
+    sure = uncertainty(truth, data)
+    first, second = sure.draws(5), sure.draws(5)
+    assert all(np.array_equal(a.consequents, b.consequents) for a, b in zip(first, second, strict=True))
+    low, high = sure.simulation_band(np.full((50, 1), 1e6))
+    assert np.isfinite(low).all()
+    assert (low <= high).all()
+
+
+def test_other_signals_are_refused(truth: FittedTS) -> None:
+    u, y = np.zeros((50, 2)), np.zeros(50)
+    with pytest.raises(UsageError, match="the model has"):
+        uncertainty(truth, Dataset.from_arrays(u, y, truth.dt_s))
+
+
+def test_too_few_samples_are_refused(truth: FittedTS) -> None:
+    data = experiment(truth, 5)
+    few = Dataset.from_arrays(data.segments[0].u[:8], data.segments[0].y[:8], data.dt_s)
+    with pytest.raises(DataError, match="fewer samples"):
+        uncertainty(truth, few)
