@@ -11,7 +11,6 @@ from flysid.model.base import Rule
 from flysid.model.memberships import Partition
 
 _SCALES: Mapping[int, tuple[str, ...]] = {
-    1: ("any",),
     2: ("low", "high"),
     3: ("low", "middle", "high"),
     4: ("very low", "low", "high", "very high"),
@@ -19,13 +18,20 @@ _SCALES: Mapping[int, tuple[str, ...]] = {
     6: ("extremely low", "very low", "low", "high", "very high", "extremely high"),
     7: ("extremely low", "very low", "low", "middle", "high", "very high", "extremely high"),
 }
-_SPEED = ("hovering", "slow", "moderate", "fast", "very fast", "extremely fast")
+_SIZES: Mapping[int, tuple[str, ...]] = {
+    2: ("slow", "fast"),
+    3: ("slow", "moderate", "fast"),
+    4: ("very slow", "slow", "fast", "very fast"),
+    5: ("very slow", "slow", "moderate", "fast", "very fast"),
+}
+_CHANGES: Mapping[int, tuple[str, ...]] = {2: ("slowly", "quickly"), 3: ("slowly", "steadily", "quickly")}
 _DIRECTIONS: Mapping[str, tuple[str, str]] = {
     "vx": ("backward", "forward"),
     "vy": ("to the left", "to the right"),
     "vz": ("down", "up"),
 }
 _SPEED_UNITS = frozenset({"m/s", "m s-1", "m*s-1", "cm/s", "mm/s", "km/h"})
+_WIDER = 1.5  # a set is told from another at the same place when it is this much wider
 
 
 def number(value: float) -> str:
@@ -55,13 +61,18 @@ def precise(value: float) -> str:
 def labels(values: FloatArray, name: str = "", unit: str = "", span: float = 0.0) -> list[str]:
     """A linguistic label for each value, from its position among the others.
 
-    Speeds are told by size and direction ("fast forward", "slow backward", "hovering"); everything else
-    as low, middle, high. Values closer than 2 % of `span` share a label. More than seven distinct values
-    are numbered.
+    Speeds are told by size and direction ("fast forward", "slow backward", "hovering"), changes of a signal
+    from sample to sample as falling or rising, everything else as low, middle, high; beyond seven they are
+    numbered. Values closer than 2 % of `span` share a label; where all do, it is empty.
     """
     levels, level = _levels(values, 0.02 * span)
-    if unit in _SPEED_UNITS and len(levels) > 1 and span > 0 and levels[0] < 0.05 * span:
-        words = _speed_words(levels, name, span)
+    if len(levels) < 2:
+        return ["" for _ in values]
+    if ")-" in name:
+        words = _signed_words(levels, span, ("falling", "steady", "rising"), _CHANGES)
+    elif unit in _SPEED_UNITS and span > 0 and levels[0] < 0.05 * span:
+        below, above = _direction(name)
+        words = _signed_words(levels, span, (below, "hovering", above), _SIZES)
     elif len(levels) in _SCALES:
         words = list(_SCALES[len(levels)])
     else:
@@ -79,32 +90,77 @@ def _levels(values: FloatArray, tolerance: float) -> tuple[list[float], list[int
     return levels, level
 
 
-def _speed_words(levels: Sequence[float], name: str, span: float) -> list[str]:
-    """Direction from the sign, size from the rank on that side of zero."""
+def _direction(name: str) -> tuple[str, str]:
+    """What a negative and a positive speed of that name are called."""
     key = "".join(c for c in name.lower() if c.isalnum())
-    below, above = next((d for k, d in _DIRECTIONS.items() if key.startswith(k)), ("negative", "positive"))
-    still = 0.08 * span
-    negative = sorted((v for v in levels if v < -still), reverse=True)
-    positive = sorted(v for v in levels if v > still)
+    return next((d for k, d in _DIRECTIONS.items() if key.startswith(k)), ("negative", "positive"))
+
+
+def _signed_words(
+    levels: Sequence[float], span: float, names: tuple[str, str, str], sizes: Mapping[int, tuple[str, ...]]
+) -> list[str]:
+    """A word per level: `names` are for below, at and above zero; several on one side differ by size.
+
+    At most one level, the nearest to zero and within 8 % of the span of it, is "at zero".
+    """
+    below, still, above = names
+    nearest = min(levels, key=abs)
+    rest = nearest if abs(nearest) <= 0.08 * span else None
+    sides = (
+        [v for v in reversed(levels) if v < 0 and v != rest],
+        [v for v in levels if v >= 0 and v != rest],
+    )
     words = []
     for value in levels:
-        side, direction = (negative, below) if value < -still else (positive, above)
-        if abs(value) <= still:
-            rest = [v for v in levels if abs(v) <= still]
-            words.append("hovering" if len(rest) == 1 else f"nearly hovering ({number(value)})")
+        if value == rest:
+            words.append(still)
             continue
-        rank = side.index(value) + 1
-        size = "fast" if len(side) == 1 and abs(value) > 0.35 * span else _SPEED[min(rank, len(_SPEED) - 1)]
-        if len(side) == 2 and rank == 2:
-            size = "fast"
-        words.append(f"{size} {direction}")
+        side, direction = (sides[0], below) if value < 0 else (sides[1], above)
+        words.append(_sized(side, side.index(value), direction, span, sizes))
+    return words
+
+
+def _sized(
+    side: Sequence[float], rank: int, direction: str, span: float, sizes: Mapping[int, tuple[str, ...]]
+) -> str:
+    """ "slow forward" for the first of two speeds on a side; a single one is told by its size."""
+    if len(side) == 1:
+        small, large = sizes[2]
+        word = large if abs(side[0]) > 0.35 * span else small
+    elif len(side) in sizes:
+        word = sizes[len(side)][rank]
+    else:
+        word = f"{rank + 1} of {len(side)}"
+    return f"{word} {direction}" if sizes is _SIZES else f"{direction} {word}"
+
+
+def set_words(partition: Partition, j: int, name: str, unit: str) -> list[str]:
+    """A word for every rule's set over one antecedent; empty where it tells this rule from no other.
+
+    Sets at one place are told apart by their widths: the narrow one speaks near it, the wide one away from
+    it, because the narrow one outshouts it there.
+    """
+    centre = partition.centre[:, j]
+    width = 0.5 * (partition.left[:, j] + partition.right[:, j])
+    span = float(partition.high[j] - partition.low[j])
+    words = labels(centre, name, unit, span)
+    for word in set(words):
+        same = [r for r, w in enumerate(words) if w == word]
+        if len(same) < 2 or width[same].max() < _WIDER * width[same].min():
+            continue
+        middle = np.sqrt(width[same].max() * width[same].min())
+        for r in same:
+            near = width[r] < middle
+            place = number(float(centre[same].mean())) + (f" {unit}" if unit else "")
+            alone = f"near {place}" if near else f"away from {place}"
+            words[r] = f"{word}, {'narrowly' if near else 'widely'}" if word else alone
     return words
 
 
 def condition_in_words(partition: Partition, r: int, names: Sequence[str], units: Sequence[str]) -> str:
     """ "v_x(k-1) is A2 'slow forward' (about 0.51 +- 0.2 m/s) and ...", or "always" for a single rule.
 
-    An antecedent whose set covers the whole range for this rule says nothing and is left out.
+    An antecedent that tells this rule from no other, or whose set covers the whole range, is left out.
     """
     if len(partition) == 1:
         return "always"
@@ -112,11 +168,12 @@ def condition_in_words(partition: Partition, r: int, names: Sequence[str], units
     for j, (name, unit) in enumerate(zip(names, units, strict=True)):
         span = float(partition.high[j] - partition.low[j])
         width = 0.5 * float(partition.left[r, j] + partition.right[r, j])
-        if width > span and len(names) > 1:
+        word = set_words(partition, j, name, unit)[r]
+        if not word or (width > span and len(names) > 1):
             continue
-        centre = float(partition.centre[r, j])
-        word = labels(partition.centre[:, j], name, unit, span)[r]
-        about = f"about {number(centre)} +- {number(width)}" + (f" {unit}" if unit else "")
+        about = f"about {number(float(partition.centre[r, j]))} +- {number(width)}" + (
+            f" {unit}" if unit else ""
+        )
         parts.append(f"{name} is A{r + 1} '{word}' ({about})")
     return " and ".join(parts) if parts else "always, a little"
 
