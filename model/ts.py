@@ -7,20 +7,15 @@ out is a `FittedTS`, flysid.model.tsmodel.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
-from flysid.dataset import Dataset, FloatArray
-from flysid.errors import DataError
+from flysid.dataset import Dataset
 from flysid.model.base import Structure
-from flysid.model.noise import noise_models
-from flysid.model.start import estimate_start, start_window
 from flysid.model.threads import on_one_thread
-from flysid.model.tsestimate import Learned, learn
+from flysid.model.tsestimate import learn
+from flysid.model.tsfinish import finished
 from flysid.model.tsmodel import FittedTS, from_dict
-from flysid.model.tsuncertainty import uncertainty
 
 __all__ = ["MODEL", "TS", "FittedTS"]
 
@@ -60,51 +55,8 @@ class TS:
         DataError : no or too few samples, a signal that never moves.
         FitError : no stable model was found.
         """
-        fitted = _fitted(train, learn(self, train, validation))
-        return _with_intervals(fitted, train) if self.refine else fitted
-
-
-def _fitted(train: Dataset, learned: Learned) -> FittedTS:
-    stage = learned.stage
-    fitted = FittedTS(
-        dt_s=train.dt_s,
-        layout=stage.problem.layout,
-        parameters=stage.problem.parameters(stage.body),
-        initial_gain=learned.initial_gain,
-        support=learned.support,
-        notes=learned.notes,
-    )
-    return _with_noise_model(fitted, train)
-
-
-def _with_noise_model(fitted: FittedTS, train: Dataset) -> FittedTS:
-    """The model with a noise model, where that predicts the training data better one step ahead."""
-    n = fitted.n_init
-    pieces = [s for s in train.segments if len(s) > n + 1]
-    errors = [_free_run_error(fitted, s.u, s.y) for s in pieces]
-    if not errors:
-        return fitted
-    noisy = replace(fitted, noise=noise_models(errors))
-    scale = fitted.layout.scale[: fitted.layout.n_y]
-    plain, coloured = (
-        sum(float((((s.y - m.predict(s.u, s.y))[n:] / scale) ** 2).sum()) for s in pieces)
-        for m in (fitted, noisy)
-    )
-    return noisy if coloured < plain else fitted
-
-
-def _with_intervals(fitted: FittedTS, train: Dataset) -> FittedTS:
-    """The model with the intervals of its gains, where the data can tell."""
-    try:
-        return replace(fitted, gain_interval=uncertainty(fitted, train).gain_interval)
-    except (DataError, np.linalg.LinAlgError):
-        return fitted
-
-
-def _free_run_error(fitted: FittedTS, u: FloatArray, y: FloatArray) -> FloatArray:
-    """(N - window, n_y) measured less free run, after the window that starts it."""
-    window = start_window(fitted.n_init, len(y), fitted.dt_s)
-    return y[window:] - fitted.simulate(u, estimate_start(fitted, u[:window], y[:window]))[window:]
+        learned = learn(self, train, validation)
+        return finished(learned.stage, train, learned.notes, intervals=self.refine)
 
 
 MODEL = Structure("ts", from_dict)

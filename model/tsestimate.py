@@ -20,14 +20,13 @@ from flysid.model.tsgrow import (
     ordered,
     rebased,
     refine,
-    rule_support,
     unrefined,
     with_ridge,
 )
 from flysid.model.tslayout import Antecedent, Layout, Orders, parse_antecedent, scaling
 from flysid.model.tsproblem import Problem, runs_of
 from flysid.model.tsrefit import on_all_runs
-from flysid.model.tsselect import Candidate, choose, hold_out, initial_state_gain, judged
+from flysid.model.tsselect import Candidate, choose, hold_out, judged
 from flysid.model.tsstart import arx_start, as_stage, chosen_by_arx
 
 _HIGHEST_ORDER = 4
@@ -67,11 +66,9 @@ class Settings(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A chosen stage with what a fitted model also stores."""
+    """A chosen stage and how it was chosen, in words."""
 
     stage: Stage
-    initial_gain: FloatArray
-    support: FloatArray
     notes: tuple[str, ...]
 
 
@@ -109,9 +106,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         stage = on_all_runs(stage, runs_of(stage.problem.layout, train.segments, least), settings.iterations)
         grown.append("The model was refined once more on the held-out part together with the rest.")
     verdict = rule_verdict(settings, models, at)
-    return Learned(
-        stage, initial_state_gain(stage), rule_support(stage), (*notes, *grown, *verdict, _method(settings))
-    )
+    return Learned(stage, (*notes, *grown, *verdict, _method(settings)))
 
 
 def check(settings: Settings) -> None:

@@ -31,6 +31,7 @@ _DIRECTIONS: Mapping[str, tuple[str, str]] = {
     "vz": ("down", "up"),
 }
 _SPEED_UNITS = frozenset({"m/s", "m s-1", "m*s-1", "cm/s", "mm/s", "km/h"})
+_SAME_PLACE = 0.25  # of the narrowest width: centres closer than this are at one place
 _WIDER = 1.5  # a set is told from another at the same place when it is this much wider
 
 
@@ -58,14 +59,16 @@ def precise(value: float) -> str:
     return f"{value:.4g}" if value < 0.5 or value >= 1e4 else f"{value:.5f}".rstrip("0").rstrip(".")
 
 
-def labels(values: FloatArray, name: str = "", unit: str = "", span: float = 0.0) -> list[str]:
+def labels(
+    values: FloatArray, name: str = "", unit: str = "", span: float = 0.0, *, apart: float = 0.0
+) -> list[str]:
     """A linguistic label for each value, from its position among the others.
 
     Speeds are told by size and direction ("fast forward", "slow backward", "hovering"), changes of a signal
     from sample to sample as falling or rising, everything else as low, middle, high; beyond seven they are
-    numbered. Values closer than 2 % of `span` share a label; where all do, it is empty.
+    numbered. Values closer than `apart`, or 2 % of `span`, share a label; where all do, it is empty.
     """
-    levels, level = _levels(values, 0.02 * span)
+    levels, level = _levels(values, max(apart, 0.02 * span))
     if len(levels) < 2:
         return ["" for _ in values]
     if ")-" in name:
@@ -143,7 +146,7 @@ def set_words(partition: Partition, j: int, name: str, unit: str) -> list[str]:
     centre = partition.centre[:, j]
     width = 0.5 * (partition.left[:, j] + partition.right[:, j])
     span = float(partition.high[j] - partition.low[j])
-    words = labels(centre, name, unit, span)
+    words = labels(centre, name, unit, span, apart=_SAME_PLACE * float(width.min()))
     for word in set(words):
         same = [r for r, w in enumerate(words) if w == word]
         if len(same) < 2 or width[same].max() < _WIDER * width[same].min():
