@@ -16,6 +16,7 @@ _HOME = {
     "ARMAX": "flysid.model.armax",
     "BJ": "flysid.model.bj",
     "FIR": "flysid.model.fir",
+    "StateSpace": "flysid.model.statespace",
     "Line": "flysid.model.line",
     "TS": "flysid.model.ts",
     "StaticTS": "flysid.model.static_ts",
@@ -44,6 +45,7 @@ __all__ = [  # noqa: RUF022
     "ARMAX",
     "BJ",
     "FIR",
+    "StateSpace",
     "Line",
     "TS",
     "StaticTS",
@@ -86,6 +88,7 @@ if TYPE_CHECKING:
     from flysid.model.fir import FIR
     from flysid.model.line import Line
     from flysid.model.oe import OE
+    from flysid.model.statespace import StateSpace
     from flysid.model.static_ts import StaticTS
     from flysid.model.ts import TS
     from flysid.validate.compare import compare

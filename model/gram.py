@@ -13,13 +13,16 @@ subset of its columns is then a small problem on R, without another pass. Two wa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.errors import DataError
 from flysid.model.regressors import CHUNK_ROWS
+from flysid.model.stream import Block, Blocks, windows
 
 LARGEST_GRAM_CONDITION = 1e10
 """Condition of the column-scaled Gram (that of Phi squared) up to which Cholesky keeps six digits."""
@@ -112,40 +115,49 @@ def triangle_of(gram: FloatArray) -> FloatArray | None:
     return r
 
 
-def lagged_gram(
-    signals: Iterable[Callable[[int, int], FloatArray]], lengths: Sequence[int], depth: int
-) -> FloatArray:
+def lagged_gram(pieces: Iterable[Block], depth: int) -> FloatArray:
     """Gram of all lags 0..depth of some signals and of a constant, rows `depth`.. of every segment.
 
     Parameters
     ----------
-    signals : per segment a function (start, stop) -> (s, stop - start) samples, signals in rows.
-    lengths : samples of every segment.
+    pieces : windows of the signals, each behind its `depth` samples before (see `stream.windows`).
 
     Returns
     -------
     (s (depth + 1) + 1, same) Gram; column a (depth + 1) + p is signal a at lag p, the last is the constant.
+    (1, 1) zero where no segment is long enough.
     """
     total: FloatArray | None = None
-    for read, length in zip(signals, lengths, strict=True):
-        if length > depth:
-            part = _segment_gram(read, length, depth)
-            total = part if total is None else total + part
+    for _, segment in itertools.groupby(pieces, key=lambda piece: piece[0]):
+        part = _segment_gram((window for _, window in segment), depth)
+        total = part if total is None else total + part
     return np.zeros((1, 1)) if total is None else total
 
 
-def _segment_gram(read: Callable[[int, int], FloatArray], length: int, depth: int) -> FloatArray:
-    head = read(0, depth)
-    count, lags = len(head), depth + 1
-    now = np.zeros((count, count, lags))  # sum over k of x_a(k) x_b(k - q)
+def _segment_gram(pieces: Iterator[FloatArray], depth: int) -> FloatArray:
+    """The Gram of one segment: products with lag 0 summed over all rows, the rest from its two ends."""
+    window = next(pieces)
+    count, rows, head = len(window), 0, window[:, :depth].copy()
+    now = np.zeros((count, count, depth + 1))  # sum over k of x_a(k) x_b(k - q)
     sums = np.zeros(count)
-    for start in range(depth, length, CHUNK_ROWS):
-        block = read(start - depth, min(start + CHUNK_ROWS, length))
-        sums += block[:, depth:].sum(axis=1)
-        for a in range(count):
-            for b in range(count):
+    while True:
+        for start in range(0, window.shape[1] - depth, CHUNK_ROWS):
+            block = window[:, start : start + CHUNK_ROWS + depth]
+            sums += block[:, depth:].sum(axis=1)
+            for a, b in np.ndindex(count, count):
                 now[a, b] += np.correlate(block[b], block[a, depth:], "valid")[::-1]
-    tail = read(length - depth, length)
+        rows += window.shape[1] - depth
+        tail = window[:, window.shape[1] - depth :]
+        following = next(pieces, None)
+        if following is None:
+            return _displaced(now, sums, rows, head, tail)
+        window = following
+
+
+def _displaced(now: FloatArray, sums: FloatArray, rows: int, head: FloatArray, tail: FloatArray) -> FloatArray:
+    """All products of lags from those with lag 0 and the segment's first and last samples."""
+    count, depth = head.shape
+    lags = depth + 1
     gram = np.zeros((lags, lags, count, count))
     gram[0] = now.transpose(2, 0, 1)
     means = np.zeros((lags, count))
@@ -162,8 +174,46 @@ def _segment_gram(read: Callable[[int, int], FloatArray], length: int, depth: in
     mirrored = np.tile(later, (count, count))
     full[:-1, :-1] = np.where(mirrored, body.T, body)
     full[-1, :-1] = full[:-1, -1] = means.T.ravel()
-    full[-1, -1] = length - depth
+    full[-1, -1] = rows
     return full
+
+
+def lagged_triangle(blocks: Blocks, depth: int, scale: FloatArray) -> Triangle:
+    """The triangle of all lags 0..depth of all signals (over their scale) and of a constant.
+
+    Columns as of `lagged_gram`; the Triangle's `m` is 0. By the Gram where its condition allows, else by TSQR.
+
+    Raises
+    ------
+    DataError : no segment is longer than `depth`.
+    """
+    gram = lagged_gram(windows(blocks(), depth), depth)
+    if len(gram) == 1:
+        raise DataError(
+            f"no segment is longer than the {depth} samples that are looked back on",
+            hint="look back on fewer samples, or bring longer segments",
+        )
+    rows, factor = round(float(gram[-1, -1])), np.append(np.repeat(scale, depth + 1), 1.0)
+    gram /= np.outer(factor, factor)
+    r = triangle_of(gram)
+    if r is not None:
+        return Triangle(r, len(gram) - 1, 0, rows, "gram")
+    none = np.zeros((0, 0))
+    pieces = ((phi / factor[:-1], none) for phi in _lagged_rows(blocks, depth))
+    return Triangle(_by_tsqr(pieces, len(gram)), len(gram) - 1, 0, rows, "tsqr")
+
+
+def _lagged_rows(blocks: Blocks, depth: int) -> Iterator[FloatArray]:
+    """Rows of all lags, signal by signal, in pieces that are tall against their width."""
+    for _, window in windows(blocks(), depth):
+        count, lags = len(window), depth + 1
+        size = max(CHUNK_ROWS // 4, 4 * count * lags)
+        for start in range(0, window.shape[1] - depth, size):
+            part = window[:, start : start + size + depth]
+            rows = part.shape[1] - depth
+            yield np.concatenate(
+                [part[:, depth - lag : depth - lag + rows][:, None] for lag in range(lags)], axis=1
+            ).reshape(count * lags, rows).T
 
 
 def _summed(pieces: Iterable[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, int]:
@@ -178,7 +228,8 @@ def _summed(pieces: Iterable[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray
 def _by_tsqr(pieces: Iterable[tuple[FloatArray, FloatArray]], columns: int) -> FloatArray:
     r = np.zeros((0, columns))
     for phi, y in pieces:
-        r = np.asarray(np.linalg.qr(np.vstack([r, np.column_stack([phi, y, np.ones(len(y))])]), mode="r"))
+        parts = [phi, y, np.ones(len(phi))] if y.size else [phi, np.ones(len(phi))]
+        r = np.asarray(np.linalg.qr(np.vstack([r, np.column_stack(parts)]), mode="r"))
     full = np.zeros((columns, columns))
     full[: len(r)] = r
     return full

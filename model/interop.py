@@ -13,6 +13,7 @@ from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.model.freerun import Difference
 from flysid.model.linear import FittedLinear
+from flysid.model.statespace_model import FittedStateSpace, resting
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,7 +33,7 @@ def state_space(system: Difference) -> tuple[FloatArray, FloatArray, FloatArray,
     return big_a, big_b, np.eye(n_y, n), b[0]
 
 
-def to_control(model: FittedLinear, form: Literal["auto", "tf", "ss"] = "auto") -> Any:
+def to_control(model: FittedLinear | FittedStateSpace, form: Literal["auto", "tf", "ss"] = "auto") -> Any:
     """The model as a discrete python-control system with named inputs and outputs; offsets are left out.
 
     Parameters
@@ -48,6 +49,10 @@ def to_control(model: FittedLinear, form: Literal["auto", "tf", "ss"] = "auto") 
     import control
 
     names = {"inputs": [s.name for s in model.inputs], "outputs": [s.name for s in model.outputs]}
+    if isinstance(model, FittedStateSpace):
+        found = model.realisation
+        space = control.ss(found.a, found.b, found.c, found.d, model.dt_s, **names)
+        return control.ss2tf(space, **names) if form == "tf" else space
     system = model.system
     single = len(model.inputs) == len(model.outputs) == 1
     if form == "tf" and not system.is_diagonal:
@@ -120,6 +125,28 @@ def from_control(
         covariance=np.zeros((0, 0)),
         notes=("Taken over from python-control; nothing was estimated.",),
     )
+
+
+def from_control_states(
+    system: Any,
+    *,
+    inputs: Sequence[Signal | str] | None = None,
+    outputs: Sequence[Signal | str] | None = None,
+) -> FittedStateSpace:
+    """A discrete python-control StateSpace as a model, matrix by matrix; it simulates from rest.
+
+    Raises
+    ------
+    UsageError : not a StateSpace, or it has no sample time.
+    """
+    import control
+
+    if not isinstance(system, control.StateSpace):
+        raise UsageError(f"a {type(system).__name__} is not a state space", hint="use from_control")
+    if system.dt in (None, True, 0):
+        raise UsageError("the system has no sample time", hint="sample it: control.sample_system")
+    signals = _signals(inputs, system.input_labels), _signals(outputs, system.output_labels)
+    return resting((system.A, system.B, system.C, system.D), float(system.dt), signals)
 
 
 def _common(transfer: Any, i: int) -> tuple[FloatArray, FloatArray]:

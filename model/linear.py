@@ -91,11 +91,11 @@ class FittedLinear:
         ------
         UsageError : shapes do not fit the model, or fewer than `n_init` outputs are given.
         """
-        u = _columns(u, len(self.inputs), "u")
+        u = as_columns(u, len(self.inputs), "u")
         if y0 is None:
             return saturated(self._from_rest(u), self.output_limits)
         n = self.n_init
-        y0 = _columns(y0, len(self.outputs), "y0")
+        y0 = as_columns(y0, len(self.outputs), "y0")
         if len(y0) < min(n, len(u)):
             raise UsageError(f"a simulation starts from {n} measured outputs, not {len(y0)}")
         du, dy = u - self.u_origin, y0[:n] - self.y_origin
@@ -114,7 +114,7 @@ class FittedLinear:
         """
         if k < 1:
             raise UsageError(f"a prediction looks at least one step ahead, not {k}")
-        u, y = _columns(u, len(self.inputs), "u"), _columns(y, len(self.outputs), "y")
+        u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, len(self.outputs), "y")
         if len(u) != len(y):
             raise UsageError(f"u has {len(u)} samples and y has {len(y)}")
         first = self.n_init + k - 1
@@ -243,7 +243,7 @@ def _without_nan(matrix: FloatArray) -> list[list[float | None]]:
     return [[float(x) if np.isfinite(x) else None for x in row] for row in matrix]
 
 
-def _columns(values: FloatArray, count: int, name: str) -> FloatArray:
+def as_columns(values: FloatArray, count: int, name: str) -> FloatArray:
     """(N, count) float array.
 
     Raises

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from flysid.dataset import Dataset, FloatArray, Segment
+from flysid.dataset import Dataset, FloatArray
 from flysid.model.gram import LeastSquares, Triangle, lagged_gram, residuals_of, solve
 from flysid.model.regressors import Lags, Transform, usable_segments
+from flysid.model.stream import blocks_of, windows
 
 ROUNDING = 1e-31
 """Mean square, relative to the output's, below which a one-step residual is rounding."""
@@ -82,32 +83,18 @@ def grid_gram(data: Dataset, lags: Lags, transform: Transform | None = None) -> 
     ------
     DataError : no segment is longer than the deepest lag.
     """
-    usable = usable_segments(data, lags.depth)
+    usable = data.with_segments(usable_segments(data, lags.depth))
     origin, scale = np.zeros(len(lags.y) + len(lags.u)), np.ones(len(lags.y) + len(lags.u))
     if transform is not None:
         origin = np.concatenate([transform.y_origin, transform.u_origin])
         scale = np.concatenate([transform.y_scale, transform.u_scale])
-    full = lagged_gram([_reader(s, origin) for s in usable], [len(s) for s in usable], lags.depth)
+    full = lagged_gram(windows(blocks_of(usable, origin)(), lags.depth), lags.depth)
     step = lags.depth + 1
     pick = [j * step + lag for j, own in enumerate((*lags.y, *lags.u)) for lag in own]
     pick += [j * step for j in range(len(lags.y))]
     factor = np.append(np.repeat(scale, step)[pick], 1.0)
     found: FloatArray = full[np.ix_([*pick, -1], [*pick, -1])] / np.outer(factor, factor)
     return found
-
-
-def _reader(segment: Segment, origin: FloatArray) -> Callable[[int, int], FloatArray]:
-    """Outputs, then inputs, of some rows as deviations, signals in rows."""
-
-    def read(start: int, stop: int) -> FloatArray:
-        block = np.empty((len(origin), stop - start))
-        n_y = segment.y.shape[1]
-        block[:n_y] = segment.y[start:stop].T
-        block[n_y:] = segment.u[start:stop].T
-        block -= origin[:, None]
-        return block
-
-    return read
 
 
 def best_of(grid: Grid, choices: Iterable[Choice]) -> Choice | None:

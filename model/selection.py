@@ -60,10 +60,11 @@ def clearly_better(new: FloatArray, old: FloatArray) -> bool:
     return bool(gap.mean() > max(standard_error(gap), LEVEL * float(old.mean())))
 
 
-def simplest(errors: Sequence[FloatArray], most_loss: float = np.inf) -> int:
+def simplest(errors: Sequence[FloatArray], most_loss: float = np.inf, level: float = LEVEL) -> int:
     """Index of the first (simplest) within one standard error of the best (Breiman et al., 1984, 3.4.3).
 
-    `most_loss` bounds what simplicity may cost, relative to the best mean square.
+    `most_loss` bounds what simplicity may cost, relative to the best mean square; `level` of it is always
+    granted.
     """
     means = [float(e.mean()) if len(e) else np.inf for e in errors]
     best = int(np.argmin(means))
@@ -71,7 +72,7 @@ def simplest(errors: Sequence[FloatArray], most_loss: float = np.inf) -> int:
         if len(e) == 0:
             continue
         gap = e - errors[best]
-        allowed = max(standard_error(gap), LEVEL * means[best])
+        allowed = max(standard_error(gap), level * means[best])
         if gap.mean() <= min(allowed, most_loss * means[best]):
             return index
     return best

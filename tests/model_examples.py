@@ -17,6 +17,7 @@ from flysid.model.bj import BJ
 from flysid.model.fir import FIR
 from flysid.model.line import Line
 from flysid.model.oe import OE
+from flysid.model.statespace import StateSpace
 from flysid.model.static_ts import StaticTS
 from flysid.model.ts import TS
 
@@ -68,6 +69,8 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "armax": (ARMAX(na=2, nb=2, nk=1, nc=2).fit, data()),
     "bj": (BJ(na=2, nb=2, nk=1, nc=1, nd=1).fit, data()),
     "bj, two inputs and outputs": (BJ(na=2, nb=2, nk=1, nc=0, nd=2).fit, data(2, 2)),
+    "statespace": (StateSpace(order=2, method="pbsid", past=8).fit, data()),
+    "statespace, two inputs and outputs": (StateSpace(order=3, method="moesp").fit, data(2, 2)),
     "arx, static": (ARX(na=0, nb=1, nk=0, refine=False).fit, data()),
 }
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
 import pytest
@@ -11,11 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.dataset import FloatArray
-from flysid.model.gram import lagged_gram, reduce_data, solve
+from flysid.errors import DataError
+from flysid.model.gram import lagged_gram, lagged_triangle, reduce_data, solve
+from flysid.model.stream import Block, windows
 
 
-def window(x: FloatArray, start: int, stop: int) -> FloatArray:
-    return x[:, start:stop]
+def in_blocks(records: list[FloatArray], size: int) -> Iterator[Block]:
+    for number, x in enumerate(records):
+        for start in range(0, x.shape[1], size):
+            yield number, x[:, start : start + size]
 
 
 def pieces(phi: FloatArray, y: FloatArray, size: int = 37) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -74,14 +77,39 @@ def test_the_covariance_is_that_of_the_textbook() -> None:
 
 
 @settings(deadline=None, max_examples=30)
-@given(seed=st.integers(0, 2**31), depth=st.integers(0, 5), signals=st.integers(1, 3))
-def test_the_gram_of_lags_is_the_plain_gram(seed: int, depth: int, signals: int) -> None:
+@given(
+    seed=st.integers(0, 2**31), depth=st.integers(0, 5), signals=st.integers(1, 3), size=st.integers(1, 50)
+)
+def test_the_gram_of_lags_is_the_plain_gram(seed: int, depth: int, signals: int, size: int) -> None:
     rng = np.random.default_rng(seed)
     records = [rng.standard_normal((signals, int(n))) + 3.0 for n in rng.integers(1, 40, 3)]
-    gram = lagged_gram([partial(window, x) for x in records], [x.shape[1] for x in records], depth)
+    gram = lagged_gram(windows(in_blocks(records, size), depth), depth)
+    rows = all_lags(records, depth)
+    if len(rows):
+        assert gram == pytest.approx(rows.T @ rows, rel=1e-9, abs=1e-9)
+
+
+def all_lags(records: list[FloatArray], depth: int) -> FloatArray:
     rows = []
     for x in records:
-        lags = [(a, p) for a in range(signals) for p in range(depth + 1)]
+        lags = [(a, p) for a in range(len(x)) for p in range(depth + 1)]
         rows += [np.append([x[a, k - p] for a, p in lags], 1.0) for k in range(depth, x.shape[1])]
-    if rows:
-        assert gram == pytest.approx(np.array(rows).T @ np.array(rows), rel=1e-9, abs=1e-9)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(("spread", "method"), [(1.0, "gram"), (1e-9, "tsqr")])
+def test_the_triangle_of_lags_is_that_of_the_plain_rows(spread: float, method: str) -> None:
+    rng = np.random.default_rng(5)
+    walks = [np.cumsum(spread * rng.standard_normal((2, n)), axis=1) for n in (90, 200, 3)]
+    ramps = [x + np.arange(x.shape[1]) for x in walks] if method == "tsqr" else walks
+    triangle = lagged_triangle(lambda: in_blocks(ramps, 17), 3, np.array([2.0, 4.0]))
+    rows = all_lags(ramps, 3) / np.append(np.repeat([2.0, 4.0], 4), 1.0)
+    assert triangle.method == method
+    assert triangle.rows == len(rows)
+    gram = rows.T @ rows
+    assert np.abs(triangle.r.T @ triangle.r - gram).max() < 1e-9 * np.abs(gram).max()
+
+
+def test_no_segment_long_enough_is_said() -> None:
+    with pytest.raises(DataError, match="no segment is longer than the 5 samples"):
+        lagged_triangle(lambda: [(0, np.ones((2, 5)))], 5, np.ones(2))

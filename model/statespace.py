@@ -1,0 +1,266 @@
+"""State space: one linear system for all inputs and outputs, found by subspace methods.
+
+    x(k+1) = A x(k) + B u(k) + K e(k),    y(k) = C x(k) + D u(k) + e(k)        (Ljung, 1999, 4.3)
+
+No search can get stuck, outputs share their states, and one pass over the data gives every order. Methods and
+horizons differ in what they assume; the validation free run chooses among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import DataError, FitError, UsageError
+from flysid.model.base import Structure
+from flysid.model.kalman import start_gains
+from flysid.model.linear_data import Parts
+from flysid.model.linear_start import START_SHARE
+from flysid.model.selection import block_errors, judging_window, simplest
+from flysid.model.start import WINDOW_LAGS, WINDOW_S
+from flysid.model.statespace_model import FittedStateSpace, from_dict
+from flysid.model.subspace import (
+    METHODS,
+    Columns,
+    Method,
+    Projection,
+    Realisation,
+    default_past,
+    project,
+    triangle_for,
+    window,
+)
+from flysid.model.threads import on_one_thread
+
+Auto: TypeAlias = Literal["auto"]
+HIGHEST_ORDER = 10
+TRIED_METHODS: tuple[Method, ...] = ("pbsid", "cva", "moesp")
+TRIED_PASTS = (5, 10, 20, 40)
+ROWS_PER_UNKNOWN = 5
+ORDER_WORTH = 0.04
+"""Relative decrease of the validation mean square that a higher order must bring."""
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """Settings of a state-space model; the defaults choose by themselves.
+
+    Parameters
+    ----------
+    order : number of states, or "auto": the simplest within one standard error of the best free run on
+        validation data.
+    method : "pbsid", "n4sid", "moesp", "cva" (see `subspace`), or "auto": by the same free run.
+    past : samples that the state is estimated from, or "auto".
+    feedthrough : the input reaches the output in the same sample (D is estimated), or "auto": where a long
+        regression says so (BIC).
+    n_init : measured samples that start a simulation; None chooses.
+    """
+
+    order: int | Auto = "auto"
+    method: Method | Auto = "auto"
+    past: int | Auto = "auto"
+    feedthrough: bool | Auto = "auto"
+    n_init: int | None = None
+
+    @on_one_thread
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedStateSpace:
+        """Choose, fit.
+
+        Raises
+        ------
+        UsageError : settings that cannot be.
+        DataError : no or too few samples, a signal that never changes.
+        FitError : the order exceeds what the data show.
+        """
+        _check(self)
+        parts = Parts.of(train, validation)
+        if self.order != "auto" and self.past != "auto" and self.method != "auto":
+            return _final(self, parts, _Choice(self.method, self.past, self.order), "Settings as given")
+        return _searched(self, parts)
+
+
+@dataclass(frozen=True)
+class _Choice:
+    method: Method
+    past: int
+    order: int
+
+    def __str__(self) -> str:
+        return f"order {self.order} by {self.method.upper()} from {self.past} samples of past"
+
+
+def _check(settings: StateSpace) -> None:
+    for name in ("order", "past", "n_init"):
+        value = getattr(settings, name)
+        if value not in ("auto", None) and not (isinstance(value, (int, np.integer)) and value >= 1):
+            raise UsageError(f"{name} must be a whole number of at least 1, not {value!r}")
+    if settings.method not in ("auto", *METHODS):
+        raise UsageError(
+            f"there is no subspace method {settings.method!r}", hint=f"one of {', '.join(METHODS)}, or 'auto'"
+        )
+    if settings.feedthrough not in (True, False, "auto"):
+        raise UsageError(f"feedthrough is {settings.feedthrough!r}", hint="use 'auto', True or False")
+
+
+class _Projections:
+    """Decompositions of one part of the data, all from one pass."""
+
+    def __init__(self, settings: StateSpace, parts: Parts, data: Dataset, deepest: int) -> None:
+        self.settings, self.signals = settings, (len(data.outputs), len(data.inputs))
+        self.triangle = triangle_for(data, parts.scaling, deepest)
+
+    def of(self, method: Method, past: int) -> Projection:
+        """Raises DataError where the samples are too few."""
+        columns = Columns.of(self.triangle, self.signals, past, method, feedthrough=True)
+        return project(replace(columns, feedthrough=self._feedthrough(columns)), method)
+
+    def _feedthrough(self, columns: Columns) -> bool:
+        """Whether the present input explains more of the output than chance would (BIC)."""
+        if self.settings.feedthrough != "auto":
+            return self.settings.feedthrough
+        r = np.asarray(
+            np.linalg.qr(np.hstack([columns.one, columns.before, columns.inputs, columns.outputs]), mode="r")
+        )
+        n_y, n_u = self.signals
+        at = len(r.T) - n_y
+        with_u, without = r[at:, at:], r[at - n_u :, at:]
+        gain = np.linalg.slogdet(without.T @ without)[1] - np.linalg.slogdet(with_u.T @ with_u)[1]
+        return bool(gain * columns.rows > n_y * n_u * np.log(columns.rows))
+
+
+def _pasts(settings: StateSpace, data: Dataset) -> list[int]:
+    """Horizons that the data afford."""
+    n_y, n_u = len(data.outputs), len(data.inputs)
+    lengths = [len(s) for s in data.segments]
+    if settings.past != "auto":
+        return [settings.past]
+    order = 2 if settings.order == "auto" else settings.order
+    found = []
+    for past in TRIED_PASTS:
+        rows = sum(max(n - 2 * past, 0) for n in lengths)
+        unknowns = past * (n_y + 2 * n_u)
+        if past * n_y > order and 2 * rows > sum(lengths) and rows > ROWS_PER_UNKNOWN * unknowns:
+            found.append(past)
+    return found or [default_past(order, n_y, n_u, lengths)]
+
+
+def _searched(settings: StateSpace, parts: Parts) -> FittedStateSpace:
+    """The best of methods, horizons and orders by the validation free run."""
+    methods = TRIED_METHODS if settings.method == "auto" else (settings.method,)
+    pasts = _pasts(settings, parts.fit)
+    orders = range(1, HIGHEST_ORDER + 1) if settings.order == "auto" else [settings.order]
+    best = _best_per_order(settings, parts, [(m, p) for m in methods for p in pasts], list(orders))
+    if not best:
+        raise FitError(
+            "no state-space model of these settings could be fitted",
+            hint="lower the order, look back on fewer samples, or bring longer segments",
+        )
+    index = simplest([errors for _, errors in best], ORDER_WORTH, ORDER_WORTH)
+    table = ", ".join(
+        f"order {c.order}: {np.sqrt(e.mean()) if len(e) else np.nan:.3g}" for c, e in best
+    )
+    note = (
+        f"{best[index][0]} is the simplest within one standard error of the best validation free run"
+        f" (RMSE in standard deviations of the output: {table})"
+    )
+    return _final(settings, parts, best[index][0], note)
+
+
+def _best_per_order(
+    settings: StateSpace, parts: Parts, ways: Sequence[tuple[Method, int]], orders: Sequence[int]
+) -> list[tuple[_Choice, FloatArray]]:
+    """For every order the method and horizon of the best validation free run, with its errors in blocks."""
+    shared = _Projections(settings, _scaled(parts), parts.fit, max(window(p, m) for m, p in ways))
+    skip = judging_window(parts, max(orders))
+    found: dict[int, tuple[_Choice, FloatArray]] = {}
+    for method, past in ways:
+        try:
+            projection = shared.of(method, past)
+        except DataError:
+            continue
+        for order in orders:
+            if order > projection.most:
+                break
+            model = _model(parts, projection.realise(order), skip)
+            errors = block_errors(model, parts.check, skip, parts.scaling.y_scale)
+            mean = float(errors.mean()) if len(errors) else np.inf
+            if order not in found or mean < _mean(found[order][1]):
+                found[order] = _Choice(method, past, order), errors
+    return [found[order] for order in orders if order in found]
+
+
+def _mean(errors: FloatArray) -> float:
+    return float(errors.mean()) if len(errors) else np.inf
+
+
+def _scaled(parts: Parts) -> Parts:
+    """`parts.fit` is in scaled deviations already."""
+    s = parts.scaling
+    unit = replace(
+        s,
+        u_origin=np.zeros_like(s.u_origin),
+        y_origin=np.zeros_like(s.y_origin),
+        u_scale=np.ones_like(s.u_scale),
+        y_scale=np.ones_like(s.y_scale),
+    )
+    return replace(parts, scaling=unit)
+
+
+def _final(settings: StateSpace, parts: Parts, choice: _Choice, note: str) -> FittedStateSpace:
+    """The choice on all training data."""
+    all_data = _Projections(settings, parts, parts.train, window(choice.past, choice.method))
+    projection = all_data.of(choice.method, choice.past)
+    realisation = projection.realise(choice.order)
+    model = _model(parts, realisation, settings.n_init, projection.columns.feedthrough)
+    words = "" if choice.past != settings.past or choice.order != settings.order else f": {choice}"
+    return replace(model, singular_values=projection.singular_values[:50], notes=(f"{note}{words}.",))
+
+
+def _model(
+    parts: Parts, realisation: Realisation, n_init: int | None = None, feedthrough: bool = True
+) -> FittedStateSpace:
+    """The model of a realisation in scaled deviations; its start long enough to know the state."""
+    train = parts.train
+    n, n_y, n_u = realisation.order, len(train.outputs), len(train.inputs)
+    most = n_init or most_init(parts, n)
+    gains, spread = start_gains(realisation, most)
+    rows = n_init or enough(spread, n)
+    physical = realisation.in_units(parts.scaling)
+    return FittedStateSpace(
+        dt_s=train.dt_s,
+        inputs=train.inputs,
+        outputs=train.outputs,
+        output_limits=parts.limits,
+        realisation=physical,
+        u_origin=parts.scaling.u_origin,
+        y_origin=parts.scaling.y_origin,
+        gains=gains[:rows] / parts.scaling.y_scale,
+        free=n * (n_u + 2 * n_y) + n_y * n_u * feedthrough + n_y,
+        singular_values=np.zeros(0),
+    )
+
+
+def most_init(parts: Parts, order: int) -> int:
+    """Samples that a start may take."""
+    wanted = max(round(WINDOW_S / parts.train.dt_s), WINDOW_LAGS * order)
+    shortest = min(len(s) for s in parts.train.segments)
+    return max(order, min(wanted, int(START_SHARE * shortest)), 1)
+
+
+def enough(spread: FloatArray, order: int) -> int:
+    """Samples after which more of them help the free run little."""
+    most = len(spread) - 1
+    rows = min(order, most)
+    while rows < most:
+        wider = min(2 * rows, most)
+        if spread[rows] < 0.3 or spread[wider] > 0.8 * spread[rows]:
+            break
+        rows = wider
+    return rows
+
+
+MODEL = Structure("statespace", from_dict)
