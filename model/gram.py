@@ -154,7 +154,9 @@ def _segment_gram(pieces: Iterator[FloatArray], depth: int) -> FloatArray:
         window = following
 
 
-def _displaced(now: FloatArray, sums: FloatArray, rows: int, head: FloatArray, tail: FloatArray) -> FloatArray:
+def _displaced(
+    now: FloatArray, sums: FloatArray, rows: int, head: FloatArray, tail: FloatArray
+) -> FloatArray:
     """All products of lags from those with lag 0 and the segment's first and last samples."""
     count, depth = head.shape
     lags = depth + 1
@@ -181,7 +183,7 @@ def _displaced(now: FloatArray, sums: FloatArray, rows: int, head: FloatArray, t
 def lagged_triangle(blocks: Blocks, depth: int, scale: FloatArray) -> Triangle:
     """The triangle of all lags 0..depth of all signals (over their scale) and of a constant.
 
-    Columns as of `lagged_gram`; the Triangle's `m` is 0. By the Gram where its condition allows, else by TSQR.
+    Columns as of `lagged_gram`; the Triangle's `m` is 0. By the Gram where its condition allows, else TSQR.
 
     Raises
     ------
@@ -211,9 +213,13 @@ def _lagged_rows(blocks: Blocks, depth: int) -> Iterator[FloatArray]:
         for start in range(0, window.shape[1] - depth, size):
             part = window[:, start : start + size + depth]
             rows = part.shape[1] - depth
-            yield np.concatenate(
-                [part[:, depth - lag : depth - lag + rows][:, None] for lag in range(lags)], axis=1
-            ).reshape(count * lags, rows).T
+            yield (
+                np.concatenate(
+                    [part[:, depth - lag : depth - lag + rows][:, None] for lag in range(lags)], axis=1
+                )
+                .reshape(count * lags, rows)
+                .T
+            )
 
 
 def _summed(pieces: Iterable[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, int]:

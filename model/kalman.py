@@ -153,7 +153,9 @@ def _filter_kernel() -> Any:
     from numba import njit
 
     @njit(cache=True)
-    def run(a: FloatArray, c: FloatArray, drive: FloatArray, miss: FloatArray, gains: FloatArray) -> FloatArray:
+    def run(
+        a: FloatArray, c: FloatArray, drive: FloatArray, miss: FloatArray, gains: FloatArray
+    ) -> FloatArray:
         rows, n = drive.shape
         n_y, last = c.shape[0], len(gains) - 1
         states = np.zeros((rows + 1, n))

@@ -160,9 +160,7 @@ def _searched(settings: StateSpace, parts: Parts) -> FittedStateSpace:
             hint="lower the order, look back on fewer samples, or bring longer segments",
         )
     index = simplest([errors for _, errors in best], ORDER_WORTH, ORDER_WORTH)
-    table = ", ".join(
-        f"order {c.order}: {np.sqrt(e.mean()) if len(e) else np.nan:.3g}" for c, e in best
-    )
+    table = ", ".join(f"order {c.order}: {np.sqrt(e.mean()) if len(e) else np.nan:.3g}" for c, e in best)
     note = (
         f"{best[index][0]} is the simplest within one standard error of the best validation free run"
         f" (RMSE in standard deviations of the output: {table})"

@@ -26,6 +26,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.gram import Triangle, lagged_triangle
 from flysid.model.linear_data import EXACT, Scaling
+from flysid.model.riccati import kalman_gain
 from flysid.model.stream import blocks_of
 
 Method: TypeAlias = Literal["pbsid", "n4sid", "moesp", "cva"]
@@ -285,7 +286,7 @@ def _without(known: FloatArray, rest: FloatArray) -> FloatArray:
 
 
 def _from_long_regression(columns: Columns) -> tuple[FloatArray, FloatArray]:
-    """What the past of a long ARX model adds to each future output, and the root of the noise's covariance."""
+    """What the past of a long ARX model adds to each future output, and the root of its noise covariance."""
     n_y, past, n_z = columns.n_y, columns.past, columns.n_y + columns.n_u
     regressors = [columns.before, columns.direct, columns.one]
     theta = _regress(regressors, columns.outputs)
@@ -349,7 +350,7 @@ def _by_shifts(columns: Columns, gamma: FloatArray, now: FloatArray, following: 
     n_y = columns.n_y
     c = gamma[:n_y]
     a = _regress([gamma[:-n_y]], gamma[n_y:])
-    b, d = _input_matrices(columns, a, c, gamma)
+    b, d = _input_matrices(columns, gamma)
     e = columns.outputs - now @ c.T - columns.inputs @ d.T
     error = following - now @ a.T - columns.inputs @ b.T
     one = columns.one
@@ -358,11 +359,9 @@ def _by_shifts(columns: Columns, gamma: FloatArray, now: FloatArray, following: 
     return Realisation(a, b, c, d, k, drift, level, innovation, now.T @ now / columns.rows)
 
 
-def _input_matrices(
-    columns: Columns, a: FloatArray, c: FloatArray, gamma: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _input_matrices(columns: Columns, gamma: FloatArray) -> tuple[FloatArray, FloatArray]:
     """B and D from the outputs outside the range of Gamma, which only the inputs explain (linear in both)."""
-    n_y, n_u, n = columns.n_y, columns.n_u, len(a)
+    n_y, n_u, n = columns.n_y, columns.n_u, len(gamma.T)
     known = np.hstack([columns.one, columns.future_inputs])
     response = _regress([known, columns.before], columns.future_outputs)[1 : known.shape[1]]
     outside: FloatArray = np.asarray(np.linalg.svd(gamma)[0][:, n:].T)
@@ -396,21 +395,3 @@ def _gain(
     if np.abs(np.linalg.eigvals(a - k @ c)).max() < 1.0:
         return k, innovation
     return kalman_gain(a, c, error.T @ error / rows, error.T @ e / rows, innovation), innovation
-
-
-def kalman_gain(
-    a: FloatArray, c: FloatArray, q: FloatArray, s: FloatArray, r: FloatArray
-) -> FloatArray:
-    """(n, n_y) stationary gain of the predictor for process noise q, output noise r and cross covariance s.
-
-    Zero where the Riccati equation has no stabilising solution (no noise reaches an unstable state).
-    """
-    from scipy.linalg import solve_discrete_are
-
-    n, floor = len(a), EXACT**2
-    try:
-        p = solve_discrete_are(a.T, c.T, q + floor * np.eye(n), r + floor * np.eye(len(c)), s=s)
-    except (np.linalg.LinAlgError, ValueError):
-        return np.zeros((n, len(c)))
-    gain: FloatArray = np.linalg.solve((c @ p @ c.T + r + floor * np.eye(len(c))).T, (a @ p @ c.T + s).T).T
-    return gain

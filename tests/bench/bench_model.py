@@ -122,29 +122,54 @@ def sysidentpy_free_run(u: FloatArray, y: FloatArray) -> Any:
     return lambda: model.predict(X=u[:, None], y=y[:4, None])
 
 
+def ours_subspace(order: int) -> Callable[[FloatArray, FloatArray], Any]:
+    """B, D and K included."""
+
+    def work(u: FloatArray, y: FloatArray) -> Any:
+        from flysid.model.statespace import StateSpace
+
+        data = Dataset.from_arrays(u, y, 0.01)
+        return StateSpace(order=order, method="pbsid", past=max(10, 2 * order // y.ndim)).fit(data)
+
+    return work
+
+
 OCTAVE = """
-pkg load control; load('{path}'); d = iddata(y, u, 0.01); t = cputime(); m = arx(d, 'na', 4, 'nb', 4);
-printf('%.6f\\n', cputime() - t);
+1;
+function mb = peak(), s = fileread('/proc/self/status'); t = regexp(s, 'VmHWM:\\s*(\\d+)', 'tokens');
+  mb = str2double(t{1}{1}) / 1024; endfunction
+pkg load control; load('%s'); d = iddata(y, u, 0.01); before = peak(); t = cputime(); %s;
+printf('%%.6f %%.1f\\n', cputime() - t, peak() - before);
 """
+OCTAVE_WORK: dict[str, tuple[str, Callable[[int], tuple[FloatArray, FloatArray]]]] = {
+    "ARX(4,4), 1e6": ("arx(d, 'na', 4, 'nb', 4)", siso),
+    "3x3 ARX(4,4), 1e6": ("arx(d, 'na', 4, 'nb', 4)", mimo),
+    "subspace, order 4, 1e6": ("[m, x0, info] = n4sid(d, 4)", siso),
+    "3x3 subspace, order 12, 1e6": ("[m, x0, info] = n4sid(d, 12)", mimo),
+}
 
 
-def octave_arx(make: Callable[[int], tuple[FloatArray, FloatArray]]) -> float | None:
-    """CPU seconds of Octave's arx, or None where it cannot run."""
+def octave(work: str, times: int) -> tuple[float, float] | None:
+    """Median CPU seconds and peak megabytes above the data, or None where it cannot run."""
     if shutil.which("octave") is None:
         return None
     from scipy.io import savemat
 
+    command, make = OCTAVE_WORK[work]
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "data.mat"
+        data, script = Path(folder) / "data.mat", Path(folder) / "work.m"
         u, y = make(ROWS)
-        savemat(path, {"u": u.reshape(len(u), -1), "y": y.reshape(len(y), -1)})
-        done = subprocess.run(
-            ["octave", "--quiet", "--eval", OCTAVE.format(path=path)],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-    return float(done.stdout.split()[-1]) if done.returncode == 0 and done.stdout.split() else None
+        savemat(data, {"u": u.reshape(len(u), -1), "y": y.reshape(len(y), -1)})
+        script.write_text(OCTAVE % (data, command))
+        single = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        run = ["octave", "--quiet", "--no-gui", str(script)]
+        found = []
+        for _ in range(times):
+            done = subprocess.run(run, capture_output=True, text=True, check=False, env=single)
+            if not done.stdout.split():
+                return None
+            found.append([float(word) for word in done.stdout.split()[-2:]])
+    return statistics.median(f[0] for f in found), statistics.median(f[1] for f in found)
 
 
 WORK: dict[str, tuple[Callable[[FloatArray, FloatArray], Any], Callable[[int], Any], int, str]] = {
@@ -153,6 +178,8 @@ WORK: dict[str, tuple[Callable[[FloatArray, FloatArray], Any], Callable[[int], A
     "ARX(4,4), 1e6: sysidentpy + scikit-learn": (sysidentpy_arx, siso, ROWS, "sklearn"),
     "ARX(4,4), 1e6: sysidentpy FROLS": (sysidentpy_frols, siso, ROWS, "sysidentpy"),
     "3x3 ARX(4,4), 1e6: flysid": (ours_arx, mimo, ROWS, ""),
+    "subspace, order 4, 1e6: flysid": (ours_subspace(4), siso, ROWS, ""),
+    "3x3 subspace, order 12, 1e6: flysid": (ours_subspace(12), mimo, ROWS, ""),
     "400 orders, 1e6: flysid": (ours_grid, siso, ROWS, ""),
     "free run, 1e5: flysid": (ours_free_run, siso, 100_000, ""),
     "free run, 1e5: sysidentpy": (sysidentpy_free_run, siso, 100_000, "sysidentpy"),
@@ -208,12 +235,16 @@ def main(times: int = 5) -> None:
         print(f"{name:45s} {1000 * seconds:9.1f} ms {memory:8.1f} MB{ratio}", flush=True)
     single, grid = base["ARX(4,4), 1e6"], base["400 orders, 1e6"]
     print(f"400 orders take {grid / single:.1f} times one fit")
-    for title, make in (("ARX(4,4), 1e6", siso), ("3x3 ARX(4,4), 1e6", mimo)):
-        seconds_octave = octave_arx(make)
-        words = (
-            "not installed" if seconds_octave is None else f"{seconds_octave / base[title]:.1f} times ours"
+    for work in OCTAVE_WORK:
+        answer = octave(work, max(times // 2, 1))
+        if answer is None:
+            print(f"{work}: octave with its control package is not installed")
+            continue
+        seconds, memory = answer
+        print(
+            f"{work + ': Octave':45s} {1000 * seconds:9.1f} ms {memory:8.1f} MB  "
+            f"{seconds / base[work]:.1f} times ours"
         )
-        print(f"{title}: octave arx {words}")
 
 
 if __name__ == "__main__":
