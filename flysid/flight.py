@@ -55,6 +55,7 @@ class Damage:
     sequence_gaps : messages lost before the log was written, per source, by sequence number.
     dropouts : what the recorder itself says it lost, e.g. {"records": 12, "ms": 140}.
     out_of_order : records per stream whose time runs backwards; kept.
+    reasons : why records of a stream in `undecoded` could not be decoded, where the reader knows.
     """
 
     MAX_REGIONS = 1000
@@ -69,6 +70,7 @@ class Damage:
     sequence_gaps: Mapping[str, int] = field(default_factory=dict)
     dropouts: Mapping[str, int] = field(default_factory=dict)
     out_of_order: Mapping[str, int] = field(default_factory=dict)
+    reasons: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def lossy(self) -> bool:

@@ -42,6 +42,10 @@ class ChunkError(ValueError):
     """A chunk that cannot be expanded; the message says why."""
 
 
+class DamagedChunkError(ChunkError):
+    """The compressed data do not hold together, or fail their checksum."""
+
+
 @dataclass(frozen=True)
 class BagRecord:
     """A record at [start, end), its data from `data_at`."""
@@ -109,10 +113,12 @@ def _is_plain_chunk(record: BagRecord) -> bool:
 
 
 class BagReader:
-    """Messages and connections of one bag; `place` advances while `records` is consumed."""
+    """Messages and connections of one bag; `place` and `seen` advance while `records` is consumed."""
 
     def __init__(self, view: memoryview, limits: Limits, tally: Tally) -> None:
         self.place = 0
+        self.seen = 0  # records of any kind
+        self._listed = 0  # connections and chunks in the index at the end
         self._view = view
         self._limits = limits
         self._tally = tally
@@ -129,10 +135,29 @@ class BagReader:
             if record is None:
                 at = self._lost(at, at, "no record here")
             elif _is_plain_chunk(record):
+                self.seen += 1
                 yield self._view, record
                 at = record.data_at
             else:
                 at = yield from self._whole(record)
+        self._tally.truncated |= self._is_unfinished()
+
+    def _is_unfinished(self) -> bool:
+        """Whether nothing is damaged and yet the index that the bag's header tells of is not all there.
+
+        A recorder writes the index's place into the header when it closes the bag, 0 until then.
+        """
+        head = record_at(self._view, len(MAGIC), len(self._view))
+        if head is None or head.op != BAG or self._tally.freeze().lossy:
+            return False
+        counts = (int.from_bytes(head.fields[name], "little") for name in (b"conn_count", b"chunk_count"))
+        return not any(head.fields[b"index_pos"]) or self._listed < sum(counts)
+
+    def _count(self, record: BagRecord) -> None:
+        self.seen += 1
+        head = record_at(self._view, len(MAGIC), len(self._view)) if record.op == CONNECTION else None
+        index_pos = int.from_bytes(head.fields.get(b"index_pos", b""), "little") if head is not None else 0
+        self._listed += record.op == CHUNK_INFO or (record.op == CONNECTION and 0 < index_pos <= record.start)
 
     def _whole(self, record: BagRecord) -> Generator[Found, None, int]:
         """A record and what follows it; returns where to go on."""
@@ -144,6 +169,7 @@ class BagReader:
                 return resume
         elif record.end > limit:
             return self._lost(record.start, record.start, "the file ends inside this record")
+        self._count(record)
         if record.op == CHUNK:
             yield from self._expanded(record)
         else:
@@ -162,7 +188,7 @@ class BagReader:
         try:
             data = expand(self._view, chunk, self._limits)
         except ChunkError as error:
-            self._tally.bad_checksums += 1
+            self._tally.bad_checksums += isinstance(error, DamagedChunkError)
             self._tally.skip(chunk.start, chunk.end, str(error))
             return
         at, bad = 0, False
@@ -187,9 +213,9 @@ def expand(view: memoryview, chunk: BagRecord, limits: Limits) -> bytes:
     try:
         data = _unpack(kind, packed, size)
     except (OSError, RuntimeError, ValueError, EOFError) as error:
-        raise ChunkError(f"chunk data are damaged: {error}") from error
+        raise DamagedChunkError(f"chunk data are damaged: {error}") from error
     if len(data) != size:
-        raise ChunkError(f"chunk declares {size} bytes and holds {len(data)}")
+        raise DamagedChunkError(f"chunk declares {size} bytes and holds {len(data)}")
     return data
 
 

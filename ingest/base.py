@@ -106,9 +106,10 @@ def detect(head: bytes, name: str) -> Format:
         raise FormatError(
             "the file is empty", path=name, byte=0, hint="check that the download or copy finished"
         )
-    suffix = Path(name).suffix.lower()
+    lower = name.lower()
     scored = [
-        (f.sniff(head, name) + (0.05 if suffix in f.suffixes else 0.0), f) for f in all_formats().values()
+        (f.sniff(head, name) + (0.05 if lower.endswith(f.suffixes) else 0.0), f)
+        for f in all_formats().values()
     ]
     confidence, best = max(scored, key=lambda pair: pair[0], default=(0.0, None))
     if best is None or confidence < 0.3:

@@ -107,7 +107,7 @@ def _suffixes() -> set[str]:
 
 
 def _logs_in(folder: Path, unreadable: list[Result]) -> Iterator[Path]:
-    suffixes = _suffixes()
+    suffixes = tuple(_suffixes())
 
     def note(error: OSError) -> None:
         unreadable.append(Result(Path(error.filename), reason=f"cannot be read: {error.strerror}"))
@@ -115,7 +115,7 @@ def _logs_in(folder: Path, unreadable: list[Result]) -> Iterator[Path]:
     for parent, folders, files in os.walk(folder, onerror=note):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in files:
-            if not name.startswith(".") and os.path.splitext(name)[1].lower() in suffixes:
+            if not name.startswith(".") and name.lower().endswith(suffixes):
                 yield Path(parent, name)
 
 

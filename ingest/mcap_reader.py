@@ -102,6 +102,10 @@ class McapReader:
             else:
                 self._other(op, at + HEAD_BYTES, end)
                 at = end
+        if not self._tally.freeze().lossy and (
+            self._limit == len(MAGIC) or self.view[self._limit - len(MAGIC) :] != MAGIC
+        ):
+            self._tally.truncated = True  # between two records: the recorder never closed the file
         if self._seen < self._stated and not self._tally.freeze().lossy:
             self._tally.undecode("(messages counted in the summary only)", self._stated - self._seen)
 

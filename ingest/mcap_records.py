@@ -54,11 +54,15 @@ class Schema:
 
 @dataclass(frozen=True)
 class Channel:
-    """A topic with its schema; `encoding` is "ros1", "cdr", "protobuf", "json" ..."""
+    """A topic with its schema; `encoding` is "ros1", "cdr", "protobuf", "json" ...
+
+    `fault` says why its messages cannot be decoded, where the container's reader knows.
+    """
 
     topic: str
     encoding: str
     schema: Schema | None
+    fault: str = ""
 
 
 @dataclass(frozen=True)

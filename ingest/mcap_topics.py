@@ -56,6 +56,8 @@ Decoder = Callable[[Messages], Decoded]
 
 def decoder_for(channel: Channel) -> Decoder:
     """The decoder of a channel's messages. Raises DefinitionError where there is none."""
+    if channel.fault:
+        raise DefinitionError(channel.fault)
     schema = channel.schema
     kind = schema.encoding if schema is not None else ""
     name, raw = (schema.name, schema.data) if schema is not None else ("", b"")
@@ -180,23 +182,29 @@ class Topic:
         self.lags: list[int] = []
         self._clock: str | None = None
         self._previous_ns = 0
+        self._reason = ""
         try:
             self._decoder: Decoder | None = decoder_for(channel)
-        except DefinitionError:
+        except DefinitionError as error:
             self._decoder = None
+            self._reason = str(error)
 
     def decode(self, messages: Messages, tally: Tally, taken: dict[str, pa.Schema]) -> Iterator[StreamPart]:
         """The part that a batch gives, if any; `taken` holds the stream keys of all topics."""
         if self._decoder is None:
-            tally.undecode(self.channel.topic, len(messages.at))
+            tally.undecode(self.channel.topic, len(messages.at), self._reason)
             return
         try:
             decoded = self._decoder(messages)
-        except (UnevenError, OverflowError, DefinitionError):
-            tally.undecode(self.channel.topic, len(messages.at))
+        except (UnevenError, OverflowError, DefinitionError) as error:
+            tally.undecode(self.channel.topic, len(messages.at), str(error))
             return
-        tally.undecode(self.channel.topic, len(messages.at) - len(decoded.kept))
-        if len(decoded.kept) and len(decoded.columns) <= MAX_COLUMNS:
+        lost = len(messages.at) - len(decoded.kept)
+        tally.undecode(self.channel.topic, lost, "the message does not fit its definition")
+        if len(decoded.columns) > MAX_COLUMNS:
+            why = f"its definition gives {len(decoded.columns)} columns; at most {MAX_COLUMNS} are read"
+            tally.undecode(self.channel.topic, len(decoded.kept), why)
+        elif len(decoded.kept):
             table = self._table(messages.log_ns[decoded.kept], decoded, tally)
             yield StreamPart(self._key(table.schema, taken), table)
 

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-import pyarrow as pa
 
 from flysid.errors import FormatError
 from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary, release
@@ -21,11 +20,9 @@ from flysid.ingest.gather import Bytes
 from flysid.ingest.mcap_chunks import Block
 from flysid.ingest.mcap_reader import McapReader
 from flysid.ingest.mcap_records import MAGIC, Registry
-from flysid.ingest.mcap_topics import ZERO_PAGE, Messages, Topic, log_clock
+from flysid.ingest.mcap_topics import ZERO_PAGE, Messages
 from flysid.ingest.tally import Tally
-
-MAX_TOPICS = 5000
-BATCH_BYTES = 16 << 20  # larger ones touch new memory for every message, which costs more than decoding
+from flysid.ingest.topics import BATCH_BYTES, Topics
 
 
 @dataclass
@@ -75,18 +72,16 @@ def read_mcap(view: memoryview, name: str, limits: Limits) -> Parts:
     FormatError : there is not one message in the file, nor the end that an empty log would have.
     """
     tally = Tally()
-    reader = McapReader(view, limits, tally)
-    topics: dict[int, Topic] = {}
-    streams: dict[str, pa.Schema] = {}
+    reader, topics = McapReader(view, limits, tally), Topics(tally)
     batch, released = _Batch(), 0
     for block in reader.blocks():
         batch.add(block)
         if batch.payload >= min(limits.batch_bytes, BATCH_BYTES):
-            yield from _decode(batch, reader.registry, topics, streams, tally)
+            yield from _decode(batch, reader.registry, topics, tally)
             batch = _Batch()
             release(view, released, reader.place)
             released = reader.place
-    yield from _decode(batch, reader.registry, topics, streams, tally)
+    yield from _decode(batch, reader.registry, topics, tally)
     damage = tally.freeze()
     if not topics and damage.lossy and not reader.registry.channels:
         why = damage.regions[0] if damage.regions else None
@@ -95,24 +90,16 @@ def read_mcap(view: memoryview, name: str, limits: Limits) -> Parts:
             path=name,
             byte=why.start if why else 0,
         )
-    return Summary(damage, (log_clock(list(topics.values())),) if topics else (), reader.info)
+    return Summary(damage, topics.clocks(), reader.info)
 
 
-def _decode(
-    batch: _Batch, registry: Registry, topics: dict[int, Topic], streams: dict[str, pa.Schema], tally: Tally
-) -> Iterator[StreamPart]:
-    """Parts of a batch; `topics` and `streams` (key -> schema) are those of the file so far, and grow."""
+def _decode(batch: _Batch, registry: Registry, topics: Topics, tally: Tally) -> Iterator[StreamPart]:
+    """Parts of a batch."""
     for number, messages in batch.by_channel():
         if number < 0:
             tally.undecode("(channel without definition)", len(messages.at))
-            continue
-        topic = topics.get(number)
-        if topic is None:
-            if len(topics) >= MAX_TOPICS:
-                tally.undecode(f"(topics beyond {MAX_TOPICS})", len(messages.at))
-                continue
-            topic = topics[number] = Topic(registry.channels[number])
-        yield from topic.decode(messages, tally, streams)
+        else:
+            yield from topics.decode(number, registry.channels[number], messages)
 
 
 def sniff_mcap(head: bytes, name: str) -> float:

@@ -7,11 +7,8 @@ bag has no checksums outside bzip2 chunks, a damaged value inside a message is r
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-
-import numpy as np
-import pyarrow as pa
 
 from flysid.errors import FormatError
 from flysid.ingest.bag_records import (
@@ -23,53 +20,36 @@ from flysid.ingest.bag_records import (
     indexed_connections,
     split_fields,
 )
-from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary, release
+from flysid.ingest.base import Format, Limits, Parts, Summary, release
 from flysid.ingest.mcap_records import Channel, Schema
-from flysid.ingest.mcap_topics import ZERO_PAGE, Messages, Topic, log_clock
 from flysid.ingest.tally import Tally
+from flysid.ingest.topics import Message, Topics, queued
 
-MAX_TOPICS = 5000
-BATCH_BYTES = 16 << 20
-
-
-@dataclass
-class _Queue:
-    """Messages of one topic that wait to be decoded together."""
-
-    topic: Topic
-    payloads: list[bytes] = field(default_factory=list)
-    times: list[bytes] = field(default_factory=list)
-
-    def take(self) -> Messages:
-        """All of them; the queue is empty after."""
-        size = np.array([len(p) for p in self.payloads], dtype=np.int64)
-        data = np.frombuffer(b"".join([*self.payloads, bytes(ZERO_PAGE)]), dtype=np.uint8)
-        stamps = np.frombuffer(b"".join(self.times), dtype="<u4").reshape(-1, 2).astype(np.int64)
-        self.payloads, self.times = [], []
-        return Messages(data, np.cumsum(size) - size, size, stamps[:, 0] * 10**9 + stamps[:, 1])
+MAX_CONNECTIONS = 1 << 16
+_STAMP = struct.Struct("<II")
 
 
 class _Connections:
-    """Connection numbers and the topics they carry; publishers of one topic and type share a queue."""
+    """Connection numbers and the channels they carry."""
 
     def __init__(self) -> None:
-        self.of: dict[int, _Queue | None] = {}
-        self.queues: dict[Channel, _Queue] = {}
+        self._of: dict[int, Channel] = {}
 
     def define(self, record: BagRecord, data: bytes) -> None:
         """Learn a connection; the first definition of a number stands, one that is damaged is none."""
         fields = split_fields(data)
-        if self.of.get(record.connection) is not None or fields is None:
-            return
-        if len(self.queues) >= MAX_TOPICS:
-            self.of[record.connection] = None
+        if record.connection in self._of or fields is None or len(self._of) >= MAX_CONNECTIONS:
             return
         name = record.fields[b"topic"].decode("utf-8", "replace")
         kind = fields.get(b"type", b"").decode("utf-8", "replace")
-        channel = Channel(name, "ros1", Schema(kind, "ros1msg", fields.get(b"message_definition", b"")))
-        if channel not in self.queues:
-            self.queues[channel] = _Queue(Topic(channel))
-        self.of[record.connection] = self.queues[channel]
+        schema = Schema(kind, "ros1msg", fields.get(b"message_definition", b""))
+        self._of[record.connection] = Channel(name, "ros1", schema)
+
+    def message(self, record: BagRecord, source: memoryview | bytes) -> Message:
+        """A message with its channel; publishers of one topic and type share it."""
+        seconds, fraction = _STAMP.unpack(record.fields[b"time"])
+        payload = bytes(source[record.data_at : record.end])
+        return Message(self._of.get(record.connection), payload, seconds * 10**9 + fraction)
 
 
 def read_bag(view: memoryview, name: str, limits: Limits) -> Parts:
@@ -85,46 +65,36 @@ def read_bag(view: memoryview, name: str, limits: Limits) -> Parts:
     ------
     FormatError : there is not one record in the file.
     """
-    tally, connections = Tally(), _Connections()
-    reader = BagReader(view, limits, tally)
-    streams: dict[str, pa.Schema] = {}
-    for known in indexed_connections(view):
-        connections.define(known, bytes(view[known.data_at : known.end]))
-    waiting = released = seen = 0
-    for source, record in reader.records():
-        seen += 1
-        if record.op == CONNECTION:
-            connections.define(record, bytes(source[record.data_at : record.end]))
-        elif record.op == MESSAGE:
-            waiting += _queue(connections, record, source, tally)
-        if waiting >= min(limits.batch_bytes, BATCH_BYTES):
-            yield from _decode(connections, tally, streams)
-            release(view, released, reader.place)
-            waiting, released = 0, reader.place
-    yield from _decode(connections, tally, streams)
-    if not seen:
+    tally = Tally()
+    reader, topics = BagReader(view, limits, tally), Topics(tally)
+    released = 0
+
+    def passed() -> None:
+        nonlocal released
+        release(view, released, reader.place)
+        released = reader.place
+
+    yield from queued(_messages(view, reader, tally), topics, limits.batch_bytes, passed)
+    if not reader.seen:
         raise FormatError(
             "no record in this bag can be read", path=name, byte=0, hint="is the copy complete?"
         )
-    topics = [queue.topic for queue in connections.queues.values()]
-    return Summary(tally.freeze(), (log_clock(topics),) if topics else (), {})
+    return Summary(tally.freeze(), topics.clocks(), {})
 
 
-def _queue(connections: _Connections, record: BagRecord, source: memoryview | bytes, tally: Tally) -> int:
-    """Put a message into its queue; returns the bytes that now wait."""
-    queue = connections.of.get(record.connection)
-    if queue is None:
-        tally.undecode("(connection without definition)")
-        return 0
-    queue.payloads.append(bytes(source[record.data_at : record.end]))
-    queue.times.append(record.fields[b"time"])
-    return record.end - record.start
-
-
-def _decode(connections: _Connections, tally: Tally, streams: dict[str, pa.Schema]) -> Iterator[StreamPart]:
-    for queue in connections.queues.values():
-        if queue.payloads:
-            yield from queue.topic.decode(queue.take(), tally, streams)
+def _messages(view: memoryview, reader: BagReader, tally: Tally) -> Iterator[Message]:
+    """Every message of a bag in file order; those of no known connection are counted."""
+    connections = _Connections()
+    for known in indexed_connections(view):
+        connections.define(known, bytes(view[known.data_at : known.end]))
+    for source, record in reader.records():
+        if record.op == CONNECTION:
+            connections.define(record, bytes(source[record.data_at : record.end]))
+        elif record.op == MESSAGE:
+            message = connections.message(record, source)
+            if message.channel is None:
+                tally.undecode("(connection without definition)")
+            yield message
 
 
 def sniff_bag(head: bytes, name: str) -> float:

@@ -21,6 +21,7 @@ class Tally:
         self._region_count = 0
         self._bytes = 0
         self._undecoded: Counter[str] = Counter()
+        self._reasons: dict[str, str] = {}
         self.bad_checksums = 0
         self.truncated = False
         self.time_outliers: Counter[str] = Counter()
@@ -41,12 +42,14 @@ class Tally:
         if len(self._regions) < Damage.MAX_REGIONS:
             self._regions.append(Region(start, end, reason))
 
-    def undecode(self, name: str, count: int = 1) -> None:
-        """`count` records of `name` are framed well and cannot be decoded."""
+    def undecode(self, name: str, count: int = 1, why: str = "") -> None:
+        """`count` records of `name` are framed well and cannot be decoded; the first reason is kept."""
         if count and name not in self._undecoded and len(self._undecoded) >= MAX_NAMES:
             name = OTHERS
         if count:
             self._undecoded[name] += count
+            if why and name != OTHERS:
+                self._reasons.setdefault(name, why)
 
     def freeze(self) -> Damage:
         """The damage so far."""
@@ -61,4 +64,5 @@ class Tally:
             sequence_gaps=dict(self.sequence_gaps),
             dropouts=dict(self.dropouts),
             out_of_order=dict(self.out_of_order),
+            reasons=dict(self._reasons),
         )

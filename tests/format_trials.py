@@ -78,6 +78,7 @@ def cut(name: str, every: int, goes_on: Ask) -> Outcome:
     outcome, blob, records = Outcome(name), sample(name), records_of(name)
     borders = sorted({r.end for r in records})
     kept = {0: 0}
+    silent = set() if getattr(module_of(name), "KNOWS_ITS_END", False) else set(borders)
     for record in records:
         kept[record.end] = kept[record.start] + record.rows
     at = 0
@@ -92,7 +93,7 @@ def cut(name: str, every: int, goes_on: Ask) -> Outcome:
         outcome.keep(rows, expected)
         if rows != expected:
             outcome.failures.append(f"cut at {place}: {rows} rows of {expected}")
-        elif flight is not None and flight.damage.truncated == (place in kept):
+        elif flight is not None and flight.damage.truncated == (place in silent):
             outcome.failures.append(f"cut at {place}: truncated is {flight.damage.truncated}")
     return outcome
 
@@ -119,6 +120,8 @@ def flip(name: str, count: int, goes_on: Ask) -> Outcome:
 
 def insert(name: str, count: int, goes_on: Ask) -> Outcome:
     """Garbage between two records: all rows stay, and exactly the garbage is skipped."""
+    if is_addressed(name):
+        return overwrite(name, count, goes_on)
     outcome, blob, rng, whole = Outcome(name), sample(name), random.Random(name), intact(name).rows
     borders = [r.end for r in records_of(name) if r.end < len(blob) and at_risk(name, r.end) < whole]
     harmless = getattr(module_of(name), "HARMLESS", b"")
@@ -133,6 +136,32 @@ def insert(name: str, count: int, goes_on: Ask) -> Outcome:
         outcome.keep(flight.rows if flight is not None else 0, whole)
         if (wrong := _judge_insertion(name, at, size, flight)) is not None:
             outcome.failures.append(f"{size} bytes at {at}: {wrong}")
+    return outcome
+
+
+def is_addressed(name: str) -> bool:
+    """Whether records refer to each other by their place, so that nothing may move."""
+    return bool(getattr(module_of(name), "ADDRESSED", False))
+
+
+def overwrite(name: str, count: int, goes_on: Ask) -> Outcome:
+    """Records overwritten by garbage or zeros: at most their rows are lost, and never in silence."""
+    outcome, blob, rng, whole = Outcome(name), sample(name), random.Random(name), intact(name).rows
+    records = records_of(name)
+    for turn in range(count):
+        first = rng.randrange(len(records))
+        hit = records[first : first + rng.choice((1, 1, 1, 2, 8))]
+        start, end = hit[0].start, hit[-1].end
+        garbage = bytes(end - start) if turn % 4 == 0 else rng.randbytes(end - start)
+        if not goes_on():
+            break
+        flight = read_or_none(name, blob[:start] + garbage + blob[end:], outcome)
+        rows = flight.rows if flight is not None else 0
+        outcome.keep(rows, whole)
+        if rows < whole - sum(at_risk(name, record.start) for record in hit):
+            outcome.failures.append(f"bytes {start} to {end}: {rows} rows of {whole}")
+        elif flight is not None and rows < whole and not flight.damage.lossy:
+            outcome.failures.append(f"bytes {start} to {end}: rows lost in silence")
     return outcome
 
 
@@ -155,7 +184,7 @@ def _judge_insertion(name: str, at: int, size: int, flight: Flight | None) -> st
 
 
 def delete(name: str, count: int, goes_on: Ask) -> Outcome:
-    """64 bytes deleted: what they do not touch stays."""
+    """64 bytes deleted (zeroed in a log of places): what they do not touch stays."""
     outcome, blob, rng = Outcome(name), sample(name), random.Random(name + "-")
     whole, slack = intact(name).rows, int(getattr(module_of(name), "RESYNC_BYTES", 0))
     for _ in range(count):
@@ -166,7 +195,8 @@ def delete(name: str, count: int, goes_on: Ask) -> Outcome:
             continue
         touched = [r for r in records_of(name) if r.start < at + 64 + slack and r.end > at - slack]
         risk = sum({r: max(r.rows, at_risk(name, max(at, r.start))) for r in touched}.values())
-        flight = read_or_none(name, blob[:at] + blob[at + 64 :], outcome)
+        rest = bytes(64) + blob[at + 64 :] if is_addressed(name) else blob[at + 64 :]
+        flight = read_or_none(name, blob[:at] + rest, outcome)
         rows = flight.rows if flight is not None else 0
         outcome.keep(rows, whole)
         if rows < whole - risk:

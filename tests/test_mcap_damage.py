@@ -234,6 +234,15 @@ def test_ros_types_without_a_layout_are_named(text: str) -> None:
     flight = read(raw)
     assert flight is not None
     assert flight.damage.undecoded == {"/t": 1}
+    assert flight.damage.reasons["/t"]
+
+
+def test_a_cut_between_two_records_is_seen_by_the_magic_that_is_missing() -> None:
+    raw = sample("zstd")
+    for one in records(raw)[3:-1]:
+        flight = read(raw[: one.end])
+        assert flight is not None
+        assert flight.damage.truncated
 
 
 def test_long_uneven_sequences_are_bounded() -> None:
@@ -275,6 +284,7 @@ def test_bombs_stop_at_the_limits(name: str) -> None:
     assert flight is not None
     assert kept(flight)["/t"] == [1, 2]
     assert flight.damage.lossy
+    assert flight.damage.bad_checksums == 0  # refused for its size: no checksum was looked at
     assert peak < 64 << 20
 
 
@@ -290,7 +300,7 @@ def test_the_ratio_can_be_raised() -> None:
 
 
 def test_a_great_many_topics_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flysid.ingest.mcaplog.MAX_TOPICS", 100)
+    monkeypatch.setattr("flysid.ingest.topics.MAX_TOPICS", 100)
     topics = []
     for k in range(3000):
         body = struct.pack("<HH", k, 1) + prefixed(f"/t{k}") + prefixed("json") + prefixed("")
@@ -302,7 +312,7 @@ def test_a_great_many_topics_are_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_channels_by_the_ten_thousand_do_not_slow_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flysid.ingest.mcaplog.MAX_TOPICS", 10)
+    monkeypatch.setattr("flysid.ingest.topics.MAX_TOPICS", 10)
     topics = []
     for k in range(20_000):
         body = struct.pack("<HH", k, 1) + prefixed(f"/t{k}") + prefixed("json") + prefixed("")

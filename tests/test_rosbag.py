@@ -80,3 +80,21 @@ def test_no_record_at_all_is_an_error_that_names_the_file() -> None:
 
 def test_it_is_found_by_its_magic_whatever_its_name() -> None:
     assert detect(sample.MAGIC, "flight.dat").name == "rosbag"
+
+
+def test_a_cut_between_two_records_is_seen_by_the_index_that_is_missing() -> None:
+    blob = sample.build()
+    for record in sample.records(blob)[2:-1]:
+        flight = collect(memoryview(blob[: record.end]), "a.bag", FORMAT, Limits())
+        assert flight.damage.truncated, record
+    assert not collect(memoryview(blob), "a.bag", FORMAT, Limits()).damage.truncated
+
+
+def test_a_chunk_refused_for_its_size_is_no_bad_checksum() -> None:
+    blob, at = sample.build(), len(sample.MAGIC)
+    bomb, damaged = sample.chunk(bytes(50_000_000), b"bz2"), bytearray(sample.chunk(bytes(5000), b"bz2"))
+    damaged[-8] ^= 1
+    for inserted, bad in ((bomb, 0), (bytes(damaged), 1)):
+        flight = collect(memoryview(blob[:at] + inserted + blob[at:]), "a.bag", FORMAT, Limits())
+        assert flight.damage.bad_checksums == bad
+        assert flight.rows == 160

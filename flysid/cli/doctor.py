@@ -9,7 +9,7 @@ import click
 
 from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.ls import aligned, clock_text
-from flysid.cli.output import say
+from flysid.cli.output import REASONS_SHOWN, say
 
 if TYPE_CHECKING:
     from flysid.flight import Damage
@@ -62,6 +62,9 @@ def command(
         click.echo(json.dumps({"logs": [as_document(s) for s in surveys]}, indent=1))
     elif surveys:
         click.echo("\n".join(aligned([HEADINGS, *(row(s) for s in surveys)])))
+    for found_in in surveys:
+        for stream, why in list(found_in.damage.reasons.items())[:REASONS_SHOWN]:
+            say(f"lost: {found_in.source.name}: {stream}: {why}")
     say(f"{len(surveys)} looked over" + (f", {unreadable} skipped" if unreadable else ""), quiet)
     if not surveys:
         return 1

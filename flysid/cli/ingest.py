@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.bounds import memory_option, time_option
-from flysid.cli.output import printable, say
+from flysid.cli.output import REASONS_SHOWN, printable, say
 
 if TYPE_CHECKING:
     from flysid.flight import Damage
@@ -144,6 +144,7 @@ def losses(damage: Damage) -> list[str]:
     ):
         if counts:
             lines.append(f"{sum(counts.values()):,} {label}: " + _counts(dict(counts)))
+    lines += [f"{stream}: {why}" for stream, why in list(damage.reasons.items())[:REASONS_SHOWN]]
     return lines
 
 

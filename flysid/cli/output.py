@@ -13,6 +13,7 @@ import click
 from flysid.errors import UsageError
 
 F = TypeVar("F", bound=Callable[..., Any])
+REASONS_SHOWN = 5
 FORMS = ("json", "markdown", "csv")
 
 

@@ -9,6 +9,9 @@ A module `tests/samplelogs/<format name>.py` offers
   the record it belongs to. (A definition puts all rows of its stream at risk; a chunk all of its rows.)
 - optionally `RESYNC_BYTES`: intact bytes after damage that the reader may lose before it finds its way
   again; 0 by default;
+- optionally `KNOWS_ITS_END = True`: a log that is cut between two records shows that it is cut;
+- optionally `ADDRESSED = True`: records refer to each other by their place in the file (pages of a database),
+  so that damage is tried by overwriting, not by inserting or deleting (docs/adr/0011);
 - optionally `HARMLESS`: bytes that mean nothing between records (empty lines of a text log).
 """
 

@@ -15,6 +15,7 @@ from tests.samplelogs import Record
 
 SECOND = 10**9
 SUFFIX = ".mcap"
+KNOWS_ITS_END = True
 MAGIC_BYTES = 8
 
 

@@ -12,6 +12,7 @@ from tests.samplelogs import Record
 from tests.samplelogs import record_at as owner_of
 
 SUFFIX = ".bag"
+KNOWS_ITS_END = True
 MAGIC = b"#ROSBAG V2.0\n"
 IMU = "Header header\nfloat64 x\nfloat64 y\n" + "=" * 80 + "\nMSG: std_msgs/Header\n"
 IMU += "uint32 seq\ntime stamp\nstring frame_id\n"
@@ -71,7 +72,14 @@ def pieces() -> list[Piece]:
         middle.append((record(index, op=b"\x04", ver=b"\1\0\0\0", conn=bytes(4), count=b"\3\0\0\0"), 0, -1))
     start = len(MAGIC) + len(_bag_header(0)) + sum(len(p[0]) for p in middle)
     head: list[Piece] = [(MAGIC, 0, -1), (_bag_header(start), 0, -1)]
-    return [*head, *middle, (connection(0), 0, 0), (connection(1), 0, 1)]
+    infos: list[Piece] = [(chunk_info(), 0, -1)] * 4
+    return [*head, *middle, (connection(0), 0, 0), (connection(1), 0, 1), *infos]
+
+
+def chunk_info() -> bytes:
+    """What the index says of a chunk; readers of flysid only count it."""
+    about = {"ver": b"\1\0\0\0", "chunk_pos": bytes(8), "start_time": bytes(8), "end_time": bytes(8)}
+    return record(struct.pack("<II", 0, 40), op=b"\x06", count=b"\1\0\0\0", **about)
 
 
 def _bag_header(index_pos: int) -> bytes:
