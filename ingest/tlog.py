@@ -162,6 +162,21 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     return _summary(reader)
 
 
+def frame_batches(view: memoryview, limits: Limits) -> Iterator[tuple[Frames, Dialect, int]]:
+    """Valid frames batch by batch, the dialect that knows them, and where in the file the batch ends."""
+    stamp, name = _stamp_bytes(bytes(view[:HEAD_BYTES])), DEFAULT
+    scanner = _scanner(name, stamp, len(view))
+    frames, position = _next_frames(scanner, view, 0, limits)
+    if scanner.bad_checksums or scanner.unknown:
+        name = choose_dialect(bytes(view[:PROBE_BYTES]), stamp)
+        scanner = _scanner(name, stamp, len(view))
+        frames, position = _next_frames(scanner, view, 0, limits)
+    yield frames, load_dialect(name), position
+    while position < len(view):
+        frames, position = _next_frames(scanner, view, position, limits)
+        yield frames, load_dialect(name), position
+
+
 def _next_frames(scanner: Scanner, view: memoryview, start: int, limits: Limits) -> tuple[Frames, int]:
     """Frames of the batch that begins at `start`, and where the next one begins."""
     stop = start + limits.batch_bytes

@@ -13,7 +13,20 @@ import pytest
 import flysid
 
 ROOT = Path(__file__).resolve().parents[1]
-VERBS = ("compare", "demo", "doctor", "fit", "ingest", "ls", "reproduce", "runs", "show", "synth", "validate")
+VERBS = (
+    "compare",
+    "demo",
+    "doctor",
+    "fit",
+    "ingest",
+    "ls",
+    "reproduce",
+    "runs",
+    "scrub",
+    "show",
+    "synth",
+    "validate",
+)
 
 
 def call(*args: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:

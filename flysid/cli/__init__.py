@@ -25,6 +25,7 @@ VERBS = {
     "ls": "List the flights and streams of an ingested folder.",
     "reproduce": "Print a paper's results beside what can be reproduced.",
     "runs": "List run folders and rank them by free-run error.",
+    "scrub": "Write a copy of a log without positions, serial numbers and names.",
     "show": "Show one flight or stream of an ingested folder.",
     "synth": "Fly simulated plants and write the logs that a vehicle would have written.",
     "validate": "Compare fitted models on held-out segments; write the report.",

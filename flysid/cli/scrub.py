@@ -1,0 +1,60 @@
+"""`flysid scrub LOG -o OUT`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from flysid.cli.output import printable, say
+
+if TYPE_CHECKING:
+    from flysid.ingest.scrub import Scrubbed
+    from flysid.ingest.scrub_rules import Gps
+
+
+@click.command("scrub")
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="The copy to write.")
+@click.option(
+    "--gps",
+    type=click.Choice(["shift", "remove"]),
+    default="shift",
+    show_default=True,
+    help="Move all positions to a neutral place, keeping the motion; or empty them.",
+)
+@click.option("--force", is_flag=True, help="Replace the copy if it is there.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was removed as JSON.")
+@click.option("--quiet", "-q", is_flag=True)
+def command(log: Path, output: Path, gps: Gps, force: bool, as_json: bool, quiet: bool) -> None:
+    """Write a copy of a log without what should not be shared, in its own format.
+
+    Positions are moved or removed; serial numbers, names, passwords, paths, texts with identifiers and
+    embedded files are taken out; bytes that cannot be read are left out. Says what was removed, and where.
+    """
+    from flysid.ingest.scrub import KEPT, scrub_log
+
+    done = scrub_log(log, output, gps=gps, force=force)
+    click.echo(as_json_text(done, output) if as_json else table(done))
+    for note in done.notes:
+        say(note, quiet)
+    say(KEPT, quiet)
+    say(f"written: {output}", quiet)
+
+
+def table(done: Scrubbed) -> str:
+    """What was removed: kind, number of fields, where."""
+    if not done.removed:
+        return "nothing found that should not be shared"
+    rows = [(what, f"{n:,}", printable(where)) for (what, where), n in done.removed.items()]
+    rows.insert(0, ("REMOVED", "COUNT", "WHERE"))
+    first, second = (max(len(row[k]) for row in rows) for k in (0, 1))
+    return "\n".join(f"{what:<{first}}  {count:>{second}}  {where}" for what, count, where in rows)
+
+
+def as_json_text(done: Scrubbed, output: Path) -> str:
+    removed = [{"what": what, "where": where, "count": n} for (what, where), n in done.removed.items()]
+    document = {"output": str(output), "format": done.format, "removed": removed, "notes": list(done.notes)}
+    return json.dumps(document, indent=1)
