@@ -18,6 +18,8 @@ _HOME = {
     "FIR": "flysid.model.fir",
     "StateSpace": "flysid.model.statespace",
     "Line": "flysid.model.line",
+    "Mean": "flysid.model.mean",
+    "Persistence": "flysid.model.persistence",
     "TS": "flysid.model.ts",
     "StaticTS": "flysid.model.static_ts",
     "Dataset": "flysid.dataset",
@@ -47,6 +49,8 @@ __all__ = [  # noqa: RUF022
     "FIR",
     "StateSpace",
     "Line",
+    "Mean",
+    "Persistence",
     "TS",
     "StaticTS",
     "Dataset",
@@ -87,7 +91,9 @@ if TYPE_CHECKING:
     from flysid.model.bj import BJ
     from flysid.model.fir import FIR
     from flysid.model.line import Line
+    from flysid.model.mean import Mean
     from flysid.model.oe import OE
+    from flysid.model.persistence import Persistence
     from flysid.model.statespace import StateSpace
     from flysid.model.static_ts import StaticTS
     from flysid.model.ts import TS

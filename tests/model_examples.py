@@ -16,7 +16,9 @@ from flysid.model.base import Fitted
 from flysid.model.bj import BJ
 from flysid.model.fir import FIR
 from flysid.model.line import Line
+from flysid.model.mean import Mean
 from flysid.model.oe import OE
+from flysid.model.persistence import Persistence
 from flysid.model.statespace import StateSpace
 from flysid.model.static_ts import StaticTS
 from flysid.model.ts import TS
@@ -54,6 +56,9 @@ Builder = Callable[[Dataset], Fitted]
 
 EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "line": (Line().fit, data()),
+    "mean": (Mean().fit, data()),
+    "mean, two inputs and outputs": (Mean().fit, data(2, 2)),
+    "persistence": (Persistence().fit, data(2, 2)),
     "arx": (ARX(na=2, nb=2, nk=1, refine=False).fit, data()),
     "arx, refined": (ARX(na=2, nb=2, nk=1, refine=True).fit, data()),
     "arx, refined, two inputs and outputs": (ARX(na=2, nb=2, nk=1, refine=True).fit, data(2, 2)),

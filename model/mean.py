@@ -1,0 +1,54 @@
+"""Mean: y = the mean of the training part, whatever the input does. A reference: a model that loses to it has
+learnt nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import Dataset
+from flysid.model.base import Structure
+from flysid.model.freerun import Difference
+from flysid.model.linear import FittedLinear, from_dict
+from flysid.model.linear_data import Parts
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A reference without settings."""
+
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002
+        """The mean of every output over all samples.
+
+        Raises
+        ------
+        DataError : no samples, or a signal that never changes.
+        """
+        parts = Parts.of(train, train)
+        n_u, n_y = len(train.inputs), len(train.outputs)
+        variance = parts.scaling.y_scale**2 / len(train)
+        return FittedLinear(
+            structure="mean",
+            dt_s=train.dt_s,
+            inputs=train.inputs,
+            outputs=train.outputs,
+            n_init=0,
+            output_limits=parts.limits,
+            system=Difference(np.eye(n_y)[None], np.zeros((1, n_y, n_u)), np.zeros(n_y)),
+            u_origin=np.zeros(n_u),
+            y_origin=parts.scaling.y_origin,
+            noise=None,
+            starts=None,
+            free=tuple(range(n_y * n_u, n_y * n_u + n_y)),
+            covariance=np.diag(variance),
+        )
+
+
+def _rebuilt(document: Mapping[str, Any]) -> FittedLinear:
+    return from_dict(document)
+
+
+MODEL = Structure("mean", _rebuilt)

@@ -1,0 +1,56 @@
+"""Persistence: y(k) = y(k - 1), whatever the input does. A reference: nothing to learn, nothing to tune.
+
+k steps ahead it repeats the output measured k steps before; in free run it holds its starting state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import Dataset
+from flysid.model.base import Structure
+from flysid.model.freerun import Difference
+from flysid.model.linear import FittedLinear, from_dict
+from flysid.model.linear_data import Parts
+
+
+@dataclass(frozen=True)
+class Persistence:
+    """A reference without settings."""
+
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002
+        """Takes only the signals and their range from the data.
+
+        Raises
+        ------
+        DataError : no samples, or a signal that never changes.
+        """
+        n_u, n_y = len(train.inputs), len(train.outputs)
+        return FittedLinear(
+            structure="persistence",
+            dt_s=train.dt_s,
+            inputs=train.inputs,
+            outputs=train.outputs,
+            n_init=1,
+            output_limits=Parts.of(train, train).limits,
+            system=Difference(
+                np.stack([np.eye(n_y), -np.eye(n_y)]), np.zeros((1, n_y, n_u)), np.zeros(n_y)
+            ),
+            u_origin=np.zeros(n_u),
+            y_origin=np.zeros(n_y),
+            noise=None,
+            starts=None,
+            free=(),
+            covariance=np.zeros((0, 0)),
+        )
+
+
+def _rebuilt(document: Mapping[str, Any]) -> FittedLinear:
+    return from_dict(document)
+
+
+MODEL = Structure("persistence", _rebuilt)
