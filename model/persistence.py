@@ -37,9 +37,7 @@ class Persistence:
             outputs=train.outputs,
             n_init=1,
             output_limits=Parts.of(train, train).limits,
-            system=Difference(
-                np.stack([np.eye(n_y), -np.eye(n_y)]), np.zeros((1, n_y, n_u)), np.zeros(n_y)
-            ),
+            system=Difference(np.stack([np.eye(n_y), -np.eye(n_y)]), np.zeros((1, n_y, n_u)), np.zeros(n_y)),
             u_origin=np.zeros(n_u),
             y_origin=np.zeros(n_y),
             noise=None,

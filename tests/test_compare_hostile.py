@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError
+from flysid.model.start import start_window
 from flysid.validate.compare import compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.document import to_json
@@ -103,7 +104,8 @@ def test_any_data_gives_plain_numbers_or_a_named_error(
     test = dataset(signal(u_kind, n, rng), signal(y_kind, n, rng), min(pieces, n))
     train = dataset(signal(y_kind, 50, rng), signal(u_kind, 50, rng))
     models = {"arx": ARX, "ts": TS}
-    if max(len(s) for s in test.segments) < 1 + 10 + 9:  # lags, samples to score, k - 1 of ten steps
+    longest = max(len(s) for s in test.segments)
+    if longest < start_window(1, longest, test.dt_s) + 10 + 9:  # start, samples to score, k - 1 of ten steps
         with pytest.raises(DataError, match="the longest has"):
             every_form(models, test, train)
     else:

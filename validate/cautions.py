@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from flysid.validate.bootstrap import MIN_FLIGHTS
-from flysid.validate.compare import Comparison
+from flysid.validate.caution import Caution, Comparisons, Diagnoses, heads, join
+from flysid.validate.caution_linear import one_rule, useless
+from flysid.validate.comparison import Comparison
 from flysid.validate.diagnostics import Diagnosis, Outside
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
 from flysid.validate.words import one_line, percent
 
 MOST = 6
-
-
-@dataclass(frozen=True)
-class Caution:
-    """One caution. `level` is "danger", "warning", "note" or "good"; `weight` orders within a level."""
-
-    level: str
-    text: str
-    todo: str
-    weight: float = 0.0
-
-
 _ORDER = ("danger", "warning", "note", "good")
 
 
@@ -32,42 +21,25 @@ def cautions(
     comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagnosis]
 ) -> tuple[Caution, ...]:
     """At most six, worst first; what holds for several channels is said once."""
-    found = [
-        caution
-        for rule in (_diverged, _unstable, _unexplained, _extrapolates, _missing_dynamics, _undecided, _few)
-        for caution in rule(comparisons, diagnoses)
-    ]
-    found += [
-        c
-        for rule in (_feedback, _noisy_start, _not_white, _one_step_flatters, _idle_rules, _unused)
-        for c in rule(comparisons, diagnoses)
-    ]
+    found = [caution for rule in _rules() for caution in rule(comparisons, diagnoses)]
     if not any(c.level == "danger" for c in found):
         found += _all_stable(comparisons, diagnoses)
     found.sort(key=lambda c: (_ORDER.index(c.level), -c.weight))
     return tuple(found[:MOST])
 
 
-Comparisons = Mapping[str, Comparison]
-Diagnoses = Mapping[str, Diagnosis]
-
-
-def _join(parts: Iterable[str]) -> str:
-    return one_line(", ".join(dict.fromkeys(parts)))
+def _rules() -> tuple[Callable[[Comparisons, Diagnoses], Iterator[Caution]], ...]:
+    return (
+        _diverged, useless, one_rule, _unstable, _unexplained, _extrapolates, _missing_dynamics, _undecided,
+        _few, _feedback, _noisy_start, _not_white, _one_step_flatters, _idle_rules, _unused,
+    )  # fmt: skip
 
 
 def _who(said: Mapping[str, set[str]]) -> str:
     """ "v_x, v_y (both models), v_z (ts)"."""
-    return _join(
+    return join(
         f"{name} ({'both models' if len(who) > 1 else next(iter(who))})" for name, who in said.items()
     )
-
-
-def _heads(comparison: Comparison) -> Iterator[str]:
-    """The two models of the headline."""
-    yield comparison.baseline
-    if comparison.contender:
-        yield comparison.contender
 
 
 def _diverged(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
@@ -84,7 +56,7 @@ def _diverged(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
                 "danger",
                 f"{one_line(name)} diverged in free run on {one_line(channel)}, in {len(score.diverged)} of "
                 f"{len(score.segments)} held-out segments, first at t = {first.diverged_s:.1f} s "
-                f"(segment {first.segment + 1}). It is counted as a loss.",
+                f"(segment H{first.segment + 1}). It is counted as a loss.",
                 "do not simulate with it; lower its order, or train on flights that cover this range.",
                 10.0,
             )
@@ -96,7 +68,7 @@ def _unstable(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
             n: r for n, r in d.pole_radius.items() if r > 1.0 + 1e-6 and n in comparisons[channel].models
         }
         if worst:
-            said = _join(f"{n} (largest pole radius {r:.4f})" for n, r in worst.items())
+            said = join(f"{n} (largest pole radius {r:.4f})" for n, r in worst.items())
             yield Caution(
                 "warning",
                 f"Local models with a pole outside the unit circle on {one_line(channel)}: {said}.",
@@ -109,13 +81,13 @@ def _extrapolates(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Ca
     del comparisons
     outside: list[Outside] = [o for d in diagnoses.values() for o in d.outside if o.share > 0.01]
     if outside:
-        said = _join(f"{o.signal.name} ({100 * o.share:.1f} %)" for o in outside)
+        said = join(f"{o.signal.name} ({100 * o.share:.1f} %)" for o in outside)
         worst = max(outside, key=lambda o: o.share)
         yield Caution(
             "warning",
-            f"Held-out samples leave the training range on {said}, most in segment {worst.worst_segment + 1} "
-            f"({100 * worst.worst_share:.0f} % of {one_line(worst.signal.name)}). Fuzzy models extrapolate "
-            "poorly; these samples are included in every number here.",
+            f"Held-out samples leave the training range on {said}, most in segment "
+            f"H{worst.worst_segment + 1} ({100 * worst.worst_share:.0f} % of {one_line(worst.signal.name)}). "
+            "Fuzzy models extrapolate poorly; these samples are included in every number here.",
             "train on flights that reach this range, or hold out others.",
             2.0 + worst.share,
         )
@@ -127,7 +99,7 @@ def _missing_dynamics(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterato
     for channel, d in diagnoses.items():
         c = comparisons[channel]
         for out in d.outputs:
-            for name in _heads(c):
+            for name in heads(c):
                 for correlation in out.dependence.get(name, ()):
                     lag, rho = correlation.peak
                     if correlation.fails and abs(rho) > 0.1:
@@ -156,7 +128,7 @@ def _unexplained(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cau
     if said:
         yield Caution(
             "warning",
-            f"At no frequency does any input explain half of {_join(said)} (coherence below 0.5): no model "
+            f"At no frequency does any input explain half of {join(said)} (coherence below 0.5): no model "
             "from these inputs can follow it.",
             "excite the command more, look for a missing input or wind, or check the recipe's signals.",
             4.0,
@@ -179,7 +151,7 @@ def _noisy_start(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cau
             continue
         for output in c.test.outputs:
             free, ahead = c.entry(output.name, FREE_RUN), c.entry(output.name, steps[0])
-            for name in _heads(c):
+            for name in heads(c):
                 pair = [e.models[name].scores.rmse for e in (free, ahead)]
                 if pair[1] > 1.2 * pair[0] and pair[1] > pair[0] + free.resolution:
                     said.setdefault(output.name, set()).add(name)
@@ -204,7 +176,7 @@ def _undecided(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cauti
     if said:
         yield Caution(
             "warning",
-            f"Not enough held-out data for a verdict in free run on {_join(said)}.",
+            f"Not enough held-out data for a verdict in free run on {join(said)}.",
             "fly more, or hold out a larger share.",
             3.0,
         )
@@ -218,7 +190,7 @@ def _few(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
         number = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else str(counts[0])
         yield Caution(
             "note",
-            f"Only {number} held-out flight{'s' if counts[-1] > 1 else ''} on {_join(few)}: the intervals "
+            f"Only {number} held-out flight{'s' if counts[-1] > 1 else ''} on {join(few)}: the intervals "
             "come from blocks of time and do not speak of another day, battery or wind.",
             f"hold out whole flights, {MIN_FLIGHTS} or more.",
             2.0 if counts[0] == 1 else 0.95,
@@ -230,12 +202,12 @@ def _feedback(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
         out.output.name
         for channel, d in diagnoses.items()
         for out in d.outputs
-        if any(c.feedback for name in _heads(comparisons[channel]) for c in out.dependence.get(name, ()))
+        if any(c.feedback for name in heads(comparisons[channel]) for c in out.dependence.get(name, ()))
     ]
     if said:
         yield Caution(
             "note",
-            f"The input seems to answer the output on {_join(said)} (error and later input are correlated): "
+            f"The input seems to answer the output on {join(said)} (error and later input are correlated): "
             "a loop is closed around the model, and least squares may be biased.",
             "excite the command on purpose, or model from the pilot's command instead of the controller's.",
             1.0,
@@ -247,13 +219,13 @@ def _not_white(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cauti
         name
         for channel, d in diagnoses.items()
         for out in d.outputs
-        for name in _heads(comparisons[channel])
+        for name in heads(comparisons[channel])
         if name in out.whiteness and out.whiteness[name].fails
     }
     if failed:
         yield Caution(
             "note",
-            f"One-step residuals of {_join(sorted(failed))} are not white (see Residual tests). That limits "
+            f"One-step residuals of {join(sorted(failed))} are not white (see Residual tests). That limits "
             "the noise model, not the free-run comparison above, which serves simulation and control design.",
             "quote free-run numbers.",
             0.6,
@@ -285,7 +257,7 @@ def _idle_rules(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caut
     said = [
         f"R{i + 1} of {name} ({channel})"
         for channel, d in diagnoses.items()
-        for name in _heads(comparisons[channel])
+        for name in heads(comparisons[channel])
         if name in d.rule_use
         for i, mean in enumerate(d.rule_use[name].mean)
         if mean < 0.01
@@ -293,7 +265,7 @@ def _idle_rules(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caut
     if said:
         yield Caution(
             "note",
-            f"Rules that hardly fire on held-out data: {_join(said[:6])}"
+            f"Rules that hardly fire on held-out data: {join(said[:6])}"
             f"{' and more' if len(said) > 6 else ''}. What is said of them was not tested.",
             "use fewer rules, or hold out flights that reach them.",
             0.8,
@@ -315,7 +287,7 @@ def _unused(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]
 
 def _all_stable(comparisons: Comparisons, diagnoses: Diagnoses) -> Sequence[Caution]:
     radii = [r for d in diagnoses.values() for r in d.pole_radius.values()]
-    rules = sum(info.n_rules for c in comparisons.values() for info in c.models.values())
+    rules = sum(i.n_rules for c in comparisons.values() for i in c.models.values() if not i.reference)
     if not radii or max(radii) > 1.0:
         return ()
     return (

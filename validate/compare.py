@@ -8,15 +8,14 @@ is a loss.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
 from flysid.model.base import Fitted
+from flysid.validate.baseline import REFERENCES
 from flysid.validate.bootstrap import (
     Interval,
     Units,
@@ -26,7 +25,8 @@ from flysid.validate.bootstrap import (
     holm,
     make_units,
 )
-from flysid.validate.metrics import Scores, pooled, resolution_of, scores
+from flysid.validate.comparison import Comparison, Entry, ModelInfo, ModelScore, Pair, SegmentScore
+from flysid.validate.metrics import pooled, resolution_of, scores
 from flysid.validate.trials import (
     FREE_RUN,
     Trial,
@@ -35,165 +35,15 @@ from flysid.validate.trials import (
     run_trials,
     start_of,
 )
-from flysid.validate.verdict import Evidence, Verdict, decide
+from flysid.validate.verdict import Evidence, decide
+
+__all__ = [
+    "HORIZONS", "Comparison", "Entry", "ModelInfo", "ModelScore", "Pair", "SegmentScore", "across_channels",
+    "compare",
+]  # fmt: skip
 
 HORIZONS: tuple[str | int, ...] = (FREE_RUN, 10, 1)
-
-
-@dataclass(frozen=True)
-class SegmentScore:
-    """One model on one held-out segment: its index, its flight, its scores."""
-
-    segment: int
-    flight: str
-    scores: Scores
-    diverged_s: float | None
-
-
-@dataclass(frozen=True)
-class ModelScore:
-    """One model on one output at one horizon: pooled and per segment."""
-
-    scores: Scores
-    segments: tuple[SegmentScore, ...]
-
-    @property
-    def diverged(self) -> tuple[SegmentScore, ...]:
-        return tuple(s for s in self.segments if s.diverged_s is not None)
-
-    @property
-    def worst_segment(self) -> SegmentScore:
-        return max(self.segments, key=lambda s: s.scores.rmse)
-
-
-@dataclass(frozen=True)
-class Pair:
-    """One model against the baseline on one output at one horizon.
-
-    Attributes
-    ----------
-    change_pct : 100 (RMSE - RMSE of baseline) / RMSE of baseline; below 0 the model is better. None where
-        the baseline's error is zero or a model diverged.
-    ci95 : its 95 % interval, or None.
-    p, p_holm : two-sided bootstrap p-value of no change, before and after Holm's correction.
-    p_dm : Diebold-Mariano p-value, a second opinion that no verdict uses.
-    units, unit : how many independent units, and what they are ("flights" or "blocks of 1.2 s").
-    """
-
-    model: str
-    baseline: str
-    change_pct: float | None
-    ci95: tuple[float, float] | None
-    p: float | None
-    p_holm: float | None
-    p_dm: float | None
-    units: int
-    unit: str
-    evidence: Evidence
-    verdict: Verdict
-    reason: str
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One output at one horizon: every model's scores, every pair."""
-
-    output: Signal
-    horizon: str
-    models: Mapping[str, ModelScore]
-    pairs: Mapping[str, Pair]
-    resolution: float
-
-
-@dataclass(frozen=True)
-class ModelInfo:
-    """What a reader needs to know of a model."""
-
-    name: str
-    structure: str
-    n_parameters: int
-    n_rules: int
-    n_init: int
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Models compared on the held-out segments of one channel.
-
-    Attributes
-    ----------
-    channel : name of the dataset.
-    models : by name, in the order given.
-    baseline, contender : the pair the headline speaks of; contender is None for a single model.
-    entries : one per output and horizon.
-    lags : measured samples that every model needs at least.
-    start_s : the longest window at a segment's start that gave the starting state of a free run; not scored.
-    unused_segments : held-out segments too short to score in free run.
-    test_hash : content hash of the test part.
-    fitted, test : what was compared, for drawing; not part of equality.
-    """
-
-    channel: str
-    dt_s: float
-    models: Mapping[str, ModelInfo]
-    baseline: str
-    contender: str | None
-    entries: tuple[Entry, ...]
-    lags: int
-    start_s: float
-    scored_segments: int
-    unused_segments: int
-    test_hash: str
-    fitted: Mapping[str, Fitted] = field(repr=False, compare=False)
-    test: Dataset = field(repr=False, compare=False)
-
-    @property
-    def horizons(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(e.horizon for e in self.entries))
-
-    @property
-    def verdict(self) -> dict[str, Pair]:
-        """The headline pair in free run (or the first horizon), by output name."""
-        if self.contender is None:
-            return {}
-        head = self.horizons[0] if FREE_RUN not in self.horizons else FREE_RUN
-        return {e.output.name: e.pairs[self.contender] for e in self.entries if e.horizon == head}
-
-    def entry(self, output: str | None = None, horizon: str | int = FREE_RUN) -> Entry:
-        """The entry of an output (the first when None) at a horizon.
-
-        Raises
-        ------
-        UsageError : there is no such entry.
-        """
-        name = horizon_name(horizon)
-        for e in self.entries:
-            if e.horizon == name and output in (None, e.output.name):
-                return e
-        raise UsageError(f"no output {output!r} at horizon {name!r} in this comparison")
-
-    def to_json(self) -> dict[str, Any]:
-        """The JSON document of this comparison alone."""
-        from flysid.validate.document import to_json
-
-        return to_json({self.channel or "channel": self})
-
-    def report(self, path: str | Path) -> Path:
-        """Write the HTML report of this comparison alone; returns the path."""
-        from flysid.validate.report import ReportContext, write_report
-
-        return write_report(path, ReportContext.of({self.channel or "channel": self}))
-
-    def _repr_html_(self) -> str:
-        from flysid.validate.tables import to_html
-
-        return str(to_html({self.channel or "channel": self}))
-
-    def __str__(self) -> str:
-        from flysid.validate.terminal import table
-
-        return table({self.channel or "channel": self})
+FUZZY = ("ts", "static_ts", "static-ts")
 
 
 def compare(
@@ -203,6 +53,7 @@ def compare(
     horizons: Sequence[str | int] = HORIZONS,
     baseline: str | None = "arx",
     contender: str | None = None,
+    train: Dataset | None = None,
     seed: int = 0,
 ) -> Comparison:
     """Compare fitted models on held-out data.
@@ -214,6 +65,7 @@ def compare(
     horizons : "free_run" and numbers of steps.
     baseline : the model the others are compared with; the first one where there is no "arx" or it is None.
     contender : the model the headline speaks of; "ts" where there is one, else the first, when None.
+    train : training data; with it the mean and persistence stand beside the models, as lines to stay below.
     seed : of the bootstrap.
 
     Raises
@@ -222,6 +74,8 @@ def compare(
     DataError : no segment is long enough to score.
     """
     named = dict(models) if isinstance(models, Mapping) else _named(models)
+    if train is not None:
+        named = with_references(named, train)
     check_models(named, test)
     base = _baseline(named, baseline)
     if contender is not None and (contender not in named or contender == base):
@@ -229,6 +83,7 @@ def compare(
     names = [horizon_name(h) for h in dict.fromkeys(horizons)]
     if not names:
         raise UsageError("no horizon given", hint="use 'free_run', 10 and 1")
+    one_rule = frozenset(n for n, m in named.items() if m.structure in FUZZY and len(m.rules()) == 1)
     entries: list[Entry] = []
     scored, start_s = 0, 0.0
     for horizon in names:
@@ -236,7 +91,7 @@ def compare(
         scored = max(scored, len(trials))
         if horizon == FREE_RUN:
             start_s = max(t.first for t in trials) * test.dt_s
-        entries += _entries(trials, test, horizon, base, seed)
+        entries += _entries(trials, test, horizon, _Sides(base, one_rule, seed))
     comparison = Comparison(
         channel=test.name,
         dt_s=test.dt_s,
@@ -282,6 +137,16 @@ def _with_pairs(entry: Entry, corrected: Mapping[int, Pair]) -> Entry:
     return replace(entry, pairs={n: corrected.get(id(p), p) for n, p in entry.pairs.items()})
 
 
+def with_references(models: Mapping[str, Fitted], train: Dataset) -> dict[str, Fitted]:
+    """The same models, and the references that are not among them, fitted to `train`."""
+    from flysid.model.mean import Mean
+    from flysid.model.persistence import Persistence
+
+    there = {m.structure for m in models.values()}
+    found = {"mean": Mean().fit(train), "persistence": Persistence().fit(train)}
+    return {**models, **{name: m for name, m in found.items() if name not in there}}
+
+
 def _named(models: Sequence[Fitted]) -> dict[str, Fitted]:
     named: dict[str, Fitted] = {}
     for model in models:
@@ -301,7 +166,7 @@ def _baseline(models: Mapping[str, Fitted], wanted: str | None) -> str:
 
 
 def _contender(models: Mapping[str, Fitted], base: str) -> str | None:
-    others = [name for name in models if name != base]
+    others = [n for n, m in models.items() if n != base and m.structure not in REFERENCES]
     return "ts" if "ts" in others else next(iter(others), None)
 
 
@@ -322,11 +187,20 @@ class _Panel:
     dt_s: float
 
 
-def _entries(trials: Sequence[Trial], test: Dataset, horizon: str, base: str, seed: int) -> list[Entry]:
+@dataclass(frozen=True)
+class _Sides:
+    """Who is compared with whom: the baseline, the fuzzy models of one rule, the bootstrap's seed."""
+
+    base: str
+    one_rule: frozenset[str]
+    seed: int
+
+
+def _entries(trials: Sequence[Trial], test: Dataset, horizon: str, sides: _Sides) -> list[Entry]:
     entries = []
     for j, output in enumerate(test.outputs):
         panel = _panel(trials, test, j)
-        pairs = {name: _pair(panel, base, name, seed) for name in panel.models if name != base}
+        pairs = {name: _pair(panel, sides, name) for name in panel.models if name != sides.base}
         entries.append(Entry(output, horizon, panel.models, pairs, panel.resolution))
     return entries
 
@@ -351,12 +225,13 @@ def _model_score(trials: Sequence[Trial], flights: Sequence[str], name: str, j: 
     return ModelScore(pooled([t.y[:, j] for t in trials], [t.yh[name][:, j] for t in trials]), segments)
 
 
-def _pair(panel: _Panel, base: str, name: str, seed: int) -> Pair:
+def _pair(panel: _Panel, sides: _Sides, name: str) -> Pair:
+    base = sides.base
     a, b = panel.models[base], panel.models[name]
     ea, eb = panel.errors[base], panel.errors[name]
     lost = bool(a.diverged or b.diverged)
     units = make_units(ea, eb, panel.flights)
-    interval = None if lost else change_interval(units, seed)
+    interval = None if lost else change_interval(units, sides.seed)
     evidence = _evidence(a, b, panel.resolution, interval)
     verdict, reason = decide(evidence)
     change = None
@@ -376,6 +251,7 @@ def _pair(panel: _Panel, base: str, name: str, seed: int) -> Pair:
         evidence=evidence,
         verdict=verdict,
         reason=reason,
+        one_rule=name in sides.one_rule,
     )
 
 

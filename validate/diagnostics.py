@@ -94,7 +94,11 @@ def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
     return Diagnosis(
         outputs=tuple(_output(j, free, one, comparison) for j in range(len(test.outputs))),
         outside=() if train is None else outside_training(train, test),
-        pole_radius={name: max(r.pole_radius for r in m.rules()) for name, m in models.items()},
+        pole_radius={
+            name: max(r.pole_radius for r in m.rules())
+            for name, m in models.items()
+            if not comparison.models[name].reference
+        },
         rule_use={name: rule_use(m, test) for name, m in models.items() if len(m.rules()) > 1},
         changes=tuple(_changes(test, i) for i in range(len(test.inputs))),
         free_runs=free,

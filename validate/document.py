@@ -21,8 +21,9 @@ def to_json(
     """{"channels": {NAME: {HORIZON: {"models", "change_pct", "ci95", "verdict", ...}, "about": {...}}}}.
 
     A channel with several outputs is listed once per output, as "channel/output". "change_pct", "ci95"
-    and "verdict" speak of the contender ("ts" where there is one) against the baseline ("arx"); "pairs" holds
-    every model against the baseline. What is said of a whole channel stands under "about";
+    and "verdict" speak of the contender ("ts" where there is one) against the baseline, which "about" names;
+    "one_rule": the contender has one rule, so it is a linear model. "pairs" holds every model against the
+    baseline. What is said of a whole channel stands under "about";
     with `diagnoses` there are also "cautions", worst first, and "diagnostics" by channel.
     """
     channels: dict[str, Any] = {}
@@ -95,6 +96,7 @@ def _entry(entry: Entry, comparison: Comparison) -> dict[str, Any]:
         "ci95": list(head.ci95) if head and head.ci95 else [None, None],
         "verdict": str(head.verdict) if head else None,
         "reason": head.reason if head else "only one model was given",
+        "one_rule": bool(head and head.one_rule),
         "pairs": {name: _pair(pair) for name, pair in entry.pairs.items()},
         "output": entry.output.name,
         "unit": entry.output.unit,
@@ -120,6 +122,7 @@ def _pair(pair: Pair) -> dict[str, Any]:
         "ci95": list(pair.ci95) if pair.ci95 else [None, None],
         "verdict": str(pair.verdict),
         "reason": pair.reason,
+        "one_rule": pair.one_rule,
         "p": pair.p,
         "p_holm": pair.p_holm,
         "p_diebold_mariano": pair.p_dm,

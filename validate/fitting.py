@@ -23,6 +23,7 @@ from flysid.ingest.lake import Lake
 from flysid.ingest.recipe import load_recipe, recipe_text
 from flysid.model.base import Estimator, Fitted
 from flysid.split import plan_split
+from flysid.validate.baseline import choose_baseline, linear_estimators
 from flysid.validate.run import (
     RECIPE_FILE,
     RUN_FILE,
@@ -35,19 +36,26 @@ from flysid.validate.run import (
     versions,
 )
 
+BESIDE = ("arx", "oe")
+"""Linear models that every run holds, whichever is the baseline."""
 
-def estimators(settings: FitSettings) -> dict[str, Estimator]:
-    """The models of a run, by label: linear, the paper's static TS, dynamic TS."""
-    from flysid.model.arx import ARX
+
+def estimators(settings: FitSettings, baseline: str = "arx") -> dict[str, Estimator]:
+    """The models of a run, by label: references, linear ones, the paper's static TS, dynamic TS."""
     from flysid.model.line import Line
+    from flysid.model.mean import Mean
+    from flysid.model.persistence import Persistence
     from flysid.model.static_ts import StaticTS
     from flysid.model.ts import TS
 
     antecedents: Any = settings.antecedents or "auto"
     rules: Any = settings.rules
+    linear = linear_estimators()
     return {
+        "mean": Mean(),
+        "persistence": Persistence(),
         "line": Line(),
-        "arx": ARX(),
+        **{label: e for label, e in linear.items() if label in (*BESIDE, baseline)},
         "static_ts": StaticTS(seed=settings.seed),
         "ts": TS(rules=rules, antecedents=antecedents),
     }
@@ -160,20 +168,25 @@ def _fit_channel(job: _Job) -> ChannelRun | str:
         split = plan_split(dataset, holdout=settings.holdout, by=settings.by, seed=settings.seed)
         train, _ = split.apply(dataset)
         (job.folder / place).mkdir()
-        for label, estimator in estimators(settings).items():
+        started = time.perf_counter()
+        choice = choose_baseline(train, linear_estimators())
+        seconds["choice of the baseline"] = time.perf_counter() - started
+        for label, estimator in estimators(settings, choice.label).items():
             started = time.perf_counter()
             why = _fit_one(estimator, train, job.folder / f"{place}/{label}.json")
-            if why and label == "arx":
+            if why and label == choice.label:
                 return why
             if why:
                 failed[label] = why
                 continue
             seconds[label] = time.perf_counter() - started
             files[label] = f"{place}/{label}.json"
-    except DataError as error:
+    except (DataError, FitError) as error:
         return str(error)
     aligned = tuple(job.aligned.report.lines())
-    return ChannelRun(dataset.name, files, split.to_dict(), aligned, seconds, failed)
+    return ChannelRun(
+        dataset.name, files, split.to_dict(), aligned, seconds, failed, choice.label, choice.words
+    )
 
 
 def _fit_one(estimator: Estimator, train: Dataset, path: Path) -> str:

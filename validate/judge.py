@@ -46,19 +46,21 @@ class Judgement:
         return to_json(self.comparisons, self.context.diagnoses) | {
             "skipped": dict(self.skipped),
             "provenance": dict(self.context.provenance),
+            "fit_seconds": {name: dict(times) for name, times in self.context.fit_seconds.items()},
         }
 
     @property
     def table(self) -> str:
         """The comparison for a terminal: every model, channel and horizon, then the verdicts in words."""
-        return f"{table(self.comparisons)}\n\n{summary(self.comparisons)}"
+        times = self.context.fit_seconds
+        return f"{table(self.comparisons, times)}\n\n{summary(self.comparisons)}"
 
     def text(self, form: str = "table") -> str:
         """The comparison as "table", "json", "markdown" or "csv", without a line break at the end."""
         forms: dict[str, Callable[[], str]] = {
             "table": lambda: self.table,
             "json": lambda: json.dumps(self.document, indent=1, allow_nan=False),
-            "markdown": lambda: to_markdown(self.comparisons),
+            "markdown": lambda: to_markdown(self.comparisons, self.context.fit_seconds),
             "csv": lambda: to_csv(self.comparisons),
         }
         if form not in forms:
@@ -92,7 +94,9 @@ def judge_run(
     for item in held:
         progress(f"{item.channel.name}: comparing {', '.join(item.models)} on held-out segments")
         try:
-            comparisons[item.channel.name] = compare(item.models, item.test, seed=run.settings.seed)
+            comparisons[item.channel.name] = compare(
+                item.models, item.test, baseline=item.channel.baseline, seed=run.settings.seed
+            )
         except DataError as error:
             skipped[item.channel.name] = str(error)
     if not comparisons:
@@ -130,6 +134,7 @@ def _context(
         command=_command(run),
         provenance=_provenance(run, held),
         remark=remark,
+        fit_seconds={h.channel.name: dict(h.channel.fit_seconds) for h in held},
     )
 
 
@@ -156,6 +161,7 @@ def _provenance(run: Run, held: list[HeldOut]) -> dict[str, str]:
         found[f"{name}: data sha256"] = str(split["data_sha256"])
         found[f"{name}: held-out sha256"] = str(split["test_sha256"])
         found[f"{name}: alignment"] = "; ".join(line.strip() for line in item.channel.aligned)
+        found[f"{name}: baseline"] = f"{item.channel.baseline}; {item.channel.chosen}".removesuffix("; ")
         found[f"{name}: fit time"] = ", ".join(f"{k} {v:.2f} s" for k, v in item.channel.fit_seconds.items())
         for label, why in item.channel.failed.items():
             found[f"{name}: {label} not fitted"] = why

@@ -73,6 +73,8 @@ class ChannelRun:
     aligned : how the dataset was made of the flights, one sentence each.
     fit_seconds : label -> wall time of its fit.
     failed : label -> why that model could not be fitted.
+    baseline : label of the linear model that the verdict is against: the best by validation.
+    chosen : how the baseline was chosen, one sentence.
     """
 
     name: str
@@ -81,6 +83,8 @@ class ChannelRun:
     aligned: tuple[str, ...] = ()
     fit_seconds: Mapping[str, float] = field(default_factory=dict)
     failed: Mapping[str, str] = field(default_factory=dict)
+    baseline: str = "arx"
+    chosen: str = ""
 
 
 @dataclass(frozen=True)

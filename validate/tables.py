@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from flysid.validate.compare import Comparison, Entry, Pair
+from flysid.validate.comparison import Comparison, Entry, Pair
 from flysid.validate.metrics import Scores
+from flysid.validate.terminal import Seconds, shown_models, standing, summary_lines
 from flysid.validate.words import (
     change_words,
     horizon_words,
@@ -23,7 +24,6 @@ from flysid.validate.words import (
     number,
     one_line,
     percentage,
-    verdict_words,
 )
 
 CSV_HEADER = (
@@ -44,42 +44,64 @@ class _Row:
     entry: Entry
     model: str
     pair: Pair | None
-    dt_s: float
+    comparison: Comparison
+    seconds: float | None = None
+
+    @property
+    def sized(self) -> bool:
+        """Size and fit time stand in the lines of the first horizon only."""
+        return self.entry.horizon == self.comparison.horizons[0]
 
 
-def _ranked(comparisons: Mapping[str, Comparison]) -> Iterator[_Row]:
+HEADINGS = (
+    "channel", "horizon", "model", "RMSE", "fit %", "VAF %", "change in RMSE", "95 %", "rules", "parameters",
+    "fit time, s", "verdict",
+)  # fmt: skip
+
+
+def _ranked(
+    comparisons: Mapping[str, Comparison], seconds: Seconds | None = None, every: bool = False
+) -> Iterator[_Row]:
+    """Rows for people, or, where `every` is asked for, of all models at all horizons."""
     for channel, c in comparisons.items():
+        times = (seconds or {}).get(channel, {})
         for entry in c.entries:
             several = len(c.test.outputs) > 1
             label = f"{channel}/{entry.output.name}" if several else channel
-            for model in sorted(entry.models, key=lambda m: entry.models[m].scores.rmse):
-                yield _Row(label, entry, model, entry.pairs.get(model), c.dt_s)
+            models = sorted(entry.models, key=lambda m: entry.models[m].scores.rmse)
+            for model in models if every else shown_models(entry, c):
+                yield _Row(label, entry, model, entry.pairs.get(model), c, times.get(model))
 
 
-def to_markdown(comparisons: Mapping[str, Comparison]) -> str:
-    """A table of every model at every horizon, the best first; GitHub's dialect, ends with a line break."""
-    lines = [
-        "| channel | horizon | model | RMSE | fit % | VAF % | change in RMSE | 95 % | verdict |",
-        "|---|---|---|---:|---:|---:|---:|---|---|",
-    ]
-    lines += [f"| {' | '.join(_cells(row, _escape))} |" for row in _ranked(comparisons)]
-    return "\n".join(lines) + "\n"
+def to_markdown(comparisons: Mapping[str, Comparison], seconds: Seconds | None = None) -> str:
+    """The verdict in free run, line by line, and the table; GitHub's dialect, ends with a line break.
+
+    All models stand in free run, the best first, and the headline's two at the other horizons.
+    """
+    said = [f"- {_escape(line)}" for line in summary_lines(comparisons)]
+    lines = [f"| {' | '.join(HEADINGS)} |", "|---|---|---|---:|---:|---:|---:|---|---:|---:|---:|---|"]
+    lines += [f"| {' | '.join(_cells(row, _escape))} |" for row in _ranked(comparisons, seconds)]
+    return "\n".join([*said, "", *lines] if said else lines) + "\n"
 
 
 def _cells(row: _Row, escape: Callable[[str], str]) -> list[str]:
-    """The nine cells of a row as text."""
+    """The cells of a row as text."""
+    info = row.comparison.models[row.model]
     s = row.entry.models[row.model].scores
     unit = f" {escape(row.entry.output.unit)}" if row.entry.output.unit else ""
     return [
         escape(row.channel),
-        horizon_words(row.entry.horizon, row.dt_s),
+        horizon_words(row.entry.horizon, row.comparison.dt_s),
         escape(row.model),
         number(s.rmse) + unit,
         percentage(s.fit_pct),
         percentage(s.vaf_pct),
         change_words(row.pair) if row.pair else "",
         interval_words(row.pair) if row.pair else "",
-        escape(verdict_words(row.pair)) if row.pair else "baseline",
+        str(info.n_rules) if row.sized and not info.reference else "",
+        str(info.n_parameters) if row.sized else "",
+        f"{row.seconds:.1f}" if row.sized and row.seconds is not None else "",
+        escape(standing(row.model, row.entry, row.comparison)),
     ]
 
 
@@ -92,7 +114,7 @@ def to_csv(comparisons: Mapping[str, Comparison]) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(CSV_HEADER)
-    for row in _ranked(comparisons):
+    for row in _ranked(comparisons, every=True):
         score = row.entry.models[row.model]
         head = [row.channel, row.entry.output.name, row.entry.output.unit, row.entry.horizon, row.model]
         first = min((s.diverged_s for s in score.diverged if s.diverged_s is not None), default=None)
@@ -127,8 +149,7 @@ def _safe(cells: list[Cell]) -> list[Cell]:
 
 def to_html(comparisons: Mapping[str, Comparison]) -> Markup:
     """A plain table for a notebook."""
-    heads = ("channel", "horizon", "model", "RMSE", "fit %", "VAF %", "change", "95 %", "verdict")
-    head = Markup("").join(Markup("<th>{}</th>").format(h) for h in heads)
+    head = Markup("").join(Markup("<th>{}</th>").format(h) for h in HEADINGS)
     body = Markup("").join(
         Markup("<tr>{}</tr>").format(
             Markup("").join(Markup("<td>{}</td>").format(c) for c in _cells(row, one_line))

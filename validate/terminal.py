@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from flysid.validate.compare import Comparison, Entry
+from flysid.validate.comparison import Comparison, Entry
 from flysid.validate.trials import FREE_RUN
+from flysid.validate.verdict import Verdict
 from flysid.validate.words import (
     change_words,
     horizon_words,
@@ -16,19 +17,32 @@ from flysid.validate.words import (
     verdict_words,
 )
 
-HEADER = ("CHANNEL", "HORIZON", "MODEL", "RMSE", "UNIT", "FIT %", "VAF %", "CHANGE", "95 %", "VERDICT")
+HEADER = (
+    "CHANNEL", "HORIZON", "MODEL", "RMSE", "UNIT", "FIT %", "VAF %", "CHANGE", "95 %", "RULES", "PARAMS",
+    "FIT S", "VERDICT",
+)  # fmt: skip
+RIGHT = {3, 5, 6, 7, 9, 10, 11}
+Seconds = Mapping[str, Mapping[str, float]]
 
 
-def table(comparisons: Mapping[str, Comparison]) -> str:
-    """Every model at every horizon, the best first in free run; one line each, no line break at the end."""
+def table(comparisons: Mapping[str, Comparison], fit_seconds: Seconds | None = None) -> str:
+    """Every model in free run, the best first; at other horizons the two models of the headline.
+
+    One line each, no line break at the end. `fit_seconds` is wall time by channel and model.
+    """
     rows: list[Sequence[str]] = [HEADER]
     for channel, comparison in comparisons.items():
         several = len(comparison.test.outputs) > 1
         for entry in comparison.entries:
             label = one_line(f"{channel}/{entry.output.name}" if several else channel)
-            rows += _rows(entry, label, comparison)
+            rows += _rows(entry, label, comparison, (fit_seconds or {}).get(channel, {}))
     widths = [max(len(row[i]) for row in rows) for i in range(len(HEADER))]
     return "\n".join(_line(row, widths) for row in rows)
+
+
+def summary_lines(comparisons: Mapping[str, Comparison]) -> list[str]:
+    """The lines of `summary`, without its columns."""
+    return [" ".join(line.split()) for line in summary(comparisons).splitlines()]
 
 
 def summary(comparisons: Mapping[str, Comparison]) -> str:
@@ -53,15 +67,36 @@ def summary(comparisons: Mapping[str, Comparison]) -> str:
     return "\n".join("  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in rows)
 
 
-def _rows(entry: Entry, label: str, comparison: Comparison) -> list[Sequence[str]]:
+def shown_models(entry: Entry, comparison: Comparison) -> list[str]:
+    """Models worth a line in a table for people, the best first: all in free run, else the headline's two."""
+    ranked = sorted(entry.models, key=lambda m: entry.models[m].scores.rmse)
+    if entry.horizon == comparison.horizons[0] or comparison.contender is None:
+        return ranked
+    return [m for m in ranked if m in (comparison.baseline, comparison.contender)]
+
+
+def standing(name: str, entry: Entry, comparison: Comparison) -> str:
+    """A model's verdict in words; "baseline" and "reference" for what no verdict is about."""
+    pair = entry.pairs.get(name)
+    if pair is None:
+        return "baseline"
+    if comparison.models[name].reference and pair.verdict is not Verdict.BETTER:
+        return "reference"
+    return verdict_words(pair)
+
+
+def _rows(
+    entry: Entry, label: str, comparison: Comparison, seconds: Mapping[str, float]
+) -> list[Sequence[str]]:
     rows: list[Sequence[str]] = []
-    for name, score in sorted(entry.models.items(), key=lambda item: item[1].scores.rmse):
-        pair = entry.pairs.get(name)
+    for name in shown_models(entry, comparison):
+        score, pair, info = entry.models[name], entry.pairs.get(name), comparison.models[name]
         s = score.scores
-        verdict = "baseline" if pair is None else verdict_words(pair)
+        verdict = standing(name, entry, comparison)
+        first_horizon = entry.horizon == comparison.horizons[0]
         if score.diverged and entry.horizon == FREE_RUN:
             first = score.diverged[0]
-            verdict += f" (diverged at t = {first.diverged_s:.1f} s, segment {first.segment + 1})"
+            verdict += f" (diverged at t = {first.diverged_s:.1f} s, segment H{first.segment + 1})"
         rows.append(
             (
                 label if not rows else "",
@@ -73,6 +108,9 @@ def _rows(entry: Entry, label: str, comparison: Comparison) -> list[Sequence[str
                 percentage(s.vaf_pct),
                 "" if pair is None else change_words(pair),
                 "" if pair is None else interval_words(pair),
+                str(info.n_rules) if first_horizon and not info.reference else "",
+                str(info.n_parameters) if first_horizon else "",
+                f"{seconds[name]:.1f}" if first_horizon and name in seconds else "",
                 verdict,
             )
         )
@@ -80,8 +118,7 @@ def _rows(entry: Entry, label: str, comparison: Comparison) -> list[Sequence[str
 
 
 def _line(row: Sequence[str], widths: Sequence[int]) -> str:
-    right = {3, 5, 6, 7}
     cells = [
-        c.rjust(w) if i in right else c.ljust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
+        c.rjust(w) if i in RIGHT else c.ljust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
     ]
     return "  ".join(cells).rstrip()

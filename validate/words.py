@@ -62,8 +62,11 @@ def verdict_words(pair: Pair) -> str:
     if pair.evidence.diverged_model:
         return f"{model} worse: it diverged"
     if pair.verdict in (Verdict.BETTER, Verdict.WORSE):
-        return f"{model} {pair.verdict}"
+        return f"{model} {pair.verdict}" + (" (one rule: linear)" if pair.one_rule else "")
     return "no difference shown" if pair.verdict is Verdict.SAME else str(pair.verdict)
+
+
+ONE_RULE = "one rule: a linear model; the gain comes from its order or refinement, not from fuzziness"
 
 
 def interval_words(pair: Pair) -> str:

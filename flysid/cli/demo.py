@@ -175,7 +175,7 @@ def describe_judgement(judgement: Judgement) -> str:
 def meaning(judgement: Judgement) -> str:
     """What the verdicts say, in one line."""
     pairs = {name: pair for c in judgement.comparisons.values() for name, pair in c.verdict.items()}
-    better = [name for name, pair in pairs.items() if pair.verdict == "better"]
+    better = [name for name, pair in pairs.items() if pair.earned]
     if not better:
         return "One linear model per channel is enough here."
     others = [name for name in pairs if name not in better]

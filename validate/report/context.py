@@ -65,6 +65,7 @@ class ReportContext:
     command : the command line that makes this page again.
     provenance : label -> value: data hash, split, seeds, versions; shown under Reproduce.
     remark : a short remark above the title, such as "simulated flights".
+    fit_seconds : wall time of every fit, by channel and model, where known.
     """
 
     comparisons: Mapping[str, Comparison]
@@ -73,6 +74,7 @@ class ReportContext:
     command: str = ""
     provenance: Mapping[str, str] = field(default_factory=dict)
     remark: str = ""
+    fit_seconds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @cached_property
     def diagnoses(self) -> dict[str, Diagnosis]:

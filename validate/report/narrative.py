@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from flysid.validate.compare import Comparison, Pair
+from flysid.validate.compare import FUZZY
+from flysid.validate.comparison import Comparison, Pair
 from flysid.validate.verdict import Verdict
 from flysid.validate.words import one_line
 
@@ -14,6 +15,8 @@ NAMES = {
     "static_ts": "static fuzzy model",
     "arx": "linear model",
     "oe": "output-error model",
+    "armax": "ARMAX model",
+    "bj": "Box-Jenkins model",
     "line": "straight line",
 }
 SYMBOLS = {Verdict.BETTER: "▲", Verdict.WORSE: "▼", Verdict.SAME: "=", Verdict.NOT_ENOUGH: "?"}
@@ -44,12 +47,21 @@ def called(model: str) -> str:
     return NAMES.get(model, one_line(model))
 
 
+def base_words(pairs: Heads) -> str:
+    """What the baselines are called: "linear model" beside a fuzzy one, whatever structure each has."""
+    pair = pairs[0][1]
+    return "linear model" if pair.model in FUZZY else called(pair.baseline)
+
+
 def title(pairs: Heads) -> str:
     """The verdict in one sentence."""
     if not pairs:
         return "One model, nothing to compare it with."
-    model, base = called(pairs[0][1].model), called(pairs[0][1].baseline)
+    model, base = called(pairs[0][1].model), base_words(pairs)
     count = {v: sum(p.verdict is v for _, p in pairs) for v in Verdict}
+    one_rule = sum(p.verdict is Verdict.BETTER and p.one_rule for _, p in pairs)
+    count[Verdict.BETTER] -= one_rule
+    count[Verdict.SAME] += one_rule
     total = len(pairs)
     on_all = f"on all {total} channels" if total > 1 else f"on {pairs[0][0]}"
     if all(map(_both_diverged, pairs)):
@@ -65,7 +77,7 @@ def title(pairs: Heads) -> str:
     if count[Verdict.WORSE]:
         return f"The {base} is better on {count[Verdict.WORSE]} of {total} channels; the {model} on none."
     if count[Verdict.SAME] == total:
-        return f"The {base} is enough {on_all}."
+        return f"{'A' if one_rule else 'The'} {base} is enough {on_all}."
     return f"No difference shown on {count[Verdict.SAME]} of {total} channels; not enough data on the others."
 
 
@@ -76,10 +88,10 @@ def subtitle(pairs: Heads) -> str:
         rest = subtitle([(name, pair) for name, pair in pairs if name not in lost])
         return f"Both models diverged in free run on {_listed(lost)}: see the cautions. {rest}".rstrip()
     if pairs and all(pair.verdict is Verdict.SAME for _, pair in pairs):
-        both = f"the {called(pairs[0][1].model)} and the {called(pairs[0][1].baseline)}"
+        both = f"the {called(pairs[0][1].model)} and the {base_words(pairs)}"
         return f"In free run the flights show no difference between {both}: keep the simpler one."
-    sentences = _diverged(pairs)
-    base = called(pairs[0][1].baseline) if pairs else ""
+    sentences = [*_diverged(pairs), *_one_rule(pairs)]
+    base = base_words(pairs) if pairs else ""
     for verdict, text in (
         (Verdict.SAME, "the flights show no difference in free run: keep the {base} there."),
         (Verdict.WORSE, "the {base} is better in free run: keep it there."),
@@ -100,8 +112,19 @@ def _diverged(pairs: Heads) -> list[str]:
     names = [n for n, p in pairs if p.evidence.diverged_baseline and not p.evidence.diverged_model]
     if not names:
         return []
-    base = called(pairs[0][1].baseline)
+    base = base_words(pairs)
     return [f"On {_listed(names)} the {base} diverged in free run, so there is no error to compare with."]
+
+
+def _one_rule(pairs: Heads) -> list[str]:
+    """Where a better verdict only says that another linear model is better."""
+    names = [n for n, p in pairs if p.verdict is Verdict.BETTER and p.one_rule]
+    if not names:
+        return []
+    return [
+        f"On {_listed(names)} {pairs[0][1].model.upper()} is better with one rule. That is a linear model: "
+        "the gain comes from its order or refinement, not from fuzziness."
+    ]
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -117,9 +140,10 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
     segments = max(c.scored_segments for c in comparisons.values())
     seconds = max(sum(len(s) for s in c.test.segments) * c.dt_s for c in comparisons.values())
     rates = sorted({round(1.0 / c.dt_s, 3) for c in comparisons.values()})
-    ranked = sorted(first.models, key=lambda m: m != first.contender)
-    others = [one_line(m).upper() for m in ranked if m != first.baseline]
-    against = f"{_listed(others)} against {one_line(first.baseline).upper()}" if others else first.baseline
+    bases = dict.fromkeys(one_line(c.baseline).upper() for c in comparisons.values())
+    against = " or ".join(bases)
+    if first.contender:
+        against = f"{one_line(first.contender).upper()} against {against}"
     words = f"{against} on {segments} held-out segment{'s' if segments != 1 else ''} ({duration(seconds)})"
     if train_s:
         words += f" after training on {duration(train_s)}"

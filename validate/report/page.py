@@ -23,12 +23,14 @@ from markupsafe import Markup
 import flysid
 from flysid.errors import StoreError
 from flysid.validate.cautions import cautions
-from flysid.validate.compare import Comparison, Pair
+from flysid.validate.compare import FUZZY
+from flysid.validate.comparison import Comparison, ModelInfo, Pair
 from flysid.validate.diagnostics import Diagnosis
 from flysid.validate.report import narrative
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.figures import interval_bar
 from flysid.validate.report.sections import Section, Source, sections
+from flysid.validate.terminal import standing
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.words import (
     change_words,
@@ -102,7 +104,7 @@ def render(context: ReportContext) -> str:
             cards=_cards(comparisons),
             cautions=cautions(comparisons, diagnoses),
             rows=_rows(comparisons),
-            models=_models(comparisons),
+            models=_models(context),
             sections=parts,
             command=one_line(context.command),
             provenance=_provenance(context),
@@ -195,15 +197,15 @@ def _cards(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
                     "rmse": (base.rmse, model.rmse),
                     "fit": (base.fit_pct, model.fit_pct),
                     "unit": one_line(entry.output.unit),
-                    "size": " · ".join(_size(info.name, info.n_rules, info.n_parameters) for info in sizes),
+                    "size": " · ".join(map(_size, sizes)),
                 }
             )
     return cards
 
 
-def _size(name: str, rules: int, parameters: int) -> str:
-    many = f"{rules} rules, " if rules > 1 else ""
-    return f"{one_line(name).upper()} {many}{parameters} parameters"
+def _size(info: ModelInfo) -> str:
+    many = f"{info.n_rules} rules, " if info.n_rules > 1 else "one rule, " if info.structure in FUZZY else ""
+    return f"{one_line(info.name).upper()} {many}{info.n_parameters} parameters"
 
 
 def badge(pair: Pair) -> dict[str, str]:
@@ -244,15 +246,18 @@ def _rows(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
     return rows
 
 
-def _models(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
+def _models(context: ReportContext) -> list[dict[str, Any]]:
     """Every model of every channel in free run, the best first, with its size, notes and verdict."""
     rows = []
-    for channel, c in comparisons.items():
+    for channel, c in context.comparisons.items():
+        seconds = context.fit_seconds.get(channel, {})
         for output in c.test.outputs:
             entry = c.entry(output.name, c.horizons[0])
             ranked = sorted(entry.models.items(), key=lambda item: item[1].scores.rmse)
             for i, (name, score) in enumerate(ranked):
                 info, pair = c.models[name], entry.pairs.get(name)
+                words = standing(name, entry, c)
+                first = min((s.diverged_s for s in score.diverged if s.diverged_s is not None), default=None)
                 rows.append(
                     {
                         "first": i == 0,
@@ -263,11 +268,16 @@ def _models(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
                         "score": score.scores,
                         "worst_segment": f"H{score.worst_segment.segment + 1}",
                         "worst_rmse": score.worst_segment.scores.rmse,
-                        "rules": info.n_rules,
+                        "rules": "" if info.reference else info.n_rules,
                         "parameters": info.n_parameters,
                         "notes": [one_line(n) for n in info.notes],
-                        "badge": badge(pair) if pair else None,
+                        "seconds": seconds.get(name),
+                        "change": change_words(pair) if pair else "",
+                        "interval": interval_words(pair) if pair else "",
+                        "words": words,
+                        "badge": badge(pair) if pair and words != "reference" else None,
                         "diverged": len(score.diverged),
+                        "diverged_s": first,
                     }
                 )
     return rows

@@ -1,0 +1,103 @@
+"""The linear side: which structures compete, and which of them is the baseline of the verdict.
+
+The baseline is the best linear model by validation, so that rules are compared with what a linear model can
+do at best, not with a straw man. Every candidate is fitted to the same part of the training data and judged
+by its free run over the rest; the held-out part stays shut. ARX stays unless another is better by more than
+noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import DataError, FitError
+from flysid.model.base import Estimator, Fitted
+from flysid.model.selection import block_means, clearly_better
+from flysid.validate.trials import FREE_RUN, Trial, run_trials
+
+FIRST = "arx"
+HELD_OUT = 0.25
+REFERENCES = ("mean", "persistence")
+"""Structures that no verdict is about: what loses to them has learnt nothing."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The baseline, and why.
+
+    Attributes
+    ----------
+    label : of the linear model chosen.
+    rmse : validation free-run RMSE in standard deviations of the output, by label; empty where the training
+        part is too short to hold anything out.
+    words : one sentence.
+    """
+
+    label: str
+    rmse: Mapping[str, float] = field(default_factory=dict)
+    words: str = ""
+
+
+def linear_estimators() -> dict[str, Estimator]:
+    """The linear structures that compete for the baseline, by label, with their defaults."""
+    from flysid.model.armax import ARMAX
+    from flysid.model.arx import ARX
+    from flysid.model.bj import BJ
+    from flysid.model.oe import OE
+
+    return {"arx": ARX(), "oe": OE(), "armax": ARMAX(), "bj": BJ()}
+
+
+def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Choice:
+    """Fit every candidate to a part of `train`, judge it by its free run over the rest.
+
+    Raises
+    ------
+    FitError : no candidate could be fitted.
+    """
+    try:
+        fit, check = train.split(holdout=HELD_OUT)
+        errors = _errors(_fitted(candidates, fit, check), check)
+    except DataError:
+        return Choice(_first(candidates), words="the training part is too short to choose on")
+    label = _first(errors)
+    for name, e in errors.items():
+        if clearly_better(e, errors[label]):
+            label = name
+    rmse = {name: float(np.sqrt(e.mean())) for name, e in errors.items()}
+    said = ", ".join(f"{name.upper()} {value:.3g}" for name, value in rmse.items())
+    return Choice(label, rmse, f"validation free-run RMSE, in standard deviations of the output: {said}")
+
+
+def _first(named: Mapping[str, object]) -> str:
+    return FIRST if FIRST in named else next(iter(named))
+
+
+def _fitted(candidates: Mapping[str, Estimator], fit: Dataset, check: Dataset) -> dict[str, Fitted]:
+    models: dict[str, Fitted] = {}
+    reasons: list[str] = []
+    for name, estimator in candidates.items():
+        try:
+            models[name] = estimator.fit(fit, check)
+        except (DataError, FitError) as error:
+            reasons.append(f"{name}: {error}")
+    if not models:
+        raise FitError("no linear model could be fitted: " + "; ".join(reasons))
+    return models
+
+
+def _errors(models: Mapping[str, Fitted], check: Dataset) -> dict[str, FloatArray]:
+    """Mean squared free-run errors of blocks of the validation part, in variances of the outputs."""
+    trials = run_trials(models, check, FREE_RUN)
+    scale = np.std(np.concatenate([t.y for t in trials]), axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    return {name: block_means([_squares(t, name, scale) for t in trials]) for name in models}
+
+
+def _squares(trial: Trial, name: str, scale: FloatArray) -> FloatArray:
+    squares: FloatArray = np.mean(((trial.y - trial.yh[name]) / scale) ** 2, axis=1)
+    return squares

@@ -1,0 +1,35 @@
+"""A caution in words, and what every rule that makes one needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+from flysid.validate.comparison import Comparison
+from flysid.validate.diagnostics import Diagnosis
+from flysid.validate.words import one_line
+
+
+@dataclass(frozen=True)
+class Caution:
+    """One caution. `level` is "danger", "warning", "note" or "good"; `weight` orders within a level."""
+
+    level: str
+    text: str
+    todo: str
+    weight: float = 0.0
+
+
+Comparisons = Mapping[str, Comparison]
+Diagnoses = Mapping[str, Diagnosis]
+
+
+def join(parts: Iterable[str]) -> str:
+    return one_line(", ".join(dict.fromkeys(parts)))
+
+
+def heads(comparison: Comparison) -> Iterator[str]:
+    """The two models of the headline."""
+    yield comparison.baseline
+    if comparison.contender:
+        yield comparison.contender

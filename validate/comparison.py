@@ -1,0 +1,185 @@
+"""What a comparison is: scores, pairs, entries per output and horizon."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from flysid.dataset import Dataset, Signal
+from flysid.errors import UsageError
+from flysid.model.base import Fitted
+from flysid.validate.baseline import REFERENCES
+from flysid.validate.metrics import Scores
+from flysid.validate.trials import FREE_RUN, horizon_name
+from flysid.validate.verdict import Evidence, Verdict
+
+
+@dataclass(frozen=True)
+class SegmentScore:
+    """One model on one held-out segment: its index, its flight, its scores."""
+
+    segment: int
+    flight: str
+    scores: Scores
+    diverged_s: float | None
+
+
+@dataclass(frozen=True)
+class ModelScore:
+    """One model on one output at one horizon: pooled and per segment."""
+
+    scores: Scores
+    segments: tuple[SegmentScore, ...]
+
+    @property
+    def diverged(self) -> tuple[SegmentScore, ...]:
+        return tuple(s for s in self.segments if s.diverged_s is not None)
+
+    @property
+    def worst_segment(self) -> SegmentScore:
+        return max(self.segments, key=lambda s: s.scores.rmse)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One model against the baseline on one output at one horizon.
+
+    Attributes
+    ----------
+    change_pct : 100 (RMSE - RMSE of baseline) / RMSE of baseline; below 0 the model is better. None where
+        the baseline's error is zero or a model diverged.
+    ci95 : its 95 % interval, or None.
+    p, p_holm : two-sided bootstrap p-value of no change, before and after Holm's correction.
+    p_dm : Diebold-Mariano p-value, a second opinion that no verdict uses.
+    units, unit : how many independent units, and what they are ("flights" or "blocks of 1.2 s").
+    one_rule : the model is a Takagi-Sugeno model of one rule: a linear model, so whatever it gains over the
+        baseline comes from its order or its refinement, not from fuzziness.
+    """
+
+    model: str
+    baseline: str
+    change_pct: float | None
+    ci95: tuple[float, float] | None
+    p: float | None
+    p_holm: float | None
+    p_dm: float | None
+    units: int
+    unit: str
+    evidence: Evidence
+    verdict: Verdict
+    reason: str
+    one_rule: bool = False
+
+    @property
+    def earned(self) -> bool:
+        """The model is better, and it is not the linear model of one rule."""
+        return self.verdict is Verdict.BETTER and not self.one_rule
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One output at one horizon: every model's scores, every pair."""
+
+    output: Signal
+    horizon: str
+    models: Mapping[str, ModelScore]
+    pairs: Mapping[str, Pair]
+    resolution: float
+
+
+@dataclass(frozen=True)
+class ModelInfo:
+    """What a reader needs to know of a model."""
+
+    name: str
+    structure: str
+    n_parameters: int
+    n_rules: int
+    n_init: int
+    notes: tuple[str, ...]
+
+    @property
+    def reference(self) -> bool:
+        """The mean or persistence: a line to stay below, not a model to choose."""
+        return self.structure in REFERENCES
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Models compared on the held-out segments of one channel.
+
+    Attributes
+    ----------
+    channel : name of the dataset.
+    models : by name, in the order given.
+    baseline, contender : the pair the headline speaks of; contender is None for a single model.
+    entries : one per output and horizon.
+    lags : measured samples that every model needs at least.
+    start_s : the longest window at a segment's start that gave the starting state of a free run; not scored.
+    unused_segments : held-out segments too short to score in free run.
+    test_hash : content hash of the test part.
+    fitted, test : what was compared, for drawing; not part of equality.
+    """
+
+    channel: str
+    dt_s: float
+    models: Mapping[str, ModelInfo]
+    baseline: str
+    contender: str | None
+    entries: tuple[Entry, ...]
+    lags: int
+    start_s: float
+    scored_segments: int
+    unused_segments: int
+    test_hash: str
+    fitted: Mapping[str, Fitted] = field(repr=False, compare=False)
+    test: Dataset = field(repr=False, compare=False)
+
+    @property
+    def horizons(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(e.horizon for e in self.entries))
+
+    @property
+    def verdict(self) -> dict[str, Pair]:
+        """The headline pair in free run (or the first horizon), by output name."""
+        if self.contender is None:
+            return {}
+        head = self.horizons[0] if FREE_RUN not in self.horizons else FREE_RUN
+        return {e.output.name: e.pairs[self.contender] for e in self.entries if e.horizon == head}
+
+    def entry(self, output: str | None = None, horizon: str | int = FREE_RUN) -> Entry:
+        """The entry of an output (the first when None) at a horizon.
+
+        Raises
+        ------
+        UsageError : there is no such entry.
+        """
+        name = horizon_name(horizon)
+        for e in self.entries:
+            if e.horizon == name and output in (None, e.output.name):
+                return e
+        raise UsageError(f"no output {output!r} at horizon {name!r} in this comparison")
+
+    def to_json(self) -> dict[str, Any]:
+        """The JSON document of this comparison alone."""
+        from flysid.validate.document import to_json
+
+        return to_json({self.channel or "channel": self})
+
+    def report(self, path: str | Path) -> Path:
+        """Write the HTML report of this comparison alone; returns the path."""
+        from flysid.validate.report import ReportContext, write_report
+
+        return write_report(path, ReportContext.of({self.channel or "channel": self}))
+
+    def _repr_html_(self) -> str:
+        from flysid.validate.tables import to_html
+
+        return str(to_html({self.channel or "channel": self}))
+
+    def __str__(self) -> str:
+        from flysid.validate.terminal import table
+
+        return table({self.channel or "channel": self})
