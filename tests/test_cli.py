@@ -118,7 +118,7 @@ def test_from_synth_to_verdict_on_one_channel(tmp_path: Path) -> None:
     assert failed.returncode == 4
     markdown = call(*("validate", "run", "-o", "r3", "--markdown", "--figures", "svg", "-q"), cwd=tmp_path)
     assert markdown.returncode == 0, markdown.stderr
-    assert markdown.stdout.startswith("| channel | horizon | model |")
+    assert markdown.stdout.startswith("- **v\\_y**: ")
     assert {p.name for p in (tmp_path / "r3").iterdir()} == {"report.html", "report.json", "channel-1-1.svg"}
     both = call("validate", "run", "-o", "r4", "--csv", "--json", cwd=tmp_path)
     assert (both.returncode, both.stdout) == (2, "")

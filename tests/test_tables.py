@@ -44,7 +44,7 @@ def test_csv_cells_are_no_formulas() -> None:
 
 def test_markdown_is_one_table_whatever_the_names() -> None:
     calm = to_markdown({"roll": compared()}).splitlines()
-    assert calm[0].startswith("- roll TS better \\(one rule: linear\\) RMSE ")
+    assert calm[0].startswith("- **roll**: TS better (one rule: linear); RMSE 0.")
     assert calm[4].startswith("| roll | free run | ts | 0.0")
     evil = to_markdown({EVIL: compared(EVIL)})
     assert len(evil.splitlines()) == len(calm)

@@ -15,6 +15,7 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, FlysidError, UsageError
 from flysid.model.base import Fitted
 from flysid.split import Piece, Split, refuse_copies
+from flysid.validate.baseline import REFERENCES
 from flysid.validate.compare import Comparison, across_channels, compare
 from flysid.validate.judge import Judgement
 from flysid.validate.report.context import ReportContext
@@ -121,8 +122,9 @@ def _check_alike(a: Dataset, b: Dataset) -> None:
 def _compare(a: HeldOut, b: HeldOut, label: str | None, seed: int) -> Comparison:
     test = unseen(a, b)
     head = _headline(a.models, b.models, label)
-    models = {f"a:{name}": model for name, model in a.models.items()}
-    models |= {f"b:{name}": model for name, model in b.models.items()}
+    models = {f"a:{name}": m for name, m in a.models.items() if m.structure not in REFERENCES}
+    models |= {f"b:{name}": m for name, m in b.models.items() if m.structure not in REFERENCES}
+    models |= {name: m for name, m in b.models.items() if m.structure in REFERENCES}
     return compare(models, test, baseline=f"a:{head}", contender=f"b:{head}", seed=seed)
 
 

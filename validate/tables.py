@@ -9,14 +9,14 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from markupsafe import Markup
 
 from flysid.validate.comparison import Comparison, Entry, Pair
 from flysid.validate.metrics import Scores
-from flysid.validate.terminal import Seconds, shown_models, standing, summary_lines
+from flysid.validate.terminal import Seconds, shown_models, standing, summary_cells
 from flysid.validate.words import (
     change_words,
     horizon_words,
@@ -78,10 +78,16 @@ def to_markdown(comparisons: Mapping[str, Comparison], seconds: Seconds | None =
 
     All models stand in free run, the best first, and the headline's two at the other horizons.
     """
-    said = [f"- {_escape(line)}" for line in summary_lines(comparisons)]
+    said = [f"- **{_escape(name)}**: {_sentence(cells)}" for name, *cells in summary_cells(comparisons)]
     lines = [f"| {' | '.join(HEADINGS)} |", "|---|---|---|---:|---:|---:|---:|---|---:|---:|---:|---|"]
     lines += [f"| {' | '.join(_cells(row, _escape))} |" for row in _ranked(comparisons, seconds)]
     return "\n".join([*said, "", *lines] if said else lines) + "\n"
+
+
+def _sentence(cells: Sequence[str]) -> str:
+    """ "TS better; RMSE 0.16 → 0.04 m/s, −78 % [−86, −60]"."""
+    verdict, rmse, *change = (_escape(c.replace("->", "→")) for c in cells)
+    return f"{verdict}; {rmse}, {' '.join(change)}".rstrip(", ")
 
 
 def _cells(row: _Row, escape: Callable[[str], str]) -> list[str]:
@@ -106,7 +112,8 @@ def _cells(row: _Row, escape: Callable[[str], str]) -> list[str]:
 
 
 def _escape(name: str) -> str:
-    return re.sub(r"([\\`*_{}\[\]()#+!|<>~&$@-])", r"\\\1", one_line(name))
+    """Markdown's signs get a backslash; a round bracket means nothing without a square one before it."""
+    return re.sub(r"([\\`*_{}\[\]#+!|<>~&$@-])", r"\\\1", one_line(name))
 
 
 def to_csv(comparisons: Mapping[str, Comparison]) -> str:

@@ -40,13 +40,17 @@ def table(comparisons: Mapping[str, Comparison], fit_seconds: Seconds | None = N
     return "\n".join(_line(row, widths) for row in rows)
 
 
-def summary_lines(comparisons: Mapping[str, Comparison]) -> list[str]:
-    """The lines of `summary`, without its columns."""
-    return [" ".join(line.split()) for line in summary(comparisons).splitlines()]
-
-
 def summary(comparisons: Mapping[str, Comparison]) -> str:
     """One line per channel and output: the verdict in free run, RMSE from and to, change and interval."""
+    rows = summary_cells(comparisons)
+    if not rows:
+        return ""
+    widths = [max(len(row[i]) for row in rows) for i in range(5)]
+    return "\n".join("  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in rows)
+
+
+def summary_cells(comparisons: Mapping[str, Comparison]) -> list[Sequence[str]]:
+    """Output, verdict, RMSE from and to, change and interval, as text, per channel and output."""
     rows: list[Sequence[str]] = []
     for comparison in comparisons.values():
         for output, pair in comparison.verdict.items():
@@ -61,10 +65,7 @@ def summary(comparisons: Mapping[str, Comparison]) -> str:
                     interval_words(pair),
                 )
             )
-    if not rows:
-        return ""
-    widths = [max(len(row[i]) for row in rows) for i in range(5)]
-    return "\n".join("  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in rows)
+    return rows
 
 
 def shown_models(entry: Entry, comparison: Comparison) -> list[str]:
