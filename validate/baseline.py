@@ -48,8 +48,9 @@ def linear_estimators() -> dict[str, Estimator]:
     from flysid.model.arx import ARX
     from flysid.model.bj import BJ
     from flysid.model.oe import OE
+    from flysid.model.statespace import StateSpace
 
-    return {"arx": ARX(), "oe": OE(), "armax": ARMAX(), "bj": BJ()}
+    return {"arx": ARX(), "oe": OE(), "armax": ARMAX(), "bj": BJ(), "statespace": StateSpace()}
 
 
 def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Choice:

@@ -17,6 +17,7 @@ NAMES = {
     "oe": "output-error model",
     "armax": "ARMAX model",
     "bj": "Box-Jenkins model",
+    "statespace": "state-space model",
     "line": "straight line",
 }
 SYMBOLS = {Verdict.BETTER: "▲", Verdict.WORSE: "▼", Verdict.SAME: "=", Verdict.NOT_ENOUGH: "?"}
