@@ -22,6 +22,7 @@ _HOME = {
     "Persistence": "flysid.model.persistence",
     "TS": "flysid.model.ts",
     "StaticTS": "flysid.model.static_ts",
+    "Ensemble": "flysid.model.ensemble",
     "Dataset": "flysid.dataset",
     "Segment": "flysid.dataset",
     "Signal": "flysid.dataset",
@@ -53,6 +54,7 @@ __all__ = [  # noqa: RUF022
     "Persistence",
     "TS",
     "StaticTS",
+    "Ensemble",
     "Dataset",
     "Segment",
     "Signal",
@@ -89,6 +91,7 @@ if TYPE_CHECKING:
     from flysid.model.arx import ARX
     from flysid.model.base import load
     from flysid.model.bj import BJ
+    from flysid.model.ensemble import Ensemble
     from flysid.model.fir import FIR
     from flysid.model.line import Line
     from flysid.model.mean import Mean

@@ -14,6 +14,7 @@ from flysid.model.armax import ARMAX
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.bj import BJ
+from flysid.model.ensemble import Ensemble
 from flysid.model.fir import FIR
 from flysid.model.line import Line
 from flysid.model.mean import Mean
@@ -76,6 +77,8 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "bj, two inputs and outputs": (BJ(na=2, nb=2, nk=1, nc=0, nd=2).fit, data(2, 2)),
     "statespace": (StateSpace(order=2, method="pbsid", past=8).fit, data()),
     "statespace, two inputs and outputs": (StateSpace(order=3, method="moesp").fit, data(2, 2)),
+    "ensemble": (Ensemble(ARX(na=2, nb=2, nk=1, refine=False), members=3).fit, data()),
+    "ensemble of rules": (Ensemble(StaticTS(rules=2), members=2).fit, data()),
     "arx, static": (ARX(na=0, nb=1, nk=0, refine=False).fit, data()),
 }
 

@@ -1,0 +1,231 @@
+"""Several models of one kind, each fitted without another part of the data, that speak with their mean.
+
+Where data are few, the one model that validation prefers is chosen by luck; the mean of models fitted to
+overlapping parts (Breiman 1996, here with whole blocks of time left out, because neighbouring samples are not
+independent) has less variance. How far the members are apart says where the data stop telling.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray, Segment, Signal
+from flysid.errors import DataError, FitError, UsageError
+from flysid.model.base import (
+    MODEL_FORMAT,
+    MODEL_VERSION,
+    Estimator,
+    Fitted,
+    Rule,
+    Structure,
+    all_structures,
+    write_document,
+)
+from flysid.model.ts import TS
+from flysid.model.words import in_words
+
+_LEAST_ROWS = 30  # of a piece of a segment that is left when a block is taken out
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Settings of an ensemble.
+
+    Parameters
+    ----------
+    of : what every member is.
+    members : number of models, each fitted without one of as many blocks of time, at least 2.
+    """
+
+    of: Estimator = field(default_factory=TS)
+    members: int = 5
+
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedEnsemble:
+        """Fit every member; those that cannot be fitted are left out, and counted.
+
+        Raises
+        ------
+        UsageError : fewer than two members.
+        DataError : no samples; the data are too short to leave a block out.
+        FitError : fewer than two members could be fitted.
+        """
+        if isinstance(self.members, bool) or not isinstance(self.members, int) or self.members < 2:
+            raise UsageError(f"members={self.members!r}", hint="an ensemble has at least 2 members")
+        fitted: list[Fitted] = []
+        reasons: list[str] = []
+        for block in range(self.members):
+            try:
+                fitted.append(self.of.fit(without_block(train, block, self.members), validation))
+            except (FitError, DataError) as error:
+                reasons.append(str(error))
+        if len(fitted) < 2:
+            raise FitError(
+                f"{len(fitted)} of {self.members} members could be fitted: {reasons[0]}",
+                hint="give more data, or fewer members",
+            )
+        share = f"{1 / self.members:.0%}"
+        notes = [f"The mean of {len(fitted)} models, each fitted without another {share} of the data."]
+        if reasons:
+            notes.append(f"{len(reasons)} more could not be fitted: {reasons[0]}")
+        return FittedEnsemble(tuple(fitted), tuple(notes))
+
+
+def without_block(data: Dataset, block: int, blocks: int) -> Dataset:
+    """The data without one of `blocks` equal stretches of its samples, counted through all segments.
+
+    Raises
+    ------
+    DataError : nothing is left.
+    """
+    total = len(data)
+    begin, end = total * block // blocks, total * (block + 1) // blocks
+    kept: list[Segment] = []
+    at = 0
+    for segment in data.segments:
+        n = len(segment)
+        first, last = np.clip((begin - at, end - at), 0, n)
+        at += n
+        if first == last:
+            kept.append(segment)
+            continue
+        for a, b in ((0, int(first)), (int(last), n)):
+            if b - a >= _LEAST_ROWS:
+                kept.append(segment.slice(a, b, data.dt_s))
+    if not kept:
+        raise DataError(
+            f"{total} samples are too few to leave one of {blocks} blocks out", hint="record longer"
+        )
+    return data.with_segments(kept)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedEnsemble:
+    """Models of the same signals and their mean; see the laws in flysid.model.base.
+
+    Attributes
+    ----------
+    members : at least two.
+    """
+
+    members: tuple[Fitted, ...]
+    notes: tuple[str, ...]
+
+    structure = "ensemble"
+
+    @property
+    def dt_s(self) -> float:
+        """Sample time."""
+        return self.members[0].dt_s
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]:
+        """Input signals."""
+        return self.members[0].inputs
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]:
+        """Output signals."""
+        return self.members[0].outputs
+
+    @property
+    def n_init(self) -> int:
+        """Measured samples that start a simulation: as many as the most demanding member needs."""
+        return max(m.n_init for m in self.members)
+
+    @property
+    def n_parameters(self) -> int:
+        """Of all members together."""
+        return sum(m.n_parameters for m in self.members)
+
+    @property
+    def output_limits(self) -> FloatArray:
+        """(2, n_y) lowest and highest output that any member returns."""
+        limits = np.stack([m.output_limits for m in self.members])
+        return np.stack([limits[:, 0].min(axis=0), limits[:, 1].max(axis=0)])
+
+    def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
+        """(N, n_y) mean of the members' predictions; NaN in the first n_init + k - 1 rows."""
+        result = np.mean([m.predict(u, y, k) for m in self.members], axis=0)
+        result[: self.n_init + k - 1] = np.nan
+        return np.asarray(result)
+
+    def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+        """(N, n_y) mean of the members' free runs, which start from the same measured samples."""
+        result = np.asarray(self.runs(u, y0).mean(axis=0))
+        if y0 is not None:  # to the last bit, which a mean of equal numbers is not
+            n = min(self.n_init, len(result))
+            result[:n] = np.asarray(y0, dtype=np.float64).reshape(-1, result.shape[1])[:n]
+        return result
+
+    def spread(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+        """(N, n_y) standard deviation of the members' free runs: where the data stop telling."""
+        return np.asarray(self.runs(u, y0).std(axis=0))
+
+    def runs(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+        """(M, N, n_y) free run of every member."""
+        u = np.asarray(u, dtype=np.float64)
+        u = u[:, None] if u.ndim == 1 else u
+        if y0 is None:
+            return np.stack([m.simulate(u) for m in self.members])
+        n = self.n_init
+        start = np.asarray(y0, dtype=np.float64)
+        start = start[:, None] if start.ndim == 1 else start
+        if len(start) < n:
+            raise UsageError(f"{len(start)} measured samples; the model starts from {n}")
+        start = start[: min(n, len(u))]
+        found = []
+        for m in self.members:
+            first = max(0, len(start) - m.n_init)
+            found.append(np.vstack([start[:first], m.simulate(u[first:], start[first:])]))
+        return np.stack(found)
+
+    def rules(self) -> tuple[Rule, ...]:
+        """The rules of every member; each member has the same say."""
+        share = 1.0 / len(self.members)
+        return tuple(
+            replace(rule, label=f"M{i + 1}.{rule.label}", support=rule.support * share)
+            for i, m in enumerate(self.members)
+            for rule in m.rules()
+        )
+
+    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, R) normalised firing strengths of all members' rules; rows sum to 1."""
+        return np.hstack([m.firing(u, y) for m in self.members]) / len(self.members)
+
+    def __str__(self) -> str:
+        """All members' rules."""
+        title = f"Ensemble of {len(self.members)} models, {self.n_parameters} parameters"
+        return in_words(title, self.rules(), self.notes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything needed to rebuild the model, as JSON types only."""
+        return {
+            "format": MODEL_FORMAT,
+            "version": MODEL_VERSION,
+            "structure": self.structure,
+            "members": [m.to_dict() for m in self.members],
+            "notes": list(self.notes),
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as JSON, whole or not at all."""
+        write_document(self.to_dict(), path)
+
+
+def _from_dict(document: Mapping[str, Any]) -> FittedEnsemble:
+    members = tuple(all_structures()[str(m["structure"])].from_dict(m) for m in document["members"])
+    if len(members) < 2 or any(_signals(m) != _signals(members[0]) for m in members):
+        raise ValueError("the members do not fit each other")
+    return FittedEnsemble(members, tuple(str(n) for n in document["notes"]))
+
+
+def _signals(model: Fitted) -> tuple[Any, ...]:
+    return model.inputs, model.outputs, model.dt_s
+
+
+MODEL = Structure("ensemble", _from_dict)

@@ -1,0 +1,70 @@
+"""Ensembles: whole blocks left out, one voice per member, less variance than one member."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import DataError, FitError, UsageError
+from flysid.model.arx import ARX
+from flysid.model.base import Fitted
+from flysid.model.ensemble import Ensemble, without_block
+
+B, A = [0.0, 0.2], [1.0, -0.8]
+SMALL = ARX(na=1, nb=1, nk=1, refine=False)
+
+
+def experiment(seed: int, samples: int = 300) -> tuple[FloatArray, FloatArray]:
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(samples)
+    return u, np.asarray(lfilter(B, A, u)) + 0.05 * rng.standard_normal(samples)
+
+
+def test_every_sample_is_left_out_once() -> None:
+    parts = [np.arange(100.0), 100.0 + np.arange(200.0)]
+    data = Dataset.from_arrays(parts, parts, 0.1)
+    left = [set(np.concatenate([s.y[:, 0] for s in without_block(data, b, 4).segments])) for b in range(4)]
+    missing = [set(range(300)) - part for part in left]
+    assert set().union(*missing) == set(range(300))
+    assert sum(len(m) for m in missing) == pytest.approx(300, abs=3 * 29)
+
+
+def test_the_mean_speaks_and_the_spread_is_known() -> None:
+    u, y = experiment(1)
+    model = Ensemble(SMALL, members=4).fit(Dataset.from_arrays(u, y, 0.1))
+    runs = [m.simulate(u[:, None], y[: m.n_init, None]) for m in model.members]
+    assert model.simulate(u, y[: model.n_init]) == pytest.approx(np.mean(runs, axis=0))
+    assert model.spread(u, y[: model.n_init]) == pytest.approx(np.std(runs, axis=0))
+    assert model.spread(u, y[: model.n_init]).max() > 0.0
+    assert len(model.rules()) == 4
+
+
+def test_too_few_members_and_too_short_data_are_refused() -> None:
+    u, y = experiment(2)
+    with pytest.raises(UsageError, match="at least 2"):
+        Ensemble(SMALL, members=1).fit(Dataset.from_arrays(u, y, 0.1))
+    with pytest.raises(FitError, match="too few"):
+        Ensemble(SMALL, members=2).fit(Dataset.from_arrays(u[:40], y[:40], 0.1))
+
+
+@dataclass(frozen=True)
+class Sometimes:
+    """An estimator that fails where the first sample of the data is missing."""
+
+    first: float
+
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> Fitted:
+        if train.segments[0].y[0, 0] != self.first:
+            raise DataError("not this time")
+        return SMALL.fit(train, validation)
+
+
+def test_members_that_fail_are_counted() -> None:
+    u, y = experiment(3)
+    model = Ensemble(Sometimes(float(y[0])), members=3).fit(Dataset.from_arrays(u, y, 0.1))
+    assert len(model.members) == 2
+    assert any("1 more could not be fitted: not this time" in note for note in model.notes)
