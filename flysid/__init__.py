@@ -22,6 +22,7 @@ _HOME = {
     "Persistence": "flysid.model.persistence",
     "TS": "flysid.model.ts",
     "StaticTS": "flysid.model.static_ts",
+    "ANFIS": "flysid.model.anfis",
     "Ensemble": "flysid.model.ensemble",
     "Dataset": "flysid.dataset",
     "Segment": "flysid.dataset",
@@ -54,6 +55,7 @@ __all__ = [  # noqa: RUF022
     "Persistence",
     "TS",
     "StaticTS",
+    "ANFIS",
     "Ensemble",
     "Dataset",
     "Segment",
@@ -87,6 +89,7 @@ if TYPE_CHECKING:
     from flysid.flight import Damage, Flight
     from flysid.ingest.base import read
     from flysid.ingest.lake import open  # noqa: A004
+    from flysid.model.anfis import ANFIS
     from flysid.model.armax import ARMAX
     from flysid.model.arx import ARX
     from flysid.model.base import load

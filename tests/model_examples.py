@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
+from flysid.model.anfis import ANFIS
 from flysid.model.armax import ARMAX
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
@@ -69,6 +70,7 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "static ts, two inputs and outputs": (StaticTS(rules=3, conjunction="minimum").fit, data(2, 2)),
     "ts": (TS(rules=2, na=2, nb=2, nk=1, iterations=10).fit, data()),
     "ts, one step": (TS(rules=2, na=2, nb=2, nk=1, refine=False).fit, data()),
+    "ts, anfis": (ANFIS(rules=2, epochs=10).fit, data(2, 1)),
     "ts, two inputs and outputs": (TS(rules=2, na=2, nb=1, nk=1, iterations=5).fit, data(2, 2)),
     "fir": (FIR(taps=12).fit, data()),
     "fir, two inputs and outputs": (FIR(taps=6, nk=(1, 0)).fit, data(2, 2)),
