@@ -16,6 +16,7 @@ _HOME = {
     "ARMAX": "flysid.model.armax",
     "BJ": "flysid.model.bj",
     "FIR": "flysid.model.fir",
+    "IV": "flysid.model.iv",
     "StateSpace": "flysid.model.statespace",
     "Line": "flysid.model.line",
     "Mean": "flysid.model.mean",
@@ -49,6 +50,7 @@ __all__ = [  # noqa: RUF022
     "ARMAX",
     "BJ",
     "FIR",
+    "IV",
     "StateSpace",
     "Line",
     "Mean",
@@ -96,6 +98,7 @@ if TYPE_CHECKING:
     from flysid.model.bj import BJ
     from flysid.model.ensemble import Ensemble
     from flysid.model.fir import FIR
+    from flysid.model.iv import IV
     from flysid.model.line import Line
     from flysid.model.mean import Mean
     from flysid.model.oe import OE

@@ -18,8 +18,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from flysid import tabular
-from flysid.dataset import Dataset, Segment, Signal
-from flysid.errors import StoreError, UsageError
+from flysid.dataset import Dataset, FloatArray, Segment, Signal
+from flysid.errors import DataError, StoreError, UsageError
 from flysid.flightwriter import sync, writing_to
 
 ROWS_PER_GROUP = 1 << 19
@@ -89,25 +89,54 @@ class DatasetFile:
 
     def __iter__(self) -> Iterator[Segment]:
         """The segments in the order they were written."""
+        return self._first(self.rows)
+
+    def read(self) -> Dataset:
+        """The whole dataset in memory."""
+        return self._in_memory(self)
+
+    def head(self, rows: int) -> Dataset:
+        """The first `rows` samples in memory, or all where there are fewer."""
+        return self._in_memory(self._first(rows))
+
+    def blocks(self) -> Iterator[tuple[int, FloatArray, FloatArray]]:
+        """(segment number, (n, n_u), (n, n_y)): all samples in order, however long a segment is.
+
+        Raises
+        ------
+        StoreError : the file is damaged. DataError : a sample is not finite.
+        """
+        n_u = len(self.inputs)
+        columns = ["segment", *tabular.column_names(self)]
+        for batch in self._batches(columns):
+            for piece in _by_segment(batch):
+                signals = np.stack([piece.column(name).to_numpy() for name in columns[1:]], axis=1)
+                if not np.isfinite(signals).all():
+                    raise DataError("holds values that are not finite", path=self.path)
+                yield _number(piece), signals[:, :n_u], signals[:, n_u:]
+
+    def _in_memory(self, segments: Iterable[Segment]) -> Dataset:
+        return Dataset(self.dt_s, self.inputs, self.outputs, tuple(segments), self.name)
+
+    def _first(self, rows: int) -> Iterator[Segment]:
         parts: list[pa.RecordBatch] = []
         for batch in self._batches():
-            for piece in _by_segment(batch):
+            for piece in _by_segment(batch.slice(0, rows)):
                 if parts and _number(parts[0]) != _number(piece):
                     yield self._segment(parts)
                     parts = []
                 parts.append(piece)
+            rows -= min(rows, len(batch))
+            if rows == 0:
+                break
         if parts:
             yield self._segment(parts)
 
-    def read(self) -> Dataset:
-        """The whole dataset in memory."""
-        return Dataset(self.dt_s, self.inputs, self.outputs, tuple(self), self.name)
-
-    def _batches(self) -> Iterator[pa.RecordBatch]:
+    def _batches(self, columns: list[str] | None = None) -> Iterator[pa.RecordBatch]:
         try:
             with pq.ParquetFile(self.path, memory_map=False, pre_buffer=False) as file:
                 for group in range(file.num_row_groups):
-                    yield from file.read_row_group(group).to_batches()
+                    yield from file.read_row_group(group, columns=columns).to_batches()
         except (OSError, pa.ArrowException) as error:
             raise StoreError(f"damaged dataset: {error}", path=self.path) from error
 

@@ -21,15 +21,15 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
 from flysid.model.base import Structure
 from flysid.model.freerun import Difference
-from flysid.model.gram import LeastSquares, reduce_data
+from flysid.model.gram import LeastSquares
 from flysid.model.linear import FittedLinear, from_dict
-from flysid.model.linear_data import Parts, Scaling, as_tuple
+from flysid.model.linear_data import CHOICE_ROWS, Parts, Scaling, as_tuple
 from flysid.model.linear_start import equation_starts
 from flysid.model.oe_search import SHARE, Refined, check_orders, search
-from flysid.model.orders import Choice, Grid, best_per_order, grid_gram
+from flysid.model.orders import Choice, Grid, best_per_order, grid_triangle
 from flysid.model.output_error import delay_steps, runner
-from flysid.model.regressors import chunks
 from flysid.model.selection import block_errors, clearly_better, judging_window, simplest
+from flysid.model.stream import OnDisk, Source
 from flysid.model.threads import on_one_thread
 
 Auto = Literal["auto"]
@@ -60,8 +60,11 @@ class ARX:
     n_init: int | None = None
 
     @on_one_thread
-    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
+    def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:
         """Choose orders and fit.
+
+        From disk (`flysid.datasetfile.open_dataset`) in bounded memory: orders are chosen on the first
+        200,000 samples, the coefficients are the least squares of all; nothing is refined.
 
         Raises
         ------
@@ -72,6 +75,8 @@ class ARX:
         check_orders(self, len(train.inputs))
         if self.refine not in (True, False, "auto"):
             raise UsageError(f"refine is {self.refine!r}", hint="use 'auto', True or False")
+        if isinstance(train, OnDisk):
+            return _from_disk(self, train, validation)
         parts = Parts.of(train, validation, centred=self.offset)
         plain = None if self.refine is True else _LeastSquaresFit(self, parts)
         if self.refine is False:
@@ -113,8 +118,12 @@ class _LeastSquaresFit:
 
     def final(self) -> FittedLinear:
         """The chosen orders on all training data."""
-        grid = _grid(self.parts.train, [self.choice], self.settings.offset, self.parts.scaling)
-        return self._model(self.choice, grid.fit(self.choice), self.note)
+        return self.of_all(self.parts.train, self.parts)
+
+    def of_all(self, data: Source, parts: Parts) -> FittedLinear:
+        """The chosen orders on these data, which `parts` measured."""
+        grid = _grid(data, [self.choice], self.settings.offset, parts.scaling)
+        return self._model(self.choice, grid.fit(self.choice), self.note, parts=parts)
 
     def _candidates(self) -> tuple[list[Choice], Grid]:
         s, n_u = self.settings, self.n_u
@@ -163,10 +172,15 @@ class _LeastSquaresFit:
         return Difference(a, b, c), tuple(free)
 
     def _model(
-        self, choice: Choice, fits: Sequence[LeastSquares], note: str, window: int | None = None
+        self,
+        choice: Choice,
+        fits: Sequence[LeastSquares],
+        note: str,
+        window: int | None = None,
+        parts: Parts | None = None,
     ) -> FittedLinear:
         """The model, its start estimated from `window` samples (default: its depth)."""
-        parts = self.parts
+        parts = parts or self.parts
         system, free = self._system(choice, fits)
         physical = parts.scaling.physical(system)
         scaled = np.concatenate([system.a[1:].ravel(), system.b.ravel(), system.c])
@@ -198,7 +212,7 @@ class _LeastSquaresFit:
         )
 
 
-def _grid(data: Dataset, choices: Sequence[Choice], offset: bool, scaling: Scaling | None = None) -> Grid:
+def _grid(data: Source, choices: Sequence[Choice], offset: bool, scaling: Scaling | None = None) -> Grid:
     """The triangle over all lags that the choices need, in one pass.
 
     Parameters
@@ -213,9 +227,24 @@ def _grid(data: Dataset, choices: Sequence[Choice], offset: bool, scaling: Scali
     na = max(c.na for c in choices)
     last = max((k + n - 1 for c in choices for n, k in zip(c.nb, c.nk, strict=True) if n), default=0)
     lags = Grid.lags(n_y, n_u, na, last)
-    gram = grid_gram(data, lags, scaling)
-    triangle = reduce_data(lambda: chunks(data, lags, transform=scaling), gram)
-    return Grid(triangle, n_y, n_u, na, last, offset)
+    return Grid(grid_triangle(data, lags, scaling), n_y, n_u, na, last, offset)
+
+
+def _from_disk(settings: ARX, data: OnDisk, validation: Dataset | None) -> FittedLinear:
+    """Orders from the head, coefficients from all blocks.
+
+    Raises
+    ------
+    UsageError : a refinement was asked for.
+    """
+    if settings.refine is True:
+        raise UsageError(
+            "a refinement needs its data in memory", hint="fit data.read(), or data.head(rows) for a part"
+        )
+    plain = replace(settings, refine=False)
+    chosen = _LeastSquaresFit(plain, Parts.of(data.head(CHOICE_ROWS), validation, centred=settings.offset))
+    found = chosen.of_all(data, Parts.on_disk(data, centred=settings.offset))
+    return _noted(found, f"Fitted to all {len(data)} samples on disk, one step ahead.")
 
 
 def _order_note(choices: Sequence[Choice], errors: Sequence[FloatArray], index: int) -> str:

@@ -24,6 +24,7 @@ from flysid.model.linear_data import Parts, Scaling, as_tuple
 from flysid.model.noise import noise_model
 from flysid.model.orders import grid_gram
 from flysid.model.regressors import Lags
+from flysid.model.stream import OnDisk, Source
 from flysid.model.threads import on_one_thread
 
 MOST_TAPS = 120
@@ -47,33 +48,44 @@ class FIR:
     offset: bool = True
 
     @on_one_thread
-    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002
+    def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002
         """Posterior mean and covariance of the taps. Nothing is chosen on validation data.
+
+        From disk (`flysid.datasetfile.open_dataset`) in bounded memory; the noise that predictions model is
+        that of the first samples.
 
         Raises
         ------
         UsageError : settings that cannot be.
         DataError : no or too short segments, a signal that never changes.
         """
-        taps = self._taps(train)
         n_y, n_u = len(train.outputs), len(train.inputs)
-        parts = Parts.of(train, None, centred=self.offset)
+        if isinstance(train, OnDisk):
+            parts = Parts.on_disk(train, centred=self.offset)
+        else:
+            parts = Parts.of(train, None, centred=self.offset)
+        taps = self._taps(parts.train, cut=len(parts.train) < len(train))
         lags = Lags.arx((0,) * n_y, (taps,) * n_u, as_tuple(self.nk, n_u))
         gram = grid_gram(train, lags, parts.scaling)
-        rows = float(gram[-1, -1])
+        rows, means = float(gram[-1, -1]), gram[-1] / gram[-1, -1]
         if self.offset:
             gram = _centred(gram)
         posteriors = [_posterior(gram, rows, i, (taps, n_u)) for i in range(n_y)]
-        return self._model(parts, lags, posteriors)
+        return self._model(parts, lags, posteriors, means)
 
-    def _taps(self, train: Dataset) -> int:
-        shortest = min((len(s) for s in train.segments), default=0)
+    def _taps(self, train: Dataset, *, cut: bool) -> int:
+        lengths = [len(s) for s in train.segments]
+        if cut:  # the last one goes on beyond what was read
+            lengths = lengths[:-1] or lengths
+        shortest = min(lengths, default=0)
         taps = max(min(MOST_TAPS, shortest // 4), 1) if self.taps == "auto" else self.taps
         if not isinstance(taps, int) or taps < 1:
             raise UsageError(f"taps must be a whole number of at least 1, not {self.taps!r}")
         return taps
 
-    def _model(self, parts: Parts, lags: Lags, posteriors: Sequence[_Posterior]) -> FittedLinear:
+    def _model(
+        self, parts: Parts, lags: Lags, posteriors: Sequence[_Posterior], means: FloatArray
+    ) -> FittedLinear:
         n_y, n_u, scaling = len(lags.y), len(lags.u), parts.scaling
         b = np.zeros((lags.depth + 1, n_y, n_u))
         free: list[int] = []
@@ -83,7 +95,11 @@ class FIR:
                 b[list(own), i, j] = posterior.mean[position : position + len(own)]
                 position += len(own)
                 free += [lag * n_y * n_u + i * n_u + j for lag in own]
-        system = Difference(np.eye(n_y)[None], b, _offset(parts, b, self.offset))
+        c = np.zeros(n_y)
+        if self.offset:  # the mean simulation error becomes zero
+            taps = np.stack([p.mean for p in posteriors])
+            c = means[taps.shape[1] : -1] - taps @ means[: taps.shape[1]]
+        system = Difference(np.eye(n_y)[None], b, c)
         note = "; ".join(f"{o.name}: {p.words}" for o, p in zip(parts.train.outputs, posteriors, strict=True))
         return FittedLinear(
             structure="fir",
@@ -153,17 +169,6 @@ def _kernel_root(taps: int, n_u: int, decay: float) -> FloatArray:
     one = np.triu(np.ones((taps, taps))) * steps
     root: FloatArray = np.kron(np.eye(n_u), one)
     return root
-
-
-def _offset(parts: Parts, b: FloatArray, estimated: bool) -> FloatArray:
-    """The constant that makes the mean simulation error zero, in scaled units."""
-    n_y = b.shape[1]
-    if not estimated:
-        return np.zeros(n_y)
-    system = Difference(np.eye(n_y)[None], b, np.zeros(n_y))
-    misses = [(s.y - system.drive(s.u))[len(b) - 1 :] for s in parts.whole.segments]
-    mean: FloatArray = np.concatenate(misses).mean(axis=0)
-    return mean
 
 
 def _noise(system: Difference, parts: Parts) -> FloatArray:

@@ -180,10 +180,17 @@ def _displaced(
     return full
 
 
-def lagged_triangle(blocks: Blocks, depth: int, scale: FloatArray) -> Triangle:
-    """The triangle of all lags 0..depth of all signals (over their scale) and of a constant.
+def lagged_triangle(
+    blocks: Blocks, depth: int, scale: FloatArray, pick: Sequence[int] | None = None, targets: int = 0
+) -> Triangle:
+    """The triangle of lagged signals (over their scale) and of a constant, in one pass and bounded memory.
 
-    Columns as of `lagged_gram`; the Triangle's `m` is 0. By the Gram where its condition allows, else TSQR.
+    By the Gram where its condition allows, else by TSQR.
+
+    Parameters
+    ----------
+    pick : columns of `lagged_gram` but the constant, in the order wanted; all of them when None.
+    targets : how many of them, the last, are the Triangle's Y.
 
     Raises
     ------
@@ -193,33 +200,28 @@ def lagged_triangle(blocks: Blocks, depth: int, scale: FloatArray) -> Triangle:
     if len(gram) == 1:
         raise DataError(
             f"no segment is longer than the {depth} samples that are looked back on",
-            hint="look back on fewer samples, or bring longer segments",
+            hint="choose smaller orders or delays, or bring longer segments",
         )
-    rows, factor = round(float(gram[-1, -1])), np.append(np.repeat(scale, depth + 1), 1.0)
-    gram /= np.outer(factor, factor)
+    pick = range(len(gram) - 1) if pick is None else pick
+    rows, factor = round(float(gram[-1, -1])), np.append(np.repeat(scale, depth + 1)[list(pick)], 1.0)
+    gram = gram[np.ix_([*pick, -1], [*pick, -1])] / np.outer(factor, factor)
+    n = len(pick) - targets
     r = triangle_of(gram)
     if r is not None:
-        return Triangle(r, len(gram) - 1, 0, rows, "gram")
+        return Triangle(r, n, targets, rows, "gram")
     none = np.zeros((0, 0))
-    pieces = ((phi / factor[:-1], none) for phi in _lagged_rows(blocks, depth))
-    return Triangle(_by_tsqr(pieces, len(gram)), len(gram) - 1, 0, rows, "tsqr")
+    pieces = ((phi / factor[:-1], none) for phi in _lagged_rows(blocks, depth, pick))
+    return Triangle(_by_tsqr(pieces, len(gram)), n, targets, rows, "tsqr")
 
 
-def _lagged_rows(blocks: Blocks, depth: int) -> Iterator[FloatArray]:
-    """Rows of all lags, signal by signal, in pieces that are tall against their width."""
+def _lagged_rows(blocks: Blocks, depth: int, pick: Sequence[int]) -> Iterator[FloatArray]:
+    """Rows of some lags of the signals, in pieces that are tall against their width."""
+    places = [divmod(column, depth + 1) for column in pick]
+    size = max(CHUNK_ROWS // 4, 4 * len(pick))
     for _, window in windows(blocks(), depth):
-        count, lags = len(window), depth + 1
-        size = max(CHUNK_ROWS // 4, 4 * count * lags)
-        for start in range(0, window.shape[1] - depth, size):
-            part = window[:, start : start + size + depth]
-            rows = part.shape[1] - depth
-            yield (
-                np.concatenate(
-                    [part[:, depth - lag : depth - lag + rows][:, None] for lag in range(lags)], axis=1
-                )
-                .reshape(count * lags, rows)
-                .T
-            )
+        for start in range(depth, window.shape[1], size):
+            stop = min(start + size, window.shape[1])
+            yield np.stack([window[signal, start - lag : stop - lag] for signal, lag in places], axis=1)
 
 
 def _summed(pieces: Iterable[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, int]:

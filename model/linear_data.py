@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,11 +11,13 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError
 from flysid.model.freerun import Difference
-from flysid.model.regressors import CHUNK_ROWS
 from flysid.model.simulation_error import Record
+from flysid.model.stream import Block, OnDisk, Source, blocks_of
 
 HELD_OUT = 0.25
 SEARCH_ROWS = 12_000
+CHOICE_ROWS = 200_000
+"""Samples, the first of a dataset on disk, that orders and delays are chosen on."""
 EXACT = 1e-6
 """Simulation error, in standard deviations of the output, that counts as none for starts and delays."""
 
@@ -34,28 +36,25 @@ class Scaling:
     y_range: FloatArray
 
     @classmethod
-    def of(cls, data: Dataset, *, centred: bool = True) -> Scaling:
-        """Of all samples of a dataset; the origins are zero unless `centred`.
+    def of(cls, data: Source, *, centred: bool = True) -> Scaling:
+        """Of all samples of a dataset, in memory or on disk; the origins are zero unless `centred`.
 
         Raises
         ------
         DataError : an input or output never changes.
         """
-        means, sizes, lows, highs = [], [], [], []
-        for name, signals in (("u", data.inputs), ("y", data.outputs)):
-            mean, size, low, high = _moments([getattr(s, name) for s in data.segments])
-            for signal, value, centre in zip(signals, size, mean, strict=True):
-                if not value > 1e-12 * max(abs(float(centre)), 1e-300):
-                    kind = "input" if name == "u" else "output"
-                    raise DataError(
-                        f"{kind} {signal.name!r} never changes: nothing can be learnt from it",
-                        hint="choose segments in which it moves, or leave it out of the recipe",
-                    )
-            means.append(mean if centred else np.zeros_like(mean))
-            sizes.append(size)
-            lows.append(low)
-            highs.append(high)
-        return cls(means[0], means[1], sizes[0], sizes[1], np.stack([lows[1], highs[1]]))
+        mean, size, low, high = _moments(blocks_of(data)())
+        n_y = len(data.outputs)
+        kinds = ["output"] * n_y + ["input"] * len(data.inputs)
+        for kind, signal, value, centre in zip(kinds, (*data.outputs, *data.inputs), size, mean, strict=True):
+            if not value > 1e-12 * max(abs(float(centre)), 1e-300):
+                raise DataError(
+                    f"{kind} {signal.name!r} never changes: nothing can be learnt from it",
+                    hint="choose segments in which it moves, or leave it out of the recipe",
+                )
+        origin = mean if centred else np.zeros_like(mean)
+        limits = np.stack([low[:n_y], high[:n_y]])
+        return cls(origin[n_y:], origin[:n_y], size[n_y:], size[:n_y], limits)
 
     def u(self, values: FloatArray) -> FloatArray:
         """Inputs in scaled deviations."""
@@ -76,23 +75,22 @@ class Scaling:
         return Difference(system.a * ratio, system.b * gain, system.c * self.y_scale)
 
 
-def _moments(arrays: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Mean, standard deviation, minimum and maximum of every column over all arrays, in one pass.
+def _moments(blocks: Iterable[Block]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Mean, standard deviation, minimum and maximum of every signal, in one pass.
 
-    Sums are of deviations from the first row, chunk by chunk, so that a large offset costs no digits.
+    Sums are of deviations from the first sample, block by block, so that a large offset costs no digits.
     """
-    first = next(a[0] for a in arrays if len(a))
-    n = len(first)
-    total, squares, rows = np.zeros(n), np.zeros(n), 0
-    low, high = first.copy(), first.copy()
-    for array in arrays:
-        for start in range(0, len(array), CHUNK_ROWS):
-            block = np.ascontiguousarray(array[start : start + CHUNK_ROWS].T)
-            low, high = np.minimum(low, block.min(axis=1)), np.maximum(high, block.max(axis=1))
-            block = block - first[:, None]
-            total += block.sum(axis=1)
-            squares += np.einsum("ij,ij->i", block, block)
-            rows += block.shape[1]
+    rows = 0
+    for _, block in blocks:
+        if not rows:
+            first = block[:, 0].copy()
+            total, squares = np.zeros(len(block)), np.zeros(len(block))
+            low, high = first.copy(), first.copy()
+        low, high = np.minimum(low, block.min(axis=1)), np.maximum(high, block.max(axis=1))
+        block -= first[:, None]
+        total += block.sum(axis=1)
+        squares += np.einsum("ij,ij->i", block, block)
+        rows += block.shape[1]
     shift = total / rows
     return first + shift, np.sqrt(np.maximum(squares / rows - shift**2, 0.0)), low, high
 
@@ -111,6 +109,19 @@ class Parts:
     train: Dataset
     validation: Dataset | None
     scaling: Scaling
+
+    @classmethod
+    def on_disk(cls, data: OnDisk, *, centred: bool = True) -> Parts:
+        """The first samples, measured by all of them: for what a fit from disk takes from memory.
+
+        Raises
+        ------
+        DataError : no samples, or a signal that never changes.
+        """
+        head = data.head(SEARCH_ROWS)
+        if not len(head):
+            raise DataError("there are no samples to learn from", hint="check the recipe and the splits")
+        return cls(head, head, Scaling.of(data, centred=centred))
 
     @classmethod
     def of(cls, train: Dataset, validation: Dataset | None, *, centred: bool = True) -> Parts:

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flysid.dataset import Dataset, FloatArray
-from flysid.model.gram import LeastSquares, Triangle, lagged_gram, residuals_of, solve
-from flysid.model.regressors import Lags, Transform, usable_segments
-from flysid.model.stream import blocks_of, windows
+from flysid.dataset import FloatArray
+from flysid.errors import DataError
+from flysid.model.gram import LeastSquares, Triangle, lagged_gram, lagged_triangle, residuals_of, solve
+from flysid.model.regressors import Lags, Transform
+from flysid.model.stream import Source, blocks_of, windows
 
 ROUNDING = 1e-31
 """Mean square, relative to the output's, below which a one-step residual is rounding."""
@@ -76,25 +77,51 @@ class Grid:
         return fit + self.n_y * len(columns) * float(np.log(rows))
 
 
-def grid_gram(data: Dataset, lags: Lags, transform: Transform | None = None) -> FloatArray:
-    """Gram of [Phi Y 1] for the lags of a Grid, by displacement structure: one cheap pass.
+def grid_triangle(data: Source, lags: Lags, transform: Transform | None = None) -> Triangle:
+    """The triangle of [Phi Y 1] for the lags of a Grid, from memory or from disk.
 
     Raises
     ------
     DataError : no segment is longer than the deepest lag.
     """
-    usable = data.with_segments(usable_segments(data, lags.depth))
-    origin, scale = np.zeros(len(lags.y) + len(lags.u)), np.ones(len(lags.y) + len(lags.u))
-    if transform is not None:
-        origin = np.concatenate([transform.y_origin, transform.u_origin])
-        scale = np.concatenate([transform.y_scale, transform.u_scale])
-    full = lagged_gram(windows(blocks_of(usable, origin)(), lags.depth), lags.depth)
-    step = lags.depth + 1
-    pick = [j * step + lag for j, own in enumerate((*lags.y, *lags.u)) for lag in own]
-    pick += [j * step for j in range(len(lags.y))]
-    factor = np.append(np.repeat(scale, step)[pick], 1.0)
+    origin, scale = _units(lags, transform)
+    return lagged_triangle(blocks_of(data, origin), lags.depth, scale, _columns(lags), len(lags.y))
+
+
+def grid_gram(data: Source, lags: Lags, transform: Transform | None = None) -> FloatArray:
+    """The Gram of [Phi Y 1]; see `grid_triangle`.
+
+    Raises
+    ------
+    DataError : no segment is longer than the deepest lag.
+    """
+    origin, scale = _units(lags, transform)
+    full = lagged_gram(windows(blocks_of(data, origin)(), lags.depth), lags.depth)
+    if len(full) == 1:
+        raise DataError(
+            f"no segment is longer than the model's depth of {lags.depth} samples",
+            hint="choose smaller orders or delays, or bring longer segments",
+        )
+    pick = _columns(lags)
+    factor = np.append(np.repeat(scale, lags.depth + 1)[pick], 1.0)
     found: FloatArray = full[np.ix_([*pick, -1], [*pick, -1])] / np.outer(factor, factor)
     return found
+
+
+def _units(lags: Lags, transform: Transform | None) -> tuple[FloatArray, FloatArray]:
+    if transform is None:
+        return np.zeros(len(lags.y) + len(lags.u)), np.ones(len(lags.y) + len(lags.u))
+    return (
+        np.concatenate([transform.y_origin, transform.u_origin]),
+        np.concatenate([transform.y_scale, transform.u_scale]),
+    )
+
+
+def _columns(lags: Lags) -> list[int]:
+    """Where [Phi Y] stands among all lags 0..depth of all signals."""
+    step = lags.depth + 1
+    pick = [j * step + lag for j, own in enumerate((*lags.y, *lags.u)) for lag in own]
+    return pick + [j * step for j in range(len(lags.y))]
 
 
 def best_of(grid: Grid, choices: Iterable[Choice]) -> Choice | None:

@@ -18,11 +18,12 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Structure
 from flysid.model.kalman import start_gains
-from flysid.model.linear_data import Parts
+from flysid.model.linear_data import CHOICE_ROWS, Parts
 from flysid.model.linear_start import START_SHARE
 from flysid.model.selection import block_errors, judging_window, simplest
 from flysid.model.start import WINDOW_LAGS, WINDOW_S
 from flysid.model.statespace_model import FittedStateSpace, from_dict
+from flysid.model.stream import OnDisk, Source
 from flysid.model.subspace import (
     METHODS,
     Columns,
@@ -67,8 +68,11 @@ class StateSpace:
     n_init: int | None = None
 
     @on_one_thread
-    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedStateSpace:
+    def fit(self, train: Source, validation: Dataset | None = None) -> FittedStateSpace:
         """Choose, fit.
+
+        From disk (`flysid.datasetfile.open_dataset`) in bounded memory; choices are made on the first 200,000
+        samples.
 
         Raises
         ------
@@ -77,10 +81,13 @@ class StateSpace:
         FitError : the order exceeds what the data show.
         """
         _check(self)
-        parts = Parts.of(train, validation)
         if self.order != "auto" and self.past != "auto" and self.method != "auto":
-            return _final(self, parts, _Choice(self.method, self.past, self.order), "Settings as given")
-        return _searched(self, parts)
+            choice, note = _Choice(self.method, self.past, self.order), "Settings as given"
+        else:
+            small = train.head(CHOICE_ROWS) if isinstance(train, OnDisk) else train
+            choice, note = _searched(self, Parts.of(small, validation))
+        parts = Parts.on_disk(train) if isinstance(train, OnDisk) else Parts.of(train, None)
+        return _final(self, train, parts, choice, note)
 
 
 @dataclass(frozen=True)
@@ -109,7 +116,7 @@ def _check(settings: StateSpace) -> None:
 class _Projections:
     """Decompositions of one part of the data, all from one pass."""
 
-    def __init__(self, settings: StateSpace, parts: Parts, data: Dataset, deepest: int) -> None:
+    def __init__(self, settings: StateSpace, parts: Parts, data: Source, deepest: int) -> None:
         self.settings, self.signals = settings, (len(data.outputs), len(data.inputs))
         self.triangle = triangle_for(data, parts.scaling, deepest)
 
@@ -148,7 +155,7 @@ def _pasts(settings: StateSpace, data: Dataset) -> list[int]:
     return found or [default_past(order, n_y, n_u, lengths)]
 
 
-def _searched(settings: StateSpace, parts: Parts) -> FittedStateSpace:
+def _searched(settings: StateSpace, parts: Parts) -> tuple[_Choice, str]:
     """The best of methods, horizons and orders by the validation free run."""
     methods = TRIED_METHODS if settings.method == "auto" else (settings.method,)
     pasts = _pasts(settings, parts.fit)
@@ -165,7 +172,7 @@ def _searched(settings: StateSpace, parts: Parts) -> FittedStateSpace:
         f"{best[index][0]} is the simplest within one standard error of the best validation free run"
         f" (RMSE in standard deviations of the output: {table})"
     )
-    return _final(settings, parts, best[index][0], note)
+    return best[index][0], note
 
 
 def _best_per_order(
@@ -208,9 +215,9 @@ def _scaled(parts: Parts) -> Parts:
     return replace(parts, scaling=unit)
 
 
-def _final(settings: StateSpace, parts: Parts, choice: _Choice, note: str) -> FittedStateSpace:
-    """The choice on all training data."""
-    all_data = _Projections(settings, parts, parts.train, window(choice.past, choice.method))
+def _final(settings: StateSpace, data: Source, parts: Parts, choice: _Choice, note: str) -> FittedStateSpace:
+    """The choice on all training data, which `parts` measured."""
+    all_data = _Projections(settings, parts, data, window(choice.past, choice.method))
     projection = all_data.of(choice.method, choice.past)
     realisation = projection.realise(choice.order)
     model = _model(parts, realisation, settings.n_init, projection.columns.feedthrough)

@@ -7,11 +7,11 @@ origin. Blocks of one segment follow each other without a gap; a new number is a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
-from flysid.dataset import FloatArray, Segment
+from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.model.regressors import CHUNK_ROWS
 
 Block: TypeAlias = tuple[int, FloatArray]
@@ -19,15 +19,26 @@ Blocks: TypeAlias = Callable[[], Iterable[Block]]
 """Called for every pass over the data."""
 
 
-class Segmented(Protocol):
-    """A dataset in memory."""
+@runtime_checkable
+class OnDisk(Protocol):
+    """A dataset that is read block by block: `flysid.datasetfile.DatasetFile`."""
 
     @property
-    def segments(self) -> tuple[Segment, ...]: ...
+    def dt_s(self) -> float: ...
+    @property
+    def inputs(self) -> tuple[Signal, ...]: ...
+    @property
+    def outputs(self) -> tuple[Signal, ...]: ...
+    def __len__(self) -> int: ...
+    def blocks(self) -> Iterator[tuple[int, FloatArray, FloatArray]]: ...
+    def head(self, rows: int) -> Dataset: ...
 
 
-def blocks_of(data: Segmented, origin: FloatArray | None = None) -> Blocks:
-    """The segments of a dataset, in pieces that fit a cache.
+Source: TypeAlias = Dataset | OnDisk
+
+
+def blocks_of(data: Source, origin: FloatArray | None = None) -> Blocks:
+    """All samples of a dataset, in pieces that fit a cache.
 
     Parameters
     ----------
@@ -35,12 +46,18 @@ def blocks_of(data: Segmented, origin: FloatArray | None = None) -> Blocks:
     """
 
     def read() -> Iterator[Block]:
-        for number, segment in enumerate(data.segments):
-            for start in range(0, len(segment), CHUNK_ROWS):
+        for number, u, y in _parts_of(data):
+            for start in range(0, len(y), CHUNK_ROWS):
                 stop = start + CHUNK_ROWS
-                yield number, signals_in_rows(segment.u[start:stop], segment.y[start:stop], origin)
+                yield number, signals_in_rows(u[start:stop], y[start:stop], origin)
 
     return read
+
+
+def _parts_of(data: Source) -> Iterator[tuple[int, FloatArray, FloatArray]]:
+    if isinstance(data, Dataset):
+        return ((number, s.u, s.y) for number, s in enumerate(data.segments))
+    return data.blocks()
 
 
 def signals_in_rows(u: FloatArray, y: FloatArray, origin: FloatArray | None = None) -> FloatArray:

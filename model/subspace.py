@@ -27,7 +27,7 @@ from flysid.errors import DataError, FitError, UsageError
 from flysid.model.gram import Triangle, lagged_triangle
 from flysid.model.linear_data import EXACT, Scaling
 from flysid.model.riccati import kalman_gain
-from flysid.model.stream import blocks_of
+from flysid.model.stream import Source, blocks_of
 
 Method: TypeAlias = Literal["pbsid", "n4sid", "moesp", "cva"]
 METHODS: tuple[Method, ...] = ("pbsid", "n4sid", "moesp", "cva")
@@ -124,7 +124,7 @@ def window(past: int, method: Method) -> int:
     return past if method == "pbsid" else 2 * past - 1
 
 
-def triangle_for(data: Dataset, scaling: Scaling, depth: int) -> Triangle:
+def triangle_for(data: Source, scaling: Scaling, depth: int) -> Triangle:
     """The triangle of all lags of a dataset in scaled deviations."""
     origin = np.concatenate([scaling.y_origin, scaling.u_origin])
     scale = np.concatenate([scaling.y_scale, scaling.u_scale])

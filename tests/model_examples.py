@@ -17,6 +17,7 @@ from flysid.model.base import Fitted
 from flysid.model.bj import BJ
 from flysid.model.ensemble import Ensemble
 from flysid.model.fir import FIR
+from flysid.model.iv import IV
 from flysid.model.line import Line
 from flysid.model.mean import Mean
 from flysid.model.oe import OE
@@ -77,6 +78,7 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "armax": (ARMAX(na=2, nb=2, nk=1, nc=2).fit, data()),
     "bj": (BJ(na=2, nb=2, nk=1, nc=1, nd=1).fit, data()),
     "bj, two inputs and outputs": (BJ(na=2, nb=2, nk=1, nc=0, nd=2).fit, data(2, 2)),
+    "iv": (IV(na=2, nb=2, nk=1).fit, data()),
     "statespace": (StateSpace(order=2, method="pbsid", past=8).fit, data()),
     "statespace, two inputs and outputs": (StateSpace(order=3, method="moesp").fit, data(2, 2)),
     "ensemble": (Ensemble(ARX(na=2, nb=2, nk=1, refine=False), members=3).fit, data()),

@@ -1,0 +1,149 @@
+"""IV4: the four-stage instrumental variable estimate of an ARX structure, whatever the colour of the noise.
+
+    A(q) y(k) = B(q) u(k) + c + v(k)        (Ljung, 1999, System Identification, 15.3)
+
+1. least squares; 2. instruments from the simulation of that model; 3. an autoregression L of what is left
+over; 4. instruments from the simulation of the second model, everything filtered with L. Consistent where
+least squares is biased by coloured noise, without a search. Outputs have an equation each and do not feed
+each other.
+
+The instruments must know nothing of the noise. In open loop the inputs are such. In a feedback loop they are
+not: name the reference that drives the loop (`reference`), and the instruments are simulated from it alone
+(Gilson & Van den Hof, 2005, Automatica 41).
+
+Each stage is a filter and the Gram of lagged signals: three passes over the data in bounded memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import DataError, FitError, UsageError
+from flysid.model.base import Structure
+from flysid.model.iv_stages import Columns, Orders, fitted_by_iv, scaled_blocks
+from flysid.model.linear import FittedLinear, from_dict
+from flysid.model.linear_data import CHOICE_ROWS, Parts
+from flysid.model.oe_search import SHARE, check_orders
+from flysid.model.output_error import HIGHEST_ORDER, ORDER_LOSS, find_delays
+from flysid.model.selection import block_errors, judging_window, simplest
+from flysid.model.stream import OnDisk, Source, blocks_of
+from flysid.model.threads import on_one_thread
+
+Auto: TypeAlias = Literal["auto"]
+
+
+@dataclass(frozen=True)
+class IV:
+    """Settings of an instrumental variable estimate; the defaults choose by themselves.
+
+    Parameters
+    ----------
+    na, nb, nk, offset, n_init : as of `OE`.
+    reference : names of inputs of the dataset that drive a feedback loop from outside. They serve as
+        instruments and have no coefficients of their own. Empty: the inputs are their own instruments.
+    """
+
+    na: int | Auto = "auto"
+    nb: int | Sequence[int] | Auto = "auto"
+    nk: int | Sequence[int] | Auto = "auto"
+    offset: bool = True
+    n_init: int | None = None
+    reference: Sequence[str] = ()
+
+    @on_one_thread
+    def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:
+        """Choose delays and orders (on the first 200,000 samples of a dataset on disk), fit.
+
+        Raises
+        ------
+        UsageError : settings that cannot be.
+        DataError : no or too few samples, a signal that never changes.
+        FitError : the instruments say nothing about the output.
+        """
+        check_orders(self, len(train.inputs))
+        columns = _columns(self, train)
+        small = train.head(CHOICE_ROWS) if isinstance(train, OnDisk) else train
+        orders, note = _chosen(self, Parts.of(small, validation, centred=self.offset), columns)
+        if isinstance(train, OnDisk):
+            parts = Parts.on_disk(train, centred=self.offset)
+        else:
+            parts = Parts.of(train, None, centred=self.offset)
+        scale = parts.scaling
+        blocks = scaled_blocks(
+            blocks_of(train, np.concatenate([scale.y_origin, scale.u_origin])),
+            np.concatenate([scale.y_scale, scale.u_scale]),
+        )
+        return replace(fitted_by_iv(parts, blocks, orders, columns, self.n_init), notes=(note,))
+
+
+def _columns(settings: IV, data: Source) -> Columns:
+    names = [s.name for s in data.inputs]
+    for name in settings.reference:
+        if name not in names:
+            raise UsageError(f"no input is called {name!r}", hint=f"one of {', '.join(names)}")
+    references = tuple(i for i, name in enumerate(names) if name in settings.reference)
+    inputs = tuple(i for i in range(len(names)) if i not in references)
+    if not inputs:
+        raise UsageError("every input is a reference: none is left for the model")
+    return Columns(inputs, references)
+
+
+def _chosen(settings: IV, parts: Parts, columns: Columns) -> tuple[list[Orders], str]:
+    """Orders of every output: delays by the simulation error, the order by the validation free run."""
+    n_u, n_y = len(columns.inputs), len(parts.train.outputs)
+    most = max(1, min(HIGHEST_ORDER, (len(parts.fit) // SHARE - 1) // (1 + n_u)))
+    nas = range(1, most + 1) if settings.na == "auto" else [int(settings.na)]
+    delays = [_delays(settings, parts, columns, i, min(2, max(nas))) for i in range(n_y)]
+    candidates = [[_orders(settings, na, nk, columns) for nk in delays] for na in nas]
+    if len(candidates) == 1:
+        return candidates[0], f"Orders: {_words(candidates[0])}."
+    skip = judging_window(parts, max(o.depth for orders in candidates for o in orders))
+    tried: list[tuple[list[Orders], FloatArray]] = []
+    for orders in candidates:
+        try:
+            model = fitted_by_iv(parts, blocks_of(parts.fit), orders, columns, skip)
+        except (FitError, DataError):
+            continue
+        if model.is_stable:
+            tried.append((orders, block_errors(model, parts.check, skip, parts.scaling.y_scale)))
+    if not tried:
+        return candidates[0], f"Orders: {_words(candidates[0])}, for want of a stable estimate."
+    index = simplest([errors for _, errors in tried], ORDER_LOSS)
+    table = ", ".join(f"order {o[0].na}: {np.sqrt(e.mean()) if len(e) else np.nan:.3g}" for o, e in tried)
+    return tried[index][0], (
+        f"{_words(tried[index][0])}: the simplest within one standard error of the best validation"
+        f" free run (RMSE in standard deviations of the output: {table})."
+    )
+
+
+def _words(orders: Sequence[Orders]) -> str:
+    return "; ".join(f"na = {o.na}, nb = {o.nb}, nk = {o.nk}" for o in dict.fromkeys(orders))
+
+
+def _delays(settings: IV, parts: Parts, columns: Columns, output: int, probe: int) -> tuple[int, ...]:
+    if settings.nk != "auto":
+        return columns.pick(settings.nk)
+    counts = columns.pick(probe if settings.nb == "auto" else settings.nb)
+    kept = list(columns.inputs)
+    data = replace(
+        parts.fit,
+        inputs=tuple(parts.fit.inputs[j] for j in kept),
+        segments=tuple(replace(s, u=s.u[:, kept]) for s in parts.fit.segments),
+    )
+    return find_delays(data, output, probe, counts, settings.offset)
+
+
+def _orders(settings: IV, na: int, nk: tuple[int, ...], columns: Columns) -> Orders:
+    if settings.nb == "auto":
+        nb = tuple(max(na, 1) + (1 if k == 0 else 0) for k in nk)
+    else:
+        nb = columns.pick(settings.nb)
+    return Orders(na, nb, nk, settings.offset)
+
+
+MODEL = Structure("iv", from_dict)
