@@ -110,19 +110,23 @@ def _parts(reader: _Reader, data: bytes, base: int) -> Iterator[StreamPart]:
 def _group(reader: _Reader, data: bytes, base: int) -> dict[int, _Lines]:
     """Lines by definition, split into as many fields as their FMT states; others are skipped."""
     groups: dict[int, _Lines] = {}
-    start = base
+    blank = start = base  # empty lines since `blank` mean nothing, unless damage follows or precedes them
     for row, line in enumerate(_split(data)):
         end = start + len(line)
+        head = end - len(line.lstrip(b"\r\n"))
+        if reader.regions and reader.regions[-1].end == start:
+            _skip(reader, start, head, "")
+            blank = head
+        if head == end:
+            start = end
+            continue
         name, _, rest = line.decode("utf-8", "replace").strip("\r\n").partition(", ")
         code = reader.by_name.get(name)
         if name == "FMT":
             code = _define(reader, rest)
         if code is None:
-            if line.strip():
-                reader.undecoded["lines of unknown kind"] = (
-                    reader.undecoded.get("lines of unknown kind", 0) + 1
-                )
-                _skip(reader, start, end, "no format known for this line")
+            reader.undecoded["lines of unknown kind"] = reader.undecoded.get("lines of unknown kind", 0) + 1
+            _skip(reader, blank, end, "no format known for this line")
         else:
             count = len(reader.definitions.items[code].format)
             cells = [c.strip() for c in rest.split(",", count - 1)]
@@ -132,8 +136,8 @@ def _group(reader: _Reader, data: bytes, base: int) -> dict[int, _Lines]:
                 group.spans.append((start, end))
                 group.cells.append(cells)
             else:
-                _skip(reader, start, end, "not the fields that the format states")
-        start = end
+                _skip(reader, blank, end, "not the fields that the format states")
+        blank = start = end
     return groups
 
 
@@ -146,6 +150,8 @@ def _define(reader: _Reader, rest: str) -> int | None:
     """Take in a FMT line; the index of FMT's own definition, or None where it is no FMT."""
     cells = [c.strip() for c in rest.split(",", 4)]
     if len(cells) < 5 or not (cells[0].isdigit() and cells[1].isdigit()):
+        return None
+    if cells[4].count(",") >= max(1, len(cells[3])):  # more labels than fields: two lines run into one
         return None
     number, length = int(cells[0]), packed_length(cells[3]) or HEADER_BYTES
     if number != FMT_ID and number < 256:

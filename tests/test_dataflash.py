@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 
 import flysid
 from flysid.flight import Flight, field_scale, field_unit
-from flysid.ingest import dataflash
+from flysid.ingest import dataflash, dataflash_text
 from flysid.ingest.base import Limits, collect
 from flysid.ingest.clock import SECOND_NS
 from flysid.ingest.dfformats import CHARACTERS, make_layout
+from tests.samplelogs import dataflash_text as text_sample
 from tests.samplelogs.dataflash import CODES, TYPES, build, fmt, pack
 
 LOGS = Path(__file__).resolve().parents[2] / "shared" / "logs" / "dataflash"
@@ -207,4 +208,24 @@ def test_windows_line_ends_are_line_ends() -> None:
         memoryview(build_text().replace(b"\n", b"\r\n")), "x.log", dataflash_text.FORMAT, Limits()
     )
     assert flight.rows == collect(memoryview(build_text()), "x.log", dataflash_text.FORMAT, Limits()).rows
+    assert not flight.damage.lossy
+
+
+@pytest.mark.parametrize(
+    "garbage", [b"abc\n\n", b"\n\nabc\n", b"\r\n\xff\xfe\n\r\n", b"abc\n\r", b"\nabc\n\nabc\n\n"]
+)
+def test_line_ends_beside_damage_are_part_of_it(garbage: bytes) -> None:
+    blob = text_sample.build()
+    at = blob.index(b"ATT, 10")
+    flight = collect(memoryview(blob[:at] + garbage + blob[at:]), "a.log", dataflash_text.FORMAT, Limits())
+    assert flight.rows == collect(memoryview(blob), "a.log", dataflash_text.FORMAT, Limits()).rows
+    assert [(r.start, r.end) for r in flight.damage.regions] == [(at, at + len(garbage))]
+    assert flight.damage.bytes_skipped == len(garbage)
+
+
+def test_empty_lines_between_whole_ones_mean_nothing() -> None:
+    blob = text_sample.build()
+    flight = collect(
+        memoryview(blob.replace(b"\n", b"\r\n\r\n\n") + b"\n\n"), "a.log", dataflash_text.FORMAT, Limits()
+    )
     assert not flight.damage.lossy
