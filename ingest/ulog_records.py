@@ -28,7 +28,7 @@ OTHER_TYPES = frozenset(b"BFIMPQARSOLC")
 WINDOW_BYTES = 8 << 20
 MAX_TEXT = 300
 _KEY = re.compile(rb"[a-z0-9_]+(\[\d+\])? [\x21-\x7e]+")
-_NAME = re.compile(rb"[A-Za-z0-9_/]+:")
+_FORMAT = re.compile(rb"[\w/-]+:[ -~]*")  # all of it: a length that swallows the next record is none
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ def has_shape(kind: int, body: memoryview) -> bool:
     if kind == ord("C"):
         return size >= 11 and 48 <= body[0] <= 55
     if kind == ord("F"):
-        return _NAME.match(bytes(body[:256])) is not None
+        return _FORMAT.fullmatch(bytes(body)) is not None
     return _has_key(body[1:] if kind in b"MQ" else body)
 
 

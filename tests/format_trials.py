@@ -202,3 +202,59 @@ def delete(name: str, count: int, goes_on: Ask) -> Outcome:
         if rows < whole - risk:
             outcome.failures.append(f"64 bytes from {at}: {rows} rows of {whole}, {risk} at risk")
     return outcome
+
+
+def definition_of(name: str) -> Record | None:
+    """A record of at most one row that decides over those of one stream; None where a format has none."""
+    whole = intact(name).rows
+    found = [r for r in records_of(name) if r.rows < 2 and r.rows < at_risk(name, r.start) < whole]
+    return max(found, key=lambda r: at_risk(name, r.start), default=None)
+
+
+def edit(name: str, goes_on: Ask) -> Outcome:
+    """Every byte of a definition set to every value: only its stream's rows are lost, and not in silence."""
+    outcome, blob, record, whole = Outcome(name), sample(name), definition_of(name), intact(name).rows
+    assert record is not None
+    risk = at_risk(name, record.start)
+    edits = [(byte, value) for byte in range(record.start, record.end) for value in range(256)]
+    random.Random(name).shuffle(edits)
+    for byte, value in edits:
+        if not goes_on():
+            break
+        if blob[byte] == value:
+            continue
+        flight = read_or_none(name, blob[:byte] + bytes([value]) + blob[byte + 1 :], outcome)
+        rows, where = (flight.rows if flight is not None else 0), f"byte {byte} set to {value}"
+        outcome.keep(rows, whole)
+        if rows < whole - risk:
+            outcome.failures.append(f"{where}: {rows} rows of {whole}, {risk} at risk")
+        elif flight is not None and rows < whole and not flight.damage.lossy:
+            outcome.failures.append(f"{where}: {whole - rows} rows lost in silence")
+    return outcome
+
+
+LENGTHS = (0, 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1)
+
+
+def length(name: str, count: int, goes_on: Ask) -> Outcome:
+    """Extreme numbers of 1, 2, 4 and 8 bytes written anywhere; the first bytes of the log more often."""
+    outcome, blob, rng, whole = Outcome(name), sample(name), random.Random(name + "="), intact(name).rows
+    for turn in range(count):
+        width, value = rng.choice((1, 2, 4, 8)), rng.choice(LENGTHS)
+        at = rng.randrange((len(blob) if turn % 2 else 2048) - 8)
+        raw = (value & (1 << 8 * width) - 1).to_bytes(width, rng.choice(("little", "big")))
+        if not goes_on():
+            break
+        flight = read_or_none(name, blob[:at] + raw + blob[at + width :], outcome)
+        rows = flight.rows if flight is not None else 0
+        outcome.keep(rows, whole)
+        risk = sum(
+            {
+                r: at_risk(name, r.start) for r in records_of(name) if r.start < at + width and r.end > at
+            }.values()
+        )
+        if rows < whole - risk:
+            outcome.failures.append(
+                f"{width} bytes of {value} at {at}: {rows} rows of {whole}, {risk} at risk"
+            )
+    return outcome

@@ -4,19 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from tests.format_trials import FORMATS, cut, intact
-from tests.soak import Budget, Campaign, Outcome, peak_memory
+from tests.format_trials import cut
+from tests.soak import Budget, Campaign, Outcome
+from tests.soak.readers import each_format
 
 
 def run(budget: Budget) -> Iterator[Outcome]:
     """One outcome per format."""
-    for name, share in zip(FORMATS, budget.shares(len(FORMATS)), strict=True):
-        intact(name)
-        memory = Outcome(name)
-        with peak_memory(memory):
-            outcome = cut(name, 1, share.clock())
-        outcome.peak_mb = memory.peak_mb
-        yield outcome
+    return each_format(budget, lambda name, goes_on: cut(name, 1, goes_on))
 
 
 CAMPAIGN = Campaign(1, "truncation at every byte", run)

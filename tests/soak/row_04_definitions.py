@@ -1,0 +1,18 @@
+"""Row 4: every single-byte edit of one definition of every format that has any outside a checksum."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from tests.format_trials import FORMATS, definition_of, edit
+from tests.soak import Budget, Campaign, Outcome
+from tests.soak.readers import each_format
+
+
+def run(budget: Budget) -> Iterator[Outcome]:
+    """One outcome per format."""
+    names = [name for name in FORMATS if definition_of(name) is not None]
+    return each_format(budget, edit, names)
+
+
+CAMPAIGN = Campaign(4, "every edit of a definition", run)
