@@ -22,9 +22,9 @@ from flysid.flight import Flight
 from flysid.ingest import resample
 from flysid.ingest.clocks import align_clocks
 from flysid.ingest.conditions import condition_spans
-from flysid.ingest.excitation import excitation
+from flysid.ingest.doubts import doubts
 from flysid.ingest.labels import Labels, labels_of
-from flysid.ingest.recipe import ChannelSpec, Recipe, SignalSpec, load_recipe
+from flysid.ingest.recipe import Recipe, SignalSpec, load_recipe
 from flysid.ingest.report import AlignReport, FlightReport, SignalReport
 from flysid.ingest.resample import Series, Span
 from flysid.ingest.signals import FlightLog, Loaded, Log, Samples, find_source, load_signal, missing
@@ -77,7 +77,7 @@ def align(flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel:
         name=channel,
     )
     check_excitation(aligned)
-    return Aligned(aligned, replace(report, cautions=_cautions(aligned, job.recipe.channel(channel))))
+    return Aligned(aligned, replace(report, doubts=doubts(aligned, job.recipe.channel(channel))))
 
 
 def align_to_file(
@@ -359,22 +359,6 @@ def _vehicle(log: Log) -> str:
     """What tells vehicles apart: the board's own number, else autopilot and frame."""
     info = log.info
     return info.get("sys_uuid", "") or " ".join(info[k] for k in ("autopilot", "vehicle") if info.get(k))
-
-
-def _cautions(data: Dataset, spec: ChannelSpec) -> tuple[str, ...]:
-    """Inputs that move less than sensors of their unit are noisy, and a rate that misses the dynamics."""
-    moves = [(signal, excitation(data, i)) for i, signal in enumerate(data.inputs)]
-    found = [
-        f"input {signal.name!r} moves by {m.rms:.2g} {signal.unit} rms only: no model can be identified"
-        for signal, m in moves
-        if m.quiet
-    ]
-    rate = 1.0 / data.dt_s
-    if rate < spec.min_rate_hz:
-        remedy = f"; {spec.remedy}" if spec.remedy else ""
-        slow = f"{rate:.3g} Hz shows the dynamics up to {rate / 2:.2g} Hz only, this channel needs"
-        found.append(f"{slow} {spec.min_rate_hz:.3g} Hz{remedy}")
-    return tuple(found)
 
 
 def _too_short(report: AlignReport, min_samples: int) -> DataError:

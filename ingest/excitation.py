@@ -138,6 +138,12 @@ def spectrum(data: Dataset, column: int = 0, output: int = 0, window_s: float | 
     )
 
 
+def share_explained(moves: Excitation, seen: Spectrum) -> float:
+    """Mean coherence where the input has its power: the share of the output that it explains."""
+    used = seen.frequency_hz <= max(moves.band_hz, float(seen.frequency_hz[0]))
+    return float(np.mean(seen.coherence[used]))
+
+
 def _window_length(data: Dataset, window_s: float | None) -> int:
     longest = max(len(s) for s in data.segments)
     if window_s is None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from flysid.ingest.doubts import REMARKS, Doubt
+
 
 @dataclass(frozen=True)
 class SignalReport:
@@ -66,16 +68,13 @@ class FlightReport:
 
 @dataclass(frozen=True)
 class AlignReport:
-    """What alignment did for one channel.
-
-    `cautions` are reasons not to trust a model of it, e.g. an input that moves less than sensors' noise.
-    """
+    """What alignment did for one channel, and `doubts`: reasons not to trust a model of it."""
 
     recipe: str
     channel: str
     rate_hz: float
     flights: tuple[FlightReport, ...]
-    cautions: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
     @property
     def used_s(self) -> float:
@@ -99,8 +98,8 @@ class AlignReport:
             f"{self.channel}: {count} segments, {self.used_s:.1f} s at {self.rate_hz:.4g} Hz "
             f"from {used} of {len(self.flights)} flights; {self.dropped_s:.1f} s not used"
         )
-        cautions = [f"  caution: {text}" for text in self.cautions]
-        return [first, *cautions, *(line for flight in self.flights for line in _flight_lines(flight))]
+        doubts = [f"  {'remark' if d.kind in REMARKS else 'caution'}: {d}" for d in self.doubts]
+        return [first, *doubts, *(line for flight in self.flights for line in _flight_lines(flight))]
 
 
 def _flight_lines(flight: FlightReport) -> list[str]:

@@ -6,13 +6,18 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-import numpy as np
-
 from flysid.dataset import Dataset
 from flysid.errors import DataError, RecipeError
 from flysid.ingest.align import align
 from flysid.ingest.delay import Delay, estimate_delay
-from flysid.ingest.excitation import GOOD_COHERENCE, Excitation, Spectrum, excitation, spectrum
+from flysid.ingest.excitation import (
+    GOOD_COHERENCE,
+    Excitation,
+    Spectrum,
+    excitation,
+    share_explained,
+    spectrum,
+)
 from flysid.ingest.recipe import ChannelSpec, Recipe, load_recipe, shipped_recipes
 from flysid.ingest.signals import Log, find_source
 
@@ -107,7 +112,7 @@ def _assess(
     column, output = pair
     moves, seen = excitation(data, column), spectrum(data, column, output)
     delay = _delay(data, column, output)
-    coherence = coherence_in_use(moves, seen)
+    coherence = share_explained(moves, seen)
     verdict, advice = _verdict(data, spec, column, moves, seen)
     return Suggestion(
         flight=flight,
@@ -132,12 +137,6 @@ def _assess(
     )
 
 
-def coherence_in_use(moves: Excitation, seen: Spectrum) -> float:
-    """Mean coherence where the input has its power."""
-    used = seen.frequency_hz <= max(moves.band_hz, float(seen.frequency_hz[0]))
-    return float(np.mean(seen.coherence[used]))
-
-
 def _delay(data: Dataset, column: int, output: int) -> Delay | None:
     try:
         return estimate_delay(data, column, output)
@@ -150,7 +149,7 @@ def _verdict(
 ) -> tuple[Verdict, str]:
     """In this order: nothing moved, too short, too slow, not explained, good."""
     name, unit = data.inputs[column].name, data.inputs[column].unit
-    coherence = coherence_in_use(moves, seen)
+    coherence = share_explained(moves, seen)
     rate, duration = 1.0 / data.dt_s, len(data) * data.dt_s
     if moves.quiet:
         return "too quiet", f"{name} moves by {moves.rms:.2g} {unit} rms; fly steps, doublets or a sweep"

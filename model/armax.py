@@ -26,7 +26,7 @@ class ARMAX:
 
     Parameters
     ----------
-    na, nb, nk, offset, n_init : as of `OE`.
+    na, nb, nk, offset, n_init, nk_hint : as of `OE`.
     nc : order of C, or "auto": 1 to 4 by BIC.
     """
 
@@ -36,6 +36,7 @@ class ARMAX:
     nc: int | Literal["auto"] = "auto"
     offset: bool = True
     n_init: int | None = None
+    nk_hint: Sequence[int] = ()
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:

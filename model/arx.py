@@ -27,7 +27,7 @@ from flysid.model.linear_data import CHOICE_ROWS, Parts, Scaling, as_tuple
 from flysid.model.linear_start import equation_starts
 from flysid.model.oe_search import SHARE, Refined, check_orders, search
 from flysid.model.orders import Choice, Grid, best_per_order, grid_triangle
-from flysid.model.output_error import delay_steps, runner
+from flysid.model.output_error import delay_steps, runner, widened
 from flysid.model.selection import block_errors, clearly_better, judging_window, simplest
 from flysid.model.stream import OnDisk, Source
 from flysid.model.threads import on_one_thread
@@ -50,6 +50,8 @@ class ARX:
         worse for it by more than noise, True or False to force. A refined model has no coupling between
         outputs.
     n_init : measured samples that start a refined model's simulation; None chooses.
+    nk_hint : delays that "auto" tries besides its own, one per input: the dead time the log shows
+        (`flysid.ingest.deadtime`).
     """
 
     na: int | Auto = "auto"
@@ -58,6 +60,7 @@ class ARX:
     offset: bool = True
     refine: bool | Auto = "auto"
     n_init: int | None = None
+    nk_hint: Sequence[int] = ()
 
     @on_one_thread
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:
@@ -137,7 +140,9 @@ class _LeastSquaresFit:
         if s.nk == "auto":
             top = max(delay_steps(self.parts.train.dt_s, longest))
             most_delay = max(1, min(top, budget - 1, 20))
-            nks: list[list[int]] = [[1, 0, *range(2, most_delay + 1)]] * n_u
+            own = [1, 0, *range(2, most_delay + 1)]
+            reach = min(longest // 4, budget - 1)
+            nks: list[list[int]] = [widened(own, k, reach) for k in s.nk_hint or (1,) * n_u]
         else:
             nks = [[k] for k in as_tuple(s.nk, n_u)]
         corner = Choice(max(nas), tuple(max(x) for x in zip(*nbs, strict=True)), tuple(max(k) for k in nks))

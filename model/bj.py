@@ -27,7 +27,7 @@ class BJ:
 
     Parameters
     ----------
-    na, nb, nk, offset, n_init : as of `OE` (na is the order of F).
+    na, nb, nk, offset, n_init, nk_hint : as of `OE` (na is the order of F).
     nc, nd : orders of C and D, both numbers, or both "auto": by BIC among a few.
     """
 
@@ -38,6 +38,7 @@ class BJ:
     nd: int | Literal["auto"] = "auto"
     offset: bool = True
     n_init: int | None = None
+    nk_hint: Sequence[int] = ()
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:

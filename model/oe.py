@@ -33,6 +33,8 @@ class OE:
     nk : delay in samples, one number or one per input, or "auto". 0 is feed-through.
     offset : estimate a constant.
     n_init : measured samples that start a simulation; None chooses.
+    nk_hint : delays that "auto" tries besides its own, one per input: the dead time the log shows
+        (`flysid.ingest.deadtime`).
     """
 
     na: int | Literal["auto"] = "auto"
@@ -40,6 +42,7 @@ class OE:
     nk: int | Sequence[int] | Literal["auto"] = "auto"
     offset: bool = True
     n_init: int | None = None
+    nk_hint: Sequence[int] = ()
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:

@@ -40,6 +40,8 @@ class OrderSettings(Protocol):
     def offset(self) -> bool: ...
     @property
     def n_init(self) -> int | None: ...
+    @property
+    def nk_hint(self) -> Sequence[int]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +76,15 @@ def check_orders(settings: OrderSettings, n_u: int) -> None:
             raise UsageError(f"{name} must be whole numbers of at least 0, not {value!r}")
         if (name == "na" or not isinstance(value, int)) and len(values) != (1 if name == "na" else n_u):
             raise UsageError(f"{name} has {len(values)} numbers for {n_u} inputs")
+    check_hint(settings.nk_hint, n_u)
     if settings.n_init is not None and settings.n_init < 1:
         raise UsageError(f"n_init must be at least 1, not {settings.n_init}")
+
+
+def check_hint(nk_hint: Sequence[int], n_u: int) -> None:
+    """Raise UsageError unless there is none or one whole number of at least 0 per input."""
+    if len(nk_hint) not in (0, n_u) or not all(isinstance(k, int) and k >= 0 for k in nk_hint):
+        raise UsageError(f"nk_hint={nk_hint!r}", hint=f"give () or {n_u} whole numbers, one per input")
 
 
 def search(
@@ -124,7 +133,8 @@ def _delays(
         return known_nk
     probe = min(2, highest)
     counts = as_tuple(probe if settings.nb == "auto" else settings.nb, n_u)
-    return find_delays(parts.fit, output, probe, counts, settings.offset)
+    spoken_for = tuple(settings.nk_hint) or (1,) * n_u
+    return find_delays(parts.fit, output, Orders(probe, counts, spoken_for, settings.offset))
 
 
 def _orders(settings: OrderSettings, na: int, nk: tuple[int, ...]) -> Orders:

@@ -55,6 +55,11 @@ def delay_steps(dt_s: float, longest: int) -> list[int]:
     return [s for s in steps if s <= most]
 
 
+def widened(options: Sequence[int], delay: int, most: int) -> list[int]:
+    """The options, then another delay and its neighbours, as far as they are new and not above `most`."""
+    return [*options, *(d for d in (delay, delay - 1, delay + 1) if 0 <= d <= most and d not in options)]
+
+
 def fit_output(problem: OutputError, known: Sequence[FloatArray] = (), *, iterations: int = 40) -> OneOutput:
     """Start and refine.
 
@@ -73,20 +78,25 @@ def fit_output(problem: OutputError, known: Sequence[FloatArray] = (), *, iterat
     return OneOutput(problem, found.theta, found.cost)
 
 
-def find_delays(data: Dataset, output: int, na: int, nb: Sequence[int], offset: bool) -> tuple[int, ...]:
+def find_delays(data: Dataset, output: int, probe: Orders) -> tuple[int, ...]:
     """Delay per input, one input at a time, by the simulation error of the start.
 
     One sample, the delay of any plant behind a zero-order hold, holds unless another lowers the cost by more
     than chance would (a BIC step).
+
+    Parameters
+    ----------
+    probe : the orders to try delays with. Its own delays are tried too, with their neighbours.
     """
+    na, nb, offset = probe.na, probe.nb, probe.offset
     small = shortened(data, SEARCH_ROWS)
     parts = records(small, output)
     rows = sum(len(r.y) for r in parts)
-    options = delay_steps(data.dt_s, max(len(r.y) for r in parts))
+    longest = max(len(r.y) for r in parts)
     nk = [1] * len(nb)
     for j in range(len(nb)):
-        costs = {}
-        for delay in options:
+        costs: dict[int, float] = {}
+        for delay in widened(delay_steps(data.dt_s, longest), probe.nk[j], longest // 4):
             costs[delay] = _delay_cost(parts, na, nb, (*nk[:j], delay, *nk[j + 1 :]), offset)
         best = min(costs, key=lambda d: costs[d])
         for delay in {best - 1, best + 1} - set(costs) - {-1}:  # between the sparse steps

@@ -34,6 +34,8 @@ class TS:
         literature's default, whose free run shows what refinement is for.
     most_rules : where "auto" stops.
     iterations : Levenberg-Marquardt steps per stage.
+    nk_hint : delays that "auto" tries as well, one per input: the dead time that the log shows
+        (`flysid.ingest.deadtime`).
     """
 
     rules: int | Literal["auto"] = "auto"
@@ -44,6 +46,7 @@ class TS:
     refine: bool = True
     most_rules: int = 5
     iterations: int = 30
+    nk_hint: Sequence[int] = ()
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:

@@ -10,6 +10,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
+from flysid.model.oe_search import check_hint
 from flysid.model.tsclustered import clustered_stage
 from flysid.model.tsgrow import (
     Stage,
@@ -39,6 +40,7 @@ _SMALL_GAIN = 0.2  # and a rule must win more: the choice itself overfits
 _HOPELESS = 4.0  # times the mean square of the best linear model: such orders are not grown
 _WORSE = 1.5  # times the mean square of a rule less: such a model has gone astray
 _CLEARLY = 0.9  # of the mean square: other orders must do better by this to be taken
+_LATE = 2  # samples of delay from which a dead time is tried as such
 _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
 _SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
 
@@ -62,6 +64,8 @@ class Settings(Protocol):
     def most_rules(self) -> int: ...
     @property
     def iterations(self) -> int: ...
+    @property
+    def nk_hint(self) -> Sequence[int]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +79,7 @@ class Learned:
 def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Learned:
     """Choose orders, then rules, by the validation free run; see the module's parts for the methods."""
     check(settings)
+    check_hint(settings.nk_hint, len(train.inputs))
     choices = order_choices(settings, len(train.inputs))
     named = _named(settings, train)
     deepest = _DEEPEST_DELAY if len(choices) > 1 and len(train) > _SMALL else 0
@@ -145,7 +150,16 @@ def order_choices(settings: Settings, inputs: int) -> list[Orders]:
             choices.append(orders)
     if all(b == 0 for b in choices[0].nb) and choices[0].na == 0:
         raise UsageError("na = 0 and nb = 0 leave nothing to learn")
-    return choices
+    return sorted([*choices, *_delayed(settings, choices)], key=lambda o: (o.na, sum(o.nb)))
+
+
+def _delayed(settings: Settings, choices: Sequence[Orders]) -> list[Orders]:
+    """The choices behind the dead times that the log shows, where no choice bridges those by itself."""
+    hint = tuple(settings.nk_hint)
+    if settings.nk != "auto" or max(hint, default=0) < _LATE:
+        return []
+    fewer = 1 if settings.nb == "auto" else 0  # the coefficient of the present input goes
+    return [Orders(o.na, tuple(max(1, b - fewer) for b in o.nb), hint) for o in choices]
 
 
 def _named(settings: Settings, train: Dataset) -> tuple[Antecedent, ...]:
@@ -208,7 +222,8 @@ class Workshop:
         for orders in choices:
             problem = self.problem(orders)
             if self.settings.refine:
-                start = embedded_start(candidates[-1].stage, problem) if candidates else ()
+                nested = (embedded_start(c.stage, problem) for c in reversed(candidates))
+                start = next(filter(None, nested), ())
                 start += arx_start(problem, self.fit_part)
                 stage = linear_stage(problem, self.settings.iterations, start)
             else:
@@ -222,13 +237,15 @@ class Workshop:
         )
         note = f"Orders {orders}: {how} (validation free run of the linear model)."
         others = [c for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
+        if self.settings.nk_hint:  # neighbours in order, not every order with and without the dead time
+            others = [c for c in others if c.stage.problem.layout.orders.nk == orders.nk]
         return [candidates[at], *others], [note]
 
     def _linear_side(self, choices: int) -> list[Candidate]:
         """What the linear side chooses by itself, with its delays, as it is and refined."""
         if choices == 1 or not self.settings.refine:
             return []
-        found = chosen_by_arx(self.fit_part, self.check_part)
+        found = chosen_by_arx(self.fit_part, self.check_part, self.settings.nk_hint)
         if found is None or found[0].depth + _SPARE_ROWS > self.least:
             return []
         plain = as_stage(found[1], self.problem(found[0]))

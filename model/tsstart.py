@@ -6,6 +6,7 @@ one rule should stand at least; starting there keeps the two sides comparable.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,10 +20,12 @@ from flysid.model.tslayout import Layout, Orders
 from flysid.model.tsproblem import Body, Problem
 
 
-def chosen_by_arx(train: Dataset, validation: Dataset) -> tuple[Orders, FittedLinear] | None:
+def chosen_by_arx(
+    train: Dataset, validation: Dataset, nk_hint: Sequence[int] = ()
+) -> tuple[Orders, FittedLinear] | None:
     """The orders, delays included, that ARX chooses by itself, with its model; None where it cannot."""
     try:
-        fitted = ARX(refine=True).fit(train, validation)
+        fitted = ARX(refine=True, nk_hint=nk_hint).fit(train, validation)
     except FlysidError:
         return None
     a, b = fitted.system.a, fitted.system.b

@@ -42,15 +42,19 @@ class Choice:
     words: str = ""
 
 
-def linear_estimators() -> dict[str, Estimator]:
-    """The linear structures that compete for the baseline, by label, with their defaults."""
+def linear_estimators(nk_hint: tuple[int, ...] = ()) -> dict[str, Estimator]:
+    """The linear structures that compete for the baseline, by label, with their defaults.
+
+    `nk_hint`: delays per input that they try besides their own.
+    """
     from flysid.model.armax import ARMAX
     from flysid.model.arx import ARX
     from flysid.model.bj import BJ
     from flysid.model.oe import OE
     from flysid.model.statespace import StateSpace
 
-    return {"arx": ARX(), "oe": OE(), "armax": ARMAX(), "bj": BJ(), "statespace": StateSpace()}
+    searching = {"arx": ARX, "oe": OE, "armax": ARMAX, "bj": BJ}
+    return {label: kind(nk_hint=nk_hint) for label, kind in searching.items()} | {"statespace": StateSpace()}
 
 
 def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Choice:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
+from flysid.ingest.doubts import Doubt
 from flysid.validate.bootstrap import MIN_FLIGHTS
 from flysid.validate.caution import Caution, Comparisons, Diagnoses, heads, join
+from flysid.validate.caution_data import in_the_data
 from flysid.validate.caution_linear import one_rule, useless
 from flysid.validate.comparison import Comparison
 from flysid.validate.diagnostics import Diagnosis, Outside
@@ -18,10 +20,15 @@ _ORDER = ("danger", "warning", "note", "good")
 
 
 def cautions(
-    comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagnosis]
+    comparisons: Mapping[str, Comparison],
+    diagnoses: Mapping[str, Diagnosis],
+    doubts: Mapping[str, Sequence[Doubt]] | None = None,
 ) -> tuple[Caution, ...]:
-    """At most six, worst first; what holds for several channels is said once."""
-    found = [caution for rule in _rules() for caution in rule(comparisons, diagnoses)]
+    """At most six, worst first; what holds for several channels is said once.
+
+    `doubts` are reasons in the training data themselves, by channel.
+    """
+    found = [*in_the_data(doubts or {}), *(c for rule in _rules() for c in rule(comparisons, diagnoses))]
     if not any(c.level == "danger" for c in found):
         found += _all_stable(comparisons, diagnoses)
     found.sort(key=lambda c: (_ORDER.index(c.level), -c.weight))

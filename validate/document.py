@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from flysid.ingest.doubts import Doubt
 from flysid.validate.cautions import cautions
 from flysid.validate.compare import Comparison, Entry, ModelScore, Pair
 from flysid.validate.diagnostics import Diagnosis
@@ -16,7 +17,9 @@ DOCUMENT_VERSION = 1
 
 
 def to_json(
-    comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagnosis] | None = None
+    comparisons: Mapping[str, Comparison],
+    diagnoses: Mapping[str, Diagnosis] | None = None,
+    doubts: Mapping[str, Sequence[Doubt]] | None = None,
 ) -> dict[str, Any]:
     """{"channels": {NAME: {HORIZON: {"models", "change_pct", "ci95", "verdict", ...}, "about": {...}}}}.
 
@@ -42,7 +45,8 @@ def to_json(
     }
     if diagnoses is not None:
         document["cautions"] = [
-            {"level": c.level, "text": c.text, "todo": c.todo} for c in cautions(comparisons, diagnoses)
+            {"level": c.level, "text": c.text, "todo": c.todo}
+            for c in cautions(comparisons, diagnoses, doubts)
         ]
         document["diagnostics"] = {name: _diagnosis(d, comparisons[name]) for name, d in diagnoses.items()}
     plain: dict[str, Any] = _plain(document)

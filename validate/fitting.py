@@ -19,6 +19,7 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError, UsageError
 from flysid.flightwriter import slug, write_atomically
 from flysid.ingest.align import Aligned
+from flysid.ingest.deadtime import dead_times, delays_to_try
 from flysid.ingest.lake import Lake
 from flysid.ingest.recipe import load_recipe, recipe_text
 from flysid.model.base import Estimator, Fitted
@@ -40,8 +41,13 @@ BESIDE = ("arx", "oe")
 """Linear models that every run holds, whichever is the baseline."""
 
 
-def estimators(settings: FitSettings, baseline: str = "arx") -> dict[str, Estimator]:
-    """The models of a run, by label: references, linear ones, the paper's static TS, dynamic TS."""
+def estimators(
+    settings: FitSettings, baseline: str = "arx", nk_hint: tuple[int, ...] = ()
+) -> dict[str, Estimator]:
+    """The models of a run, by label: references, linear ones, the paper's static TS, dynamic TS.
+
+    `nk_hint`: delays per input that the training data speak for, tried besides the models' own choices.
+    """
     from flysid.model.line import Line
     from flysid.model.mean import Mean
     from flysid.model.persistence import Persistence
@@ -50,14 +56,14 @@ def estimators(settings: FitSettings, baseline: str = "arx") -> dict[str, Estima
 
     antecedents: Any = settings.antecedents or "auto"
     rules: Any = settings.rules
-    linear = linear_estimators()
+    linear = linear_estimators(nk_hint)
     return {
         "mean": Mean(),
         "persistence": Persistence(),
         "line": Line(),
         **{label: e for label, e in linear.items() if label in (*BESIDE, baseline)},
         "static_ts": StaticTS(seed=settings.seed),
-        "ts": TS(rules=rules, antecedents=antecedents),
+        "ts": TS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
     }
 
 
@@ -168,10 +174,12 @@ def _fit_channel(job: _Job) -> ChannelRun | str:
         split = plan_split(dataset, holdout=settings.holdout, by=settings.by, seed=settings.seed)
         train, _ = split.apply(dataset)
         (job.folder / place).mkdir()
+        late = dead_times(train)
+        hint = delays_to_try(late, len(train.inputs))
         started = time.perf_counter()
-        choice = choose_baseline(train, linear_estimators())
+        choice = choose_baseline(train, linear_estimators(hint))
         seconds["choice of the baseline"] = time.perf_counter() - started
-        for label, estimator in estimators(settings, choice.label).items():
+        for label, estimator in estimators(settings, choice.label, hint).items():
             started = time.perf_counter()
             why = _fit_one(estimator, train, job.folder / f"{place}/{label}.json")
             if why and label == choice.label:
@@ -183,9 +191,18 @@ def _fit_channel(job: _Job) -> ChannelRun | str:
             files[label] = f"{place}/{label}.json"
     except (DataError, FitError) as error:
         return str(error)
-    aligned = tuple(job.aligned.report.lines())
+    report = job.aligned.report
     return ChannelRun(
-        dataset.name, files, split.to_dict(), aligned, seconds, failed, choice.label, choice.words
+        name=dataset.name,
+        models=files,
+        split=split.to_dict(),
+        aligned=tuple(report.lines()),
+        fit_seconds=seconds,
+        failed=failed,
+        doubts=report.doubts,
+        dead_times=tuple(d.words for d in late),
+        baseline=choice.label,
+        chosen=choice.words,
     )
 
 

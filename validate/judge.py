@@ -43,7 +43,7 @@ class Judgement:
     @property
     def document(self) -> dict[str, Any]:
         """The comparison as JSON types: {"channels": {NAME: {HORIZON: {...}}}, ...}."""
-        return to_json(self.comparisons, self.context.diagnoses) | {
+        return to_json(self.comparisons, self.context.diagnoses, self.context.doubts) | {
             "skipped": dict(self.skipped),
             "provenance": dict(self.context.provenance),
             "fit_seconds": {name: dict(times) for name, times in self.context.fit_seconds.items()},
@@ -135,6 +135,7 @@ def _context(
         provenance=_provenance(run, held),
         remark=remark,
         fit_seconds={h.channel.name: dict(h.channel.fit_seconds) for h in held},
+        doubts={h.channel.name: h.channel.doubts for h in held if h.channel.name in comparisons},
     )
 
 
@@ -163,6 +164,8 @@ def _provenance(run: Run, held: list[HeldOut]) -> dict[str, str]:
         found[f"{name}: alignment"] = "; ".join(line.strip() for line in item.channel.aligned)
         found[f"{name}: baseline"] = f"{item.channel.baseline}; {item.channel.chosen}".removesuffix("; ")
         found[f"{name}: fit time"] = ", ".join(f"{k} {v:.2f} s" for k, v in item.channel.fit_seconds.items())
+        if item.channel.dead_times:
+            found[f"{name}: dead time"] = "; ".join(item.channel.dead_times)
         for label, why in item.channel.failed.items():
             found[f"{name}: {label} not fitted"] = why
     return found | {f"version of {k}": v for k, v in run.versions.items()}

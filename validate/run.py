@@ -24,6 +24,7 @@ from typing import Any
 from flysid.dataset import Dataset
 from flysid.errors import StoreError, UsageError
 from flysid.flightwriter import writing_to
+from flysid.ingest.doubts import Doubt
 from flysid.ingest.lake import Lake
 from flysid.ingest.lake import open as open_lake
 from flysid.ingest.recipe import Recipe, load_recipe
@@ -75,6 +76,8 @@ class ChannelRun:
     failed : label -> why that model could not be fitted.
     baseline : label of the linear model that the verdict is against: the best by validation.
     chosen : how the baseline was chosen, one sentence.
+    doubts : reasons in the data not to trust any model of it.
+    dead_times : what was found of the pairs' dead times and handed to the models, one sentence each.
     """
 
     name: str
@@ -85,6 +88,8 @@ class ChannelRun:
     failed: Mapping[str, str] = field(default_factory=dict)
     baseline: str = "arx"
     chosen: str = ""
+    doubts: tuple[Doubt, ...] = ()
+    dead_times: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -200,10 +205,16 @@ def _run_from(folder: Path, body: Mapping[str, Any]) -> Run:
         recipe=str(body["recipe"]),
         flights=tuple(body["flights"]),
         settings=FitSettings(**settings),
-        channels=tuple(ChannelRun(**{**c, "aligned": tuple(c["aligned"])}) for c in body["channels"]),
+        channels=tuple(_channel_from(c) for c in body["channels"]),
         skipped=dict(body["skipped"]),
         versions=dict(body["versions"]),
     )
+
+
+def _channel_from(body: Mapping[str, Any]) -> ChannelRun:
+    lists = {name: tuple(body.get(name, ())) for name in ("aligned", "dead_times")}
+    doubts = tuple(Doubt(**d) for d in body.get("doubts", ()))
+    return ChannelRun(**{**body, **lists, "doubts": doubts})
 
 
 def held_out(run: Run, data: str | Path | None = None) -> list[HeldOut]:

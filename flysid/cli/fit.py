@@ -58,6 +58,7 @@ def command(
     Channels that the data cannot serve are named and left out (exit code 3 where --channel asked for them).
     """
     check_target(output, force)
+    from flysid.ingest.doubts import REMARKS
     from flysid.ingest.lake import open as open_lake
     from flysid.validate.fitting import fit_run
     from flysid.validate.run import FitSettings
@@ -72,6 +73,11 @@ def command(
     for channel in run.channels:
         for label, why in channel.failed.items():
             say(f"{channel.name}: {label} could not be fitted: {why}")
+        for doubt in channel.doubts:
+            if doubt.kind not in REMARKS:
+                say(f"{channel.name}: caution: {doubt}")
+        for words in channel.dead_times:
+            say(f"{channel.name}: {words}", quiet)
     for name, why in run.skipped.items():
         say(f"channel {name} skipped: {why}")
     say(f"next: flysid validate {output}", quiet)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from flysid.dataset import Dataset
+from flysid.ingest.doubts import Doubt
 from flysid.validate.compare import Comparison
 from flysid.validate.diagnostics import Diagnosis, diagnose
 
@@ -66,6 +67,7 @@ class ReportContext:
     provenance : label -> value: data hash, split, seeds, versions; shown under Reproduce.
     remark : a short remark above the title, such as "simulated flights".
     fit_seconds : wall time of every fit, by channel and model, where known.
+    doubts : reasons in the training data not to trust any model, by channel name.
     """
 
     comparisons: Mapping[str, Comparison]
@@ -75,6 +77,7 @@ class ReportContext:
     provenance: Mapping[str, str] = field(default_factory=dict)
     remark: str = ""
     fit_seconds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    doubts: Mapping[str, Sequence[Doubt]] = field(default_factory=dict)
 
     @cached_property
     def diagnoses(self) -> dict[str, Diagnosis]:

@@ -102,7 +102,7 @@ def render(context: ReportContext) -> str:
             subtitle=narrative.subtitle(pairs),
             basis=narrative.basis(comparisons, _seconds_of_training(context)),
             cards=_cards(comparisons),
-            cautions=cautions(comparisons, diagnoses),
+            cautions=cautions(comparisons, diagnoses, context.doubts),
             rows=_rows(comparisons),
             models=_models(context),
             sections=parts,

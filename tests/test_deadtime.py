@@ -1,0 +1,69 @@
+import numpy as np
+import pytest
+
+from flysid.dataset import Dataset, Segment, Signal
+from flysid.errors import UsageError
+from flysid.ingest.deadtime import dead_times, delays_to_try
+from flysid.model.arx import ARX
+from flysid.model.ts import TS
+
+DT = 0.02
+RNG = np.random.default_rng(1)
+U = np.repeat(RNG.normal(size=80), 25)
+
+
+def late(samples: int, noise: float = 0.05, u: np.ndarray = U) -> Dataset:
+    """A damped second-order loop behind a dead time of some samples, and noise."""
+    from scipy.signal import lfilter
+
+    y = lfilter([0.0, 0.004, 0.004], [1.0, -1.8, 0.816], np.concatenate([np.zeros(samples), u])[: len(u)])
+    y = y + noise * y.std() * np.random.default_rng(2).normal(size=len(y))
+    segment = Segment(u, y, flight="f")
+    return Dataset(DT, (Signal("u", "deg"),), (Signal("y", "deg"),), (segment,), name="c")
+
+
+def test_a_dead_time_is_handed_over_in_samples_and_words() -> None:
+    (found,) = dead_times(late(7))
+    assert found.delay is not None
+    assert delays_to_try([found], 1) in [(7,), (8,), (9,)]
+    assert f"the models try nk = {found.delay.nk}" in found.words
+
+
+def test_nothing_is_handed_over_where_the_data_do_not_tell() -> None:
+    (found,) = dead_times(late(7, u=U + 1e-9, noise=30.0))
+    assert delays_to_try([found], 1) == ()
+    assert "not handed over" in found.words
+    noise = late(0)
+    many = Dataset(DT, noise.inputs * 3, noise.outputs, (Segment(np.stack([U] * 3, 1), U),))
+    assert dead_times(many) == ()
+    (still,) = dead_times(Dataset.from_arrays(np.zeros(2000), np.zeros(2000), DT))
+    assert "no delay without a moving input" in still.words
+
+
+def test_ts_on_a_short_record_bridges_a_dead_time_only_where_it_is_handed_over() -> None:
+    """Records below 4,000 samples are too short for TS to try long delays by itself."""
+    train, test = late(7), late(7, noise=0.0)
+    hint = delays_to_try(dead_times(train), 1)
+    own, handed = TS(rules=1).fit(train), TS(rules=1, nk_hint=hint).fit(train)
+    assert own.layout.orders.nk == (0,)
+    assert handed.layout.orders.nk[0] in (7, 8, 9)
+    s = test.segments[0]
+    own_error, handed_error = (
+        float(np.std(m.simulate(s.u, s.y[: m.n_init])[50:] - s.y[50:])) for m in (own, handed)
+    )
+    assert handed_error < 0.6 * own_error
+
+
+def test_a_delay_beyond_the_range_of_the_search_is_tried_where_it_is_handed_over() -> None:
+    train = late(30)  # 0.6 s; the search itself ends at 0.5 s
+    own, handed = ARX().fit(train), ARX(nk_hint=(31,)).fit(train)
+    first = [int(np.flatnonzero(np.abs(m.system.b[:, 0, 0]))[0]) for m in (own, handed)]
+    assert first[0] <= 26
+    assert first[1] in (30, 31, 32)
+
+
+@pytest.mark.parametrize("structure", [ARX, TS])
+@pytest.mark.parametrize("hint", [(1, 2), (-1,), (1.5,)])
+def test_a_hint_that_cannot_be_is_refused(structure: type[ARX] | type[TS], hint: tuple[int, ...]) -> None:
+    with pytest.raises(UsageError, match="nk_hint"):
+        structure(nk_hint=hint).fit(late(1))
