@@ -18,6 +18,7 @@ _HOME = {
     "FIR": "flysid.model.fir",
     "IV": "flysid.model.iv",
     "StateSpace": "flysid.model.statespace",
+    "TF": "flysid.model.transfer_function",
     "Line": "flysid.model.line",
     "Mean": "flysid.model.mean",
     "Persistence": "flysid.model.persistence",
@@ -52,6 +53,7 @@ __all__ = [  # noqa: RUF022
     "FIR",
     "IV",
     "StateSpace",
+    "TF",
     "Line",
     "Mean",
     "Persistence",
@@ -105,6 +107,7 @@ if TYPE_CHECKING:
     from flysid.model.persistence import Persistence
     from flysid.model.statespace import StateSpace
     from flysid.model.static_ts import StaticTS
+    from flysid.model.transfer_function import TF
     from flysid.model.ts import TS
     from flysid.validate.compare import compare
 

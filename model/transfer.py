@@ -8,69 +8,15 @@ beyond one sample become a dead time. Standard errors follow from the model's co
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import FitError, UsageError
+from flysid.model.continuous_transfer import ContinuousTransfer
 from flysid.model.linear import FittedLinear
-from flysid.model.polynomials import modes_of
 
 STEP = 1e-5
-
-
-@dataclass(frozen=True, eq=False)
-class ContinuousTransfer:
-    """G(s) = e^(-dead_time_s s) numerator(s) / denominator(s), one input to one output.
-
-    Attributes
-    ----------
-    numerator, denominator : coefficients in falling powers of s; the denominator is monic.
-    numerator_error, denominator_error : their standard errors (NaN where the model has no covariance).
-    dead_time_s : delay beyond the hold's own sample.
-    input, output : names.
-    """
-
-    numerator: FloatArray
-    denominator: FloatArray
-    numerator_error: FloatArray
-    denominator_error: FloatArray
-    dead_time_s: float
-    input: str
-    output: str
-
-    @property
-    def poles(self) -> FloatArray:
-        """Roots of the denominator, rad/s."""
-        return np.asarray(np.roots(self.denominator))
-
-    @property
-    def zeros(self) -> FloatArray:
-        """Roots of the numerator, rad/s."""
-        return np.asarray(np.roots(self.numerator))
-
-    def __str__(self) -> str:
-        top = _text(self.numerator, self.numerator_error)
-        bottom = _text(self.denominator, self.denominator_error)
-        dead = f" e^(-{self.dead_time_s:.4g} s)" if self.dead_time_s else ""
-        words = "; ".join(str(m) for m in modes_of(np.exp(np.asarray(self.poles, dtype=complex)), 1.0))
-        rule = "-" * max(len(top), len(bottom))
-        return f"{self.output} / {self.input} ={dead}\n{top}\n{rule}\n{bottom}\npoles: {words}"
-
-
-def _text(values: FloatArray, errors: FloatArray) -> str:
-    terms: list[str] = []
-    for position, (value, error) in enumerate(zip(values, errors, strict=True)):
-        power = len(values) - 1 - position
-        symbol = {0: "", 1: " s"}.get(power, f" s^{power}")
-        spread = f" (+- {error:.2g})" if error > 0 else ""
-        lead = (
-            symbol.strip() if value == 1.0 and power and not spread else f"{abs(value):.4g}{spread}{symbol}"
-        )
-        sign = ("-" if value < 0 else "") if not terms else (" - " if value < 0 else " + ")
-        terms.append(sign + lead)
-    return "".join(terms)
 
 
 def continuous(model: FittedLinear, output: int = 0, source: int = 0) -> ContinuousTransfer:
@@ -90,20 +36,18 @@ def continuous(model: FittedLinear, output: int = 0, source: int = 0) -> Continu
     flat = model.flat
     own = _own_parameters(model, output, source)
     delay = _delay(model, output, source)
-    numerator, denominator = _inverse_hold(*_polynomials(model, flat, output, source), delay, model.dt_s)
+    numerator, denominator = inverse_hold(*_polynomials(model, flat, output, source), delay, model.dt_s)
     slopes = []
     for index in own:
         step = STEP * max(model.standard_errors[index], 1e-9 * abs(flat[index]), 1e-300)
         moved = flat.copy()
         moved[index] += step
-        top, bottom = _inverse_hold(*_polynomials(model, moved, output, source), delay, model.dt_s)
-        slopes.append(np.concatenate([top - numerator, bottom - denominator]) / step)
-    errors = _errors(model, own, slopes, len(numerator) + len(denominator))
+        top, bottom = inverse_hold(*_polynomials(model, moved, output, source), delay, model.dt_s)
+        slopes.append(np.concatenate([top - numerator, (bottom - denominator)[1:], [0.0]]) / step)
     return ContinuousTransfer(
         numerator=numerator,
         denominator=denominator,
-        numerator_error=errors[: len(numerator)],
-        denominator_error=errors[len(numerator) :],
+        covariance=_covariance(model, own, slopes, len(numerator) + len(denominator)),
         dead_time_s=max(delay - 1, 0) * model.dt_s,
         input=model.inputs[source].name,
         output=model.outputs[output].name,
@@ -137,7 +81,7 @@ def _delay(model: FittedLinear, output: int, source: int) -> int:
     return int(taps[0])
 
 
-def _inverse_hold(b: FloatArray, a: FloatArray, delay: int, dt_s: float) -> tuple[FloatArray, FloatArray]:
+def inverse_hold(b: FloatArray, a: FloatArray, delay: int, dt_s: float) -> tuple[FloatArray, FloatArray]:
     """Numerator and monic denominator in s whose step-invariant samples are b / a (delay taken out)."""
     from scipy.linalg import logm
 
@@ -171,10 +115,12 @@ def _inverse_hold(b: FloatArray, a: FloatArray, delay: int, dt_s: float) -> tupl
     return numerator, denominator
 
 
-def _errors(model: FittedLinear, own: Sequence[int], slopes: Sequence[FloatArray], size: int) -> FloatArray:
+def _covariance(
+    model: FittedLinear, own: Sequence[int], slopes: Sequence[FloatArray], size: int
+) -> FloatArray:
+    """(size, size) of [numerator, denominator without its 1, dead time]."""
     if not own:
-        return np.full(size, np.nan)
+        return np.full((size, size), np.nan)
     place = [model.free.index(i) for i in own]
-    covariance = model.covariance[np.ix_(place, place)]
     matrix = np.stack(slopes, axis=1)
-    return np.asarray(np.sqrt(np.maximum(np.einsum("ip,pq,iq->i", matrix, covariance, matrix), 0.0)))
+    return np.asarray(matrix @ model.covariance[np.ix_(place, place)] @ matrix.T)

@@ -24,6 +24,7 @@ from flysid.model.oe import OE
 from flysid.model.persistence import Persistence
 from flysid.model.statespace import StateSpace
 from flysid.model.static_ts import StaticTS
+from flysid.model.transfer_function import TF
 from flysid.model.ts import TS
 
 
@@ -83,6 +84,8 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "statespace, two inputs and outputs": (StateSpace(order=3, method="moesp").fit, data(2, 2)),
     "ensemble": (Ensemble(ARX(na=2, nb=2, nk=1, refine=False), members=3).fit, data()),
     "ensemble of rules": (Ensemble(StaticTS(rules=2), members=2).fit, data()),
+    "tf": (TF(poles=2, zeros=1, dead_time_s=0.0).fit, data()),
+    "tf, two inputs and outputs": (TF(poles=2, zeros=1, dead_time_s=0.0).fit, data(2, 2, samples=200)),
     "arx, static": (ARX(na=0, nb=1, nk=0, refine=False).fit, data()),
 }
 

@@ -1,0 +1,244 @@
+"""A transfer function in s as people quote it: coefficients, gain, modes, each with its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.errors import UsageError
+from flysid.model.polynomials import ComplexArray
+
+Z95 = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A figure and its standard error (NaN where unknown); prints with half the width of its interval."""
+
+    value: float
+    error: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 %."""
+        return self.value - Z95 * self.error, self.value + Z95 * self.error
+
+    def __str__(self) -> str:
+        spread = f" +- {Z95 * self.error:.2g}" if self.error > 0 else ""
+        return f"{self.value:.4g}{spread}"
+
+
+@dataclass(frozen=True)
+class ContinuousMode:
+    """A real pole or a conjugate pair: natural frequency (rad/s), damping and, of a real pole, its time
+    constant (s, negative where unstable)."""
+
+    pole: complex
+    frequency_rad_s: Estimate
+    damping: Estimate
+    time_constant_s: Estimate | None
+
+    def __str__(self) -> str:
+        if self.pole.imag:
+            word = "" if self.pole.real < 0 else "unstable: "
+            return f"{word}{self.frequency_rad_s} rad/s, damping {self.damping}"
+        if self.pole == 0:
+            return "integrator"
+        if self.pole.real > 0:
+            return f"unstable: doubles in {np.log(2) / self.pole.real:.3g} s"
+        return f"time constant {self.time_constant_s} s"
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuousTransfer:
+    """G(s) = e^(-dead_time_s s) numerator(s) / denominator(s), one input to one output.
+
+    Attributes
+    ----------
+    numerator, denominator : coefficients in falling powers of s; the denominator is monic.
+    covariance : (m + n + 2, m + n + 2) of [numerator, denominator without its 1, dead time], m + 1 and n + 1
+        their lengths; NaN where the model has none, 0 for what was not estimated.
+    dead_time_s : delay beyond the hold's own sample.
+    input, output : names.
+    """
+
+    numerator: FloatArray
+    denominator: FloatArray
+    covariance: FloatArray
+    dead_time_s: float
+    input: str
+    output: str
+
+    @property
+    def errors(self) -> FloatArray:
+        """Standard errors of [numerator, denominator without its 1, dead time]."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    @property
+    def numerator_error(self) -> FloatArray:
+        """Standard errors of the numerator's coefficients."""
+        return self.errors[: len(self.numerator)]
+
+    @property
+    def denominator_error(self) -> FloatArray:
+        """Standard errors of the denominator's coefficients; 0 for the leading 1."""
+        return np.append(0.0, self.errors[len(self.numerator) : -1])
+
+    @property
+    def dead_time(self) -> Estimate:
+        """Seconds."""
+        return Estimate(self.dead_time_s, float(self.errors[-1]))
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Roots of the denominator, rad/s."""
+        return np.asarray(np.roots(self.denominator), dtype=np.complex128)
+
+    @property
+    def zeros(self) -> ComplexArray:
+        """Roots of the numerator, rad/s."""
+        return np.asarray(np.roots(self.numerator), dtype=np.complex128)
+
+    @property
+    def is_stable(self) -> bool:
+        """Every pole lies in the left half plane."""
+        return bool((self.poles.real < 0.0).all())
+
+    @property
+    def gain(self) -> Estimate:
+        """Steady gain G(0); NaN where the model integrates."""
+        top, bottom = float(self.numerator[-1]), float(self.denominator[-1])
+        if bottom == 0.0:
+            return Estimate(np.nan, np.nan)
+        slope = np.zeros(len(self.covariance))
+        slope[len(self.numerator) - 1] += 1.0 / bottom
+        if len(self.denominator) > 1:
+            slope[-2] -= top / bottom**2
+        return Estimate(top / bottom, self._spread(slope))
+
+    def at(self, omega: FloatArray) -> ComplexArray:
+        """(F,) response at omega, rad/s."""
+        s = 1j * np.asarray(omega, dtype=np.float64)
+        ratio = np.polyval(self.numerator, s) / np.polyval(self.denominator, s)
+        return np.asarray(ratio * np.exp(-s * self.dead_time_s))
+
+    def error_at(self, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(F,) standard errors of ln |G| and of the phase in rad, first order."""
+        s = 1j * np.asarray(omega, dtype=np.float64)
+        m, n = len(self.numerator), len(self.denominator) - 1
+        tops = s[:, None] ** np.arange(m - 1, -1, -1) / np.polyval(self.numerator, s)[:, None]
+        bottoms = -(s[:, None] ** np.arange(n - 1, -1, -1)) / np.polyval(self.denominator, s)[:, None]
+        slopes = np.hstack([tops, bottoms, -s[:, None]])
+        return self._spreads(slopes.real), self._spreads(slopes.imag)
+
+    @property
+    def modes(self) -> tuple[ContinuousMode, ...]:
+        """Poles, slowest first, one per conjugate pair, their figures with errors (delta method)."""
+        found = [self._mode(p) for p in self.poles if p.imag >= 0.0]
+        return tuple(sorted(found, key=lambda m: abs(m.pole)))
+
+    def _mode(self, pole: complex) -> ContinuousMode:
+        m, n = len(self.numerator), len(self.denominator) - 1
+        steep = np.polyval(np.polyder(self.denominator), pole)
+        slope = np.zeros(len(self.covariance), dtype=np.complex128)
+        if abs(steep) > 0.0:
+            slope[m : m + n] = -(pole ** np.arange(n - 1, -1, -1)) / steep
+        size = abs(pole)
+        if size == 0.0:
+            return ContinuousMode(0j, Estimate(0.0, np.nan), Estimate(1.0, np.nan), None)
+        along = (pole.real * slope.real + pole.imag * slope.imag) / size
+        damping = -pole.real / size
+        turn = -slope.real / size + pole.real * along / size**2
+        real = Estimate(-1.0 / pole.real, self._spread(slope.real / pole.real**2)) if not pole.imag else None
+        return ContinuousMode(
+            complex(pole),
+            Estimate(size, self._spread(along)),
+            Estimate(damping, self._spread(turn) if pole.imag else 0.0),
+            real,
+        )
+
+    def _spread(self, slope: FloatArray) -> float:
+        return float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0)))
+
+    def _spreads(self, slopes: FloatArray) -> FloatArray:
+        variance = np.einsum("fp,pq,fq->f", slopes, self.covariance, slopes)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    def to_control(self, *, pade: int | None = None) -> Any:
+        """As control.TransferFunction in s, with names.
+
+        Parameters
+        ----------
+        pade : order of the Padé approximation that stands for the dead time.
+
+        Raises
+        ------
+        UsageError : there is a dead time, which python-control cannot hold, and no `pade`.
+        """
+        import control
+
+        plain = control.tf(self.numerator, self.denominator)
+        if self.dead_time_s:
+            if pade is None:
+                raise UsageError(
+                    f"python-control holds no dead time ({self.dead_time_s:.4g} s)",
+                    hint="to_control(pade=3) approximates it; interop.to_control(model), sampled, is exact",
+                )
+            plain = plain * control.tf(*control.pade(self.dead_time_s, pade))
+        return control.tf(plain.num, plain.den, inputs=[self.input], outputs=[self.output])
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return {
+            "input": self.input,
+            "output": self.output,
+            "numerator": self.numerator.tolist(),
+            "denominator": self.denominator.tolist(),
+            "dead_time_s": self.dead_time_s,
+            "covariance": [[float(x) if np.isfinite(x) else None for x in row] for row in self.covariance],
+        }
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> ContinuousTransfer:
+        """Rebuild; damage raises KeyError, TypeError or ValueError."""
+        numerator = np.asarray(document["numerator"], dtype=np.float64)
+        denominator = np.asarray(document["denominator"], dtype=np.float64)
+        size = len(numerator) + len(denominator)
+        covariance = np.asarray(document["covariance"], dtype=np.float64).reshape(size, size)
+        names = str(document["input"]), str(document["output"])
+        return cls(numerator, denominator, covariance, float(document["dead_time_s"]), *names)
+
+    def __str__(self) -> str:
+        top = _text(self.numerator, self.numerator_error)
+        bottom = _text(self.denominator, self.denominator_error)
+        dead = f" e^(-{_spread_text(self.dead_time_s, self.errors[-1])} s)" if self.dead_time_s else ""
+        rule = "-" * max(len(top), len(bottom))
+        lines = [f"{self.output} / {self.input} ={dead}", top, rule, bottom]
+        words = [] if np.isnan(self.gain.value) else [f"steady gain: {self.gain}"]
+        words += ["poles: " + "; ".join(str(m) for m in self.modes)] if self.modes else []
+        if np.isfinite(self.errors).all() and self.errors.any():
+            words.append("(+- is half the width of a 95 % interval)")
+        return "\n".join([*lines, *words])
+
+
+def _spread_text(value: float, error: float) -> str:
+    return f"{value:.4g} (+- {Z95 * error:.2g})" if error > 0 else f"{value:.4g}"
+
+
+def _text(values: FloatArray, errors: FloatArray) -> str:
+    terms: list[str] = []
+    for position, (value, error) in enumerate(zip(values, errors, strict=True)):
+        power = len(values) - 1 - position
+        symbol = {0: "", 1: " s"}.get(power, f" s^{power}")
+        lead = (
+            symbol.strip()
+            if value == 1.0 and power and not error > 0
+            else f"{_spread_text(abs(value), error)}{symbol}"
+        )
+        sign = ("-" if value < 0 else "") if not terms else (" - " if value < 0 else " + ")
+        terms.append(sign + lead)
+    return "".join(terms)

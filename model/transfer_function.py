@@ -1,0 +1,198 @@
+"""TF: transfer functions in s, one per input and output, with dead time; fitted for the free run.
+
+    y(t) = sum_j e^(-tau_j s) N_j(s) / D(s) u_j(t) + c + v(t)
+
+as flight-test engineers identify them: the frequency response is measured, a transfer function is fitted to
+it (`frequency_response`, `frequency_fit`), and, from there, its simulation error over the recorded segments
+is minimised (`continuous_error`; the output-error estimate with the parameters of the plant itself, Ljung,
+1999, 4.2 and 10.2). Orders: the zeros by BIC on the measured response, the poles as the simplest within one
+standard error of the best validation free run. Where no frequency can be trusted, a discrete output-error
+model gives the start.
+
+The fitted model is the transfer functions sampled exactly behind their hold, a linear model like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from flysid.dataset import Dataset
+from flysid.errors import FitError, UsageError
+from flysid.model.base import Structure
+from flysid.model.continuous_transfer import ContinuousTransfer
+from flysid.model.detrend import Trend, check_trend, detrended
+from flysid.model.linear import FittedLinear
+from flysid.model.linear import from_dict as linear_from_dict
+from flysid.model.linear_data import Parts
+from flysid.model.rational import Hold, forms
+from flysid.model.selection import block_errors, judging_window, simplest
+from flysid.model.tf_assemble import OneTransfer, assembled, runner
+from flysid.model.tf_start import refined_starts
+from flysid.model.threads import on_one_thread
+
+Auto = Literal["auto"]
+ORDER_LOSS = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class FittedTF(FittedLinear):
+    """A linear model that knows its transfer functions in s.
+
+    Attributes
+    ----------
+    transfers : one per output and input, outputs outermost.
+    counts : estimated parameters of every output.
+    """
+
+    transfers: tuple[ContinuousTransfer, ...] = ()
+    counts: tuple[int, ...] = ()
+
+    @property
+    def n_parameters(self) -> int:
+        return sum(self.counts)
+
+    def transfer(self, output: int = 0, source: int = 0) -> ContinuousTransfer:
+        """From one input to one output."""
+        return self.transfers[output * len(self.inputs) + source]
+
+    def __str__(self) -> str:
+        lines = [f"TF model, {self.n_parameters} parameters, sample time {self.dt_s:g} s"]
+        for transfer in self.transfers:
+            lines += ["", str(transfer)]
+        return "\n".join([*lines, "", *(f"- {note}" for note in self.notes)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """As a linear model, with its transfer functions beside."""
+        own = {"transfers": [t.to_dict() for t in self.transfers], "counts": list(self.counts)}
+        return super().to_dict() | own
+
+
+def from_dict(document: Mapping[str, Any]) -> FittedTF:
+    """Rebuild a model from `to_dict()`; damage raises KeyError, TypeError or ValueError."""
+    transfers = tuple(ContinuousTransfer.from_dict(t) for t in document["transfers"])
+    return _as_tf(linear_from_dict(document), transfers, tuple(int(c) for c in document["counts"]))
+
+
+def _as_tf(
+    model: FittedLinear, transfers: tuple[ContinuousTransfer, ...], counts: tuple[int, ...]
+) -> FittedTF:
+    if len(transfers) != len(model.outputs) * len(model.inputs):
+        raise ValueError("the transfer functions do not fit the signals")
+    plain = {f.name: getattr(model, f.name) for f in fields(FittedLinear)}
+    return FittedTF(**plain, transfers=transfers, counts=counts)
+
+
+@dataclass(frozen=True)
+class TF:
+    """Settings of a continuous-time transfer-function model; the defaults choose by themselves.
+
+    Parameters
+    ----------
+    poles : of every output, or "auto", at most 4.
+    zeros : one number or one per input, or "auto".
+    dead_time_s : "auto": none, or estimated where that explains clearly more; or seconds, one number or one
+        per input, None for an input whose dead time is to be estimated.
+    hold : what the inputs do between samples: "zero", constant (commands); "first", straight (measured
+        signals).
+    offset : estimate a constant.
+    trend : "none"; "remove" takes a straight line out of every segment's signals first; "estimate" fits an
+        offset and a drift of the output per segment along with the transfer function.
+    stable : poles in the left half plane. False admits unstable plants: such a model is fitted to the
+        frequency response alone, since its free run follows nothing for long.
+    refine : minimise the simulation error; False leaves the fit to the frequency response as it is.
+    n_init : measured samples that start a simulation; None chooses.
+    """
+
+    poles: int | Auto = "auto"
+    zeros: int | Sequence[int] | Auto = "auto"
+    dead_time_s: float | Sequence[float | None] | Auto = "auto"
+    hold: Hold = "zero"
+    offset: bool = True
+    trend: Trend = "none"
+    stable: bool = True
+    refine: bool = True
+    n_init: int | None = None
+
+    @on_one_thread
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTF:
+        """Measure, start, choose, refine.
+
+        Raises
+        ------
+        UsageError : settings that cannot be.
+        DataError : too few samples, a signal that never changes, or no trustworthy frequency where
+            refine=False or stable=False need one.
+        FitError : nothing could be fitted.
+        """
+        self._check(len(train.inputs))
+        train = detrended(train, self.trend)
+        validation = None if validation is None else detrended(validation, self.trend)
+        chosen = [self._output(_single(train, i), _single(validation, i)) for i in range(len(train.outputs))]
+        parts = Parts.of(train, validation, centred=self.offset)
+        model, transfers = assembled(parts, [c for c, _ in chosen], self.n_init)
+        notes = tuple(f"{o.name}: {words}." for o, (_, words) in zip(train.outputs, chosen, strict=True))
+        if not model.is_stable:
+            notes += (unstable_note(transfers),)
+        return _as_tf(replace(model, notes=notes), transfers, tuple(c.count for c, _ in chosen))
+
+    def _check(self, n_u: int) -> None:
+        check_trend(self.trend)
+        if self.hold not in ("zero", "first"):
+            raise UsageError(f"hold is {self.hold!r}", hint="'zero' or 'first'")
+        if self.n_init is not None and self.n_init < 1:
+            raise UsageError(f"n_init must be at least 1, not {self.n_init}")
+        forms(n_u, self.poles, self.zeros, self.dead_time_s, self.stable)
+
+    def _output(self, train: Dataset, validation: Dataset | None) -> tuple[OneTransfer, str]:
+        """The transfer functions of one output, chosen on the fitting part and refined on all."""
+        parts = Parts.of(train, validation, centred=self.offset)
+        tried = list(refined_starts(self, parts))
+        if not tried:
+            raise FitError("no transfer function could be fitted", hint="choose other orders")
+        best, words = _simplest(parts, [c for c, _ in tried])
+        return tried[best][0].refit(parts, refine=self.refine), f"{tried[best][1]}{words}"
+
+
+def _single(data: Dataset | None, output: int) -> Any:
+    """The dataset with one of its outputs."""
+    if data is None or len(data.outputs) == 1:
+        return data
+    segments = [replace(s, y=s.y[:, [output]]) for s in data.segments]
+    return Dataset(data.dt_s, data.inputs, (data.outputs[output],), tuple(segments), data.name)
+
+
+def _simplest(parts: Parts, tried: Sequence[OneTransfer]) -> tuple[int, str]:
+    """Index of the simplest within one standard error of the best validation free run, and words."""
+    if len(tried) == 1:
+        return 0, ""
+    window = judging_window(parts, max(t.depth for t in tried))
+    errors = [
+        block_errors(runner(parts, [t], window), parts.check, window, parts.scaling.y_scale) for t in tried
+    ]
+    best = simplest(errors, ORDER_LOSS)
+    table = ", ".join(
+        f"{t.poles}: {np.sqrt(e.mean()) if len(e) else np.nan:.3g}"
+        for t, e in zip(tried, errors, strict=True)
+    )
+    return best, (
+        "; as many poles as the simplest within one standard error of the best validation free run has "
+        f"(RMSE in standard deviations by poles, {table})"
+    )
+
+
+def unstable_note(transfers: Sequence[ContinuousTransfer]) -> str:
+    """What an unstable estimate is, and what to do about it."""
+    worst = max((p for t in transfers for p in t.poles), key=lambda p: p.real)
+    size = f"+{worst.real:.3g}" + (f" +- {abs(worst.imag):.3g}i" if worst.imag else "")
+    return (
+        f"Unstable: a pole at {size} rad/s. Simulate short spans only; if the plant is known to be stable, "
+        "fit with stable=True, a lower order or trend='remove'; if it flies under a controller, excite the "
+        "command and check for feedback."
+    )
+
+
+MODEL = Structure("tf", from_dict)
