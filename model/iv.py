@@ -31,6 +31,7 @@ from flysid.model.linear_data import CHOICE_ROWS, Parts
 from flysid.model.oe_search import SHARE, check_orders
 from flysid.model.output_error import HIGHEST_ORDER, ORDER_LOSS, find_delays
 from flysid.model.selection import block_errors, judging_window, simplest
+from flysid.model.simulation_error import Orders as SearchOrders
 from flysid.model.stream import OnDisk, Source, blocks_of
 from flysid.model.threads import on_one_thread
 
@@ -43,7 +44,7 @@ class IV:
 
     Parameters
     ----------
-    na, nb, nk, offset, n_init : as of `OE`.
+    na, nb, nk, offset, n_init, nk_hint : as of `OE`.
     reference : names of inputs of the dataset that drive a feedback loop from outside. They serve as
         instruments and have no coefficients of their own. Empty: the inputs are their own instruments.
     """
@@ -54,6 +55,7 @@ class IV:
     offset: bool = True
     n_init: int | None = None
     reference: Sequence[str] = ()
+    nk_hint: Sequence[int] = ()
 
     @on_one_thread
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:
@@ -135,7 +137,8 @@ def _delays(settings: IV, parts: Parts, columns: Columns, output: int, probe: in
         inputs=tuple(parts.fit.inputs[j] for j in kept),
         segments=tuple(replace(s, u=s.u[:, kept]) for s in parts.fit.segments),
     )
-    return find_delays(data, output, probe, counts, settings.offset)
+    spoken_for = columns.pick(settings.nk_hint) if settings.nk_hint else (1,) * len(kept)
+    return find_delays(data, output, SearchOrders(probe, counts, spoken_for, settings.offset))
 
 
 def _orders(settings: IV, na: int, nk: tuple[int, ...], columns: Columns) -> Orders:
