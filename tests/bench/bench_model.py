@@ -11,11 +11,9 @@ import importlib.util
 import json
 import os
 import resource
-import shutil
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +22,8 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
+from tests.bench.octave import ARX as OCTAVE_ARX
+from tests.bench.octave import TIMED, octave
 
 ROOT = Path(__file__).resolve().parents[2]
 ROWS = 1_000_000
@@ -134,13 +134,6 @@ def ours_subspace(order: int) -> Callable[[FloatArray, FloatArray], Any]:
     return work
 
 
-OCTAVE = """
-1;
-function mb = peak(), s = fileread('/proc/self/status'); t = regexp(s, 'VmHWM:\\s*(\\d+)', 'tokens');
-  mb = str2double(t{1}{1}) / 1024; endfunction
-pkg load control; load('%s'); d = iddata(y, u, 0.01); before = peak(); t = cputime(); %s;
-printf('%%.6f %%.1f\\n', cputime() - t, peak() - before);
-"""
 OCTAVE_WORK: dict[str, tuple[str, Callable[[int], tuple[FloatArray, FloatArray]]]] = {
     "ARX(4,4), 1e6": ("arx(d, 'na', 4, 'nb', 4)", siso),
     "3x3 ARX(4,4), 1e6": ("arx(d, 'na', 4, 'nb', 4)", mimo),
@@ -149,27 +142,51 @@ OCTAVE_WORK: dict[str, tuple[str, Callable[[int], tuple[FloatArray, FloatArray]]
 }
 
 
-def octave(work: str, times: int) -> tuple[float, float] | None:
+def by_octave(work: str, times: int) -> tuple[float, float] | None:
     """Median CPU seconds and peak megabytes above the data, or None where it cannot run."""
-    if shutil.which("octave") is None:
-        return None
-    from scipy.io import savemat
-
     command, make = OCTAVE_WORK[work]
-    with tempfile.TemporaryDirectory() as folder:
-        data, script = Path(folder) / "data.mat", Path(folder) / "work.m"
-        u, y = make(ROWS)
-        savemat(data, {"u": u.reshape(len(u), -1), "y": y.reshape(len(y), -1)})
-        script.write_text(OCTAVE % (data, command))
-        single = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        run = ["octave", "--quiet", "--no-gui", str(script)]
-        found = []
-        for _ in range(times):
-            done = subprocess.run(run, capture_output=True, text=True, check=False, env=single)
-            if not done.stdout.split():
-                return None
-            found.append([float(word) for word in done.stdout.split()[-2:]])
-    return statistics.median(f[0] for f in found), statistics.median(f[1] for f in found)
+    found = [octave(TIMED.replace("{work}", command), *make(ROWS)) for _ in range(times)]
+    runs = [f for f in found if f is not None]
+    if not runs:
+        return None
+    return statistics.median(f[0] for f in runs), statistics.median(f[1] for f in runs)
+
+
+def largest_differences() -> list[str]:
+    """Our ARX(4,4) against the peers' that solve the same least squares, 1e5 samples."""
+    from flysid.model.arx import ARX
+
+    u, y = siso(100_000)
+    model = ARX(na=4, nb=4, nk=1, offset=False, refine=False).fit(Dataset.from_arrays(u, y, 0.01))
+    ours = np.concatenate([model.system.a[1:, 0, 0], model.system.b[1:, 0, 0]])
+    theirs = {"Octave": octave(OCTAVE_ARX.format(na=4, nb=4), u, y)}
+    if importlib.util.find_spec("sippy_unipi"):
+        from sippy_unipi import system_identification
+
+        found = system_identification(y[None], u[None], "ARX", ARX_orders=[4, 4, 0], ARX_mod="LLS")
+        theirs["sippy_unipi"] = [*found.DENOMINATOR[0][0][1:5], *found.NUMERATOR[0][0][:4]]
+    return [
+        f"{who}: {'not installed' if it is None else f'{np.abs(ours - it).max():.1e}'}"
+        for who, it in theirs.items()
+    ]
+
+
+def sippy_arx(u: FloatArray, y: FloatArray) -> Any:
+    from sippy_unipi import system_identification
+
+    return system_identification(y[None], u[None], "ARX", ARX_orders=[4, 4, 0], ARX_mod="LLS")
+
+
+def sippy_subspace(order: int) -> Callable[[FloatArray, FloatArray], Any]:
+    def work(u: FloatArray, y: FloatArray) -> Any:
+        from sippy_unipi import system_identification
+
+        rows = u.reshape(len(u), -1).T, y.reshape(len(y), -1).T
+        return system_identification(
+            rows[1], rows[0], "N4SID", SS_fixed_order=order, SS_f=10, SS_p=10, SS_D_required=True
+        )
+
+    return work
 
 
 WORK: dict[str, tuple[Callable[[FloatArray, FloatArray], Any], Callable[[int], Any], int, str]] = {
@@ -177,9 +194,12 @@ WORK: dict[str, tuple[Callable[[FloatArray, FloatArray], Any], Callable[[int], A
     "ARX(4,4), 1e6: QR of NumPy": (numpy_qr, siso, ROWS, ""),
     "ARX(4,4), 1e6: sysidentpy + scikit-learn": (sysidentpy_arx, siso, ROWS, "sklearn"),
     "ARX(4,4), 1e6: sysidentpy FROLS": (sysidentpy_frols, siso, ROWS, "sysidentpy"),
+    "ARX(4,4), 1e6: sippy_unipi": (sippy_arx, siso, ROWS, "sippy_unipi"),
     "3x3 ARX(4,4), 1e6: flysid": (ours_arx, mimo, ROWS, ""),
     "subspace, order 4, 1e6: flysid": (ours_subspace(4), siso, ROWS, ""),
+    "subspace, order 4, 1e6: sippy_unipi": (sippy_subspace(4), siso, ROWS, "sippy_unipi"),
     "3x3 subspace, order 12, 1e6: flysid": (ours_subspace(12), mimo, ROWS, ""),
+    "3x3 subspace, order 12, 1e6: sippy_unipi": (sippy_subspace(12), mimo, ROWS, "sippy_unipi"),
     "400 orders, 1e6: flysid": (ours_grid, siso, ROWS, ""),
     "free run, 1e5: flysid": (ours_free_run, siso, 100_000, ""),
     "free run, 1e5: sysidentpy": (sysidentpy_free_run, siso, 100_000, "sysidentpy"),
@@ -236,7 +256,7 @@ def main(times: int = 5) -> None:
     single, grid = base["ARX(4,4), 1e6"], base["400 orders, 1e6"]
     print(f"400 orders take {grid / single:.1f} times one fit")
     for work in OCTAVE_WORK:
-        answer = octave(work, max(times // 2, 1))
+        answer = by_octave(work, max(times // 2, 1))
         if answer is None:
             print(f"{work}: octave with its control package is not installed")
             continue
@@ -245,6 +265,7 @@ def main(times: int = 5) -> None:
             f"{work + ': Octave':45s} {1000 * seconds:9.1f} ms {memory:8.1f} MB  "
             f"{seconds / base[work]:.1f} times ours"
         )
+    print("ARX(4,4), largest difference of a coefficient to ours: " + "; ".join(largest_differences()))
 
 
 if __name__ == "__main__":
