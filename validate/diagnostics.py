@@ -9,7 +9,8 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.model.base import Fitted
-from flysid.validate.compare import Comparison
+from flysid.validate.checks import Checks, check
+from flysid.validate.comparison import Comparison
 from flysid.validate.residuals import (
     Correlation,
     Spectrum,
@@ -76,6 +77,7 @@ class Diagnosis:
     outside : per signal (inputs, then outputs); empty without training data.
     pole_radius : largest pole modulus over the rules, by model.
     changes : per input, share of held-out samples that differ from the one before.
+    checks : of the models of the headline: stability, conditioning, intervals.
     """
 
     outputs: tuple[OutputDiagnosis, ...]
@@ -83,6 +85,7 @@ class Diagnosis:
     pole_radius: Mapping[str, float]
     rule_use: Mapping[str, RuleUse]
     changes: tuple[float, ...]
+    checks: Mapping[str, Checks]
     free_runs: tuple[Trial, ...]
     one_steps: tuple[Trial, ...]
 
@@ -100,6 +103,7 @@ def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
             if not comparison.models[name].reference
         },
         rule_use={name: rule_use(m, test) for name, m in models.items() if len(m.rules()) > 1},
+        checks={n: check(models[n], test, train) for n in (comparison.baseline, comparison.contender) if n},
         changes=tuple(_changes(test, i) for i in range(len(test.inputs))),
         free_runs=free,
         one_steps=one,

@@ -9,6 +9,7 @@ from typing import Any
 
 from flysid.ingest.doubts import Doubt
 from flysid.validate.cautions import cautions
+from flysid.validate.checks import Checks
 from flysid.validate.compare import Comparison, Entry, ModelScore, Pair
 from flysid.validate.diagnostics import Diagnosis
 from flysid.validate.residuals import Correlation
@@ -61,6 +62,7 @@ def _diagnosis(d: Diagnosis, comparison: Comparison) -> dict[str, Any]:
             {"signal": o.signal.name, "share": o.share, "low": o.low, "high": o.high} for o in d.outside
         ],
         "rule_use": {name: asdict(use) for name, use in d.rule_use.items()},
+        "checks": {name: _checks(c) for name, c in d.checks.items()},
         "outputs": {
             out.output.name: {
                 "whiteness": {name: _correlation(c, comparison.dt_s) for name, c in out.whiteness.items()},
@@ -77,6 +79,20 @@ def _diagnosis(d: Diagnosis, comparison: Comparison) -> dict[str, Any]:
             }
             for out in d.outputs
         },
+    }
+
+
+def _checks(c: Checks) -> dict[str, Any]:
+    sure = c.intervals
+    return {
+        "long_run": asdict(c.robustness),
+        "condition_per_rule": list(c.conditions),
+        "certificate": {"proved": c.proved, "words": c.certificate},
+        "gain_95": None if sure is None else sure.gain.tolist(),
+        "time_constant_95_s": None
+        if sure is None or sure.time_constant_s is None
+        else sure.time_constant_s.tolist(),
+        "coefficients": [] if sure is None else [asdict(x) for x in sure.coefficients],
     }
 
 

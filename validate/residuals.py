@@ -19,6 +19,8 @@ import numpy.typing as npt
 from flysid.dataset import FloatArray
 
 Z99 = 2.5758293035489004
+OVERLAP = 1.0 + 2.0 / 36.0
+"""Windows that overlap by half are correlated: 1 + 2 rho^2 with rho = 1/6 for Hann (Welch 1967)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,11 +130,20 @@ class Spectrum:
     hz : (F,) frequencies above 0.
     response : (F,) complex gain, output unit per input unit (Welch's H1 estimate).
     coherence : (F,) 0 to 1.
+    averages : windows that the estimate averages, as if they were independent.
     """
 
     hz: FloatArray
     response: npt.NDArray[np.complex128]
     coherence: FloatArray
+    averages: float = 1.0
+
+    @property
+    def relative_error(self) -> FloatArray:
+        """(F,) standard error of the gain over the gain, and of the phase in rad (Bendat & Piersol, 2010)."""
+        share = np.maximum(self.coherence, 1e-12)
+        error: FloatArray = np.sqrt((1.0 - share) / (2.0 * share * self.averages))
+        return error
 
     @property
     def largest(self) -> float:
@@ -170,4 +181,5 @@ def spectrum(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
     if not keep.any():
         return None
     coherence = np.abs(uy[keep]) ** 2 / (uu[keep] * yy[keep])
-    return Spectrum(hz[keep], uy[keep] / uu[keep] * (unit_y / unit_u), np.minimum(coherence, 1.0))
+    gain = uy[keep] / uu[keep] * (unit_y / unit_u)
+    return Spectrum(hz[keep], gain, np.minimum(coherence, 1.0), max(1.0, count / OVERLAP))

@@ -117,11 +117,33 @@ def _empirical(
         near = np.mean([np.interp(s.hz, np.geomspace(*gain.x, len(p)), p) for p in phases], axis=0)
         degrees = degrees + 360.0 * np.round((near - degrees) / 360.0)
     parts = [area(bottom, s.hz[inside], np.zeros(int(inside.sum())), s.coherence[inside], "fill")]
+    parts += _empirical_band(s, gain, phase, degrees)
     for css, chosen in (("dot faint", s.coherence <= 0.5), ("dot", s.coherence > 0.5)):
         keep = inside & chosen & (db > gain.y[0]) & (db < gain.y[1])
         parts.append(dots(gain, s.hz[keep], db[keep], css))
         seen = keep & (degrees > phase.y[0]) & (degrees < phase.y[1])
         parts.append(dots(phase, s.hz[seen], degrees[seen], css))
+    return parts
+
+
+def _empirical_band(s: Spectrum, gain: Axes, phase: Axes, degrees: FloatArray) -> list[Markup]:
+    """95 % whiskers of gain and phase where the coherence is above one half."""
+    spread = 1.96 * s.relative_error
+    db = 20 * np.log10(np.maximum(np.abs(s.response), 1e-12))
+    upper = 20 * np.log10(1.0 + spread)
+    lower = 20 * np.log10(np.maximum(1.0 - spread, 1e-2))
+    turn = spread * 180 / np.pi
+    shown = (s.coherence > 0.5) & (s.hz >= gain.x[0]) & (s.hz <= gain.x[1])
+    parts = []
+    for k in np.flatnonzero(shown):
+        at = np.full(2, s.hz[k])
+        for axes, low, high in (
+            (gain, db[k] + lower[k], db[k] + upper[k]),
+            (phase, degrees[k] - turn[k], degrees[k] + turn[k]),
+        ):
+            ends = np.clip(np.array([low, high]), *axes.y)
+            if ends[0] < ends[1]:
+                parts.append(line(axes, at, ends, "whisker thin"))
     return parts
 
 
@@ -192,9 +214,9 @@ def sweep_figure(sweep: Sweep, unit: str) -> Markup:
     chosen = np.array([float(sweep.chosen)])
     at = error[list(sweep.rules).index(sweep.chosen)] if sweep.chosen in sweep.rules else np.nan
     parts.append(dots(axes, chosen, np.array([at]), "ring"))
-    parts.append(
-        text(float(axes.px(chosen[0])), float(axes.py(at)) + 20, f"chosen: {sweep.chosen}", anchor="middle")
-    )
+    above = float(axes.py(at)) - 12
+    where = above if above > axes.top + 8 else float(axes.py(at)) + 20
+    parts.append(text(float(axes.px(chosen[0])), where, f"chosen: {sweep.chosen}", anchor="middle"))
     return picture(HALF, 186, parts, f"Error over the number of rules; {sweep.chosen} chosen")
 
 

@@ -91,13 +91,13 @@ def membership_figures(model: HasMemberships, data: Dataset, unit_of: dict[str, 
             continue
         x = np.linspace(*limits, 120)
         grades = np.asarray(model.memberships(i, x))
-        axes = Axes(limits, (0.0, 1.08), left=30, top=8, width=THIRD - 42, height=96)
+        axes = Axes(limits, (0.0, 1.08), left=30, top=18, width=THIRD - 42, height=86)
         unit = unit_of.get(name.split("(")[0], "")
         parts = [frame(axes, "", f"{one_line(name)}{', ' + one_line(unit) if unit else ''}", y_count=2)]
         for r in range(grades.shape[1]):
             parts.append(line(axes, x, grades[:, r], f"rule r{r % 8 + 1}"))
             top = int(np.argmax(grades[:, r]))
-            parts.append(text(float(axes.px(x[top])), axes.top + 8, f"A{r + 1}", css=f"t r{r % 8 + 1}t"))
+            parts.append(text(float(axes.px(x[top])), axes.top - 5, f"A{r + 1}", css=f"t r{r % 8 + 1}t"))
         figures.append(picture(THIRD, 142, parts, f"Membership functions over {name}"))
     return figures
 

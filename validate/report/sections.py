@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.base import Fitted, Rule
+from flysid.model.base import Rule
 from flysid.validate.compare import Comparison
 from flysid.validate.diagnostics import Diagnosis
 from flysid.validate.report import figures, overlay, rulefigures
+from flysid.validate.report.checktable import CheckRow, check_rows, coefficient_rows, interval_text
 from flysid.validate.report.context import Sweep
 from flysid.validate.residuals import Correlation
 from flysid.validate.responses import responses, steady_outputs
@@ -39,7 +40,9 @@ class RuleRow:
     condition: str
     conclusion: str
     gain: str
+    gain_interval: str
     time_constant: str
+    time_interval: str
     pole: str
     used: float
 
@@ -60,6 +63,9 @@ class Section:
     rules: tuple[tuple[str, tuple[RuleRow, ...]], ...]
     sets: tuple[Panel, ...]
     wide: tuple[Panel, ...]
+    models: tuple[str, ...]
+    checks: tuple[CheckRow, ...]
+    coefficients: tuple[tuple[str, str, str, str], ...]
     data: Mapping[str, Any]
 
 
@@ -105,9 +111,12 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         buttons=_buttons(source, j, labels),
         residuals=_residuals(source, j),
         dynamics=_dynamics(source, j, signal),
-        rules=tuple((m, _rule_rows(c.fitted[m], css, j, signal)) for m, css in reversed(overlay.drawn(c))),
+        rules=tuple((m, _rule_rows(source, m, css, (j, signal))) for m, css in reversed(overlay.drawn(c))),
         sets=_sets(source, j, signal),
         wide=_wide(source, j, pieces[longest].index, labels[longest]),
+        models=tuple(one_line(m).upper() for m, _ in overlay.drawn(c)),
+        checks=check_rows(c, source.diagnosis, j),
+        coefficients=coefficient_rows(c, source.diagnosis, j),
         data={
             "segments": [overlay.as_json(p, label) for p, label in zip(pieces, labels, strict=True)],
             "shown": longest,
@@ -198,7 +207,8 @@ def _bode(source: Source, j: int, signal: int) -> Panel:
     unit = f"{c.test.outputs[j].unit or '1'} per {c.test.inputs[signal].unit or '1'}"
     return Panel(
         "Local models against the linear baseline",
-        "dots: measured, faint where the coherence is below 0.5; dashed: linear; one colour per rule",
+        "dots: measured, with 95 % whiskers, faint where the coherence is below 0.5; dashed: linear; one "
+        "colour per rule",
         figures.bode(
             empirical, curves, hz, one_line(unit), "Frequency response of the rules and the linear model"
         ),
@@ -223,11 +233,24 @@ def _static(source: Source, j: int, signal: int) -> Panel:
     )
 
 
-def _rule_rows(model: Fitted, css: str, j: int, signal: int) -> tuple[RuleRow, ...]:
-    """Rows of the If-Then table; a model of one rule keeps its own colour."""
-    rules = model.rules()
+def _rule_rows(source: Source, name: str, css: str, place: tuple[int, int]) -> tuple[RuleRow, ...]:
+    """Rows of the If-Then table; a model of one rule keeps its own colour. `place` is (output, input)."""
+    rules = source.comparison.fitted[name].rules()
     colours = [css] if len(rules) == 1 else [f"r{i % 8 + 1}" for i in range(len(rules))]
-    return tuple(_rule_row(rule, colour, j, signal) for rule, colour in zip(rules, colours, strict=True))
+    checks = source.diagnosis.checks.get(name)
+    rows = [_rule_row(rule, colour, *place) for rule, colour in zip(rules, colours, strict=True)]
+    if checks is None or checks.intervals is None:
+        return tuple(rows)
+    sure, (j, signal) = checks.intervals, place
+    slow = sure.time_constant_s
+    return tuple(
+        replace(
+            row,
+            gain_interval=interval_text(sure.gain[:, r, j, signal]),
+            time_interval=interval_text(None if slow is None else slow[:, r], " s"),
+        )
+        for r, row in enumerate(rows)
+    )
 
 
 def _rule_row(rule: Rule, css: str, j: int, signal: int) -> RuleRow:
@@ -240,6 +263,8 @@ def _rule_row(rule: Rule, css: str, j: int, signal: int) -> RuleRow:
         condition=_typeset(rule.condition),
         conclusion=_typeset(rule.conclusion),
         gain=without or (number(gain) if np.isfinite(gain) else "integrates"),
+        gain_interval="",
+        time_interval="",
         time_constant=without or (f"{number(tau)} s" if np.isfinite(tau) else "integrates"),
         pole=f"{rule.pole_radius:.4f}",
         used=float(np.clip(rule.support, 0.0, 1.0)),

@@ -1,14 +1,19 @@
-"""Cautions about what a simpler model can do as well: a constant, a straight line, one rule."""
+"""Cautions about what a simpler model can do as well, and about what a model cannot be trusted with."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+
+import numpy as np
 
 from flysid.validate.caution import Caution, Comparisons, Diagnoses, heads, join
 from flysid.validate.comparison import Comparison, Entry
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
 from flysid.validate.words import number, one_line
+
+COLLINEAR = 1e5
+"""Condition number above which single coefficients mean little."""
 
 
 def useless(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
@@ -75,4 +80,62 @@ def one_rule(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution
             "gain comes from its order or refinement, not from fuzziness.",
             "use it as a linear model; do not quote it as evidence for rules.",
             3.5,
+        )
+
+
+def runs_away(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    """Models that reach their limits in a long run although they did not on the held-out part."""
+    for channel, d in diagnoses.items():
+        free = comparisons[channel].horizons[0]
+        for name, checks in d.checks.items():
+            at = checks.robustness.limits_s
+            lost = comparisons[channel].entry(horizon=free).models[name].diverged
+            if at is not None and not lost:
+                yield Caution(
+                    "warning",
+                    "In a long free run under random steps within the training range "
+                    f"{one_line(name).upper()} reaches its output limits on {one_line(channel)}, first at "
+                    f"t = {at:.1f} s.",
+                    "do not use it for long simulations or for control; use fewer rules or a lower order.",
+                    4.5,
+                )
+
+
+def unsure_gains(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    """Rules whose gain may have either sign."""
+    said = []
+    for channel, d in diagnoses.items():
+        for name, checks in d.checks.items():
+            sure = checks.intervals
+            if sure is None or len(comparisons[channel].test.inputs) > 1:
+                continue  # a second input may well have no effect
+            low, high = sure.gain
+            unsure = np.flatnonzero(((low < 0.0) & (high > 0.0)).any(axis=(1, 2)))
+            rules = ", ".join(f"R{r + 1}" for r in unsure) + " of " if len(low) > 1 else ""
+            if len(unsure):
+                said.append(f"{channel} ({rules}{name.upper()})")
+    if said:
+        yield Caution(
+            "note",
+            f"The data do not pin down the steady gain on {join(said)}: its 95 % interval holds zero.",
+            "do not quote these gains; fly longer steps, or use fewer rules.",
+            0.85,
+        )
+
+
+def collinear(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    """Regressors that hardly differ."""
+    del comparisons
+    said = [
+        f"{channel} ({name.upper()}: {max(checks.conditions):.0e})"
+        for channel, d in diagnoses.items()
+        for name, checks in d.checks.items()
+        if checks.conditions and max(checks.conditions) > COLLINEAR
+    ]
+    if said:
+        yield Caution(
+            "note",
+            f"The regressors hardly differ on {join(said)}: single coefficients mean little there.",
+            "read gains and time constants, not coefficients; lower the order or the sample rate.",
+            0.55,
         )
