@@ -24,7 +24,7 @@ from flysid.ingest.lake import Lake
 from flysid.ingest.recipe import load_recipe, recipe_text
 from flysid.model.base import Estimator, Fitted
 from flysid.split import plan_split
-from flysid.validate.baseline import choose_baseline, linear_estimators
+from flysid.validate.baseline import choose_baseline, confirmed, linear_estimators
 from flysid.validate.run import (
     RECIPE_FILE,
     RUN_FILE,
@@ -169,6 +169,7 @@ def _fit_channel(job: _Job) -> ChannelRun | str:
     files: dict[str, str] = {}
     seconds: dict[str, float] = {}
     failed: dict[str, str] = {}
+    linear: dict[str, Fitted] = {}
     place = slug(dataset.name)
     try:
         split = plan_split(dataset, holdout=settings.holdout, by=settings.by, seed=settings.seed)
@@ -181,14 +182,17 @@ def _fit_channel(job: _Job) -> ChannelRun | str:
         seconds["choice of the baseline"] = time.perf_counter() - started
         for label, estimator in estimators(settings, choice.label, hint).items():
             started = time.perf_counter()
-            why = _fit_one(estimator, train, job.folder / f"{place}/{label}.json")
-            if why and label == choice.label:
-                return why
-            if why:
-                failed[label] = why
+            model = _fit_one(estimator, train, job.folder / f"{place}/{label}.json")
+            if isinstance(model, str):
+                failed[label] = model
                 continue
+            if label in (*BESIDE, choice.label):
+                linear[label] = model
             seconds[label] = time.perf_counter() - started
             files[label] = f"{place}/{label}.json"
+        if not linear:
+            return "; ".join(f"{label}: {why}" for label, why in failed.items())
+        choice = confirmed(choice, linear, train)
     except (DataError, FitError) as error:
         return str(error)
     report = job.aligned.report
@@ -206,15 +210,15 @@ def _fit_channel(job: _Job) -> ChannelRun | str:
     )
 
 
-def _fit_one(estimator: Estimator, train: Dataset, path: Path) -> str:
-    """Fit and save a model, and its rules in words beside it; why it could not be fitted, or ''."""
+def _fit_one(estimator: Estimator, train: Dataset, path: Path) -> Fitted | str:
+    """Fit and save a model, and its rules in words beside it; or why it could not be fitted."""
     try:
         model = estimator.fit(train)
     except (FitError, DataError) as error:
         return str(error)
     model.save(path)
     write_atomically(path.with_suffix(".txt"), in_words(model).encode())
-    return ""
+    return model
 
 
 def in_words(model: Fitted) -> str:

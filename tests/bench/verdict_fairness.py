@@ -22,10 +22,11 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import FlysidError
+from flysid.ingest.deadtime import dead_times, delays_to_try
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.ts import TS
-from flysid.validate.baseline import choose_baseline, linear_estimators
+from flysid.validate.baseline import choose_baseline, confirmed, linear_estimators
 from flysid.validate.compare import compare
 from flysid.validate.trials import FREE_RUN
 
@@ -169,9 +170,12 @@ def judged(plant: Plant, rng: np.random.Generator, seed: int) -> Outcome:
     """Defaults fitted to the plant as `flysid fit` does it, judged, and tried on fresh flights."""
     began = time.process_time()
     train, test = flights(plant, TRAIN, rng, "t"), flights(plant, TEST, rng, "h")
-    linear = linear_estimators()
-    base = choose_baseline(train, linear).label
-    models: dict[str, Fitted] = {base: linear[base].fit(train), "ts": TS(most_rules=3).fit(train)}
+    hint = delays_to_try(dead_times(train), 1)
+    linear = linear_estimators(hint)
+    choice = choose_baseline(train, linear)
+    models: dict[str, Fitted] = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
+    base = confirmed(choice, models, train).label
+    models["ts"] = TS(most_rules=3, nk_hint=hint).fit(train)
     pair = compare(models, test, horizons=[FREE_RUN], baseline=base).verdict["y"]
     many = flights(plant, FRESH, rng, "f")
     fresh = compare(models, many, horizons=[FREE_RUN], baseline=base).verdict["y"]

@@ -1,0 +1,121 @@
+"""The linear side: chosen by validation, not against the whole of the training data, references beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from flysid.dataset import Dataset
+from flysid.errors import FitError
+from flysid.model.base import Fitted
+from flysid.model.mean import Mean
+from flysid.model.persistence import Persistence
+from flysid.validate.baseline import choose_baseline, confirmed, linear_estimators
+from flysid.validate.cautions import cautions
+from flysid.validate.compare import compare
+from flysid.validate.diagnostics import diagnose
+from flysid.validate.report import ReportContext, render
+from flysid.validate.tables import to_csv, to_markdown
+from flysid.validate.terminal import table
+from tests.fakes import FirstOrder, flown
+
+TRUTH = FirstOrder(a=0.9, b=0.1)
+TRAIN = flown(TRUTH, [300] * 6, noise=0.02)
+TEST = flown(TRUTH, [300] * 6, noise=0.02, seed=5)
+
+
+@dataclass(frozen=True)
+class Gives:
+    """An estimator that always learns the same model, or nothing."""
+
+    model: FirstOrder | None
+
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> Fitted:  # noqa: ARG002
+        if self.model is None:
+            raise FitError("no stable model was found")
+        return self.model
+
+
+def test_the_best_by_validation_is_the_baseline() -> None:
+    poor = Gives(FirstOrder(a=0.9, b=0.08))
+    choice = choose_baseline(TRAIN, {"arx": poor, "oe": Gives(TRUTH), "bj": Gives(None)})
+    assert choice.label == "oe"
+    assert set(choice.rmse) == {"arx", "oe"}
+    assert choice.rmse["oe"] < 0.7 * choice.rmse["arx"]
+    assert "OE" in choice.words
+    assert confirmed(choice, {"arx": FirstOrder(a=0.9, b=0.08), "oe": TRUTH}, TRAIN) == choice
+
+
+def test_arx_stays_where_nothing_is_clearly_better() -> None:
+    close = Gives(FirstOrder(a=0.9, b=0.1001))
+    assert choose_baseline(TRAIN, {"arx": close, "oe": Gives(TRUTH)}).label == "arx"
+    with pytest.raises(FitError, match="no linear model"):
+        choose_baseline(TRAIN, {"arx": Gives(None)})
+    assert set(linear_estimators()) >= {"arx", "oe", "armax", "bj", "statespace"}
+
+
+def test_a_winner_by_luck_is_not_kept() -> None:
+    choice = choose_baseline(TRAIN, {"arx": Gives(FirstOrder(a=0.9, b=0.08)), "oe": Gives(TRUTH)})
+    refitted = {"arx": FirstOrder(a=0.9, b=0.08), "oe": FirstOrder(a=0.9, b=0.05)}
+    kept = confirmed(choice, refitted, TRAIN)
+    assert kept.label == "arx"
+    assert "OE was not kept" in kept.words
+    assert confirmed(choice, {"arx": TRUTH}, TRAIN).label == "arx"  # its last fit failed
+
+
+def test_data_too_short_to_choose_on_leave_arx() -> None:
+    short = flown(TRUTH, [25], noise=0.02)
+    assert choose_baseline(short, {"arx": Gives(TRUTH), "oe": Gives(TRUTH)}).label == "arx"
+
+
+def test_references_do_what_their_names_say() -> None:
+    mean, held = Mean().fit(TRAIN), Persistence().fit(TRAIN)
+    u, y = TEST.segments[0].u, TEST.segments[0].y
+    level = np.mean(np.concatenate([s.y for s in TRAIN.segments]))
+    assert np.allclose(mean.simulate(u, y[:0]), level, rtol=1e-12)
+    assert np.allclose(mean.predict(u, y, 3)[2:], level, rtol=1e-12)
+    assert np.array_equal(held.simulate(u, y[:1]), np.full_like(y, y[0, 0]))
+    for k in (1, 7):
+        assert np.allclose(held.predict(u, y, k)[k:], y[:-k], rtol=0, atol=1e-12)
+
+
+def test_references_stand_beside_the_models_and_are_never_the_contender() -> None:
+    c = compare([TRUTH, FirstOrder(b=0.08, structure="ts", labels=("R1", "R2"))], TEST, train=TRAIN)
+    assert set(c.models) == {"arx", "ts", "mean", "persistence"}
+    assert c.contender == "ts"
+    assert compare({"arx": TRUTH, "mean": Mean().fit(TRAIN)}, TEST).contender is None
+    for text in (table({"c": c}), to_markdown({"c": c})):
+        assert text.count("reference") == 2
+    assert ",persistence," in to_csv({"c": c})
+    page = render(ReportContext({"c": c}, train={"c": TRAIN}))
+    assert "lines to stay below" in page
+
+
+def test_a_model_that_loses_to_the_mean_is_called_out() -> None:
+    wrong = FirstOrder(a=0.9, b=-0.1, structure="ts", labels=("R1", "R2"))
+    c = compare([FirstOrder(a=0.9, b=-0.09), wrong], TEST, train=TRAIN)
+    said = cautions({"roll": c}, {"roll": diagnose(c, TRAIN)})
+    assert said[0].level == "danger"
+    assert "the training mean is as good on roll" in said[0].text
+    good = compare([TRUTH, FirstOrder(a=0.9, b=0.09, structure="ts")], TEST, train=TRAIN)
+    assert not any("training mean" in x.text for x in cautions({"c": good}, {"c": diagnose(good, TRAIN)}))
+
+
+def test_a_better_model_of_one_rule_is_called_linear_in_every_form() -> None:
+    one = FirstOrder(a=0.9, b=0.1, structure="ts")
+    c = compare([FirstOrder(a=0.9, b=0.07), one], TEST, train=TRAIN)
+    pair = c.verdict["y"]
+    assert pair.verdict == "better"
+    assert pair.one_rule
+    assert not pair.earned
+    page = render(ReportContext({"roll": c}, train={"roll": TRAIN}))
+    assert "A linear model is enough on roll." in page
+    assert "not from fuzziness" in page
+    assert "The fuzzy model is better" not in page
+    for text in (table({"roll": c}), to_markdown({"roll": c}), page):
+        assert "TS better (one rule: linear)" in text
+    assert c.to_json()["channels"][c.channel]["free_run"]["one_rule"]
+    said = cautions({"roll": c}, {"roll": diagnose(c, TRAIN)})
+    assert any("has one rule: it is a linear model" in x.text for x in said)
