@@ -201,7 +201,9 @@ class _Job:
         boots = sorted(set.intersection(*(set(found.boots) for found in loaded.values())))
         conditions = condition_spans(self.recipe.conditions, log)
         labels = labels_of(self.recipe.labels, log)
-        report = FlightReport(log.name, signals=reports, notes=(*clocks.notes, *conditions.notes))
+        report = FlightReport(
+            log.name, signals=reports, notes=(*clocks.notes, *conditions.notes, *conditions.never)
+        )
         segments: list[Segment] = []
         for boot in boots:
             name = log.name if len(boots) == 1 else f"{log.name}#{boot}"
@@ -362,7 +364,7 @@ def _vehicle(log: Log) -> str:
 
 
 def _too_short(report: AlignReport, min_samples: int) -> DataError:
-    never = (note for f in report.flights for note in f.notes if note.endswith("never holds"))
+    never = (note for f in report.flights for note in f.notes if "never holds" in note)
     reasons = "; ".join(dict.fromkeys([*(f.reason for f in report.flights if f.reason), *never]))
     short = sum(f.short_segments for f in report.flights)
     return DataError(

@@ -9,8 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 
 from flysid.flight import BOOT, TIME
+from flysid.ingest.modes import mode_names
 from flysid.ingest.recipe import Label
 from flysid.ingest.resample import Span
 from flysid.ingest.signals import Log, column_values, find_source
@@ -72,7 +74,7 @@ def labels_of(labels: Sequence[Label], log: Log) -> Mapping[int, Labels]:
             continue
         name = source[0].fields[0]
         table = log.table(source[1], [TIME, BOOT, name])
-        texts = _texts(column_values(table, name), table.schema.field(name).metadata or {})
+        texts = texts_of(column_values(table, name), names_of(table, source[1], name, log))
         boots = np.asarray(table[BOOT].to_numpy())
         times = np.asarray(table[TIME].to_numpy(), dtype=np.int64)
         for boot in np.unique(boots):
@@ -88,7 +90,13 @@ def _steps(label: Label, t_ns: IntArray, values: Sequence[str]) -> Steps:
     return Steps(label.name, t_ns[changed], tuple(values[i] for i in changed), label.cut)
 
 
-def _texts(values: npt.NDArray[np.generic], metadata: Mapping[bytes, bytes]) -> list[str]:
-    """Values as words: the enumeration's name where the log has one."""
-    names = json.loads(metadata.get(b"enum", b"{}"))
+def names_of(table: pa.Table, stream: str, column: str, log: Log) -> Mapping[str, str]:
+    """Number (as text) -> name of a column's values: the log's enumeration, else the known flight modes."""
+    metadata = table.schema.field(column).metadata or {}
+    logged: Mapping[str, str] = json.loads(metadata.get(b"enum", b"{}"))
+    return logged or {str(k): v for k, v in mode_names(stream, column, log.info).items()}
+
+
+def texts_of(values: npt.NDArray[np.generic], names: Mapping[str, str]) -> list[str]:
+    """Values as words, numbers where there is no word."""
     return [names.get(str(v), str(v)) for v in values.tolist()]

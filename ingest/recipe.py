@@ -118,6 +118,9 @@ class ChannelSpec:
 class Condition:
     """Samples count only while a value is in bounds, e.g. while the vehicle is airborne.
 
+    Conditions of one name are alternatives: the first that the log has a source for counts. All names must
+    hold at once.
+
     Attributes
     ----------
     name : what it means, e.g. "airborne".
@@ -126,6 +129,8 @@ class Condition:
     above, below : exclusive bounds.
     any_of : the value (or its enumeration's name) must be one of these; for modes and flags.
     has_bits : all of these bits must be set, for bit fields (128: armed in HEARTBEAT.base_mode).
+    set_by, cleared_by : for events that are logged once: it holds from one of these values to one of those;
+        others change nothing, and before the first it was the other way round.
     margin_s : cut away this long at both ends of every interval in which the condition holds.
     required : without a source the flight is refused; otherwise the condition is left out, and said so.
     """
@@ -137,6 +142,8 @@ class Condition:
     below: float | None = None
     any_of: tuple[int | float | str, ...] = ()
     has_bits: int = 0
+    set_by: tuple[int | float | str, ...] = ()
+    cleared_by: tuple[int | float | str, ...] = ()
     margin_s: float = 0.0
     required: bool = False
 
@@ -333,6 +340,8 @@ def _check_sense(recipe: Recipe, where: str) -> None:
     for label in recipe.labels:
         for source in label.sources:
             _check_source(source, label.name, where)
+    for condition in recipe.conditions:
+        _check_condition(condition, where)
     named: list[tuple[str, SignalSpec | Condition]] = [*recipe.signals.items()]
     for name, spec in [*named, *((c.name, c) for c in recipe.conditions)]:
         if not is_known(spec.unit):
@@ -343,6 +352,21 @@ def _check_sense(recipe: Recipe, where: str) -> None:
             raise RecipeError(f"{name!r} has no sources", path=where)
         for source in spec.sources:
             _check_source(source, name, where)
+
+
+def _check_condition(condition: Condition, where: str) -> None:
+    kinds = {
+        "above, below": condition.above is not None or condition.below is not None,
+        "any_of": bool(condition.any_of),
+        "has_bits": bool(condition.has_bits),
+        "set_by, cleared_by": bool(condition.set_by or condition.cleared_by),
+    }
+    if sum(kinds.values()) != 1:
+        raise RecipeError(
+            f"condition {condition.name!r} must say one thing that holds, not {sum(kinds.values())}",
+            path=where,
+            hint="one of " + "; ".join(kinds),
+        )
 
 
 def _check_source(source: Source, name: str, where: str) -> None:
