@@ -118,7 +118,8 @@ class _Discrete:
         if self.nk is None:
             probe = min(2, form.poles)
             counts = (max(probe, 1),) * len(form.zeros)
-            found = find_delays(self.parts.fit, 0, probe, counts, self.settings.offset)
+            orders = Orders(probe, counts, (1,) * len(counts), self.settings.offset)
+            found = find_delays(self.parts.fit, 0, orders)
             self.nk = tuple(max(k, 1) for k in found)
         return self.nk
 
