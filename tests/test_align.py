@@ -392,3 +392,58 @@ def test_no_sample_is_made_up_inside_a_gap_whatever_the_stamps(
         bridged = (stamps[after] - stamps[after - 1])[~np.isin(at, stamps)]
         assert (bridged <= 2.5 * period_ns(stamps)).all()
         assert np.abs(segment.y).max() <= np.abs(Y50).max()
+
+
+EVENTS = [{"name": "armed", "sources": [{"stream": "EV", "field": "Id"}], "set_by": [10], "cleared_by": [11]}]
+
+
+@pytest.mark.parametrize(
+    ("ids", "at", "lengths"),
+    [
+        ([10, 11], [100, 400], [300]),
+        ([11], [400], [400]),  # it was armed before the log began
+        ([17, 18, 10], [50, 60, 300], [200]),
+        ([10, 11, 10, 11], [50, 150, 250, 400], [100, 150]),
+        ([17, 28], [50, 60], [500]),  # nothing is said of it: nothing is cut
+    ],
+)
+def test_events_switch_a_condition_on_and_off(ids: list[int], at: list[int], lengths: list[int]) -> None:
+    events = table(T50[at], Id=np.array(ids))
+    log = flight_of(CMD=table(T50, u=U50), STATE=table(T50, y=Y50), EV=events)
+    assert [len(s) for s in dataset([log], recipe(conditions=EVENTS), "c").segments] == lengths
+
+
+def test_conditions_of_one_name_are_alternatives_and_those_of_several_must_all_hold() -> None:
+    beat = {"name": "armed", "sources": [{"stream": "HEARTBEAT", "field": "base_mode"}], "has_bits": 128}
+    flying = {"name": "airborne", "sources": [{"stream": "LAND", "field": "landed"}], "any_of": [0]}
+    mode = np.where(np.arange(500) < 300, 209, 81)
+    landed = (np.arange(500) < 100).astype(np.uint8)
+    tables = {"CMD": table(T50, u=U50), "STATE": table(T50, y=Y50), "HEARTBEAT": table(T50, base_mode=mode)}
+    both = recipe(conditions=[*EVENTS, beat, flying])
+    aligned = align([flight_of(**tables)], both, "c")
+    assert [len(s) for s in aligned.dataset.segments] == [300]
+    assert "condition 'airborne' could not be checked: no source" in aligned.report.flights[0].notes
+    with_landing = flight_of(**tables, LAND=table(T50, landed=landed))
+    assert [len(s) for s in dataset([with_landing], both, "c").segments] == [200]
+
+
+def test_a_mode_never_entered_is_refused_naming_those_of_the_log() -> None:
+    wanted = {"name": "loiter", "sources": [{"stream": "MODE", "field": "ModeNum"}], "any_of": ["LOITER"]}
+    modes = table(T50[[0, 250]], ModeNum=np.array([0, 3], dtype=np.uint8))
+    tables = {"CMD": table(T50, u=U50), "STATE": table(T50, y=Y50), "MODE": modes}
+    log = Flight(
+        Source("f.bin", "dataflash", 1, "0" * 64),
+        tables,
+        info={"autopilot": "ardupilot", "vehicle": "copter"},
+    )
+    with pytest.raises(DataError, match=r"'loiter' never holds \(LOITER\): MODE.ModeNum is STABILIZE, AUTO"):
+        dataset([log], recipe(conditions=[wanted]), "c")
+    data = dataset([log], recipe(conditions=[{**wanted, "any_of": ["AUTO"]}]), "c")
+    assert [len(s) for s in data.segments] == [250]
+
+
+def test_a_condition_says_one_thing() -> None:
+    source = [{"stream": "MODE", "field": "m"}]
+    for kinds in ({}, {"any_of": [1], "above": 2.0}):
+        with pytest.raises(RecipeError, match="must say one thing"):
+            recipe(conditions=[{"name": "c", "sources": source, **kinds}])
