@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -76,6 +77,35 @@ def write_atomically(path: Path, content: bytes) -> None:
         temporary.unlink(missing_ok=True)
         raise
     sync(path.parent)
+
+
+def put_in_place(incoming: Path, final: Path) -> None:
+    """Make `incoming` (a folder) be `final`; a folder that is there is replaced and removed. Raises OSError.
+
+    Where the system can exchange two names (Linux), there is no moment without a `final`.
+    """
+    if not final.exists():
+        incoming.rename(final)
+    elif exchange(incoming, final):
+        shutil.rmtree(incoming, ignore_errors=True)
+    else:
+        old = final.with_name(f".{final.name}.replaced.{os.getpid()}")
+        final.rename(old)
+        incoming.rename(final)
+        shutil.rmtree(old, ignore_errors=True)
+    sync(final.parent)
+
+
+def exchange(one: Path, other: Path) -> bool:
+    """Swap two names at once (renameat2, RENAME_EXCHANGE); False where the system cannot."""
+    import ctypes
+
+    try:
+        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError, TypeError):
+        return False
+    here = -100  # AT_FDCWD: paths are relative to the working folder
+    return bool(renameat2(here, os.fsencode(one), here, os.fsencode(other), 2) == 0)
 
 
 def sync(path: Path) -> None:

@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 
 from flysid.errors import StoreError, UsageError, WriteError
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Flight, Source
-from flysid.flightwriter import FlightWriter, in_order, slug, sync, write_atomically, writing_to
+from flysid.flightwriter import FlightWriter, in_order, put_in_place, slug, write_atomically, writing_to
 from flysid.manifest import (
     DATA_FILE,
     DATA_FORMAT,
@@ -178,7 +178,7 @@ def write_flight(
         manifest = _write_streams(incoming, name, source, parts)
         with writing_to(final):
             write_atomically(incoming / MANIFEST_FILE, to_json(manifest))
-            _move_into_place(incoming, final)
+            put_in_place(incoming, final)
     except BaseException:
         shutil.rmtree(incoming, ignore_errors=True)
         raise
@@ -191,18 +191,6 @@ def _free_id(data: Path, source: Source) -> str:
     if (taken / MANIFEST_FILE).is_file() and read_manifest(taken).source.sha256 != source.sha256:
         return flight_id(source, digits=64)
     return taken.name
-
-
-def _move_into_place(incoming: Path, final: Path) -> None:
-    if final.exists():
-        old = final.with_name(f".replaced-{final.name}")
-        shutil.rmtree(old, ignore_errors=True)
-        final.rename(old)
-        incoming.rename(final)
-        shutil.rmtree(old, ignore_errors=True)
-    else:
-        incoming.rename(final)
-    sync(final.parent)
 
 
 def _write_streams(

@@ -212,8 +212,9 @@ def ingest_one(job: Job, data: Path, limits: Limits, replace: bool) -> Result:
             source = Source(job.path.name, fmt.name, job.size, job.sha256)
             parts = fmt.read(view, job.path.name, limits)
             return Result(job.path, write_flight(data, source, parts, replace=replace))
-    except WriteError:
-        raise
+    except WriteError as error:
+        need = f"this log needs about {max(job.size // 10**6, 1)} MB; "
+        raise WriteError(error.message, hint=need + error.hint, path=error.path) from error
     except MemoryError:
         return Result(job.path, reason=NO_MEMORY)
     except FlysidError as error:

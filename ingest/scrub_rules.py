@@ -27,7 +27,7 @@ Gps = Literal["shift", "remove"]
 
 NEUTRAL = (0.01, 0.01)  # off the coast of Africa; not 0, 0, which means "no fix"
 GRID_DEG = 1e-7
-UNSET_DEG = 214.0  # the largest int32, in 1e-7 degrees: "not given"
+UNSET_DEG = 214.7483647  # the largest int32, in 1e-7 degrees: "not given"
 GLOBAL_FRAMES = (0, 3, 5, 6, 10, 11)  # MAV_FRAME with latitude and longitude
 LOCATED_COMMANDS = (
     *range(16, 96),
@@ -155,9 +155,7 @@ class Scrubber:
     def moved(self, lat_deg: FloatArray, lon_deg: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """New latitudes and longitudes on the grid, and where there was a fix; marks of "none" stay."""
         is_fix = has_fix(lat_deg, lon_deg)
-        unset = ~np.isfinite(lat_deg) | (np.abs(lat_deg) > UNSET_DEG) | ~np.isfinite(lon_deg)
-        unset |= np.abs(lon_deg) > UNSET_DEG * 1.7  # some write 360 and more; noise is not a mark
-        lat, lon = np.where(unset, lat_deg, 0.0), np.where(unset, lon_deg, 0.0)
+        lat, lon = (np.where(is_unset(x), x, 0.0) for x in (lat_deg, lon_deg))
         if self.gps == "shift" and self.middle is not None:
             east = (lon_deg - self.middle.lon_deg + 540.0) % 360.0 - 180.0
             lat = np.where(is_fix, self._on_grid(NEUTRAL[0] + lat_deg - self.middle.lat_deg), lat)
@@ -174,6 +172,12 @@ class Scrubber:
     def _on_grid(self, degrees: FloatArray) -> FloatArray:
         with np.errstate(invalid="ignore"):
             return np.floor(degrees / GRID_DEG + self.rng.random(degrees.shape)) * GRID_DEG
+
+
+def is_unset(degrees: FloatArray) -> BoolArray:
+    """Where a coordinate is a mark of "not given": NaN, or the largest int32 in 1e-7 degrees."""
+    found: BoolArray = ~np.isfinite(degrees) | (np.abs(np.abs(degrees) - UNSET_DEG) < 1e-3)
+    return found
 
 
 def has_fix(lat_deg: FloatArray, lon_deg: FloatArray) -> BoolArray:

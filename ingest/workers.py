@@ -28,11 +28,12 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, Generic, TypeVar
 
-from flysid.errors import UsageError
+from flysid.errors import FlysidError, UsageError
 
 HEADROOM_BYTES = 1 << 30
 LOOK_EVERY_S = 0.1
 JOIN_S = 5.0
+_NO_WORKER = "no worker process can be started: {}"
 
 Task = TypeVar("Task")
 Outcome = TypeVar("Outcome")
@@ -100,7 +101,10 @@ class _Worker(Generic[Task, Outcome]):
 
     def __init__(self, function: Callable[[Task], Outcome], bounds: Bounds) -> None:
         context = multiprocessing.get_context("spawn")
-        self.connection, theirs = context.Pipe()
+        try:
+            self.connection, theirs = context.Pipe()
+        except OSError as error:
+            raise FlysidError(_NO_WORKER.format(error.strerror)) from error
         self._bounds = bounds
         self._task: Task | None = None
         self._since = 0.0
@@ -109,8 +113,12 @@ class _Worker(Generic[Task, Outcome]):
         self._process: SpawnProcess = context.Process(
             target=_serve, args=(theirs, function, bounds.memory_bytes), daemon=True
         )
-        self._process.start()
-        theirs.close()
+        try:
+            self._process.start()
+        except OSError as error:
+            raise FlysidError(_NO_WORKER.format(error.strerror)) from error
+        finally:
+            theirs.close()
 
     @property
     def is_busy(self) -> bool:

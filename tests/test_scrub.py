@@ -19,7 +19,7 @@ import flysid
 from flysid.errors import UsageError
 from flysid.flight import Flight, field_scale
 from flysid.ingest.scrub import Scrubbed, scrub_log, scrubbers
-from flysid.ingest.scrub_rules import Column, is_private_parameter, places, redacted
+from flysid.ingest.scrub_rules import Column, Fix, Gps, Scrubber, is_private_parameter, places, redacted
 from tests.private_logs import ALT, PRIVATE, SERIAL, STEPS, Private
 from tests.samplelogs import tlog
 
@@ -266,6 +266,17 @@ def test_what_cannot_be_scrubbed_is_refused(tmp_path: Path) -> None:
 )
 def test_texts_lose_identifiers_only(text: str, clean: str) -> None:
     assert redacted(text.encode()).decode() == clean
+
+
+@pytest.mark.parametrize("gps", ["shift", "remove"])
+def test_pairs_that_are_no_fix_lose_what_is_no_mark(gps: Gps) -> None:
+    unset = 214.7483647
+    lat = np.array([48.0, np.nan, unset, 0.0, 34.09, 95.0])
+    lon = np.array([11.0, np.nan, unset, 0.0, 8e168, 11.0])
+    new_lat, new_lon, is_fix = Scrubber(gps, Fix(48.0, 11.0, 0.0)).moved(lat, lon)
+    assert is_fix.tolist() == [True] + [False] * 5
+    assert np.allclose([new_lat[1:], new_lon[1:]], [np.nan, unset, 0, 0, 0], equal_nan=True)
+    assert np.allclose([new_lat[0], new_lon[0]], 0.01 if gps == "shift" else 0.0)
 
 
 def test_names_of_positions_and_parameters() -> None:

@@ -22,6 +22,7 @@ from flysid.validate.terminal import summary, table
 
 PAGE = "report.html"
 DOCUMENT = "report.json"
+FIT_TIME = ": fit time"  # on the page only: equal runs give equal documents
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Judgement:
         """The comparison as JSON types: {"channels": {NAME: {HORIZON: {...}}}, ...}."""
         return to_json(self.comparisons, self.context.diagnoses, self.context.doubts) | {
             "skipped": dict(self.skipped),
-            "provenance": dict(self.context.provenance),
+            "provenance": {k: v for k, v in self.context.provenance.items() if not k.endswith(FIT_TIME)},
             "fit_seconds": {name: dict(times) for name, times in self.context.fit_seconds.items()},
         }
 
@@ -163,7 +164,7 @@ def _provenance(run: Run, held: list[HeldOut]) -> dict[str, str]:
         found[f"{name}: held-out sha256"] = str(split["test_sha256"])
         found[f"{name}: alignment"] = "; ".join(line.strip() for line in item.channel.aligned)
         found[f"{name}: baseline"] = f"{item.channel.baseline}; {item.channel.chosen}".removesuffix("; ")
-        found[f"{name}: fit time"] = ", ".join(f"{k} {v:.2f} s" for k, v in item.channel.fit_seconds.items())
+        found[name + FIT_TIME] = ", ".join(f"{k} {v:.2f} s" for k, v in item.channel.fit_seconds.items())
         if item.channel.dead_times:
             found[f"{name}: dead time"] = "; ".join(item.channel.dead_times)
         for label, why in item.channel.failed.items():

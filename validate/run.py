@@ -23,7 +23,7 @@ from typing import Any
 
 from flysid.dataset import Dataset
 from flysid.errors import StoreError, UsageError
-from flysid.flightwriter import writing_to
+from flysid.flightwriter import put_in_place, writing_to
 from flysid.ingest.doubts import Doubt
 from flysid.ingest.lake import Lake
 from flysid.ingest.lake import open as open_lake
@@ -132,11 +132,7 @@ def replacing_folder(out: Path) -> Iterator[Path]:
     try:
         yield incoming
         with writing_to(out):
-            old = out.with_name(f".{out.name}.old")
-            if out.exists():
-                out.rename(old)
-            incoming.rename(out)
-            shutil.rmtree(old, ignore_errors=True)
+            put_in_place(incoming, out)
     finally:
         shutil.rmtree(incoming, ignore_errors=True)
 

@@ -91,4 +91,10 @@ def main() -> None:
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(1)
+    except OSError as error:
+        report_error(FlysidError(f"the system refused: {error.strerror or error}", path=error.filename))
+        sys.exit(1)
+    except MemoryError:
+        report_error(FlysidError("not enough memory", hint="close other programs"))
+        sys.exit(1)
     sys.exit(code if isinstance(code, int) else 0)

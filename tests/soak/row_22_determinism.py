@@ -1,0 +1,19 @@
+"""Row 22: the same fit and judgement with one and two workers, three times each: the same bytes."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from tests.fault_trials import equal_runs
+from tests.soak import Budget, Campaign, Outcome
+
+
+def run(_: Budget) -> Iterator[Outcome]:
+    """One outcome."""
+    with tempfile.TemporaryDirectory() as folder:
+        yield equal_runs(Path(folder), [1, 2, 1, 2, 1, 2])
+
+
+CAMPAIGN = Campaign(22, "determinism over workers", run)

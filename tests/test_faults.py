@@ -1,0 +1,73 @@
+"""Killed, out of room, out of handles: nothing partial shows, and the same command goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from flysid.flightwriter import exchange, put_in_place
+from flysid.ingest.lake import open as open_lake
+from flysid.validate.fitting import fit_run
+from flysid.validate.judge import judge_run
+from flysid.validate.run import FitSettings
+from tests.fault_trials import full_disks, killed_ingests, limited, read_only_disks, small_data, visible
+from tests.soak import Outcome
+
+
+def test_kill_during_ingest_then_the_same_command_again(tmp_path: Path) -> None:
+    outcome = killed_ingests(tmp_path, 4)
+    assert outcome.failures == []
+    assert outcome.trials == 4
+
+
+@pytest.mark.parametrize(
+    ("trials", "refused"),
+    [
+        (lambda folder: full_disks(folder, ["96k"]), 1),
+        (read_only_disks, 1),
+        (lambda folder: limited(folder, ["-f 8"]), 1),
+    ],
+    ids=["full disk", "read-only disk", "ulimit"],
+)
+def test_no_room_is_named_and_nothing_partial_shows(
+    tmp_path: Path, trials: Callable[[Path], Outcome], refused: int
+) -> None:
+    try:
+        outcome = trials(tmp_path)
+    except PermissionError:
+        pytest.skip("this user may not mount a small disk")
+    assert outcome.failures == []
+    assert outcome.raised >= refused
+
+
+def test_one_and_two_workers_fit_and_judge_alike(tmp_path: Path) -> None:
+    lake = open_lake(small_data(tmp_path))
+    settings = FitSettings(channels=("vertical", "lateral"), rules=1)
+    found = []
+    for jobs in (1, 2):
+        run = fit_run(lake, "ardrone-synthetic", tmp_path / f"run{jobs}", settings, jobs=jobs)
+        document = {k: v for k, v in judge_run(run).document.items() if k != "fit_seconds"}
+        found.append((visible(run.folder), document))
+    assert found[0] == found[1]
+
+
+def test_a_folder_takes_the_place_of_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for has_exchange in (True, False):
+        if not has_exchange:
+            monkeypatch.setattr("flysid.flightwriter.exchange", lambda *_: False)
+        for name in ("new", "old"):
+            (tmp_path / name).mkdir()
+            (tmp_path / name / "is").write_text(name)
+        put_in_place(tmp_path / "new", tmp_path / "old")
+        assert (tmp_path / "old" / "is").read_text() == "new"
+        assert [p.name for p in tmp_path.iterdir()] == ["old"]
+        (tmp_path / "old" / "is").unlink()
+        (tmp_path / "old").rmdir()
+
+
+def test_what_cannot_be_exchanged_stays(tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
+    assert not exchange(tmp_path / "here", tmp_path / "nowhere")
+    assert (tmp_path / "here").is_dir()
