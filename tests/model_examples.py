@@ -26,6 +26,7 @@ from flysid.model.statespace import StateSpace
 from flysid.model.static_ts import StaticTS
 from flysid.model.transfer_function import TF
 from flysid.model.ts import TS
+from flysid.model.ts_state_space import TSStateSpace
 
 
 def plant(u: FloatArray) -> FloatArray:
@@ -74,6 +75,8 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "ts, one step": (TS(rules=2, na=2, nb=2, nk=1, refine=False).fit, data()),
     "ts, anfis": (ANFIS(rules=2, epochs=10).fit, data(2, 1)),
     "ts, two inputs and outputs": (TS(rules=2, na=2, nb=1, nk=1, iterations=5).fit, data(2, 2)),
+    "ts_ss": (TSStateSpace(states=2, rules=2, nk=1, iterations=10).fit, data()),
+    "ts_ss, two inputs and outputs": (TSStateSpace(states=4, rules=2, nk=1, iterations=5).fit, data(2, 2)),
     "fir": (FIR(taps=12).fit, data()),
     "fir, two inputs and outputs": (FIR(taps=6, nk=(1, 0)).fit, data(2, 2)),
     "armax": (ARMAX(na=2, nb=2, nk=1, nc=2).fit, data()),

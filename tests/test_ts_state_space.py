@@ -1,0 +1,191 @@
+"""TS state-space models: hidden states found, laws of their own; see test_model_contract for the others."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import DataError, UsageError
+from flysid.model.oe import OE
+from flysid.model.ts_state_space import MODEL, FittedTSStateSpace, TSStateSpace
+from flysid.model.tslayout import scaling
+from flysid.model.tsproblem import Body
+from flysid.model.tsss_fit import Bench, Start, linear_starts
+from flysid.model.tsss_grow import Training, one_rule_more
+from flysid.model.tsss_judge import ends_of_travel
+from flysid.model.tsss_local import next_states, polytope, to_nonlinear_system
+from flysid.model.tsss_problem import StateError
+from flysid.model.tsss_start import coordinates, realised
+from tests.bench.hidden_plants import PLANTS
+from tests.model_examples import data
+
+VEHICLE = PLANTS["vehicle with drag and a lagging actuator"]
+TANKS = PLANTS["two tanks with overflow"]
+
+
+@cache
+def vehicle() -> Dataset:
+    return VEHICLE.dataset((1, 2), 500, 0.02)[0]
+
+
+@cache
+def flown() -> FittedTSStateSpace:
+    return TSStateSpace(states=2, rules=2, nk=1, ridge=0.1, antecedents=("y(k-1)",)).fit(vehicle())
+
+
+def free_run_gap(model: FittedTSStateSpace, test: Dataset, truth: list[FloatArray]) -> float:
+    """RMSE against the noise-free truth, in spreads of the output."""
+    gaps = []
+    for segment, y in zip(test.segments, truth, strict=True):
+        run = model.simulate(segment.u, segment.y[: model.n_init])[:, 0]
+        gaps.append((run - y)[model.n_init :])
+    return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)) / np.std(np.concatenate(truth)))
+
+
+def stage_of(dataset: Dataset, states: int = 2, *, order: int = 0) -> tuple[Bench, Start]:
+    settings, scaled = TSStateSpace(states=states, nk=1), scaling(dataset)
+    starts = linear_starts(settings, dataset, scaled)
+    return Bench(settings, 30, ends_of_travel(dataset), scaled), starts[order]
+
+
+def test_a_lagging_actuator_and_drag_are_found() -> None:
+    """Two rules look at the speed and are near the noise-free truth, where one linear model is 15 % off."""
+    test, truth = VEHICLE.dataset((101, 102), 1000, 0.02)
+    linear = TSStateSpace(states=2, rules=1, nk=1).fit(vehicle())
+    assert free_run_gap(linear, test, truth) > 0.1
+    assert free_run_gap(flown(), test, truth) < 0.04
+    assert flown().antecedents == ("y(k-1)",)
+
+
+def test_every_coordinate_is_the_same_linear_model() -> None:
+    """Realisations in all coordinates answer an input as the difference equation does."""
+    dataset = data(2, 2, noise=0.0)
+    fitted, (shift, scale) = OE(na=2, nb=2, nk=1).fit(dataset), scaling(dataset)
+    choices = coordinates(realised(fitted, shift, scale), 2)
+    u = dataset.segments[0].u
+    expected = fitted.simulate(u) - fitted.simulate(np.zeros_like(u))
+    assert len({c.words for c in choices}) > 1
+    for choice in choices:
+        x, rows = np.zeros(len(choice.A)), [np.zeros(2)]
+        for inputs in u[:-1] / scale[2:]:
+            x = choice.A @ x + choice.B[1] @ inputs
+            rows.append(x[:2] * scale[:2])
+        assert np.abs(np.array(rows) - expected).max() < 1e-9
+
+
+def test_sensitivities_are_exact() -> None:
+    """The gradient of the cost agrees with central differences."""
+    bench, start = stage_of(vehicle())
+    stage = bench.stage(start, vehicle())
+    grown = one_rule_more(stage, bench.candidates(stage.layout), Training(iterations=3, tries=1))
+    error = StateError(grown.problem, grown.body, np.ones(grown.body.size), grown.initial)
+    p = error.start() + 1e-3 * np.random.default_rng(0).standard_normal(len(error.start()))
+    _, _, g = error.normal(p)
+    for j in range(len(p)):
+        e = 1e-6 * np.eye(len(p))[j]
+        slope = (error.cost(p + e) - error.cost(p - e)) / 2e-6
+        assert 2.0 * g[j] == pytest.approx(slope, rel=1e-4, abs=1e-8)
+
+
+def test_an_overflow_is_an_end_and_a_peak_is_not() -> None:
+    tanks, _ = TANKS.dataset((1,), 1024, 0.002)
+    ends = ends_of_travel(tanks)
+    assert ends[1, 0] == pytest.approx(10.0, abs=0.02)
+    assert ends[0, 0] == -np.inf
+    assert np.isinf(ends_of_travel(vehicle())).all()
+    t = np.arange(1000)
+    swing = Dataset.from_arrays(np.sin(t / 20.0), np.sin(t / 20.0), 0.1)
+    assert np.isinf(ends_of_travel(swing)).all()
+
+
+def test_python_control_follows_sample_by_sample() -> None:
+    control = pytest.importorskip("control")
+    model, segment = flown(), vehicle().segments[1]
+    x = model.states(segment.u, segment.y)
+    rows = 60
+    system = to_nonlinear_system(model)
+    s = np.concatenate([x[9], segment.u[9]])
+    past = [np.concatenate([x[k - 1], segment.u[k - 1]]) for k in range(10, 10 + rows)]
+    expected = [next_states(model, past[k], segment.u[10 + k])[0] for k in range(rows)]
+    time = np.arange(rows) * model.dt_s
+    answer = control.input_output_response(system, time, segment.u[10 : 10 + rows].T, s)
+    assert np.asarray(answer.outputs).ravel() == pytest.approx(np.array(expected), abs=1e-9)
+
+
+def test_the_polytope_says_what_the_rules_say() -> None:
+    """Where one rule fires alone, its local state space steps as the model does."""
+    model = flown()
+    r = int(np.argmax(model.centres[:, 0]))
+    far = replace_firing(model, r)
+    local = polytope(model)[r]
+    s, u = np.array([0.4, -0.3, 0.1]), np.array([0.2])
+    assert (local.A @ s + local.B @ u + local.f)[:2] == pytest.approx(next_states(far, s, u), abs=1e-9)
+    assert np.sort(np.abs(np.linalg.eigvals(local.A)))[-2:] == pytest.approx(
+        np.sort(np.abs(model.local_poles()[r])), abs=1e-9
+    )
+
+
+def replace_firing(model: FittedTSStateSpace, r: int) -> FittedTSStateSpace:
+    """The model with rule r alone."""
+    document = json.loads(json.dumps(model.to_dict()))
+    for name in ("theta", "centre", "width"):
+        document["parameters"][name] = [document["parameters"][name][r]]
+    alone = MODEL.from_dict(document)
+    assert isinstance(alone, FittedTSStateSpace)
+    return alone
+
+
+def test_rules_name_outputs_and_hidden_states() -> None:
+    model = flown()
+    text = str(model)
+    assert "hidden 1(k) =" in text
+    assert "y(k) =" in text
+    assert "y(k-1) is A" in text
+    assert model.firing(vehicle().segments[0].u, vehicle().segments[0].y).shape == (500, 2)
+
+
+def test_far_outside_the_training_range_it_stays_finite() -> None:
+    run = flown().simulate(1e6 * np.ones((500, 1)), np.zeros((flown().n_init, 1)))
+    assert np.isfinite(run).all()
+    assert run.max() <= flown().output_limits[1, 0]
+
+
+@pytest.mark.parametrize(
+    ("settings", "word"),
+    [
+        (TSStateSpace(states=0), "states"),
+        (TSStateSpace(rules=0), "rules"),
+        (TSStateSpace(ridge=-1.0), "ridge"),
+        (TSStateSpace(antecedents="y(k-1)"), "antecedents"),
+        (TSStateSpace(states=2, nk=1, antecedents=("z(k-1)",)), "not understood"),
+    ],
+)
+def test_settings_that_cannot_be(settings: TSStateSpace, word: str) -> None:
+    with pytest.raises(UsageError, match=word):
+        settings.fit(vehicle())
+
+
+def test_data_that_say_nothing() -> None:
+    rng = np.random.default_rng(0)
+    still = Dataset.from_arrays(np.zeros(200), rng.standard_normal(200), 0.1)
+    short = Dataset.from_arrays(rng.standard_normal(12), rng.standard_normal(12), 0.1)
+    few = Dataset.from_arrays(rng.standard_normal(60), rng.standard_normal(60), 0.1)
+    with pytest.raises(DataError, match="never"):
+        TSStateSpace().fit(still)
+    with pytest.raises(DataError):
+        TSStateSpace().fit(short)
+    with pytest.raises(DataError, match="rules"):
+        TSStateSpace(states=2, rules=5, nk=1).fit(few)
+
+
+def test_bodies_keep_their_shape() -> None:
+    """A vector of unknowns and back is the same body."""
+    rng = np.random.default_rng(0)
+    body = Body(rng.standard_normal((2, 2, 4)), rng.standard_normal((2, 1)), np.ones((2, 1)))
+    again = body.moved(body.vector())
+    assert np.array_equal(again.a, body.a)
+    assert np.allclose(again.width, body.width)
