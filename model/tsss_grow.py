@@ -22,6 +22,7 @@ from flysid.model.tsss_problem import StateError, StateProblem, antecedent_range
 from flysid.model.tsss_start import Prior, Realisation, initial_states
 
 _PLACES = (0.15, 0.5, 0.85)
+_FIRST_PLACES = (0.1, 0.3, 0.7, 0.9)  # not the middle, from where there is no other side
 _HIDDEN_LIMIT = 12.0  # spreads that a hidden state may reach
 _FLOOR = 1e-3  # of the metric's diagonal, added to it: directions that the linear model does not feel
 _START_ROWS = 400  # of a run from which a linear start takes its initial state
@@ -189,7 +190,7 @@ def insertions(stage: StateStage, candidates: Sequence[Antecedent]) -> list[Stat
             chosen = z[phi.argmax(axis=1) == rule, j]
             if len(chosen) < 10 or span == 0.0:
                 continue
-            for place in _PLACES:
+            for place in _PLACES if stage.rules > 1 else _FIRST_PLACES:
                 centre, width = wide.body.centre[rule].copy(), wide.body.width[rule].copy()
                 centre[j] = np.quantile(chosen, place)
                 width[j] = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)

@@ -153,7 +153,9 @@ class Prior:
         covariance += 1e-6 * (np.trace(covariance) / n + 1e-12) * np.eye(n)
         # the state before training's first sample may lie outside: allow twice the spread
         mean: FloatArray = np.asarray(x.mean(axis=0), dtype=np.float64)
-        return cls(mean, np.linalg.inv(4.0 * covariance), 1.0 / max(variance, 1e-12))
+        return cls(
+            mean, np.asarray(np.linalg.inv(4.0 * covariance), dtype=np.float64), 1.0 / max(variance, 1e-12)
+        )
 
 
 def initial_states(

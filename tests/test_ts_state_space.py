@@ -144,7 +144,7 @@ def test_rules_name_outputs_and_hidden_states() -> None:
     text = str(model)
     assert "hidden 1(k) =" in text
     assert "y(k) =" in text
-    assert "y(k-1) is A" in text
+    assert "If y(k-1) is " in text
     assert model.firing(vehicle().segments[0].u, vehicle().segments[0].y).shape == (500, 2)
 
 
