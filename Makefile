@@ -36,8 +36,9 @@ soak: $(VENV)/.installed  ## hours: long campaigns (docs/reliability.md), the ve
 	$(BIN)/python -m tests.bench.verdict_fairness nonlinear 200
 	$(BIN)/python -m tests.soak
 
-bench-model: $(VENV)/.installed  ## linear models against their peers (installed with pip beforehand), ratios
+bench-model: $(VENV)/.installed  ## linear and fuzzy models against their peers (installed with pip beforehand), ratios
 	$(BIN)/python -m tests.bench.bench_model
+	$(BIN)/python -m tests.bench.bench_ts
 
 bench-accuracy: $(VENV)/.installed  ## free-run accuracy on ../shared/benchmarks, default settings
 	$(BIN)/python -m tests.bench.accuracy

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, Literal
 
 import numpy as np
@@ -25,8 +26,11 @@ _FAR = 1e75  # standardised distances stop here: their squares stay finite
 def standardised(x: FloatArray, centre: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
     """(N, R) signed distance of x (N,) from each centre (R,) in widths of the side it lies on."""
     gap = x[:, None] - centre[None, :]
-    width = np.where(gap < 0, left[None, :], right[None, :])
-    return np.clip(gap / width, -_FAR, _FAR)
+    below = np.minimum(gap, 0.0) / left
+    np.maximum(gap, 0.0, out=gap)
+    gap /= right
+    gap += below
+    return np.asarray(np.clip(gap, -_FAR, _FAR, out=gap))
 
 
 def log_grade(distance: FloatArray, shape: Shape = "gaussian") -> FloatArray:
@@ -48,13 +52,16 @@ def normalised(log_strength: FloatArray, distance: FloatArray) -> FloatArray:
 
     `distance` (N, R) decides where no rule fires (all -inf): the nearest rule speaks alone.
     """
-    silent = ~np.isfinite(log_strength).any(axis=1)
+    # columns by columns: NumPy's own reductions along a short last axis take ten times as long
+    top = reduce(np.maximum, log_strength.T)
+    silent = ~np.isfinite(top)
     if silent.any():
         nearest = distance[silent].argmin(axis=1)
-        log_strength = log_strength.copy()
+        log_strength, top = log_strength.copy(), np.where(silent, 0.0, top)
         log_strength[np.flatnonzero(silent), nearest] = 0.0
-    strength = np.exp(log_strength - log_strength.max(axis=1, keepdims=True))
-    return np.asarray(strength / strength.sum(axis=1, keepdims=True))
+    strength = np.exp(log_strength - top[:, None])
+    strength /= (strength @ np.ones(strength.shape[1]))[:, None]
+    return np.asarray(strength)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +112,8 @@ class Partition:
             d = standardised(z[:, j], self.centre[:, j], self.left[:, j], self.right[:, j])
             grade = log_grade(d, self.shape)
             total = total + grade if self.conjunction == "product" else np.minimum(total, grade)
-            far = far + d * d
+            if self.shape != "gaussian":  # which always fires
+                far = far + d * d
         return normalised(total, far)
 
     def outside(self, z: FloatArray) -> FloatArray:
