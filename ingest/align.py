@@ -176,7 +176,7 @@ class _Job:
         periods = [p for log in logs if np.isfinite(p := self._slowest_period_ns(log))]
         if not periods:
             raise DataError(
-                f"channel {self.channel!r}: no flight has two samples of every signal",
+                f"channel {self.channel!r}: no flight has two samples of {self._shortest(logs[0])}",
                 hint="log longer, or choose another recipe",
             )
         return resample.nice_period_ns(max(float(np.median(periods)), 1e9 / self.recipe.max_rate_hz))
@@ -184,6 +184,12 @@ class _Job:
     def _slowest_period_ns(self, log: Log) -> float:
         paced = [n for n, s in self.specs.items() if s.max_gap_s != float("inf")] or list(self.specs)
         return max(_period(load_signal(name, self.specs[name], log)) for name in paced)
+
+    def _shortest(self, log: Log) -> str:
+        """The signal with the longest period, and where it stands."""
+        found = {n: load_signal(n, spec, log) for n, spec in self.specs.items()}
+        name = max(found, key=lambda n: _period(found[n]))
+        return f"{name!r} ({found[name].stream}.{found[name].field})"
 
     def align_log(
         self, log: Log, dt_ns: int

@@ -38,7 +38,8 @@ class Delay:
         between nk - 1 and nk samples; 0 where the log shows an answer within the same sample.
     delay_s : dead time in seconds, between samples by interpolation of the error.
     low_s, high_s : dead times whose error is not significantly larger.
-    sign : +1 where the output follows the input, -1 where it goes against it.
+    sign : +1 where the output follows the input, -1 where it goes against it; 0 where a loop hides it: the
+        model and the correlation at later times disagree.
     correlation, peak_s : largest absolute correlation, and the lag where it lies.
     feedback : the output leads the input; the dead time was then found by prediction error.
     """
@@ -141,16 +142,24 @@ def estimate_delay(data: Dataset, column: int = 0, output: int = 0, max_delay_s:
     samples = sum(len(y) for _, y in pieces)
     slack = 8.0 / samples if feedback else 4.0 / np.sqrt(samples)
     close = np.flatnonzero(errors <= errors[best] * (1.0 + slack))
+    sign = fits[best].sign(best + round(STEP_S / data.dt_s))
+    if feedback and sign * _largest(r[len(r) // 2 :]) < 0:
+        sign = 0
     return Delay(
         nk=best,
         delay_s=max(0.0, (best - 0.5 + _vertex(errors, best)) * data.dt_s),
         low_s=max(0.0, (int(close[0]) - 1) * data.dt_s),
         high_s=int(close[-1]) * data.dt_s,
-        sign=fits[best].sign(best + round(STEP_S / data.dt_s)),
+        sign=sign,
         correlation=float(np.abs(r[at])),
         peak_s=float(lag_s[at]),
         feedback=feedback,
     )
+
+
+def _largest(r: FloatArray) -> float:
+    """The value of largest size."""
+    return float(r[np.argmax(np.abs(r))])
 
 
 def _pieces(data: Dataset, column: int, output: int, min_length: int) -> list[tuple[FloatArray, FloatArray]]:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from flysid.dataset import Dataset
 from flysid.errors import DataError, RecipeError
 from flysid.ingest.align import align
+from flysid.ingest.deadtime import LONGEST_S
 from flysid.ingest.delay import Delay, estimate_delay
 from flysid.ingest.excitation import (
     GOOD_COHERENCE,
@@ -21,8 +22,10 @@ from flysid.ingest.excitation import (
 from flysid.ingest.recipe import ChannelSpec, Recipe, load_recipe, shipped_recipes
 from flysid.ingest.signals import Log, find_source
 
-Verdict = Literal["good", "weak", "too slow", "too quiet", "too short"]
+Verdict = Literal["good", "weak", "too slow", "too quiet", "too short", "excluded"]
 MIN_DURATION_S = 10.0
+ALONE = "fly steps or doublets on this axis alone, in calm air"
+MIN_WIDTH = 2.0  # ratio of a band's ends: less is a single oscillation, not a response
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ class Suggestion:
         that a linear model of this input can explain there at best.
     band_hz : where the coherence counts: outside, a model must not be trusted.
     delay_s, delay_low_s, delay_high_s : dead time and what cannot be told from it; None where unknown.
-    sign : +1 where the output follows the input, -1 where it goes against it, 0 where unknown.
+    sign : +1 where the output follows the input, -1 where it goes against it, 0 where unknown (see `Delay`).
     feedback : the input answers the output (a pilot or controller): open-loop methods are biased.
     verdict, advice : in words.
     """
@@ -80,23 +83,18 @@ def suggest(logs: Iterable[Log], recipes: Sequence[str | Recipe] | None = None) 
     ]
 
 
+def unbounded(found: Suggestion) -> bool:
+    """The dead time may be as long as was looked for."""
+    step = 1.0 / found.rate_hz if found.rate_hz else 0.0
+    return found.delay_high_s is not None and found.delay_high_s >= LONGEST_S - 0.5 * step
+
+
 def _suggest_channel(log: Log, recipe: Recipe, channel: str) -> list[Suggestion]:
     spec = recipe.channel(channel)
     try:
         aligned = align([log], recipe, channel)
     except (DataError, RecipeError) as error:
-        quiet = "no excitation" in error.message
-        return [
-            Suggestion(
-                log.name,
-                recipe.name,
-                channel,
-                ", ".join(spec.inputs),
-                ", ".join(spec.outputs),
-                verdict="too quiet" if quiet else "too short",
-                advice=f"{error.message}; {error.hint}" if error.hint else error.message,
-            )
-        ]
+        return [_refused(log, recipe, channel, error)]
     notes = tuple(note for flight in aligned.report.flights for note in flight.notes)
     data = aligned.dataset
     found: list[Suggestion] = []
@@ -104,6 +102,20 @@ def _suggest_channel(log: Log, recipe: Recipe, channel: str) -> list[Suggestion]
         pairs = [_assess(data, spec, log.name, recipe.name, (i, j), notes) for i in range(len(spec.inputs))]
         found.append(max(pairs, key=lambda s: s.coherence))
     return found
+
+
+def _refused(log: Log, recipe: Recipe, channel: str, error: DataError | RecipeError) -> Suggestion:
+    """A channel that gives no dataset, and why."""
+    spec, text = recipe.channel(channel), error.message
+    words = text.removeprefix(f"channel {channel!r}").removeprefix(":").strip()
+    verdict: Verdict = "too short"
+    if "no excitation" in text:
+        verdict, words = "too quiet", "nothing moves: " + words.partition("no excitation: ")[2]
+    elif "never holds" in text:
+        verdict, words = "excluded", text[text.index("condition ") :].removesuffix(")")
+    hint = f"; {error.hint}" if error.hint and verdict != "excluded" else ""
+    names = ", ".join(spec.inputs), ", ".join(spec.outputs)
+    return Suggestion(log.name, recipe.name, channel, *names, verdict=verdict, advice=words + hint)
 
 
 def _assess(
@@ -147,7 +159,7 @@ def _delay(data: Dataset, column: int, output: int) -> Delay | None:
 def _verdict(
     data: Dataset, spec: ChannelSpec, column: int, moves: Excitation, seen: Spectrum
 ) -> tuple[Verdict, str]:
-    """In this order: nothing moved, too short, too slow, not explained, good."""
+    """In this order: nothing moved, too short, too slow, not explained or in a narrow band, good."""
     name, unit = data.inputs[column].name, data.inputs[column].unit
     coherence = share_explained(moves, seen)
     rate, duration = 1.0 / data.dt_s, len(data) * data.dt_s
@@ -162,8 +174,11 @@ def _verdict(
         remedy = f"; {spec.remedy}" if spec.remedy else ""
         slow = f"logged at {rate:.3g} Hz, seen up to {rate / 2:.2g} Hz; this needs {spec.min_rate_hz:.3g} Hz"
         return "too slow", slow + remedy
-    if seen.band_hz() is None:
-        return "weak", "the output does not follow the input at any frequency; other inputs or wind drive it"
+    band = seen.band_hz()
+    if band is None:
+        return "weak", f"the output does not follow {name} at any frequency; {ALONE}"
     if coherence < GOOD_COHERENCE:
-        return "weak", f"only {coherence:.0%} of the output's power follows {name}; excite this axis alone"
+        return "weak", f"only {coherence:.0%} of the output's power follows {name}; {ALONE}"
+    if band[1] < MIN_WIDTH * band[0]:
+        return "weak", f"the output follows {name} in a narrow band only; {ALONE}"
     return "good", ""

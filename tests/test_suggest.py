@@ -1,11 +1,13 @@
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from flysid.cli import root
+from flysid.cli.suggest import advice, short_names
 from flysid.flight import Flight, Source
 from flysid.ingest.recipe import parse_recipe
 from flysid.ingest.signals import FlightLog
@@ -13,16 +15,15 @@ from flysid.ingest.suggest import Suggestion, suggest
 from tests.test_align import T50, table
 from tests.test_lake import folder  # noqa: F401
 
-RECIPE = parse_recipe(
-    {
-        "name": "r",
-        "signals": {
-            "u": {"unit": "deg", "hold": "zero", "sources": [{"stream": "CMD", "field": "u", "unit": "deg"}]},
-            "y": {"unit": "m/s", "sources": [{"stream": "STATE", "field": "y", "unit": "m/s"}]},
-        },
-        "channels": {"c": {"inputs": ["u"], "outputs": ["y"], "min_rate_hz": 20.0, "remedy": "log faster"}},
-    }
-)
+RECIPE_DOCUMENT: dict[str, Any] = {
+    "name": "r",
+    "signals": {
+        "u": {"unit": "deg", "hold": "zero", "sources": [{"stream": "CMD", "field": "u", "unit": "deg"}]},
+        "y": {"unit": "m/s", "sources": [{"stream": "STATE", "field": "y", "unit": "m/s"}]},
+    },
+    "channels": {"c": {"inputs": ["u"], "outputs": ["y"], "min_rate_hz": 20.0, "remedy": "log faster"}},
+}
+RECIPE = parse_recipe(RECIPE_DOCUMENT)
 T = np.arange(3000, dtype=np.int64) * 20_000_000
 RNG = np.random.default_rng(5)
 U = np.repeat(RNG.normal(size=120), 25)
@@ -60,6 +61,43 @@ def test_what_stands_in_the_way_is_named() -> None:
     assert slow.verdict == "too slow"
     assert "log faster" in slow.advice
     assert one(U, RNG.normal(size=len(U))).verdict == "weak"
+
+
+def test_an_oscillation_is_no_band() -> None:
+    """One frequency at which both move says nothing of a response."""
+    t_s = T * 1e-9
+    u, y = np.sin(2 * np.pi * 3.0 * t_s), np.sin(2 * np.pi * 3.0 * t_s - 1.0)
+    noise = RNG.normal(scale=0.3, size=(2, len(T)))
+    found = one(u + noise[0], y + noise[1])
+    assert found.band_hz is not None
+    assert found.band_hz[1] < 2 * found.band_hz[0]
+    assert found.verdict == "weak"
+
+
+def test_what_a_condition_leaves_out_is_said() -> None:
+    armed = [{"name": "armed", "sources": [{"stream": "BEAT", "field": "mode"}], "has_bits": 128}]
+    beat = table(T[::50], mode=np.full(len(T[::50]), 81))
+    log = Flight(
+        Source("f", "tlog", 1, "0" * 64), {"CMD": table(T, u=U), "STATE": table(T, y=lag(U, 1)), "BEAT": beat}
+    )
+    recipe = parse_recipe({**RECIPE_DOCUMENT, "conditions": armed})
+    (found,) = suggest([FlightLog(log)], [recipe])
+    assert found.verdict == "excluded"
+    assert found.advice == "condition 'armed' never holds (bits 128): BEAT.mode is 81 in this log"
+
+
+def test_flights_lose_their_hash_where_no_two_share_a_name() -> None:
+    names = short_names(["a-1-0f", "b-2-0f", "b-2-1f", "c"])
+    assert names == {"a-1-0f": "a-1", "b-2-0f": "b-2-0f", "b-2-1f": "b-2-1f", "c": "c"}
+
+
+def test_advice_is_said_once_with_its_flights_and_channels() -> None:
+    def of(flight: str, channel: str) -> Suggestion:
+        return Suggestion(flight, "r", channel, "u", "y", verdict="weak", advice="fly more")
+
+    both = [of("a", "roll"), of("a", "pitch"), of("b", "roll")]
+    assert advice(both, {"a": "a", "b": "b"}) == ["a (roll, pitch), b (roll): fly more"]
+    assert advice(both[:2], {"a": "a"}) == ["roll, pitch: fly more"]
 
 
 def test_a_flight_without_the_streams_has_no_suggestion() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import click
@@ -14,15 +15,18 @@ HEADINGS = (
     "FLIGHT",
     "RECIPE",
     "CHANNEL",
+    "INPUT",
+    "MOVES",
     "RATE",
     "TIME",
-    "INPUT",
     "COHERENCE",
     "SIGN",
-    "BAND",
-    "DELAY",
+    "BAND, Hz",
+    "DEAD TIME, ms",
     "VERDICT",
 )
+LOOP = "loop: the input answers the output too (a pilot or controller); see docs/recipes.md on closed loops"
+OPEN = "?: the data do not bound it"
 
 
 def print_suggestions(data: str, as_json: bool) -> None:
@@ -38,49 +42,71 @@ def print_suggestions(data: str, as_json: bool) -> None:
     if not found:
         say("no shipped recipe has its streams in these flights; write a recipe of your own")
         return
-    click.echo("\n".join(aligned([HEADINGS, *(row(s) for s in found)])))
-    for text in advice(found):
-        click.echo(printable(text))
-    if any(s.feedback for s in found):
-        click.echo(
-            "loop: the input answers the output too (pilot or controller); see the docs on closed loops"
-        )
+    names = short_names([s.flight for s in found])
+    rows = [row(s, names[s.flight]) for s in found]
+    click.echo("\n".join(aligned([HEADINGS, *rows])))
+    lines = advice(found, names)
+    delays = [r[HEADINGS.index("DEAD TIME, ms")] for r in rows]
+    lines += [LOOP] if any("loop" in cell for cell in delays) else []
+    lines += [OPEN] if any("?" in cell for cell in delays) else []
+    if lines:
+        click.echo("\n" + "\n".join(printable(line) for line in lines))
 
 
-def row(found: Suggestion) -> tuple[str, ...]:
+def short_names(flights: Sequence[str]) -> dict[str, str]:
+    """Every flight -> its name without the hash, where that names one flight only."""
+    short = {f: f.rpartition("-")[0] or f for f in dict.fromkeys(flights)}
+    return {f: s if list(short.values()).count(s) == 1 else f for f, s in short.items()}
+
+
+def row(found: Suggestion, flight: str) -> tuple[str, ...]:
     """One suggestion as the cells of a table."""
     made = found.rate_hz > 0
+    related = made and found.band_hz is not None
+    band = found.band_hz or (0.0, 0.0)
     return (
-        found.flight,
+        flight,
         found.recipe,
         found.channel,
-        f"{found.rate_hz:.4g} Hz" if made else "-",
+        found.input if len(found.input) < 20 else "-",
+        f"{found.input_rms:.2g} {found.input_unit} rms".replace("  ", " ") if made else "-",
+        f"{found.rate_hz:.3g} Hz" if made else "-",
         f"{found.duration_s:.0f} s" if made else "-",
-        f"{found.input_rms:.2g} {found.input_unit} rms" if made else "-",
         f"{found.coherence:.2f}" if made else "-",
-        {1: "+", -1: "-"}.get(found.sign if found.band_hz else 0, ""),
-        f"{found.band_hz[0]:.2g}-{found.band_hz[1]:.2g} Hz" if found.band_hz else "none",
-        _delay(found),
+        {1: "+", -1: "-", 0: "?"}[found.sign] if related else "",
+        f"{band[0]:.2g} to {band[1]:.2g}" if related else "none" if made else "-",
+        _delay(found) if related else "-",
         found.verdict,
     )
 
 
 def _delay(found: Suggestion) -> str:
-    """Dead time with what cannot be told from it; nothing where no band shows a relation."""
-    if found.delay_s is None or found.band_hz is None:
+    """Dead time with what cannot be told from it."""
+    from flysid.ingest.suggest import unbounded
+
+    if found.delay_s is None:
         return "-"
-    low_ms, high_ms = 1e3 * (found.delay_low_s or 0.0), 1e3 * (found.delay_high_s or 0.0)
     loop = " loop" if found.feedback else ""
-    return f"{1e3 * found.delay_s:.0f} ms [{low_ms:.0f}, {high_ms:.0f}]{loop}"
+    if unbounded(found):
+        return f"?{loop}"
+    low_ms, high_ms = 1e3 * (found.delay_low_s or 0.0), 1e3 * (found.delay_high_s or 0.0)
+    return f"{1e3 * found.delay_s:.0f} ({low_ms:.0f} to {high_ms:.0f}){loop}"
 
 
-def advice(found: list[Suggestion]) -> list[str]:
-    """What stands in the way, each once, with the channels it concerns."""
-    grouped: dict[str, list[str]] = {}
+def advice(found: Sequence[Suggestion], names: dict[str, str]) -> list[str]:
+    """What stands in the way, each once, with the flights and channels it concerns."""
+    grouped: dict[str, dict[str, list[str]]] = {}
     for suggestion in found:
         for text in (suggestion.advice, *suggestion.notes):
             if text:
-                grouped.setdefault(text, []).append(f"{suggestion.flight} {suggestion.channel}")
-    return [
-        f"{', '.join(places[:4])}{', ...' if len(places) > 4 else ''}: {t}" for t, places in grouped.items()
-    ]
+                channels = grouped.setdefault(text, {}).setdefault(names[suggestion.flight], [])
+                channels.append(suggestion.channel)
+    return [f"{_places(places, len(names) > 1)}: {text}" for text, places in grouped.items()]
+
+
+def _places(places: dict[str, list[str]], several: bool) -> str:
+    """ "roll, pitch" of one flight; with more flights "flight-1 (roll, pitch), flight-2 (roll)"."""
+    if not several:
+        return ", ".join(dict.fromkeys(c for channels in places.values() for c in channels))
+    said = [f"{flight} ({', '.join(dict.fromkeys(channels))})" for flight, channels in places.items()]
+    return ", ".join(said[:4]) + (", ..." if len(said) > 4 else "")
