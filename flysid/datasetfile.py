@@ -21,6 +21,7 @@ from flysid import tabular
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import DataError, StoreError, UsageError
 from flysid.flightwriter import sync, writing_to
+from flysid.version import check_version
 
 ROWS_PER_GROUP = 1 << 19
 
@@ -167,19 +168,14 @@ def open_dataset(path: str | Path) -> DatasetFile:
             document = json.loads((file.schema_arrow.metadata or {})[tabular.META])
     except (OSError, pa.ArrowException, KeyError, ValueError) as error:
         raise StoreError("not a dataset file of flysid", path=path) from error
-    if (
-        document.get("format") != tabular.FORMAT
-        or not 1 <= int(document.get("version", 0)) <= tabular.VERSION
-    ):
-        raise StoreError(f"dataset of version {document.get('version')!r}", path=path, hint="upgrade flysid")
-    return DatasetFile(
-        path=path,
-        dt_s=float(document["dt_s"]),
-        inputs=_signals(document["inputs"]),
-        outputs=_signals(document["outputs"]),
-        name=str(document["name"]),
-        rows=rows,
-    )
+    if not isinstance(document, dict) or document.get("format") != tabular.FORMAT:
+        raise StoreError("not a dataset file of flysid", path=path)
+    check_version(document.get("version"), tabular.VERSION, "dataset", path)
+    try:
+        inputs, outputs = _signals(document["inputs"]), _signals(document["outputs"])
+        return DatasetFile(path, float(document["dt_s"]), inputs, outputs, str(document["name"]), rows)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise StoreError(f"damaged dataset: {error}", path=path) from error
 
 
 def _signals(documents: list[dict[str, Any]]) -> tuple[Signal, ...]:

@@ -14,6 +14,7 @@ import msgspec
 
 from flysid.errors import StoreError, UsageError
 from flysid.flight import ClockMap, Damage, Source, resolve_stream
+from flysid.version import check_version
 
 DATA_FORMAT = "flysid-data"
 FLIGHT_FORMAT = "flysid-flight"
@@ -186,13 +187,5 @@ def _read_document(path: Path, expected: str) -> dict[str, object]:
         raise StoreError("damaged: not JSON", path=path, hint="ingest the log again") from error
     if not isinstance(document, dict) or document.get("format") != expected:
         raise StoreError(f"not a {expected} file", path=path, hint="ingest the log again")
-    version = document.get("version")
-    if not isinstance(version, int) or version < 1:
-        raise StoreError(f"damaged: version {version!r}", path=path, hint="ingest the log again")
-    if version > VERSION:
-        raise StoreError(
-            f"written by a newer flysid: version {version}, this flysid reads up to {VERSION}",
-            path=path,
-            hint="upgrade with: pip install --upgrade flysid",
-        )
+    check_version(document.get("version"), VERSION, expected, path)
     return document

@@ -34,6 +34,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import StoreError
+from flysid.version import check_version
 
 MODEL_FORMAT = "flysid-model"
 MODEL_VERSION = 1
@@ -191,12 +192,7 @@ def load(path: str | Path) -> Fitted:
         ) from error
     if not isinstance(document, dict) or document.get("format") != MODEL_FORMAT:
         raise StoreError("not a flysid model", path=path, hint="give a file that save() wrote")
-    if document.get("version") != MODEL_VERSION:
-        raise StoreError(
-            f"model file version {document.get('version')!r}; this flysid reads version {MODEL_VERSION}",
-            path=path,
-            hint="use the flysid that wrote it, or fit again",
-        )
+    check_version(document.get("version"), MODEL_VERSION, "model file", path)
     structure = all_structures().get(str(document.get("structure")))
     if structure is None:
         raise StoreError(f"unknown model structure {document.get('structure')!r}", path=path)

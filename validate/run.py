@@ -30,7 +30,7 @@ from flysid.ingest.lake import open as open_lake
 from flysid.ingest.recipe import Recipe, load_recipe
 from flysid.model.base import Fitted, load
 from flysid.split import By, Split
-from flysid.version import __version__
+from flysid.version import __version__, check_version
 
 RUN_FORMAT = "flysid-run"
 RUN_VERSION = 1
@@ -179,12 +179,7 @@ def open_run(folder: str | Path) -> Run:
         raise StoreError("the run is damaged: not JSON", path=path, hint="fit it again") from error
     if not isinstance(body, dict) or body.get("format") != RUN_FORMAT:
         raise StoreError("not a flysid run", path=path)
-    if body.get("version") != RUN_VERSION:
-        raise StoreError(
-            f"run version {body.get('version')!r}; this flysid reads version {RUN_VERSION}",
-            path=path,
-            hint="use the flysid that wrote it, or fit again",
-        )
+    check_version(body.get("version"), RUN_VERSION, "run", path)
     try:
         return _run_from(folder, body)
     except (KeyError, TypeError, AttributeError) as error:
