@@ -28,7 +28,7 @@ from flysid.model.frequency_response import MeasuredResponse
 from flysid.model.polynomials import ComplexArray
 from flysid.model.rational import Coordinates, Form, Hold, Rational, check_form, hold_response
 from flysid.model.refine import levenberg_marquardt
-from flysid.model.sampling import sampled
+from flysid.model.sampling import sampled_response
 
 ACCEPTABLE = 100.0
 DB = 20.0 / np.log(10.0)
@@ -235,16 +235,26 @@ def fit_response(
 def _unfolded(measured: MeasuredResponse, problem: _Problem, theta: FloatArray, hold: Hold) -> ComplexArray:
     """(M,) the measured response without what hold and folding (at the Nyquist frequency) add to it."""
     rational = problem.coordinates.rational(theta)
-    a, b = sampled(rational, measured.dt_s, hold)
     omega = problem.x * problem.omega_0
-    delay = np.exp(-1j * omega * measured.dt_s)
-    longest = max(len(a), *(len(t) for t in b))
-    powers = delay[:, None] ** np.arange(longest)
-    bottom = powers[:, : len(a)] @ a
-    tops = np.stack([powers[:, : len(t)] @ t for t in b], axis=1)
-    ratio = tops / bottom[:, None] / rational.at(omega)
-    where = problem.where, problem.source
-    return np.asarray(measured.response[where] / ratio[np.arange(len(omega)), problem.source])
+    ratio = sampled_response(rational, omega, measured.dt_s, hold) / rational.at(omega)
+    seen = measured.response[problem.where, problem.source]
+    return np.asarray(seen / ratio[np.arange(len(omega)), problem.source])
+
+
+def response_cost(
+    measured: MeasuredResponse,
+    rational: Rational,
+    hold: Hold,
+    bands: Sequence[tuple[float, float]] | None = None,
+) -> FloatArray:
+    """(n_u,) Tischler's J of any transfer function, over the points that `fit_response` would fit."""
+    n_u = len(measured.inputs)
+    form = Form(0, (0,) * n_u, (0.0,) * n_u)
+    problem = _problem(measured, form, ("coherence", "none", bands))
+    omega = problem.x * problem.omega_0
+    model = sampled_response(rational, omega, measured.dt_s, hold)[np.arange(len(omega)), problem.source]
+    error = np.log(model / problem.g)
+    return _tischler(problem, np.concatenate([error.real, error.imag]), n_u)
 
 
 def _problem(
@@ -362,6 +372,7 @@ def choose_fit(
     *,
     weighting: Weighting = "coherence",
     hold: Hold = "zero",
+    bands: Sequence[tuple[float, float]] | None = None,
 ) -> tuple[ResponseFit, str]:
     """The fit of lowest BIC among several orders, and a sentence that says so.
 
@@ -369,28 +380,26 @@ def choose_fit(
     ------
     DataError : an input without trustworthy frequencies. FitError : none of the orders could be fitted.
     """
-    fits = tried_fits(measured, candidates, weighting=weighting, hold=hold)
-    best = min(fits, key=lambda f: f.bic)
-    others = sorted((f for f in fits if f is not best), key=lambda f: f.bic)[:2]
-    words = f"{best.form}: lowest BIC of {len(fits)} orders on the measured response, "
-    words += f"cost J {best.cost.mean():.3g}"
-    if others:
-        words += " (next " + ", ".join(f"{f.form}: J {f.cost.mean():.3g}" for f in others) + ")"
-    if not best.acceptable:
-        words += "; above 100: no such transfer function describes these data well"
-    return best, words
-
-
-def tried_fits(
-    measured: MeasuredResponse, candidates: Sequence[Form], *, weighting: Weighting, hold: Hold
-) -> list[ResponseFit]:
-    """A fit for every form that could be fitted; raises as `choose_fit`."""
     fits, why = [], None
     for form in candidates:
         try:
-            fits.append(fit_response(measured, form, weighting=weighting, hold=hold))
+            fits.append(fit_response(measured, form, weighting=weighting, hold=hold, bands=bands))
         except (FitError, DataError) as error:
             why = error
     if not fits:
         raise why if why is not None else UsageError("there are no orders to choose from")
-    return fits
+    return best_fit(fits)
+
+
+def best_fit(fits: Sequence[ResponseFit]) -> tuple[ResponseFit, str]:
+    """That of lowest BIC, and why."""
+    best, *others = sorted(fits, key=lambda f: f.bic)
+    if not others:
+        words = f"{best.form} on the measured response, cost J {best.cost.mean():.3g}"
+    else:
+        words = f"{best.form}: lowest BIC of {len(fits)} orders on the measured response, "
+        words += f"cost J {best.cost.mean():.3g} (next "
+        words += ", ".join(f"{f.form}: J {f.cost.mean():.3g}" for f in others[:2]) + ")"
+    if not best.acceptable:
+        words += "; above 100: no such transfer function describes these data well"
+    return best, words

@@ -97,13 +97,17 @@ class MeasuredResponse:
         """(F,) 1 inside the widest band (in octaves) where the coherence counts, else 0; see `band`."""
         averages = self.averages[:, source]
         chance = 1.0 - 0.05 ** (1.0 / np.maximum(averages - 1.0, 0.1))
-        good = _smoothed(self.coherence[:, source]) > np.maximum(GOOD_COHERENCE, chance)
+        level, own = np.maximum(GOOD_COHERENCE, chance), self.coherence[:, source]
+        good = _smoothed(own) > level
         edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]])))
         inside = np.zeros(len(self.omega))
         runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
         if runs:
             start, stop = max(runs, key=lambda r: float(np.log(self.omega[r[1] - 1] / self.omega[r[0]])))
-            inside[start:stop] = 1.0
+            kept = start + np.flatnonzero(
+                own[start:stop] > level[start:stop]
+            )  # no edge on a neighbour's word
+            inside[kept[0] : kept[-1] + 1] = 1.0
         return inside
 
     def band(self, source: int = 0) -> tuple[float, float] | None:

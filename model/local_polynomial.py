@@ -39,6 +39,8 @@ FREEDOM = 6
 HIGHEST = 0.8
 """Of the Nyquist frequency: above, what was sampled is mostly folded."""
 FEW_LINES = 6.0
+LEVERAGE = 2.25
+"""A local parabola's variance in its middle, in units of that of a mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,21 +56,21 @@ class _Lines:
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """One frequency: gains, their variances (complex), input power, noise power, degrees of freedom, and how
-    every line enters the gains (weights (n_u, M) on lines `where`)."""
+    """One frequency: gains, their variances at a noise of 1 (complex), noise power, degrees of freedom,
+    averages, and how every line enters the gains (weights (n_u, M) on lines `where`)."""
 
     gain: ComplexArray
-    variance: FloatArray
-    power: FloatArray
+    unit: FloatArray
     noise: float
     freedom: int
+    averages: float
     weights: ComplexArray
     where: np.ndarray[tuple[int], np.dtype[np.int64]]
 
     @property
     def error(self) -> float:
-        """Largest relative error over the inputs."""
-        return float(np.max(self.variance / np.maximum(np.abs(self.gain) ** 2, 1e-300)))
+        """Largest relative variance over the inputs."""
+        return float(np.max(self.noise * self.unit / np.maximum(np.abs(self.gain) ** 2, 1e-300)))
 
 
 def local_response(
@@ -191,8 +193,11 @@ def _solved(
     if not (total > 1e-20 * max(float(np.sum(np.abs(y) ** 2)), 1e-300)).all():
         return None
     spread = total**2 / np.maximum((size**2).sum(axis=0), 1e-300)
+    averages = float(rows)
     if spread.min() < FEW_LINES:
         phi = phi[:, :n_u]
+    else:
+        averages /= LEVERAGE
     lengths = np.sqrt(np.maximum((np.abs(phi) ** 2).sum(axis=0), 1e-300))
     left, sigma, right = np.linalg.svd(phi / lengths, full_matrices=False)
     kept = sigma > 1e-7 * sigma[0]
@@ -204,33 +209,24 @@ def _solved(
     residual = y - phi @ theta
     noise = float(np.sum(np.abs(residual) ** 2)) / freedom
     weights = pseudo[:n_u]
-    variance = noise * (np.abs(weights) ** 2).sum(axis=1)
-    return _Point(theta[:n_u], variance, _own_power(phi[:, :n_u]) / len(y), noise, freedom, weights, where)
-
-
-def _own_power(u: ComplexArray) -> FloatArray:
-    """(n_u,) energy of each input that the others do not bring."""
-    inverse = np.linalg.pinv(np.conj(u.T) @ u, rcond=1e-12, hermitian=True)
-    return np.asarray(1.0 / np.maximum(np.diag(inverse).real, 1e-300))
+    unit = np.asarray((np.abs(weights) ** 2).sum(axis=1), dtype=np.float64)
+    return _Point(theta[:n_u], unit, noise, freedom, max(averages - n_u + 1, 1.0), weights, where)
 
 
 def _joined(omega: FloatArray, points: Sequence[_Point]) -> Spectral:
     gain = np.stack([p.gain for p in points])
-    variance = np.stack([p.variance for p in points])
-    power = np.stack([p.power for p in points])
-    noise = np.array([p.noise for p in points])[:, None]
-    explained = np.abs(gain) ** 2 * power
-    floor = 1e-15 * explained
-    noise = np.maximum(noise, floor)
+    unit = np.stack([p.unit for p in points])
+    averages = np.array([p.averages for p in points])[:, None]
+    # the input's power is the one that explains the variance that least squares gives with so many averages:
+    # an input that looks like a transient has none, whatever its lines are
+    explained = np.abs(gain) ** 2 / np.maximum(averages * unit, 1e-300)
+    noise = np.maximum(np.array([p.noise for p in points])[:, None], 1e-15 * explained)
     coherence = explained / np.maximum(explained + noise, 1e-300)
-    # n_d such that eps = sqrt(1 - g^2) / (g sqrt(2 n_d)) is the error that least squares gives
-    unit = variance / np.maximum(np.array([p.noise for p in points])[:, None], 1e-300)
-    averages = 1.0 / np.maximum(power * unit, 1e-300)
     return Spectral(
         omega=omega,
         response=gain,
         coherence=coherence,
-        averages=averages,
+        averages=np.repeat(averages, gain.shape[1], axis=1),
         freedom=np.array([2.0 * p.freedom for p in points]),
         correlation=np.stack([_correlation(points, j) for j in range(gain.shape[1])]),
     )

@@ -37,8 +37,9 @@ class Form:
         return self.poles + sum(m + 1 for m in self.zeros) + sum(t is None for t in self.dead_time_s)
 
     def __str__(self) -> str:
-        zeros = ", ".join(map(str, self.zeros))
-        return f"{self.poles} poles, {zeros} zeros"
+        zeros = " and ".join(map(str, dict.fromkeys(self.zeros)))
+        plural = "" if self.zeros and set(self.zeros) == {1} else "s"
+        return f"{self.poles} pole{'' if self.poles == 1 else 's'}, {zeros or 'no'} zero{plural}"
 
 
 @dataclass(frozen=True, eq=False)

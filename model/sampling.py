@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.model.polynomials import ComplexArray
 from flysid.model.rational import Hold, Rational
 
 
@@ -31,6 +32,16 @@ def sampled(rational: Rational, dt_s: float, hold: Hold) -> tuple[FloatArray, li
         scaled[n + 1 - len(top) :] = top * power[n + 1 - len(top) :]
         b.append(_numerator(a, bottom, scaled, float(dead) / dt_s, hold))
     return np.asarray(a), b
+
+
+def sampled_response(rational: Rational, omega: FloatArray, dt_s: float, hold: Hold) -> ComplexArray:
+    """(F, n_u) response of the sampled transfer functions; with hold "none", of the continuous ones."""
+    if hold == "none":
+        return rational.at(omega)
+    a, b = sampled(rational, dt_s, hold)
+    delay = np.exp(-1j * omega * dt_s)[:, None] ** np.arange(max(len(a), *(len(t) for t in b)))
+    bottom = delay[:, : len(a)] @ a
+    return np.stack([delay[:, : len(t)] @ t / bottom for t in b], axis=1)
 
 
 def _numerator(a: FloatArray, bottom: FloatArray, top: FloatArray, dead: float, hold: Hold) -> FloatArray:

@@ -4,7 +4,7 @@ that cannot be trusted, a discrete output-error model."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -13,7 +13,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.continuous_error import ContinuousError
 from flysid.model.detrend import Trend
-from flysid.model.frequency_fit import ResponseFit, tried_fits
+from flysid.model.frequency_fit import ACCEPTABLE, ResponseFit, best_fit, fit_response, response_cost
 from flysid.model.frequency_response import MeasuredResponse, measure_response
 from flysid.model.linear_data import Parts, records
 from flysid.model.output_error import find_delays, fit_output
@@ -25,6 +25,8 @@ from flysid.model.transfer import inverse_hold
 Auto = Literal["auto"]
 STRONG = 10.0
 """A difference in BIC that is very strong evidence (Kass & Raftery, 1995, J. Am. Stat. Assoc. 90)."""
+STRAYED = 3.0
+"""A refined model whose cost J on the measured response is this many times the least has left it."""
 TRIAL_STEPS = 15
 MARGIN = 1.5
 """A dead time may grow by this factor while it is refined."""
@@ -49,33 +51,92 @@ class Settings(Protocol):
     def stable(self) -> bool: ...
     @property
     def refine(self) -> bool: ...
+    @property
+    def band(self) -> tuple[float, float] | None: ...
 
 
-def refined_starts(settings: Settings, parts: Parts) -> Iterator[tuple[OneTransfer, str]]:
-    """One refined candidate per number of poles, fewest first, each with words on where it comes from.
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """What the search for one output's transfer functions starts from.
 
-    Raises
-    ------
-    DataError : nothing can be measured and nothing started without.
+    Attributes
+    ----------
+    measured : the frequency response of the training data, None where it cannot be measured.
+    fits : transfer functions fitted to it.
+    why : the reason where there are none.
     """
-    candidates = forms(
-        len(parts.train.inputs), settings.poles, settings.zeros, settings.dead_time_s, settings.stable
-    )
-    measured, fits, why = _measured(settings, parts, candidates)
-    discrete = _Discrete(settings, parts)
-    yielded = False
-    for n in sorted({f.poles for f in candidates}):
-        own = sorted((f for f in fits if f.form.poles == n), key=lambda f: f.bic)
-        mine = [c for c in candidates if c.poles == n]
-        if own and measured:
-            found = _from_response(settings, parts, own, discrete.start(mine))
-        else:
-            found = _from_output_error(settings, parts, discrete.start(mine))
-        if found is not None:
-            yielded = True
-            yield found
-    if not yielded and why is not None:
-        raise why
+
+    settings: Settings
+    parts: Parts
+    candidates: tuple[Form, ...]
+    measured: MeasuredResponse | None
+    fits: tuple[ResponseFit, ...]
+    why: DataError | FitError | None
+
+    @classmethod
+    def of(cls, settings: Settings, parts: Parts) -> Starts:
+        """Measure, and fit all orders that the settings leave open."""
+        n_u = len(parts.train.inputs)
+        candidates = tuple(forms(n_u, settings.poles, settings.zeros, settings.dead_time_s, settings.stable))
+        trend: Trend = "remove" if settings.trend == "estimate" else "none"
+        fits: list[ResponseFit] = []
+        why: DataError | FitError | None = None
+        measured = None
+        try:
+            measured = measure_response(parts.whole, trend=trend)  # half a chirp is half a band
+        except DataError as error:
+            return cls(settings, parts, candidates, None, (), error)
+        for form in candidates:
+            try:
+                fits.append(fit_response(measured, form, hold=settings.hold, bands=_bands(settings, n_u)))
+            except (DataError, FitError) as error:
+                why = error
+        return cls(settings, parts, candidates, measured, tuple(fits), why)
+
+    def refined(self) -> Iterator[tuple[OneTransfer, str]]:
+        """One candidate per number of poles, refined on the simulation error, fewest poles first, each with
+        words on where it comes from."""
+        discrete = _Discrete(self.settings, self.parts)
+        for n in sorted({f.poles for f in self.candidates}):
+            own = sorted((f for f in self.fits if f.form.poles == n), key=lambda f: f.bic)
+            start = discrete.start([c for c in self.candidates if c.poles == n])
+            if own and own[0].rational.is_stable:
+                found = _from_response(self.settings, self.parts, own, start)
+            else:
+                found = _from_output_error(self.settings, self.parts, start)
+            if found is not None:
+                yield found
+
+    def unrefined(self) -> tuple[OneTransfer, str]:
+        """The best fit to the measured response as it is.
+
+        Raises
+        ------
+        DataError, FitError : there is none.
+        """
+        if not self.fits:
+            raise self.why or FitError("no transfer function could be fitted", hint="choose other orders")
+        best, words = best_fit(self.fits)
+        return _unrefined(self.settings, self.parts, best), words
+
+    def strays(self, found: OneTransfer) -> str:
+        """Why a refined model is not to be kept: it has left the measured response; "" where it has not."""
+        if self.measured is None or not self.fits:
+            return ""
+        bands = _bands(self.settings, len(self.measured.inputs))
+        rational = found.problem.rational(found.theta)
+        cost = float(response_cost(self.measured, rational, self.settings.hold, bands).mean())
+        least = float(best_fit(self.fits)[0].cost.mean())
+        if least > ACCEPTABLE or cost <= max(ACCEPTABLE, STRAYED * least):
+            return ""
+        return (
+            "; refined on the simulation error it leaves the measured response "
+            f"(J {cost:.3g}: drift, disturbances or a loop rule the free run), so that was not kept"
+        )
+
+
+def _bands(settings: Settings, n_u: int) -> list[tuple[float, float]] | None:
+    return None if settings.band is None else [settings.band] * n_u
 
 
 @dataclass
@@ -129,19 +190,6 @@ def _cut(top: FloatArray, size: int) -> FloatArray:
     return top[-size:] if len(top) >= size else np.append(np.zeros(size - len(top)), top)
 
 
-def _measured(
-    settings: Settings, parts: Parts, candidates: Sequence[Form]
-) -> tuple[MeasuredResponse | None, list[ResponseFit], DataError | FitError | None]:
-    """The response of the fitting part and all fits to it, or why there are none."""
-    trend: Trend = "remove" if settings.trend == "estimate" else "none"
-    try:
-        measured = measure_response(parts.fit, trend=trend)
-        fits = tried_fits(measured, candidates, weighting="coherence", hold=settings.hold)
-    except (DataError, FitError) as error:
-        return None, [], error
-    return measured, fits, None
-
-
 def _from_response(
     settings: Settings,
     parts: Parts,
@@ -155,9 +203,6 @@ def _from_response(
         f"{best.form} by BIC on the measured frequency response "
         f"(cost J {best.cost.mean():.3g}{'' if best.acceptable else ', above 100: a poor description'})"
     )
-    if not settings.refine or not best.rational.is_stable:
-        kept = _unrefined(settings, parts, best)
-        return kept, f"{words}, not refined on the simulation error"
     twin = next((f for f in fits if f.form.zeros == best.form.zeros and f is not best), None)
     found = [r for r in (_refined(settings, parts, f.form, f.rational) for f in (best, twin) if f) if r]
     other = _refined(settings, parts, *discrete) if discrete else None
@@ -167,8 +212,24 @@ def _from_response(
         return other, f"{words}{instead}, refined on the simulation error{_delay_words(other)}"
     if not found:
         return None
-    kept = min(found, key=_bic)
+    kept = _pruned(settings, parts, min(found, key=_bic))
+    form = kept.problem.coordinates.form
+    if form.zeros != best.form.zeros:
+        words += f", {form} by BIC on the simulation error"
     return kept, f"{words}, refined on the simulation error{_delay_words(kept)}"
+
+
+def _pruned(settings: Settings, parts: Parts, fit: OneTransfer) -> OneTransfer:
+    """With fewer zeros as long as BIC on the simulation error agrees."""
+    while settings.zeros == "auto" and max(fit.problem.coordinates.form.zeros, default=0) > 0:
+        form, rational = fit.problem.coordinates.form, fit.problem.rational(fit.theta)
+        less = replace(form, zeros=tuple(max(m - 1, 0) for m in form.zeros))
+        tops = tuple(n[-(m + 1) :] for n, m in zip(rational.numerators, less.zeros, strict=True))
+        other = _refined(settings, parts, less, replace(rational, numerators=tops))
+        if other is None or _bic(other) >= _bic(fit):
+            return fit
+        fit = other
+    return fit
 
 
 def _delay_words(kept: OneTransfer) -> str:

@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 
 from flysid.dataset import Dataset
-from flysid.errors import FitError, UsageError
+from flysid.errors import UsageError
 from flysid.model.base import Structure
 from flysid.model.continuous_transfer import ContinuousTransfer
 from flysid.model.detrend import Trend, check_trend, detrended
@@ -31,7 +31,7 @@ from flysid.model.linear_data import Parts
 from flysid.model.rational import Hold, forms
 from flysid.model.selection import block_errors, judging_window, simplest
 from flysid.model.tf_assemble import OneTransfer, assembled, runner
-from flysid.model.tf_start import refined_starts
+from flysid.model.tf_start import Starts
 from flysid.model.threads import on_one_thread
 
 Auto = Literal["auto"]
@@ -103,7 +103,10 @@ class TF:
         offset and a drift of the output per segment along with the transfer function.
     stable : poles in the left half plane. False admits unstable plants: such a model is fitted to the
         frequency response alone, since its free run follows nothing for long.
-    refine : minimise the simulation error; False leaves the fit to the frequency response as it is.
+    refine : minimise the simulation error, unless that leads away from the measured frequency response (as
+        drift or a position controller can); False leaves the fit to the response as it is.
+    band : lowest and highest frequency (rad/s) of the response to fit; None for where its coherence counts.
+        With a band the simulation error, which knows none, is left alone.
     n_init : measured samples that start a simulation; None chooses.
     """
 
@@ -115,6 +118,7 @@ class TF:
     trend: Trend = "none"
     stable: bool = True
     refine: bool = True
+    band: tuple[float, float] | None = None
     n_init: int | None = None
 
     @on_one_thread
@@ -145,16 +149,25 @@ class TF:
             raise UsageError(f"hold is {self.hold!r}", hint="'zero' or 'first'")
         if self.n_init is not None and self.n_init < 1:
             raise UsageError(f"n_init must be at least 1, not {self.n_init}")
+        if self.band is not None and not 0.0 < self.band[0] < self.band[1]:
+            raise UsageError(f"no band: {self.band!r}", hint="lowest and highest frequency in rad/s")
         forms(n_u, self.poles, self.zeros, self.dead_time_s, self.stable)
 
     def _output(self, train: Dataset, validation: Dataset | None) -> tuple[OneTransfer, str]:
         """The transfer functions of one output, chosen on the fitting part and refined on all."""
         parts = Parts.of(train, validation, centred=self.offset)
-        tried = list(refined_starts(self, parts))
+        starts = Starts.of(self, parts)
+        tried = list(starts.refined()) if self.refine and self.stable and self.band is None else []
         if not tried:
-            raise FitError("no transfer function could be fitted", hint="choose other orders")
+            kept, words = starts.unrefined()
+            return kept.refit(parts, refine=False), words
         best, words = _simplest(parts, [c for c, _ in tried])
-        return tried[best][0].refit(parts, refine=self.refine), f"{tried[best][1]}{words}"
+        final = tried[best][0].refit(parts, refine=True)
+        strays = starts.strays(final)
+        if strays:
+            kept, said = starts.unrefined()
+            return kept.refit(parts, refine=False), said + strays
+        return final, f"{tried[best][1]}{words}"
 
 
 def _single(data: Dataset | None, output: int) -> Any:

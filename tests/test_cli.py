@@ -25,6 +25,7 @@ VERBS = (
     "scrub",
     "show",
     "synth",
+    "tf",
     "validate",
 )
 

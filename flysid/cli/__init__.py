@@ -28,6 +28,7 @@ VERBS = {
     "scrub": "Write a copy of a log without positions, serial numbers and names.",
     "show": "Show one flight or stream of an ingested folder.",
     "synth": "Fly simulated plants and write the logs that a vehicle would have written.",
+    "tf": "Transfer functions with intervals, and the measured frequency response.",
     "validate": "Compare fitted models on held-out segments; write the report.",
 }
 

@@ -1,0 +1,136 @@
+"""`flysid tf DATA --recipe R`: transfer functions with intervals, and the measured frequency response."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from flysid.cli.ls import aligned
+from flysid.cli.output import check_target, say, status
+
+if TYPE_CHECKING:
+    from flysid.validate.transfers import ChannelTransfers
+
+
+def _auto_or(kind: type) -> Any:
+    def parsed(_ctx: click.Context, _param: click.Parameter, value: str) -> Any:
+        if value == "auto":
+            return value
+        try:
+            return kind(value)
+        except ValueError:
+            raise click.BadParameter(f"a number, or auto, not {value!r}") from None
+
+    return parsed
+
+
+@click.command("tf")
+@click.argument("data", type=click.Path(path_type=Path))
+@click.option("--recipe", "-r", required=True, help="Name of a shipped recipe, or path of a .toml file.")
+@click.option("--channel", "-c", "channels", multiple=True, help="This channel only; may be repeated.")
+@click.option("--poles", default="auto", callback=_auto_or(int), show_default=True, help="Of every output.")
+@click.option("--zeros", default="auto", callback=_auto_or(int), show_default=True, help="Of every input.")
+@click.option("--dead-time", default="auto", callback=_auto_or(float), show_default=True, metavar="S")
+@click.option(
+    "--hold",
+    default="zero",
+    show_default=True,
+    type=click.Choice(["zero", "first"]),
+    help="Inputs between samples: constant (commands) or straight (measured signals).",
+)
+@click.option(
+    "--trend",
+    default="none",
+    show_default=True,
+    type=click.Choice(["none", "remove", "estimate"]),
+    help="A straight line per segment: taken out first, or fitted along.",
+)
+@click.option("--band", nargs=2, type=float, metavar="LOW HIGH", help="Fit the response there alone, rad/s.")
+@click.option("--no-refine", is_flag=True, help="Leave the fit to the frequency response as it is.")
+@click.option("--unstable", is_flag=True, help="Admit unstable poles; fits the frequency response alone.")
+@click.option(
+    "--method",
+    default="local",
+    show_default=True,
+    type=click.Choice(["local", "welch", "multitaper"]),
+    help="How the frequency response is measured.",
+)
+@click.option("--table", is_flag=True, help="Print the measured frequency response as a Bode table too.")
+@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Bode plot into this file.")
+@click.option("--force", is_flag=True, help="Replace the picture if it is there.")
+@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
+@click.option("--quiet", "-q", is_flag=True)
+def command(
+    data: Path,
+    recipe: str,
+    channels: tuple[str, ...],
+    table: bool,
+    plot: Path | None,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+    **settings: Any,
+) -> int:
+    """Identify transfer functions in s, with intervals, from the frequency response and the free run.
+
+    Every flight of DATA is used; 'flysid fit --models tf' and 'flysid validate' judge such a model on flights
+    that it has not seen. Channels that the data cannot serve are named (exit code 3 where --channel asked for
+    them).
+    """
+    from flysid.ingest.lake import open as open_lake
+    from flysid.model.transfer_function import TF
+    from flysid.validate.transfers import identify
+
+    if plot is not None:
+        from flysid.validate.bodeplot import check_picture
+
+        check_picture(plot)
+        check_target(plot, force)
+    estimator = TF(
+        poles=settings["poles"],
+        zeros=settings["zeros"],
+        dead_time_s=settings["dead_time"],
+        hold=settings["hold"],
+        trend=settings["trend"],
+        stable=not settings["unstable"],
+        refine=not (settings["unstable"] or settings["no_refine"]),
+        band=settings["band"] or None,
+    )
+    with status(quiet) as progress:
+        found, skipped = identify(
+            open_lake(data),
+            recipe,
+            estimator,
+            channels=channels,
+            method=settings["method"],
+            progress=progress,
+        )
+    if as_json:
+        body = {"recipe": recipe, "channels": [c.to_dict() for c in found], "skipped": dict(skipped)}
+        click.echo(json.dumps(body, indent=1, allow_nan=False))
+    else:
+        click.echo("\n\n".join(text_of(c, table) for c in found))
+    if plot is not None:
+        from flysid.validate.bodeplot import draw_bode
+
+        draw_bode(found, plot)
+        say(f"Bode plot: {plot}", quiet)
+    for name, why in skipped.items():
+        say(f"channel {name} skipped: {why}")
+    return 3 if set(channels) & set(skipped) else 0
+
+
+def text_of(channel: ChannelTransfers, table: bool) -> str:
+    """What is printed of one channel."""
+    from flysid.cli.output import printable
+
+    lines = [printable(line) for text in channel.lines() for line in text.split("\n")]
+    if table:
+        for i, output in enumerate(channel.data.outputs):
+            for j, source in enumerate(channel.data.inputs):
+                lines += ["", printable(f"{source.name} to {output.name}, measured (+- 95 %) and modelled")]
+                lines += aligned(channel.table(i, j))
+    return "\n".join(lines)

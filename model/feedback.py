@@ -1,0 +1,132 @@
+"""Is a loop closed around the model? Does the input answer what the model could not know?
+
+Noise that has come back through a controller shows in later inputs. The test of Sims (1972, American Economic
+Review 62; Caines & Chan, 1975, IEEE Trans. Automatic Control 20) on what a model's free run leaves over: that
+is whitened, inputs are filtered alike, and then regressed on past and present inputs, with and without the
+inputs of the next second. In open loop later inputs explain nothing, whatever the input looks like; an F test
+tells. A model that misses slow dynamics can fake a little, so that a share of the variance is asked for too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.base import Fitted
+from flysid.model.noise import noise_model
+from flysid.model.start import estimate_start, start_window
+
+LOOK_S = 1.0
+MOST_LAGS, FEWEST_LAGS = 25, 5
+LEVEL = 1e-4
+SHARE = 0.02
+"""Of the innovations' variance that later inputs must explain."""
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """Whether the inputs answer one output.
+
+    Attributes
+    ----------
+    p_value : of the F test; 1 where there are too few samples.
+    share : of the variance of the model's innovations that later inputs explain.
+    look_s : how far ahead the later inputs were.
+    """
+
+    output: str
+    inputs: tuple[str, ...]
+    p_value: float
+    share: float
+    look_s: float
+
+    @property
+    def closed(self) -> bool:
+        """A loop is closed, beyond doubt and by a margin that matters."""
+        return self.p_value < LEVEL and self.share > SHARE
+
+    @property
+    def words(self) -> str:
+        """What was seen and what to do; "" in open loop."""
+        if not self.closed:
+            return ""
+        return (
+            f"{' and '.join(self.inputs)} answer{'s' if len(self.inputs) == 1 else ''} {self.output}: within "
+            f"{self.look_s:.2g} s after, {100 * self.share:.0f} % of what the model could not foresee shows "
+            "in the input, so a loop is closed around it. Free-run fits (OE, TF, refined ARX) may be biased: "
+            "compare with ARMAX or BJ (prediction error), or IV with the reference as instrument, or excite "
+            "the command far above the controller's own activity."
+        )
+
+
+def feedback(model: Fitted, data: Dataset) -> tuple[Feedback, ...]:
+    """One answer per output; the model should be a good linear one, the data those it was fitted to.
+
+    Segments too short for the test are left out.
+    """
+    lags = int(np.clip(round(LOOK_S / data.dt_s), FEWEST_LAGS, MOST_LAGS))
+    names = tuple(s.name for s in data.inputs)
+    left = _left_over(model, data, lags)
+    found = []
+    for j, output in enumerate(data.outputs):
+        p, share = _test([e[:, j] for e, _ in left], [u for _, u in left], lags)
+        found.append(Feedback(output.name, names, p, share, lags * data.dt_s))
+    return tuple(found)
+
+
+def _left_over(model: Fitted, data: Dataset, lags: int) -> list[tuple[FloatArray, FloatArray]]:
+    """(errors of the free run, inputs) per segment that is long enough, without its start."""
+    found = []
+    for segment in data.segments:
+        skip = start_window(model.n_init, len(segment), data.dt_s)
+        if len(segment) < skip + 6 * lags:
+            continue
+        start = estimate_start(model, segment.u[:skip], segment.y[:skip]) if model.n_init else None
+        run = model.simulate(segment.u, segment.y[:0] if start is None else start)
+        error = (segment.y - run)[skip:]
+        if np.isfinite(error).all():
+            found.append((error, segment.u[skip:]))
+    return found
+
+
+def _test(errors: Sequence[FloatArray], inputs: Sequence[FloatArray], lags: int) -> tuple[float, float]:
+    """(p, share) of later inputs in the whitened errors."""
+    from scipy.signal import lfilter
+    from scipy.stats import f as distribution
+
+    if not errors or not any(float(np.ptp(e)) > 0.0 for e in errors):
+        return 1.0, 0.0
+    d, _ = noise_model(errors)
+    targets, past, later = [], [], []
+    for error, u in zip(errors, inputs, strict=True):
+        e, v = lfilter(d, [1.0], error), lfilter(d, [1.0], u - u.mean(axis=0), axis=0)
+        rows = np.arange(lags + len(d), len(e) - lags)
+        targets.append(e[rows])
+        past.append(np.hstack([v[rows - k] for k in range(lags + 1)]))
+        later.append(np.hstack([v[rows + k] for k in range(1, lags + 1)]))
+    y, before = (
+        np.concatenate(targets),
+        np.column_stack([np.ones(sum(map(len, targets))), np.concatenate(past)]),
+    )
+    q, kept = _basis(before)
+    rest = y - q @ (q.T @ y)
+    after = np.concatenate(later)
+    extra, added = _basis(after - q @ (q.T @ after), float(np.linalg.norm(after)))
+    gain = float(np.sum((extra.T @ rest) ** 2))
+    total, freedom = float(rest @ rest), len(y) - kept - added
+    if freedom < 2 * lags or not added or not total > 0.0:
+        return 1.0, 0.0
+    ratio = (gain / added) / max((total - gain) / freedom, 1e-300)
+    # what chance explains on average is taken off the share
+    share = max(gain / total - added / (freedom + added), 0.0)
+    return float(distribution.sf(ratio, added, freedom)), share
+
+
+def _basis(columns: FloatArray, size: float | None = None) -> tuple[FloatArray, int]:
+    """Orthonormal basis of the columns' range, and its dimension; directions below 1e-6 do not count."""
+    left, sigma, _ = np.linalg.svd(columns, full_matrices=False)
+    rank = int(np.count_nonzero(sigma > 1e-6 * (sigma[0] if size is None else size)))
+    return left[:, :rank], rank
