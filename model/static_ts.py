@@ -11,7 +11,7 @@ b_r), eq. (3). There is no memory: one step ahead and free run are the same thin
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,9 +22,11 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, Structure, write_document
-from flysid.model.cluster import Method, cluster, project
+from flysid.model.cluster import MOST_SAMPLES, Method, cluster, project
 from flysid.model.memberships import Conjunction, Partition, Shape
+from flysid.model.stream import Source, blocks_of
 from flysid.model.threads import on_one_thread
+from flysid.model.tsstream import least_squares, weighted
 from flysid.model.words import condition_in_words, equation, in_words, number
 
 
@@ -50,8 +52,10 @@ class StaticTS:
     seed: int = 0
 
     @on_one_thread
-    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedStaticTS:
+    def fit(self, train: Source, validation: Dataset | None = None) -> FittedStaticTS:
         """Cluster the training samples, then solve eq. (4). `validation` is not needed: nothing is chosen.
+
+        Data on disk are read in blocks: memory does not grow with them, and the numbers are the same.
 
         Raises
         ------
@@ -61,31 +65,29 @@ class StaticTS:
         del validation
         if isinstance(self.rules, bool) or not isinstance(self.rules, int) or self.rules < 1:
             raise UsageError(f"rules={self.rules!r}", hint="give a whole number of rules, at least 1")
-        u, y = _stack(train)
-        partition = self._partition(u, y)
-        phi = partition.firing(u)
-        consequents = least_squares(u, y, phi)
-        support = np.bincount(phi.argmax(axis=1), minlength=len(partition)) / len(u)
-        margin = np.ptp(y, axis=0)
+        n_u, survey = len(train.inputs), _Survey.of(train)
+        partition = self._partition(survey, n_u)
+        consequents, _ = least_squares(lambda: _weighted_pieces(partition, train), len(partition))
+        y_low, y_high = survey.low[n_u:], survey.high[n_u:]
         return FittedStaticTS(
             dt_s=train.dt_s,
             inputs=train.inputs,
             outputs=train.outputs,
             partition=partition,
             consequents=consequents,
-            support=support,
-            output_limits=np.array([y.min(axis=0) - margin, y.max(axis=0) + margin]),
+            support=_support(partition, train),
+            output_limits=np.array([2.0 * y_low - y_high, 2.0 * y_high - y_low]),
             notes=(
                 f"{len(partition)} rules were asked for, from {self.method} clusters of inputs and outputs "
-                f"in {len(u)} samples.",
+                f"in {survey.rows} samples.",
                 "The model has no memory: whatever depends on the past of the input is not in it.",
             ),
         )
 
-    def _partition(self, u: FloatArray, y: FloatArray) -> Partition:
-        low, high = u.min(axis=0), u.max(axis=0)
-        clusters = cluster(np.hstack([u, y]), self.rules, self.method, seed=self.seed)
-        centre, left, right = project(clusters, u.shape[1], two_sided=self.two_sided)
+    def _partition(self, survey: _Survey, n_u: int) -> Partition:
+        clusters = cluster(survey.thinned, self.rules, self.method, seed=self.seed)
+        centre, left, right = project(clusters, n_u, two_sided=self.two_sided)
+        low, high = survey.low[:n_u], survey.high[:n_u]
         return Partition(centre, left, right, low, high, self.shape, self.conjunction)
 
 
@@ -214,26 +216,63 @@ class FittedStaticTS:
         write_document(self.to_dict(), path)
 
 
-def least_squares(u: FloatArray, y: FloatArray, phi: FloatArray) -> FloatArray:
-    """(R, n_y, n_u + 1) consequents of eq. (4): global least squares of y on [phi_r u, phi_r]."""
-    regressors = np.hstack([u, np.ones((len(u), 1))])
-    design = (phi[:, :, None] * regressors[:, None, :]).reshape(len(u), -1)
-    solution = np.linalg.lstsq(design, y, rcond=1e-10)[0]
-    return np.ascontiguousarray(solution.reshape(phi.shape[1], regressors.shape[1], -1).transpose(0, 2, 1))
+@dataclass(frozen=True, eq=False)
+class _Survey:
+    """What one pass over the data tells; columns are inputs, then outputs.
+
+    Attributes
+    ----------
+    rows : samples.
+    low, high : (n_u + n_y,) ranges.
+    thinned : (at most MOST_SAMPLES, n_u + n_y) evenly spaced samples, the ones that `cluster` would take.
+    """
+
+    rows: int
+    low: FloatArray
+    high: FloatArray
+    thinned: FloatArray
+
+    @classmethod
+    def of(cls, data: Source) -> _Survey:
+        every = max(1, -(-len(data) // MOST_SAMPLES))
+        at, kept, lows, highs = 0, list[FloatArray](), list[FloatArray](), list[FloatArray]()
+        for u, y in _samples(data):
+            piece = np.hstack([u, y])
+            kept.append(piece[-at % every :: every].copy())
+            lows.append(piece.min(axis=0))
+            highs.append(piece.max(axis=0))
+            at += len(piece)
+        if not at:
+            raise DataError("there are no samples to fit", hint="record longer, or loosen the recipe's cuts")
+        low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+        for j, signal in enumerate(data.inputs):
+            if low[j] == high[j]:
+                raise DataError(
+                    f"the input {signal.name} never moves: its effect cannot be seen",
+                    hint="excite it in flight, or take it out of the recipe",
+                )
+        return cls(at, low, high, np.vstack(kept))
 
 
-def _stack(data: Dataset) -> tuple[FloatArray, FloatArray]:
-    if not data.segments or not len(data):
-        raise DataError("there are no samples to fit", hint="record longer, or loosen the recipe's cuts")
-    u = np.vstack([s.u for s in data.segments])
-    y = np.vstack([s.y for s in data.segments])
-    for j, signal in enumerate(data.inputs):
-        if np.ptp(u[:, j]) == 0:
-            raise DataError(
-                f"the input {signal.name} never moves: its effect cannot be seen",
-                hint="excite it in flight, or take it out of the recipe",
-            )
-    return u, y
+def _samples(data: Source) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Inputs (n, n_u) and outputs (n, n_y) of all samples, in pieces."""
+    n_y = len(data.outputs)
+    return ((block[n_y:].T, block[:n_y].T) for _, block in blocks_of(data)())
+
+
+def _weighted_pieces(partition: Partition, data: Source) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """[phi_r u, phi_r] (n, R (n_u + 1)) and y (n, n_y) of eq. (4), in pieces."""
+    for u, y in _samples(data):
+        yield weighted(partition.firing(u), np.hstack([u, np.ones((len(u), 1))])), y
+
+
+def _support(partition: Partition, data: Source) -> FloatArray:
+    """(R,) share of samples for which each rule is the strongest."""
+    counts = [
+        np.bincount(partition.firing(u).argmax(axis=1), minlength=len(partition)) for u, _ in _samples(data)
+    ]
+    total = np.sum(counts, axis=0)
+    return np.asarray(total / total.sum())
 
 
 def _columns(u: FloatArray, count: int) -> FloatArray:
