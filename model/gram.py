@@ -199,7 +199,7 @@ def lagged_triangle(
     gram = lagged_gram(windows(blocks(), depth), depth)
     if len(gram) == 1:
         raise DataError(
-            f"no segment is longer than the {depth} samples that are looked back on",
+            f"no segment is longer than the model's depth of {depth} samples",
             hint="choose smaller orders or delays, or bring longer segments",
         )
     pick = range(len(gram) - 1) if pick is None else pick

@@ -144,7 +144,7 @@ class _Signals:
         full = lagged_gram(windows(self._rows(image, prefilter), depth), depth)
         if len(full) == 1:
             raise DataError(
-                f"no segment is longer than the {depth + len(prefilter)} samples that are looked back on",
+                f"no segment is longer than the model's depth of {depth + len(prefilter)} samples",
                 hint="choose smaller orders or delays, or bring longer segments",
             )
         return full

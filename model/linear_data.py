@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,9 @@ from flysid.model.simulation_error import Record
 from flysid.model.stream import Block, OnDisk, Source, blocks_of
 
 HELD_OUT = 0.25
+LEAST_GUARD = 10
+FOLDS = 3
+FOLDED_ROWS = 5_000
 SEARCH_ROWS = 12_000
 CHOICE_ROWS = 200_000
 """Samples, the first of a dataset on disk, that orders and delays are chosen on."""
@@ -104,11 +107,23 @@ class Parts:
     train : all of it, as given.
     validation : the judging part, or None: blocks of the training part are held out.
     scaling : of the training data.
+    seed : which blocks are held out.
     """
 
     train: Dataset
     validation: Dataset | None
     scaling: Scaling
+    seed: int = 0
+
+    @property
+    def folds(self) -> tuple[Parts, ...]:
+        """The same data with other blocks held out: what one block says of an order is half luck.
+
+        One where a validation part was given, or where the data are long enough for one to speak.
+        """
+        if self.validation is not None or len(self.train) > FOLDED_ROWS or self.fit is self.whole:
+            return (self,)
+        return (self, *(replace(self, seed=seed) for seed in range(1, FOLDS)))
 
     @classmethod
     def on_disk(cls, data: OnDisk, *, centred: bool = True) -> Parts:
@@ -140,7 +155,7 @@ class Parts:
         if self.validation is not None:
             return self.train, self.validation
         try:
-            fit, check = self.train.split(holdout=HELD_OUT)
+            fit, check = self.train.split(holdout=HELD_OUT, seed=self.seed, guard_s=guard_s(self.train))
             Scaling.of(fit)
         except DataError:  # too short to hold anything out: choices lean on the training part
             return self.train, self.train
@@ -167,6 +182,24 @@ class Parts:
         """(2, n_y) the training range, widened by its width on both sides."""
         low, high = self.scaling.y_range
         return np.stack([low - (high - low), high + (high - low)])
+
+
+def guard_s(data: Dataset) -> float:
+    """Seconds to leave out around held-out blocks: as long as an output remembers itself.
+
+    The correlation length, in samples, of the slowest output (first lag below 1/e), between `LEAST_GUARD`
+    and a twentieth of the longest segment: what is chosen must not hang on the unit of time.
+    """
+    segment = max(data.segments, key=len)
+    most = max(len(segment) // 20, LEAST_GUARD)
+    y = segment.y - segment.y.mean(axis=0)
+    power = np.einsum("ij,ij->j", y, y)
+    length = most
+    for lag in range(LEAST_GUARD, most):
+        if (np.einsum("ij,ij->j", y[lag:], y[:-lag]) < power / np.e).all():
+            length = lag
+            break
+    return length * data.dt_s
 
 
 def records(data: Dataset, output: int) -> tuple[Record, ...]:

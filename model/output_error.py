@@ -7,6 +7,7 @@ inputs; outputs do not feed each other.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.freerun import Difference
 from flysid.model.linear import FittedLinear
-from flysid.model.linear_data import EXACT, SEARCH_ROWS, Parts, records, shortened
+from flysid.model.linear_data import EXACT, FOLDED_ROWS, SEARCH_ROWS, Parts, records, shortened
 from flysid.model.linear_start import start_gains
 from flysid.model.noise import coloured_covariance, noise_model
 from flysid.model.polynomials import free_basis, monic_basis
@@ -25,6 +26,7 @@ from flysid.model.simulation_error import (
     OutputError,
     Transfer,
     find_start,
+    from_transfer,
     to_transfer,
 )
 
@@ -33,6 +35,8 @@ DELAY_S = 0.5
 MOST_DELAYS = 50
 ORDER_LOSS = 0.02
 PATIENCE = 2
+CANCELLING = np.array([1.0, -0.5])
+"""A pole and a zero that leave a transfer as it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,16 +242,21 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
     FitError : no candidate could be fitted.
     """
     deepest = max(o.depth for orders in candidates for o in orders)
-    window = judging_window(parts, deepest)
+    folds = parts.folds
+    window = max(judging_window(f, deepest) for f in folds)
+    before: list[list[OneOutput]] = [[] for _ in folds]
     tried: list[tuple[list[OneOutput], FloatArray]] = []
     best, since = np.inf, 0
     for orders in candidates:
         try:
-            fits = [fit_output(OutputError(records(parts.fit, i), o)) for i, o in enumerate(orders)]
+            before = [_fitted(f, orders, b) for f, b in zip(folds, before, strict=True)]
         except (FitError, DataError):
             continue
-        model = runner("oe", parts, fits, window)
-        tried.append((fits, block_errors(model, parts.check, window, parts.scaling.y_scale)))
+        errors = [
+            block_errors(runner("oe", f, fits, window), f.check, window, f.scaling.y_scale)
+            for f, fits in zip(folds, before, strict=True)
+        ]
+        tried.append((before[0], np.concatenate(errors)))
         mean = float(tried[-1][1].mean()) if len(tried[-1][1]) else np.inf
         best, since = (mean, 0) if mean < (1.0 - LEVEL) * best else (best, since + 1)
         if since == PATIENCE:
@@ -270,17 +279,49 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
     )
 
 
+def _fitted(parts: Parts, orders: Sequence[Orders], before: Sequence[OneOutput]) -> list[OneOutput]:
+    """Every output on the fitting part; never worse than the fits of lower orders (`before`, or none)."""
+    fits = []
+    for i, own in enumerate(orders):
+        fit = fit_output(OutputError(records(parts.fit, i), own))
+        lower = before[i] if before else None
+        if lower is not None and fit.cost > lower.cost and lower.problem.orders.nk == own.nk:
+            nested = fit.problem.refine(raised(lower.transfer, own), max_iterations=40)
+            fit = OneOutput(fit.problem, nested.theta, nested.cost) if nested.cost < fit.cost else fit
+        fits.append(fit)
+    return fits
+
+
+def raised(transfer: Transfer, orders: Orders) -> FloatArray:
+    """The same transfer in higher orders: its poles and zeros, and as many more that cancel."""
+    a, b = transfer.a, list(transfer.b)
+    for _ in range(orders.na + 1 - len(a)):
+        a, b = np.convolve(a, CANCELLING), [np.convolve(taps, CANCELLING) for taps in b]
+    sizes = [k + n for n, k in zip(orders.nb, orders.nk, strict=True)]
+    padded = [np.resize(np.append(t, np.zeros(n)), n) for t, n in zip(b, sizes, strict=True)]
+    return from_transfer(
+        Transfer(a, tuple(padded), transfer.c * CANCELLING.sum() ** (len(a) - len(transfer.a))), orders
+    )
+
+
 def _order(fits: Sequence[OneOutput]) -> int:
     return max(f.problem.orders.na for f in fits)
 
 
 def refit(parts: Parts, fits: Sequence[OneOutput]) -> list[OneOutput]:
-    """The same orders on all training data, refined from where the search ended."""
+    """The same orders on all training data, refined from where the search ended.
+
+    Short data have more than one minimum: there a fresh start is tried, too.
+    """
     if parts.fit is parts.whole:
         return list(fits)
     again = []
     for i, fit in enumerate(fits):
         problem = replace(fit.problem, records=records(parts.whole, i))
         found = problem.refine(fit.theta, max_iterations=25)
-        again.append(OneOutput(problem, found.theta, found.cost))
+        ends = [OneOutput(problem, found.theta, found.cost)]
+        if len(parts.train) <= FOLDED_ROWS:
+            with suppress(FitError):
+                ends.append(fit_output(problem))
+        again.append(min(ends, key=lambda end: end.cost))
     return again

@@ -42,6 +42,8 @@ HIGHEST_ORDER = 10
 TRIED_METHODS: tuple[Method, ...] = ("pbsid", "cva", "moesp")
 TRIED_PASTS = (5, 10, 20, 40)
 ROWS_PER_UNKNOWN = 5
+GROWTH = 1.1
+"""Over the longest segment, of the fastest growing state: more than an integrator's rounding is refused."""
 ORDER_WORTH = 0.04
 """Relative decrease of the validation mean square that a higher order must bring."""
 
@@ -179,9 +181,25 @@ def _best_per_order(
     settings: StateSpace, parts: Parts, ways: Sequence[tuple[Method, int]], orders: Sequence[int]
 ) -> list[tuple[_Choice, FloatArray]]:
     """For every order the method and horizon of the best validation free run, with its errors in blocks."""
+    folds = [_tried(settings, fold, ways, orders) for fold in parts.folds]
+    found: dict[int, tuple[_Choice, FloatArray]] = {}
+    for choice in folds[0]:
+        if not all(choice in fold for fold in folds):
+            continue
+        errors = np.concatenate([fold[choice] for fold in folds])
+        if choice.order not in found or _mean(errors) < _mean(found[choice.order][1]):
+            found[choice.order] = choice, errors
+    return [found[order] for order in orders if order in found]
+
+
+def _tried(
+    settings: StateSpace, parts: Parts, ways: Sequence[tuple[Method, int]], orders: Sequence[int]
+) -> dict[_Choice, FloatArray]:
+    """The validation errors, in blocks, of everything that can be fitted and does not blow up."""
     shared = _Projections(settings, _scaled(parts), parts.fit, max(window(p, m) for m, p in ways))
     skip = judging_window(parts, max(orders))
-    found: dict[int, tuple[_Choice, FloatArray]] = {}
+    longest = max(len(s) for s in parts.train.segments)
+    found: dict[_Choice, FloatArray] = {}
     for method, past in ways:
         try:
             projection = shared.of(method, past)
@@ -191,11 +209,10 @@ def _best_per_order(
             if order > projection.most:
                 break
             model = _model(parts, projection.realise(order), skip)
-            errors = block_errors(model, parts.check, skip, parts.scaling.y_scale)
-            mean = float(errors.mean()) if len(errors) else np.inf
-            if order not in found or mean < _mean(found[order][1]):
-                found[order] = _Choice(method, past, order), errors
-    return [found[order] for order in orders if order in found]
+            if np.abs(model.poles).max() ** longest < GROWTH:
+                errors = block_errors(model, parts.check, skip, parts.scaling.y_scale)
+                found[_Choice(method, past, order)] = errors
+    return found
 
 
 def _mean(errors: FloatArray) -> float:

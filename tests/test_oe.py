@@ -16,6 +16,7 @@ from flysid.model.arx import ARX
 from flysid.model.linear import FittedLinear
 from flysid.model.noise import burg, noise_model
 from flysid.model.oe import OE
+from flysid.model.output_error import raised
 from flysid.model.simulation_error import Orders, OutputError, Record, from_transfer, to_transfer
 
 BENCHMARKS = Path(__file__).parents[2] / "shared" / "benchmarks"
@@ -110,6 +111,23 @@ def test_predictions_use_the_colour_of_the_noise() -> None:
     run = model.simulate(u, y[: model.n_init, None])[50:, 0] - y[50:]
     assert np.std(one) < 1.05 * 0.1
     assert np.std(run) > 2.0 * 0.1
+
+
+def test_choices_do_not_hang_on_the_unit_of_time() -> None:
+    rng = np.random.default_rng(7)
+    u = np.repeat(rng.standard_normal(300), 3)
+    y = np.asarray(lfilter([0.0, 0.3, 0.1], [1.0, -1.5, 0.7], u)) + 0.05 * rng.standard_normal(len(u))
+    models = [OE(nk=1).fit(Dataset.from_arrays(u, y, dt)) for dt in (1.0, 0.01)]
+    assert np.array_equal(models[0].flat, models[1].flat)
+
+
+def test_a_higher_order_starts_from_the_lower_one() -> None:
+    p, theta = problem(1, 2)
+    transfer = replace(to_transfer(theta, p.orders), c=0.0)
+    orders = Orders(5, (4, 4), p.orders.nk)
+    again = to_transfer(raised(transfer, orders), orders)
+    u = np.random.default_rng(0).standard_normal((80, 2))
+    assert again.forced(u) == pytest.approx(transfer.forced(u), abs=1e-9)
 
 
 def test_burg_finds_an_autoregression_over_segments() -> None:

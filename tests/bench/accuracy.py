@@ -1,7 +1,7 @@
 """Free-run accuracy on public benchmarks with the default settings: `make bench-accuracy`.
 
 Everything is chosen on the training and validation parts; the test parts are only scored. Each case prints
-the default TS model beside its own linear part (one rule) and the refined ARX, in physical units.
+the default TS model beside its own linear part (one rule) and the linear models, in physical units.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ import numpy as np
 
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
+from flysid.model.oe import OE
+from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
 from tests.bench.accuracy_data import CASES, FOLDER, Case
 
@@ -51,6 +53,8 @@ def main(names: list[str]) -> int:
     for name in names or list(CASES):
         case = CASES[name]()
         print(line("ARX", ARX(), case), flush=True)
+        print(line("OE", OE(), case), flush=True)
+        print(line("SS", StateSpace(), case), flush=True)
         print(line("TS, 1", TS(rules=1), case), flush=True)
         print(line("TS", TS(), case), flush=True)
     return 0
