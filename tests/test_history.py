@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from flysid.errors import StoreError, UsageError
-from flysid.validate.history import find_runs, ranked, run_channels
+from flysid.validate import runindex
+from flysid.validate.history import RunChannel, find_runs, ranked, run_channels
 from flysid.validate.run import ChannelRun, FitSettings, Run, run_document
+from flysid.validate.runindex import INDEX, list_runs
 
 
 def make_run(folder: Path, recipe: str = "r", channels: tuple[str, ...] = ("roll",)) -> Path:
@@ -83,3 +86,61 @@ def test_a_folder_without_runs_says_how_to_make_one(tmp_path: Path) -> None:
     assert "flysid fit" in caught.value.hint
     with pytest.raises(UsageError, match="no such folder"):
         find_runs([tmp_path / "absent"])
+
+
+def listed(root: Path) -> list[tuple[str, str, str]]:
+    return [(Path(c.folder).name, c.channel, c.verdict) for c in list_runs([root])[0]]
+
+
+def test_the_index_answers_until_a_run_changes_or_vanishes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judge(make_run(tmp_path / "a"), "1" * 64, {"roll": {"arx": 0.4, "ts": 0.3}})
+    make_run(tmp_path / "b")
+    first = list_runs([tmp_path])[0]
+    assert (tmp_path / INDEX).is_file()
+    opened: list[str] = []
+
+    def opening(folder: Path) -> list[RunChannel]:
+        opened.append(folder.name)
+        return run_channels(folder)
+
+    monkeypatch.setattr(runindex, "run_channels", opening)
+    assert list_runs([tmp_path])[0] == first
+    assert opened == []
+    judge(tmp_path / "b", "1" * 64, {"roll": {"arx": 0.2}})
+    assert listed(tmp_path) == [("a", "roll", "same"), ("b", "roll", "same")]
+    assert opened == ["b"]
+    shutil.rmtree(tmp_path / "a")
+    assert listed(tmp_path) == [("b", "roll", "same")]
+    assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".")] == [INDEX]
+
+
+@pytest.mark.parametrize("content", [b"", b"PAR1", b"not parquet at all", b"\x00" * 5000])
+def test_a_damaged_index_is_made_anew(tmp_path: Path, content: bytes) -> None:
+    judge(make_run(tmp_path / "a"), "1" * 64, {"roll": {"arx": 0.4, "ts": 0.3}})
+    before = list_runs([tmp_path])
+    (tmp_path / INDEX).write_bytes(content)
+    assert list_runs([tmp_path]) == before
+    assert (tmp_path / INDEX).read_bytes() != content
+
+
+def test_damaged_runs_are_named_every_time_and_never_indexed(tmp_path: Path) -> None:
+    judge(make_run(tmp_path / "a"), "1" * 64, {"roll": {"arx": 0.4}})
+    (make_run(tmp_path / "b") / "run.json").write_text("{")
+    for _ in range(2):
+        channels, damaged = list_runs([tmp_path])
+        assert [Path(c.folder).name for c in channels] == ["a"]
+        assert len(damaged) == 1
+
+
+def test_a_folder_that_cannot_be_written_is_listed_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, content: bytes) -> None:  # noqa: ARG001
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(runindex, "write_atomically", full)
+    judge(make_run(tmp_path / "a"), "1" * 64, {"roll": {"arx": 0.4}})
+    assert listed(tmp_path) == [("a", "roll", "same")]
+    assert not (tmp_path / INDEX).exists()

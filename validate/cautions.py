@@ -46,7 +46,7 @@ def _rules() -> tuple[Callable[[Comparisons, Diagnoses], Iterator[Caution]], ...
 def _who(said: Mapping[str, set[str]]) -> str:
     """ "v_x, v_y (both models), v_z (ts)"."""
     return join(
-        f"{name} ({'both models' if len(who) > 1 else next(iter(who))})" for name, who in said.items()
+        f"{name} ({'both models' if len(who) > 1 else next(iter(who)).upper()})" for name, who in said.items()
     )
 
 
@@ -76,7 +76,7 @@ def _unstable(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
             n: r for n, r in d.pole_radius.items() if r > 1.0 + 1e-6 and n in comparisons[channel].models
         }
         if worst:
-            said = join(f"{n} (largest pole radius {r:.4f})" for n, r in worst.items())
+            said = join(f"{n.upper()} (largest pole radius {r:.4f})" for n, r in worst.items())
             yield Caution(
                 "warning",
                 f"Local models with a pole outside the unit circle on {one_line(channel)}: {said}.",
@@ -224,7 +224,7 @@ def _feedback(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
 
 def _not_white(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
     failed = {
-        name
+        name.upper()
         for channel, d in diagnoses.items()
         for out in d.outputs
         for name in heads(comparisons[channel])
@@ -263,7 +263,7 @@ def _one_step_flatters(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterat
 
 def _idle_rules(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
     said = [
-        f"R{i + 1} of {name} ({channel})"
+        f"R{i + 1} of {name.upper()} ({channel})"
         for channel, d in diagnoses.items()
         for name in heads(comparisons[channel])
         if name in d.rule_use

@@ -38,6 +38,7 @@ class RunChannel:
     rmse : label -> free-run RMSE on the held-out part, in `unit`; empty where the run was not judged.
     verdict : of the contender against the baseline in free run, or "not judged".
     held_out : hash of the held-out part, "" where the run was not judged.
+    baseline : label of the linear model that the verdict is against, "" where the run was not judged.
     rank : 1 for the smallest error on this held-out part (best model of each run); None where not judged.
     """
 
@@ -50,6 +51,7 @@ class RunChannel:
     change_pct: float | None
     verdict: str
     held_out: str
+    baseline: str = ""
     rank: int | None = None
 
     @property
@@ -73,7 +75,7 @@ def find_runs(folders: Sequence[str | Path]) -> list[Path]:
     for folder in map(Path, folders):
         if not folder.is_dir():
             raise UsageError("no such folder", path=folder)
-        found |= dict.fromkeys(sorted(_walk(folder)))
+        found |= dict.fromkeys(sorted(walk(folder)))
     if not found:
         raise UsageError(
             "no run found",
@@ -83,7 +85,8 @@ def find_runs(folders: Sequence[str | Path]) -> list[Path]:
     return list(found)
 
 
-def _walk(folder: Path) -> Iterator[Path]:
+def walk(folder: Path) -> Iterator[Path]:
+    """Run folders in and below one folder."""
     for place, below, files in os.walk(folder):
         if RUN_FILE in files:
             yield Path(place)
@@ -163,4 +166,5 @@ def _channel(run: Run, name: str, free: Mapping[str, Any], about: Mapping[str, A
         change_pct=None if change is None else float(change),
         verdict=str(free["verdict"] or free["reason"]),
         held_out=str(about["test_sha256"]),
+        baseline=str(about.get("baseline", "arx")),
     )

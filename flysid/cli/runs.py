@@ -14,7 +14,7 @@ from flysid.cli.output import say
 if TYPE_CHECKING:
     from flysid.validate.history import RunChannel
 
-HEADINGS = ("RECIPE", "CHANNEL", "HELD OUT", "RANK", "RUN", "ARX", "TS", "UNIT", "VERDICT", "FITTED (UTC)")
+HEADINGS = ("RECIPE", "CHANNEL", "HELD OUT", "RANK", "RUN", "LINEAR", "TS", "UNIT", "VERDICT", "FITTED (UTC)")
 
 
 @click.command("runs")
@@ -24,18 +24,13 @@ def command(folders: tuple[Path, ...], as_json: bool) -> int:
     """List run folders and rank them by free-run error, channel by channel.
 
     Searches the folders given, or the present one. Runs are ranked only among those that were judged on the
-    same held-out part. A run that cannot be read is named and left out (exit code 3).
+    same held-out part. A run that cannot be read is named and left out (exit code 3). What was read is kept
+    in .flysid-runs.parquet in the folder, and read again only where a run changed.
     """
-    from flysid.errors import StoreError
-    from flysid.validate.history import find_runs, ranked, run_channels
+    from flysid.validate.history import ranked
+    from flysid.validate.runindex import list_runs
 
-    channels: list[RunChannel] = []
-    damaged: list[StoreError] = []
-    for folder in find_runs(folders or (Path(),)):
-        try:
-            channels += run_channels(folder)
-        except StoreError as error:
-            damaged.append(error)
+    channels, damaged = list_runs(folders or (Path(),))
     order = ranked(channels)
     if as_json:
         click.echo(json.dumps({"runs": [c.to_dict() for c in order]}, indent=1, allow_nan=False))
@@ -44,6 +39,14 @@ def command(folders: tuple[Path, ...], as_json: bool) -> int:
     for reason in damaged:
         say(f"left out: {reason}")
     return 3 if damaged else 0
+
+
+def linear_text(channel: RunChannel) -> str:
+    """ "0.163 arx": the baseline's error and its name."""
+    from flysid.validate.words import number
+
+    rmse = channel.rmse.get(channel.baseline)
+    return number(rmse) if rmse is None else f"{number(rmse)} {channel.baseline}"
 
 
 def row(channel: RunChannel) -> tuple[str, ...]:
@@ -56,7 +59,7 @@ def row(channel: RunChannel) -> tuple[str, ...]:
         channel.held_out[:8] or "-",
         "-" if channel.rank is None else str(channel.rank),
         channel.folder,
-        number(channel.rmse.get("arx")),
+        linear_text(channel),
         number(channel.rmse.get("ts")),
         channel.unit,
         channel.verdict,
