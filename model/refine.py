@@ -19,10 +19,11 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import FitError
+from flysid.model.bordered import Bordered
 
 Residuals: TypeAlias = tuple[FloatArray, FloatArray]
 """(N,) residuals r and their (N, n) Jacobian dr/dtheta."""
-NormalEquations: TypeAlias = tuple[float, FloatArray, FloatArray]
+NormalEquations: TypeAlias = tuple[float, FloatArray | Bordered, FloatArray]
 """cost rᵀr, (n, n) JᵀJ and (n,) Jᵀr."""
 Reason = Literal["converged", "stalled", "max_iterations", "validation", "stopped"]
 
@@ -64,7 +65,7 @@ class _Point:
     cost: float
     gradient: FloatArray
     diagonal: FloatArray
-    jtj: FloatArray | None
+    jtj: FloatArray | Bordered | None
     triangle: FloatArray | None
     rotated: FloatArray | None
 
@@ -162,10 +163,10 @@ def _evaluate(
         answer = evaluate(theta)
         if len(answer) == 3:
             total, jtj, jtr = answer
-            finite = np.isfinite(total) and np.isfinite(jtj).all() and np.isfinite(jtr).all()
-            if not finite:
+            finite = jtj.is_finite() if isinstance(jtj, Bordered) else np.isfinite(jtj).all()
+            if not (finite and np.isfinite(total) and np.isfinite(jtr).all()):
                 return None
-            return _Point(theta, float(total), jtr, np.diag(jtj).copy(), jtj, None, None)
+            return _Point(theta, float(total), jtr, jtj.diagonal().copy(), jtj, None, None)
         residual, jacobian = answer
         total = float(residual @ residual)
         diagonal = np.einsum("ij,ij->j", jacobian, jacobian)
@@ -204,6 +205,9 @@ def _try(
 def _step(point: _Point, scale: FloatArray, damping: float) -> FloatArray | None:
     """Solve (JᵀJ + damping D²) step = -Jᵀr in scaled unknowns; None when that is singular."""
     n = len(scale)
+    if isinstance(point.jtj, Bordered):
+        found = point.jtj.damped_step(scale, damping, point.gradient)
+        return found if found is not None and np.isfinite(found).all() else None
     if point.triangle is not None and point.rotated is not None:
         # least squares on [R D⁻¹; sqrt(damping) I] keeps the condition of J instead of squaring it
         matrix = np.vstack([point.triangle / scale, np.sqrt(damping) * np.eye(n)])

@@ -4,17 +4,18 @@ The linear start is one-step least squares, moved off its noise bias by instrume
 instruments are the model's own simulation: Young 1970, Soderstrom and Stoica 1983), then refined on the
 simulation error. Every later stage inserts one rule, within each rule's region and along each antecedent
 (LOLIMOT, Nelles 2001, splits there), ranks the places by the cost that one Gauss-Newton step promises,
-refines the most promising ones a little and the best one fully.
+refines the most promising ones of every antecedent a little and the best ones fully.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.errors import FitError
 from flysid.model.refine import levenberg_marquardt
 from flysid.model.tskernel import firing
 from flysid.model.tslayout import Antecedent, Layout
@@ -22,13 +23,15 @@ from flysid.model.tsproblem import (
     Body,
     Problem,
     SimulationError,
+    antecedent_range,
     simulate_runs,
 )
 
 _PLACES = (0.15, 0.5, 0.85)
 _RIDGE = 0.01  # of the mean square error: as if a hundred samples said that the rules are equal
-_PIECE = 600  # rows of a piece, where long records are thinned
-_FEW, _MORE = 3000, 8000  # rows for ranking insertions, and for trying the best ones
+_PIECE = 1000  # rows of a piece, where long records are thinned
+_FEW = 5000  # rows for ranking insertions and for trying the best ones
+_MORE = 1  # insertions tried beyond the best one along every antecedent
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,16 +154,16 @@ def _linear_starts(problem: Problem) -> Iterator[Body]:
 def refine(stage: Stage, iterations: int, tolerance: float) -> Stage:
     """Levenberg-Marquardt on the simulation error from where the stage is."""
     error = SimulationError(stage.problem, stage.body, _free(stage.body))
-    start = error.start(stage.initial)
-    if not np.isfinite(error.normal(start)[1]).all():
+    try:
+        found = levenberg_marquardt(
+            error.normal,
+            error.start(stage.initial),
+            cost=error.cost,
+            max_iterations=iterations,
+            tolerance=tolerance,
+        )
+    except FitError:  # sensitivities overflow at the start
         return replace(stage, cost=float("inf"))
-    found = levenberg_marquardt(
-        error.normal,
-        start,
-        cost=error.cost,
-        max_iterations=iterations,
-        tolerance=tolerance,
-    )
     body, initial = error.split(found.theta)
     return Stage(stage.problem, body, initial, found.cost)
 
@@ -171,9 +174,10 @@ def rebased(stage: Stage) -> Stage:
     Where its sensitivities overflow it is no start: its cost becomes infinite.
     """
     error = SimulationError(stage.problem, stage.body, _free(stage.body))
-    _, H, _ = error.normal(error.start(stage.initial))
-    if not np.isfinite(H).all():
+    _, whole, _ = error.normal(error.start(stage.initial))
+    if not whole.is_finite():
         return replace(stage, cost=float("inf"))
+    H = whole.corner
     m = stage.body.a[0].size
     n_x = stage.body.a.shape[2]
     block = sum(H[i : i + n_x, i : i + n_x] for i in range(0, m, n_x))
@@ -191,6 +195,10 @@ def with_variables(stage: Stage, antecedents: tuple[Antecedent, ...]) -> Stage:
     """The same model looking at more antecedents, in which every rule covers everything."""
     layout = replace(stage.problem.layout, antecedents=antecedents)
     problem = stage.problem.with_antecedents(layout)
+    if any(a.minus >= 0 for a in antecedents):  # of measured outputs, differences are mostly noise
+        simulated = antecedent_range(layout, simulate_runs(stage.problem, stage.body, stage.initial))
+        change = np.array([a.minus >= 0 for a in antecedents])
+        problem = replace(problem, z_range=np.where(change, simulated, problem.z_range))
     old = stage.problem.layout.antecedents
     span = problem.z_range[1] - problem.z_range[0]
     centre = np.tile(problem.z_range.mean(axis=0), (stage.rules, 1))
@@ -226,40 +234,39 @@ def inserted(stage: Stage, centre: FloatArray, width: FloatArray) -> Stage:
     return replace(stage, body=grown)
 
 
-def insertions(stage: Stage, candidates: tuple[Antecedent, ...]) -> list[Stage]:
-    """The stage with one rule more, at several places along every candidate antecedent.
+def insertions(stage: Stage, antecedent: Antecedent) -> list[Stage]:
+    """The stage with one rule more, at several places along an antecedent.
 
     Places are quantiles of the antecedent where each present rule speaks; the new rule takes that rule's
     centre in the other variables. Its width is half the spread there.
     """
+    known = stage.problem.layout.antecedents
+    wide = stage if antecedent in known else with_variables(stage, (*known, antecedent))
+    j = wide.problem.layout.antecedents.index(antecedent)
+    z, phi = _z_and_firing(wide, simulate_runs(wide.problem, wide.body, wide.initial))
+    span = float(np.ptp(z[:, j]))
     options: list[Stage] = []
-    for antecedent in candidates:
-        known = stage.problem.layout.antecedents
-        wide = stage if antecedent in known else with_variables(stage, (*known, antecedent))
-        j = wide.problem.layout.antecedents.index(antecedent)
-        z, phi = _z_and_firing(wide)
-        span = float(np.ptp(z[:, j]))
-        for rule in range(stage.rules):
-            chosen = z[phi.argmax(axis=1) == rule, j]
-            if len(chosen) < 10 or span == 0.0:
-                continue
-            for place in _PLACES:
-                centre, width = wide.body.centre[rule].copy(), wide.body.width[rule].copy()
-                centre[j] = np.quantile(chosen, place)
-                width[j] = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)
-                if stage.rules == 1:
-                    width[j] = max(width[j], 0.2 * span)
-                options.append(inserted(wide, centre, width))
+    for rule in range(stage.rules):
+        chosen = z[phi.argmax(axis=1) == rule, j]
+        if len(chosen) < 10 or span == 0.0:
+            continue
+        for place in _PLACES:
+            centre, width = wide.body.centre[rule].copy(), wide.body.width[rule].copy()
+            centre[j] = np.quantile(chosen, place)
+            width[j] = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)
+            if stage.rules == 1:
+                width[j] = max(width[j], 0.2 * span)
+            options.append(inserted(wide, centre, width))
     return options
 
 
-def _z_and_firing(stage: Stage) -> tuple[FloatArray, FloatArray]:
-    """Antecedents and firing strengths along the measured runs."""
+def _z_and_firing(stage: Stage, runs: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Antecedents and firing strengths along runs."""
     problem = stage.problem
     lags, par = problem.layout.lags, problem.parameters(stage.body)
     d = problem.layout.depth
-    z = np.vstack([problem.layout.antecedent_values(W) for W in problem.runs])
-    return z, np.vstack([firing(W, d, lags, par)[d:] for W in problem.runs])
+    z = np.vstack([problem.layout.antecedent_values(W) for W in runs])
+    return z, np.vstack([firing(W, d, lags, par)[d:] for W in runs])
 
 
 def thinned(stage: Stage, samples: int) -> Stage:
@@ -285,33 +292,42 @@ def expected_cost(stage: Stage) -> float:
     """The cost that one regularised Gauss-Newton step on all unknowns promises; inf where it cannot."""
     error = SimulationError(stage.problem, stage.body, _free(stage.body))
     cost, H, g = error.normal(error.start(stage.initial))
-    if not (np.isfinite(H).all() and np.isfinite(g).all()):
+    if not (H.is_finite() and np.isfinite(g).all()):
         return float("inf")
-    scale = np.maximum(H.diagonal(), 1e-9 * H.diagonal().max())
-    d = 1.0 / np.sqrt(scale)
-    scaled = H * d[:, None] * d[None, :]
-    scaled[np.diag_indices_from(scaled)] += 1e-3
-    return cost - float((d * g) @ np.linalg.solve(scaled, d * g))
+    diagonal = H.diagonal()
+    step = H.damped_step(np.sqrt(np.maximum(diagonal, 1e-9 * diagonal.max())), 1e-3, g)
+    return float("inf") if step is None else cost + float(step @ g)
 
 
 def one_rule_more(
-    stage: Stage, candidates: tuple[Antecedent, ...], iterations: int, tries: int = 3
-) -> tuple[Stage, Stage]:
-    """The most promising insertion, before and after full refinement.
+    stage: Stage, candidates: tuple[Antecedent, ...], iterations: int, keep: int = 2
+) -> list[tuple[Stage, Stage]]:
+    """The best insertions, each before and after full refinement, lowest training cost first.
 
-    Promises are computed on few samples, tried out on more, and the best is refined on all.
+    What a Gauss-Newton step promises ranks insertions along one antecedent well, and compares antecedents
+    badly: so the best along every antecedent is tried by a few steps of refinement, and `keep` go on.
     """
     stage = with_ridge(stage, _RIDGE * stage.cost)
-    few, more = thinned(stage, _FEW), thinned(stage, _MORE)
-    options = insertions(few, candidates)
-    order = np.argsort([expected_cost(option) for option in options], kind="stable")
-    starts = [_on(options[i], more) for i in order[:tries]]
-    trials = [refine(start, max(6, iterations // 3), 1e-4) for start in starts]
-    at = min(range(len(trials)), key=lambda i: trials[i].cost)
-    # overlapping rules make long curved valleys: many cheap steps on fewer samples, then some on all
-    best = refine(with_ridge(trials[at], _RIDGE * trials[at].cost), 2 * iterations, 1e-6)
-    best = refine(with_ridge(_on(best, stage), _RIDGE * best.cost), iterations, 1e-6)
-    return _on(starts[at], stage), best
+    few = thinned(stage, _FEW)
+    options = [(a, option) for a in candidates for option in insertions(few, a)]
+    promises = [expected_cost(option) for _, option in options]
+    starts = [options[i][1] for i in _best_of_each([a for a, _ in options], promises)]
+    trials = [(start, refine(start, max(6, iterations // 3), 1e-4)) for start in starts]
+    trials.sort(key=lambda trial: trial[1].cost)
+    found = []
+    for start, trial in trials[:keep]:
+        best = refine(with_ridge(trial, _RIDGE * trial.cost), iterations, 1e-6)
+        if few is not stage:
+            best = refine(with_ridge(_on(best, stage), _RIDGE * best.cost), iterations // 2, 1e-6)
+        found.append((_on(start, stage), best))
+    return found
+
+
+def _best_of_each(kinds: Sequence[Antecedent], costs: Sequence[float]) -> list[int]:
+    """Indices of the lowest cost of every kind, then of the lowest of the rest."""
+    order = [int(i) for i in np.argsort(costs, kind="stable") if np.isfinite(costs[i])]
+    firsts = [i for at, i in enumerate(order) if kinds[i] not in {kinds[j] for j in order[:at]}]
+    return firsts + [i for i in order if i not in firsts][:_MORE]
 
 
 def _on(stage: Stage, other: Stage) -> Stage:
@@ -336,5 +352,5 @@ def ordered(stage: Stage) -> Stage:
 
 def rule_support(stage: Stage) -> FloatArray:
     """(R,) share of training samples for which each rule is the strongest."""
-    _, phi = _z_and_firing(stage)
+    _, phi = _z_and_firing(stage, stage.problem.runs)
     return np.asarray(np.bincount(phi.argmax(axis=1), minlength=stage.rules) / len(phi))

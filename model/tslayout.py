@@ -92,7 +92,7 @@ class Layout:
         """Outputs, then inputs."""
         return self.outputs + self.inputs
 
-    @property
+    @cached_property
     def depth(self) -> int:
         """Rows that a simulation starts from."""
         return max([self.orders.depth, *(max(a.lag, a.minus) for a in self.antecedents)])

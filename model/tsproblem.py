@@ -18,12 +18,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import FloatArray, Segment
+from flysid.model.bordered import Bordered
 from flysid.model.tskernel import IntArray, Lags, Parameters, free_run, sensitivities
 from flysid.model.tslayout import Layout
+from flysid.model.tsstress import beyond
 
 _HOLD = 3.0  # on memberships, relative to the ridge on consequents
 _CHUNK = 1024  # rows of sensitivities at a time: they stay in the cache
-_MOST_INITIAL = 200  # segments whose initial outputs are estimated; beyond, the measured ones are used
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +74,7 @@ class Problem:
     limits : (2, n_y) normalised output limits.
     ridge : weight on the spread of the rules' consequents about their mean, and on how far memberships
         have moved from where a refinement began.
+    stress : W of inputs under which the model must stay near the range of its training, or None.
     """
 
     layout: Layout
@@ -82,6 +84,7 @@ class Problem:
     z_range: FloatArray
     limits: FloatArray
     ridge: float = 0.0
+    stress: FloatArray | None = None
 
     @property
     def samples(self) -> int:
@@ -89,9 +92,10 @@ class Problem:
         return sum(len(W) for W in self.runs) * self.layout.n_y
 
     @property
-    def estimates_initial(self) -> bool:
-        """Whether the initial outputs of the segments are unknowns."""
-        return len(self.runs) <= _MOST_INITIAL
+    def moving(self) -> int:
+        """First outputs of every run that the free run depends on: so many, the last ones, are unknowns."""
+        z = (max(a.lag, a.minus) for a in self.layout.antecedents if a.column < self.layout.n_y)
+        return min(self.layout.depth, max(self.layout.orders.na, *z, 0))
 
     def parameters(self, body: Body) -> Parameters:
         """Kernel parameters of a body."""
@@ -123,7 +127,7 @@ class Problem:
         return np.stack(found)
 
     def with_antecedents(self, layout: Layout) -> Problem:
-        """The same data for other antecedents; the depth must not grow."""
+        """The same data for other antecedents."""
         return replace(self, layout=layout, z_range=antecedent_range(layout, self.runs))
 
 
@@ -164,8 +168,8 @@ class SimulationError:
 
     def start(self, initial: FloatArray) -> FloatArray:
         """The vector of unknowns at `body` and the given first outputs."""
-        tail = initial.ravel() if self.problem.estimates_initial else np.empty(0)
-        return np.concatenate([self.body.vector()[self.free > 0], tail])
+        tail = initial[:, initial.shape[1] - self.problem.moving :]
+        return np.concatenate([self.body.vector()[self.free > 0], tail.ravel()])
 
     def split(self, p: FloatArray) -> tuple[Body, FloatArray]:
         """Body and first outputs at a vector of unknowns."""
@@ -173,8 +177,8 @@ class SimulationError:
         count = int((self.free > 0).sum())
         whole[self.free > 0] = p[:count]
         initial = self.problem.measured_initial()
-        if self.problem.estimates_initial:
-            initial = p[count:].reshape(initial.shape)
+        first = initial.shape[1] - self.problem.moving
+        initial[:, first:] = p[count:].reshape(len(initial), -1, initial.shape[2])
         return self._named(self.body.moved(whole)), initial
 
     def _named(self, body: Body) -> Body:
@@ -195,33 +199,45 @@ class SimulationError:
         for run, W in zip(simulate_runs(self.problem, body, initial), self.problem.runs, strict=True):
             gap = run[:, :n_y] - W[:, :n_y]
             total += float(np.einsum("ni,ni->", gap, gap))
-        return total / self.problem.samples + self.problem.ridge * self._departure(body)
+        return total / self.problem.samples + self.problem.ridge * self._departure(body) + self._stray(body)
 
-    def normal(self, p: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    def _stray(self, body: Body) -> float:
+        """Mean square by which the outputs leave the range under the stress inputs."""
+        problem = self.problem
+        if problem.stress is None:
+            return 0.0
+        run = problem.stress.copy()
+        free_run(run, problem.layout.depth, problem.layout.lags, problem.parameters(body))
+        over = beyond(run[:, : problem.layout.n_y], problem.limits)
+        return float(np.einsum("ni,ni->", over, over)) / len(run)
+
+    def normal(self, p: FloatArray) -> tuple[float, Bordered, FloatArray]:
         """Cost, its Gauss-Newton matrix H and half its gradient g, so that a full step is -H^-1 g."""
         body, initial = self.split(p)
         chosen = np.flatnonzero(self.free > 0)
-        count, q = len(chosen), initial[0].size
-        estimates = self.problem.estimates_initial
-        size = count + (initial.size if estimates else 0)
-        H, g, total = np.zeros((size, size)), np.zeros(size), 0.0
-        for s, W in enumerate(self.problem.runs):
+        count, q = len(chosen), self.problem.moving * self.problem.layout.n_y
+        runs = self.problem.runs
+        corner, g, total = np.zeros((count, count)), np.zeros(count), 0.0
+        border, blocks = np.zeros((len(runs), count, q)), np.zeros((len(runs), q, q))
+        own = np.zeros((len(runs), q))
+        for s, W in enumerate(runs):
             with np.errstate(over="ignore", invalid="ignore"):  # an unstable trial; the search rejects it
                 block, slope, square = _segment_normal(self.problem, body, W, initial[s], chosen)
             total += square
-            H[:count, :count] += block[:count, :count]
-            g[:count] += slope[:count]
-            if estimates:
-                own = slice(count + s * q, count + (s + 1) * q)
-                H[own, own] = block[count:, count:]
-                H[:count, own] = block[:count, count:]
-                H[own, :count] = block[count:, :count]
-                g[own] = slope[count:]
+            corner += block[:count, :count]
+            g += slope[:count]
+            border[s], blocks[s], own[s] = block[:count, count:], block[count:, count:], slope[count:]
         n = self.problem.samples
-        H, g = H / n, g / n
+        corner, g = corner / n, g / n
         if self.problem.ridge:
-            self._add_ridge(H, g, body)
-        return total / n + self.problem.ridge * self._departure(body), H, g
+            self._add_ridge(corner, g, body)
+        cost = total / n + self.problem.ridge * self._departure(body)
+        if self.problem.stress is not None:
+            with np.errstate(over="ignore", invalid="ignore"):
+                block, slope, square = _stress_normal(self.problem, body, self.problem.stress, chosen)
+            m = len(self.problem.stress)
+            corner, g, cost = corner + block / m, g + slope / m, cost + square / m
+        return cost, Bordered(corner, border / n, blocks / n), np.concatenate([g, own.ravel() / n])
 
     def _departures(self, body: Body) -> tuple[FloatArray, FloatArray]:
         """What the ridge is on, and what one unit of each unknown but the first outputs adds to it.
@@ -245,15 +261,15 @@ class SimulationError:
         return float(values @ values)
 
     def _add_ridge(self, H: FloatArray, g: FloatArray, body: Body) -> None:
-        """Add the ridge's half gradient and its matrix."""
-        values, slopes = self._departures(body)
+        """Add the ridge's half gradient and its matrix; of one rule, the departure is zero."""
         rules, m = len(body.a), body.a[0].size
-        own = np.diag(slopes * slopes)
-        own[: body.a.size, : body.a.size] = np.kron(np.eye(rules) - 1.0 / rules, np.eye(m))
-        chosen = np.flatnonzero(self.free > 0)
-        count = len(chosen)
-        g[:count] += self.problem.ridge * (values * slopes)[chosen]
-        H[:count, :count] += self.problem.ridge * own[np.ix_(chosen, chosen)]
+        if rules == 1:
+            return
+        values, slopes = self._departures(body)
+        g += self.problem.ridge * values * slopes
+        H[np.diag_indices_from(H)] += self.problem.ridge * slopes * slopes
+        at = np.arange(rules * m).reshape(rules, m)
+        H[at[:, None, :], at[None, :, :]] -= self.problem.ridge / rules
 
 
 def _segment_normal(
@@ -263,17 +279,18 @@ def _segment_normal(
     depth, n_y = initial.shape
     lags, par = problem.layout.lags, problem.parameters(body)
     basis = np.ascontiguousarray(problem.basis)
-    columns = np.concatenate([chosen, body.size + np.arange(depth * n_y)]).astype(np.int64)
+    first, q = depth - problem.moving, problem.moving * n_y
+    columns = np.concatenate([chosen, body.size + np.arange(q)]).astype(np.int64)
     run = W.copy()
     run[:depth, :n_y] = initial
-    J = np.zeros((depth + _CHUNK, n_y, body.size + depth * n_y))
-    for k in range(depth):
+    J = np.zeros((depth + min(_CHUNK, len(W) - depth), n_y, body.size + q))
+    for k in range(first, depth):
         for i in range(n_y):
-            J[k, i, body.size + k * n_y + i] = 1.0
+            J[k, i, body.size + (k - first) * n_y + i] = 1.0
     gap = initial - W[:depth, :n_y]
     H = np.zeros((len(columns), len(columns)))
-    H[len(chosen) :, len(chosen) :] = np.eye(depth * n_y)
-    g = np.concatenate([np.zeros(len(chosen)), gap.ravel()])
+    H[len(chosen) :, len(chosen) :] = np.eye(q)
+    g = np.concatenate([np.zeros(len(chosen)), gap[first:].ravel()])
     total = float((gap * gap).sum())
     whole = len(columns) == J.shape[2]
     for begin in range(depth, len(W), _CHUNK):
@@ -285,5 +302,28 @@ def _segment_normal(
         H += part.T @ part
         g += part.T @ error
         total += float(error @ error)
+        J[:depth] = J[end - begin : end - begin + depth].copy()
+    return H, g, total
+
+
+def _stress_normal(
+    problem: Problem, body: Body, W: FloatArray, chosen: IntArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """J'J, J'e and e'e of how far the stress run leaves the range."""
+    depth, n_y = problem.layout.depth, problem.layout.n_y
+    lags, par = problem.layout.lags, problem.parameters(body)
+    basis, run = np.ascontiguousarray(problem.basis), W.copy()
+    J = np.zeros((depth + min(_CHUNK, len(W) - depth), n_y, body.size))
+    H, g, total = np.zeros((len(chosen), len(chosen))), np.zeros(len(chosen)), 0.0
+    for begin in range(depth, len(W), _CHUNK):
+        end = min(begin + _CHUNK, len(W))
+        sensitivities(run, (begin, end, begin - depth), lags, par, basis, J)
+        over = beyond(run[begin:end, :n_y], problem.limits).ravel()
+        rows = np.flatnonzero(over)
+        if len(rows):
+            part = J[depth : depth + end - begin].reshape(-1, J.shape[2])[rows][:, chosen]
+            H += part.T @ part
+            g += part.T @ over[rows]
+            total += float(over @ over)
         J[:depth] = J[end - begin : end - begin + depth].copy()
     return H, g, total

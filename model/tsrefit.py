@@ -17,7 +17,11 @@ from flysid.model.tsselect import is_bounded
 
 def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int) -> Stage:
     """The stage with its numbers refined on `runs`; unchanged where that would make it unstable."""
-    problem = replace(stage.problem, runs=tuple(runs), z_range=antecedent_range(stage.problem.layout, runs))
+    whole, known = antecedent_range(stage.problem.layout, runs), stage.problem.z_range
+    wider = np.stack([np.minimum(whole[0], known[0]), np.maximum(whole[1], known[1])])
+    # differences of measured outputs are mostly noise: their range is that of the simulation
+    change = np.array([a.minus >= 0 for a in stage.problem.layout.antecedents], dtype=bool)
+    problem = replace(stage.problem, runs=tuple(runs), z_range=np.where(change, known, wider))
     refit = refine(best_started(problem, stage.body), iterations, 1e-5)
     return refit if is_bounded(refit) else stage
 

@@ -18,6 +18,7 @@ from flysid.model.start import MAX_SHARE, estimate_start
 from flysid.model.tsgrow import Stage
 from flysid.model.tskernel import free_run
 from flysid.model.tsproblem import simulate_runs
+from flysid.model.tsstress import stress_run
 
 _BLOCKS = 16
 _RESOLUTION = 1e-10  # mean squares (of normalised outputs) below this are all "exact"
@@ -170,17 +171,9 @@ def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
     may lie on an output limit (the range of training, widened by itself on each side).
     """
     problem, n_y = stage.problem, stage.problem.layout.n_y
-    rng = np.random.default_rng(seed)
-    pool = np.vstack([W[:, n_y:] for W in problem.runs])
-    low, high = pool.min(axis=0), pool.max(axis=0)
-    hold = max(2, len(pool) // 200)
-    begins = rng.integers(0, max(1, len(pool) - hold), size=-(-steps // hold))
-    usual = np.vstack([pool[b : b + hold] for b in begins])[:steps]
-    wild = np.repeat(rng.uniform(low, high, (-(-steps // hold), len(low))), hold, axis=0)[:steps]
-    W = np.zeros((len(wild) + len(usual), n_y + len(low)))
-    W[:, n_y:] = np.vstack([wild, usual])
+    W = stress_run(problem.runs, n_y, steps, seed)
     free_run(W, problem.layout.depth, problem.layout.lags, problem.parameters(stage.body))
-    y = W[len(wild) + len(usual) // 4 :, :n_y]
+    y = W[steps + steps // 4 :, :n_y]
     at_limit = (y <= problem.limits[0]) | (y >= problem.limits[1])
     return bool(at_limit.any(axis=1).mean() < 0.02)
 

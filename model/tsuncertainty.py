@@ -130,9 +130,11 @@ def _starts(problem: Problem, body: Body) -> FloatArray:
     measured = problem.measured_initial()
     start = error.start(measured)
     _, H, g = error.normal(start)
-    if not problem.estimates_initial or not np.isfinite(H).all():
+    if not H.is_finite():
         return measured
-    better = start - np.linalg.lstsq(H, g, rcond=1e-10)[0]
+    own = g.reshape(len(H.blocks), -1)
+    steps = [np.linalg.lstsq(D, r, rcond=1e-10)[0] for D, r in zip(H.blocks, own, strict=True)]
+    better = start - np.concatenate(steps)
     return error.split(better)[1] if error.cost(better) < error.cost(start) else measured
 
 
