@@ -19,7 +19,7 @@ from flysid.dataset import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Bordered:
-    """corner (p, p), border (S, p, q), blocks (S, q, q); the unknowns stand as p common ones, then S times q."""
+    """corner (p, p), border (S, p, q), blocks (S, q, q); p common unknowns, then S times q own ones."""
 
     corner: FloatArray
     border: FloatArray
@@ -44,7 +44,9 @@ class Bordered:
         blocks = self.blocks / (inner[:, :, None] * inner[:, None, :]) + damping * np.eye(q)
         try:
             lower = np.linalg.cholesky(blocks)
-            half = np.linalg.solve(lower, np.concatenate([border.transpose(0, 2, 1), own[:, :, None]], axis=2))
+            half = np.linalg.solve(
+                lower, np.concatenate([border.transpose(0, 2, 1), own[:, :, None]], axis=2)
+            )
             flat = half.reshape(count * q, p + 1)
             factor = np.linalg.cholesky(corner - flat[:, :p].T @ flat[:, :p])
         except np.linalg.LinAlgError:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
 
 import numpy as np
 
-from flysid.dataset import Dataset, FloatArray
+from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.oe_search import check_hint
 from flysid.model.tsgrow import Stage, ordered

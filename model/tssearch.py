@@ -29,9 +29,7 @@ _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
 _ROWS_PER_NUMBER = 4
 
 
-def search(
-    workshop: Workshop, linear: Sequence[Candidate], named: tuple[Antecedent, ...]
-) -> list[Candidate]:
+def search(workshop: Workshop, linear: Sequence[Candidate], named: tuple[Antecedent, ...]) -> list[Candidate]:
     """Models with 1, 2, 3, ... rules, simplest first: of every number of rules the one to be offered.
 
     Ends where growth stalls, where data run out, or at the number of rules that was asked for.
@@ -77,12 +75,10 @@ def _unstressed(stage: Stage) -> Stage:
 
 def _affords(lane: Candidate, rules: int) -> bool:
     stage = lane.stage
-    return stage.body.a[0].size * rules * _ROWS_PER_NUMBER < stage.problem.samples
+    return bool(stage.body.a[0].size * rules * _ROWS_PER_NUMBER < stage.problem.samples)
 
 
-def _grown(
-    workshop: Workshop, lane: Candidate, named: tuple[Antecedent, ...], keep: int
-) -> list[Candidate]:
+def _grown(workshop: Workshop, lane: Candidate, named: tuple[Antecedent, ...], keep: int) -> list[Candidate]:
     """A lane's models with one rule more; held together by a ridge where freedom made all unstable.
 
     In the basis of the linear model's Gauss-Newton matrix a ridge of 1 halves what the data say about

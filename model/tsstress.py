@@ -15,7 +15,7 @@ from flysid.dataset import FloatArray
 
 
 def stress_run(runs: Sequence[FloatArray], n_y: int, steps: int, seed: int) -> FloatArray:
-    """W (2 steps, n_y + n_u): `steps` random inputs over the training range, then shuffled training inputs."""
+    """W (2 steps, n_y + n_u): `steps` random inputs in the training range, then training ones shuffled."""
     rng = np.random.default_rng(seed)
     pool = np.vstack([W[:, n_y:] for W in runs])
     low, high = pool.min(axis=0), pool.max(axis=0)

@@ -74,7 +74,7 @@ class Workshop:
         return Problem(layout, runs, basis, np.zeros((layout.n_y, len(basis))), np.zeros((2, 0)), limits)
 
     def ready(self, stage: Stage) -> Stage:
-        """A linear stage to grow from: with its limits (training range and as much on each side), and stress."""
+        """A linear stage to grow from: with its output limits and with stress."""
         problem, n_y = stage.problem, stage.problem.layout.n_y
         y = np.vstack([W[:, :n_y] for W in problem.runs])
         margin = np.ptp(y, axis=0)

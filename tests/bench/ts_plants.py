@@ -80,7 +80,7 @@ def _experiment(
 
 
 def duffing(rng: np.random.Generator, hardening: float = 0.06) -> Experiment:
-    """An oscillator with a hardening spring; the first test is a little weaker, the second a little stronger."""
+    """An oscillator with a hardening spring; of the tests one is a little weaker, one stronger."""
     dt, n = 1 / 600, 6000
 
     def f(x: FloatArray, u: float) -> FloatArray:
@@ -141,7 +141,9 @@ def propeller(rng: np.random.Generator) -> Experiment:
 
     def f(x: FloatArray, u: float) -> FloatArray:
         lift = 0.06 * x[2] * abs(x[2])
-        return np.array([x[1], lift - 9.0 * np.sin(x[0]) - 1.2 * x[1] - 0.8 * np.tanh(x[1] / 0.1), (u - x[2]) / 0.15])
+        return np.array(
+            [x[1], lift - 9.0 * np.sin(x[0]) - 1.2 * x[1] - 0.8 * np.tanh(x[1] / 0.1), (u - x[2]) / 0.15]
+        )
 
     def run(goal: FloatArray) -> tuple[FloatArray, FloatArray]:
         u, y = np.empty(len(goal)), np.empty(len(goal))
