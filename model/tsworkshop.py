@@ -111,6 +111,8 @@ class Workshop:
         )
         note = f"Orders {orders}: {how} (validation free run of the linear model)."
         others = [c for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
+        if self.settings.nk_hint:  # neighbours in order, not every order with and without the dead time
+            others = [c for c in others if c.stage.problem.layout.orders.nk == orders.nk]
         return [candidates[at], *others], [note]
 
     def _linear_side(self, choices: int) -> list[Candidate]:
