@@ -14,6 +14,7 @@ from typing import Any, Literal, Protocol, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from flysid.copies import find_copy
 from flysid.errors import DataError, StoreError, UsageError
 
 FloatArray = npt.NDArray[np.float64]
@@ -22,10 +23,6 @@ By = Literal["auto", "flight", "time"]
 MIN_FLIGHTS = 3  # from here on "auto" splits by flight
 BLOCKS = 10  # per flight, when splitting by time
 MIN_PIECE = 20  # samples; shorter pieces are left out
-COPY_ROWS = 16  # rows that must agree to count as copied
-COPY_ROUNDING = 1e-3  # of a signal's standard deviation
-COPY_SHARE = 0.2  # of a flight's stretches of rows found in another: the two overlap
-MAX_HASHES = 1_000_000
 
 
 class Stretch(Protocol):
@@ -260,78 +257,15 @@ def _runs(segment: int, mask: npt.NDArray[np.bool_]) -> list[Piece]:
 
 
 def refuse_copies(data: Splittable, train: Sequence[Piece], test: Sequence[Piece]) -> None:
-    """Refuse a split that holds out what it trains on: whole copies, or logs that overlap.
-
-    Stretches of 16 rows are compared between flights, rounded to a thousandth of each signal's standard
-    deviation: the same flight from two recorders differs by the rounding of their formats. Stretches in
-    which an output mostly stands still count for nothing: on the ground all flights are alike.
+    """Refuse a split that holds out what it trains on: whole copies, or logs that overlap; see `copies`.
 
     Raises
     ------
     DataError : names the two flights.
     """
-    flights = list(dict.fromkeys(s.flight for s in data.segments))
-    step = _rounding(data.segments)
-    known, owners = _hashed(data, train, flights, step)
-    held, holders = _hashed(data, test, flights, step)
-    if len(known) == 0 or len(held) == 0:
-        return
-    at = np.minimum(np.searchsorted(known, held), len(known) - 1)
-    copied = (known[at] == held) & (owners[at] != holders)
-    for i in np.unique(holders[copied]):
-        share = float(copied[holders == i].mean())
-        if share > COPY_SHARE:
-            other = int(np.bincount(owners[at][copied & (holders == i)]).argmax())
-            raise DataError(
-                f"held-out flight {flights[i]!r} repeats training flight {flights[other]!r}: "
-                f"{share:.0%} of its samples are the same",
-                hint="remove one of the two logs",
-            )
-
-
-def _hashed(
-    data: Splittable, pieces: Sequence[Piece], flights: Sequence[str], step: FloatArray
-) -> tuple[npt.NDArray[np.uint64], npt.NDArray[np.int64]]:
-    """Sorted hashes of stretches, and the flight each is from. Of many millions, the same sample is taken."""
-    thin = np.uint64(max(1, len(data) // MAX_HASHES))
-    number = {name: i for i, name in enumerate(flights)}
-    hashes: list[npt.NDArray[np.uint64]] = []
-    owners: list[npt.NDArray[np.int64]] = []
-    for piece in pieces:
-        found = np.unique(_row_hashes(data.segments[piece.segment], piece, step))
-        found = found[found % thin == 0]
-        hashes.append(found)
-        owners.append(np.full(len(found), number[data.segments[piece.segment].flight]))
-    joined, of = np.concatenate(hashes), np.concatenate(owners)
-    order = np.argsort(joined, kind="stable")
-    return joined[order], of[order]
-
-
-def _rounding(segments: Sequence[Stretch]) -> FloatArray:
-    """(n_u + n_y,) a thousandth of each signal's standard deviation over all segments; 1 where it is 0."""
-    count = sum(len(s.y) for s in segments)
-    mean = np.zeros(segments[0].u.shape[1] + segments[0].y.shape[1])
-    squares = np.zeros_like(mean)
-    for s in segments:
-        mean += np.concatenate([s.u.sum(axis=0), s.y.sum(axis=0)]) / count
-    for s in segments:
-        squares += ((np.concatenate([s.u, s.y], axis=1) - mean) ** 2).sum(axis=0)
-    step = COPY_ROUNDING * np.sqrt(squares / count)
-    return np.asarray(np.where(step > 0, step, 1.0), dtype=np.float64)
-
-
-def _row_hashes(segment: Stretch, piece: Piece, step: FloatArray) -> npt.NDArray[np.uint64]:
-    """Hashes of every stretch of COPY_ROWS rows of a piece that moves; the order of rows counts."""
-    rows = np.concatenate([segment.u, segment.y], axis=1)[piece.start : piece.stop]
-    if len(rows) < COPY_ROWS:
-        return np.empty(0, dtype=np.uint64)
-    words = np.ascontiguousarray(np.rint(rows / step).astype(np.int64)).view(np.uint64)
-    keys = np.random.default_rng(20).integers(1, 1 << 63, size=(COPY_ROWS, rows.shape[1]), dtype=np.uint64)
-    mixed = np.zeros(len(rows) - COPY_ROWS + 1, dtype=np.uint64)
-    for i in range(COPY_ROWS):
-        part = words[i : len(words) - COPY_ROWS + 1 + i]
-        folded = (part ^ (part >> np.uint64(29))) * (keys[i] | np.uint64(1))
-        mixed += (folded ^ (folded >> np.uint64(32))).sum(axis=1, dtype=np.uint64)
-    moves = (np.diff(segment.y[piece.start : piece.stop], axis=0) != 0).all(axis=1)
-    count = np.convolve(moves, np.ones(COPY_ROWS - 1, dtype=int), mode="valid")
-    return np.asarray(mixed[2 * count > COPY_ROWS])
+    found = find_copy(cut(data, train).segments, cut(data, test).segments, data.dt_s)
+    if found is not None:
+        raise DataError(
+            f"held-out flight {found.held_out!r} repeats training flight {found.training!r}: {found.how}",
+            hint="remove one of the two logs",
+        )
