@@ -28,8 +28,8 @@ from flysid.errors import StoreError, WriteError
 from flysid.flight import BOOT, RECEIVED, TIME, field_scale, field_unit
 from flysid.manifest import Column, StreamEntry
 
-BUFFER_BYTES = 96 << 20
-SORT_BYTES = 128 << 20
+BUFFER_BYTES = 48 << 20
+SORT_BYTES = 64 << 20
 ROWS_PER_GROUP = 1 << 20
 MAX_OPEN_FILES = 200
 _RESERVED = {"con", "prn", "aux", "nul", *(f"{d}{i}" for d in ("com", "lpt") for i in range(10))}

@@ -35,7 +35,7 @@ class Limits:
 
     max_chunk_bytes: int = 1 << 30
     max_ratio: float = 200.0
-    batch_bytes: int = 32 << 20
+    batch_bytes: int = 16 << 20
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ BACK_STEP_NS = 1 * SECOND_NS
 JUMP_NS = 3600 * SECOND_NS
 SIDE = 3
 KNOTS_PER_FIT = 4000
+MAX_KNOTS = 1 << 16
 
 
 def is_outlier(time_ns: IntArray, tolerance_ns: int = BACK_STEP_NS) -> BoolArray:
@@ -111,6 +112,7 @@ class UtcFit:
     first_ns: dict[int, int] = field(default_factory=dict)
     last_ns: dict[int, int] = field(default_factory=dict)
     _pairs: dict[int, list[tuple[IntArray, IntArray]]] = field(default_factory=dict)
+    _held: dict[int, int] = field(default_factory=dict)  # pairs of each boot
 
     def add(self, boot: int, vehicle_ns: IntArray, utc_ns: IntArray | None = None) -> None:
         """More pairs of a boot, in order; `utc_ns` None where nothing anchors them."""
@@ -120,13 +122,21 @@ class UtcFit:
         self.first_ns[boot] = min(low, self.first_ns.get(boot, low))
         self.last_ns[boot] = max(high, self.last_ns.get(boot, high))
         if utc_ns is not None:
-            every = max(1, len(vehicle_ns) // KNOTS_PER_FIT)
-            self._pairs.setdefault(boot, []).append((vehicle_ns[::every], utc_ns[::every]))
+            self.anchor(boot, vehicle_ns, utc_ns)
 
     def anchor(self, boot: int, vehicle_ns: IntArray, utc_ns: IntArray) -> None:
-        """Pairs of a boot whose span is known from elsewhere."""
+        """Pairs of a boot whose span is known from elsewhere.
+
+        Some are kept: copies, as a view would keep the whole batch; and every other one of them again where
+        they become many.
+        """
         every = max(1, len(vehicle_ns) // KNOTS_PER_FIT)
-        self._pairs.setdefault(boot, []).append((vehicle_ns[::every], utc_ns[::every]))
+        kept = self._pairs.setdefault(boot, [])
+        kept.append((vehicle_ns[::every].copy(), utc_ns[::every].copy()))
+        self._held[boot] = self._held.get(boot, 0) + len(kept[-1][0])
+        if self._held[boot] > MAX_KNOTS:
+            vehicle, utc = (np.concatenate(parts)[::2].copy() for parts in zip(*kept, strict=True))
+            self._pairs[boot], self._held[boot] = [(vehicle, utc)], len(vehicle)
 
     def slope(self, boot: int) -> float:
         """UTC seconds per vehicle second so far; 1.0 where unknown."""

@@ -30,6 +30,8 @@ from flysid.ingest.vehicletime import Clocked, VehicleTime
 FMT_LINE = re.compile(rb"(?:^|\n)FMT, ?\d+, ?\d+, ?\w+, ?\w+, ?\w")
 WHOLE, REAL, DIVIDED = frozenset("bBhHiIqQ"), frozenset("fdgcCeEL"), frozenset("cCeEL")
 MAX_LINE_BYTES = 4096
+_LINE_HEAD = re.compile(r"([A-Z][A-Z0-9]{1,3}), -?\d+,")
+BATCH_BYTES = 4 << 20  # as Python strings, lines take twenty times their bytes
 Column = npt.NDArray[np.int64] | npt.NDArray[np.float64] | list[str]
 
 
@@ -68,7 +70,8 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     """Parts of a text log; see `Format.read`."""
     reader, position = _Reader(), 0
     while position < len(view):
-        data = bytes(view[position : position + max(limits.batch_bytes, MAX_LINE_BYTES)])
+        size = max(min(limits.batch_bytes, BATCH_BYTES), MAX_LINE_BYTES)
+        data = bytes(view[position : position + size])
         end = data.rfind(b"\n") + 1
         if position + len(data) == len(view) and end < len(data):
             reader.truncated = True
@@ -130,7 +133,9 @@ def _group(reader: _Reader, data: bytes, base: int) -> dict[int, _Lines]:
         else:
             count = len(reader.definitions.items[code].format)
             cells = [c.strip() for c in rest.split(",", count - 1)]
-            if len(cells) == count:
+            if _swallowed(reader, code, cells[-1]):
+                _skip(reader, blank, end, "two lines run into one")
+            elif len(cells) == count:
                 group = groups.setdefault(code, _Lines())
                 group.rows.append(row)
                 group.spans.append((start, end))
@@ -139,6 +144,13 @@ def _group(reader: _Reader, data: bytes, base: int) -> dict[int, _Lines]:
                 _skip(reader, blank, end, "not the fields that the format states")
         blank = start = end
     return groups
+
+
+def _swallowed(reader: _Reader, code: int, text: str) -> bool:
+    """Whether a text at the end of a line holds the line behind it, whose separator was damaged."""
+    if reader.definitions.items[code].format[-1:] not in ("n", "N", "Z"):
+        return False
+    return any(found[1] in reader.by_name for found in _LINE_HEAD.finditer(text))
 
 
 def _split(data: bytes) -> list[bytes]:

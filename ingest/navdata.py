@@ -21,7 +21,7 @@ from flysid.errors import FormatError
 from flysid.flight import BOOT, RECEIVED, TIME, ClockMap, field_metadata
 from flysid.ingest import arrow_arrays
 from flysid.ingest.atcommands import Commands
-from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary
+from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.clock import UtcFit, interpolate
 from flysid.ingest.gather import Bytes, Index, Values, as_bytes, numbers, rows
 from flysid.ingest.navdata_options import NOT_FLIGHT_DATA, Option, option_of
@@ -210,6 +210,7 @@ def _read_raw(view: memoryview, limits: Limits, decoder: Decoder) -> Iterator[St
         if final:
             _note_cut(data, batch, found, decoder.tally)
         yield from decoder.parts(batch, found)
+        release(view, at, last)
         at = last
 
 

@@ -13,11 +13,13 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from flysid.ingest.base import release
 from flysid.ingest.tally import Tally
 
 FILE_HEAD_BYTES = 24
 RECORD_HEAD_BYTES = 16
 MAX_CAPTURED = 1 << 18
+RELEASE_BYTES = 16 << 20
 MAX_STEP_S = 86_400
 MAX_PENDING = 64
 LOOPBACK, ETHERNET, RAW_BSD, RAW_OPENBSD, RAW, SLL, SLL2 = 0, 1, 12, 14, 101, 113, 276
@@ -65,8 +67,11 @@ def datagrams(view: memoryview, tally: Tally) -> Iterator[Datagram]:
     if style is None:
         return
     pending = _Fragments()
-    at, last_s = FILE_HEAD_BYTES, -1
+    at, last_s, released = FILE_HEAD_BYTES, -1, 0
     while at < len(view):
+        if at - released > RELEASE_BYTES:
+            release(view, released, at)
+            released = at
         head = _record(view, at, style, last_s)
         if head is None:
             at = _recover(view, at, (style, last_s), tally)

@@ -65,6 +65,7 @@ def read_or_none(name: str, blob: bytes, outcome: Outcome) -> Flight | None:
     return None
 
 
+@cache
 def at_risk(name: str, byte: int) -> int:
     """Rows that damage to this byte may cost."""
     module = module_of(name)

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.ingest.clock import (
+    MAX_KNOTS,
     SECOND_NS,
     UtcFit,
     back_steps,
@@ -89,3 +90,18 @@ def test_boots_are_fitted_apart() -> None:
         None,
     )
     assert (first.first_ns, first.last_ns, first.slope) == (0, 99 * SECOND_NS, 1.0)
+
+
+def test_a_fit_keeps_no_batch_alive_and_only_so_many_pairs() -> None:
+    import weakref
+
+    fit = UtcFit()
+    for k in range(200):
+        vehicle = np.arange(k * 50_000, (k + 1) * 50_000, dtype=np.int64) * 10**6
+        fit.add(0, vehicle, vehicle + 10**18)
+        alive = weakref.ref(vehicle)
+        del vehicle
+        assert alive() is None
+    assert fit._held[0] <= MAX_KNOTS
+    (clock,) = fit.clocks()
+    assert (clock.utc_offset_ns, clock.slope) == (10**18, 1.0)

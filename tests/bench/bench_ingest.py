@@ -1,10 +1,12 @@
 """`make bench-ingest`: readers against their peers, in CPU seconds, medians, on files built from real logs.
 
     python -m tests.bench.bench_ingest [-n 3] [-k words] [--json]
+    python -m tests.bench.bench_ingest --memory [-k words] [--sizes 150,600]
 
 Cases live in the `CASES` of every `tests/bench/cases_*.py`. Ours and each peer run in turn, `n` times, every
 run in a process of its own; the ratio of the medians is what counts, not the seconds of this machine. Files
 are built in `.bench` when they are not there. Ends with 1 where a ratio that was promised is missed.
+`--memory` ingests a file of every format and size to parquet and prints the peak memory: see `memory`.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import json
 import sys
 from typing import Any
 
+from tests.bench import memory
 from tests.bench.harness import LOGS, ROOT, WORK, Case, Measured, measure
 
 
@@ -78,7 +81,11 @@ def main() -> int:
     parser.add_argument("-n", type=int, default=3, help="runs of each reader")
     parser.add_argument("-k", default="", help="only cases whose name holds these words")
     parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--memory", action="store_true", help="peak memory of ingesting every format")
+    parser.add_argument("--sizes", default="150,600", help="with --memory: sizes of the files in MB")
     options = parser.parse_args()
+    if options.memory:
+        return memory.main(options.k, [int(size) for size in options.sizes.split(",")])
     rows: list[dict[str, Any]] = []
     for case in all_cases():
         if options.k.lower() in case.name.lower():

@@ -75,6 +75,11 @@ def build_ros(ros: int, uneven: bool) -> Callable[[Path], None]:
     return build
 
 
+def build_ros2_sequences(path: Path) -> None:
+    """ROS 2 messages with strings and sequences."""
+    build_ros(2, True)(path)
+
+
 def patched(templates: list[bytes], places: list[tuple[int, int]]) -> Encoded:
     """Templates in turn, with stamp and values of the flight written into them."""
     for k, time_ns, values in samples(sum(map(len, templates)) // len(templates)):

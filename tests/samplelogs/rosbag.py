@@ -22,10 +22,11 @@ Piece = tuple[bytes, int, int]  # bytes, rows, connection whose definition it is
 
 def record(data: bytes, **fields: bytes) -> bytes:
     """One record; fields in the order of their names, as the ROS recorder writes them."""
-    return _packed(fields) + struct.pack("<I", len(data)) + data
+    return packed(fields) + struct.pack("<I", len(data)) + data
 
 
-def _packed(fields: dict[str, bytes]) -> bytes:
+def packed(fields: dict[str, bytes]) -> bytes:
+    """Header fields with their length in front."""
     inner = b"".join(
         struct.pack("<I", len(n) + 1 + len(v)) + n.encode() + b"=" + v for n, v in sorted(fields.items())
     )
@@ -36,7 +37,7 @@ def connection(number: int) -> bytes:
     topic, kind, text = TYPES[number]
     about = {"topic": topic.encode(), "type": kind.encode(), "md5sum": b"0" * 32}
     about["message_definition"] = text.encode()
-    body = _packed(about)[4:]
+    body = packed(about)[4:]
     return record(body, op=b"\x07", conn=struct.pack("<I", number), topic=topic.encode())
 
 
