@@ -17,6 +17,7 @@ from flysid.model.base import Structure
 from flysid.model.linear import FittedLinear, from_dict
 from flysid.model.linear_data import Parts
 from flysid.model.pem_fit import ARMAX_NOISES, fit_prediction_error
+from flysid.model.stability import settled
 from flysid.model.threads import on_one_thread
 
 
@@ -27,6 +28,7 @@ class ARMAX:
     Parameters
     ----------
     na, nb, nk, offset, n_init, nk_hint : as of `OE`.
+    stable : as of `ARX`.
     nc : order of C, or "auto": 1 to 4 by BIC.
     """
 
@@ -37,6 +39,7 @@ class ARMAX:
     offset: bool = True
     n_init: int | None = None
     nk_hint: Sequence[int] = ()
+    stable: bool = False
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
@@ -50,7 +53,9 @@ class ARMAX:
         """
         parts = Parts.of(train, validation, centred=self.offset)
         orders = ARMAX_NOISES if self.nc == "auto" else (self.nc,)
-        return fit_prediction_error("armax", self, parts, [(n, 0) for n in orders])
+        return settled(
+            fit_prediction_error("armax", self, parts, [(n, 0) for n in orders]), train, stable=self.stable
+        )
 
 
 MODEL = Structure("armax", from_dict)

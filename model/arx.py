@@ -20,6 +20,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
 from flysid.model.base import Structure
+from flysid.model.detrend import Trend, check_trend, detrended
 from flysid.model.freerun import Difference
 from flysid.model.gram import LeastSquares
 from flysid.model.linear import FittedLinear, from_dict
@@ -29,6 +30,7 @@ from flysid.model.oe_search import SHARE, Refined, check_orders, search
 from flysid.model.orders import Choice, Grid, best_per_order, grid_triangle
 from flysid.model.output_error import delay_steps, runner, widened
 from flysid.model.selection import block_errors, clearly_better, judging_window, simplest
+from flysid.model.stability import settled
 from flysid.model.stream import OnDisk, Source
 from flysid.model.threads import on_one_thread
 
@@ -52,6 +54,8 @@ class ARX:
     n_init : measured samples that start a refined model's simulation; None chooses.
     nk_hint : delays that "auto" tries besides its own, one per input: the dead time the log shows
         (`flysid.ingest.deadtime`).
+    trend : "remove" takes a straight line out of every segment's signals first; see `detrend`.
+    stable : poles outside the unit circle are mirrored into it and B is fitted again; see `stability`.
     """
 
     na: int | Auto = "auto"
@@ -61,6 +65,8 @@ class ARX:
     refine: bool | Auto = "auto"
     n_init: int | None = None
     nk_hint: Sequence[int] = ()
+    trend: Trend = "none"
+    stable: bool = False
 
     @on_one_thread
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:
@@ -75,6 +81,16 @@ class ARX:
         DataError : no or too few samples, a signal that never changes.
         FitError : refine=True and no stable model was found.
         """
+        check_trend(self.trend, ("none", "remove"))
+        if isinstance(train, OnDisk):
+            if self.trend != "none":
+                raise UsageError("a trend is not taken out of data on disk", hint="use trend='none'")
+            return settled(self._fitted(train, validation), train.head(CHOICE_ROWS), stable=self.stable)
+        train = detrended(train, self.trend)
+        validation = None if validation is None else detrended(validation, self.trend)
+        return settled(self._fitted(train, validation), train, stable=self.stable)
+
+    def _fitted(self, train: Source, validation: Dataset | None) -> FittedLinear:
         check_orders(self, len(train.inputs))
         if self.refine not in (True, False, "auto"):
             raise UsageError(f"refine is {self.refine!r}", hint="use 'auto', True or False")

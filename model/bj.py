@@ -18,6 +18,7 @@ from flysid.model.base import Structure
 from flysid.model.linear import FittedLinear, from_dict
 from flysid.model.linear_data import Parts
 from flysid.model.pem_fit import BJ_NOISES, fit_prediction_error
+from flysid.model.stability import settled
 from flysid.model.threads import on_one_thread
 
 
@@ -28,6 +29,7 @@ class BJ:
     Parameters
     ----------
     na, nb, nk, offset, n_init, nk_hint : as of `OE` (na is the order of F).
+    stable : as of `ARX`.
     nc, nd : orders of C and D, both numbers, or both "auto": by BIC among a few.
     """
 
@@ -39,6 +41,7 @@ class BJ:
     offset: bool = True
     n_init: int | None = None
     nk_hint: Sequence[int] = ()
+    stable: bool = False
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
@@ -53,7 +56,11 @@ class BJ:
         if (self.nc == "auto") != (self.nd == "auto"):
             raise UsageError("give both nc and nd, or neither")
         noises = BJ_NOISES if self.nc == "auto" or self.nd == "auto" else ((self.nc, self.nd),)
-        return fit_prediction_error("bj", self, Parts.of(train, validation, centred=self.offset), noises)
+        return settled(
+            fit_prediction_error("bj", self, Parts.of(train, validation, centred=self.offset), noises),
+            train,
+            stable=self.stable,
+        )
 
 
 MODEL = Structure("bj", from_dict)

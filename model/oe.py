@@ -15,6 +15,7 @@ from typing import Literal
 
 from flysid.dataset import Dataset
 from flysid.model.base import Structure
+from flysid.model.detrend import Trend, check_trend, detrended
 from flysid.model.linear import FittedLinear, from_dict
 from flysid.model.linear_data import Parts
 from flysid.model.oe_search import check_orders, search
@@ -35,6 +36,7 @@ class OE:
     n_init : measured samples that start a simulation; None chooses.
     nk_hint : delays that "auto" tries besides its own, one per input: the dead time the log shows
         (`flysid.ingest.deadtime`).
+    trend : "remove" takes a straight line out of every segment's signals first; see `detrend`.
     """
 
     na: int | Literal["auto"] = "auto"
@@ -43,6 +45,7 @@ class OE:
     offset: bool = True
     n_init: int | None = None
     nk_hint: Sequence[int] = ()
+    trend: Trend = "none"
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
@@ -55,6 +58,9 @@ class OE:
         FitError : no stable model was found.
         """
         check_orders(self, len(train.inputs))
+        check_trend(self.trend, ("none", "remove"))
+        train = detrended(train, self.trend)
+        validation = None if validation is None else detrended(validation, self.trend)
         return search("oe", self, Parts.of(train, validation, centred=self.offset)).final()
 
 
