@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from flysid.cli.fit import transfer_lines
 from flysid.errors import DataError, StoreError, UsageError
 from flysid.flightwriter import write_atomically
 from flysid.ingest.batch import find_logs, ingest_logs
@@ -184,3 +185,20 @@ def test_segments_too_short_for_the_grid_are_named_and_nothing_is_left(data: Pat
     with pytest.raises(DataError, match=r"longitudinal: .*no segment of 20 samples"):
         fit_run(open_lake(data), str(recipe), tmp_path / "run", FitSettings(channels=(CHANNEL,)))
     assert [p.name for p in tmp_path.iterdir()] == ["tiny.toml"]
+
+
+def test_other_models_are_fitted_on_request(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no model 'arxx'"):
+        fit_run(open_lake(data), "ardrone-synthetic", tmp_path / "run", FitSettings(models=("arxx",)))
+    settings = FitSettings(channels=(CHANNEL,), models=("tf",))
+    run = fit_run(open_lake(data), "ardrone-synthetic", tmp_path / "run", settings)
+    assert {"mean", "arx", "oe", "tf"} <= set(run.channels[0].models)
+    assert not {"ts", "static_ts"} & set(run.channels[0].models)
+    assert run.channels[0].loops == ()
+    text = "\n".join(transfer_lines(run, run.channels[0]))
+    assert "v_x / theta_in =" in text
+    assert "+-" in text
+    judgement = judge_run(open_run(run.folder))
+    free = judgement.document["channels"][CHANNEL]["free_run"]
+    assert free["models"]["tf"]["rmse"] < 1.1 * free["models"]["arx"]["rmse"]
+    write_judgement(judgement, tmp_path / "report")

@@ -23,8 +23,9 @@ from flysid.ingest.deadtime import dead_times, delays_to_try
 from flysid.ingest.lake import Lake
 from flysid.ingest.recipe import load_recipe, recipe_text
 from flysid.model.base import Estimator, Fitted
+from flysid.model.feedback import feedback
 from flysid.split import plan_split
-from flysid.validate.baseline import choose_baseline, confirmed, linear_estimators
+from flysid.validate.baseline import REFERENCES, choose_baseline, confirmed, linear_estimators
 from flysid.validate.run import (
     RECIPE_FILE,
     RUN_FILE,
@@ -39,6 +40,7 @@ from flysid.validate.run import (
 
 BESIDE = ("arx", "oe")
 """Linear models that every run holds, whichever is the baseline."""
+USUAL = ("line", "static_ts", "ts")
 
 
 def estimators(
@@ -48,23 +50,33 @@ def estimators(
 
     `nk_hint`: delays per input that the training data speak for, tried besides the models' own choices.
     """
+    from flysid.model.fir import FIR
+    from flysid.model.iv import IV
     from flysid.model.line import Line
     from flysid.model.mean import Mean
     from flysid.model.persistence import Persistence
     from flysid.model.static_ts import StaticTS
+    from flysid.model.transfer_function import TF
     from flysid.model.ts import TS
 
     antecedents: Any = settings.antecedents or "auto"
     rules: Any = settings.rules
-    linear = linear_estimators(nk_hint)
-    return {
+    known: dict[str, Estimator] = {
         "mean": Mean(),
         "persistence": Persistence(),
         "line": Line(),
-        **{label: e for label, e in linear.items() if label in (*BESIDE, baseline)},
+        **linear_estimators(nk_hint),
+        "fir": FIR(),
+        "iv": IV(),
+        "tf": TF(),
         "static_ts": StaticTS(seed=settings.seed),
         "ts": TS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
     }
+    for label in settings.models:
+        if label not in known:
+            raise UsageError(f"no model {label!r}", hint=f"one of {', '.join(known)}")
+    wanted = {*REFERENCES, *BESIDE, baseline, *(settings.models or USUAL)}
+    return {label: estimator for label, estimator in known.items() if label in wanted}
 
 
 @dataclass(frozen=True)
@@ -102,6 +114,7 @@ def fit_run(
     RecipeError : the recipe names what the data does not hold.
     UsageError : `settings.channels` names a channel that the recipe does not have.
     """
+    estimators(settings)  # a model that is not known is named before anything is read
     recipe = load_recipe(recipe_name)
     held = lake.channels(recipe)
     skipped = {
@@ -193,6 +206,7 @@ def _fit_channel(job: _Job) -> ChannelRun | str:
         if not linear:
             return "; ".join(f"{label}: {why}" for label, why in failed.items())
         choice = confirmed(choice, linear, train)
+        loops = tuple(f.words for f in feedback(linear[choice.label], train) if f.closed)
     except (DataError, FitError) as error:
         return str(error)
     report = job.aligned.report
@@ -205,6 +219,7 @@ def _fit_channel(job: _Job) -> ChannelRun | str:
         failed=failed,
         doubts=report.doubts,
         dead_times=tuple(d.words for d in late),
+        loops=loops,
         baseline=choice.label,
         chosen=choice.words,
     )

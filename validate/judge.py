@@ -151,6 +151,7 @@ def _command(run: Run) -> str:
     words += [f"--seed {settings.seed}", f"--rules {settings.rules}"]
     words += [f"--antecedent '{a}'" for a in settings.antecedents]
     words += [f"--channel '{c}'" for c in settings.channels]
+    words += [f"--models {','.join(settings.models)}"] if settings.models else []
     return " ".join([*words, "-o RUN"]) + " && flysid validate RUN"
 
 

@@ -53,6 +53,7 @@ class FitSettings:
     rules : rule count of the dynamic TS model, or "auto".
     antecedents : variables that choose between rules, or () for automatic choice.
     channels : names to fit; all of the recipe's when empty.
+    models : labels to fit besides the references, ARX, OE and the baseline; the usual ones when empty.
     """
 
     holdout: float = 0.3
@@ -61,6 +62,7 @@ class FitSettings:
     rules: int | str = "auto"
     antecedents: tuple[str, ...] = ()
     channels: tuple[str, ...] = ()
+    models: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,7 @@ class ChannelRun:
     chosen : how the baseline was chosen, one sentence.
     doubts : reasons in the data not to trust any model of it.
     dead_times : what was found of the pairs' dead times and handed to the models, one sentence each.
+    loops : where a loop is closed around the baseline's free run, one sentence per output.
     """
 
     name: str
@@ -90,6 +93,7 @@ class ChannelRun:
     chosen: str = ""
     doubts: tuple[Doubt, ...] = ()
     dead_times: tuple[str, ...] = ()
+    loops: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -188,8 +192,8 @@ def open_run(folder: str | Path) -> Run:
 
 def _run_from(folder: Path, body: Mapping[str, Any]) -> Run:
     settings = dict(body["settings"])
-    for name in ("antecedents", "channels"):
-        settings[name] = tuple(settings[name])
+    for name in ("antecedents", "channels", "models"):
+        settings[name] = tuple(settings.get(name, ()))
     return Run(
         folder=folder,
         data=str(body["data"]),
@@ -203,7 +207,7 @@ def _run_from(folder: Path, body: Mapping[str, Any]) -> Run:
 
 
 def _channel_from(body: Mapping[str, Any]) -> ChannelRun:
-    lists = {name: tuple(body.get(name, ())) for name in ("aligned", "dead_times")}
+    lists = {name: tuple(body.get(name, ())) for name in ("aligned", "dead_times", "loops")}
     doubts = tuple(Doubt(**d) for d in body.get("doubts", ()))
     return ChannelRun(**{**body, **lists, "doubts": doubts})
 

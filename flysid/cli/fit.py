@@ -11,6 +11,7 @@ from flysid.cli.output import check_target, cores, say, status
 
 if TYPE_CHECKING:
     from flysid.split import By
+    from flysid.validate.run import ChannelRun, Run
 
 
 def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | str:
@@ -26,6 +27,14 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
 @click.option("--recipe", "-r", required=True, help="Name of a shipped recipe, or path of a .toml file.")
 @click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
 @click.option("--channel", "-c", "channels", multiple=True, help="Fit this channel only; may be repeated.")
+@click.option(
+    "--models",
+    "-m",
+    default="",
+    metavar="A,B",
+    help="Models besides the references, ARX, OE and the baseline: armax, bj, fir, iv, line, statespace, "
+    "static_ts, tf, ts.  [default: line,static_ts,ts]",
+)
 @click.option("--rules", default="auto", callback=_rules, show_default=True, help="Rules of the TS model.")
 @click.option("--antecedent", "-a", "antecedents", multiple=True, help="Variable that chooses between rules.")
 @click.option(
@@ -42,6 +51,7 @@ def command(
     recipe: str,
     output: Path,
     channels: tuple[str, ...],
+    models: str,
     rules: int | str,
     antecedents: tuple[str, ...],
     holdout: float,
@@ -63,7 +73,8 @@ def command(
     from flysid.validate.fitting import fit_run
     from flysid.validate.run import FitSettings
 
-    settings = FitSettings(holdout, by, seed, rules, antecedents, channels)
+    labels = tuple(label for label in models.replace(" ", "").lower().split(",") if label)
+    settings = FitSettings(holdout, by, seed, rules, antecedents, channels, labels)
     with status(quiet) as progress:
         run = fit_run(open_lake(data), recipe, output, settings, jobs=jobs or cores(), progress=progress)
     if as_json:
@@ -78,7 +89,24 @@ def command(
                 say(f"{channel.name}: caution: {doubt}")
         for words in channel.dead_times:
             say(f"{channel.name}: {words}", quiet)
+        for words in channel.loops:
+            say(f"{channel.name}: caution: {words}")
+        for line in transfer_lines(run, channel):
+            say(line, quiet)
     for name, why in run.skipped.items():
         say(f"channel {name} skipped: {why}")
     say(f"next: flysid validate {output}", quiet)
     return 3 if set(channels) & set(run.skipped) else 0
+
+
+def transfer_lines(run: Run, channel: ChannelRun) -> list[str]:
+    """The transfer functions of a channel's TF model with their intervals; nothing where it has none."""
+    if "tf" not in channel.models:
+        return []
+    from flysid.model.base import load
+    from flysid.model.transfer_function import FittedTF
+
+    model = load(run.folder / channel.models["tf"])
+    if not isinstance(model, FittedTF):
+        return []
+    return [line for t in model.transfers for line in ["", f"{channel.name}:", *str(t).split("\n")]] + [""]
