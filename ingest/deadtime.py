@@ -17,6 +17,7 @@ from flysid.ingest.excitation import spectrum
 
 MOST_INPUTS = 2
 LONGEST_S = 0.5
+LATE = 2  # samples: the hold's own is 1
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ class DeadTime:
         if self.reason:
             return f"{found}, not handed over: {self.reason}"
         loop = ", in a closed loop" if self.delay.feedback else ""
+        if self.delay.nk < LATE:
+            return f"{found}{loop}: every model tries so short a delay by itself"
         return f"{found}{loop}; the models try nk = {self.delay.nk} besides their own choices"
 
 
@@ -60,13 +63,16 @@ def dead_times(data: Dataset) -> tuple[DeadTime, ...]:
 
 
 def delays_to_try(found: Sequence[DeadTime], inputs: int) -> tuple[int, ...]:
-    """One delay in samples per input, the shortest over outputs; () unless every input has one."""
+    """One delay in samples per input, the shortest over outputs.
+
+    () unless every input has one and some are longer than what every model tries by itself.
+    """
     known = {
         i: min((d.delay.nk for d in found if d.column == i and d.delay and not d.reason), default=None)
         for i in range(inputs)
     }
     delays = [nk for nk in known.values() if nk is not None]
-    return tuple(delays) if len(delays) == inputs else ()
+    return tuple(delays) if len(delays) == inputs and max(delays) >= LATE else ()
 
 
 def _pair(data: Dataset, column: int, output: int) -> DeadTime:

@@ -15,7 +15,9 @@ from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import UsageError, WriteError
 
 SUFFIXES = (".png", ".svg", ".pdf")
-INPUT, OUTPUT, SHADE = "#cc6677", "#4477aa", "#f0f0f0"
+INPUT, OUTPUT = "#cc6677", "#4477aa"
+SHADES = ("#f1f1f1", "#e3e7ec")  # of segments in turn; white is no segment
+MOST_NAMED = 60  # segments whose number and marks still fit
 MAX_POINTS = 20_000  # per line; more are thinned, as no page shows them
 
 
@@ -62,17 +64,22 @@ def _panel(panel: Any, data: Dataset, kind: str, start_s: float) -> None:
     signals = data.inputs if kind == "u" else data.outputs
     for number, segment in enumerate(data.segments):
         time_s = segment.time_s(data.dt_s) - start_s
-        if kind == "u" or number % 2 == 0:
-            panel.axvspan(time_s[0], time_s[-1], color=SHADE, zorder=0)
+        panel.axvspan(time_s[0], time_s[-1], color=SHADES[number % len(SHADES)], linewidth=0, zorder=0)
         for i in range(len(signals)):
             _line(panel, time_s, segment, kind, i)
-        if kind == "u" and "mode" in segment.marks:
-            panel.text(
-                time_s[0], 1.0, f" {segment.marks['mode']}", transform=_top(panel), fontsize=6, va="top"
-            )
+        if kind == "u" and len(data.segments) <= MOST_NAMED:
+            words = f" {number + 1} {_marks(segment)}"
+            panel.text(time_s[0], 0.96, words, transform=_top(panel), fontsize=6, va="top", clip_on=True)
     panel.set_ylabel(", ".join(_label(s) for s in signals), fontsize=8)
     panel.tick_params(labelsize=7)
     panel.margins(x=0.01)
+
+
+def _marks(segment: Segment) -> str:
+    """Mode, and the share of samples at a limit where that is worth saying."""
+    mode, at_limit = str(segment.marks.get("mode", "")), float(segment.marks.get("saturated", 0.0))
+    words = f"mode {mode}" if mode.isdigit() else mode
+    return f"{words}, {at_limit:.0%} at a limit" if at_limit > 0.01 else words
 
 
 def _line(panel: Any, time_s: Any, segment: Segment, kind: str, column: int) -> None:
@@ -94,4 +101,5 @@ def _label(signal: Signal) -> str:
 
 def _summary(data: Dataset) -> str:
     seconds = len(data) * data.dt_s
-    return f"{len(data.segments)} segments, {seconds:.0f} s at {1 / data.dt_s:.4g} Hz"
+    count = f"{len(data.segments)} segment{'s' if len(data.segments) != 1 else ''}"
+    return f"{count}, {seconds:.0f} s at {1 / data.dt_s:.4g} Hz"

@@ -5,6 +5,10 @@ from flysid.dataset import Dataset, Segment, Signal
 from flysid.ingest.doubts import Doubt, doubts
 from flysid.ingest.recipe import ChannelSpec
 from flysid.validate.cautions import cautions
+from flysid.validate.document import to_json
+from flysid.validate.report.context import ReportContext
+from flysid.validate.report.page import render
+from tests.test_report import compared
 
 SPEC = ChannelSpec(("u",), ("y",), min_rate_hz=20.0, remedy="log faster")
 RNG = np.random.default_rng(3)
@@ -50,3 +54,13 @@ def test_the_page_says_once_what_holds_for_several_channels() -> None:
         ("warning", "p, q: 10 Hz is too slow.", "log faster."),
         ("note", "p follows u from 1 to 2 Hz, q follows u from 1 to 2 Hz.", ""),
     ]
+
+
+def test_doubts_reach_the_page_and_the_document() -> None:
+    slow = {"c": [Doubt("slow", "10 Hz <i>is</i> too slow", "log faster")]}
+    context = ReportContext({"c": compared()}, doubts=slow)
+    page = render(context)
+    assert "c: 10 Hz &lt;i&gt;is&lt;/i&gt; too slow." in page
+    assert "log faster" in page
+    told = to_json(context.comparisons, context.diagnoses, context.doubts)["cautions"]
+    assert any(c["text"] == "c: 10 Hz <i>is</i> too slow." for c in told)
