@@ -57,7 +57,7 @@ def test_notebook_table_escapes() -> None:
     html = str(to_html({EVIL: compared(EVIL)}))
     assert "<b>" not in html
     assert html.count("<tr>") == 7
-    assert compared()._repr_html_().startswith("<table>")
+    assert compared()._repr_html_().startswith("<ul><li><strong>roll</strong>: TS better")
 
 
 def test_percentages_of_hopeless_models_stay_short() -> None:

@@ -133,7 +133,7 @@ def _time_panels(panels: tuple[Axes, Axes, Axes], context: ReportContext, channe
     segment = c.test.segments[trial.segment]
     low.plot(t, segment.u[trial.first :, 0], color="0.35", linewidth=0.8)
     top.set_ylabel(_label(c.test.outputs[j].name, c.test.outputs[j].unit))
-    middle.set_ylabel("error")
+    middle.set_ylabel(_label("error", c.test.outputs[j].unit))
     low.set_ylabel(_label(c.test.inputs[0].name, c.test.inputs[0].unit))
     low.set_xlabel("time, s")
     top.set_title(f"{_literal(channel)}: held-out segment H{trial.segment + 1}")
@@ -153,7 +153,7 @@ def _static_panel(panel: Axes, context: ReportContext, channel: str, j: int) -> 
     for name, css in drawn(c):
         panel.plot(levels, steady_outputs(c.fitted[name], levels, u.mean(axis=0), j, 0), **STYLES[css])
     panel.set_xlabel(_label(c.test.inputs[0].name, c.test.inputs[0].unit))
-    panel.set_ylabel("static map")
+    panel.set_ylabel(_label(f"settled {c.test.outputs[j].name}", c.test.outputs[j].unit))
     panel.set_ylim(float(y.min()) - 0.3 * float(np.ptp(y)), float(y.max()) + 0.3 * float(np.ptp(y)) + 1e-12)
 
 
@@ -168,7 +168,8 @@ def _last_panel(panel: Axes, context: ReportContext, channel: str, j: int) -> No
         if limits is not None:
             x = np.linspace(*limits, 200)
             panel.plot(x, model.memberships(0, x), linewidth=1.0)
-            panel.set_xlabel(_literal(name))
+            units = {s.name: s.unit for s in (*c.test.inputs, *c.test.outputs)}
+            panel.set_xlabel(_label(name, units.get(name.split("(")[0], "")))
             panel.set_ylabel("membership")
             return
     seconds = max(len(s) for s in c.test.segments) * c.dt_s

@@ -78,15 +78,17 @@ def to_markdown(comparisons: Mapping[str, Comparison], seconds: Seconds | None =
 
     All models stand in free run, the best first, and the headline's two at the other horizons.
     """
-    said = [f"- **{_escape(name)}**: {_sentence(cells)}" for name, *cells in summary_cells(comparisons)]
+    said = [
+        f"- **{_escape(name)}**: {_sentence(cells, _escape)}" for name, *cells in summary_cells(comparisons)
+    ]
     lines = [f"| {' | '.join(HEADINGS)} |", "|---|---|---|---:|---:|---:|---:|---|---:|---:|---:|---|"]
     lines += [f"| {' | '.join(_cells(row, _escape))} |" for row in _ranked(comparisons, seconds)]
     return "\n".join([*said, "", *lines] if said else lines) + "\n"
 
 
-def _sentence(cells: Sequence[str]) -> str:
+def _sentence(cells: Sequence[str], escape: Callable[[str], str]) -> str:
     """ "TS better; RMSE 0.16 → 0.04 m/s, −78 % [−86, −60]"."""
-    verdict, rmse, *change = (_escape(c.replace("->", "→")) for c in cells)
+    verdict, rmse, *change = (escape(c.replace("->", "→")) for c in cells)
     return f"{verdict}; {rmse}, {' '.join(change)}".rstrip(", ")
 
 
@@ -155,12 +157,20 @@ def _safe(cells: list[Cell]) -> list[Cell]:
 
 
 def to_html(comparisons: Mapping[str, Comparison]) -> Markup:
-    """A plain table for a notebook."""
-    head = Markup("").join(Markup("<th>{}</th>").format(h) for h in HEADINGS)
+    """The verdicts and a plain table for a notebook."""
+    timed = HEADINGS.index("fit time, s")  # nobody knows it here
+    said = Markup("").join(
+        Markup("<li><strong>{}</strong>: {}</li>").format(name, _sentence(cells, one_line))
+        for name, *cells in summary_cells(comparisons)
+    )
+    head = Markup("").join(Markup("<th>{}</th>").format(h) for i, h in enumerate(HEADINGS) if i != timed)
     body = Markup("").join(
         Markup("<tr>{}</tr>").format(
-            Markup("").join(Markup("<td>{}</td>").format(c) for c in _cells(row, one_line))
+            Markup("").join(
+                Markup("<td>{}</td>").format(c) for i, c in enumerate(_cells(row, one_line)) if i != timed
+            )
         )
         for row in _ranked(comparisons)
     )
-    return Markup("<table><thead><tr>{}</tr></thead><tbody>{}</tbody></table>").format(head, body)
+    table = Markup("<table><thead><tr>{}</tr></thead><tbody>{}</tbody></table>").format(head, body)
+    return Markup("<ul>{}</ul>{}").format(said, table) if said else table
