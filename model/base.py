@@ -24,6 +24,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import json
+import math
 import os
 import pkgutil
 from collections.abc import Callable, Mapping
@@ -32,12 +33,16 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import StoreError
 from flysid.version import check_version
 
 MODEL_FORMAT = "flysid-model"
 MODEL_VERSION = 1
+MAX_FILE_BYTES = 256 << 20
+MAX_INIT, MAX_SIGNALS, TRIED = 1_000_000, 1000, 100
 
 
 @dataclass(frozen=True)
@@ -175,30 +180,81 @@ def write_document(document: Mapping[str, Any], path: str | Path) -> None:
 
 
 def load(path: str | Path) -> Fitted:
-    """Read a model that `save` wrote.
+    """Read a model that `save` wrote, and try it: model files may come from others.
 
     Raises
     ------
-    StoreError : not a model file, damaged, or of a newer version.
+    StoreError : not a model file, damaged, hostile, or of a newer version.
     """
     path = Path(path)
-    try:
-        document = json.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise StoreError(f"cannot be read: {error.strerror}", path=path) from error
-    except (UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise StoreError(
-            "not a flysid model: not JSON", path=path, hint="give a file that save() wrote"
-        ) from error
-    if not isinstance(document, dict) or document.get("format") != MODEL_FORMAT:
+    document = _read_document(path)
+    if document.get("format") != MODEL_FORMAT:
         raise StoreError("not a flysid model", path=path, hint="give a file that save() wrote")
     check_version(document.get("version"), MODEL_VERSION, "model file", path)
     structure = all_structures().get(str(document.get("structure")))
     if structure is None:
         raise StoreError(f"unknown model structure {document.get('structure')!r}", path=path)
     try:
-        return structure.from_dict(document)
-    except StoreError:
-        raise
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
-        raise StoreError(f"damaged model file: {error}", path=path, hint="fit again") from error
+        model = structure.from_dict(document)
+        try_out(model)
+    except StoreError as error:
+        raise StoreError(error.message, hint=error.hint or "fit again", path=path) from error
+    except Exception as error:  # whatever a forged file breaks is the file's fault
+        raise StoreError(
+            f"damaged model file: {type(error).__name__}: {error}"[:300], path=path, hint="fit again"
+        ) from error
+    return model
+
+
+def _read_document(path: Path) -> dict[str, Any]:
+    """The JSON of a model file, without NaN and infinities, which JSON does not have."""
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise StoreError(f"not a flysid model: {size:,} bytes", path=path)
+        document = json.loads(path.read_text("utf-8"), parse_constant=_refuse, parse_float=_finite)
+    except OSError as error:
+        raise StoreError(f"cannot be read: {error.strerror}", path=path) from error
+    except (UnicodeDecodeError, ValueError, RecursionError) as error:
+        raise StoreError(
+            "not a flysid model: not JSON", path=path, hint="give a file that save() wrote"
+        ) from error
+    if not isinstance(document, dict):
+        raise StoreError("not a flysid model", path=path, hint="give a file that save() wrote")
+    return document
+
+
+def _refuse(text: str) -> float:
+    raise ValueError(f"{text} is not JSON")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    return value if math.isfinite(value) else _refuse(text)
+
+
+def try_out(model: Fitted) -> None:
+    """Simulate and predict a few samples in the middle of the model's range.
+
+    Raises
+    ------
+    ValueError : the shapes or the numbers are not a model's. Whatever the model raises comes through.
+    """
+    n_u, n_y, start = len(model.inputs), len(model.outputs), model.n_init
+    if not isinstance(start, int) or not 0 <= start <= MAX_INIT or not 0 < n_y <= MAX_SIGNALS >= n_u:
+        raise ValueError(f"{start!r} samples to start from, {n_u} inputs, {n_y} outputs")
+    if not (isinstance(model.dt_s, float) and model.dt_s > 0.0):
+        raise ValueError(f"a sample time of {model.dt_s!r} s")
+    limits = np.asarray(model.output_limits, dtype=np.float64)
+    if limits.shape != (2, n_y):
+        raise ValueError(f"output limits of shape {limits.shape}")
+    n = start + TRIED
+    u = np.cos(np.arange(n * n_u, dtype=np.float64)).reshape(n, n_u)
+    y = np.tile(limits.mean(axis=0), (n, 1)) + np.sin(np.arange(n, dtype=np.float64))[:, None]
+    with np.errstate(all="ignore"):
+        free, ahead = model.simulate(u, y[:start]), model.predict(u, y)
+    for name, values in (("free run", free), ("prediction", ahead[start:])):
+        if values.shape[1:] != (n_y,) or not np.isfinite(values).all():
+            raise ValueError(f"its {name} is not finite")
+    if not model.rules() or not all(isinstance(note, str) for note in model.notes):
+        raise ValueError("no rules")

@@ -21,6 +21,7 @@ from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
 from flysid.model.memberships import Partition
 from flysid.model.noise import output_error_ahead
 from flysid.model.start import estimate_start, full_window
+from flysid.model.tscheck import check
 from flysid.model.tskernel import Parameters, firing, free_run, predict
 from flysid.model.tslayout import Antecedent, Layout, Orders, at
 from flysid.model.tsselect import estimated_initial
@@ -307,7 +308,7 @@ def _columns(values: FloatArray, count: int, name: str) -> FloatArray:
 
 
 def from_dict(document: Mapping[str, Any]) -> FittedTS:
-    """Rebuild what `to_dict` gave."""
+    """Rebuild what `to_dict` gave; raises StoreError where the parts do not fit each other."""
     numbers = {name: np.array(value, dtype=np.float64) for name, value in document["parameters"].items()}
     rules, n_z = len(numbers["theta"]), len(document["antecedents"])
     numbers["centre"] = numbers["centre"].reshape(rules, n_z)
@@ -321,7 +322,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedTS:
         shift=np.array(document["shift"], dtype=np.float64),
         scale=np.array(document["scale"], dtype=np.float64),
     )
-    return FittedTS(
+    model = FittedTS(
         dt_s=float(document["dt_s"]),
         layout=layout,
         parameters=Parameters(**numbers),
@@ -331,6 +332,8 @@ def from_dict(document: Mapping[str, Any]) -> FittedTS:
         noise=_array_or_none(document["noise"]),
         gain_interval=_array_or_none(document.get("gain_interval")),
     )
+    check(model)
+    return model
 
 
 def _with_null(array: FloatArray) -> list[Any]:

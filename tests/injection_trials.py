@@ -1,0 +1,183 @@
+"""Strings that want to be code, in every field that can reach a report (row 14).
+
+The plain check needs no browser: the page of a hostile string has the same tags and attributes, in the same
+order, as that of a harmless one, and no attribute that would run or load anything. In a browser nothing sets
+the mark.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+
+from flysid.dataset import Dataset, Segment
+from flysid.validate.compare import compare
+from flysid.validate.diagnostics import diagnose
+from flysid.validate.document import to_json
+from flysid.validate.report import ReportContext, render
+from flysid.validate.tables import to_csv, to_markdown
+from flysid.validate.terminal import summary, table
+from tests.fakes import FirstOrder
+from tests.input_trials import GoesOn, always
+from tests.soak import Outcome
+
+MARK = "data-hacked"
+SET = f"document.documentElement.setAttribute('{MARK}',1)"
+SCRIPTS = (
+    f"<script>{SET}</script>",
+    f"</script><script>{SET}</script>",
+    f"<img src=x onerror={SET}>",
+    f"<svg/onload={SET}>",
+    f"<iframe srcdoc='<script>parent.{SET}</script>'>",
+    f"<details open ontoggle={SET}>",
+    f'"><input autofocus onfocus="{SET}">',
+    f"' onmouseover='{SET}",
+    f"javascript:{SET}",
+    f"<a href=javascript:{SET}>x</a>",
+    f"<style>@import 'http://127.0.0.1:9/x'</style><body onload={SET}>",
+    "</style><style>*{display:none}</style>",
+    "</title></head><body>",
+    "<base href=http://127.0.0.1:9/>",
+    "<meta http-equiv=refresh content=0;url=http://127.0.0.1:9/>",
+    "<link rel=stylesheet href=http://127.0.0.1:9/x.css>",
+    "{{ 7*7 }}{% for x in y %}{{ config }}",
+    f"${{{SET}}}`'\"\\",
+    "]]>--><!--",
+    "&lt;script&gt;&#60;script&#62;",
+    "=HYPERLINK(\"http://127.0.0.1:9/\",\"x\")",
+    "=cmd|' /C calc'!A0",
+    "+1+1", "-2+3", "@SUM(1+1)", "\t=1+1", "\r=1+1",
+    "| a | b |\n|---|---|\n| [x](javascript:1) | ![x](http://127.0.0.1:9/) |",
+    "\x1b[31m\x1b]0;title\x07", "a\x00b\x08\x7f", "\u202e\u2066evil\u200b", "\ud83d\ude00", "\udcff",
+    "../../etc/passwd", "C:\\con", "%s%n{}{0.__class__}", "x" * 3000, " ",
+    "'", '"', "<", "&", "\\u003c/script>",
+)  # fmt: skip
+FIELDS = (
+    "channel",
+    "input",
+    "output",
+    "unit",
+    "flight",
+    "note",
+    "rule",
+    "model",
+    "command",
+    "remark",
+    "label",
+)
+LOADING = {"src", "srcdoc", "href", "action", "formaction", "data", "poster", "background"}
+
+
+class Skeleton(HTMLParser):
+    """Tags with the names of their attributes, and attributes that would run or load something."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, ...]] = []
+        self.live: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, *(name for name, _ in attrs)))
+        for name, value in attrs:
+            loads = name in LOADING and not (value or "").startswith(("#", "data:"))
+            if name.startswith("on") or loads or ("javascript:" in (value or "").lower() and name in LOADING):
+                self.live.append(f"<{tag} {name}={value}>")
+
+
+def page_with(text: str, field: str) -> tuple[str, list[str]]:
+    """A report whose `field` is `text`, and the other forms of the same comparison."""
+    pick = {name: text if name == field else f"harmless {name}" for name in FIELDS}
+    arx, ts = FirstOrder(a=0.9, b=0.08), FirstOrder(a=0.9, b=0.1, structure="ts", labels=("R1", pick["rule"]))
+    inputs = (replace(arx.inputs[0], name=pick["input"]),)
+    outputs = (replace(arx.outputs[0], name=pick["output"], unit=pick["unit"]),)
+    models = {
+        "arx": replace(arx, inputs=inputs, outputs=outputs, notes=(pick["note"],)),
+        pick["model"]: replace(ts, inputs=inputs, outputs=outputs),
+    }
+    rng = np.random.default_rng(0)
+    segments = []
+    for k in range(2):
+        u = rng.normal(size=(120, 1))
+        segments.append(Segment(u, arx.simulate(u), flight=pick["flight"] + str(k), t0_ns=k * 10**12))
+    data = Dataset(arx.dt_s, inputs, outputs, tuple(segments), name=pick["channel"])
+    name = pick["channel"]
+    c = compare(models, data)
+    context = ReportContext(
+        {name: c},
+        train={name: data},
+        command=pick["command"],
+        remark=pick["remark"],
+        provenance={pick["label"]: pick["label"]},
+    )
+    document = json.dumps(to_json({name: c}, {name: diagnose(c, data)}), allow_nan=False)
+    forms = [document, table({name: c}), summary({name: c}), to_csv({name: c}), to_markdown({name: c})]
+    return render(context), forms
+
+
+def skeleton(page: str) -> Skeleton:
+    found = Skeleton()
+    found.feed(page)
+    found.close()
+    return found
+
+
+def injections(goes_on: GoesOn = always, every: int = 1, pages: Path | None = None) -> Outcome:
+    """Every string in every field; `pages` keeps the pages for a browser."""
+    outcome = Outcome("strings in reports")
+    plain: dict[str, list[tuple[str, ...]]] = {}
+    cases = [(text, field) for text in SCRIPTS for field in FIELDS]
+    for number, (text, field) in enumerate(cases):
+        if number % every or not goes_on():
+            continue
+        with outcome.trial():
+            if field not in plain:
+                plain[field] = skeleton(page_with("harmless", field)[0]).tags
+            page, forms = page_with(text, field)
+            for fault in _faults(page, forms, plain[field], text):
+                outcome.failures.append(f"{text[:40]!r} as {field}: {fault}")
+        if pages is not None:
+            (pages / f"{number}.html").write_text(page, "utf-8", errors="replace")
+    return outcome
+
+
+def _faults(page: str, forms: list[str], plain: list[tuple[str, ...]], text: str) -> Iterator[str]:
+    found = skeleton(page)
+    if found.tags != plain:
+        at = next((i for i, (a, b) in enumerate(zip(found.tags, plain, strict=False)) if a != b), -1)
+        yield f"the page's tags differ from {at} on: {found.tags[at : at + 3]} for {plain[at : at + 3]}"
+    yield from found.live
+    if any(not (c == "\n" or c.isprintable()) for form in forms[1:] for c in form):
+        yield "control characters in text"
+    for row in csv.reader(io.StringIO(forms[3])):
+        if any(
+            (cell[:1] in "=@\t\r" and cell) or (cell[:2] in ("+1", "-2") and cell == text) for cell in row
+        ):
+            yield f"a cell that a spreadsheet would run: {row}"
+    page.encode("utf-8")
+
+
+def browsed(pages: Path, chromium: str | None = None) -> Outcome | None:
+    """The pages opened by chromium, which must not set the mark; None where there is none."""
+    chromium = chromium or shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        return None
+    outcome = Outcome("strings in a browser")
+    for page in sorted(pages.glob("*.html")):
+        with outcome.trial():
+            command = [chromium, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom", page.as_uri()]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+            head = done.stdout[: done.stdout.find(">", done.stdout.find("<html")) + 1]
+            if "data-ready" not in head and "<html" not in head:
+                outcome.failures.append(f"{page.name}: not opened: {done.stderr[-200:]}")
+            if MARK in head:
+                outcome.failures.append(f"{page.name}: a script ran")
+    return outcome

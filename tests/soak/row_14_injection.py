@@ -1,0 +1,20 @@
+"""Row 14: strings that want to be code, in every field that can reach a report; then in a browser."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from tests.injection_trials import browsed, injections
+from tests.soak import Budget, Campaign, Outcome
+
+
+def run(budget: Budget) -> Iterator[Outcome]:
+    """The plain check, and chromium where there is one (a part of the pages)."""
+    with tempfile.TemporaryDirectory() as folder:
+        yield injections(budget.clock(), pages=Path(folder))
+        yield browsed(Path(folder)) or Outcome("strings in a browser", remark="not tried: no chromium")
+
+
+CAMPAIGN = Campaign(14, "injection into reports", run)
