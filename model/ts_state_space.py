@@ -24,6 +24,7 @@ from flysid.model.memberships import Partition
 from flysid.model.noise import noise_models, output_error_ahead
 from flysid.model.start import full_window, start_window
 from flysid.model.threads import on_one_thread
+from flysid.model.tscheck import check_states
 from flysid.model.tskernel import Parameters, firing
 from flysid.model.tslayout import Antecedent, at
 from flysid.model.tsss_fit import learn
@@ -359,7 +360,7 @@ def _from_dict(document: Mapping[str, Any]) -> FittedTSStateSpace:
     )
     prior = document["prior"]
     n = layout.n
-    return FittedTSStateSpace(
+    model = FittedTSStateSpace(
         dt_s=float(document["dt_s"]),
         layout=layout,
         parameters=Parameters(**numbers),
@@ -374,6 +375,8 @@ def _from_dict(document: Mapping[str, Any]) -> FittedTSStateSpace:
         notes=tuple(str(n) for n in document["notes"]),
         noise=np.array(document["noise"], dtype=np.float64),
     )
+    check_states(layout, model.parameters, model.noise)
+    return model
 
 
 MODEL = Structure("ts_ss", _from_dict)

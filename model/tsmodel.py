@@ -332,7 +332,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedTS:
         noise=_array_or_none(document["noise"]),
         gain_interval=_array_or_none(document.get("gain_interval")),
     )
-    check(model)
+    check(layout, model.parameters, model.noise)
     return model
 
 

@@ -146,6 +146,15 @@ def _is_plain(model: Fitted) -> bool:
 # ------------------------------------------------------------------------- row 16: data without answers
 
 N = 240
+
+
+def _with_one(rng: np.random.Generator, value: float) -> FloatArray:
+    """Noise (N, 1) with one value in it that is no number."""
+    noise = rng.normal(size=(N, 1))
+    noise[9] = value
+    return noise
+
+
 SHAPES: dict[str, Callable[[np.random.Generator], tuple[FloatArray, FloatArray]]] = {
     "constant input": lambda r: (np.full((N, 1), 2.0), r.normal(size=(N, 1))),
     "constant output": lambda r: (r.normal(size=(N, 1)), np.full((N, 1), 3.0)),
@@ -168,14 +177,8 @@ SHAPES: dict[str, Callable[[np.random.Generator], tuple[FloatArray, FloatArray]]
     "tiny": lambda r: (1e-150 * r.normal(size=(N, 1)), 1e-150 * r.normal(size=(N, 1))),
     "huge offset": lambda r: (1e12 + r.normal(size=(N, 1)), 1e12 + r.normal(size=(N, 1))),
     "two levels": lambda r: (r.integers(0, 2, (N, 1)) * 1.0, r.integers(0, 2, (N, 1)) * 1.0),
-    "NaN": lambda r: (
-        np.where(np.arange(N)[:, None] == 9, np.nan, r.normal(size=(N, 1))),
-        r.normal(size=(N, 1)),
-    ),
-    "infinity": lambda r: (
-        r.normal(size=(N, 1)),
-        np.where(np.arange(N)[:, None] == 9, np.full((N, 1), np.inf), r.normal(size=(N, 1))),
-    ),
+    "NaN": lambda r: (_with_one(r, np.nan), r.normal(size=(N, 1))),
+    "infinity": lambda r: (r.normal(size=(N, 1)), _with_one(r, np.inf)),
 }
 
 
