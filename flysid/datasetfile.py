@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -74,8 +75,27 @@ def _flush(writer: pq.ParquetWriter, waiting: list[pa.RecordBatch]) -> None:
 
 
 @dataclass(frozen=True)
+class Entry:
+    """Where one segment stands in a file: its number, first row and number of rows; flight and marks."""
+
+    number: int
+    start: int
+    rows: int
+    flight: str
+    marks: Mapping[str, str | float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class DatasetFile:
-    """A dataset on disk; iterating gives its segments, one at a time."""
+    """A dataset on disk; iterating gives its segments, one at a time.
+
+    Memory is bounded by one row group (half a million rows, where segments are short) and one segment.
+
+    Attributes
+    ----------
+    rows : samples.
+    only : numbers of the segments that belong to it; None: all of the file's.
+    """
 
     path: Path
     dt_s: float
@@ -83,6 +103,7 @@ class DatasetFile:
     outputs: tuple[Signal, ...]
     name: str
     rows: int
+    only: frozenset[int] | None = None
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -91,6 +112,57 @@ class DatasetFile:
     def __iter__(self) -> Iterator[Segment]:
         """The segments in the order they were written."""
         return self._first(self.rows)
+
+    @cached_property
+    def entries(self) -> tuple[Entry, ...]:
+        """The segments, without their samples; one pass over three narrow columns.
+
+        Raises
+        ------
+        StoreError : the file is damaged.
+        """
+        found: list[Entry] = []
+        start = 0
+        columns = ["segment", "flight", "marks"]
+        for batch in self._batches(columns, everything=True):
+            for piece in _by_segment(batch):
+                number = _number(piece)
+                if found and found[-1].number == number:
+                    found[-1] = replace(found[-1], rows=found[-1].rows + len(piece))
+                else:
+                    flight, marks = (piece.column(name)[0].as_py() for name in ("flight", "marks"))
+                    found.append(Entry(number, start, len(piece), flight, json.loads(marks)))
+                start += len(piece)
+        return tuple(e for e in found if self.only is None or e.number in self.only)
+
+    def segment(self, number: int) -> Segment:
+        """One segment by its number; only the row groups that hold it are read.
+
+        Raises
+        ------
+        UsageError : there is no such segment. StoreError : the file is damaged.
+        """
+        entry = next((e for e in self.entries if e.number == number), None)
+        if entry is None:
+            raise UsageError(f"no segment {number}", path=self.path, hint=f"{len(self.entries)} segments")
+        return next(iter(self._with([entry])))
+
+    def group_by(self, mark: str) -> dict[str, DatasetFile]:
+        """One view of the file per value of a mark, e.g. "vehicle", "mode", or "flight"; nothing is copied.
+
+        Segments without the mark are under "".
+        """
+        groups: dict[str, list[Entry]] = {}
+        for entry in self.entries:
+            value = entry.flight if mark == "flight" else str(entry.marks.get(mark, ""))
+            groups.setdefault(value, []).append(entry)
+        return {value: self._with(members) for value, members in groups.items()}
+
+    def _with(self, entries: Sequence[Entry]) -> DatasetFile:
+        """These segments only."""
+        view = replace(self, rows=sum(e.rows for e in entries), only=frozenset(e.number for e in entries))
+        vars(view)["entries"] = tuple(entries)  # known already: the file need not be read for them again
+        return view
 
     def read(self) -> Dataset:
         """The whole dataset in memory."""
@@ -133,13 +205,31 @@ class DatasetFile:
         if parts:
             yield self._segment(parts)
 
-    def _batches(self, columns: list[str] | None = None) -> Iterator[pa.RecordBatch]:
+    def _batches(
+        self, columns: list[str] | None = None, everything: bool = False
+    ) -> Iterator[pa.RecordBatch]:
+        """Batches in order: of the whole file, or without the segments that do not belong to this view."""
         try:
             with pq.ParquetFile(self.path, memory_map=False, pre_buffer=False) as file:
+                start = 0
                 for group in range(file.num_row_groups):
-                    yield from file.read_row_group(group, columns=columns).to_batches()
+                    rows = file.metadata.row_group(group).num_rows
+                    if everything or self._reaches(start, start + rows):
+                        for batch in file.read_row_group(group, columns=columns).to_batches():
+                            yield from [batch] if everything else self._kept(batch)
+                    start += rows
         except (OSError, pa.ArrowException) as error:
             raise StoreError(f"damaged dataset: {error}", path=self.path) from error
+
+    def _reaches(self, start: int, stop: int) -> bool:
+        """Whether some segment of this view lies in these rows of the file."""
+        return self.only is None or any(e.start < stop and start < e.start + e.rows for e in self.entries)
+
+    def _kept(self, batch: pa.RecordBatch) -> Iterator[pa.RecordBatch]:
+        if self.only is None:
+            yield batch
+            return
+        yield from (piece for piece in _by_segment(batch) if _number(piece) in self.only)
 
     def _segment(self, parts: list[pa.RecordBatch]) -> Segment:
         table, n_u = pa.Table.from_batches(parts), len(self.inputs)

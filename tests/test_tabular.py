@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.datasetfile import open_dataset, write_dataset
 from flysid.errors import StoreError, UsageError
+from flysid.model.arx import ARX
+from tests.fakes import FirstOrder, flown
 
 RNG = np.random.default_rng(0)
 
@@ -90,6 +93,49 @@ def test_a_dataset_survives_the_disk_segment_by_segment(
     )
     with pytest.raises(UsageError, match="exists"):
         write_dataset(path, whole)
+
+
+@pytest.mark.parametrize("rows_per_group", [1, 60, 120, 1000])
+def test_segments_are_read_in_any_order_and_in_groups(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows_per_group: int
+) -> None:
+    monkeypatch.setattr("flysid.datasetfile.ROWS_PER_GROUP", rows_per_group)
+    whole = data(6)
+    marked = [replace(s, marks={"vehicle": "ab"[i % 2]}) for i, s in enumerate(whole.segments)]
+    write_dataset(tmp_path / "d.parquet", whole.with_segments(marked))
+    file = open_dataset(tmp_path / "d.parquet")
+    assert [(e.number, e.rows, e.flight) for e in file.entries] == [
+        (i, len(s), s.flight) for i, s in enumerate(marked)
+    ]
+    for number in (4, 0, 5, 2):
+        one = file.segment(number)
+        np.testing.assert_array_equal(one.y, marked[number].y)
+        assert (one.t0_ns, one.flight, one.marks) == (
+            marked[number].t0_ns,
+            marked[number].flight,
+            marked[number].marks,
+        )
+    with pytest.raises(UsageError, match="no segment 6"):
+        file.segment(6)
+    groups = file.group_by("vehicle")
+    for name, own in whole.with_segments(marked).group_by("vehicle").items():
+        assert groups[name].read().content_hash() == own.content_hash()
+        assert len(groups[name]) == len(own)
+        assert sum(len(y) for _, _, y in groups[name].blocks()) == len(own)
+        assert len(groups[name].head(60)) == 60
+    assert list(file.group_by("flight")) == ["f0", "f1", "f2"]
+    assert list(file.group_by("vehicle")["a"].group_by("flight")["f1"]) != []
+
+
+def test_a_fit_from_a_group_on_disk_is_the_fit_of_the_group(tmp_path: Path) -> None:
+    flown_twice = flown(FirstOrder(), [400, 300, 350], 0.02)
+    marked = [replace(s, marks={"vehicle": v}) for s, v in zip(flown_twice.segments, "aba", strict=True)]
+    whole = flown_twice.with_segments(marked)
+    write_dataset(tmp_path / "d.parquet", whole)
+    settings = ARX(na=1, nb=1, nk=1, refine=False)
+    on_disk = settings.fit(open_dataset(tmp_path / "d.parquet").group_by("vehicle")["a"])
+    in_memory = settings.fit(whole.group_by("vehicle")["a"])
+    np.testing.assert_allclose(on_disk.flat, in_memory.flat, rtol=1e-9)
 
 
 def test_a_writer_that_fails_leaves_nothing(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A dataset of 10,000 segments and 100 million rows: written and streamed back in bounded memory.
+"""10,000 segments and 100 million rows: written, streamed, indexed and grouped in bounded memory.
 
     python -m tests.bench.bench_dataset_stream [SEGMENTS [ROWS_PER_SEGMENT]]
 
@@ -22,9 +22,9 @@ from flysid.datasetfile import open_dataset, write_dataset
 LIMIT_MB = 1000.0
 
 
-def segments(count: int, rows: int) -> Iterator[Segment]:
+def segments(count: int, rows: int, first: int = 0) -> Iterator[Segment]:
     """A command in steps and an output with the resolution of a log, different in every segment."""
-    for i in range(count):
+    for i in range(first, count):
         rng = np.random.default_rng(i)
         u = np.asarray(np.repeat(rng.integers(-200, 200, size=rows // 50 + 1), 50)[:rows] * 0.1)
         y = 0.01 * np.round(100 * (np.cumsum(u - u.mean()) * 1e-3 + rng.normal(scale=0.02, size=rows)))
@@ -62,8 +62,20 @@ def main() -> None:
             f"streamed  {total:,} rows in {number:,} segments, "
             f"{time.process_time() - started:.1f} CPU s, peak {peak_mb():.0f} MB"
         )
+        started = time.process_time()
+        file = open_dataset(path)
+        groups = file.group_by("flight")
+        picked = [int(k) for k in np.random.default_rng(0).integers(0, count, size=20)]
+        wrong = sum(
+            not np.array_equal(file.segment(k).y, next(iter(segments(k + 1, rows, k))).y) for k in picked
+        )
+        last = sum(len(y) for _, _, y in groups[f"flight-{(count - 1) // 10}"].blocks())
+        print(
+            f"indexed   {len(file.entries):,} segments in {len(groups):,} groups, 20 segments at random, one "
+            f"group of {last:,} rows, {time.process_time() - started:.1f} CPU s, peak {peak_mb():.0f} MB"
+        )
     expected = sum(float(s.y[:, 0] @ s.y[:, 0]) for s in segments(min(count, 20), rows))
-    if total != count * rows or number != count or peak_mb() > LIMIT_MB or power < expected:
+    if total != count * rows or number != count or wrong or peak_mb() > LIMIT_MB or power < expected:
         sys.exit("FAILED")
 
 
