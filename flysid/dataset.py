@@ -195,6 +195,19 @@ class Dataset:
         """The Arrow stream protocol: one row per sample; see `flysid.tabular`."""
         return tabular.table_of(self).__arrow_c_stream__(requested_schema)
 
+    def __array__(self, dtype: npt.DTypeLike = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        """NumPy's protocol: (samples, inputs + outputs) of all segments, one below the other.
+
+        Raises
+        ------
+        ValueError : `copy=False`, which segments of their own cannot give.
+        """
+        if copy is False:
+            raise ValueError("segments lie apart: their samples cannot be joined without a copy")
+        width = len(self.inputs) + len(self.outputs)
+        rows = [np.concatenate([s.u, s.y], axis=1) for s in self.segments]
+        return np.concatenate([np.empty((0, width)), *rows]).astype(dtype or np.float64, copy=False)
+
     def to_arrow(self) -> pa.Table:
         """A pyarrow.Table, one row per sample, units in the columns' metadata."""
         return tabular.table_of(self)

@@ -56,6 +56,17 @@ def test_pandas_polars_and_xarray() -> None:
     assert cube.sizes["sample"] == 153
 
 
+def test_numpy_gives_all_samples_inputs_first() -> None:
+    whole = data()
+    matrix = np.asarray(whole)
+    assert matrix.shape == (153, 3)
+    np.testing.assert_array_equal(matrix[50:101], np.hstack([whole.segments[1].u, whole.segments[1].y]))
+    assert np.asarray(whole, dtype=np.float32).dtype == np.float32
+    assert np.asarray(whole.with_segments([])).shape == (0, 3)
+    with pytest.raises(ValueError, match="without a copy"):
+        np.array(whole, copy=False)
+
+
 def test_equal_names_of_input_and_output_are_kept_apart() -> None:
     both = Dataset.from_arrays(np.ones(30), np.zeros(30), 0.1, inputs=["v"], outputs=["v"])
     assert both.to_arrow().column_names[-2:] == ["v", "y1_v"]
