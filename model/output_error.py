@@ -242,7 +242,7 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
     FitError : no candidate could be fitted.
     """
     deepest = max(o.depth for orders in candidates for o in orders)
-    folds = parts.folds
+    folds = parts.folds if len(candidates) > 1 else (parts,)
     window = max(judging_window(f, deepest) for f in folds)
     before: list[list[OneOutput]] = [[] for _ in folds]
     tried: list[tuple[list[OneOutput], FloatArray]] = []

@@ -23,6 +23,7 @@ from flysid.model.linear_start import START_SHARE
 from flysid.model.selection import block_errors, judging_window, simplest
 from flysid.model.start import WINDOW_LAGS, WINDOW_S
 from flysid.model.statespace_model import FittedStateSpace, from_dict
+from flysid.model.statespace_refine import SimulationError
 from flysid.model.stream import OnDisk, Source
 from flysid.model.subspace import (
     METHODS,
@@ -44,6 +45,9 @@ TRIED_PASTS = (5, 10, 20, 40)
 ROWS_PER_UNKNOWN = 5
 GROWTH = 1.1
 """Over the longest segment, of the fastest growing state: more than an integrator's rounding is refused."""
+ITERATIONS = 30
+MOST_WORK = 1e8
+"""Samples times states times parameters up to which "auto" tries a refinement: some seconds."""
 ORDER_WORTH = 0.04
 """Relative decrease of the validation mean square that a higher order must bring."""
 
@@ -60,6 +64,9 @@ class StateSpace:
     past : samples that the state is estimated from, or "auto".
     feedthrough : the input reaches the output in the same sample (D is estimated), or "auto": where a long
         regression says so (BIC).
+    refine : fit the simulation error with all matrices, from the subspace estimate: "auto" where the
+        validation free run is better for it and the data are short enough, True or False to force. A refined
+        model has a covariance, and a model of its noise instead of K.
     n_init : measured samples that start a simulation; None chooses.
     """
 
@@ -67,6 +74,7 @@ class StateSpace:
     method: Method | Auto = "auto"
     past: int | Auto = "auto"
     feedthrough: bool | Auto = "auto"
+    refine: bool | Auto = "auto"
     n_init: int | None = None
 
     @on_one_thread
@@ -83,13 +91,18 @@ class StateSpace:
         FitError : the order exceeds what the data show.
         """
         _check(self)
+        small = train.head(CHOICE_ROWS) if isinstance(train, OnDisk) else train
+        parts = Parts.of(small, validation)
         if self.order != "auto" and self.past != "auto" and self.method != "auto":
             choice, note = _Choice(self.method, self.past, self.order), "Settings as given"
         else:
-            small = train.head(CHOICE_ROWS) if isinstance(train, OnDisk) else train
-            choice, note = _searched(self, Parts.of(small, validation))
-        parts = Parts.on_disk(train) if isinstance(train, OnDisk) else Parts.of(train, None)
-        return _final(self, train, parts, choice, note)
+            choice, note = _searched(self, parts)
+        if isinstance(train, OnDisk):
+            if self.refine is True:
+                raise UsageError("a refinement needs its data in memory", hint="fit data.read(), or a part")
+            return _final(self, train, Parts.on_disk(train), choice, note)
+        plain = _final(self, train, parts, choice, note)
+        return plain if self.refine is False else _refined(self, parts, choice, plain)
 
 
 @dataclass(frozen=True)
@@ -111,8 +124,9 @@ def _check(settings: StateSpace) -> None:
         raise UsageError(
             f"there is no subspace method {settings.method!r}", hint=f"one of {', '.join(METHODS)}, or 'auto'"
         )
-    if settings.feedthrough not in (True, False, "auto"):
-        raise UsageError(f"feedthrough is {settings.feedthrough!r}", hint="use 'auto', True or False")
+    for name in ("feedthrough", "refine"):
+        if getattr(settings, name) not in (True, False, "auto"):
+            raise UsageError(f"{name} is {getattr(settings, name)!r}", hint="use 'auto', True or False")
 
 
 class _Projections:
@@ -217,6 +231,69 @@ def _tried(
 
 def _mean(errors: FloatArray) -> float:
     return float(errors.mean()) if len(errors) else np.inf
+
+
+def _refined(
+    settings: StateSpace, parts: Parts, choice: _Choice, plain: FittedStateSpace
+) -> FittedStateSpace:
+    """The model refined on the simulation error, or the plain one with the reason why not."""
+    n, p = choice.order, choice.order * (choice.order + 3 * len(parts.train.outputs + parts.train.inputs))
+    if settings.refine == "auto" and len(parts.train) * n * p > MOST_WORK:
+        return plain
+    skip = judging_window(parts, n)
+    if settings.refine == "auto":
+        before, after = (
+            _mean(np.concatenate([_judged(settings, f, choice, skip, refine=r) for f in parts.folds]))
+            for r in (False, True)
+        )
+        figures = f"validation free run RMSE {np.sqrt(after):.3g} refined against {np.sqrt(before):.3g}"
+        if not after < before:
+            note = f"Refinement on the simulation error was tried and not kept: {figures}."
+            return replace(plain, notes=(*plain.notes, note))
+        note = f"Refined on the simulation error: {figures} (standard deviations of the output)."
+    else:
+        note = "Refined on the simulation error."
+    feedthrough = _feeds_through(plain)
+    start = _Projections(settings, _scaled(parts), parts.whole, window(choice.past, choice.method))
+    problem = SimulationError(
+        parts.whole.segments, start.of(choice.method, choice.past).realise(n), feedthrough
+    )
+    theta = problem.refine(ITERATIONS).theta
+    model = _model(parts, problem.settled(theta), settings.n_init, feedthrough)
+    factor = _units(parts, n, feedthrough)
+    return replace(
+        model,
+        free=model.free - n * len(model.outputs),
+        singular_values=plain.singular_values,
+        noise=problem.noise(theta),
+        covariance=problem.covariance(theta) * np.outer(factor, factor),
+        notes=(*plain.notes, note),
+    )
+
+
+def _judged(settings: StateSpace, parts: Parts, choice: _Choice, skip: int, *, refine: bool) -> FloatArray:
+    """Validation errors in blocks of the choice, fitted to the fitting part; inf where it blows up."""
+    shared = _Projections(settings, _scaled(parts), parts.fit, window(choice.past, choice.method))
+    projection = shared.of(choice.method, choice.past)
+    found = projection.realise(choice.order)
+    if refine:
+        problem = SimulationError(parts.fit.segments, found, projection.columns.feedthrough)
+        try:
+            found = problem.settled(problem.refine(ITERATIONS).theta)
+        except FitError:
+            return np.array([np.inf])
+    return block_errors(_model(parts, found, skip), parts.check, skip, parts.scaling.y_scale)
+
+
+def _feeds_through(model: FittedStateSpace) -> bool:
+    return bool(model.realisation.d.any())
+
+
+def _units(parts: Parts, n: int, feedthrough: bool) -> FloatArray:
+    """What turns A, B, C, drift, level (and D) of scaled deviations into physical units."""
+    y, u = parts.scaling.y_scale, parts.scaling.u_scale
+    pieces = [np.ones(n * n), np.tile(1.0 / u, n), np.repeat(y, n), np.ones(n), y]
+    return np.concatenate([*pieces, *([np.outer(y, 1.0 / u).ravel()] if feedthrough else [])])
 
 
 def _scaled(parts: Parts) -> Parts:

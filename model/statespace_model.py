@@ -40,6 +40,8 @@ class FittedStateSpace:
     noise : (p + 1, n_y) monic autoregression of the simulation error per output, or None: K predicts.
     free : how many entries of A, B, C, D, K and the constants are not merely a choice of coordinates.
     singular_values : of the decomposition that the order was read off, largest first.
+    covariance : (p, p) of A, B, C, drift, level and, where it is free, D, row by row; (0, 0) where unknown
+        (not refined). Only what does not hang on the coordinates has a meaning: see `statespace_bands`.
     """
 
     dt_s: float
@@ -53,6 +55,7 @@ class FittedStateSpace:
     free: int
     singular_values: FloatArray
     noise: FloatArray | None = None
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     notes: tuple[str, ...] = ()
     scores: Mapping[str, float] = field(default_factory=dict)
 
@@ -212,6 +215,7 @@ class FittedStateSpace:
             "free": self.free,
             "singular_values": self.singular_values.tolist(),
             "noise": None if self.noise is None else self.noise.tolist(),
+            "covariance": self.covariance.tolist(),
             "notes": list(self.notes),
             "scores": {k: float(v) for k, v in self.scores.items() if np.isfinite(v)},
         }
@@ -294,6 +298,14 @@ def from_dict(document: Mapping[str, Any]) -> FittedStateSpace:
         free=int(document["free"]),
         singular_values=array("singular_values", -1),
         noise=None if document["noise"] is None else array("noise", -1, n_y),
+        covariance=_square(document.get("covariance", [])),
         notes=tuple(str(n) for n in document["notes"]),
         scores={str(k): float(v) for k, v in document["scores"].items()},
     )
+
+
+def _square(rows: Any) -> FloatArray:
+    values = np.asarray(rows, dtype=np.float64).reshape(len(rows), len(rows))
+    if not np.isfinite(values).all():
+        raise ValueError("covariance is not finite")
+    return values

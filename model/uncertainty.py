@@ -55,7 +55,7 @@ def frequency_response(model: FittedLinear, omega: FloatArray) -> FrequencyRespo
     size = np.maximum(np.abs(g), np.finfo(float).tiny)
     along = (g.real[..., None] * real + g.imag[..., None] * imaginary) / size[..., None]
     across = (g.real[..., None] * imaginary - g.imag[..., None] * real) / size[..., None] ** 2
-    return FrequencyResponse(omega, g, _spread(along, covariance), _spread(across, covariance))
+    return FrequencyResponse(omega, g, spread_of(along, covariance), spread_of(across, covariance))
 
 
 def _slopes(model: FittedLinear, delay: ComplexArray, inverse: ComplexArray, g: ComplexArray) -> ComplexArray:
@@ -74,7 +74,7 @@ def _slopes(model: FittedLinear, delay: ComplexArray, inverse: ComplexArray, g: 
     return out
 
 
-def _spread(slopes: FloatArray, covariance: FloatArray) -> FloatArray:
+def spread_of(slopes: FloatArray, covariance: FloatArray) -> FloatArray:
     variance = np.einsum("...p,pq,...q->...", slopes, covariance, slopes)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
@@ -94,7 +94,7 @@ def simulation_band(
     if not np.isfinite(model.covariance).all() or not len(model.free):
         raise UsageError("this model carries no covariance", hint="fit it, rather than take it over")
     rng = np.random.default_rng(seed)
-    root = _root(model.covariance)
+    root = root_of(model.covariance)
     runs: list[FloatArray] = []
     for _ in range(10 * draws):
         other = _moved(model, root @ rng.standard_normal(len(model.free)))
@@ -118,7 +118,7 @@ def _moved(model: FittedLinear, step: FloatArray) -> FittedLinear:
     return replace(model, system=Difference(a, b, flat[a_size + s.b.size :]))
 
 
-def _root(covariance: FloatArray) -> FloatArray:
+def root_of(covariance: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
     root: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))
     return root

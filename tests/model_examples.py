@@ -83,8 +83,11 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "bj": (BJ(na=2, nb=2, nk=1, nc=1, nd=1).fit, data()),
     "bj, two inputs and outputs": (BJ(na=2, nb=2, nk=1, nc=0, nd=2).fit, data(2, 2)),
     "iv": (IV(na=2, nb=2, nk=1).fit, data()),
-    "statespace": (StateSpace(order=2, method="pbsid", past=8).fit, data()),
-    "statespace, two inputs and outputs": (StateSpace(order=3, method="moesp").fit, data(2, 2)),
+    "statespace": (StateSpace(order=2, method="pbsid", past=8, refine=False).fit, data()),
+    "statespace, refined, two inputs and outputs": (
+        StateSpace(order=3, method="moesp", refine=True).fit,
+        data(2, 2),
+    ),
     "ensemble": (Ensemble(ARX(na=2, nb=2, nk=1, refine=False), members=3).fit, data()),
     "ensemble of rules": (Ensemble(StaticTS(rules=2), members=2).fit, data()),
     "tf": (TF(poles=2, zeros=1, dead_time_s=0.0).fit, data()),

@@ -94,7 +94,7 @@ def data(rows: int = 2000, noise: float = 0.02, level: float = 2.0) -> Dataset:
 
 
 def test_the_order_is_chosen_and_explained() -> None:
-    model = StateSpace().fit(data())
+    model = StateSpace(refine=False).fit(data(700))
     assert model.order == 3
     assert "simplest within one standard error" in model.notes[0]
     assert np.sort(np.abs(model.poles)) == pytest.approx(np.sort(np.abs(np.linalg.eigvals(A))), abs=0.02)
@@ -108,7 +108,7 @@ def test_the_order_is_chosen_and_explained() -> None:
 
 
 def test_one_step_predictions_leave_the_innovations() -> None:
-    model = StateSpace(order=3).fit(data())
+    model = StateSpace(order=3, refine=False).fit(data())
     u, y = fly(3000, 10, noise=0.02, level=2.0)
     spread = [np.nanstd(y - model.predict(u, y, k), axis=0) for k in (1, 2, 5)]
     assert spread[0] == pytest.approx([0.02, 0.02], rel=0.06)

@@ -129,7 +129,8 @@ def ours_subspace(order: int) -> Callable[[FloatArray, FloatArray], Any]:
         from flysid.model.statespace import StateSpace
 
         data = Dataset.from_arrays(u, y, 0.01)
-        return StateSpace(order=order, method="pbsid", past=max(10, 2 * order // y.ndim)).fit(data)
+        settings = StateSpace(order=order, method="pbsid", past=max(10, 2 * order // y.ndim), refine=False)
+        return settings.fit(data)
 
     return work
 

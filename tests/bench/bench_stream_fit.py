@@ -34,7 +34,7 @@ FITS: dict[str, Any] = {
     "ARX(4,4)": ARX(na=4, nb=4, nk=1, refine=False),
     "FIR(50)": FIR(taps=50),
     "IV4(4,4)": IV(na=4, nb=4, nk=1),
-    "state space, order 4": StateSpace(order=4, method="pbsid", past=10),
+    "state space, order 4": StateSpace(order=4, method="pbsid", past=10, refine=False),
 }
 
 

@@ -1,0 +1,79 @@
+"""State space on the simulation error: exact slopes, the noise floor, bands that hold the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import UsageError
+from flysid.model.statespace import StateSpace
+from flysid.model.statespace_bands import frequency_response, simulation_band
+from flysid.model.statespace_refine import SimulationError
+from flysid.model.subspace import subspace
+from tests.model_examples import data
+
+
+@pytest.mark.parametrize("feedthrough", [True, False])
+def test_slopes_are_those_of_differences(feedthrough: bool) -> None:
+    example = data(2, 2, samples=80, noise=0.05)
+    start = subspace([s.u for s in example.segments], [s.y for s in example.segments], 3, past=5)
+    start = replace(start, d=start.d if feedthrough else np.zeros_like(start.d))
+    problem = SimulationError(example.segments, start, feedthrough)
+    theta = 1.01 * problem.theta0
+    cost, _, gradient = problem.normal_equations(theta)
+    assert cost == pytest.approx(problem.cost(theta))
+    steps = 1e-6 * np.eye(len(theta))
+    slopes = [(problem.cost(theta + h) - problem.cost(theta - h)) / 2e-6 for h in steps]
+    assert 2 * gradient == pytest.approx(slopes, rel=1e-4, abs=1e-6 * np.abs(slopes).max())
+
+
+def experiment(seed: int, rows: int = 800) -> tuple[FloatArray, FloatArray]:
+    """A second-order plant with coloured noise on its output."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([-1.0, 1.0], rows // 4), 4)
+    noise = np.asarray(lfilter([1.0], [1.0, -0.8], 0.2 * rng.standard_normal(rows)))
+    return u, np.asarray(lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u)) + noise
+
+
+def test_bands_hold_the_truth_in_coloured_noise() -> None:
+    """30 experiments at three frequencies."""
+    omega = np.array([0.5, 3.0, 8.0])
+    z = np.exp(1j * omega * 0.1)
+    truth = np.abs((1 / z + 0.5 / z**2) / (1 - 1.5 / z + 0.7 / z**2))
+    settings = StateSpace(order=2, method="pbsid", past=10, feedthrough=False, refine=True)
+    inside = []
+    for seed in range(30):
+        response = frequency_response(settings.fit(Dataset.from_arrays(*experiment(seed), 0.1)), omega)
+        gap = np.abs(np.abs(response.response[:, 0, 0]) - truth)
+        inside.append(gap < 1.96 * response.magnitude_error[:, 0, 0])
+    assert np.mean(inside) > 0.85
+
+
+def test_a_refined_model_free_runs_better_and_carries_bands() -> None:
+    u, y = experiment(1, 2000)
+    dataset = Dataset.from_arrays(u, y, 0.1)
+    settings = StateSpace(order=2, method="moesp", past=5, feedthrough=False)
+    plain, refined = (replace(settings, refine=r).fit(dataset) for r in (False, True))
+    truth = np.asarray(lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u))[:, None]
+    off = [float(np.std((m.simulate(u) - truth)[50:])) for m in (plain, refined)]
+    assert off[1] < 1.02 * off[0]
+    assert refined.noise is not None
+    assert refined.n_parameters < plain.n_parameters
+    low, high = simulation_band(refined, u[:, None], draws=50)
+    assert (low <= high).all()
+    assert np.mean((low <= truth) & (truth <= high)) > 0.5
+    with pytest.raises(UsageError, match="carries no covariance"):
+        simulation_band(plain, u[:, None])
+    assert np.isnan(frequency_response(plain, np.array([1.0])).magnitude_error).all()
+    with pytest.raises(UsageError, match="Nyquist"):
+        frequency_response(plain, np.array([40.0]))
+
+
+def test_validation_decides_and_the_note_says_how() -> None:
+    note = StateSpace(order=2).fit(Dataset.from_arrays(*experiment(2), 0.1)).notes[-1]
+    assert "simulation error" in note
+    assert "against" in note
