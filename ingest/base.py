@@ -1,17 +1,16 @@
 """What a log format provides, and how flysid finds it.
 
-A format is a module of this folder that ends with `FORMAT = Format(...)`. Nothing else registers it:
-`all_formats` walks the folder. A reader is a generator: it yields tables (parts of streams, in any
-interleaving) and returns a Summary, so that a log of any size is read in bounded memory.
+A format is a module of this folder that ends with `FORMAT = Format(...)`, its suffixes written out. Nothing
+else registers it: `all_formats` walks the folder. A reader is a generator: it yields tables (parts of
+streams, in any interleaving) and returns a Summary, so that a log of any size is read in bounded memory.
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib
-import importlib.util
 import mmap
-import pkgutil
+import re
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -24,6 +23,8 @@ from flysid.errors import FormatError, UsageError
 from flysid.flight import ClockMap, Damage, Flight, Source
 
 HEAD_BYTES = 65536
+CERTAIN = 0.95
+_SUFFIX = re.compile(r'"(\.[a-z0-9.]+)"')
 _HASH_BYTES = 16 << 20
 WHOLE_BATCH_BYTES = 32 << 20  # to memory: few, large parts
 JOIN_BYTES = 1 << 20
@@ -80,21 +81,32 @@ class Format:
 
 
 @cache
+def _statements() -> Mapping[str, str]:
+    """Module name -> its statement FORMAT = ..., for every module that has one. Imports none of them."""
+    found: dict[str, str] = {}
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        _, mark, statement = path.read_bytes().rpartition(b"\nFORMAT = ")
+        if mark:
+            found[path.stem] = statement.decode("utf-8")
+    return found
+
+
+@cache
+def suffixes_by_module() -> Mapping[str, tuple[str, ...]]:
+    """The file name endings that each format's module states, without importing it: imports cost 0.2 s."""
+    return {module: tuple(_SUFFIX.findall(text)) for module, text in _statements().items()}
+
+
+@cache
 def all_formats() -> Mapping[str, Format]:
     """Every format of this folder, by name."""
-    package = importlib.import_module("flysid.ingest")
-    found: dict[str, Format] = {}
-    for module in sorted(m.name for m in pkgutil.iter_modules(package.__path__)):
-        source = importlib.util.find_spec(f"flysid.ingest.{module}")
-        if (
-            source is None
-            or source.origin is None
-            or "\nFORMAT = " not in Path(source.origin).read_text("utf-8")
-        ):
-            continue
-        fmt = importlib.import_module(f"flysid.ingest.{module}").FORMAT
-        found[fmt.name] = fmt
-    return found
+    found = [_format_in(module) for module in _statements()]
+    return {fmt.name: fmt for fmt in found}
+
+
+def _format_in(module: str) -> Format:
+    fmt: Format = importlib.import_module(f"flysid.ingest.{module}").FORMAT
+    return fmt
 
 
 def detect(head: bytes, name: str) -> Format:
@@ -107,6 +119,9 @@ def detect(head: bytes, name: str) -> Format:
             "the file is empty", path=name, byte=0, hint="check that the download or copy finished"
         )
     lower = name.lower()
+    for module, suffixes in suffixes_by_module().items():
+        if lower.endswith(suffixes) and (likely := _format_in(module)).sniff(head, name) >= CERTAIN:
+            return likely  # the usual case: nothing else is imported
     scored = [
         (f.sniff(head, name) + (0.05 if lower.endswith(f.suffixes) else 0.0), f)
         for f in all_formats().values()
@@ -210,6 +225,8 @@ def collect(view: memoryview, name: str, fmt: Format, limits: Limits) -> Flight:
 
 def _joined(table: pa.Table) -> pa.Table:
     """One chunk per column where that is cheap; a large table keeps its few parts, which are not copied."""
+    if table.num_columns == 0 or table.column(0).num_chunks <= 1:
+        return table  # every column of a table has as many
     return table.combine_chunks() if table.nbytes <= JOIN_BYTES else table
 
 

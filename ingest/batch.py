@@ -16,7 +16,7 @@ from pathlib import Path
 
 from flysid.errors import FlysidError, FormatError, UsageError, WriteError
 from flysid.flight import Source
-from flysid.ingest.base import HEAD_BYTES, Limits, all_formats, detect, hash_log, open_log
+from flysid.ingest.base import HEAD_BYTES, Limits, detect, hash_log, open_log, suffixes_by_module
 from flysid.ingest.workers import Bounds, Lost, memory_reason, run_bounded
 from flysid.manifest import Manifest, list_flights
 from flysid.store import clean, create_data_folder, discard, locked, write_flight
@@ -103,7 +103,7 @@ def _expand(item: str) -> list[Path]:
 
 
 def _suffixes() -> set[str]:
-    return {suffix for fmt in all_formats().values() for suffix in fmt.suffixes}
+    return {suffix for suffixes in suffixes_by_module().values() for suffix in suffixes}
 
 
 def _logs_in(folder: Path, unreadable: list[Result]) -> Iterator[Path]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -47,9 +48,10 @@ class UlogField:
     kind: str
     count: int
 
-    @property
+    @cached_property
     def size(self) -> int:
-        return np.dtype(NUMBERS[self.kind]).itemsize * max(self.count, 1)
+        """Bytes of all elements."""
+        return int(np.dtype(NUMBERS[self.kind]).itemsize) * max(self.count, 1)
 
 
 @dataclass(frozen=True)
@@ -59,11 +61,12 @@ class UlogLayout:
     fields: tuple[UlogField, ...]
     full_size: int
 
-    @property
+    @cached_property
     def size(self) -> int:
+        """Bytes of a record without the padding at its end."""
         return max((f.offset + f.size for f in self.fields), default=0)
 
-    @property
+    @cached_property
     def time(self) -> UlogField | None:
         """The field `timestamp`, in microseconds, where it is a whole number."""
         for field in self.fields:

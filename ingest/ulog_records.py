@@ -27,6 +27,7 @@ HEAD = struct.Struct("<HB")
 OTHER_TYPES = frozenset(b"BFIMPQARSOLC")
 WINDOW_BYTES = 8 << 20
 MAX_TEXT = 300
+FLAGS, FORMAT_TYPE, ADDED, LOGGED, TAGGED, SYNC_TYPE, DATA = b"BFALCSD"
 _KEY = re.compile(rb"[a-z0-9_]+(\[\d+\])? [\x21-\x7e]+")
 _FORMAT = re.compile(rb"[\w/-]+:[ -~]*")  # all of it: a length that swallows the next record is none
 
@@ -103,7 +104,7 @@ class Framer:
         kind, body, end = self.head(at)
         if end > self.stop:
             return False
-        if kind == ord("D"):
+        if kind == DATA:
             return self._fits(body, end)
         return kind in OTHER_TYPES and has_shape(kind, self.view[body:end])
 
@@ -114,7 +115,7 @@ class Framer:
         if self.is_sound(end) or self.is_cut(end):
             return True
         kind, body, after = self.head(end)
-        if kind != ord("D") or not body + 2 <= after <= self.stop:
+        if kind != DATA or not body + 2 <= after <= self.stop:
             return False
         return bool(self.sizes.known[self._id(body)]) or self.is_sound(after)
 
@@ -124,7 +125,7 @@ class Framer:
         if kind < 0:
             return at < self.stop
         known = kind in OTHER_TYPES or (
-            kind == ord("D") and (body + 2 > self.stop or bool(self.sizes.known[self._id(body)]))
+            kind == DATA and (body + 2 > self.stop or bool(self.sizes.known[self._id(body)]))
         )
         return known and end > self.stop
 
@@ -135,7 +136,7 @@ class Framer:
     def is_cut_data(self, at: int) -> bool:
         """Whether a data record of the right size starts at `at` and the end cuts it."""
         kind, body, end = self.head(at)
-        if kind != ord("D") or end <= self.stop or body + 2 > self.stop:
+        if kind != DATA or end <= self.stop or body + 2 > self.stop:
             return False
         number = self._id(body)
         return bool(self.sizes.least[number] <= end - body - 2 <= self.sizes.most[number])
@@ -192,7 +193,7 @@ class Framer:
 
     def _candidates(self, start: int, end: int) -> _Window:
         data: Bytes = self.data
-        places = np.flatnonzero(data[start + 2 : end + 2] == ord("D")).astype(np.int64) + start
+        places = np.flatnonzero(data[start + 2 : end + 2] == DATA).astype(np.int64) + start
         places = places[places + 5 <= self.stop]
         size = numbers(data, places, "<u2").astype(np.int64)
         number = numbers(data, places + 3, "<u2")
@@ -213,19 +214,19 @@ def is_text(body: memoryview) -> bool:
 def has_shape(kind: int, body: memoryview) -> bool:
     """Whether the payload of a record other than data is built as its type asks."""
     size = len(body)
-    if kind == ord("S"):
+    if kind == SYNC_TYPE:
         return bytes(body) == SYNC
     if kind in b"RO":
         return size == 2
-    if kind == ord("B"):
+    if kind == FLAGS:
         return 40 <= size <= 64
-    if kind == ord("A"):
+    if kind == ADDED:
         return size >= 4 and all(32 < c < 127 for c in body[3:])
-    if kind == ord("L"):
+    if kind == LOGGED:
         return size >= 9 and 48 <= body[0] <= 55
-    if kind == ord("C"):
+    if kind == TAGGED:
         return size >= 11 and 48 <= body[0] <= 55
-    if kind == ord("F"):
+    if kind == FORMAT_TYPE:
         return _FORMAT.fullmatch(bytes(body)) is not None
     return _has_key(body[1:] if kind in b"MQ" else body)
 
