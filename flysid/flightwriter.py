@@ -2,8 +2,9 @@
 
 Rows arrive in parts, in any interleaving. They wait in memory until `BUFFER_BYTES` are reached in all;
 then the stream that holds most is written as a row group. A stream whose row groups turn out to overlap
-in time is sorted at the end if it fits into `SORT_BYTES`, otherwise its manifest entry says so and readers
-sort it. So memory stays bounded whatever the log's size.
+in time is merged at the end, row group by row group; where more than `SORT_BYTES` would have to wait for
+earlier rows behind them, its manifest entry says that it is not sorted, and readers sort it. So memory stays
+bounded whatever the log's size.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import shutil
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ BUFFER_BYTES = 48 << 20
 SORT_BYTES = 64 << 20
 ROWS_PER_GROUP = 1 << 20
 MAX_OPEN_FILES = 200
+_END = (1 << 31, 0)  # behind every (boot, time)
 _RESERVED = {"con", "prn", "aux", "nul", *(f"{d}{i}" for d in ("com", "lpt") for i in range(10))}
 
 
@@ -126,8 +128,8 @@ class _Stream:
     schema: pa.Schema
     waiting: list[pa.Table] = field(default_factory=list)
     waiting_bytes: int = 0
-    total_bytes: int = 0
     rows: int = 0
+    starts: list[tuple[int, int]] = field(default_factory=list)  # (boot, time) that row groups begin with
     writer: pq.ParquetWriter | None = None
     last: tuple[int, int] = (-(1 << 31), -(1 << 63))
     is_sorted: bool = True
@@ -157,7 +159,6 @@ class FlightWriter:
         size = table.nbytes
         stream.waiting.append(table)
         stream.waiting_bytes += size
-        stream.total_bytes += size
         self._waiting += size
         while self._waiting > BUFFER_BYTES:
             self._flush(self._fullest())
@@ -167,8 +168,8 @@ class FlightWriter:
         for stream in self._streams.values():
             self._flush(stream)
             self._close(stream)
-            if not stream.is_sorted and stream.total_bytes <= SORT_BYTES:
-                _rewrite_sorted(stream)
+            if not stream.is_sorted:
+                _merge(stream)
             with writing_to(stream.path):
                 sync(stream.path)
         with writing_to(self._folder):
@@ -198,6 +199,10 @@ class FlightWriter:
                 stream.writer = _parquet_writer(stream.path, stream.schema)
             self._open += 1
         if table.num_rows:
+            boots, times = int_values(table[BOOT]), int_values(table[TIME])
+            stream.starts += zip(
+                boots[::ROWS_PER_GROUP].tolist(), times[::ROWS_PER_GROUP].tolist(), strict=True
+            )
             with writing_to(stream.path):
                 stream.writer.write_table(table, row_group_size=ROWS_PER_GROUP)
 
@@ -213,14 +218,34 @@ def _parquet_writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
     return pq.ParquetWriter(path, schema, compression="zstd", compression_level=1, version="2.6")
 
 
-def _rewrite_sorted(stream: _Stream) -> None:
-    table = in_order(pq.read_table(stream.path, memory_map=False))
+def _merge(stream: _Stream) -> None:
+    """Write a stream's file anew in order, unless too many rows would have to wait at once."""
+    file = pq.ParquetFile(stream.path, memory_map=False)
+    later = list(accumulate(reversed([*stream.starts[1:], _END]), min))[::-1]
     temporary = stream.path.with_suffix(".sorting")
+    waiting = stream.schema.empty_table()
+    with writing_to(stream.path), _parquet_writer(temporary, stream.schema) as writer:
+        for group, earliest in enumerate(later):
+            waiting = in_order(pa.concat_tables([waiting, file.read_row_group(group)]))
+            ready = _rows_before(waiting, earliest)
+            if ready:
+                writer.write_table(waiting.slice(0, ready), row_group_size=ROWS_PER_GROUP)
+            waiting = waiting.slice(ready)
+            if waiting.nbytes > SORT_BYTES:
+                break
     with writing_to(stream.path):
-        with _parquet_writer(temporary, stream.schema) as writer:
-            writer.write_table(table, row_group_size=ROWS_PER_GROUP)
-        temporary.replace(stream.path)
-    stream.is_sorted = True
+        if waiting.num_rows:
+            temporary.unlink()
+        else:
+            temporary.replace(stream.path)
+            stream.is_sorted = True
+
+
+def _rows_before(table: pa.Table, key: tuple[int, int]) -> int:
+    """How many rows of a table in order come before (boot, time)."""
+    boots = int_values(table[BOOT])
+    first, last = np.searchsorted(boots, key[0], "left"), np.searchsorted(boots, key[0], "right")
+    return int(first + np.searchsorted(int_values(table[TIME])[first:last], key[1], "left"))
 
 
 def int_values(column: pa.ChunkedArray) -> npt.NDArray[np.int64]:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Generator, Sequence
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pytest
 from hypothesis import given, settings
@@ -105,6 +106,19 @@ def test_overlapping_row_groups_are_sorted_on_disk_or_on_reading(
     flight = store.write_flight(data, SOURCE, parts(*pieces))
     assert flight.stream("s").is_sorted == fits
     assert store.read_stream(data, flight.id, "s", [TIME])[TIME].to_pylist() == list(range(100, 1100))
+
+
+def test_a_stream_of_any_size_that_is_nearly_sorted_is_merged(
+    data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(flightwriter, "BUFFER_BYTES", 500)
+    monkeypatch.setattr(flightwriter, "SORT_BYTES", 12_000)
+    rng = np.random.default_rng(3)
+    times = (np.arange(5000) * 10 + rng.integers(-400, 400, 5000)).tolist()  # 120 kB, ten times the bound
+    pieces = [("s", table(times[k : k + 50])) for k in range(0, 5000, 50)]
+    flight = store.write_flight(data, SOURCE, parts(*pieces))
+    assert flight.stream("s").is_sorted
+    assert store.read_stream(data, flight.id, "s", [TIME])[TIME].to_pylist() == sorted(times)
 
 
 HOSTILE = [

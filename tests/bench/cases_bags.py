@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import json
 import struct
 from collections.abc import Callable, Iterator
@@ -202,6 +203,18 @@ def build_ulog(path: Path) -> None:
             times[timed] += 93_000_000
 
 
+def copy_ulog(path: Path) -> None:
+    """The 4 MB log as it is."""
+    path.write_bytes((LOGS / ULOG).read_bytes())
+
+
+def build_small_mcap(path: Path) -> None:
+    """3 MB of ROS 2 poses with covariance."""
+    text, kind, templates, places = ros_messages(2, False)
+    few = itertools.islice(patched(templates, places), 3_000_000 // len(templates[0]))
+    write_mcap(path, [("/topic", "cdr", kind, "ros2msg", text.encode())], few)
+
+
 def _decoded(path: Path, factory: Any) -> Any:
     """The last message of each topic, after decoding them all."""
     from mcap.reader import make_reader
@@ -266,6 +279,24 @@ CASES = (
         OURS,
         {"pyulog": (f"{HERE}:peer_pyulog", 2.0)},
         needs=ULOG,
+    ),
+    Case(
+        "ULog, 4 MB, cold start",
+        "small.ulg",
+        copy_ulog,
+        OURS,
+        {"pyulog": (f"{HERE}:peer_pyulog", 0.0)},  # reported: two thirds of ours is importing NumPy and Arrow
+        needs=ULOG,
+        cold=True,
+    ),
+    Case(
+        "MCAP ROS 2, 3 MB, cold start",
+        "small.mcap",
+        build_small_mcap,
+        OURS,
+        {"mcap-ros2": (f"{HERE}:peer_ros2", 1.0)},
+        needs=PARQUET,
+        cold=True,
     ),
     _mcap("MCAP ROS 1, fixed layout", "ros1.mcap", build_ros(1, False), ("mcap-ros1", "peer_ros1", 12.0)),
     _mcap("MCAP ROS 2, fixed layout", "ros2.mcap", build_ros(2, False), ("mcap-ros2", "peer_ros2", 12.0)),
