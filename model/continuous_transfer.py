@@ -48,6 +48,11 @@ class ContinuousMode:
             return f"{word}{self.frequency_rad_s} rad/s, damping {self.damping}"
         if self.pole == 0:
             return "integrator"
+        assert self.time_constant_s is not None
+        spread = self.time_constant_s.error * self.pole.real**2
+        if Z95 * spread > abs(self.pole.real):
+            pole = f"{self.pole.real:.2g} +- {Z95 * spread:.2g} rad/s"
+            return f"integrates as far as these data show (pole at {pole})"
         if self.pole.real > 0:
             return f"unstable: doubles in {np.log(2) / self.pole.real:.3g} s"
         return f"time constant {self.time_constant_s} s"
@@ -218,7 +223,10 @@ class ContinuousTransfer:
         dead = f" e^(-{_spread_text(self.dead_time_s, self.errors[-1])} s)" if self.dead_time_s else ""
         rule = "-" * max(len(top), len(bottom))
         lines = [f"{self.output} / {self.input} ={dead}", top, rule, bottom]
-        words = [] if np.isnan(self.gain.value) else [f"steady gain: {self.gain}"]
+        gain = self.gain
+        words = [] if np.isnan(gain.value) else [f"steady gain: {gain}"]
+        if Z95 * gain.error > abs(gain.value):
+            words = ["steady gain: not determined"]
         words += ["poles: " + "; ".join(str(m) for m in self.modes)] if self.modes else []
         if np.isfinite(self.errors).all() and self.errors.any():
             words.append("(+- is half the width of a 95 % interval)")

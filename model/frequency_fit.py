@@ -26,7 +26,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.frequency_response import MeasuredResponse
 from flysid.model.polynomials import ComplexArray
-from flysid.model.rational import Coordinates, Form, Hold, Rational, check_form, hold_response
+from flysid.model.rational import Coordinates, Form, Hold, Rational, check_form, hold_response, is_determined
 from flysid.model.refine import levenberg_marquardt
 from flysid.model.sampling import sampled_response
 
@@ -53,6 +53,7 @@ class ResponseFit:
     cost : Tischler's J per input.
     chi2 : squared log errors in units of the measured errors, every point by what it tells alone.
     points : independent points (real numbers) behind it.
+    determined : every pole is known well enough to be one; see `is_determined`.
     """
 
     form: Form
@@ -61,6 +62,7 @@ class ResponseFit:
     cost: FloatArray
     chi2: float
     points: float
+    determined: bool
 
     @property
     def acceptable(self) -> bool:
@@ -324,13 +326,17 @@ def _finished(problem: _Problem, theta: FloatArray, n_u: int) -> ResponseFit:
     chi2, points = float(squares @ np.tile(alone, 2)), float(2.0 * alone.sum())
     covariance = _sandwich(problem, jacobian) * np.outer(coordinates.units, coordinates.units)
     covariance = covariance * _inflation(chi2, points - len(theta))
+    rational, n = coordinates.rational(theta), problem.form.poles
+    falling = covariance[np.ix_(coordinates.falling, coordinates.falling)]
+    lowest = float(problem.x.min()) * problem.omega_0
     return ResponseFit(
         form=problem.form,
-        rational=coordinates.rational(theta),
-        covariance=covariance[np.ix_(coordinates.falling, coordinates.falling)],
+        rational=rational,
+        covariance=falling,
         cost=_tischler(problem, errors, n_u),
         chi2=chi2,
         points=points,
+        determined=is_determined(rational, falling[:n, :n], lowest),
     )
 
 
@@ -392,12 +398,17 @@ def choose_fit(
 
 
 def best_fit(fits: Sequence[ResponseFit]) -> tuple[ResponseFit, str]:
-    """That of lowest BIC, and why."""
-    best, *others = sorted(fits, key=lambda f: f.bic)
+    """That of lowest BIC among those whose poles the data determine, and why; where they determine none, the
+    one with the fewest parameters."""
+    determined = sorted((f for f in fits if f.determined), key=lambda f: f.bic)
+    if not determined:
+        least = min(f.form.count for f in fits)
+        determined = sorted((f for f in fits if f.form.count == least), key=lambda f: f.bic)
+    best, *others = determined
     if not others:
         words = f"{best.form} on the measured response, cost J {best.cost.mean():.3g}"
     else:
-        words = f"{best.form}: lowest BIC of {len(fits)} orders on the measured response, "
+        words = f"{best.form}: lowest BIC of {len(determined)} orders that the measured response determines, "
         words += f"cost J {best.cost.mean():.3g} (next "
         words += ", ".join(f"{f.form}: J {f.cost.mean():.3g}" for f in others[:2]) + ")"
     if not best.acceptable:

@@ -128,6 +128,32 @@ class Coordinates:
         return stable and not (delays < 0.0).any()
 
 
+def is_determined(rational: Rational, covariance: FloatArray, lowest: float) -> bool:
+    """Every pole is known to within half its size, and none is cancelled by a zero within its error.
+
+    A pole slower than `lowest`, the lowest frequency that the data show (rad/s), counts as an integrator and
+    needs to be known to half of that only.
+
+    Parameters
+    ----------
+    covariance : (n, n) of the denominator's coefficients in falling powers, without the leading 1.
+    """
+    poles = np.roots(rational.denominator)
+    n = len(poles)
+    zeros = [np.roots(top) for top in rational.numerators]
+    for pole in poles:
+        steep = np.polyval(np.polyder(rational.denominator), pole)
+        if abs(steep) == 0.0:
+            return False
+        slope = -(pole ** np.arange(n - 1, -1, -1)) / steep
+        spread = float(np.sqrt(max((slope @ covariance @ np.conj(slope)).real, 0.0)))
+        if not spread <= 0.5 * max(abs(pole), lowest):
+            return False
+        if all(len(z) and np.abs(z - pole).min() <= spread for z in zeros):
+            return False
+    return True
+
+
 def check_form(form: Form, n_u: int) -> None:
     """Raise UsageError for orders that cannot be."""
     if form.poles < 0 or len(form.zeros) != n_u or len(form.dead_time_s) != n_u:

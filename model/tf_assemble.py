@@ -16,6 +16,7 @@ from flysid.model.linear import FittedLinear
 from flysid.model.linear_data import Parts, records
 from flysid.model.linear_start import start_gains
 from flysid.model.noise import coloured_covariance, noise_model
+from flysid.model.rational import is_determined
 from flysid.model.sampling import sampled
 
 STEP = 1e-6
@@ -52,6 +53,21 @@ class OneTransfer:
     def polynomials(self, theta: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
         """a and b of the sampled transfer functions."""
         return sampled(self.problem.rational(theta), self.problem.dt_s, self.problem.hold)
+
+    def is_determined(self, lowest: float) -> bool:
+        """The data determine every pole; see `rational.is_determined`."""
+        covariance = self.theta_covariance()
+        n, units = self.poles, self.problem.coordinates.units
+        physical = (covariance[:n, :n] * np.outer(units[:n], units[:n]))[::-1, ::-1]
+        return is_determined(self.problem.rational(self.theta), physical, lowest)
+
+    def theta_covariance(self) -> FloatArray:
+        """Of theta, from the simulation error and its colour unless it came with the fit."""
+        if self.covariance is not None:
+            return self.covariance
+        errors = self.problem.errors(self.theta)
+        d, variance = noise_model(errors) if errors else (np.ones(1), 1.0)
+        return coloured_covariance(self.problem.jacobians(self.theta), d, variance)
 
     @property
     def offset(self) -> float:
@@ -99,11 +115,8 @@ def assembled(
     noises, blocks, transfers = [], [], []
     for i, fit in enumerate(fits):
         errors = fit.problem.errors(fit.theta)
-        d, variance = noise_model(errors) if errors else (np.ones(1), 1.0)
-        noises.append(d)
-        theta_covariance = fit.covariance
-        if theta_covariance is None:
-            theta_covariance = coloured_covariance(fit.problem.jacobians(fit.theta), d, variance)
+        noises.append(noise_model(errors)[0] if errors else np.ones(1))
+        theta_covariance = fit.theta_covariance()
         blocks.append(_sampled_covariance(parts, fit, i, theta_covariance))
         transfers += [_transfer(parts, fit, (i, j), theta_covariance) for j in range(len(parts.train.inputs))]
     noise = np.zeros((max(len(d) for d in noises), len(noises)))
@@ -174,7 +187,9 @@ def _sampled_covariance(parts: Parts, fit: OneTransfer, i: int, covariance: Floa
         step = STEP * max(abs(float(fit.theta[p])), 1e-3)
         up, down = fit.theta.copy(), fit.theta.copy()
         up[p], down[p] = fit.theta[p] + step, fit.theta[p] - step
-        columns.append((coefficients(up) - coefficients(down)) / (2.0 * step))
+        if (fit.problem.rational(down).dead_time_s < 0.0).any():
+            down = fit.theta
+        columns.append((coefficients(up) - coefficients(down)) / (up[p] - down[p]))
     slopes = np.stack(columns, axis=1)
     scale = parts.scaling
     factors = [np.ones(len(own) - 1)]

@@ -27,6 +27,8 @@ STRONG = 10.0
 """A difference in BIC that is very strong evidence (Kass & Raftery, 1995, J. Am. Stat. Assoc. 90)."""
 STRAYED = 3.0
 """A refined model whose cost J on the measured response is this many times the least has left it."""
+NO_DELAY = 0.02
+"""Of a sample: a dead time below is none."""
 TRIAL_STEPS = 15
 MARGIN = 1.5
 """A dead time may grow by this factor while it is refined."""
@@ -269,6 +271,15 @@ def _refined(settings: Settings, parts: Parts, form: Form, rational: Rational) -
         found = problem.refine(theta, max_iterations=TRIAL_STEPS)
     except FitError:
         return None
+    ended = problem.rational(found.theta)
+    none = tuple(
+        0.0 if t is None and d < NO_DELAY * problem.dt_s else t
+        for t, d in zip(form.dead_time_s, ended.dead_time_s, strict=True)
+    )
+    if none != form.dead_time_s:  # at its bound a dead time has no interval, and bends those of the others
+        kept = [d if t is None else t for t, d in zip(none, ended.dead_time_s, strict=True)]
+        ended = replace(ended, dead_time_s=np.array(kept))
+        return _refined(settings, parts, replace(form, dead_time_s=none), ended)
     return OneTransfer(problem, found.theta)
 
 

@@ -161,7 +161,9 @@ class TF:
         if not tried:
             kept, words = starts.unrefined()
             return kept.refit(parts, refine=False), words
+        tried, unknown = _determined(tried, data_lowest(train))
         best, words = _simplest(parts, [c for c, _ in tried])
+        words += unknown
         final = tried[best][0].refit(parts, refine=True)
         strays = starts.strays(final)
         if strays:
@@ -176,6 +178,22 @@ def _single(data: Dataset | None, output: int) -> Any:
         return data
     segments = [replace(s, y=s.y[:, [output]]) for s in data.segments]
     return Dataset(data.dt_s, data.inputs, (data.outputs[output],), tuple(segments), data.name)
+
+
+def _determined(
+    tried: list[tuple[OneTransfer, str]], lowest: float
+) -> tuple[list[tuple[OneTransfer, str]], str]:
+    """The candidates whose poles the data determine (the simplest in any case), and words on the rest."""
+    kept = [t for i, t in enumerate(tried) if i == 0 or t[0].is_determined(lowest)]
+    if len(kept) == len(tried):
+        return tried, ""
+    dropped = [str(t[0].poles) for t in tried if not any(t is k for k in kept)]
+    return kept, f"; the data do not determine all of {' or '.join(dropped)} poles"
+
+
+def data_lowest(data: Dataset) -> float:
+    """The lowest frequency that the longest segment shows twice, rad/s."""
+    return 4.0 * np.pi / (max(len(s) for s in data.segments) * data.dt_s)
 
 
 def _simplest(parts: Parts, tried: Sequence[OneTransfer]) -> tuple[int, str]:

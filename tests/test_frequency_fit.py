@@ -36,7 +36,7 @@ def test_the_order_is_chosen_and_the_choice_explained() -> None:
     assert fit.form.poles == 2
     assert fit.rational.denominator == pytest.approx(PLANT[1], rel=0.05)
     assert float(fit.cost[0]) < 5
-    assert "lowest BIC of 20 orders" in words
+    assert "lowest BIC of" in words
     wrong = fit_response(measured, Form(1, (0,), (0.0,)))
     assert wrong.cost[0] > 10 * fit.cost[0]
 
