@@ -94,6 +94,7 @@ class _Problem:
     source: np.ndarray[tuple[int], np.dtype[np.int64]]
     correlation: FloatArray
     omega_0: float
+    dt_s: float
     form: Form
 
     @property
@@ -292,6 +293,7 @@ def _problem(
         source=source,
         correlation=correlation,
         omega_0=omega_0,
+        dt_s=measured.dt_s,
         form=form,
     )
 
@@ -328,7 +330,7 @@ def _finished(problem: _Problem, theta: FloatArray, n_u: int) -> ResponseFit:
     covariance = covariance * _inflation(chi2, points - len(theta))
     rational, n = coordinates.rational(theta), problem.form.poles
     falling = covariance[np.ix_(coordinates.falling, coordinates.falling)]
-    lowest = float(problem.x.min()) * problem.omega_0
+    seen = float(problem.x.min()) * problem.omega_0, np.pi / problem.dt_s
     return ResponseFit(
         form=problem.form,
         rational=rational,
@@ -336,7 +338,7 @@ def _finished(problem: _Problem, theta: FloatArray, n_u: int) -> ResponseFit:
         cost=_tischler(problem, errors, n_u),
         chi2=chi2,
         points=points,
-        determined=is_determined(rational, falling[:n, :n], lowest),
+        determined=is_determined(rational, falling[:n, :n], seen),
     )
 
 

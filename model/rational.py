@@ -128,14 +128,16 @@ class Coordinates:
         return stable and not (delays < 0.0).any()
 
 
-def is_determined(rational: Rational, covariance: FloatArray, lowest: float) -> bool:
-    """Every pole is known to within half its size, and none is cancelled by a zero within its error.
+def is_determined(rational: Rational, covariance: FloatArray, seen: tuple[float, float]) -> bool:
+    """Every pole is known to within half its size, is slow enough for the samples to show, and has no zero
+    within its error that cancels it.
 
-    A pole slower than `lowest`, the lowest frequency that the data show (rad/s), counts as an integrator and
-    needs to be known to half of that only.
+    A pole slower than the lowest frequency seen counts as an integrator and needs to be known to half of that
+    only.
 
     Parameters
     ----------
+    seen : lowest and highest frequency that the data show, rad/s.
     covariance : (n, n) of the denominator's coefficients in falling powers, without the leading 1.
     """
     poles = np.roots(rational.denominator)
@@ -147,7 +149,7 @@ def is_determined(rational: Rational, covariance: FloatArray, lowest: float) -> 
             return False
         slope = -(pole ** np.arange(n - 1, -1, -1)) / steep
         spread = float(np.sqrt(max((slope @ covariance @ np.conj(slope)).real, 0.0)))
-        if not spread <= 0.5 * max(abs(pole), lowest):
+        if not spread <= 0.5 * max(abs(pole), seen[0]) or abs(pole) > seen[1]:
             return False
         if all(len(z) and np.abs(z - pole).min() <= spread for z in zeros):
             return False

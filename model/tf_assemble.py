@@ -59,7 +59,8 @@ class OneTransfer:
         covariance = self.theta_covariance()
         n, units = self.poles, self.problem.coordinates.units
         physical = (covariance[:n, :n] * np.outer(units[:n], units[:n]))[::-1, ::-1]
-        return is_determined(self.problem.rational(self.theta), physical, lowest)
+        seen = lowest, np.pi / self.problem.dt_s
+        return is_determined(self.problem.rational(self.theta), physical, seen)
 
     def theta_covariance(self) -> FloatArray:
         """Of theta, from the simulation error and its colour unless it came with the fit."""
