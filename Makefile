@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: bench-model bench-ingest soak demo test check unit lint clean samples bench-accuracy
+.PHONY: audit lock locked bench-model bench-ingest soak demo test check unit lint clean samples bench-accuracy
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "flysid needs Python 3.11 or newer; try: make PYTHON=python3.12")'
@@ -42,6 +42,21 @@ bench-model: $(VENV)/.installed  ## linear and fuzzy models against their peers 
 
 bench-accuracy: $(VENV)/.installed  ## free-run accuracy on ../shared/benchmarks, default settings
 	$(BIN)/python -m tests.bench.accuracy
+
+audit: $(VENV)/.installed  ## licences, locked versions, vendored files; needs no network
+	$(BIN)/python -m tests.audit
+
+lock: $(VENV)/.installed  ## requirements.lock anew, for all platforms
+	$(BIN)/python -m pip install --quiet uv
+	echo '# Exact versions with hashes, for every platform. Made by `make lock`; used by `make locked`; judged by `make audit`.' > requirements.lock
+	$(BIN)/uv pip compile pyproject.toml --all-extras --generate-hashes --universal --python-version 3.11 \
+		--no-header --no-annotate --no-emit-index-url --no-emit-find-links --upgrade >> requirements.lock
+
+locked:  ## an environment of exactly the locked versions, every hash checked
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --no-deps -e .
+	touch $(VENV)/.installed
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache flysid-demo .bench
