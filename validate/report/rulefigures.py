@@ -94,12 +94,24 @@ def membership_figures(model: HasMemberships, data: Dataset, unit_of: dict[str, 
         axes = Axes(limits, (0.0, 1.08), left=30, top=18, width=THIRD - 42, height=86)
         unit = unit_of.get(name.split("(")[0], "")
         parts = [frame(axes, "", f"{one_line(name)}{', ' + one_line(unit) if unit else ''}", y_count=2)]
-        for r in range(grades.shape[1]):
-            parts.append(line(axes, x, grades[:, r], f"rule r{r % 8 + 1}"))
-            top = int(np.argmax(grades[:, r]))
-            parts.append(text(float(axes.px(x[top])), axes.top - 5, f"A{r + 1}", css=f"t r{r % 8 + 1}t"))
+        parts += [line(axes, x, grades[:, r], f"rule r{r % 8 + 1}") for r in range(grades.shape[1])]
+        peaks = [float(axes.px(x[int(np.argmax(grades[:, r]))])) for r in range(grades.shape[1])]
+        for r, at in enumerate(_spread(peaks, 17.0, axes.right)):
+            parts.append(text(at, axes.top - 5, f"A{r + 1}", css=f"t r{r % 8 + 1}t", anchor="middle"))
         figures.append(picture(THIRD, 142, parts, f"Membership functions over {name}"))
     return figures
+
+
+def _spread(places: Sequence[float], least: float, end: float) -> list[float]:
+    """The same places, moved apart where labels would overlap, kept left of `end` where there is room."""
+    order = np.argsort(places, kind="stable")
+    moved = [0.0] * len(places)
+    free = -np.inf
+    for k, i in enumerate(order):
+        room = end - least * (len(order) - 1 - k)
+        moved[i] = max(free, min(places[i], room))
+        free = moved[i] + least
+    return moved
 
 
 def fulfilment(firing: FloatArray, t: FloatArray, label: str) -> Markup:

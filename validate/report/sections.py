@@ -273,7 +273,13 @@ def _rule_row(rule: Rule, css: str, j: int, signal: int) -> RuleRow:
 
 def _typeset(words: str) -> str:
     """Rule text with true plus-minus and minus signs."""
-    return one_line(words).replace("+-", "±").replace(" - ", " − ").replace("= -", "= −")
+    return (
+        one_line(words)
+        .replace("+-", "±")
+        .replace(" - ", " − ")
+        .replace("= -", "= −")
+        .replace("about -", "about −")
+    )
 
 
 def _sets(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
