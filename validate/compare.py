@@ -83,7 +83,7 @@ def compare(
     names = [horizon_name(h) for h in dict.fromkeys(horizons)]
     if not names:
         raise UsageError("no horizon given", hint="use 'free_run', 10 and 1")
-    one_rule = frozenset(n for n, m in named.items() if m.structure in FUZZY and len(m.rules()) == 1)
+    one_rule = _one_rule(named) if named[base].structure not in FUZZY else frozenset[str]()
     entries: list[Entry] = []
     scored, start_s = 0, 0.0
     for horizon in names:
@@ -135,6 +135,11 @@ def across_channels(comparisons: Mapping[str, Comparison]) -> dict[str, Comparis
 
 def _with_pairs(entry: Entry, corrected: Mapping[int, Pair]) -> Entry:
     return replace(entry, pairs={n: corrected.get(id(p), p) for n, p in entry.pairs.items()})
+
+
+def _one_rule(models: Mapping[str, Fitted]) -> frozenset[str]:
+    """Fuzzy models that are linear ones."""
+    return frozenset(n for n, m in models.items() if m.structure in FUZZY and len(m.rules()) == 1)
 
 
 def with_references(models: Mapping[str, Fitted], train: Dataset) -> dict[str, Fitted]:

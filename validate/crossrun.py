@@ -8,7 +8,7 @@ cannot be done, nothing is compared: a verdict on training data is worth nothing
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from flysid.dataset import Dataset
@@ -63,7 +63,9 @@ def judge_runs(
     if not found:
         raise DataError("no channel can be compared: " + "; ".join(f"{n}: {w}" for n, w in skipped.items()))
     corrected = across_channels(found)
-    return Judgement(b.run, corrected, skipped, _context(a.run, b.run, corrected, [ours[n] for n in found]))
+    context = _context(a.run, b.run, corrected, [ours[n] for n in found])
+    seconds = {n: _seconds("a", theirs[n]) | _seconds("b", ours[n]) for n in found}
+    return Judgement(b.run, corrected, skipped, replace(context, fit_seconds=seconds))
 
 
 def unseen(a: HeldOut, b: HeldOut) -> Dataset:
@@ -152,6 +154,11 @@ def _context(a: Run, b: Run, comparisons: Mapping[str, Comparison], held: Sequen
         provenance=provenance,
         remark="two runs, on flights held out by run B that run A has not trained on",
     )
+
+
+def _seconds(run: str, item: HeldOut) -> dict[str, float]:
+    """Wall time of every fit, by the name its model has here."""
+    return {f"{run}:{label}": t for label, t in item.channel.fit_seconds.items() if label in item.models}
 
 
 def _names(named: Mapping[str, object]) -> str:

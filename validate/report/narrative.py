@@ -64,7 +64,8 @@ def title(pairs: Heads) -> str:
     count[Verdict.BETTER] -= one_rule
     count[Verdict.SAME] += one_rule
     total = len(pairs)
-    on_all = f"on all {total} channels" if total > 1 else f"on {pairs[0][0]}"
+    every = "both" if total == 2 else f"all {total}"
+    on_all = f"on {every} channels" if total > 1 else f"on {pairs[0][0]}"
     if all(map(_both_diverged, pairs)):
         return f"Neither the {model} nor the {base} is usable {on_all}."
     if count[Verdict.NOT_ENOUGH] == total:
@@ -77,6 +78,8 @@ def title(pairs: Heads) -> str:
         return f"The {base} is better {on_all}."
     if count[Verdict.WORSE]:
         return f"The {base} is better on {count[Verdict.WORSE]} of {total} channels; the {model} on none."
+    if count[Verdict.SAME] == total and _two_runs(pairs):
+        return f"The two runs show no difference {on_all}."
     if count[Verdict.SAME] == total:
         return f"{'A' if one_rule else 'The'} {base} is enough {on_all}."
     return f"No difference shown on {count[Verdict.SAME]} of {total} channels; not enough data on the others."
@@ -102,6 +105,12 @@ def subtitle(pairs: Heads) -> str:
         if names and len(names) < len(pairs):
             sentences.append(f"On {_listed(names)} {text.format(base=base)}")
     return " ".join(sentences)
+
+
+def _two_runs(pairs: Heads) -> bool:
+    """The same structure of two runs against each other: neither is the simpler by its nature."""
+    labels = [name.partition(":") for name in (pairs[0][1].model, pairs[0][1].baseline)]
+    return all(mark for _, mark, _ in labels) and labels[0][2] == labels[1][2]
 
 
 def _both_diverged(head: tuple[str, Pair]) -> bool:
