@@ -195,7 +195,7 @@ class Dataset:
         """The Arrow stream protocol: one row per sample; see `flysid.tabular`."""
         return tabular.table_of(self).__arrow_c_stream__(requested_schema)
 
-    def __array__(self, dtype: npt.DTypeLike = None, copy: bool | None = None) -> npt.NDArray[Any]:
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
         """NumPy's protocol: (samples, inputs + outputs) of all segments, one below the other.
 
         Raises
