@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import subprocess
 import sys
 import time
@@ -17,7 +18,7 @@ from flysid.errors import WriteError
 from flysid.ingest import batch
 from flysid.ingest.workers import Bounds, Lost, anonymous_bytes, run_bounded
 from tests.hostile_tasks import act, read_or_act
-from tests.samplelogs import tlog
+from tests.samplelogs import mcap, tlog
 
 ROOT = Path(__file__).resolve().parents[1]
 TIGHT = Bounds(memory_bytes=300 * 10**6, seconds=3.0)
@@ -141,3 +142,41 @@ def test_the_command_names_the_bound(tmp_path: Path) -> None:
     )
     assert found.returncode == 1
     assert "took longer than 0.001 s" in found.stderr
+
+
+@LINUX
+def test_a_file_of_33_kB_that_expands_to_1_GiB_is_refused_within_the_bound(tmp_path: Path) -> None:
+    """What it would take is 2 GB with the format's own library; here 300 MB are enough to skip it."""
+    import zstandard
+
+    from tests.samplelogs.mcap import record
+
+    size = 1 << 30
+    packer = zstandard.ZstdCompressor(level=3).compressobj(size=size)
+    zeros = bytes(1 << 24)
+    packed = b"".join(packer.compress(zeros) for _ in range(size // len(zeros))) + packer.flush()
+    head = (
+        struct.pack("<QQQI", 0, 1, size, 0) + struct.pack("<I", 4) + b"zstd" + struct.pack("<Q", len(packed))
+    )
+    log = mcap.build()
+
+    bomb = log[: mcap.records(log)[2].start] + record(6, head + packed) + log[mcap.records(log)[2].start :]
+
+    assert len(bomb) < 60_000
+    (tmp_path / "bomb.mcap").write_bytes(bomb)
+    command = [
+        sys.executable,
+        "-m",
+        "flysid",
+        "ingest",
+        "bomb.mcap",
+        "--max-memory",
+        "300MB",
+        "--max-time",
+        "1min",
+    ]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    found = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=environment)
+    assert found.returncode == 3, found.stderr
+    assert f"chunk declares {size} bytes" in found.stderr
+    assert "120 records" in found.stderr
