@@ -176,7 +176,7 @@ class _Worker(Generic[Task, Outcome]):
                 f"a worker process ended ({ended_how(code)}) before it could begin",
                 hint="a script that ingests needs 'if __name__ == \"__main__\":' around what it does",
             )
-        return task, Lost(broken or f"the process that read it {ended_how(code)}", self._process.pid or 0)
+        return task, Lost(broken or f"its process {ended_how(code)}", self._process.pid or 0)
 
     def end(self) -> None:
         """Kill it; what it was at is not finished."""

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
+import numpy as np
 import pytest
 
+from flysid.dataset import Dataset
 from flysid.flightwriter import exchange, put_in_place
 from flysid.ingest.lake import open as open_lake
-from flysid.validate.fitting import fit_run
+from flysid.validate.fitting import _fitted, _Job, fit_run
 from flysid.validate.judge import judge_run
 from flysid.validate.run import FitSettings
 from tests.fault_trials import full_disks, killed_ingests, limited, read_only_disks, small_data, visible
 from tests.soak import Outcome
+
+if TYPE_CHECKING:
+    from flysid.ingest.align import Aligned
 
 
 def test_kill_during_ingest_then_the_same_command_again(tmp_path: Path) -> None:
@@ -51,6 +60,28 @@ def test_one_and_two_workers_fit_and_judge_alike(tmp_path: Path) -> None:
         document = {k: v for k, v in judge_run(run).document.items() if k != "fit_seconds"}
         found.append((visible(run.folder), document))
     assert found[0] == found[1]
+
+
+class Deadly:
+    """Ends the process that it is brought to."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return os._exit, (9,)
+
+
+def test_a_fit_whose_process_dies_costs_that_channel_only() -> None:
+    short = Dataset.from_arrays([np.ones((4, 1))], [np.ones((4, 1))], 0.1)
+    jobs = [
+        _Job(
+            cast("Aligned", SimpleNamespace(dataset=replace(short, name=name), more=more)),
+            Path(),
+            FitSettings(),
+        )
+        for name, more in (("short", None), ("deadly", Deadly()))
+    ]
+    reasons = dict(_fitted(jobs, 2, lambda _: None))
+    assert "ended with code 9" in str(reasons["deadly"])
+    assert "ended with" not in str(reasons["short"])
 
 
 def test_a_folder_takes_the_place_of_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

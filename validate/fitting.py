@@ -6,11 +6,9 @@ result does not depend on how many.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,7 @@ from flysid.ingest.align import Aligned
 from flysid.ingest.deadtime import dead_times, delays_to_try
 from flysid.ingest.lake import Lake
 from flysid.ingest.recipe import load_recipe, recipe_text
+from flysid.ingest.workers import Bounds, Lost, run_bounded
 from flysid.model.base import Estimator, Fitted
 from flysid.model.feedback import feedback
 from flysid.split import plan_split
@@ -167,13 +166,12 @@ def _fitted(queue: Sequence[_Job], jobs: int, progress: Progress) -> Iterator[tu
             yield job.aligned.dataset.name, _fit_channel(job)
         return
     progress(f"fitting {names}")
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(queue)), mp_context=context) as pool:
-        waiting = {pool.submit(_fit_channel, job): job.aligned.dataset.name for job in queue}
-        for done in as_completed(waiting):
-            name = waiting.pop(done)
-            progress(f"{name} fitted" + (f", fitting {', '.join(waiting.values())}" if waiting else ""))
-            yield name, done.result()
+    waiting = [job.aligned.dataset.name for job in queue]
+    for job, found in run_bounded(_fit_channel, queue, min(jobs, len(queue)), Bounds(None, None)):
+        name = job.aligned.dataset.name
+        waiting.remove(name)
+        progress(f"{name} fitted" + (f", fitting {', '.join(waiting)}" if waiting else ""))
+        yield name, found.reason if isinstance(found, Lost) else found
 
 
 def _fit_channel(job: _Job) -> ChannelRun | str:

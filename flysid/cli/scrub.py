@@ -28,13 +28,15 @@ if TYPE_CHECKING:
 @click.option("--force", is_flag=True, help="Replace the copy if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was removed as JSON.")
 @click.option("--quiet", "-q", is_flag=True)
-def command(log: Path, output: Path, gps: Gps, force: bool, as_json: bool, quiet: bool) -> None:
+def command(log: Path, output: Path, gps: Gps, force: bool, as_json: bool, quiet: bool) -> int:
     """Write a copy of a log without what should not be shared, in its own format.
 
     Positions are moved or removed; serial numbers, names, passwords, paths, texts with identifiers and
     embedded files are taken out; bytes that cannot be read are left out. Says what was removed, and where.
+    Ends with 3 when something could not be read.
     """
     from flysid.ingest.scrub import KEPT, scrub_log
+    from flysid.ingest.scrub_rules import UNREADABLE
 
     done = scrub_log(log, output, gps=gps, force=force)
     click.echo(as_json_text(done, output) if as_json else table(done))
@@ -42,6 +44,7 @@ def command(log: Path, output: Path, gps: Gps, force: bool, as_json: bool, quiet
         say(note, quiet)
     say(KEPT, quiet)
     say(f"written: {output}", quiet)
+    return 3 if any(what == UNREADABLE for what, _ in done.removed) else 0
 
 
 def table(done: Scrubbed) -> str:
