@@ -49,10 +49,9 @@ class ContinuousMode:
         if self.pole == 0:
             return "integrator"
         assert self.time_constant_s is not None
-        spread = self.time_constant_s.error * self.pole.real**2
-        if Z95 * spread > abs(self.pole.real):
-            pole = f"{self.pole.real:.2g} +- {Z95 * spread:.2g} rad/s"
-            return f"integrates as far as these data show (pole at {pole})"
+        spread = Z95 * self.time_constant_s.error * self.pole.real**2
+        if spread > abs(self.pole.real):
+            return f"not determined ({self.pole.real:.2g} +- {spread:.2g} rad/s)"
         if self.pole.real > 0:
             return f"unstable: doubles in {np.log(2) / self.pole.real:.3g} s"
         return f"time constant {self.time_constant_s} s"

@@ -36,6 +36,8 @@ from flysid.model.threads import on_one_thread
 
 Auto = Literal["auto"]
 ORDER_LOSS = 0.02
+WORSE = 1.5
+"""Mean square of the validation free run that determined poles may cost."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,9 +163,7 @@ class TF:
         if not tried:
             kept, words = starts.unrefined()
             return kept.refit(parts, refine=False), words
-        tried, unknown = _determined(tried, data_lowest(train))
-        best, words = _simplest(parts, [c for c, _ in tried])
-        words += unknown
+        best, words = _simplest(parts, [c for c, _ in tried], _lowest(train))
         final = tried[best][0].refit(parts, refine=True)
         strays = starts.strays(final)
         if strays:
@@ -180,38 +180,38 @@ def _single(data: Dataset | None, output: int) -> Any:
     return Dataset(data.dt_s, data.inputs, (data.outputs[output],), tuple(segments), data.name)
 
 
-def _determined(
-    tried: list[tuple[OneTransfer, str]], lowest: float
-) -> tuple[list[tuple[OneTransfer, str]], str]:
-    """The candidates whose poles the data determine (the simplest in any case), and words on the rest."""
-    kept = [t for i, t in enumerate(tried) if i == 0 or t[0].is_determined(lowest)]
-    if len(kept) == len(tried):
-        return tried, ""
-    dropped = [str(t[0].poles) for t in tried if not any(t is k for k in kept)]
-    return kept, f"; the data do not determine all of {' or '.join(dropped)} poles"
-
-
-def data_lowest(data: Dataset) -> float:
+def _lowest(data: Dataset) -> float:
     """The lowest frequency that the longest segment shows twice, rad/s."""
     return 4.0 * np.pi / (max(len(s) for s in data.segments) * data.dt_s)
 
 
-def _simplest(parts: Parts, tried: Sequence[OneTransfer]) -> tuple[int, str]:
-    """Index of the simplest within one standard error of the best validation free run, and words."""
+def _simplest(parts: Parts, tried: Sequence[OneTransfer], lowest: float) -> tuple[int, str]:
+    """Index of the simplest within one standard error of the best validation free run, and words.
+
+    A candidate with poles that the data do not determine gives way to one without, unless that is far worse.
+    """
     if len(tried) == 1:
         return 0, ""
     window = judging_window(parts, max(t.depth for t in tried))
     errors = [
         block_errors(runner(parts, [t], window), parts.check, window, parts.scaling.y_scale) for t in tried
     ]
+    means = [float(e.mean()) if len(e) else np.inf for e in errors]
     best = simplest(errors, ORDER_LOSS)
-    table = ", ".join(
-        f"{t.poles}: {np.sqrt(e.mean()) if len(e) else np.nan:.3g}"
-        for t, e in zip(tried, errors, strict=True)
-    )
-    return best, (
+    table = ", ".join(f"{t.poles}: {np.sqrt(m):.3g}" for t, m in zip(tried, means, strict=True))
+    words = (
         "; as many poles as the simplest within one standard error of the best validation free run has "
         f"(RMSE in standard deviations by poles, {table})"
+    )
+    if best == 0 or tried[best].is_determined(lowest):
+        return best, words
+    known = [i for i, t in enumerate(tried) if i == 0 or t.is_determined(lowest)]
+    other = known[simplest([errors[i] for i in known], ORDER_LOSS)]
+    if not means[other] <= WORSE * means[best]:
+        return best, f"{words}; not all of its poles are determined by these data"
+    return other, (
+        "; among those whose poles the data determine, the simplest within one standard error of the best "
+        f"validation free run (RMSE in standard deviations by poles, {table})"
     )
 
 
