@@ -370,7 +370,12 @@ def _vehicle(log: Log) -> str:
 
 
 def _too_short(report: AlignReport, min_samples: int) -> DataError:
-    never = (note for f in report.flights for note in f.notes if "never holds" in note)
+    never = dict.fromkeys(note for f in report.flights for note in f.notes if "never holds" in note)
+    if never and all(f.reason or not f.total_s or not f.short_segments for f in report.flights):
+        return DataError(
+            f"channel {report.channel!r}: {'; '.join(never)}",
+            hint="choose what was flown, or leave the condition out of a recipe of your own",
+        )
     reasons = "; ".join(dict.fromkeys([*(f.reason for f in report.flights if f.reason), *never]))
     short = sum(f.short_segments for f in report.flights)
     return DataError(

@@ -6,7 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from flysid.dataset import Dataset
-from flysid.ingest.excitation import GOOD_COHERENCE, Spectrum, excitation, share_explained, spectrum
+from flysid.ingest.excitation import (
+    GOOD_COHERENCE,
+    Spectrum,
+    excitation,
+    is_narrow,
+    share_explained,
+    spectrum,
+)
 from flysid.ingest.recipe import ChannelSpec
 
 MOST_NAMES = 4
@@ -19,7 +26,7 @@ class Doubt:
 
     Attributes
     ----------
-    kind : "quiet", "slow", "unexplained", "pooled" or "band"; REMARKS are no faults.
+    kind : "quiet", "slow", "unexplained", "narrow", "pooled" or "band"; REMARKS are no faults.
     text : what is the matter, no full stop.
     todo : what to log, to fly or to choose next time.
     """
@@ -63,7 +70,8 @@ def _slow(data: Dataset, spec: ChannelSpec) -> Iterator[Doubt]:
 def _unexplained(data: Dataset) -> Iterator[Doubt]:
     for j, output in enumerate(data.outputs):
         share, name, seen = _best_input(data, j)
-        if seen.band_hz() is None:
+        band = seen.band_hz()
+        if band is None:
             yield Doubt(
                 "unexplained",
                 f"{output.name} does not follow {name} at any frequency",
@@ -74,6 +82,13 @@ def _unexplained(data: Dataset) -> Iterator[Doubt]:
                 "unexplained",
                 f"only {share:.0%} of the power of {output.name} follows {name}",
                 "excite this axis alone, in calm air; or look for a missing input",
+            )
+        elif is_narrow(band):
+            yield Doubt(
+                "narrow",
+                f"{output.name} follows {name} from {band[0]:.2g} to {band[1]:.2g} Hz only, less than an "
+                "octave: an oscillation rather than a response",
+                "excite this axis alone, in calm air",
             )
 
 
@@ -91,7 +106,7 @@ def _band(data: Dataset) -> Iterator[Doubt]:
     for j, output in enumerate(data.outputs):
         _, name, seen = _best_input(data, j)
         band = seen.band_hz()
-        if band is not None:
+        if band is not None and not is_narrow(band):
             yield Doubt(
                 "band",
                 f"{output.name} follows {name} from {band[0]:.2g} to {band[1]:.2g} Hz",

@@ -144,6 +144,11 @@ def share_explained(moves: Excitation, seen: Spectrum) -> float:
     return float(np.mean(seen.coherence[used]))
 
 
+def is_narrow(band_hz: tuple[float, float]) -> bool:
+    """Less than an octave: a single oscillation, not a response."""
+    return band_hz[1] < 2.0 * band_hz[0]
+
+
 def _window_length(data: Dataset, window_s: float | None) -> int:
     longest = max(len(s) for s in data.segments)
     if window_s is None:

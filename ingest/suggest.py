@@ -16,6 +16,7 @@ from flysid.ingest.excitation import (
     Excitation,
     Spectrum,
     excitation,
+    is_narrow,
     share_explained,
     spectrum,
 )
@@ -25,7 +26,6 @@ from flysid.ingest.signals import Log, find_source
 Verdict = Literal["good", "weak", "too slow", "too quiet", "too short", "excluded"]
 MIN_DURATION_S = 10.0
 ALONE = "fly steps or doublets on this axis alone, in calm air"
-MIN_WIDTH = 2.0  # ratio of a band's ends: less is a single oscillation, not a response
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _refused(log: Log, recipe: Recipe, channel: str, error: DataError | RecipeEr
     if "no excitation" in text:
         verdict, words = "too quiet", "nothing moves: " + words.partition("no excitation: ")[2]
     elif "never holds" in text:
-        verdict, words = "excluded", text[text.index("condition ") :].removesuffix(")")
+        verdict = "excluded"
     hint = f"; {error.hint}" if error.hint and verdict != "excluded" else ""
     names = ", ".join(spec.inputs), ", ".join(spec.outputs)
     return Suggestion(log.name, recipe.name, channel, *names, verdict=verdict, advice=words + hint)
@@ -179,6 +179,6 @@ def _verdict(
         return "weak", f"the output does not follow {name} at any frequency; {ALONE}"
     if coherence < GOOD_COHERENCE:
         return "weak", f"only {coherence:.0%} of the output's power follows {name}; {ALONE}"
-    if band[1] < MIN_WIDTH * band[0]:
+    if is_narrow(band):
         return "weak", f"the output follows {name} in a narrow band only; {ALONE}"
     return "good", ""

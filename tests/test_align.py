@@ -290,7 +290,7 @@ def test_conditions_cut() -> None:
             "above": 9.0,
         }
     ]
-    with pytest.raises(DataError, match="no segment"):
+    with pytest.raises(DataError, match=r"'fast' never holds: STATE.y is -2.93 to 2.49 m/s"):
         dataset([log], recipe(conditions=high), "c")
 
 

@@ -23,8 +23,13 @@ def data(
     return Dataset(dt_s, (Signal("u", "deg"),), (Signal("y", "m/s"),), segments, name="c")
 
 
-def kinds(of: Dataset) -> list[str]:
-    return [d.kind for d in doubts(of, SPEC)]
+def oscillation() -> Dataset:
+    """Both move at one frequency, and little else of the output follows the input."""
+    rng = np.random.default_rng(0)
+    u = rng.normal(size=440)
+    y = u + 0.8 * rng.normal(size=440)
+    tone = 4.0 * np.sin(2 * np.pi * 4.0 * 0.1 * np.arange(440))
+    return data(u + tone, y + tone, dt_s=0.1)
 
 
 def test_good_data_have_a_band_and_no_fault() -> None:
@@ -39,6 +44,7 @@ def test_good_data_have_a_band_and_no_fault() -> None:
         (data(1e-6 * U), "quiet", "e-06 deg rms only"),
         (data(dt_s=0.1), "slow", "10 Hz shows the dynamics up to 5 Hz only, this channel needs 20 Hz"),
         (data(y=RNG.normal(size=len(U))), "unexplained", "y does not follow u at any frequency"),
+        (oscillation(), "narrow", "less than an octave"),
         (data(vehicles=("b", "a", "b")), "pooled", "flights of 2 vehicles are pooled (a, b)"),
     ],
 )
