@@ -8,7 +8,14 @@ import pytest
 from flysid.model.arx import ARX
 from flysid.model.ts import TS
 from flysid.validate.compare import compare
-from tests.bench.verdict_fairness import flights, linear_plant, nonlinear_plant
+from tests.bench.verdict_fairness import (
+    Outcome,
+    exact_interval,
+    flights,
+    linear_plant,
+    nonlinear_plant,
+    totals,
+)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 3])
@@ -29,3 +36,14 @@ def test_a_true_advantage_is_found_with_real_fits() -> None:
     assert pair.verdict == "better"
     assert pair.ci95 is not None
     assert -35.0 < pair.ci95[0] < pair.ci95[1] < -5.0
+
+
+def test_totals_state_exact_intervals() -> None:
+    assert exact_interval(0, 200) == pytest.approx((0.0, 1.828), abs=1e-3)
+    assert exact_interval(200, 200) == pytest.approx((98.172, 100.0), abs=1e-3)
+    assert exact_interval(10, 40) == pytest.approx((12.69, 41.20), abs=1e-2)
+    said = [Outcome(i, "linear", "better", 1 + i % 2, "arx", -9.0, -12.0, -6.0, -9.0, 1.0) for i in range(4)]
+    text = totals("linear", said, {})
+    assert "better: 4 of 4" in text
+    assert "with more than one rule: 2 of 4" in text
+    assert "holds the truth: 4 of 4" in text

@@ -149,7 +149,7 @@ def fit(stages: Stages, seed: int, progress: Callable[[str], None]) -> Run:
 def describe_run(run: Run) -> str:
     """Channels, models and time."""
     seconds = sum(sum(c.fit_seconds.values()) for c in run.channels)
-    models: Mapping[str, float] = run.channels[0].fit_seconds
+    models: Mapping[str, str] = run.channels[0].models
     return f"{', '.join(models)} on {len(run.channels)} channels ({seconds:.0f} s)"
 
 
