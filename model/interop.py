@@ -50,8 +50,7 @@ def to_control(model: FittedLinear | FittedStateSpace, form: Literal["auto", "tf
 
     names = {"inputs": [s.name for s in model.inputs], "outputs": [s.name for s in model.outputs]}
     if isinstance(model, FittedStateSpace):
-        found = model.realisation
-        space = control.ss(found.a, found.b, found.c, found.d, model.dt_s, **names)
+        space = control.ss(*_with_registers(model), model.dt_s, **names)
         return control.ss2tf(space, **names) if form == "tf" else space
     system = model.system
     single = len(model.inputs) == len(model.outputs) == 1
@@ -125,6 +124,20 @@ def from_control(
         covariance=np.zeros((0, 0)),
         notes=("Taken over from python-control; nothing was estimated.",),
     )
+
+
+def _with_registers(model: FittedStateSpace) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """(A, B, C, D) with a shift register of states for every input that enters late."""
+    s = model.realisation
+    a, b, c, d = s.a, s.b, s.c, s.d
+    for j, late in enumerate(model.delays):
+        for _ in range(late):  # one more state, the last input as it enters; the others follow
+            a = np.block([[a, b[:, [j]]], [np.zeros((1, len(a) + 1))]])
+            c = np.hstack([c, d[:, [j]]])
+            b, d = np.vstack([b, np.zeros((1, b.shape[1]))]), d.copy()
+            b[:, j], d[:, j] = 0.0, 0.0
+            b[-1, j] = 1.0
+    return a, b, c, d
 
 
 def from_control_states(

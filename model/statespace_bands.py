@@ -32,11 +32,12 @@ def frequency_response(model: FittedStateSpace, omega: FloatArray) -> FrequencyR
     s = model.realisation
     z = np.exp(1j * omega * model.dt_s)
     resolvent = np.linalg.inv(z[:, None, None] * np.eye(s.order) - s.a)
-    g = np.asarray(s.c @ resolvent @ s.b + s.d, dtype=np.complex128)
+    late = np.stack([z**-k for k in model.delays or (0,) * len(model.inputs)], axis=1)[:, None]
+    g = np.asarray((s.c @ resolvent @ s.b + s.d) * late, dtype=np.complex128)
     if not len(model.covariance):
         unknown = np.full(g.shape, np.nan)
         return FrequencyResponse(omega, g, unknown, unknown)
-    slopes = _slopes(model, resolvent)
+    slopes = _slopes(model, resolvent) * late[..., None]
     size = np.maximum(np.abs(g), np.finfo(float).tiny)[..., None]
     along = (g.real[..., None] * slopes.real + g.imag[..., None] * slopes.imag) / size
     across = (g.real[..., None] * slopes.imag - g.imag[..., None] * slopes.real) / size**2

@@ -42,6 +42,7 @@ class FittedStateSpace:
     singular_values : of the decomposition that the order was read off, largest first.
     covariance : (p, p) of A, B, C, drift, level and, where it is free, D, row by row; (0, 0) where unknown
         (not refined). Only what does not hang on the coordinates has a meaning: see `statespace_bands`.
+    delays : samples by which every input is late before it enters; () for none.
     """
 
     dt_s: float
@@ -56,6 +57,7 @@ class FittedStateSpace:
     singular_values: FloatArray
     noise: FloatArray | None = None
     covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    delays: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
     scores: Mapping[str, float] = field(default_factory=dict)
 
@@ -86,6 +88,7 @@ class FittedStateSpace:
         system, n = self.realisation, self.n_init
         du = as_columns(u, len(self.inputs), "u") - self.u_origin
         if y0 is None:
+            du = self._late(du, -self.u_origin)
             rest = resting_state(system, -self.u_origin, -self.y_origin)
             return self._limited(output_of(system, free_states(system, du, rest), du))
         y0 = as_columns(y0, len(self.outputs), "y0")
@@ -93,6 +96,7 @@ class FittedStateSpace:
             raise UsageError(f"a simulation starts from {n} measured outputs, not {len(y0)}")
         if len(du) <= n:
             return np.array(y0[: len(du)])
+        du = self._late(du)
         start = filtered_states(system, du[:n], y0[:n] - self.y_origin, self.gains)[-1]
         run = output_of(system, free_states(system, du[n:], start), du[n:])
         return np.concatenate([y0[:n], self._limited(run)])
@@ -116,7 +120,7 @@ class FittedStateSpace:
         if self.noise is not None:
             found = output_error_ahead(self.simulate(u, y[: self.n_init]), y, self.noise, k)
         else:
-            system, du = self.realisation, u - self.u_origin
+            system, du = self.realisation, self._late(u - self.u_origin)
             states = filtered_states(system, du, y - self.y_origin, self.gains)[:-1]
             found = ahead(system, states, du, k) + self.y_origin
         out[first:] = found[first:]
@@ -161,7 +165,7 @@ class FittedStateSpace:
         ------
         UsageError : shapes do not fit.
         """
-        du = as_columns(u, len(self.inputs), "u") - self.u_origin
+        du = self._late(as_columns(u, len(self.inputs), "u") - self.u_origin)
         dy = as_columns(y, len(self.outputs), "y") - self.y_origin
         found: FloatArray = filtered_states(self.realisation, du, dy, self.gains)[:-1]
         return found
@@ -176,6 +180,9 @@ class FittedStateSpace:
             f"{name} = {np.array2string(getattr(self.realisation, name.lower()), precision=5, prefix=name)}"
             for name in ("A", "B", "C", "D", "K")
         ]
+        if any(self.delays):
+            late = ", ".join(f"{i.name} {k}" for i, k in zip(self.inputs, self.delays, strict=True))
+            lines.append(f"inputs enter late, in samples: {late}")
         modes = modes_of(self.poles, self.dt_s)
         lines.append("poles: " + "; ".join(str(m) for m in modes))
         lines.append("steady gain: " + "; ".join(self._gains()))
@@ -193,6 +200,14 @@ class FittedStateSpace:
         modes = "; ".join(str(m) for m in modes_of(self.poles, self.dt_s))
         names = ", ".join(s.name for s in self.outputs)
         return f"{names}: {self.order} states ({modes}), steady gain {'; '.join(self._gains())}"
+
+    def _late(self, du: FloatArray, before: FloatArray | None = None) -> FloatArray:
+        """The inputs as they enter; what came before the first sample is `before`, the mean when None."""
+        out = np.array(du)
+        for j, late in enumerate(self.delays):
+            out[late:, j] = du[: max(len(du) - late, 0), j]
+            out[:late, j] = 0.0 if before is None else before[j]
+        return out
 
     def _limited(self, y: FloatArray) -> FloatArray:
         return saturated(y + self.y_origin, self.output_limits)
@@ -212,6 +227,7 @@ class FittedStateSpace:
             "u_origin": self.u_origin.tolist(),
             "y_origin": self.y_origin.tolist(),
             "gains": self.gains.tolist(),
+            "delays": list(self.delays),
             "free": self.free,
             "singular_values": self.singular_values.tolist(),
             "noise": None if self.noise is None else self.noise.tolist(),
@@ -295,6 +311,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedStateSpace:
         u_origin=array("u_origin", n_u),
         y_origin=array("y_origin", n_y),
         gains=array("gains", -1, n, n_y),
+        delays=_whole(document.get("delays", []), n_u),
         free=int(document["free"]),
         singular_values=array("singular_values", -1),
         noise=None if document["noise"] is None else array("noise", -1, n_y),
@@ -309,3 +326,10 @@ def _square(rows: Any) -> FloatArray:
     if not np.isfinite(values).all():
         raise ValueError("covariance is not finite")
     return values
+
+
+def _whole(values: Any, count: int) -> tuple[int, ...]:
+    delays = tuple(int(v) for v in values)
+    if len(delays) not in (0, count) or min(delays, default=0) < 0:
+        raise ValueError("delays do not fit the inputs")
+    return delays

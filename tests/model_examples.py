@@ -84,6 +84,10 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "bj, two inputs and outputs": (BJ(na=2, nb=2, nk=1, nc=0, nd=2).fit, data(2, 2)),
     "iv": (IV(na=2, nb=2, nk=1).fit, data()),
     "statespace": (StateSpace(order=2, method="pbsid", past=8, refine=False).fit, data()),
+    "statespace, late input": (
+        StateSpace(order=2, method="pbsid", past=8, refine=False, nk=3).fit,
+        data(),
+    ),
     "statespace, refined, two inputs and outputs": (
         StateSpace(order=3, method="moesp", refine=True).fit,
         data(2, 2),

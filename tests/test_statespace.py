@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -155,6 +156,42 @@ def _by_hand(system: Realisation, u: FloatArray) -> npt.NDArray[np.float64]:
         rows.append(system.c @ x + system.d @ row)
         x = system.a @ x + system.b @ row
     return np.array(rows)
+
+
+def late_plant(rows: int = 1500, late: int = 14) -> tuple[FloatArray, FloatArray]:
+    """First order behind a dead time far longer than the horizons tried."""
+    rng = np.random.default_rng(8)
+    u, y = np.repeat(rng.standard_normal((rows // 3, 1)), 3, axis=0), np.zeros((rows, 1))
+    for k in range(late + 1, rows):
+        y[k] = 0.9 * y[k - 1] + 0.5 * u[k - 1 - late]
+    return u, y + 0.02 * rng.standard_normal((rows, 1))
+
+
+def test_a_dead_time_is_kept_out_of_the_states() -> None:
+    u, y = late_plant()
+    data = Dataset.from_arrays(u, y, 0.02)
+    model = StateSpace(method="pbsid", past=5).fit(data)
+    assert 10 <= model.delays[0] <= 14
+    assert model.order <= 5
+    assert "enter late, in samples: u 1" in model.notes[-1]
+    n = model.n_init
+    assert n >= model.delays[0]
+    assert np.std((model.simulate(u, y[:n]) - y)[n:]) < 0.04
+    system = to_control(model)
+    assert system.nstates == model.order + model.delays[0]
+    rest = replace(
+        model, u_origin=np.zeros(1), y_origin=np.zeros(1), realisation=_without_offsets(model.realisation)
+    )
+    import control
+
+    _, expected = control.forced_response(system, U=u[:100, 0])
+    assert rest.simulate(u[:100])[:, 0] == pytest.approx(expected, abs=1e-9)
+    given = StateSpace(order=1, method="pbsid", past=5, nk=15, refine=False).fit(data)
+    assert given.delays == (14,)
+
+
+def _without_offsets(system: Realisation) -> Realisation:
+    return replace(system, drift=np.zeros_like(system.drift), level=np.zeros_like(system.level))
 
 
 def test_what_cannot_be_fitted_is_said() -> None:

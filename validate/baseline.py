@@ -53,8 +53,8 @@ def linear_estimators(nk_hint: tuple[int, ...] = ()) -> dict[str, Estimator]:
     from flysid.model.oe import OE
     from flysid.model.statespace import StateSpace
 
-    searching = {"arx": ARX, "oe": OE, "armax": ARMAX, "bj": BJ}
-    return {label: kind(nk_hint=nk_hint) for label, kind in searching.items()} | {"statespace": StateSpace()}
+    kinds = {"arx": ARX, "oe": OE, "armax": ARMAX, "bj": BJ, "statespace": StateSpace}
+    return {label: kind(nk_hint=nk_hint) for label, kind in kinds.items()}
 
 
 def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Choice:

@@ -66,7 +66,7 @@ def estimators(
         "line": Line(),
         **linear_estimators(nk_hint),
         "fir": FIR(),
-        "iv": IV(),
+        "iv": IV(nk_hint=nk_hint),
         "tf": TF(),
         "static_ts": StaticTS(seed=settings.seed),
         "ts": TS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
