@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flysid.dataset import Dataset
+from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.oe_search import check_hint
 from flysid.model.tsgrow import Stage, ordered
@@ -28,10 +28,14 @@ _SMALL_GAIN = 0.2  # and a rule must win more: the choice itself overfits
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A chosen stage and how it was chosen, in words."""
+    """A chosen stage and how it was chosen, in words.
+
+    `folds`: the block errors of models of these settings on every judging part, before they saw it.
+    """
 
     stage: Stage
     notes: tuple[str, ...]
+    folds: tuple[FloatArray, ...] = ()
 
 
 def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Learned:
@@ -71,7 +75,9 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     if own and settings.refine:
         notes.append("The model was refined once more on the held-out part together with the rest.")
     verdict = rule_verdict(settings, models, at)
-    return Learned(stage, (*notes, *verdict, _method(settings)))
+    counted = folds if len(models) > 1 else ()
+    errors = tuple(np.array_split(chosen.errors, 1 + len(counted)))
+    return Learned(stage, (*notes, *verdict, _method(settings)), errors)
 
 
 def _chosen(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
@@ -14,6 +15,7 @@ from flysid.model.linear import FittedLinear
 from flysid.model.oe import OE
 from flysid.model.tslayout import Antecedent, parse_antecedent, scaling
 from flysid.model.tsselect import hold_out
+from flysid.model.tsss_choice import Family, Start, chosen
 from flysid.model.tsss_grow import (
     StateStage,
     Training,
@@ -24,17 +26,19 @@ from flysid.model.tsss_grow import (
     refine,
     with_ridge,
 )
-from flysid.model.tsss_judge import Judged, ends_of_travel, is_bounded, judged
+from flysid.model.tsss_judge import ends_of_travel, is_bounded, judged
 from flysid.model.tsss_layout import StateLayout, runs_of
-from flysid.model.tsss_start import Realisation, coordinates, realised
+from flysid.model.tsss_start import coordinates, realised
 
 _LOW = 3  # orders up to this are tried with one more: rules may use a state that a linear model does not
 _RIDGES = (0.01, 0.1, 1.0)
-_KEPT = 2  # starts that are grown over all folds,
-_SCREEN_RULES, _SCREEN_FOLDS = 3, 2  # the best after this many rules and folds
-_UNBOUNDED = 1e6  # mean square that stands for a model that may not be offered
+_LARGE = 10_000  # samples from which on one start and one ridge must do
+_SAMPLES = 2  # that there must be per consequent
+_SCREEN_ROWS = 3000  # of every part, in pieces of
+_PIECE = 1000
+_KEPT = 3  # starts that are grown over all folds,
+_SCREEN_RULES = 2  # the best with this many rules, strongly held together
 _SMALL = 4000  # samples below which every quarter is held out in turn
-_RULE_GAIN = 0.1  # of the mean square: what a rule must win
 _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
 _SPARE_ROWS = 12  # a segment must be longer than its start by this to say anything
 
@@ -60,78 +64,17 @@ class Settings(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A chosen stage on all training runs, and how it was chosen."""
-
-    stage: StateStage
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """A linear model in one choice of coordinates, from which rules are grown."""
-
-    real: Realisation
-    order: int
-
-    def __str__(self) -> str:
-        lags = sorted({min(own) for own in self.real.input_lags})
-        return f"{len(self.real.A)} states, delay {', '.join(map(str, lags))}"
-
-
-@dataclass(frozen=True, eq=False)
-class Family:
-    """Models with 1, 2, 3, ... rules grown from one start, judged over the folds.
+    """A chosen stage on all training runs, and how it was chosen.
 
     Attributes
     ----------
-    ridge : weight on the difference of the rules, see `Training`.
-    folds : per fold, the models in the order of their rules.
+    folds : the block errors of models of these settings on every judging part, before they saw it, in
+        variances of the outputs.
     """
 
-    start: Start
-    ridge: float
-    folds: tuple[tuple[Judged, ...], ...]
-
-    @property
-    def logs(self) -> FloatArray:
-        """(folds, rules) logarithms of the mean squares, as far as all folds reach.
-
-        Folds are averaged in logarithms: where a fold hides the only manoeuvre of its kind, every model
-        errs there by multiples, and a plain mean would look at nothing else.
-        """
-        most = min(len(f) for f in self.folds)
-        means = [[max(m.mean, _EXACT) if m.bounded else _UNBOUNDED for m in f[:most]] for f in self.folds]
-        return np.asarray(np.log(np.array(means)), dtype=np.float64)
-
-    @property
-    def rmse(self) -> FloatArray:
-        """(rules,) typical validation error in standard deviations of the output."""
-        return np.asarray(np.exp(0.5 * self.logs.mean(axis=0)))
-
-    def best(self, rules: int | Literal["auto"]) -> int:
-        """Index of the model to take: the fewest rules within one standard error of the best."""
-        logs = self.logs
-        if rules != "auto":
-            return int(logs.shape[1]) - 1
-        best = int(logs.mean(axis=0).argmin())
-        for i in range(best):
-            gap = logs[:, i] - logs[:, best]
-            if gap.mean() <= max(self._standard_error(i, best), _RULE_GAIN):
-                return i
-        return best
-
-    def _standard_error(self, i: int, best: int) -> float:
-        """Of the mean difference in logarithms between two models: over folds, or over blocks of one."""
-        if len(self.folds) > 1:
-            gap = self.logs[:, i] - self.logs[:, best]
-            return float(gap.std(ddof=1) / np.sqrt(len(gap)))
-        models = self.folds[0]
-        gap = (models[i].errors - models[best].errors) / max(models[i].mean, _EXACT)
-        return float(gap.std(ddof=1) / np.sqrt(len(gap))) if len(gap) > 1 else 0.0
-
-    def value(self, rules: int | Literal["auto"]) -> float:
-        """Mean logarithm of the model to take."""
-        return float(self.logs.mean(axis=0)[self.best(rules)])
+    stage: StateStage
+    notes: tuple[str, ...]
+    folds: tuple[FloatArray, ...]
 
 
 def check(settings: Settings) -> None:
@@ -163,15 +106,16 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         )
     bench = Bench(settings, least, ends_of_travel(train), scaled)
     parts = _parts(settings, train, validation, least)
-    ridges = _RIDGES if settings.ridge == "auto" else (settings.ridge,)
-    kept = bench.screened(starts, parts, ridges[len(ridges) // 2])
+    many = len(train) > _LARGE
+    few = _RIDGES[:1] if many else _RIDGES if len(parts) > 1 else _RIDGES[:2]
+    ridges = few if settings.ridge == "auto" else (settings.ridge,)
+    kept = bench.screened(starts, parts, max(ridges))[: 1 if many else _KEPT]
     families = [bench.family(s, parts, ridge) for s in kept for ridge in ridges]
-    best = min(families, key=lambda f: f.value(settings.rules))
-    at = best.best(settings.rules)
+    best, at = chosen(families, settings.rules)
     _check_count(settings, best)
     final = ordered(bench.on_everything(best, at, train))
     notes = [_why(best, starts), *_ends(bench.ends, train), *_rule_notes(settings, best, final.rules)]
-    return Learned(final, tuple(notes))
+    return Learned(final, tuple(notes), tuple(fold[at].errors for fold in best.folds))
 
 
 def _check_count(settings: Settings, family: Family) -> None:
@@ -207,7 +151,7 @@ def linear_starts(settings: Settings, train: Dataset, scaled: tuple[FloatArray, 
     n_y, n_u = len(train.outputs), len(train.inputs)
     first = _linear(train, OE(nk=settings.nk))
     order = len(first.system.a) - 1 if first else 2
-    orders = sorted({2, order} | ({order + 1} if order <= _LOW else set()))
+    orders = sorted({2, order, order + 1} if order <= _LOW else {2, order})
     if settings.states != "auto":
         orders = [max(1, -(-settings.states // n_y))]
     delays = {_delays(first)} if first else set()
@@ -268,7 +212,7 @@ class Bench:
         """Models with 1 to `most` rules; fewer where samples are few, or nothing is left to explain."""
         how = Training(ridge=ridge, iterations=self.settings.iterations)
         candidates, stages = self.candidates(stage.layout), [stage]
-        while len(stages) < most and stage.body.a.size * (len(stages) + 1) * 4 < stage.problem.samples:
+        while len(stages) < most and stage.body.a.size * (len(stages) + 1) * _SAMPLES < stage.problem.samples:
             if self.settings.rules == "auto" and stages[-1].mean_square() < _EXACT:
                 break
             stages.append(one_rule_more(stages[-1], candidates, how))
@@ -289,11 +233,12 @@ class Bench:
     def screened(
         self, starts: Sequence[Start], parts: Sequence[tuple[Dataset, Dataset]], ridge: float
     ) -> list[Start]:
-        """The few starts from which few rules do best on the first folds."""
+        """The few starts from which few rules do best."""
         if len(starts) <= _KEPT:
             return list(starts)
         few = min(self.most, _SCREEN_RULES)
-        tried = [self.family(s, parts[:_SCREEN_FOLDS], ridge, few) for s in starts]
+        short = [(_sampled(a, _SCREEN_ROWS), _sampled(b, _SCREEN_ROWS)) for a, b in parts]
+        tried = [self.family(s, short, ridge, few) for s in starts]
         tried.sort(key=lambda f: float(f.rmse.min()))
         return [f.start for f in tried[:_KEPT]]
 
@@ -330,6 +275,19 @@ class Bench:
         if not is_bounded(start):
             return options[0]
         return next((s for s in options if is_bounded(s)), start)
+
+
+def _sampled(data: Dataset, rows: int) -> Dataset:
+    """About `rows` rows of a dataset in evenly spaced pieces."""
+    if len(data) <= rows:
+        return data
+    pieces = []
+    for segment in data.segments:
+        count = max(1, round(len(segment) / _PIECE))
+        edges = np.linspace(0, len(segment), count + 1).astype(int)
+        pieces += [segment.slice(int(a), int(b), data.dt_s) for a, b in itertools.pairwise(edges)]
+    every = max(1, round(len(data) / rows))
+    return data.with_segments(pieces[every // 2 :: every] or pieces[:1])
 
 
 def _why(best: Family, starts: Sequence[Start]) -> str:

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.ts_state_space import FittedTSStateSpace
 from flysid.model.tskernel import free_run
 from flysid.model.tslocal import StateSpace
+from flysid.model.tsss_model import FittedTSStateSpace
 
 
 def polytope(model: FittedTSStateSpace) -> tuple[StateSpace, ...]:

@@ -94,7 +94,7 @@ def _first_lag(taps: FloatArray) -> int:
     return int(moving[0]) if len(moving) else 1
 
 
-def coordinates(plain: Realisation, n_y: int, most: int = 4) -> list[Realisation]:
+def coordinates(plain: Realisation, n_y: int, most: int = 3) -> list[Realisation]:
     """The same system with its hidden states chosen in different ways, most readable first."""
     n = len(plain.A)
     if n == n_y:

@@ -11,13 +11,17 @@ import pytest
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.oe import OE
-from flysid.model.ts_state_space import MODEL, FittedTSStateSpace, TSStateSpace
+from flysid.model.ts import TS
+from flysid.model.ts_state_space import MODEL, TSStateSpace
+from flysid.model.tschoice import advantage, hints_at_hidden_state
 from flysid.model.tslayout import scaling
 from flysid.model.tsproblem import Body
-from flysid.model.tsss_fit import Bench, Start, linear_starts
+from flysid.model.tsss_choice import Start
+from flysid.model.tsss_fit import Bench, linear_starts
 from flysid.model.tsss_grow import Training, one_rule_more
 from flysid.model.tsss_judge import ends_of_travel
 from flysid.model.tsss_local import next_states, polytope, to_nonlinear_system
+from flysid.model.tsss_model import FittedTSStateSpace
 from flysid.model.tsss_problem import StateError
 from flysid.model.tsss_start import coordinates, realised
 from tests.bench.hidden_plants import PLANTS
@@ -189,3 +193,35 @@ def test_bodies_keep_their_shape() -> None:
     again = body.moved(body.vector())
     assert np.array_equal(again.a, body.a)
     assert np.allclose(again.width, body.width)
+
+
+def test_a_rule_as_a_difference_equation_has_its_poles_and_gain() -> None:
+    model = flown()
+    for rule, poles, (A, B, _) in zip(
+        model.rules(), model.local_poles(), model.local_polynomials(), strict=True
+    ):
+        roots = np.roots(np.concatenate([[1.0], -A[:, 0, 0]]))
+        assert np.sort(np.abs(roots)) == pytest.approx(np.sort(np.abs(poles)), rel=1e-6)
+        steady = B.sum(axis=0)[0, 0] / (1.0 - A.sum(axis=0)[0, 0])
+        assert steady == pytest.approx(rule.dc_gain[0, 0], rel=1e-6)
+
+
+def test_a_hidden_state_is_hinted_at_where_lags_are_too_few() -> None:
+    """One lag cannot show the actuator: its free run's error foretells itself. White noise does not."""
+    blind = TS(rules=1, na=1, nb=1, nk=1).fit(vehicle())
+    seeing = TS(rules=1, na=2, nb=2, nk=1).fit(data())
+    assert hints_at_hidden_state(blind, vehicle())
+    assert not hints_at_hidden_state(seeing, data())
+
+
+def test_an_advantage_must_exceed_its_spread() -> None:
+    rng = np.random.default_rng(0)
+    level = [np.full(16, size) for size in (1.0, 1.2, 0.9, 1.1)]
+    half = [0.5 * e for e in level]
+    luck = [e * f for e, f in zip(level, (0.1, 1.5, 1.6, 1.2), strict=True)]
+    noisy = [rng.exponential(1.0, 16)]
+    assert advantage(level, half) == (pytest.approx(np.log(0.5)), True)
+    assert not advantage(level, luck)[1]
+    assert not advantage(level, level)[1]
+    assert not advantage(noisy, [0.75 * noisy[0][::-1]])[1]
+    assert advantage([], []) == (0.0, False)

@@ -43,7 +43,7 @@ __all__ = [
 ]  # fmt: skip
 
 HORIZONS: tuple[str | int, ...] = (FREE_RUN, 10, 1)
-FUZZY = ("ts", "static_ts", "static-ts")
+FUZZY = ("ts", "ts_ss", "static_ts", "static-ts")
 
 
 def compare(

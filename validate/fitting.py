@@ -57,6 +57,8 @@ def estimators(
     from flysid.model.static_ts import StaticTS
     from flysid.model.transfer_function import TF
     from flysid.model.ts import TS
+    from flysid.model.ts_state_space import TSStateSpace
+    from flysid.model.tschoice import BestTS
 
     antecedents: Any = settings.antecedents or "auto"
     rules: Any = settings.rules
@@ -70,6 +72,8 @@ def estimators(
         "tf": TF(),
         "static_ts": StaticTS(seed=settings.seed),
         "ts": TS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
+        "ts_ss": TSStateSpace(rules=rules, antecedents=antecedents),
+        "ts_best": BestTS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
     }
     for label in settings.models:
         if label not in known:

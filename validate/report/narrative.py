@@ -11,6 +11,7 @@ from flysid.validate.words import one_line
 
 NAMES = {
     "ts": "fuzzy model",
+    "ts_ss": "fuzzy state-space model",
     "static-ts": "static fuzzy model",
     "static_ts": "static fuzzy model",
     "arx": "linear model",
