@@ -31,13 +31,13 @@ from flysid.model.tsss_layout import StateLayout, runs_of
 from flysid.model.tsss_start import coordinates, realised
 
 _LOW = 3  # orders up to this are tried with one more: rules may use a state that a linear model does not
-_RIDGES = (0.01, 0.1, 1.0)
+_RIDGES = (0.01, 0.1)
 _LARGE = 10_000  # samples from which on one start and one ridge must do
 _SAMPLES = 2  # that there must be per consequent
 _SCREEN_ROWS = 3000  # of every part, in pieces of
 _PIECE = 1000
 _KEPT = 3  # starts that are grown over all folds,
-_SCREEN_RULES = 2  # the best with this many rules, strongly held together
+_SCREEN_RULES = 3  # the best with this many rules, strongly held together
 _SMALL = 4000  # samples below which every quarter is held out in turn
 _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
 _SPARE_ROWS = 12  # a segment must be longer than its start by this to say anything
@@ -107,7 +107,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     bench = Bench(settings, least, ends_of_travel(train), scaled)
     parts = _parts(settings, train, validation, least)
     many = len(train) > _LARGE
-    few = _RIDGES[:1] if many else _RIDGES if len(parts) > 1 else _RIDGES[:2]
+    few = _RIDGES[:1] if many else _RIDGES
     ridges = few if settings.ridge == "auto" else (settings.ridge,)
     kept = bench.screened(starts, parts, max(ridges))[: 1 if many else _KEPT]
     families = [bench.family(s, parts, ridge) for s in kept for ridge in ridges]
