@@ -134,7 +134,7 @@ def _parts(
     """Fitting and judging parts: the given validation, else one held-out quarter, or every one in turn."""
     if validation is not None and any(len(s) >= least for s in validation.segments):
         return [(train, validation)]
-    folds = range(4 if len(train) < _SMALL and settings.rules == "auto" else 1)
+    folds = range(4 if len(train) < _SMALL else 1)
     return [hold_out(train, least, fold) for fold in folds]
 
 
