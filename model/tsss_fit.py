@@ -105,7 +105,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
             hint="record longer, allow longer gaps, or ask for fewer states",
         )
     bench = Bench(settings, least, ends_of_travel(train), scaled)
-    parts = _parts(settings, train, validation, least)
+    parts = _parts(train, validation, least)
     many = len(train) > _LARGE
     few = _RIDGES[:1] if many else _RIDGES
     ridges = few if settings.ridge == "auto" else (settings.ridge,)
@@ -128,9 +128,7 @@ def _check_count(settings: Settings, family: Family) -> None:
         )
 
 
-def _parts(
-    settings: Settings, train: Dataset, validation: Dataset | None, least: int
-) -> list[tuple[Dataset, Dataset]]:
+def _parts(train: Dataset, validation: Dataset | None, least: int) -> list[tuple[Dataset, Dataset]]:
     """Fitting and judging parts: the given validation, else one held-out quarter, or every one in turn."""
     if validation is not None and any(len(s) >= least for s in validation.segments):
         return [(train, validation)]
