@@ -14,7 +14,7 @@ from flysid.errors import DataError, FitError, UsageError
 from flysid.model.continuous_error import ContinuousError
 from flysid.model.detrend import Trend
 from flysid.model.frequency_fit import ACCEPTABLE, ResponseFit, best_fit, fit_response, response_cost
-from flysid.model.frequency_response import MeasuredResponse, measure_response
+from flysid.model.frequency_response import MeasuredResponse, Method, measure_response
 from flysid.model.linear_data import Parts, records
 from flysid.model.output_error import find_delays, fit_output
 from flysid.model.rational import Coordinates, Form, Hold, Rational, forms
@@ -55,6 +55,8 @@ class Settings(Protocol):
     def refine(self) -> bool: ...
     @property
     def band(self) -> tuple[float, float] | None: ...
+    @property
+    def method(self) -> Method: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +82,13 @@ class Starts:
         """Measure, and fit all orders that the settings leave open."""
         n_u = len(parts.train.inputs)
         candidates = tuple(forms(n_u, settings.poles, settings.zeros, settings.dead_time_s, settings.stable))
+        # of all training data: half a chirp is half a band
         trend: Trend = "remove" if settings.trend == "estimate" else "none"
         fits: list[ResponseFit] = []
         why: DataError | FitError | None = None
         measured = None
         try:
-            measured = measure_response(parts.whole, trend=trend)  # half a chirp is half a band
+            measured = measure_response(parts.whole, method=settings.method, trend=trend)
         except DataError as error:
             return cls(settings, parts, candidates, None, (), error)
         for form in candidates:

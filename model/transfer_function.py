@@ -25,6 +25,7 @@ from flysid.errors import UsageError
 from flysid.model.base import Structure
 from flysid.model.continuous_transfer import ContinuousTransfer
 from flysid.model.detrend import Trend, check_trend, detrended
+from flysid.model.frequency_response import METHODS, Method
 from flysid.model.linear import FittedLinear
 from flysid.model.linear import from_dict as linear_from_dict
 from flysid.model.linear_data import Parts
@@ -109,6 +110,7 @@ class TF:
         drift or a position controller can); False leaves the fit to the response as it is.
     band : lowest and highest frequency (rad/s) of the response to fit; None for where its coherence counts.
         With a band the simulation error, which knows none, is left alone.
+    method : how the response is measured, see `measure_response`.
     n_init : measured samples that start a simulation; None chooses.
     """
 
@@ -121,6 +123,7 @@ class TF:
     stable: bool = True
     refine: bool = True
     band: tuple[float, float] | None = None
+    method: Method = "local"
     n_init: int | None = None
 
     @on_one_thread
@@ -149,6 +152,8 @@ class TF:
         check_trend(self.trend)
         if self.hold not in ("zero", "first"):
             raise UsageError(f"hold is {self.hold!r}", hint="'zero' or 'first'")
+        if self.method not in METHODS:
+            raise UsageError(f"no method {self.method!r}", hint=f"one of {', '.join(map(repr, METHODS))}")
         if self.n_init is not None and self.n_init < 1:
             raise UsageError(f"n_init must be at least 1, not {self.n_init}")
         if self.band is not None and not 0.0 < self.band[0] < self.band[1]:

@@ -18,7 +18,7 @@ from flysid.ingest.lake import Lake
 from flysid.ingest.recipe import load_recipe
 from flysid.model.detrend import Trend
 from flysid.model.feedback import Feedback, feedback
-from flysid.model.frequency_response import MeasuredResponse, Method, measure_response
+from flysid.model.frequency_response import MeasuredResponse, measure_response
 from flysid.model.polynomials import ComplexArray
 from flysid.model.transfer_function import TF, FittedTF
 from flysid.model.uncertainty import frequency_response
@@ -202,7 +202,6 @@ def identify(
     estimator: TF,
     *,
     channels: Sequence[str] = (),
-    method: Method = "local",
     progress: Progress = lambda _: None,
 ) -> tuple[list[ChannelTransfers], Mapping[str, str]]:
     """Transfer functions of every channel of a recipe, and why the others have none.
@@ -226,7 +225,7 @@ def identify(
             continue
         progress(f"identifying {name}")
         try:
-            found.append(identify_channel(name, lake.dataset(recipe, name), estimator, method))
+            found.append(identify_channel(name, lake.dataset(recipe, name), estimator))
         except (DataError, FitError) as error:
             skipped[name] = str(error)
     if not found:
@@ -235,7 +234,7 @@ def identify(
     return found, skipped
 
 
-def identify_channel(name: str, data: Dataset, estimator: TF, method: Method = "local") -> ChannelTransfers:
+def identify_channel(name: str, data: Dataset, estimator: TF) -> ChannelTransfers:
     """Fit one channel and measure its response.
 
     Raises
@@ -243,7 +242,7 @@ def identify_channel(name: str, data: Dataset, estimator: TF, method: Method = "
     DataError, FitError : as `TF.fit`.
     """
     model = estimator.fit(data)
-    measured, why = _responses(data, estimator, method)
+    measured, why = _responses(data, estimator)
     trials = run_trials({"tf": model}, data, FREE_RUN)
     fits = []
     for j in range(len(data.outputs)):
@@ -254,13 +253,11 @@ def identify_channel(name: str, data: Dataset, estimator: TF, method: Method = "
     return ChannelTransfers(name, data, model, measured, why, tuple(fits), loops)
 
 
-def _responses(
-    data: Dataset, estimator: TF, method: Method
-) -> tuple[tuple[MeasuredResponse | None, ...], str]:
+def _responses(data: Dataset, estimator: TF) -> tuple[tuple[MeasuredResponse | None, ...], str]:
     trend: Trend = "none" if estimator.trend == "none" else "remove"
     try:
         return tuple(
-            measure_response(data, i, method=method, trend=trend) for i in range(len(data.outputs))
+            measure_response(data, i, method=estimator.method, trend=trend) for i in range(len(data.outputs))
         ), ""
     except DataError as error:
         return (None,) * len(data.outputs), str(error)

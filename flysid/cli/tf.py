@@ -98,6 +98,7 @@ def command(
         stable=not settings["unstable"],
         refine=not (settings["unstable"] or settings["no_refine"]),
         band=settings["band"] or None,
+        method=settings["method"],
     )
     with status(quiet) as progress:
         found, skipped = identify(
@@ -105,7 +106,6 @@ def command(
             recipe,
             estimator,
             channels=channels,
-            method=settings["method"],
             progress=progress,
         )
     if as_json:
