@@ -29,8 +29,8 @@ from flysid.errors import StoreError, WriteError
 from flysid.flight import BOOT, RECEIVED, TIME, field_scale, field_unit
 from flysid.manifest import Column, StreamEntry
 
-BUFFER_BYTES = 48 << 20
-SORT_BYTES = 64 << 20
+BUFFER_BYTES = 32 << 20
+SORT_BYTES = 32 << 20
 ROWS_PER_GROUP = 1 << 20
 MAX_OPEN_FILES = 200
 _END = (1 << 31, 0)  # behind every (boot, time)

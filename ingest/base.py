@@ -36,7 +36,7 @@ class Limits:
 
     max_chunk_bytes: int = 1 << 30
     max_ratio: float = 200.0
-    batch_bytes: int = 16 << 20
+    batch_bytes: int = 8 << 20
 
 
 @dataclass(frozen=True)

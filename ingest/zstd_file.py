@@ -19,6 +19,7 @@ FREE_BYTES = 256 << 20  # below this, the ratio is not held against a file
 FREE_MESSAGE_BYTES = 1 << 20
 _WINDOW = 1 << 27
 _PIECE = 1 << 20
+_STEP = 512  # zstd expands up to 30,000 times: what one step gives stays below 16 MB
 
 
 @contextmanager
@@ -58,9 +59,8 @@ def _pieces(view: memoryview) -> Iterator[bytes]:
     decoder = zstandard.ZstdDecompressor(max_window_size=_WINDOW).decompressobj()
     try:
         for at in range(0, len(view), _PIECE):
-            # one step of input may expand a thousandfold: small steps keep a piece in bounds
-            for step in range(at, min(at + _PIECE, len(view)), 1 << 14):
-                yield decoder.decompress(view[step : min(step + (1 << 14), len(view))])
+            for step in range(at, min(at + _PIECE, len(view)), _STEP):
+                yield decoder.decompress(view[step : min(step + _STEP, len(view))])
                 if decoder.eof:
                     return
             release(view, at, min(at + _PIECE, len(view)))
