@@ -189,6 +189,11 @@ class Topic:
             self._decoder = None
             self._reason = str(error)
 
+    @property
+    def is_unstamped(self) -> bool:
+        """Whether its messages carry no time of their own."""
+        return self._clock == "log_time"
+
     def decode(self, messages: Messages, tally: Tally, taken: dict[str, pa.Schema]) -> Iterator[StreamPart]:
         """The part that a batch gives, if any; `taken` holds the stream keys of all topics."""
         if self._decoder is None:

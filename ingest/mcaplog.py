@@ -90,7 +90,7 @@ def read_mcap(view: memoryview, name: str, limits: Limits) -> Parts:
             path=name,
             byte=why.start if why else 0,
         )
-    return Summary(damage, topics.clocks(), reader.info)
+    return Summary(damage, topics.clocks(), {**reader.info, **topics.notes()})
 
 
 def _decode(batch: _Batch, registry: Registry, topics: Topics, tally: Tally) -> Iterator[StreamPart]:

@@ -79,7 +79,7 @@ def read_bag(view: memoryview, name: str, limits: Limits) -> Parts:
         raise FormatError(
             "no record in this bag can be read", path=name, byte=0, hint="is the copy complete?"
         )
-    return Summary(tally.freeze(), topics.clocks(), {})
+    return Summary(tally.freeze(), topics.clocks(), topics.notes())
 
 
 def _messages(view: memoryview, reader: BagReader, tally: Tally) -> Iterator[Message]:

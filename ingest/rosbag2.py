@@ -64,7 +64,7 @@ def _read_database(view: memoryview, name: str, limits: Limits, tally: Tally) ->
             path=name,
             hint="is it a ROS 2 bag, and is the copy complete?",
         )
-    return Summary(tally.freeze(), topics.clocks(), bag.info)
+    return Summary(tally.freeze(), topics.clocks(), {**bag.info, **topics.notes()})
 
 
 class _Bag:

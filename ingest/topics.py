@@ -19,6 +19,7 @@ from flysid.ingest.mcap_topics import ZERO_PAGE, Messages, Topic, log_clock
 from flysid.ingest.tally import Tally
 
 MAX_TOPICS = 5000
+NAMED = 8
 BATCH_BYTES = 16 << 20  # larger ones touch new memory for every message, which costs more than decoding
 
 
@@ -46,6 +47,20 @@ class Topics:
     def clocks(self) -> tuple[ClockMap, ...]:
         """Log time against the messages' own stamps."""
         return (log_clock(list(self._topics.values())),) if self._topics else ()
+
+    def notes(self) -> dict[str, str]:
+        """What to know of a flight on two clocks: topics without a stamp have the time of recording."""
+        topics = [topic for topic in self._topics.values() if topic.rows]
+        lags = [lag for topic in topics for lag in topic.lags]
+        bare = sorted(topic.channel.topic for topic in topics if topic.is_unstamped)
+        if not bare or not lags:
+            return {}
+        names = ", ".join(bare[:NAMED]) + (f" and {len(bare) - NAMED} more" if len(bare) > NAMED else "")
+        ahead_s = float(np.median(lags)) * 1e-9
+        text = (
+            f"{names}: no stamp, on the time of recording, {ahead_s:.3f} s ahead of the other topics' stamps"
+        )
+        return {"clock_note": text}
 
 
 @dataclass(frozen=True)

@@ -98,3 +98,8 @@ def test_a_chunk_refused_for_its_size_is_no_bad_checksum() -> None:
         flight = collect(memoryview(blob[:at] + inserted + blob[at:]), "a.bag", FORMAT, Limits())
         assert flight.damage.bad_checksums == bad
         assert flight.rows == 160
+
+
+def test_topics_without_a_stamp_are_named_with_the_distance_of_their_clock() -> None:
+    note = collect(memoryview(sample.build()), "a.bag", FORMAT, Limits()).info["clock_note"]
+    assert note.startswith("/pair: no stamp, on the time of recording, 0.003 s ahead")

@@ -63,6 +63,8 @@ def command(
     elif surveys:
         click.echo("\n".join(aligned([HEADINGS, *(row(s) for s in surveys)])))
     for found_in in surveys:
+        if "clock_note" in found_in.info:
+            say(f"note: {found_in.source.name}: {found_in.info['clock_note']}", quiet)
         for stream, why in list(found_in.damage.reasons.items())[:REASONS_SHOWN]:
             say(f"lost: {found_in.source.name}: {stream}: {why}")
     say(f"{len(surveys)} looked over" + (f", {unreadable} skipped" if unreadable else ""), quiet)
