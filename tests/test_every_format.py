@@ -47,19 +47,27 @@ def against_truth(values: np.ndarray, truth: np.ndarray) -> tuple[int, float]:
     return at, float(np.sqrt(np.mean(error**2)) / np.abs(truth).max())
 
 
+# the other axis: its channel, its columns of the truth; rolling right drives right in every format
+SIDEWAYS = {"longitudinal": "lateral", "v_x": "v_y"}
+
+
 @pytest.mark.parametrize("suffix", CHANNELS)
-def test_inputs_and_outputs_come_back(logs: Path, suffix: str) -> None:
+@pytest.mark.parametrize("axis", ["forwards", "sideways"])
+def test_inputs_and_outputs_come_back(logs: Path, suffix: str, axis: str) -> None:
     (path,) = [p for p in logs.iterdir() if p.name.endswith(suffix)]
     (truth_file,) = logs.glob("*.truth.parquet")
     truth = pq.read_table(truth_file)
     recipe, channel, sign = CHANNELS[suffix]
+    columns = ("theta_in", "vx")
+    if axis == "sideways":
+        channel, sign, columns = SIDEWAYS[channel], 1.0, ("phi_in", "vy")
     data: Dataset = dataset([flysid.read(path)], recipe, channel)
     assert data.dt_s == pytest.approx(0.02)
     assert len(data.segments) == 2  # nothing across the drop-out
     ros = ".ros" in suffix  # a Twist has no stamp: its log time is off by the link's delay
     for segment in data.segments:
-        at_u, error_u = against_truth(sign * segment.u[:, 0], truth["theta_in"].to_numpy())
-        at_y, error_y = against_truth(segment.y[:, 0], truth["vx"].to_numpy())
+        at_u, error_u = against_truth(sign * segment.u[:, 0], truth[columns[0]].to_numpy())
+        at_y, error_y = against_truth(segment.y[:, 0], truth[columns[1]].to_numpy())
         assert error_y < 0.01
-        assert error_u < (0.05 if ros else 0.002)
+        assert error_u < (0.08 if ros else 0.002)
         assert abs(at_u - at_y) <= (1 if ros else 0)
