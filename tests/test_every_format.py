@@ -70,4 +70,4 @@ def test_inputs_and_outputs_come_back(logs: Path, suffix: str, axis: str) -> Non
         at_y, error_y = against_truth(segment.y[:, 0], truth[columns[1]].to_numpy())
         assert error_y < 0.01
         assert error_u < (0.08 if ros else 0.002)
-        assert abs(at_u - at_y) <= (1 if ros else 0)
+        assert abs(at_u - at_y) <= (3 if ros else 0)  # a link just back from a drop-out is late
