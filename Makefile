@@ -32,6 +32,7 @@ bench-ingest: $(VENV)/.installed  ## readers against their peers, ratios in CPU 
 
 soak: $(VENV)/.installed  ## hours: long campaigns (docs/reliability.md), the verdict against known truth
 	$(BIN)/python -m tests.bench.verdict_coverage 1000
+	$(BIN)/python -m tests.bench.monte_carlo 1000
 	$(BIN)/python -m tests.soak
 
 bench-model: $(VENV)/.installed  ## linear and fuzzy models against their peers (installed with pip beforehand), ratios

@@ -40,6 +40,7 @@ def octave(code: str, u: FloatArray, y: FloatArray) -> list[float] | None:
             text=True,
             check=False,
             env=single,
+            cwd=folder,
         )
     try:
         return [float(word) for word in done.stdout.split()] or None
