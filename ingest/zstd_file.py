@@ -29,7 +29,7 @@ def unpacked(view: memoryview, limits: Limits, tally: Tally) -> Iterator[memoryv
         most = max(FREE_BYTES, int(limits.max_ratio * len(view)))
         written, fault = 0, ""
         try:
-            for piece in _pieces(view):
+            for piece in pieces(view):
                 file.write(piece)
                 written += len(piece)
                 if written > most:
@@ -52,7 +52,7 @@ def unpacked(view: memoryview, limits: Limits, tally: Tally) -> Iterator[memoryv
                 mapped.close()
 
 
-def _pieces(view: memoryview) -> Iterator[bytes]:
+def pieces(view: memoryview) -> Iterator[bytes]:
     """The expanded bytes, piece by piece. Raises ChunkError where they end early or are damaged."""
     import zstandard
 

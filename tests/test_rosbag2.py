@@ -16,7 +16,7 @@ from click.testing import CliRunner, Result
 from flysid.cli import root
 from flysid.errors import FormatError
 from flysid.flight import Flight
-from flysid.ingest import rostypes, sqlite_pages
+from flysid.ingest import rostypes, sqlite_pages, zstd_file
 from flysid.ingest.base import Limits, collect, detect, read
 from flysid.ingest.rosbag2 import FORMAT
 from flysid.ingest.sqlite_pages import PageError, columns
@@ -292,3 +292,8 @@ def test_values_of_every_type_are_those_of_sqlite(tmp_path: Path) -> None:
     (row,) = tables.rows("t", lambda _: True)
     assert list(row) == [1, *values[1:]]  # a null first column is the row id
     assert not tables.faults
+
+
+def test_what_one_step_of_expanding_a_file_gives_is_bounded() -> None:
+    packed = zstandard.compress(bytes(1 << 27))
+    assert max(len(piece) for piece in zstd_file.pieces(memoryview(packed))) < 20 << 20

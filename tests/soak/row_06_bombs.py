@@ -44,16 +44,13 @@ def bag2_bombs() -> Iterator[tuple[bytes, int]]:
     yield packed, 0
 
 
-def run(budget: Budget) -> Iterator[Outcome]:
+def run(budget: Budget) -> Iterator[Outcome]:  # noqa: ARG001 - a dozen files
     """One outcome per container."""
     sources = {"mcap": mcap_bombs, "rosbag": bag_bombs, "rosbag2": bag2_bombs}
-    goes_on = budget.clock()
     for name, files in sources.items():
         intact(name)
         outcome = Outcome(name)
         for blob, rows in files():
-            if not goes_on():
-                break
             with peak_memory(outcome), outcome.trial():
                 kept = _rows(name, blob, outcome)
             outcome.keep(kept, rows)
