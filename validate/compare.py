@@ -44,6 +44,8 @@ __all__ = [
 
 HORIZONS: tuple[str | int, ...] = (FREE_RUN, 10, 1)
 FUZZY = ("ts", "ts_ss", "static_ts", "static-ts")
+CONTENDERS = ("ts", "ts_best", "ts_ss")
+"""Labels that the headline speaks of, the first that is there."""
 
 
 def compare(
@@ -64,7 +66,7 @@ def compare(
     test : the held-out part; nothing is fitted to it.
     horizons : "free_run" and numbers of steps.
     baseline : the model the others are compared with; the first one where there is no "arx" or it is None.
-    contender : the model the headline speaks of; "ts" where there is one, else the first, when None.
+    contender : the model the headline speaks of; when None, the first of CONTENDERS, else the first model.
     train : training data; with it the mean and persistence stand beside the models, as lines to stay below.
     seed : of the bootstrap.
 
@@ -172,7 +174,8 @@ def _baseline(models: Mapping[str, Fitted], wanted: str | None) -> str:
 
 def _contender(models: Mapping[str, Fitted], base: str) -> str | None:
     others = [n for n, m in models.items() if n != base and m.structure not in REFERENCES]
-    return "ts" if "ts" in others else next(iter(others), None)
+    first = next(iter(others), None)
+    return next((label for label in CONTENDERS if label in others), first)
 
 
 def _info(name: str, model: Fitted) -> ModelInfo:
