@@ -6,6 +6,7 @@ import csv
 import json
 import shutil
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,12 +17,27 @@ from flysid.flightwriter import write_atomically
 from flysid.ingest.batch import find_logs, ingest_logs
 from flysid.ingest.lake import open as open_lake
 from flysid.ingest.synth import WRITERS, Order, flights
+from flysid.model.base import Estimator
+from flysid.validate import fitting
+from flysid.validate.baseline import linear_estimators
 from flysid.validate.fitting import fit_run
 from flysid.validate.judge import judge_run, write_judgement
 from flysid.validate.run import FitSettings, Run, held_out, open_run, replacing_folder
 from flysid.validate.words import number
 
 CHANNEL = "longitudinal"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def two_candidates() -> Iterator[None]:
+    """ARX and OE alone compete for the baseline here, to save time; tests/test_cli.py has them all."""
+
+    def two(nk_hint: tuple[int, ...] = ()) -> dict[str, Estimator]:
+        return {name: e for name, e in linear_estimators(nk_hint).items() if name in ("arx", "oe")}
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fitting, "linear_estimators", two)
+        yield
 
 
 @pytest.fixture(scope="module")
