@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.errors import FitError, UsageError
+from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Structure
 from flysid.model.linear_data import CHOICE_ROWS, Parts, as_tuple
 from flysid.model.oe_search import check_hint
@@ -91,7 +91,7 @@ class StateSpace:
         FitError : the order exceeds what the data show.
         """
         _check(self)
-        check_hint(self.nk_hint, len(train.inputs))
+        _check_delays(self, len(train.inputs))
         if isinstance(train, OnDisk):
             return _from_disk(self, train, validation)
         plan = min(
@@ -102,6 +102,17 @@ class StateSpace:
         if self.refine is not False:
             model = _refined(self, plan.parts, plan.choice, model)
         return _delayed_model(model, plan.late) if any(plan.late) else model
+
+
+def _check_delays(settings: StateSpace, n_u: int) -> None:
+    check_hint(settings.nk_hint, n_u)
+    if settings.nk == "auto":
+        return
+    values = as_tuple(settings.nk, n_u)
+    if len(values) != n_u or min(values) < 0:
+        raise UsageError(
+            f"nk={settings.nk!r}", hint=f"give 'auto', or whole numbers of at least 0, one per input ({n_u})"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +184,10 @@ def _delayed(data: Dataset, late: tuple[int, ...]) -> Dataset:
         if len(s) > most:
             u = np.stack([s.u[most - k : len(s) - k, j] for j, k in enumerate(late)], axis=1)
             segments.append(replace(s.slice(most, len(s), data.dt_s), u=u))
+    if not segments:
+        raise DataError(
+            f"no segment is longer than the delay of {most} samples", hint="bring longer segments"
+        )
     return data.with_segments(segments)
 
 

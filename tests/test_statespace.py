@@ -203,6 +203,10 @@ def test_what_cannot_be_fitted_is_said() -> None:
         StateSpace(order=9, past=10, method="pbsid").fit(Dataset.from_arrays(u, y, 0.02))
     with pytest.raises(UsageError, match="no subspace method 'magic'"):
         StateSpace(method="magic").fit(short)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match=r"nk=\(1, 2, 3\)"):
+        StateSpace(nk=(1, 2, 3)).fit(short)
+    with pytest.raises(DataError, match="longer than the delay of 39 samples"):
+        StateSpace(nk=40).fit(short)
     with pytest.raises(UsageError, match="order must be a whole number"):
         StateSpace(order=0).fit(short)
     with pytest.raises(DataError, match="never changes"):
