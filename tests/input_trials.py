@@ -155,6 +155,11 @@ def _with_one(rng: np.random.Generator, value: float) -> FloatArray:
     return noise
 
 
+def _two_levels(rng: np.random.Generator) -> FloatArray:
+    """(N, 1) zeros and ones."""
+    return rng.integers(0, 2, (N, 1)).astype(np.float64)
+
+
 SHAPES: dict[str, Callable[[np.random.Generator], tuple[FloatArray, FloatArray]]] = {
     "constant input": lambda r: (np.full((N, 1), 2.0), r.normal(size=(N, 1))),
     "constant output": lambda r: (r.normal(size=(N, 1)), np.full((N, 1), 3.0)),
@@ -176,7 +181,7 @@ SHAPES: dict[str, Callable[[np.random.Generator], tuple[FloatArray, FloatArray]]
     "huge": lambda r: (1e150 * r.normal(size=(N, 1)), 1e150 * r.normal(size=(N, 1))),
     "tiny": lambda r: (1e-150 * r.normal(size=(N, 1)), 1e-150 * r.normal(size=(N, 1))),
     "huge offset": lambda r: (1e12 + r.normal(size=(N, 1)), 1e12 + r.normal(size=(N, 1))),
-    "two levels": lambda r: (r.integers(0, 2, (N, 1)) * 1.0, r.integers(0, 2, (N, 1)) * 1.0),
+    "two levels": lambda r: (_two_levels(r), _two_levels(r)),
     "NaN": lambda r: (_with_one(r, np.nan), r.normal(size=(N, 1))),
     "infinity": lambda r: (r.normal(size=(N, 1)), _with_one(r, np.inf)),
 }

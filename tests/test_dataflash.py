@@ -63,9 +63,9 @@ def test_every_field_is_what_dfreader_reads(name: str) -> None:
         for i, theirs in enumerate(expected[stream]):
             for label, character in zip(theirs.fmt.columns, theirs.fmt.format, strict=False):
                 ours, value = columns[label][i], getattr(theirs, label)
-                value = list(value) if isinstance(value, bytes) else value
                 if character in SCALED:
                     value = round(value / SCALED[character])
+                value = list(value) if isinstance(value, bytes) else value
                 assert ours == value or (ours != ours and value != value), f"{stream}.{label} row {i}"
 
 

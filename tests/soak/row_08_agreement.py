@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from functools import partial
 
 from tests import test_dataflash, test_tlog, test_ulog
 from tests.soak import Budget, Campaign, Outcome
@@ -16,16 +16,13 @@ DAMAGED = "corrupt_"
 
 def subjects() -> Iterator[tuple[str, list[Callable[[], None]]]]:
     """A library, and one comparison per log."""
-    yield (
-        "tlog, pymavlink",
-        [lambda n=n: test_tlog.test_every_field_is_what_pymavlink_reads(n) for n in TLOGS],
-    )  # type: ignore[misc]
+    yield "tlog, pymavlink", [partial(test_tlog.test_every_field_is_what_pymavlink_reads, n) for n in TLOGS]
     yield (
         "DataFlash, pymavlink",
-        [lambda n=n: test_dataflash.test_every_field_is_what_dfreader_reads(n) for n in BINS],  # type: ignore[misc]
+        [partial(test_dataflash.test_every_field_is_what_dfreader_reads, n) for n in BINS],
     )
-    logs: list[Path] = [p for p in test_ulog.REAL if not p.name.startswith(DAMAGED)]
-    yield "ULog, pyulog", [lambda p=p: test_ulog.test_real_logs_equal_pyulog_bit_for_bit(p) for p in logs]  # type: ignore[misc]
+    logs = [p for p in test_ulog.REAL if not p.name.startswith(DAMAGED)]
+    yield "ULog, pyulog", [partial(test_ulog.test_real_logs_equal_pyulog_bit_for_bit, p) for p in logs]
 
 
 def run(budget: Budget) -> Iterator[Outcome]:
