@@ -185,7 +185,7 @@ def test_document_with_diagnoses_has_cautions_and_tests() -> None:
     assert found["outputs"]["y"]["dependence"]["arx"]["u"]["fails"]
     assert not found["outputs"]["y"]["dependence"]["ts"]["u"]["fails"]
     assert found["outputs"]["y"]["coherence"]["u"]["largest"] > 0.8
-    assert any("still follows the input on y (arx)" in c["text"] for c in document["cautions"])
+    assert any("still follows the input on y (ARX)" in c["text"] for c in document["cautions"])
 
 
 def test_equal_input_equal_document() -> None:
