@@ -51,9 +51,15 @@ class Uncertainty:
 
     @cached_property
     def gain_interval(self) -> FloatArray:
-        """(2, R, n_y, n_u) 95 % interval of every rule's steady gain; NaN where draws integrate."""
-        gains = [[dc_gain(A, B) for A, B, _ in m.local_polynomials()] for m in self.draws()]
-        return np.percentile(gains, _LEVEL, axis=0)
+        """(2, R, n_y, n_u) 95 % interval of every rule's steady gain; NaN where the data do not bound it.
+
+        A draw that is unstable has no steady gain: where more than one in twenty is, nothing bounds it.
+        """
+        gains = np.array([[_steady_gain(A, B) for A, B, _ in m.local_polynomials()] for m in self.draws()])
+        bounded = np.isfinite(gains).mean(axis=0) >= 0.95
+        interval = np.full((2, *gains.shape[1:]), np.nan)
+        interval[:, bounded] = np.nanpercentile(gains[:, bounded], _LEVEL, axis=0)
+        return interval
 
     @cached_property
     def time_constant_interval_s(self) -> FloatArray:
@@ -111,6 +117,11 @@ def uncertainty(model: FittedTS, train: Dataset) -> Uncertainty:
     covariance = np.zeros((body.size, body.size))
     covariance[np.ix_(chosen, chosen)] = found
     return Uncertainty(model, body, problem, covariance)
+
+
+def _steady_gain(A: FloatArray, B: FloatArray) -> FloatArray:
+    """(n_y, n_u) steady gain; NaN where there is none."""
+    return dc_gain(A, B) if pole_radius(A) < 1.0 else np.full(B.shape[1:], np.nan)
 
 
 def _shortened(runs: Sequence[FloatArray]) -> tuple[FloatArray, ...]:

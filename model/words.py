@@ -214,5 +214,5 @@ def gains(rule: Rule) -> list[str]:
 def _gain(value: float, low: float, high: float) -> str:
     if not np.isfinite(value):
         return "integrates"
-    known = np.isfinite(low) and np.isfinite(high)
+    known = low <= value <= high
     return f"{number(value)} [{number(low)}, {number(high)}]" if known else number(value)

@@ -118,11 +118,13 @@ def test_figures_without_matplotlib_name_the_extra_and_leave_nothing(
 
 def test_every_model_has_its_rules_in_words_beside_it(run: Run) -> None:
     for file in run.channels[0].models.values():
-        assert "if " in (run.folder / file).with_suffix(".txt").read_text("utf-8").lower()
+        assert "R1. " in (run.folder / file).with_suffix(".txt").read_text("utf-8")
     words = (run.folder / CHANNEL / "ts.txt").read_text("utf-8")
-    assert words.startswith("R1: if ")
-    assert "\nR2: if " in words
+    assert words.startswith("ts, ")
+    assert "\n  R1. If " in words
+    assert "\n  R2. If " in words
     assert "v_x(k) = " in words
+    assert "[gain " in words
 
 
 def test_two_fits_give_the_same_files(data: Path, run: Run, tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, UsageError
 from flysid.model.tsmodel import FittedTS
 from flysid.model.tsuncertainty import uncertainty
+from flysid.model.words import gains
 from tests.bench.ts_intervals import coverage, experiment, known_model, refitted
 
 
@@ -53,3 +56,17 @@ def test_too_few_samples_are_refused(truth: FittedTS) -> None:
     few = Dataset.from_arrays(data.segments[0].u[:8], data.segments[0].y[:8], data.dt_s)
     with pytest.raises(DataError, match="fewer samples"):
         uncertainty(truth, few)
+
+
+def test_a_gain_that_the_data_do_not_bound_has_no_interval(truth: FittedTS) -> None:
+    data = experiment(truth, 6)
+    p = truth.parameters
+    slow = p.theta.copy()
+    slow[0, 0, 0] = 0.99999  # a rule that nearly integrates: many draws do
+    model = replace(truth, parameters=p._replace(theta=slow))
+    interval = uncertainty(model, data).gain_interval
+    assert np.isnan(interval[:, 0]).all()
+    assert np.isfinite(interval[:, 1]).all()
+    said = replace(model, gain_interval=interval).rules()
+    assert "[" not in gains(said[0])[0]
+    assert "[" in gains(said[1])[0]

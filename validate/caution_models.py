@@ -102,7 +102,7 @@ def runs_away(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
 
 
 def unsure_gains(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
-    """Rules whose gain may have either sign."""
+    """Rules whose gain may have either sign, or any size."""
     said = []
     for channel, d in diagnoses.items():
         for name, checks in d.checks.items():
@@ -110,14 +110,15 @@ def unsure_gains(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cau
             if sure is None or len(comparisons[channel].test.inputs) > 1:
                 continue  # a second input may well have no effect
             low, high = sure.gain
-            unsure = np.flatnonzero(((low < 0.0) & (high > 0.0)).any(axis=(1, 2)))
+            unsure = np.flatnonzero((np.isnan(low) | ((low < 0.0) & (high > 0.0))).any(axis=(1, 2)))
             rules = ", ".join(f"R{r + 1}" for r in unsure) + " of " if len(low) > 1 else ""
             if len(unsure):
                 said.append(f"{channel} ({rules}{name.upper()})")
     if said:
         yield Caution(
             "note",
-            f"The data do not pin down the steady gain on {join(said)}: its 95 % interval holds zero.",
+            f"The data do not pin down the steady gain on {join(said)}: its 95 % interval holds zero, or has "
+            "no end.",
             "do not quote these gains; fly longer steps, or use fewer rules.",
             0.85,
         )

@@ -21,6 +21,7 @@ from flysid.ingest.deadtime import dead_times, delays_to_try
 from flysid.ingest.lake import Lake
 from flysid.ingest.recipe import load_recipe, recipe_text
 from flysid.ingest.workers import Bounds, Lost, run_bounded
+from flysid.model import words
 from flysid.model.base import Estimator, Fitted
 from flysid.model.feedback import feedback
 from flysid.split import plan_split
@@ -239,6 +240,8 @@ def _fit_one(estimator: Estimator, train: Dataset, path: Path) -> Fitted | str:
 
 
 def in_words(model: Fitted) -> str:
-    """A model's rules, a line each: If ..., then ...; and how it was chosen."""
-    lines = [f"{r.label}: if {r.condition}, then {r.conclusion}" for r in model.rules()]
-    return "\n".join([*lines, *model.notes, ""])
+    """A model's rules with what they mean, a line each, and how it was chosen."""
+    rules = model.rules()
+    count = f"{len(rules)} rule{'s' if len(rules) > 1 else ''}"
+    title = f"{model.structure}, {count}, {model.n_parameters} parameters"
+    return words.in_words(title, rules, model.notes) + "\n"
