@@ -14,6 +14,7 @@ from typing import Any, Literal, Protocol, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from flysid import copies
 from flysid.copies import find_copy
 from flysid.errors import DataError, StoreError, UsageError
 
@@ -25,17 +26,9 @@ BLOCKS = 10  # per flight, when splitting by time
 MIN_PIECE = 20  # samples; shorter pieces are left out
 
 
-class Stretch(Protocol):
+class Stretch(copies.Stretch, Protocol):
     """What a split needs of a segment."""
 
-    @property
-    def u(self) -> FloatArray: ...
-    @property
-    def y(self) -> FloatArray: ...
-    @property
-    def t0_ns(self) -> int: ...
-    @property
-    def flight(self) -> str: ...
     def slice(self, start: int, stop: int, dt_s: float) -> Self: ...
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
+from flysid.model.arguments import as_columns
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
 from flysid.model.freerun import Difference, saturated
 from flysid.model.linear_text import conclusion, describe
@@ -241,23 +242,6 @@ class FittedLinear:
 def _without_nan(matrix: FloatArray) -> list[list[float | None]]:
     """Rows for JSON, which knows no NaN: null stands for it (and reads back as NaN)."""
     return [[float(x) if np.isfinite(x) else None for x in row] for row in matrix]
-
-
-def as_columns(values: FloatArray, count: int, name: str) -> FloatArray:
-    """(N, count) float array.
-
-    Raises
-    ------
-    UsageError : another number of columns, or not finite.
-    """
-    array = np.asarray(values, dtype=np.float64)
-    if array.ndim == 1:
-        array = array[:, None]
-    if array.ndim != 2 or array.shape[1] != count:
-        raise UsageError(f"{name} must have {count} column(s), not shape {np.shape(values)}")
-    if not np.isfinite(array).all():
-        raise UsageError(f"{name} holds values that are not finite", hint="cut the gap out first")
-    return array
 
 
 def from_dict(document: Mapping[str, Any]) -> FittedLinear:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.statespace_model import FittedStateSpace
-from flysid.model.uncertainty import FrequencyResponse, root_of, spread_of
+from flysid.model.uncertainty import FrequencyResponse, below_nyquist, root_of, spread_of
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -25,10 +25,7 @@ def frequency_response(model: FittedStateSpace, omega: FloatArray) -> FrequencyR
     ------
     UsageError : a frequency beyond the Nyquist frequency.
     """
-    omega = np.atleast_1d(np.asarray(omega, dtype=np.float64))
-    nyquist = np.pi / model.dt_s
-    if (omega > nyquist * (1 + 1e-9)).any() or (omega < 0).any():
-        raise UsageError(f"frequencies must lie between 0 and the Nyquist frequency, {nyquist:.4g} rad/s")
+    omega = below_nyquist(omega, model.dt_s)
     s = model.realisation
     z = np.exp(1j * omega * model.dt_s)
     resolvent = np.linalg.inv(z[:, None, None] * np.eye(s.order) - s.a)

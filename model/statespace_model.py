@@ -19,10 +19,10 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
+from flysid.model.arguments import as_columns
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
 from flysid.model.freerun import saturated
 from flysid.model.kalman import ahead, filtered_states, free_states, output_of, resting_state
-from flysid.model.linear import as_columns
 from flysid.model.noise import output_error_ahead
 from flysid.model.polynomials import ComplexArray, modes_of
 from flysid.model.subspace import Realisation

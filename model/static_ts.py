@@ -21,6 +21,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
+from flysid.model.arguments import as_columns
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, Structure, write_document
 from flysid.model.cluster import MOST_SAMPLES, Method, cluster, project
 from flysid.model.memberships import Conjunction, Partition, Shape
@@ -135,21 +136,21 @@ class FittedStaticTS:
     def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
         """(N, n_y) output of eq. (3) for inputs u (N, n_u)."""
         del y0
-        u = _columns(u, len(self.inputs))
+        u = as_columns(u, len(self.inputs), "u")
         y = np.einsum("nr,nri->ni", self.firing(u, u), self.rule_outputs(u, u))
         return np.asarray(np.clip(np.nan_to_num(y), self.output_limits[0], self.output_limits[1]))
 
     def rule_outputs(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, R, n_y) what every rule concludes by itself."""
         del y
-        u = _columns(u, len(self.inputs))
+        u = as_columns(u, len(self.inputs), "u")
         ones = np.ones((len(u), 1))
         return np.asarray(np.einsum("rim,nm->nri", self.consequents, np.hstack([u, ones])))
 
     def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, R) normalised firing strengths."""
         del y
-        return self.partition.firing(_columns(u, len(self.inputs)))
+        return self.partition.firing(as_columns(u, len(self.inputs), "u"))
 
     def memberships(self, variable: int, x: FloatArray) -> FloatArray:
         """(len(x), R) grade of membership of the values x of one input in every rule's set."""
@@ -273,14 +274,6 @@ def _support(partition: Partition, data: Source) -> FloatArray:
     ]
     total = np.sum(counts, axis=0)
     return np.asarray(total / total.sum())
-
-
-def _columns(u: FloatArray, count: int) -> FloatArray:
-    array = np.asarray(u, dtype=np.float64)
-    array = array[:, None] if array.ndim == 1 else array
-    if array.ndim != 2 or array.shape[1] != count:
-        raise UsageError(f"u has shape {array.shape}; the model has {count} inputs")
-    return array
 
 
 def _from_dict(document: Mapping[str, Any]) -> FittedStaticTS:

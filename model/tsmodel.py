@@ -17,6 +17,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
+from flysid.model.arguments import as_columns
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
 from flysid.model.memberships import Partition
 from flysid.model.noise import output_error_ahead
@@ -24,6 +25,7 @@ from flysid.model.start import estimate_start, full_window
 from flysid.model.tscheck import check
 from flysid.model.tskernel import Parameters, firing, free_run, predict
 from flysid.model.tslayout import Antecedent, Layout, Orders, at
+from flysid.model.tsphysical import physical_consequents, physical_partition
 from flysid.model.tsselect import estimated_initial
 from flysid.model.words import condition_in_words, equation, in_words
 
@@ -100,7 +102,7 @@ class FittedTS:
         window = full_window(self.n_init, self.dt_s)
         later = window + k - 1
         if self.noise is not None and len(W) > later:
-            u, y = _columns(u, len(self.inputs), "u"), _columns(y, self.layout.n_y, "y")
+            u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
             free = self.simulate(u, estimate_start(self, u[:window], y[:window]))
             ahead[later:] = output_error_ahead(free, y, self.noise, k)[later:]
         return ahead
@@ -116,11 +118,11 @@ class FittedTS:
         When None: from rest, that is with inputs and outputs at zero before the first sample.
         """
         d, n_y = self.n_init, self.layout.n_y
-        u = _columns(u, len(self.inputs), "u")
+        u = as_columns(u, len(self.inputs), "u")
         if y0 is None:
             before = np.concatenate([np.zeros((d, u.shape[1])), u])
             return self._run(self.layout.stack(before, np.zeros((d, n_y))))[d:]
-        given = _columns(y0, n_y, "y0")
+        given = as_columns(y0, n_y, "y0")
         if len(given) < d:
             raise UsageError(f"{len(given)} measured samples; the model starts from {d}")
         W = self.layout.stack(u, given[: min(d, len(u))])
@@ -156,10 +158,7 @@ class FittedTS:
     @cached_property
     def partition(self) -> Partition:
         """Memberships in physical units."""
-        shift, scale = self.layout.antecedent_scaling()
-        p = self.parameters
-        low, high = p.z_range * scale + shift
-        return Partition(p.centre * scale + shift, p.width * scale, p.width * scale, low, high)
+        return physical_partition(self.layout, self.parameters)
 
     @property
     def centres(self) -> FloatArray:
@@ -174,12 +173,7 @@ class FittedTS:
     @cached_property
     def consequents(self) -> FloatArray:
         """(R, n_y, n_x) consequents in physical units, in the order of `regressor_names`."""
-        shift, scale, n_y = self.layout.shift, self.layout.scale, self.layout.n_y
-        theta = self.parameters.theta * scale[:n_y][None, :, None]
-        columns = np.array([c for c, _ in self._terms[:-1]])
-        gains = theta[:, :, :-1] / scale[columns]
-        offset = theta[:, :, -1] + shift[:n_y] - gains @ shift[columns]
-        return np.concatenate([gains, offset[:, :, None]], axis=2)
+        return physical_consequents(self.layout, self.parameters)
 
     @property
     def regressor_names(self) -> tuple[str, ...]:
@@ -239,7 +233,7 @@ class FittedTS:
         return in_words(f"{title}, {self.n_parameters} parameters", self.rules(), self.notes)
 
     def _stack(self, u: FloatArray, y: FloatArray) -> FloatArray:
-        u, y = _columns(u, len(self.inputs), "u"), _columns(y, self.layout.n_y, "y")
+        u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
         if len(u) != len(y):
             raise UsageError(f"u has {len(u)} samples and y has {len(y)}")
         return self.layout.stack(u, y)
@@ -297,14 +291,6 @@ def time_constant(radius: float, dt_s: float) -> float:
     if radius >= 1.0 - 1e-9:
         return float("inf")
     return 0.0 if radius <= 0.0 else float(-dt_s / np.log(radius))
-
-
-def _columns(values: FloatArray, count: int, name: str) -> FloatArray:
-    array = np.asarray(values, dtype=np.float64)
-    array = array[:, None] if array.ndim == 1 else array
-    if array.ndim != 2 or array.shape[1] != count:
-        raise UsageError(f"{name} has shape {array.shape}; the model has {count} of them")
-    return array
 
 
 def from_dict(document: Mapping[str, Any]) -> FittedTS:

@@ -12,6 +12,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import UsageError
+from flysid.model.arguments import as_columns
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
 from flysid.model.memberships import Partition
 from flysid.model.noise import noise_models, output_error_ahead
@@ -19,6 +20,7 @@ from flysid.model.start import full_window, start_window
 from flysid.model.tscheck import check_states
 from flysid.model.tskernel import Parameters, firing
 from flysid.model.tslayout import Antecedent, at
+from flysid.model.tsphysical import physical_consequents, physical_partition
 from flysid.model.tsss_grow import StateStage, rule_support
 from flysid.model.tsss_layout import StateLayout
 from flysid.model.tsss_start import Prior, initial_states, simulated
@@ -82,14 +84,14 @@ class FittedTSStateSpace:
 
         When None: from rest, that is with inputs and outputs at zero before the first sample.
         """
-        u = _columns(u, len(self.inputs), "u")
+        u = as_columns(u, len(self.inputs), "u")
         if y0 is None:
             rows = _REST + self.n_init
             W = self.layout.stack(
                 np.vstack([np.zeros((rows, u.shape[1])), u]), np.zeros((rows, self.layout.n_y))
             )
             return self._outputs(self._run(W, rows))[rows:]
-        given = _columns(y0, self.layout.n_y, "y0")[: self.n_init]
+        given = as_columns(y0, self.layout.n_y, "y0")[: self.n_init]
         if len(given) < min(self.n_init, len(u)):
             raise UsageError(f"{len(given)} measured samples; the model starts from {self.n_init}")
         given = given[: len(u)]
@@ -107,7 +109,7 @@ class FittedTSStateSpace:
         """
         if k < 1:
             raise UsageError(f"a prediction {k} steps ahead", hint="k counts from 1")
-        u, y = _columns(u, len(self.inputs), "u"), _columns(y, self.layout.n_y, "y")
+        u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
         if len(u) != len(y):
             raise UsageError(f"u has {len(u)} samples and y has {len(y)}")
         first, out = self.n_init + k - 1, np.full(y.shape, np.nan)
@@ -130,7 +132,7 @@ class FittedTSStateSpace:
 
     def states(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, n) states of the free run along measured data, physical units (hidden ones in spreads)."""
-        u, y = _columns(u, len(self.inputs), "u"), _columns(y, self.layout.n_y, "y")
+        u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
         rows = min(len(y), max(self.n_init, start_window(self.n_init, len(y), self.dt_s)))
         W, n = self._run(self.layout.stack(u, y[:rows]), rows), self.layout.n
         return np.asarray(W[:, :n] * self.layout.scale[:n] + self.layout.shift[:n])
@@ -144,10 +146,7 @@ class FittedTSStateSpace:
     @cached_property
     def partition(self) -> Partition:
         """Memberships in physical units."""
-        shift, scale = self.layout.antecedent_scaling()
-        p = self.parameters
-        low, high = p.z_range * scale + shift
-        return Partition(p.centre * scale + shift, p.width * scale, p.width * scale, low, high)
+        return physical_partition(self.layout, self.parameters)
 
     @property
     def centres(self) -> FloatArray:
@@ -162,12 +161,7 @@ class FittedTSStateSpace:
     @cached_property
     def consequents(self) -> FloatArray:
         """(R, n, n_x) consequents in physical units, in the order of `layout.regressor_names`."""
-        shift, scale, n = self.layout.shift, self.layout.scale, self.layout.n
-        theta = self.parameters.theta * scale[:n][None, :, None]
-        columns = np.array([c for c, _ in self.layout.regressors[:-1]])
-        gains = theta[:, :, :-1] / scale[columns]
-        offset = theta[:, :, -1] + shift[:n] - gains @ shift[columns]
-        return np.concatenate([gains, offset[:, :, None]], axis=2)
+        return physical_consequents(self.layout, self.parameters)
 
     def local_poles(self) -> tuple[FloatArray, ...]:
         """Poles of every rule by itself, slowest first (complex where they oscillate)."""
@@ -274,23 +268,13 @@ class FittedTSStateSpace:
 
     def _seen(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """W with measured outputs and the free run's hidden states."""
-        u, y = _columns(u, len(self.inputs), "u"), _columns(y, self.layout.n_y, "y")
+        u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
         if len(u) != len(y):
             raise UsageError(f"u has {len(u)} samples and y has {len(y)}")
         W, n, n_y = self.layout.stack(u, y), self.layout.n, self.layout.n_y
         states = self.states(u, y)
         W[:, n_y:n] = (states[:, n_y:] - self.layout.shift[n_y:n]) / self.layout.scale[n_y:n]
         return W
-
-
-def _columns(values: FloatArray, count: int, name: str) -> FloatArray:
-    array = np.asarray(values, dtype=np.float64)
-    array = array[:, None] if array.ndim == 1 else array
-    if array.ndim != 2 or array.shape[1] != count:
-        raise UsageError(f"{name} has shape {array.shape}; the model has {count} of them")
-    if not np.isfinite(array).all():
-        raise UsageError(f"{name} holds values that are not finite", hint="cut the gap out first")
-    return array
 
 
 def finished(train: Dataset, stage: StateStage, notes: tuple[str, ...]) -> FittedTSStateSpace:

@@ -32,6 +32,20 @@ class FrequencyResponse:
     phase_error: FloatArray
 
 
+def below_nyquist(omega: FloatArray, dt_s: float) -> FloatArray:
+    """(M,) the frequencies, rad/s.
+
+    Raises
+    ------
+    UsageError : one is negative, or beyond the Nyquist frequency.
+    """
+    omega = np.atleast_1d(np.asarray(omega, dtype=np.float64))
+    nyquist = np.pi / dt_s
+    if (omega > nyquist * (1 + 1e-9)).any() or (omega < 0).any():
+        raise UsageError(f"frequencies must lie between 0 and the Nyquist frequency, {nyquist:.4g} rad/s")
+    return omega
+
+
 def frequency_response(model: FittedLinear, omega: FloatArray) -> FrequencyResponse:
     """G(e^(i omega dt)) with first-order standard errors (Ljung, 1999, 9.6).
 
@@ -39,10 +53,7 @@ def frequency_response(model: FittedLinear, omega: FloatArray) -> FrequencyRespo
     ------
     UsageError : a frequency beyond the Nyquist frequency.
     """
-    omega = np.atleast_1d(np.asarray(omega, dtype=np.float64))
-    nyquist = np.pi / model.dt_s
-    if (omega > nyquist * (1 + 1e-9)).any() or (omega < 0).any():
-        raise UsageError(f"frequencies must lie between 0 and the Nyquist frequency, {nyquist:.4g} rad/s")
+    omega = below_nyquist(omega, model.dt_s)
     s = model.system
     delay = np.exp(-1j * omega * model.dt_s)
     a = np.einsum("ml,lij->mij", delay[:, None] ** np.arange(len(s.a)), s.a)
