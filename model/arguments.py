@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
-from flysid.dataset import FloatArray
+from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 
 
@@ -23,3 +25,27 @@ def as_columns(values: FloatArray, count: int, name: str) -> FloatArray:
     if not np.isfinite(array).all():
         raise UsageError(f"{name} holds values that are not finite", hint="cut the gap out first")
     return array
+
+
+class _Signals(Protocol):
+    """What a model says of its signals."""
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]: ...
+    @property
+    def outputs(self) -> tuple[Signal, ...]: ...
+
+
+def as_record(model: _Signals, u: FloatArray, y: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
+    """u (N, n_u) and y (N, n_y) that a model predicts k steps ahead on.
+
+    Raises
+    ------
+    UsageError : shapes do not fit, not finite, or k < 1.
+    """
+    if k < 1:
+        raise UsageError(f"a prediction looks at least one step ahead, not {k}")
+    u, y = as_columns(u, len(model.inputs), "u"), as_columns(y, len(model.outputs), "y")
+    if len(u) != len(y):
+        raise UsageError(f"u has {len(u)} samples and y has {len(y)}")
+    return u, y

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.statespace_model import FittedStateSpace
-from flysid.model.uncertainty import FrequencyResponse, below_nyquist, root_of, spread_of
+from flysid.model.uncertainty import FrequencyResponse, below_nyquist, drawn, spread_of
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -72,18 +72,8 @@ def simulation_band(
     """
     if not len(model.covariance):
         raise UsageError("this model carries no covariance", hint="fit it with refine=True")
-    rng = np.random.default_rng(seed)
-    root = root_of(model.covariance)
-    runs: list[FloatArray] = []
-    for _ in range(10 * draws):
-        other = _moved(model, root @ rng.standard_normal(len(root)))
-        if other.is_stable or not model.is_stable:
-            runs.append(other.simulate(u, y0))
-        if len(runs) == draws:
-            break
-    if not runs:
-        raise UsageError("nearly every draw of the parameters is unstable: no band can be given")
-    low, high = np.percentile(np.stack(runs), [2.5, 97.5], axis=0)
+    models = drawn(model, _moved, model.covariance, draws, seed)
+    low, high = np.percentile([m.simulate(u, y0) for m in models], [2.5, 97.5], axis=0)
     return low, high
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
-from flysid.model.arguments import as_columns
+from flysid.model.arguments import as_columns, as_record
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
 from flysid.model.freerun import saturated
 from flysid.model.kalman import ahead, filtered_states, free_states, output_of, resting_state
@@ -108,11 +108,7 @@ class FittedStateSpace:
         ------
         UsageError : shapes do not fit, or k < 1.
         """
-        if k < 1:
-            raise UsageError(f"a prediction looks at least one step ahead, not {k}")
-        u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, len(self.outputs), "y")
-        if len(u) != len(y):
-            raise UsageError(f"u has {len(u)} samples and y has {len(y)}")
+        u, y = as_record(self, u, y, k)
         first = self.n_init + k - 1
         out = np.full(y.shape, np.nan)
         if len(y) <= first:

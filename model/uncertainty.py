@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -104,19 +106,48 @@ def simulation_band(
     """
     if not np.isfinite(model.covariance).all() or not len(model.free):
         raise UsageError("this model carries no covariance", hint="fit it, rather than take it over")
-    rng = np.random.default_rng(seed)
-    root = root_of(model.covariance)
-    runs: list[FloatArray] = []
-    for _ in range(10 * draws):
-        other = _moved(model, root @ rng.standard_normal(len(model.free)))
-        if other.is_stable or not model.is_stable:
-            runs.append(other.simulate(u, y0))
-        if len(runs) == draws:
-            break
-    if not runs:
-        raise UsageError("nearly every draw of the parameters is unstable: no band can be given")
-    low, high = np.percentile(np.stack(runs), [2.5, 97.5], axis=0)
+    models = drawn(model, _moved, model.covariance, draws, seed)
+    low, high = np.percentile([m.simulate(u, y0) for m in models], [2.5, 97.5], axis=0)
     return low, high
+
+
+class _Stable(Protocol):
+    """A model that knows whether it is stable."""
+
+    @property
+    def is_stable(self) -> bool: ...
+
+
+_M = TypeVar("_M", bound=_Stable)
+
+
+def drawn(
+    model: _M, moved: Callable[[_M, FloatArray], _M], covariance: FloatArray, draws: int, seed: int
+) -> list[_M]:
+    """Models whose parameters are drawn from their normal distribution; for a stable model, stable ones.
+
+    Unstable draws are drawn again, up to ten times `draws` in all.
+
+    Parameters
+    ----------
+    moved : the model with a step added to its parameters.
+
+    Raises
+    ------
+    UsageError : nearly every draw is unstable.
+    """
+    rng = np.random.default_rng(seed)
+    root = root_of(covariance)
+    found: list[_M] = []
+    for _ in range(10 * draws):
+        other = moved(model, root @ rng.standard_normal(len(covariance)))
+        if other.is_stable or not model.is_stable:
+            found.append(other)
+        if len(found) == draws:
+            break
+    if not found:
+        raise UsageError("nearly every draw of the parameters is unstable: no band can be given")
+    return found
 
 
 def _moved(model: FittedLinear, step: FloatArray) -> FittedLinear:
