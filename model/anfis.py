@@ -14,13 +14,13 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.model.cluster import cluster, project
+from flysid.model.fuzzy.cluster import cluster, project
+from flysid.model.fuzzy.finish import finished
+from flysid.model.fuzzy.grow import best_started, first_basis, ordered, regressors
+from flysid.model.fuzzy.layout import Layout, Orders, parse_antecedent, scaling
+from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.problem import Body, Problem, antecedent_range, runs_of
 from flysid.model.threads import on_one_thread
-from flysid.model.tsfinish import finished
-from flysid.model.tsgrow import best_started, first_basis, ordered, regressors
-from flysid.model.tslayout import Layout, Orders, parse_antecedent, scaling
-from flysid.model.tsmodel import FittedTS
-from flysid.model.tsproblem import Body, Problem, antecedent_range, runs_of
 
 _GROWTH, _SHRINKAGE = 1.1, 0.9  # of the step, Jang's heuristic rules
 _RIDGE = 1e-9  # on consequents, relative: neighbouring rules are nearly collinear

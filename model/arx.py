@@ -23,14 +23,14 @@ from flysid.model.base import Structure
 from flysid.model.detrend import Trend, check_trend, detrended
 from flysid.model.freerun import Difference
 from flysid.model.gram import LeastSquares
-from flysid.model.linear import FittedLinear, from_dict
-from flysid.model.linear_data import CHOICE_ROWS, Parts, Scaling, as_tuple
-from flysid.model.linear_start import equation_starts
-from flysid.model.oe_search import SHARE, Refined, check_orders, search
-from flysid.model.orders import Choice, Grid, best_per_order, grid_triangle
-from flysid.model.output_error import delay_steps, runner, widened
+from flysid.model.linear.data import CHOICE_ROWS, Parts, Scaling, as_tuple
+from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.linear.oe_search import SHARE, Refined, check_orders, search
+from flysid.model.linear.orders import Choice, Grid, best_per_order, grid_triangle
+from flysid.model.linear.output_error import delay_steps, runner, widened
+from flysid.model.linear.stability import settled
+from flysid.model.linear.start import equation_starts
 from flysid.model.selection import block_errors, clearly_better, judging_window, simplest
-from flysid.model.stability import settled
 from flysid.model.stream import OnDisk, Source
 from flysid.model.threads import on_one_thread
 

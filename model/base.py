@@ -142,10 +142,10 @@ class Structure:
 
 @cache
 def all_structures() -> Mapping[str, Structure]:
-    """Every structure of this folder, by name."""
+    """Every structure of this folder, by name; the subpackages hold what structures are made of."""
     package = importlib.import_module("flysid.model")
     found: dict[str, Structure] = {}
-    for module in sorted(m.name for m in pkgutil.iter_modules(package.__path__)):
+    for module in sorted(m.name for m in pkgutil.iter_modules(package.__path__) if not m.ispkg):
         source = importlib.util.find_spec(f"flysid.model.{module}")
         if (
             source is None

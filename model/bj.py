@@ -15,10 +15,10 @@ from typing import Literal
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.base import Structure
-from flysid.model.linear import FittedLinear, from_dict
-from flysid.model.linear_data import Parts
-from flysid.model.pem_fit import BJ_NOISES, fit_prediction_error
-from flysid.model.stability import settled
+from flysid.model.linear.data import Parts
+from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.linear.pem_fit import BJ_NOISES, fit_prediction_error
+from flysid.model.linear.stability import settled
 from flysid.model.threads import on_one_thread
 
 

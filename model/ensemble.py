@@ -26,8 +26,8 @@ from flysid.model.base import (
     all_structures,
     write_document,
 )
+from flysid.model.fuzzy.words import in_words
 from flysid.model.ts import TS
-from flysid.model.words import in_words
 
 _LEAST_ROWS = 30  # of a piece of a segment that is left when a block is taken out
 

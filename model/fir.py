@@ -19,10 +19,10 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
 from flysid.model.base import Structure
 from flysid.model.freerun import Difference
-from flysid.model.linear import FittedLinear, from_dict
-from flysid.model.linear_data import Parts, Scaling, as_tuple
+from flysid.model.linear.data import Parts, Scaling, as_tuple
+from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.linear.orders import grid_gram
 from flysid.model.noise import noise_model
-from flysid.model.orders import grid_gram
 from flysid.model.regressors import Lags
 from flysid.model.stream import OnDisk, Source
 from flysid.model.threads import on_one_thread

@@ -25,11 +25,11 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Structure
-from flysid.model.iv_stages import Columns, Orders, fitted_by_iv, scaled_blocks
-from flysid.model.linear import FittedLinear, from_dict
-from flysid.model.linear_data import CHOICE_ROWS, Parts
-from flysid.model.oe_search import SHARE, check_orders
-from flysid.model.output_error import HIGHEST_ORDER, ORDER_LOSS, find_delays
+from flysid.model.linear.data import CHOICE_ROWS, Parts
+from flysid.model.linear.iv_stages import Columns, Orders, fitted_by_iv, scaled_blocks
+from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.linear.oe_search import SHARE, check_orders
+from flysid.model.linear.output_error import HIGHEST_ORDER, ORDER_LOSS, find_delays
 from flysid.model.selection import block_errors, judging_window, simplest
 from flysid.model.simulation_error import Orders as SearchOrders
 from flysid.model.stream import OnDisk, Source, blocks_of

@@ -12,8 +12,8 @@ from flysid.dataset import Dataset
 from flysid.model.base import Structure
 from flysid.model.freerun import Difference
 from flysid.model.gram import reduce_data, solve
-from flysid.model.linear import FittedLinear, from_dict
-from flysid.model.linear_data import Parts
+from flysid.model.linear.data import Parts
+from flysid.model.linear.model import FittedLinear, from_dict
 from flysid.model.regressors import Lags, chunks
 
 

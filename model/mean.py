@@ -12,8 +12,8 @@ import numpy as np
 from flysid.dataset import Dataset
 from flysid.model.base import Structure
 from flysid.model.freerun import Difference
-from flysid.model.linear import FittedLinear, from_dict
-from flysid.model.linear_data import Parts
+from flysid.model.linear.data import Parts
+from flysid.model.linear.model import FittedLinear, from_dict
 
 
 @dataclass(frozen=True)

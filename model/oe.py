@@ -16,9 +16,9 @@ from typing import Literal
 from flysid.dataset import Dataset
 from flysid.model.base import Structure
 from flysid.model.detrend import Trend, check_trend, detrended
-from flysid.model.linear import FittedLinear, from_dict
-from flysid.model.linear_data import Parts
-from flysid.model.oe_search import check_orders, search
+from flysid.model.linear.data import Parts
+from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.linear.oe_search import check_orders, search
 from flysid.model.threads import on_one_thread
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Fitted
-from flysid.model.linear_data import Parts
+from flysid.model.linear.data import Parts
 from flysid.model.start import MAX_SHARE
 
 BLOCKS = 16

@@ -17,14 +17,15 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Structure
-from flysid.model.linear_data import CHOICE_ROWS, Parts, as_tuple
-from flysid.model.oe_search import check_hint
-from flysid.model.output_error import find_delays
+from flysid.model.linear.data import CHOICE_ROWS, Parts, as_tuple
+from flysid.model.linear.oe_search import check_hint
+from flysid.model.linear.output_error import find_delays
 from flysid.model.selection import block_errors, judging_window
 from flysid.model.simulation_error import Orders
-from flysid.model.statespace_model import FittedStateSpace, from_dict
-from flysid.model.statespace_refine import SimulationError
-from flysid.model.statespace_search import (
+from flysid.model.stream import OnDisk, Source
+from flysid.model.subspace.model import FittedStateSpace, from_dict
+from flysid.model.subspace.refine import SimulationError
+from flysid.model.subspace.search import (
     ORDER_WORTH,
     Choice,
     Projections,
@@ -33,8 +34,7 @@ from flysid.model.statespace_search import (
     mean_of,
     searched,
 )
-from flysid.model.stream import OnDisk, Source
-from flysid.model.subspace import (
+from flysid.model.subspace.triangle import (
     METHODS,
     Method,
     window,

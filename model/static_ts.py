@@ -23,12 +23,12 @@ from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.arguments import as_columns
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, Structure, write_document
-from flysid.model.cluster import MOST_SAMPLES, Method, cluster, project
-from flysid.model.memberships import Conjunction, Partition, Shape
+from flysid.model.fuzzy.cluster import MOST_SAMPLES, Method, cluster, project
+from flysid.model.fuzzy.consequents import least_squares, weighted
+from flysid.model.fuzzy.memberships import Conjunction, Partition, Shape
+from flysid.model.fuzzy.words import condition_in_words, equation, in_words, number
 from flysid.model.stream import Source, blocks_of
 from flysid.model.threads import on_one_thread
-from flysid.model.tsstream import least_squares, weighted
-from flysid.model.words import condition_in_words, equation, in_words, number
 
 
 @dataclass(frozen=True)

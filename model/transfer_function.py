@@ -3,11 +3,11 @@
     y(t) = sum_j e^(-tau_j s) N_j(s) / D(s) u_j(t) + c + v(t)
 
 as flight-test engineers identify them: the frequency response is measured, a transfer function is fitted to
-it (`frequency_response`, `frequency_fit`), and, from there, its simulation error over the recorded segments
-is minimised (`continuous_error`; the output-error estimate with the parameters of the plant itself, Ljung,
-1999, 4.2 and 10.2). Orders: the zeros by BIC on the measured response, the poles as the simplest within one
-standard error of the best validation free run. Where no frequency can be trusted, a discrete output-error
-model gives the start.
+it (`frequency/response`, `frequency/fit`), and, from there, its simulation error over the recorded segments
+is minimised (`frequency/continuous_error`; the output-error estimate with the parameters of the plant
+itself, Ljung, 1999, 4.2 and 10.2). Orders: the zeros by BIC on the measured response, the poles as the
+simplest within one standard error of the best validation free run. Where no frequency can be trusted, a
+discrete output-error model gives the start.
 
 The fitted model is the transfer functions sampled exactly behind their hold, a linear model like any other.
 """
@@ -23,16 +23,16 @@ import numpy as np
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.base import Structure
-from flysid.model.continuous_transfer import ContinuousTransfer
 from flysid.model.detrend import Trend, check_trend, detrended
-from flysid.model.frequency_response import METHODS, Method
-from flysid.model.linear import FittedLinear
-from flysid.model.linear import from_dict as linear_from_dict
-from flysid.model.linear_data import Parts
-from flysid.model.rational import Hold, forms
+from flysid.model.frequency.assemble import OneTransfer, assembled, runner
+from flysid.model.frequency.continuous_transfer import ContinuousTransfer
+from flysid.model.frequency.rational import Hold, forms
+from flysid.model.frequency.response import METHODS, Method
+from flysid.model.frequency.start import Starts
+from flysid.model.linear.data import Parts
+from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.model import from_dict as linear_from_dict
 from flysid.model.selection import block_errors, judging_window, simplest
-from flysid.model.tf_assemble import OneTransfer, assembled, runner
-from flysid.model.tf_start import Starts
 from flysid.model.threads import on_one_thread
 
 Auto = Literal["auto"]

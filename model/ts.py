@@ -1,7 +1,7 @@
 """Dynamic Takagi-Sugeno models, refined on the simulation error: the estimator.
 
 It grows the model from a refined linear one, rule by rule, and stops by the validation free run; what comes
-out is a `FittedTS`, flysid.model.tsmodel.
+out is a `FittedTS`, flysid.model.fuzzy.model.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from typing import Literal
 
 from flysid.dataset import Dataset
 from flysid.model.base import Structure
+from flysid.model.fuzzy.estimate import learn
+from flysid.model.fuzzy.finish import finished
+from flysid.model.fuzzy.model import FittedTS, from_dict
 from flysid.model.threads import on_one_thread
-from flysid.model.tsestimate import learn
-from flysid.model.tsfinish import finished
-from flysid.model.tsmodel import FittedTS, from_dict
 
 __all__ = ["MODEL", "TS", "FittedTS"]
 

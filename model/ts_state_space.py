@@ -15,9 +15,9 @@ from typing import Literal
 
 from flysid.dataset import Dataset
 from flysid.model.base import Structure
+from flysid.model.hidden.fit import learn
+from flysid.model.hidden.model import FittedTSStateSpace, finished, from_dict
 from flysid.model.threads import on_one_thread
-from flysid.model.tsss_fit import learn
-from flysid.model.tsss_model import FittedTSStateSpace, finished, from_dict
 
 
 @dataclass(frozen=True)

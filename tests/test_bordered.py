@@ -8,10 +8,10 @@ import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.model.bordered import Bordered
-from flysid.model.tsgrow import first_basis, insertions, linear_stage
-from flysid.model.tslayout import Antecedent, Layout, Orders, scaling
-from flysid.model.tsproblem import Problem, SimulationError, runs_of
-from flysid.model.tsstress import beyond, stress_run
+from flysid.model.fuzzy.grow import first_basis, insertions, linear_stage
+from flysid.model.fuzzy.layout import Antecedent, Layout, Orders, scaling
+from flysid.model.fuzzy.problem import Problem, SimulationError, runs_of
+from flysid.model.fuzzy.stress import beyond, stress_run
 
 P, SEGMENTS, Q = 4, 3, 2
 

@@ -8,7 +8,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.model.frequency_response import METHODS, MeasuredResponse, Method, measure_response
+from flysid.model.frequency.response import METHODS, MeasuredResponse, Method, measure_response
 from flysid.model.polynomials import ComplexArray
 
 DT_S = 0.02

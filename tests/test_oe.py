@@ -13,10 +13,10 @@ from scipy.signal import lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.arx import ARX
-from flysid.model.linear import FittedLinear
+from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.output_error import raised
 from flysid.model.noise import burg, noise_model
 from flysid.model.oe import OE
-from flysid.model.output_error import raised
 from flysid.model.simulation_error import Orders, OutputError, Record, from_transfer, to_transfer
 
 BENCHMARKS = Path(__file__).parents[2] / "shared" / "benchmarks"

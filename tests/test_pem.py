@@ -11,7 +11,7 @@ from flysid.errors import UsageError
 from flysid.model.armax import ARMAX
 from flysid.model.arx import ARX
 from flysid.model.bj import BJ
-from flysid.model.pem import Kind, PredictionError, innovations_start
+from flysid.model.linear.pem import Kind, PredictionError, innovations_start
 from flysid.model.simulation_error import Orders, Record, Transfer, from_transfer
 
 A, B, C, D = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5], [1.0, -0.6, 0.2], [1.0, -0.9]

@@ -13,9 +13,9 @@ from flysid.errors import FitError, UsageError
 from flysid.model.armax import ARMAX
 from flysid.model.arx import ARX
 from flysid.model.base import load
+from flysid.model.linear.stability import LARGEST, made_stable
+from flysid.model.linear.uncertainty import simulation_band
 from flysid.model.oe import OE
-from flysid.model.stability import LARGEST, made_stable
-from flysid.model.uncertainty import simulation_band
 
 
 def creeping(coupled: bool = False) -> Dataset:

@@ -12,9 +12,9 @@ import pytest
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.interop import from_control_states, to_control
-from flysid.model.riccati import kalman_gain
 from flysid.model.statespace import StateSpace
-from flysid.model.subspace import METHODS, Method, Realisation, subspace
+from flysid.model.subspace.riccati import kalman_gain
+from flysid.model.subspace.triangle import METHODS, Method, Realisation, subspace
 
 A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.85, 0.1], [0.0, 0.0, 0.7]])
 B = np.array([[0.1, 0.0], [0.0, 0.2], [0.3, 0.1]])

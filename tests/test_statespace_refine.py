@@ -11,9 +11,9 @@ from scipy.signal import lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
 from flysid.model.statespace import StateSpace
-from flysid.model.statespace_bands import frequency_response, simulation_band
-from flysid.model.statespace_refine import SimulationError
-from flysid.model.subspace import subspace
+from flysid.model.subspace.bands import frequency_response, simulation_band
+from flysid.model.subspace.refine import SimulationError
+from flysid.model.subspace.triangle import subspace
 from tests.model_examples import data
 
 

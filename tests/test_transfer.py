@@ -9,8 +9,8 @@ from scipy.signal import cont2discrete, lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
 from flysid.model.arx import ARX
+from flysid.model.frequency.transfer import continuous
 from flysid.model.oe import OE
-from flysid.model.transfer import continuous
 
 PLANTS = {
     "longitudinal": ([0.7995], [1.0, 4.1881, 7.1429]),

@@ -11,8 +11,8 @@ import flysid
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.interop import to_control
+from flysid.model.linear.uncertainty import frequency_response, simulation_band
 from flysid.model.transfer_function import TF, FittedTF
-from flysid.model.uncertainty import frequency_response, simulation_band
 from tests.test_transfer import PLANTS, experiment
 
 

@@ -20,8 +20,8 @@ from flysid.ingest.plants import LOOPS
 from flysid.ingest.rigidbody import Vehicle
 from flysid.ingest.synth import WRITERS, Order, flights
 from flysid.ingest.tuning import linearise
-from flysid.model.frequency_response import measure_response
-from flysid.model.rational import hold_response
+from flysid.model.frequency.rational import hold_response
+from flysid.model.frequency.response import measure_response
 from flysid.model.transfer_function import TF
 from flysid.validate.bodeplot import draw_bode
 from flysid.validate.transfers import ChannelTransfers, identify_channel

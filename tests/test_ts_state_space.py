@@ -10,20 +10,20 @@ import pytest
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
+from flysid.model.fuzzy.layout import scaling
+from flysid.model.fuzzy.problem import Body
+from flysid.model.hidden.choice import Start
+from flysid.model.hidden.fit import Bench, linear_starts
+from flysid.model.hidden.grow import Training, one_rule_more
+from flysid.model.hidden.judge import ends_of_travel
+from flysid.model.hidden.local import next_states, polytope, to_nonlinear_system
+from flysid.model.hidden.model import FittedTSStateSpace
+from flysid.model.hidden.problem import StateError
+from flysid.model.hidden.start import coordinates, realised
 from flysid.model.oe import OE
 from flysid.model.ts import TS
+from flysid.model.ts_best import advantage, hints_at_hidden_state
 from flysid.model.ts_state_space import MODEL, TSStateSpace
-from flysid.model.tschoice import advantage, hints_at_hidden_state
-from flysid.model.tslayout import scaling
-from flysid.model.tsproblem import Body
-from flysid.model.tsss_choice import Start
-from flysid.model.tsss_fit import Bench, linear_starts
-from flysid.model.tsss_grow import Training, one_rule_more
-from flysid.model.tsss_judge import ends_of_travel
-from flysid.model.tsss_local import next_states, polytope, to_nonlinear_system
-from flysid.model.tsss_model import FittedTSStateSpace
-from flysid.model.tsss_problem import StateError
-from flysid.model.tsss_start import coordinates, realised
 from tests.bench.hidden_plants import PLANTS
 from tests.model_examples import data
 

@@ -9,11 +9,11 @@ import pytest
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
+from flysid.model.fuzzy.explain import explain, outside_share
+from flysid.model.fuzzy.interop import to_nonlinear_system, to_state_space
+from flysid.model.fuzzy.local import certificate, linearise, polytope
+from flysid.model.fuzzy.update import update
 from flysid.model.ts import TS, FittedTS
-from flysid.model.tsexplain import explain, outside_share
-from flysid.model.tsinterop import to_nonlinear_system, to_state_space
-from flysid.model.tslocal import certificate, linearise, polytope
-from flysid.model.tsupdate import update
 
 DT = 0.05
 

@@ -9,9 +9,9 @@ import pytest
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError
-from flysid.model.tslayout import Antecedent
-from flysid.model.tsmodel import FittedTS
-from flysid.model.tssimplify import simplifications, simplify
+from flysid.model.fuzzy.layout import Antecedent
+from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.simplify import simplifications, simplify
 from tests.bench.ts_intervals import experiment, known_model
 
 

@@ -11,9 +11,9 @@ from flysid import datasetfile
 from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile, open_dataset, write_dataset
 from flysid.errors import DataError, UsageError
+from flysid.model.fuzzy.consequents import refit_consequents
+from flysid.model.fuzzy.model import FittedTS
 from flysid.model.static_ts import StaticTS
-from flysid.model.tsmodel import FittedTS
-from flysid.model.tsstream import refit_consequents
 from tests.bench.ts_intervals import experiment, known_model
 
 WHOLE = experiment(known_model(), 1)

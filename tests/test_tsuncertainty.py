@@ -9,9 +9,9 @@ import pytest
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError, UsageError
-from flysid.model.tsmodel import FittedTS
-from flysid.model.tsuncertainty import uncertainty
-from flysid.model.words import gains
+from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.uncertainty import uncertainty
+from flysid.model.fuzzy.words import gains
 from tests.bench.ts_intervals import coverage, experiment, known_model, refitted
 
 

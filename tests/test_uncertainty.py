@@ -9,8 +9,8 @@ from scipy.signal import freqz, lfilter
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.arx import ARX
-from flysid.model.linear import FittedLinear
-from flysid.model.uncertainty import frequency_response, simulation_band
+from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.uncertainty import frequency_response, simulation_band
 
 A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]
 OMEGA = np.array([0.0, 0.5, 3.0, 8.0])

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from flysid.errors import StoreError
 from flysid.model.base import write_document
-from flysid.model.memberships import Partition
-from flysid.model.words import condition_in_words, equation, labels, number
+from flysid.model.fuzzy.memberships import Partition
+from flysid.model.fuzzy.words import condition_in_words, equation, labels, number
 
 
 def test_speeds_are_told_by_size_and_direction() -> None:

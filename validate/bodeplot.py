@@ -14,7 +14,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError, WriteError
-from flysid.model.frequency_response import MeasuredResponse
+from flysid.model.frequency.response import MeasuredResponse
 from flysid.validate.transfers import ChannelTransfers
 
 SUFFIXES = (".png", ".svg", ".pdf")

@@ -40,8 +40,8 @@ def check(model: Fitted, test: Dataset, train: Dataset | None = None) -> Checks:
 
 
 def _certificate(model: Fitted) -> tuple[bool, str]:
-    from flysid.model.tslocal import certificate
-    from flysid.model.tsmodel import FittedTS
+    from flysid.model.fuzzy.local import certificate
+    from flysid.model.fuzzy.model import FittedTS
 
     if not isinstance(model, FittedTS) or len(model.rules()) < 2:
         return False, ""

@@ -21,9 +21,9 @@ from flysid.ingest.deadtime import dead_times, delays_to_try
 from flysid.ingest.lake import Lake
 from flysid.ingest.recipe import load_recipe, recipe_text
 from flysid.ingest.workers import Bounds, Lost, run_bounded
-from flysid.model import words
 from flysid.model.base import Estimator, Fitted
 from flysid.model.feedback import feedback
+from flysid.model.fuzzy import words
 from flysid.split import plan_split
 from flysid.validate.baseline import REFERENCES, choose_baseline, confirmed, linear_estimators
 from flysid.validate.run import (
@@ -58,8 +58,8 @@ def estimators(
     from flysid.model.static_ts import StaticTS
     from flysid.model.transfer_function import TF
     from flysid.model.ts import TS
+    from flysid.model.ts_best import BestTS
     from flysid.model.ts_state_space import TSStateSpace
-    from flysid.model.tschoice import BestTS
 
     antecedents: Any = settings.antecedents or "auto"
     rules: Any = settings.rules

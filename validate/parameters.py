@@ -14,7 +14,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FlysidError
 from flysid.model.base import Fitted
-from flysid.model.linear import FittedLinear
+from flysid.model.linear.model import FittedLinear
 from flysid.model.regressors import lagged_name
 
 Z95 = 1.959963984540054
@@ -49,7 +49,7 @@ class Intervals:
 
 def intervals(model: Fitted, train: Dataset | None) -> Intervals | None:
     """What the structure offers: linear difference equations, and TS beside its training data."""
-    from flysid.model.tsmodel import FittedTS
+    from flysid.model.fuzzy.model import FittedTS
 
     if isinstance(model, FittedLinear):
         return _linear(model)
@@ -59,8 +59,8 @@ def intervals(model: Fitted, train: Dataset | None) -> Intervals | None:
 
 
 def _fuzzy(model: Fitted, train: Dataset) -> Intervals | None:
-    from flysid.model.tsmodel import FittedTS
-    from flysid.model.tsuncertainty import uncertainty
+    from flysid.model.fuzzy.model import FittedTS
+    from flysid.model.fuzzy.uncertainty import uncertainty
 
     assert isinstance(model, FittedTS)
     try:
@@ -87,7 +87,7 @@ def _linear(model: FittedLinear) -> Intervals | None:
 
 def _linear_gain(model: FittedLinear) -> FloatArray:
     """(2, 1, n_y, n_u): the gain at frequency zero and its first-order error."""
-    from flysid.model.uncertainty import frequency_response
+    from flysid.model.linear.uncertainty import frequency_response
 
     if not np.isfinite(model.dc_gain).all():
         return np.full((2, 1, *model.dc_gain.shape), np.nan)

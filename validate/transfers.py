@@ -18,10 +18,10 @@ from flysid.ingest.lake import Lake
 from flysid.ingest.recipe import load_recipe
 from flysid.model.detrend import Trend
 from flysid.model.feedback import Feedback, feedback
-from flysid.model.frequency_response import MeasuredResponse, measure_response
+from flysid.model.frequency.response import MeasuredResponse, measure_response
+from flysid.model.linear.uncertainty import frequency_response
 from flysid.model.polynomials import ComplexArray
 from flysid.model.transfer_function import TF, FittedTF
-from flysid.model.uncertainty import frequency_response
 from flysid.validate.metrics import scores
 from flysid.validate.run import Progress
 from flysid.validate.trials import FREE_RUN, run_trials

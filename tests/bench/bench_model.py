@@ -55,8 +55,8 @@ def ours_arx(u: FloatArray, y: FloatArray) -> Any:
 def ours_grid(u: FloatArray, y: FloatArray) -> Any:
     """400 orders from one pass."""
     from flysid.model.gram import reduce_data
-    from flysid.model.linear_data import Scaling
-    from flysid.model.orders import Choice, Grid, best_of, grid_gram
+    from flysid.model.linear.data import Scaling
+    from flysid.model.linear.orders import Choice, Grid, best_of, grid_gram
     from flysid.model.regressors import chunks
 
     data = Dataset.from_arrays(u, y, 0.01)

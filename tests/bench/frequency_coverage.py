@@ -18,10 +18,10 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FlysidError
 from flysid.ingest.manoeuvres import chirp
 from flysid.ingest.plants import LOOPS
-from flysid.model.frequency_fit import fit_response
-from flysid.model.frequency_response import measure_response
-from flysid.model.rational import Form, Rational, hold_response
-from flysid.model.sampling import sampled
+from flysid.model.frequency.fit import fit_response
+from flysid.model.frequency.rational import Form, Rational, hold_response
+from flysid.model.frequency.response import measure_response
+from flysid.model.frequency.sampling import sampled
 from flysid.model.transfer_function import TF
 
 DT_S, SECONDS = 0.02, 120.0

@@ -16,13 +16,13 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
+from flysid.model.fuzzy.layout import scaling
+from flysid.model.hidden.choice import Start
+from flysid.model.hidden.fit import Bench, linear_starts
+from flysid.model.hidden.grow import StateStage, Training, one_rule_more
+from flysid.model.hidden.judge import ends_of_travel
+from flysid.model.hidden.model import finished
 from flysid.model.ts_state_space import TSStateSpace
-from flysid.model.tslayout import scaling
-from flysid.model.tsss_choice import Start
-from flysid.model.tsss_fit import Bench, linear_starts
-from flysid.model.tsss_grow import StateStage, Training, one_rule_more
-from flysid.model.tsss_judge import ends_of_travel
-from flysid.model.tsss_model import finished
 from tests.bench.hidden_plants import PLANTS
 
 SAMPLES = 1024

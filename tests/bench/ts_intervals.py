@@ -13,12 +13,12 @@ import numpy as np
 from scipy.signal import lfilter
 
 from flysid.dataset import Dataset, FloatArray
+from flysid.model.fuzzy.grow import best_started, refine
+from flysid.model.fuzzy.model import FittedTS, dc_gain
+from flysid.model.fuzzy.problem import runs_of
+from flysid.model.fuzzy.refit import restated
+from flysid.model.fuzzy.uncertainty import uncertainty
 from flysid.model.ts import TS
-from flysid.model.tsgrow import best_started, refine
-from flysid.model.tsmodel import FittedTS, dc_gain
-from flysid.model.tsproblem import runs_of
-from flysid.model.tsrefit import restated
-from flysid.model.tsuncertainty import uncertainty
 
 DT_S = 0.05
 

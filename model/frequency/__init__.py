@@ -1,0 +1,1 @@
+"""Frequency responses as measured, and transfer functions in s fitted to them."""

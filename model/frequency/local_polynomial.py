@@ -1,0 +1,247 @@
+"""The frequency response by local polynomials (Pintelon & Schoukens, 2012, System Identification, ch. 7).
+
+The discrete Fourier transform of a segment obeys, without any window,
+
+    Y(w_k) = G(w_k) U(w_k) + T(w_k) + V(w_k),
+
+T the smooth transient of the segment's edges (what leakage is), V noise that is independent from line to
+line. Around every frequency w, G and each segment's T are polynomials in w_k - w, fitted by least squares to
+the lines of all segments within a band: G is common, T is each segment's own. Leakage is thus fitted instead
+of tapered away, one record is enough, and the residual gives the noise, hence intervals.
+
+Which band and which degree of T: of three widths and two degrees the pair with the smallest random error; too
+wide a band or too stiff a transient shows in the residual. (Degree 2 takes what a chirp does in its first
+seconds for a transient; degree 0 leaves it to the input.) Where the input has only a few lines (a sparse
+multisine), G is taken as constant.
+
+Cost: one transform per segment and three small least-squares problems per frequency.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.errors import DataError, UsageError
+from flysid.model.frequency.response import Spectral
+from flysid.model.polynomials import ComplexArray
+
+DEGREE = 2
+TRANSIENT_DEGREES = (0, 2)
+WIDTHS = (0.06, 0.12, 0.24)
+"""Half widths of a band as shares of its frequency."""
+WIDEST = 1.0
+FREEDOM = 6
+"""Lines beyond the unknowns that a point needs."""
+HIGHEST = 0.8
+"""Of the Nyquist frequency: above, what was sampled is mostly folded."""
+FEW_LINES = 6.0
+LEVERAGE = 2.25
+"""A local parabola's variance in its middle, in units of that of a mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Lines:
+    """One segment's transform without frequency 0: omega (K,), u (K, n_u), y (K,); index of its first line
+    among all segments' lines."""
+
+    omega: FloatArray
+    u: ComplexArray
+    y: ComplexArray
+    first: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """One frequency: gains, their variances at a noise of 1 (complex), noise power, degrees of freedom,
+    averages, and how every line enters the gains (weights (n_u, M) on lines `where`)."""
+
+    gain: ComplexArray
+    unit: FloatArray
+    noise: float
+    freedom: int
+    averages: float
+    weights: ComplexArray
+    where: np.ndarray[tuple[int], np.dtype[np.int64]]
+
+    @property
+    def error(self) -> float:
+        """Largest relative variance over the inputs."""
+        return float(np.max(self.noise * self.unit / np.maximum(np.abs(self.gain) ** 2, 1e-300)))
+
+
+def local_response(
+    records: Sequence[FloatArray], dt_s: float, points: int, band: tuple[float, float] | None
+) -> Spectral:
+    """Measure; records are (N, n_u + 1), the output last, in units of their standard deviations.
+
+    Raises
+    ------
+    DataError : no frequency has lines enough. UsageError : the band holds none of the frequencies.
+    """
+    lines = _transformed(records, dt_s)
+    n_u = records[0].shape[1] - 1
+    lowest = _lowest(lines, n_u)
+    high = HIGHEST * np.pi / dt_s
+    low = lowest if band is None else max(lowest, band[0])
+    high = high if band is None else min(high, band[1])
+    if not lowest < HIGHEST * np.pi / dt_s:
+        longest = max(map(len, records))
+        raise DataError(
+            f"segments of at most {longest} samples are too short for a frequency response",
+            hint=f"bring a segment of at least {8 * (_unknowns(n_u) + FREEDOM)} samples",
+        )
+    if not low < high:
+        raise UsageError(
+            f"no frequency between {low:.3g} and {high:.3g} rad/s can be measured",
+            hint=f"widen the band; these data reach from {lowest:.3g} to {HIGHEST * np.pi / dt_s:.3g} rad/s",
+        )
+    omega = np.geomspace(low, high, points)
+    found = [_best_point(lines, float(w), n_u) for w in omega]
+    kept = [i for i, p in enumerate(found) if p is not None]
+    picked = [p for p in found if p is not None]
+    if len(kept) < 2:
+        raise DataError("hardly any frequency is excited: no response can be measured")
+    return _joined(omega[kept], picked)
+
+
+def _transformed(records: Sequence[FloatArray], dt_s: float) -> list[_Lines]:
+    found, first = [], 0
+    for record in records:
+        spectrum = np.fft.rfft(record, axis=0)[1:] / np.sqrt(len(record))
+        if len(record) % 2 == 0:
+            spectrum = spectrum[:-1]  # the Nyquist line is real
+        lines = np.arange(1, len(spectrum) + 1, dtype=np.float64)
+        omega = np.asarray(lines * (2.0 * np.pi / (len(record) * dt_s)))
+        found.append(_Lines(omega, spectrum[:, :-1], spectrum[:, -1], first))
+        first += len(spectrum)
+    return found
+
+
+def _unknowns(n_u: int) -> int:
+    return n_u * (DEGREE + 1) + max(TRANSIENT_DEGREES) + 1
+
+
+def _free_lines(lines: Sequence[_Lines], low: float, high: float, n_u: int) -> int:
+    """Lines in a band beyond the unknowns; a segment with no more lines than its transient says nothing."""
+    total = 0
+    for segment in lines:
+        inside = np.searchsorted(segment.omega, high, "right") - np.searchsorted(segment.omega, low)
+        total += max(int(inside) - max(TRANSIENT_DEGREES) - 1, 0)
+    return total - n_u * (DEGREE + 1)
+
+
+def _lowest(lines: Sequence[_Lines], n_u: int) -> float:
+    """The lowest frequency whose widest band has lines enough."""
+    steps = max((s.omega for s in lines if len(s.omega)), key=len, default=np.zeros(0))
+    for omega in steps:
+        if _free_lines(lines, 0.0, (1.0 + WIDEST) * float(omega), n_u) >= FREEDOM:
+            return float(omega)
+    return np.inf
+
+
+def _best_point(lines: Sequence[_Lines], omega: float, n_u: int) -> _Point | None:
+    """The point of smallest random error among the band widths with lines enough."""
+    widths = [w for w in WIDTHS if _free_lines(lines, omega * (1 - w), omega * (1 + w), n_u) >= FREEDOM]
+    if not widths:
+        wide = WIDTHS[-1]
+        while wide < WIDEST and _free_lines(lines, omega * (1 - wide), omega * (1 + wide), n_u) < FREEDOM:
+            wide = min(1.15 * wide, WIDEST)
+        widths = [wide]
+    found = [_fitted(lines, (omega, w, t), n_u) for w in widths for t in TRANSIENT_DEGREES]
+    best = [p for p in found if p is not None]
+    return min(best, key=lambda p: p.error) if best else None
+
+
+def _fitted(lines: Sequence[_Lines], place: tuple[float, float, int], n_u: int) -> _Point | None:
+    """Local least squares; None where the inputs have no power there.
+
+    Parameters
+    ----------
+    place : frequency, half width of the band as a share of it, degree of the transients.
+    """
+    omega, width, degree = place
+    blocks, rows, where = [], [], []
+    for segment in lines:
+        at = slice(*np.searchsorted(segment.omega, [omega * (1 - width), omega * (1 + width)]))
+        d = (segment.omega[at] - omega) / (omega * width)
+        if len(d) <= degree + 1:
+            continue
+        basis, _ = np.linalg.qr(np.vander(d, degree + 1, increasing=True))
+        columns = (segment.u[at][:, None, :] * np.vander(d, DEGREE + 1, increasing=True)[:, :, None]).reshape(
+            len(d), -1
+        )
+        both = np.column_stack([columns, segment.y[at]])
+        blocks.append(both - basis @ (basis.T @ both))
+        rows.append(len(d) - degree - 1)
+        where.append(np.arange(segment.first + at.start, segment.first + at.stop))
+    if not blocks:
+        return None
+    stacked = np.concatenate(blocks)
+    return _solved(stacked[:, :-1], stacked[:, -1], sum(rows), n_u, np.concatenate(where))
+
+
+def _solved(
+    phi: ComplexArray, y: ComplexArray, rows: int, n_u: int, where: np.ndarray[tuple[int], np.dtype[np.int64]]
+) -> _Point | None:
+    """Gains at the band's middle: the first n_u unknowns."""
+    size = np.abs(phi[:, :n_u]) ** 2
+    total = size.sum(axis=0)
+    if not (total > 1e-20 * max(float(np.sum(np.abs(y) ** 2)), 1e-300)).all():
+        return None
+    spread = total**2 / np.maximum((size**2).sum(axis=0), 1e-300)
+    averages = float(rows)
+    if spread.min() < FEW_LINES:
+        phi = phi[:, :n_u]
+    else:
+        averages /= LEVERAGE
+    lengths = np.sqrt(np.maximum((np.abs(phi) ** 2).sum(axis=0), 1e-300))
+    left, sigma, right = np.linalg.svd(phi / lengths, full_matrices=False)
+    kept = sigma > 1e-7 * sigma[0]
+    freedom = rows - int(kept.sum())
+    if freedom < 2 or not kept.all():
+        return None
+    pseudo = (np.conj(right.T) / sigma) @ np.conj(left.T) / lengths[:, None]
+    theta = pseudo @ y
+    residual = y - phi @ theta
+    noise = float(np.sum(np.abs(residual) ** 2)) / freedom
+    weights = pseudo[:n_u]
+    unit = np.asarray((np.abs(weights) ** 2).sum(axis=1), dtype=np.float64)
+    return _Point(theta[:n_u], unit, noise, freedom, max(averages - n_u + 1, 1.0), weights, where)
+
+
+def _joined(omega: FloatArray, points: Sequence[_Point]) -> Spectral:
+    gain = np.stack([p.gain for p in points])
+    unit = np.stack([p.unit for p in points])
+    averages = np.array([p.averages for p in points])[:, None]
+    # the input's power is the one that explains the variance that least squares gives with so many averages:
+    # an input that looks like a transient has none, whatever its lines are
+    explained = np.abs(gain) ** 2 / np.maximum(averages * unit, 1e-300)
+    noise = np.maximum(np.array([p.noise for p in points])[:, None], 1e-15 * explained)
+    coherence = explained / np.maximum(explained + noise, 1e-300)
+    return Spectral(
+        omega=omega,
+        response=gain,
+        coherence=coherence,
+        averages=np.repeat(averages, gain.shape[1], axis=1),
+        freedom=np.array([2.0 * p.freedom for p in points]),
+        correlation=np.stack([_correlation(points, j) for j in range(gain.shape[1])]),
+    )
+
+
+def _correlation(points: Sequence[_Point], source: int) -> FloatArray:
+    """(F, F) of the relative errors: common lines, with the phases of the gains taken out."""
+    from scipy.sparse import csr_array
+
+    rows = [p.weights[source] / p.gain[source] for p in points]
+    indptr = np.cumsum([0, *(len(r) for r in rows)])
+    width = 1 + max(int(p.where.max()) for p in points)
+    matrix = csr_array(
+        (np.concatenate(rows), np.concatenate([p.where for p in points]), indptr), (len(rows), width)
+    )
+    gram = np.asarray((matrix @ matrix.conj().T).toarray()).real
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    return np.asarray(np.clip(gram / np.outer(size, size), -1.0, 1.0))

@@ -1,0 +1,231 @@
+"""The frequency response that a recording shows, before any model: gain, phase, coherence, intervals.
+
+As flight-test engineers look at it (Tischler & Remple, 2012, Aircraft and Rotorcraft System Identification,
+ch. 7 to 10): for every frequency and input the response with the other inputs' part taken out, the (partial)
+coherence g^2, and how far chance may have moved the point,
+
+    eps = sqrt(1 - g^2) / (g sqrt(2 n_d)),
+
+n_d the number of independent averages: the standard error of ln |G| and of the phase in rad (Bendat &
+Piersol, 2010, Random Data, 9.1). How it is measured: `local_polynomial` (the default; hardly any leakage, so
+that one chirp or a few segments are enough) or `spectra` (windows of several lengths combined, or
+multitaper).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.errors import DataError, UsageError
+from flysid.model.detrend import Trend, detrended
+from flysid.model.polynomials import ComplexArray
+
+GOOD_COHERENCE = 0.6
+POINTS = 80
+
+Method = Literal["local", "welch", "multitaper"]
+METHODS: tuple[Method, ...] = ("local", "welch", "multitaper")
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredResponse:
+    """Response from every input to one output, as measured.
+
+    Attributes
+    ----------
+    omega : (F,) rad/s, rising.
+    response : (F, n_u) complex gain, output unit per input unit, the other inputs' part taken out.
+    coherence : (F, n_u) 0 to 1; partial (the others conditioned out) where there are several inputs.
+    averages : (F, n_u) n_d, independent averages.
+    freedom : (F,) degrees of freedom of the noise estimate (real numbers: two per complex one).
+    correlation : (n_u, F, F) correlation of the points' errors: neighbours share data.
+    shared : largest coherence between two inputs, averaged over the frequencies; 0 for one input.
+    """
+
+    omega: FloatArray
+    response: ComplexArray
+    coherence: FloatArray
+    averages: FloatArray
+    freedom: FloatArray
+    correlation: FloatArray
+    shared: float
+    dt_s: float
+    inputs: tuple[Signal, ...]
+    output: Signal
+
+    @property
+    def error(self) -> FloatArray:
+        """(F, n_u) eps: standard error of ln |G| and of the phase in rad; inf where nothing coheres."""
+        g2 = self.coherence
+        with np.errstate(divide="ignore", invalid="ignore"):
+            eps = np.sqrt((1.0 - g2) / (g2 * 2.0 * self.averages))
+        return np.asarray(np.where(np.isfinite(eps), eps, np.inf))
+
+    @property
+    def gain_db(self) -> FloatArray:
+        """(F, n_u) 20 log10 |G|."""
+        tiny = np.finfo(float).tiny
+        return np.asarray(20.0 * np.log10(np.maximum(np.abs(self.response), tiny)))
+
+    @property
+    def phase_deg(self) -> FloatArray:
+        """(F, n_u) phase without jumps; it starts between -180 and 180 degrees."""
+        return np.asarray(np.degrees(np.unwrap(np.angle(self.response), axis=0)))
+
+    def half_width(self, level: float = 0.95) -> FloatArray:
+        """(F, n_u) half width of the interval on ln |G| and on the phase in rad (Student's t)."""
+        from scipy.stats import t
+
+        return np.asarray(t.ppf(0.5 + level / 2.0, self.freedom)[:, None] * self.error)
+
+    def gain_interval_db(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
+        """(lower, upper), (F, n_u) each."""
+        spread = 20.0 / np.log(10.0) * self.half_width(level)
+        return self.gain_db - spread, self.gain_db + spread
+
+    def phase_interval_deg(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
+        """(lower, upper), (F, n_u) each."""
+        spread = np.degrees(self.half_width(level))
+        return self.phase_deg - spread, self.phase_deg + spread
+
+    def trusted(self, source: int = 0) -> FloatArray:
+        """(F,) 1 inside the widest band (in octaves) where the coherence counts, else 0; see `band`."""
+        averages = self.averages[:, source]
+        chance = 1.0 - 0.05 ** (1.0 / np.maximum(averages - 1.0, 0.1))
+        level, own = np.maximum(GOOD_COHERENCE, chance), self.coherence[:, source]
+        good = _smoothed(own) > level
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]])))
+        inside = np.zeros(len(self.omega))
+        runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+        if runs:
+            start, stop = max(runs, key=lambda r: float(np.log(self.omega[r[1] - 1] / self.omega[r[0]])))
+            kept = start + np.flatnonzero(
+                own[start:stop] > level[start:stop]
+            )  # no edge on a neighbour's word
+            inside[kept[0] : kept[-1] + 1] = 1.0
+        return inside
+
+    def band(self, source: int = 0) -> tuple[float, float] | None:
+        """Lowest and highest trustworthy frequency, rad/s: coherence above 0.6 and above chance; or None."""
+        inside = np.flatnonzero(self.trusted(source))
+        return (float(self.omega[inside[0]]), float(self.omega[inside[-1]])) if len(inside) else None
+
+
+def _smoothed(values: FloatArray) -> FloatArray:
+    """Mean over three neighbours: one line alone may be chance."""
+    padded = np.concatenate([values[:1], values, values[-1:]])
+    return np.asarray((padded[:-2] + padded[1:-1] + padded[2:]) / 3.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Spectral:
+    """What a method of measuring returns, signals in units of their standard deviations; see there."""
+
+    omega: FloatArray
+    response: ComplexArray
+    coherence: FloatArray
+    averages: FloatArray
+    freedom: FloatArray
+    correlation: FloatArray
+
+
+def measure_response(
+    data: Dataset,
+    output: int = 0,
+    *,
+    points: int = POINTS,
+    method: Method = "local",
+    trend: Trend = "none",
+    band: tuple[float, float] | None = None,
+) -> MeasuredResponse:
+    """The frequency response from all inputs to one output of a dataset.
+
+    Parameters
+    ----------
+    points : frequencies, equally spaced in log omega.
+    method : "local", local polynomials (Pintelon & Schoukens, 2012, ch. 7): one chirp, a multisine or any
+        excitation over any number of segments; "welch", windows of up to five lengths combined by their
+        random errors (Tischler & Remple, 2012, ch. 10); "multitaper", whole segments under seven orthogonal
+        windows (Thomson, 1982).
+    trend : "remove" takes a straight line out of every segment's signals first.
+    band : lowest and highest frequency, rad/s; default: what the data can tell.
+
+    Raises
+    ------
+    DataError : too short, an input or the output never changes, inputs that cannot be told apart.
+    UsageError : no such method, or an empty band.
+    """
+    from flysid.model.frequency.local_polynomial import local_response
+    from flysid.model.frequency.spectra import multitaper_response, welch_response
+
+    if method not in METHODS:
+        raise UsageError(f"no method {method!r}", hint=f"one of {', '.join(map(repr, METHODS))}")
+    if points < 2:
+        raise UsageError(f"a frequency response needs at least 2 points, not {points}")
+    records = _records(detrended(data, trend), output)
+    _check_motion(records, data, output)
+    scale = np.sqrt(sum((r**2).sum(axis=0) for r in records) / sum(map(len, records)))
+    how = {"local": local_response, "welch": welch_response, "multitaper": multitaper_response}[method]
+    scaled = [r / scale for r in records]
+    shared = _check_apart(scaled, [s.name for s in data.inputs])
+    found = how(scaled, data.dt_s, points, band)
+    return MeasuredResponse(
+        omega=found.omega,
+        response=np.asarray(found.response * scale[-1] / scale[:-1]),
+        coherence=np.clip(found.coherence, 0.0, 1.0),
+        averages=found.averages,
+        freedom=found.freedom,
+        correlation=found.correlation,
+        shared=shared,
+        dt_s=data.dt_s,
+        inputs=data.inputs,
+        output=data.outputs[output],
+    )
+
+
+def _records(data: Dataset, output: int) -> list[FloatArray]:
+    """(N, n_u + 1) per segment: inputs and the output about their means over all segments."""
+    found = [np.column_stack([s.u, s.y[:, output]]) for s in data.segments if len(s)]
+    if not found:
+        raise DataError("there are no samples", hint="check the recipe and the splits")
+    mean = np.concatenate(found).mean(axis=0)
+    return [r - mean for r in found]
+
+
+def _check_motion(records: Sequence[FloatArray], data: Dataset, output: int) -> None:
+    names = [*(s.name for s in data.inputs), data.outputs[output].name]
+    offset = np.concatenate([data.segments[0].u[:1], data.segments[0].y[:1, [output]]], axis=1)[0]
+    for i, name in enumerate(names):
+        size = max(float(np.ptp(r[:, i])) for r in records)
+        if not size > 1e-12 * max(abs(float(offset[i])), 1e-300):
+            kind = "output" if i == len(names) - 1 else "input"
+            raise DataError(
+                f"{kind} {name!r} never changes: it has no frequency response",
+                hint="choose segments in which it moves, or leave it out of the recipe",
+            )
+
+
+def _check_apart(records: Sequence[FloatArray], names: Sequence[str]) -> float:
+    """The largest squared correlation between two inputs.
+
+    Raises
+    ------
+    DataError : two inputs are one signal.
+    """
+    gram = np.asarray(sum(r[:, :-1].T @ r[:, :-1] for r in records))
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    squared = (gram / np.outer(size, size)) ** 2
+    np.fill_diagonal(squared, 0.0)
+    if squared.max(initial=0.0) > 1.0 - 1e-6:
+        i, j = np.unravel_index(int(np.argmax(squared)), squared.shape)
+        raise DataError(
+            f"inputs {names[int(i)]!r} and {names[int(j)]!r} move together: "
+            "their effects cannot be told apart",
+            hint="leave one out of the recipe, or excite them separately",
+        )
+    return float(squared.max(initial=0.0))

@@ -1,0 +1,1 @@
+"""Takagi-Sugeno models over lagged inputs and outputs: rules, their search, their words."""

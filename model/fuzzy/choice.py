@@ -1,0 +1,184 @@
+"""Choosing among TS models without looking at the test: validation free run, one standard error, stability.
+
+A model is judged by its free run over validation runs, cut into blocks; two models are compared block by
+block, so that what is hard for both cancels. The simplest model whose mean square is within one standard
+error of the best is taken (Breiman et al. 1984). A model that does not come back from bounded random inputs
+is never offered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray, Segment
+from flysid.model.fuzzy.grow import Stage
+from flysid.model.fuzzy.kernel import free_run
+from flysid.model.fuzzy.problem import simulate_runs
+from flysid.model.fuzzy.stress import stress_run
+from flysid.model.start import MAX_SHARE, estimate_start
+
+_BLOCKS = 16
+_RESOLUTION = 1e-10  # mean squares (of normalised outputs) below this are all "exact"
+
+
+def hold_out(train: Dataset, least: int, fold: int = 0) -> tuple[Dataset, Dataset]:
+    """Training and validation parts of `train`: every fourth segment, or a quarter of each where few.
+
+    Whole segments are held out where there are at least four long enough; otherwise one quarter of each,
+    the last one in fold 0, earlier ones in folds 1 to 3. Nothing is drawn sample by sample.
+    """
+    usable = [s for s in train.segments if len(s) >= least]
+    if len(usable) >= 4:
+        held = [s for i, s in enumerate(usable) if i % 4 == (2 + fold) % 4]
+        kept = [s for i, s in enumerate(usable) if i % 4 != (2 + fold) % 4]
+        return train.with_segments(kept), train.with_segments(held)
+    first: list[Segment] = []
+    last: list[Segment] = []
+    for segment in usable:
+        n = len(segment)
+        begin, end = n - (fold + 1) * (n // 4), n - fold * (n // 4)
+        parts = [segment.slice(a, b, train.dt_s) for a, b in ((0, begin), (end, n)) if b - a >= least]
+        if end - begin < least or not parts:
+            first.append(segment)
+            continue
+        first += parts
+        last.append(segment.slice(begin, end, train.dt_s))
+    return train.with_segments(first), train.with_segments(last or first)
+
+
+def initial_state_gain(stage: Stage) -> FloatArray:
+    """(depth n_y, depth (n_y + n_u) + 1) correction from measured first samples to the model's own.
+
+    A ridge regression, over all windows of the training runs, of simulated minus measured outputs on
+    measured outputs and inputs: the best linear guess of where the model's state is. At 100 Hz the raw
+    first samples would start a fourth-order model with noise a million times amplified. Without noise the
+    differences vanish and so does the correction.
+    """
+    problem, d = stage.problem, stage.problem.layout.depth
+    n_y = problem.layout.n_y
+    features, targets = [], []
+    for run, W in zip(simulate_runs(problem, stage.body, stage.initial), problem.runs, strict=True):
+        features.append(_windows(W, d))
+        targets.append(_windows(run[:, :n_y] - W[:, :n_y], d))
+    X = np.vstack(features)
+    X = np.hstack([X, np.ones((len(X), 1))])
+    Y = np.vstack(targets)
+    gram = X.T @ X / len(X)
+    noise = float((Y * Y).mean())
+    gain = np.linalg.solve(gram + (1e-9 + 1e-3 * noise) * np.eye(len(gram)), X.T @ Y / len(X))
+    return np.ascontiguousarray(gain.T)
+
+
+def _windows(W: FloatArray, depth: int) -> FloatArray:
+    """(N - depth + 1, depth * columns) every window of `depth` rows, flattened row by row."""
+    view = np.lib.stride_tricks.sliding_window_view(W, depth, axis=0)
+    return np.ascontiguousarray(view.transpose(0, 2, 1)).reshape(len(view), -1)
+
+
+def estimated_initial(gain: FloatArray, W: FloatArray, depth: int, n_y: int) -> FloatArray:
+    """(depth, n_y) first outputs as the model should see them, from the first `depth` rows of W."""
+    window = np.append(W[:depth].ravel(), 1.0)
+    return np.asarray(W[:depth, :n_y] + (gain @ window).reshape(depth, n_y))
+
+
+@dataclass(frozen=True, eq=False)
+class _Runner:
+    """What `estimate_start` needs of a model, in normalised units."""
+
+    stage: Stage
+
+    @property
+    def n_init(self) -> int:
+        return self.stage.problem.layout.depth
+
+    def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray:
+        problem = self.stage.problem
+        W = np.hstack([np.zeros((len(u), problem.layout.n_y)), u])
+        W[: self.n_init, : problem.layout.n_y] = y0
+        free_run(W, self.n_init, problem.layout.lags, problem.parameters(self.stage.body))
+        return W[:, : problem.layout.n_y]
+
+
+def free_run_errors(stage: Stage, runs: Sequence[FloatArray], window: int) -> list[FloatArray]:
+    """(N - window, n_y) simulated minus measured outputs of every run, normalised.
+
+    The first `window` rows only give the initial state, as in the comparison on held-out data: a choice
+    must not hang on how well a few noisy samples start a high order.
+    """
+    n_y, runner = stage.problem.layout.n_y, _Runner(stage)
+    errors = []
+    for W in runs:
+        u, y = W[:, n_y:], W[:, :n_y]
+        start = estimate_start(runner, u[:window], y[:window])
+        errors.append(runner.simulate(u, start)[window:] - y[window:])
+    return errors
+
+
+def judging_window(runs: Sequence[FloatArray], least: int) -> int:
+    """Rows of every validation run that start the candidates: a tenth of the shortest, or `least`."""
+    return max(least, int(MAX_SHARE * min(len(W) for W in runs)))
+
+
+def blocks(errors: Sequence[FloatArray]) -> FloatArray:
+    """Mean squares over about 16 blocks of consecutive samples; no block crosses a run's edge."""
+    size = max(1, sum(len(e) for e in errors) // _BLOCKS)
+    parts = [part for e in errors for part in np.array_split(e, max(1, round(len(e) / size)))]
+    return np.array([float((p * p).mean()) for p in parts])
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A model and its validation block errors, simplest first in every list."""
+
+    stage: Stage
+    errors: FloatArray
+    stable: bool = True
+
+    @property
+    def mean(self) -> float:
+        """Mean square of the validation free run, in units of the outputs' variance."""
+        return float(self.errors.mean())
+
+
+def choose(candidates: Sequence[Candidate], *, least_gain: float = 0.0, most_loss: float = np.inf) -> int:
+    """Index of the simplest stable candidate within one standard error of the best stable one.
+
+    `least_gain` and `most_loss` bound the relative loss in mean square that simplicity is worth: a rule
+    must lower it by more than the first, however sure that gain is. Orders are chosen with a most_loss of
+    0.01, because a linear model of too low an order makes rules look useful that only replace its lags.
+    """
+    stable = [i for i, c in enumerate(candidates) if c.stable]
+    if not stable:
+        return 0
+    best = min(stable, key=lambda i: candidates[i].mean)
+    for i in stable:
+        gap = candidates[i].errors - candidates[best].errors
+        allowed = float(gap.std(ddof=1) / np.sqrt(len(gap))) if len(gap) > 1 else 0.0
+        allowed = min(max(allowed, least_gain * candidates[best].mean), most_loss * candidates[best].mean)
+        if i == best or gap.mean() <= allowed or candidates[i].mean < _RESOLUTION:
+            return i
+    return best
+
+
+def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
+    """Whether the free run comes back from bounded random inputs, and stays off its limits under usual ones.
+
+    First random steps over the whole range of the training inputs, which may push any plant far out; then
+    blocks of the training inputs in random order. In that second part no more than one sample in fifty
+    may lie on an output limit (the range of training, widened by itself on each side).
+    """
+    problem, n_y = stage.problem, stage.problem.layout.n_y
+    W = stress_run(problem.runs, n_y, steps, seed)
+    free_run(W, problem.layout.depth, problem.layout.lags, problem.parameters(stage.body))
+    y = W[steps + steps // 4 :, :n_y]
+    at_limit = (y <= problem.limits[0]) | (y >= problem.limits[1])
+    return bool(at_limit.any(axis=1).mean() < 0.02)
+
+
+def judged(stage: Stage, runs: Sequence[FloatArray], skip: int, *, must_be_bounded: bool) -> Candidate:
+    """A stage with its validation errors after `skip` rows of every run, and whether it may be offered."""
+    errors = blocks(free_run_errors(stage, runs, judging_window(runs, skip)))
+    return Candidate(stage, errors, is_bounded(stage) if must_be_bounded else True)

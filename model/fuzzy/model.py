@@ -1,0 +1,331 @@
+"""A fitted dynamic Takagi-Sugeno model: rules over lagged inputs and outputs.
+
+    R_r: If z_1(k) is A_r1 and ... then y(k) = sum a_rj y(k-j) + sum b_rj u(k-nk-j) + c_r
+
+with the firing strengths and the weighted mean of the paper's eq. (1)-(3) (Takagi and Sugeno, 1985).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import FloatArray, Signal
+from flysid.errors import UsageError
+from flysid.model.arguments import as_columns
+from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
+from flysid.model.fuzzy.check import check
+from flysid.model.fuzzy.choice import estimated_initial
+from flysid.model.fuzzy.kernel import Parameters, firing, free_run, predict
+from flysid.model.fuzzy.layout import Antecedent, Layout, Orders, at
+from flysid.model.fuzzy.memberships import Partition
+from flysid.model.fuzzy.physical import physical_consequents, physical_partition
+from flysid.model.fuzzy.words import condition_in_words, equation, in_words
+from flysid.model.noise import output_error_ahead
+from flysid.model.start import estimate_start, full_window
+
+
+@dataclass(frozen=True, eq=False)
+class FittedTS:
+    """A dynamic TS model; see the laws in flysid.model.base.
+
+    Attributes
+    ----------
+    layout : signals, orders, antecedents, scaling.
+    parameters : consequents and memberships in normalised units.
+    initial_gain : correction of measured first samples, see `initial_state_gain`.
+    support : (R,) share of training samples for which each rule is the strongest.
+    noise : (p + 1, n_y) monic autoregression of the free run's error per output, which predictions lean
+        on; None: predictions regress on measured lags.
+    gain_interval : (2, R, n_y, n_u) 95 % interval of every rule's steady gain; None: not known.
+    """
+
+    dt_s: float
+    layout: Layout
+    parameters: Parameters
+    initial_gain: FloatArray
+    support: FloatArray
+    notes: tuple[str, ...]
+    noise: FloatArray | None = None
+    gain_interval: FloatArray | None = None
+
+    structure = "ts"
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]:
+        """Input signals."""
+        return self.layout.inputs
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]:
+        """Output signals."""
+        return self.layout.outputs
+
+    @property
+    def n_init(self) -> int:
+        """Measured samples that start a simulation."""
+        return self.layout.depth
+
+    @property
+    def n_parameters(self) -> int:
+        """Consequents, and centres and widths where there are several rules."""
+        p = self.parameters
+        return int(p.theta.size + (2 * p.centre.size if len(p.theta) > 1 else 0))
+
+    @property
+    def output_limits(self) -> FloatArray:
+        """(2, n_y) range of the training outputs, widened by itself on each side."""
+        n = self.layout.n_y
+        return np.asarray(self.parameters.limits * self.layout.scale[:n] + self.layout.shift[:n])
+
+    @property
+    def antecedents(self) -> tuple[str, ...]:
+        """Names of the antecedent variables."""
+        return tuple(a.name(self.layout.signals) for a in self.layout.antecedents)
+
+    def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
+        """(N, n_y) predictions from outputs at least k steps old; the first n_init + k - 1 rows are NaN.
+
+        A model refined on the simulation error adds to its free run what its noise model foresees, once it
+        has seen enough to start that run; lags as they were measured carry their noise into every step.
+        """
+        if k < 1:
+            raise UsageError(f"a prediction {k} steps ahead", hint="k counts from 1")
+        W = self._stack(u, y)
+        measured = predict(W, self.n_init, int(k), self.layout.lags, self.parameters)
+        ahead = self.layout.outputs_of(measured)
+        window = full_window(self.n_init, self.dt_s)
+        later = window + k - 1
+        if self.noise is not None and len(W) > later:
+            u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
+            free = self.simulate(u, estimate_start(self, u[:window], y[:window]))
+            ahead[later:] = output_error_ahead(free, y, self.noise, k)[later:]
+        return ahead
+
+    def one_step(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, n_y) what the rules conclude from measured lags, eq. (3); NaN in the first n_init rows."""
+        W = self._stack(u, y)
+        return self.layout.outputs_of(predict(W, self.n_init, 1, self.layout.lags, self.parameters))
+
+    def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+        """(N, n_y) free run from the first n_init measured outputs.
+
+        When None: from rest, that is with inputs and outputs at zero before the first sample.
+        """
+        d, n_y = self.n_init, self.layout.n_y
+        u = as_columns(u, len(self.inputs), "u")
+        if y0 is None:
+            before = np.concatenate([np.zeros((d, u.shape[1])), u])
+            return self._run(self.layout.stack(before, np.zeros((d, n_y))))[d:]
+        given = as_columns(y0, n_y, "y0")
+        if len(given) < d:
+            raise UsageError(f"{len(given)} measured samples; the model starts from {d}")
+        W = self.layout.stack(u, given[: min(d, len(u))])
+        if len(u) > d:
+            W[:d, :n_y] = estimated_initial(self.initial_gain, W, d, n_y)
+        result = self._run(W)
+        result[:d] = given[: min(d, len(u))]
+        return result
+
+    def _run(self, W: FloatArray) -> FloatArray:
+        """(N, n_y) outputs of a free run of W, whose first n_init rows are the start."""
+        if len(W) > self.n_init:
+            free_run(W, self.n_init, self.layout.lags, self.parameters)
+        return np.asarray(np.clip(self.layout.outputs_of(W), *self.output_limits))
+
+    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, R) normalised firing strengths along measured data; the first n_init rows repeat the next."""
+        return np.asarray(firing(self._stack(u, y), self.n_init, self.layout.lags, self.parameters))
+
+    def rule_outputs(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, R, n_y) what every rule concludes along measured data; NaN in the first n_init rows."""
+        W, d, n_y = self._stack(u, y), self.n_init, self.layout.n_y
+        result = np.full((len(W), len(self.parameters.theta), n_y), np.nan)
+        X = [np.ones(max(0, len(W) - d)) if c < 0 else W[d - lag : len(W) - lag, c] for c, lag in self._terms]
+        part = np.einsum("rim,mn->nri", self.parameters.theta, np.stack(X))
+        result[d:] = part * self.layout.scale[:n_y] + self.layout.shift[:n_y]
+        return result
+
+    def memberships(self, variable: int, x: FloatArray) -> FloatArray:
+        """(len(x), R) grade of membership of values x of one antecedent (physical units)."""
+        return self.partition.grades(variable, x)
+
+    @cached_property
+    def partition(self) -> Partition:
+        """Memberships in physical units."""
+        return physical_partition(self.layout, self.parameters)
+
+    @property
+    def centres(self) -> FloatArray:
+        """(R, n_z) centres of the memberships, physical units."""
+        return self.partition.centre
+
+    @property
+    def widths(self) -> FloatArray:
+        """(R, n_z) widths of the memberships, physical units."""
+        return self.partition.left
+
+    @cached_property
+    def consequents(self) -> FloatArray:
+        """(R, n_y, n_x) consequents in physical units, in the order of `regressor_names`."""
+        return physical_consequents(self.layout, self.parameters)
+
+    @property
+    def regressor_names(self) -> tuple[str, ...]:
+        """What the consequents multiply; the last is the constant 1."""
+        names = [s.name for s in self.layout.signals]
+        return tuple("1" if c < 0 else at(names[c], lag) for c, lag in self._terms)
+
+    @property
+    def _terms(self) -> list[tuple[int, int]]:
+        return self.layout.regressors
+
+    def local_polynomials(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
+        """Per rule (A, B, c): y(k) = sum_j A[j-1] y(k-j) + sum_j B[j] u(k-j) + c, physical units.
+
+        A is (na, n_y, n_y), B is (largest input lag + 1, n_y, n_u), c is (n_y,).
+        """
+        n_y, n_u = self.layout.n_y, len(self.inputs)
+        deepest = max([0, *(lag for c, lag in self._terms if c >= n_y)])
+        result = []
+        for theta in self.consequents:
+            A = np.zeros((self.layout.orders.na, n_y, n_y))
+            B = np.zeros((deepest + 1, n_y, n_u))
+            for m, (c, lag) in enumerate(self._terms[:-1]):
+                if c < n_y:
+                    A[lag - 1, :, c] = theta[:, m]
+                else:
+                    B[lag, :, c - n_y] = theta[:, m]
+            result.append((A, B, theta[:, -1].copy()))
+        return tuple(result)
+
+    def rules(self) -> tuple[Rule, ...]:
+        """Every rule in words."""
+        return tuple(self._rule(r, *parts) for r, parts in enumerate(self.local_polynomials()))
+
+    def _rule(self, r: int, A: FloatArray, B: FloatArray, c: FloatArray) -> Rule:
+        units = [self.layout.signals[a.column].unit for a in self.layout.antecedents]
+        text = ", ".join(
+            equation(at(s.name, 0), self.consequents[r, i, :-1], self.regressor_names[:-1], c[i])
+            for i, s in enumerate(self.outputs)
+        )
+        radius = pole_radius(A)
+        return Rule(
+            label=f"R{r + 1}",
+            condition=condition_in_words(self.partition, r, self.antecedents, units),
+            conclusion=text,
+            dc_gain=dc_gain(A, B),
+            time_constant_s=time_constant(radius, self.dt_s),
+            pole_radius=radius,
+            support=float(self.support[r]),
+            gain_interval=None if self.gain_interval is None else self.gain_interval[:, r],
+        )
+
+    def __str__(self) -> str:
+        """The rules and how they were chosen, in words."""
+        count = len(self.parameters.theta)
+        title = f"Takagi-Sugeno model, {count} rule{'s' if count > 1 else ''}, {self.layout.orders}"
+        return in_words(f"{title}, {self.n_parameters} parameters", self.rules(), self.notes)
+
+    def _stack(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
+        if len(u) != len(y):
+            raise UsageError(f"u has {len(u)} samples and y has {len(y)}")
+        return self.layout.stack(u, y)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything needed to rebuild the model, as JSON types only."""
+        layout, p = self.layout, self.parameters
+        return {
+            "format": MODEL_FORMAT,
+            "version": MODEL_VERSION,
+            "structure": self.structure,
+            "dt_s": self.dt_s,
+            "inputs": [[s.name, s.unit, s.resolution] for s in layout.inputs],
+            "outputs": [[s.name, s.unit, s.resolution] for s in layout.outputs],
+            "na": layout.orders.na,
+            "nb": list(layout.orders.nb),
+            "nk": list(layout.orders.nk),
+            "antecedents": [[a.column, a.lag, a.minus] for a in layout.antecedents],
+            "shift": layout.shift.tolist(),
+            "scale": layout.scale.tolist(),
+            "parameters": {name: value.tolist() for name, value in p._asdict().items()},
+            "initial_gain": self.initial_gain.tolist(),
+            "support": self.support.tolist(),
+            "noise": None if self.noise is None else self.noise.tolist(),
+            "gain_interval": None if self.gain_interval is None else _with_null(self.gain_interval),
+            "notes": list(self.notes),
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as JSON, whole or not at all."""
+        write_document(self.to_dict(), path)
+
+
+def pole_radius(A: FloatArray) -> float:
+    """Largest pole modulus of y(k) = sum A[j-1] y(k-j), A (na, n_y, n_y)."""
+    na, n_y, _ = A.shape
+    if na == 0:
+        return 0.0
+    companion = np.zeros((na * n_y, na * n_y))
+    companion[:n_y] = np.hstack(list(A))
+    companion[n_y:, :-n_y] = np.eye((na - 1) * n_y)
+    return float(np.abs(np.linalg.eigvals(companion)).max())
+
+
+def dc_gain(A: FloatArray, B: FloatArray) -> FloatArray:
+    """(n_y, n_u) steady gain; NaN where the rule integrates."""
+    left = np.eye(B.shape[1]) - A.sum(axis=0)
+    if np.linalg.cond(left) > 1e12:
+        return np.full(B.shape[1:], np.nan)
+    return np.asarray(np.linalg.solve(left, B.sum(axis=0)))
+
+
+def time_constant(radius: float, dt_s: float) -> float:
+    """Seconds in which the slowest mode falls to 1/e; inf where it does not fall."""
+    if radius >= 1.0 - 1e-9:
+        return float("inf")
+    return 0.0 if radius <= 0.0 else float(-dt_s / np.log(radius))
+
+
+def from_dict(document: Mapping[str, Any]) -> FittedTS:
+    """Rebuild what `to_dict` gave; raises StoreError where the parts do not fit each other."""
+    numbers = {name: np.array(value, dtype=np.float64) for name, value in document["parameters"].items()}
+    rules, n_z = len(numbers["theta"]), len(document["antecedents"])
+    numbers["centre"] = numbers["centre"].reshape(rules, n_z)
+    numbers["width"] = numbers["width"].reshape(rules, n_z)
+    numbers["z_range"] = numbers["z_range"].reshape(2, n_z)
+    layout = Layout(
+        outputs=tuple(Signal(*s) for s in document["outputs"]),
+        inputs=tuple(Signal(*s) for s in document["inputs"]),
+        orders=Orders(int(document["na"]), tuple(document["nb"]), tuple(document["nk"])),
+        antecedents=tuple(Antecedent(*a) for a in document["antecedents"]),
+        shift=np.array(document["shift"], dtype=np.float64),
+        scale=np.array(document["scale"], dtype=np.float64),
+    )
+    model = FittedTS(
+        dt_s=float(document["dt_s"]),
+        layout=layout,
+        parameters=Parameters(**numbers),
+        initial_gain=np.array(document["initial_gain"], dtype=np.float64),
+        support=np.array(document["support"], dtype=np.float64),
+        notes=tuple(document["notes"]),
+        noise=_array_or_none(document["noise"]),
+        gain_interval=_array_or_none(document.get("gain_interval")),
+    )
+    check(layout, model.parameters, model.noise)
+    return model
+
+
+def _with_null(array: FloatArray) -> list[Any]:
+    """The array as JSON types, null for NaN."""
+    return list(np.where(np.isnan(array), None, array).tolist())  # type: ignore[call-overload]
+
+
+def _array_or_none(value: Any) -> FloatArray | None:
+    return None if value is None else np.array(value, dtype=np.float64)

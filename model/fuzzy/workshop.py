@@ -1,0 +1,136 @@
+"""Data, settings and judgement that all stages of one TS fit share, and its linear models."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.fuzzy.choice import Candidate, choose, judged
+from flysid.model.fuzzy.grow import (
+    Stage,
+    embedded_start,
+    first_basis,
+    linear_stage,
+    rebased,
+    refine,
+    unrefined,
+)
+from flysid.model.fuzzy.layout import Layout, Orders
+from flysid.model.fuzzy.problem import Problem, runs_of
+from flysid.model.fuzzy.start import arx_start, as_stage, chosen_by_arx
+from flysid.model.fuzzy.stress import stress_run
+
+SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
+_ORDER_LOSS = 0.01
+_LOOSE = 100.0  # ranges within which the search for a linear model may move
+_STRESS = 1000  # steps of each kind of stress
+_STRESS_SEED = 1  # not the one that models are asked with in the end
+
+
+class Settings(Protocol):
+    """What `learn` needs to know; `TS` is one."""
+
+    @property
+    def rules(self) -> int | Literal["auto"]: ...
+    @property
+    def na(self) -> int | Literal["auto"]: ...
+    @property
+    def nb(self) -> int | Sequence[int] | Literal["auto"]: ...
+    @property
+    def nk(self) -> int | Sequence[int] | Literal["auto"]: ...
+    @property
+    def antecedents(self) -> Sequence[str] | Literal["auto"]: ...
+    @property
+    def refine(self) -> bool: ...
+    @property
+    def most_rules(self) -> int: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def nk_hint(self) -> Sequence[int]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Workshop:
+    """Data and settings that all stages of one fit share."""
+
+    settings: Settings
+    fit_part: Dataset
+    check_part: Dataset
+    shift: FloatArray
+    scale: FloatArray
+    least: int
+    must_be_bounded: bool = True
+    folds: tuple[tuple[Dataset, Dataset], ...] = ()
+
+    def problem(self, orders: Orders) -> Problem:
+        """The problem of a linear model of these orders.
+
+        Its output limits are loose: where a simulation is held at a limit no gradient shows the way back,
+        and a linear model's start can always be found by least squares.
+        """
+        layout = Layout(self.fit_part.outputs, self.fit_part.inputs, orders, (), self.shift, self.scale)
+        runs = runs_of(layout, self.fit_part.segments, self.least)
+        y = np.vstack([W[:, : layout.n_y] for W in runs])
+        margin = _LOOSE * np.ptp(y, axis=0)
+        limits = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
+        basis = first_basis(layout, runs)
+        return Problem(layout, runs, basis, np.zeros((layout.n_y, len(basis))), np.zeros((2, 0)), limits)
+
+    def ready(self, stage: Stage) -> Stage:
+        """A linear stage to grow from: with its output limits and with stress."""
+        problem, n_y = stage.problem, stage.problem.layout.n_y
+        y = np.vstack([W[:, :n_y] for W in problem.runs])
+        margin = np.ptp(y, axis=0)
+        limits = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
+        steps = min(_STRESS, max(200, len(y) // 2))
+        stress = stress_run(problem.runs, n_y, steps, _STRESS_SEED) if self.must_be_bounded else None
+        return replace(stage, problem=replace(problem, limits=limits, stress=stress))
+
+    def judge(self, stage: Stage) -> Candidate:
+        """The stage on the validation part."""
+        runs = runs_of(stage.problem.layout, self.check_part.segments, self.least)
+        return judged(stage, runs, self.least - SPARE_ROWS, must_be_bounded=self.must_be_bounded)
+
+    def linear(self, choices: Sequence[Orders]) -> tuple[list[Candidate], list[str]]:
+        """Linear models, each refined from the one before, up to the best orders."""
+        candidates: list[Candidate] = []
+        loose: list[Stage] = []
+        for orders in choices:
+            problem = self.problem(orders)
+            if self.settings.refine:
+                nested = (embedded_start(known, problem) for known in reversed(loose))
+                start = next(filter(None, nested), ())
+                start += arx_start(problem, self.fit_part)
+                stage = linear_stage(problem, self.settings.iterations, start)
+            else:
+                stage = unrefined(problem)
+            candidates.append(self.judge(self.ready(stage)))
+            loose.append(stage)
+        candidates += self._linear_side(len(choices))
+        at = choose(candidates, most_loss=_ORDER_LOSS)
+        orders = candidates[at].stage.problem.layout.orders
+        how = (
+            "as given" if len(choices) == 1 else "the simplest within 1 % and one standard error of the best"
+        )
+        note = f"Orders {orders}: {how} (validation free run of the linear model)."
+        others = [c for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
+        if self.settings.nk_hint:  # neighbours in order, not every order with and without the dead time
+            others = [c for c in others if c.stage.problem.layout.orders.nk == orders.nk]
+        return [candidates[at], *others], [note]
+
+    def _linear_side(self, choices: int) -> list[Candidate]:
+        """What the linear side chooses by itself, with its delays, as it is and refined."""
+        if choices == 1 or not self.settings.refine:
+            return []
+        found = chosen_by_arx(self.fit_part, self.check_part, self.settings.nk_hint)
+        if found is None or found[0].depth + SPARE_ROWS > self.least:
+            return []
+        plain = as_stage(found[1], self.problem(found[0]))
+        plain = rebased(plain)
+        refined = refine(plain, self.settings.iterations, 1e-6)
+        return [self.judge(self.ready(stage)) for stage in (plain, refined)]

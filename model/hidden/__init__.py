@@ -1,0 +1,1 @@
+"""Takagi-Sugeno state-space models: rules over states of which some are hidden."""

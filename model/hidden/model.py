@@ -1,0 +1,343 @@
+"""A fitted Takagi-Sugeno state-space model: what it simulates, predicts, says and stores."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.errors import UsageError
+from flysid.model.arguments import as_columns
+from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
+from flysid.model.fuzzy.check import check_states
+from flysid.model.fuzzy.kernel import Parameters, firing
+from flysid.model.fuzzy.layout import Antecedent, at
+from flysid.model.fuzzy.memberships import Partition
+from flysid.model.fuzzy.physical import physical_consequents, physical_partition
+from flysid.model.fuzzy.words import condition_in_words, equation, in_words
+from flysid.model.hidden.grow import StateStage, rule_support
+from flysid.model.hidden.layout import StateLayout
+from flysid.model.hidden.start import Prior, initial_states, simulated
+from flysid.model.noise import noise_models, output_error_ahead
+from flysid.model.start import full_window, start_window
+
+_REST = 20  # rows of zeros that put a model to rest
+
+
+@dataclass(frozen=True, eq=False)
+class FittedTSStateSpace:
+    """A TS state-space model; see the laws in flysid.model.base.
+
+    Attributes
+    ----------
+    layout : signals, states, antecedents, scaling.
+    parameters : consequents and memberships in normalised units; its limits include ends of travel.
+    prior : what training says about states, from which the first outputs start a run.
+    n_init : measured samples that start a simulation.
+    output_limits : (2, n_y) range of the training outputs, widened by itself on each side.
+    support : (R,) share of training samples for which each rule is the strongest.
+    noise : (p + 1, n_y) monic autoregression of the free run's error per output, for predictions.
+    """
+
+    dt_s: float
+    layout: StateLayout
+    parameters: Parameters
+    prior: Prior
+    n_init: int
+    output_limits: FloatArray
+    support: FloatArray
+    notes: tuple[str, ...]
+    noise: FloatArray
+
+    structure = "ts_ss"
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]:
+        """Input signals."""
+        return self.layout.inputs
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]:
+        """Output signals."""
+        return self.layout.outputs
+
+    @property
+    def n_parameters(self) -> int:
+        """Consequents, and centres and widths where there are several rules."""
+        p = self.parameters
+        return int(p.theta.size + (2 * p.centre.size if len(p.theta) > 1 else 0))
+
+    @property
+    def antecedents(self) -> tuple[str, ...]:
+        """Names of the antecedent variables."""
+        return tuple(a.name(self.layout.signals) for a in self.layout.antecedents)
+
+    # -- the laws ----------------------------------------------------------------------------------------
+
+    def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+        """(N, n_y) free run from the most likely state given the first n_init measured outputs.
+
+        When None: from rest, that is with inputs and outputs at zero before the first sample.
+        """
+        u = as_columns(u, len(self.inputs), "u")
+        if y0 is None:
+            rows = _REST + self.n_init
+            W = self.layout.stack(
+                np.vstack([np.zeros((rows, u.shape[1])), u]), np.zeros((rows, self.layout.n_y))
+            )
+            return self._outputs(self._run(W, rows))[rows:]
+        given = as_columns(y0, self.layout.n_y, "y0")[: self.n_init]
+        if len(given) < min(self.n_init, len(u)):
+            raise UsageError(f"{len(given)} measured samples; the model starts from {self.n_init}")
+        given = given[: len(u)]
+        if len(u) <= self.n_init:
+            return np.array(given)
+        result = self._outputs(self._run(self.layout.stack(u, given), self.n_init))
+        result[: self.n_init] = given
+        return result
+
+    def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
+        """(N, n_y) predictions from outputs at least k steps old; the first n_init + k - 1 rows are NaN.
+
+        The free run, and what the noise model foresees of its error; once a second (or five times the
+        start) has been measured, the run's state is estimated from all of it.
+        """
+        if k < 1:
+            raise UsageError(f"a prediction {k} steps ahead", hint="k counts from 1")
+        u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
+        if len(u) != len(y):
+            raise UsageError(f"u has {len(u)} samples and y has {len(y)}")
+        first, out = self.n_init + k - 1, np.full(y.shape, np.nan)
+        for rows in (self.n_init, full_window(self.n_init, self.dt_s)):
+            begin = rows + k - 1
+            if begin < len(y):
+                free = self._outputs(self._run(self.layout.stack(u, y[:rows]), rows))
+                out[begin:] = output_error_ahead(free, y, self.noise, k)[begin:]
+        out[:first] = np.nan
+        return out
+
+    def rules(self) -> tuple[Rule, ...]:
+        """Every rule in words."""
+        return tuple(self._rule(r) for r in range(len(self.parameters.theta)))
+
+    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, R) normalised firing strengths: hidden states from the free run, outputs as measured."""
+        W = self._seen(u, y)
+        return np.asarray(firing(W, self.layout.depth, self.layout.lags, self.parameters))
+
+    def states(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, n) states of the free run along measured data, physical units (hidden ones in spreads)."""
+        u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
+        rows = min(len(y), max(self.n_init, start_window(self.n_init, len(y), self.dt_s)))
+        W, n = self._run(self.layout.stack(u, y[:rows]), rows), self.layout.n
+        return np.asarray(W[:, :n] * self.layout.scale[:n] + self.layout.shift[:n])
+
+    # -- what the rules say ------------------------------------------------------------------------------
+
+    def memberships(self, variable: int, x: FloatArray) -> FloatArray:
+        """(len(x), R) grade of membership of values x of one antecedent (physical units)."""
+        return self.partition.grades(variable, x)
+
+    @cached_property
+    def partition(self) -> Partition:
+        """Memberships in physical units."""
+        return physical_partition(self.layout, self.parameters)
+
+    @property
+    def centres(self) -> FloatArray:
+        """(R, n_z) centres of the memberships, physical units."""
+        return self.partition.centre
+
+    @property
+    def widths(self) -> FloatArray:
+        """(R, n_z) widths of the memberships, physical units."""
+        return self.partition.left
+
+    @cached_property
+    def consequents(self) -> FloatArray:
+        """(R, n, n_x) consequents in physical units, in the order of `layout.regressor_names`."""
+        return physical_consequents(self.layout, self.parameters)
+
+    def local_poles(self) -> tuple[FloatArray, ...]:
+        """Poles of every rule by itself, slowest first (complex where they oscillate)."""
+        n = self.layout.n
+        found = (np.linalg.eigvals(theta[:, :n]) for theta in self.consequents)
+        return tuple(p[np.argsort(-np.abs(p), kind="stable")] for p in found)
+
+    def local_polynomials(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
+        """Per rule (A, B, c): y(k) = sum_j A[j-1] y(k-j) + sum_j B[j] u(k-j) + c, physical units.
+
+        The rule's state space as a difference equation, its hidden states eliminated: with the adjugate of
+        I - A/z by the Faddeev-LeVerrier recursion; A is (n, n_y, n_y), a common denominator.
+        """
+        return tuple(self._polynomials(theta) for theta in self.consequents)
+
+    def _polynomials(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        n, n_y, n_u = self.layout.n, self.layout.n_y, len(self.inputs)
+        step, M = theta[:, :n], np.eye(n)
+        A, c = np.zeros((n, n_y, n_y)), np.zeros(n_y)
+        B = np.zeros((n + self.layout.depth, n_y, n_u))
+        for j in range(n):
+            for m, (column, lag) in enumerate(self.layout.regressors[:-1]):
+                if column >= n:
+                    B[lag + j, :, column - n] += (M @ theta[:, m])[:n_y]
+            c += (M @ theta[:, -1])[:n_y]
+            coefficient = -float(np.trace(M @ step)) / (j + 1)
+            A[j] = -coefficient * np.eye(n_y)
+            M = M @ step + coefficient * np.eye(n)
+        return A, B, c
+
+    def _rule(self, r: int) -> Rule:
+        layout, n, n_y = self.layout, self.layout.n, self.layout.n_y
+        theta, names = self.consequents[r], layout.regressor_names[:-1]
+        text = ", ".join(
+            equation(at(s.name, 0), theta[i, :-1], names, theta[i, -1])
+            for i, s in enumerate(layout.signals[:n])
+        )
+        radius = float(np.abs(self.local_poles()[r]).max())
+        left, gain = np.eye(n) - theta[:, :n], np.zeros((n, len(layout.inputs)))
+        for m, (column, _) in enumerate(layout.regressors[:-1]):
+            if column >= n:
+                gain[:, column - n] += theta[:, m]
+        singular = np.linalg.cond(left) > 1e12
+        steady = np.full((n_y, gain.shape[1]), np.nan) if singular else np.linalg.solve(left, gain)[:n_y]
+        slow = np.inf if radius >= 1.0 - 1e-9 else (-self.dt_s / np.log(radius) if radius > 0 else 0.0)
+        units = [layout.signals[a.column].unit for a in layout.antecedents]
+        condition = condition_in_words(self.partition, r, self.antecedents, units)
+        return Rule(f"R{r + 1}", condition, text, steady, float(slow), radius, float(self.support[r]))
+
+    def __str__(self) -> str:
+        """The rules and how they were chosen, in words."""
+        count, layout = len(self.parameters.theta), self.layout
+        title = f"Takagi-Sugeno state-space model, {count} rule{'s' if count > 1 else ''}, {layout.n} states"
+        title += f" ({layout.hidden} hidden), {self.n_parameters} parameters"
+        return in_words(title, self.rules(), self.notes)
+
+    # -- storage -----------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything needed to rebuild the model, as JSON types only."""
+        layout = self.layout
+        return {
+            "format": MODEL_FORMAT,
+            "version": MODEL_VERSION,
+            "structure": self.structure,
+            "dt_s": self.dt_s,
+            "inputs": [[s.name, s.unit, s.resolution] for s in layout.inputs],
+            "outputs": [[s.name, s.unit, s.resolution] for s in layout.outputs],
+            "hidden": layout.hidden,
+            "input_lags": [list(lags) for lags in layout.input_lags],
+            "antecedents": [[a.column, a.lag] for a in layout.antecedents],
+            "shift": layout.shift.tolist(),
+            "scale": layout.scale.tolist(),
+            "parameters": {name: value.tolist() for name, value in self.parameters._asdict().items()},
+            "prior": {
+                "mean": self.prior.mean.tolist(),
+                "inverse": self.prior.inverse.tolist(),
+                "weight": self.prior.weight,
+            },
+            "n_init": self.n_init,
+            "output_limits": self.output_limits.tolist(),
+            "support": self.support.tolist(),
+            "noise": self.noise.tolist(),
+            "notes": list(self.notes),
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as JSON, whole or not at all."""
+        write_document(self.to_dict(), path)
+
+    # -- parts -------------------------------------------------------------------------------------------
+
+    def _run(self, W: FloatArray, rows: int) -> FloatArray:
+        """W simulated from the most likely state given its first `rows` rows of outputs."""
+        depth = self.layout.depth
+        if len(W) < depth:
+            return W
+        known = max(min(rows, len(W)) - depth + 1, 1)
+        x = initial_states(self.layout, [W], self.parameters, self.prior, known)[0]
+        return simulated(self.layout, W, x, self.parameters)
+
+    def _outputs(self, W: FloatArray) -> FloatArray:
+        return np.asarray(np.clip(self.layout.outputs_of(W), *self.output_limits))
+
+    def _seen(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """W with measured outputs and the free run's hidden states."""
+        u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
+        if len(u) != len(y):
+            raise UsageError(f"u has {len(u)} samples and y has {len(y)}")
+        W, n, n_y = self.layout.stack(u, y), self.layout.n, self.layout.n_y
+        states = self.states(u, y)
+        W[:, n_y:n] = (states[:, n_y:] - self.layout.shift[n_y:n]) / self.layout.scale[n_y:n]
+        return W
+
+
+def finished(train: Dataset, stage: StateStage, notes: tuple[str, ...]) -> FittedTSStateSpace:
+    """The stage as a fitted model, with its start, support and noise model."""
+    layout, n_y = stage.layout, stage.layout.n_y
+    y = np.vstack([s.y for s in train.segments])
+    low, high = y.min(axis=0), y.max(axis=0)
+    fitted = FittedTSStateSpace(
+        dt_s=train.dt_s,
+        layout=layout,
+        parameters=stage.problem.parameters(stage.body),
+        prior=stage.prior(),
+        n_init=layout.depth + 2 * -(-layout.n // n_y),
+        output_limits=np.stack([low - (high - low), high + (high - low)]),
+        support=rule_support(stage),
+        notes=notes,
+        noise=np.ones((1, n_y)),
+    )
+    return _with_noise_model(fitted, train)
+
+
+def _with_noise_model(fitted: FittedTSStateSpace, train: Dataset) -> FittedTSStateSpace:
+    """The model with an autoregression of what its free run leaves over on the training data."""
+    errors = []
+    for s in train.segments:
+        window = start_window(fitted.n_init, len(s), fitted.dt_s)
+        if len(s) > window + 1:
+            run = fitted._run(fitted.layout.stack(s.u, s.y[:window]), window)
+            errors.append((s.y - fitted._outputs(run))[window:])
+    return replace(fitted, noise=noise_models(errors)) if errors else fitted
+
+
+def from_dict(document: Mapping[str, Any]) -> FittedTSStateSpace:
+    """Rebuild a model from `to_dict()`; damage raises KeyError, TypeError or ValueError (see `base.load`)."""
+    numbers = {name: np.array(value, dtype=np.float64) for name, value in document["parameters"].items()}
+    rules, n_z = len(numbers["theta"]), len(document["antecedents"])
+    for name, shape in (("centre", (rules, n_z)), ("width", (rules, n_z)), ("z_range", (2, n_z))):
+        numbers[name] = numbers[name].reshape(shape)
+    layout = StateLayout(
+        outputs=tuple(Signal(*s) for s in document["outputs"]),
+        inputs=tuple(Signal(*s) for s in document["inputs"]),
+        hidden=int(document["hidden"]),
+        input_lags=tuple(tuple(int(lag) for lag in lags) for lags in document["input_lags"]),
+        antecedents=tuple(Antecedent(int(c), int(lag)) for c, lag in document["antecedents"]),
+        shift=np.array(document["shift"], dtype=np.float64),
+        scale=np.array(document["scale"], dtype=np.float64),
+    )
+    prior = document["prior"]
+    n = layout.n
+    model = FittedTSStateSpace(
+        dt_s=float(document["dt_s"]),
+        layout=layout,
+        parameters=Parameters(**numbers),
+        prior=Prior(
+            np.array(prior["mean"], dtype=np.float64).reshape(n),
+            np.array(prior["inverse"], dtype=np.float64).reshape(n, n),
+            float(prior["weight"]),
+        ),
+        n_init=int(document["n_init"]),
+        output_limits=np.array(document["output_limits"], dtype=np.float64),
+        support=np.array(document["support"], dtype=np.float64),
+        notes=tuple(str(n) for n in document["notes"]),
+        noise=np.array(document["noise"], dtype=np.float64),
+    )
+    check_states(layout, model.parameters, model.noise)
+    return model

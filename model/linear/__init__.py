@@ -1,0 +1,1 @@
+"""Linear difference equations: data, orders, error minimisation, uncertainty, words."""

@@ -1,0 +1,359 @@
+"""The stages of an instrumental variable estimate: filters, Grams of lagged signals, small equations.
+
+One output at a time. The signals of a stage are rows: the output y, its noise-free image x, the inputs u and,
+with references, the inputs' noise-free images. Phi regresses on lags of y and u; the instruments Z are the
+same lags of the images, and theta solves Zᵀ Phi theta = Zᵀ y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.errors import DataError, FitError
+from flysid.model.freerun import Difference
+from flysid.model.gram import lagged_gram
+from flysid.model.linear.data import SEARCH_ROWS, Parts, as_tuple, shortened
+from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.start import start_gains
+from flysid.model.noise import noise_models
+from flysid.model.polynomials import stabilised
+from flysid.model.stream import Block, Blocks, windows
+
+LONG_ORDER = 20
+"""Order of the regression that tells what a reference drives."""
+WHITENING = 12
+"""Order of the autoregression that whitens what the second stage leaves over."""
+STABLE_RADIUS = 0.999
+SINGULAR = 1e-13
+"""Ratio of singular values of Zᵀ Phi, rows and columns scaled, below which the instruments are blind."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Which inputs of a dataset the model has, and which are references."""
+
+    inputs: tuple[int, ...]
+    references: tuple[int, ...]
+
+    def pick(self, value: int | Sequence[int]) -> tuple[int, ...]:
+        """One number for all, or one per input of the dataset: those of the model's inputs."""
+        every = as_tuple(value, len(self.inputs) + len(self.references))
+        return tuple(every[j] for j in self.inputs)
+
+
+@dataclass(frozen=True)
+class Orders:
+    """Of one output; nb and nk per input of the model."""
+
+    na: int
+    nb: tuple[int, ...]
+    nk: tuple[int, ...]
+    offset: bool
+
+    @property
+    def depth(self) -> int:
+        return max(self.na, *(n + k - 1 for n, k in zip(self.nb, self.nk, strict=True)), 1)
+
+    def columns(self, step: int, own: int, first_input: int, shift: int = 0) -> list[int]:
+        """Regressors in the layout of `lagged_gram`: lags of signal `own`, of the inputs, the constant."""
+        found = [own * step + lag + shift for lag in range(1, self.na + 1)]
+        for j, (count, delay) in enumerate(zip(self.nb, self.nk, strict=True)):
+            found += [(first_input + j) * step + lag + shift for lag in range(delay, delay + count)]
+        return found + [-1] * self.offset
+
+    def polynomials(self, theta: FloatArray) -> tuple[FloatArray, list[FloatArray], float]:
+        """A (monic), B per input (from lag 0), the constant."""
+        b, at = [], self.na
+        for count, delay in zip(self.nb, self.nk, strict=True):
+            b.append(np.concatenate([np.zeros(delay), theta[at : at + count]]))
+            at += count
+        return np.append(1.0, -theta[: self.na]), b, float(theta[-1]) if self.offset else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A noise-free image of a signal: the sources (rows) through numerators of their own, summed, over one
+    denominator."""
+
+    denominator: FloatArray
+    numerators: dict[int, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """theta with its covariance, in scaled deviations."""
+
+    theta: FloatArray
+    covariance: FloatArray
+
+
+def scaled_blocks(blocks: Blocks, scale: FloatArray) -> Blocks:
+    """The blocks, every signal over its scale."""
+
+    def read() -> Iterator[Block]:
+        for number, block in blocks():
+            yield number, block / scale[:, None]
+
+    return read
+
+
+def fitted_by_iv(
+    parts: Parts, blocks: Blocks, orders: Sequence[Orders], columns: Columns, n_init: int | None
+) -> FittedLinear:
+    """Every output's estimate, as one model.
+
+    Parameters
+    ----------
+    blocks : outputs, then inputs, in scaled deviations.
+
+    Raises
+    ------
+    FitError : the instruments are blind. DataError : no segment is long enough.
+    """
+    n_y, memory = len(orders), max(min(WHITENING, len(parts.train) // 50), 1)
+    rows = [n_y + j for j in columns.inputs]
+    references = [n_y + j for j in columns.references]
+    images = {row: _driven(blocks, row, references) for row in rows} if references else {}
+    found = []
+    for i, own in enumerate(orders):
+        driven = _driven(blocks, i, references) if references else None
+        found.append(_four_stages(_Signals(blocks, i, rows, images), own, driven, memory))
+    return _model(parts, orders, columns, found, n_init)
+
+
+@dataclass(frozen=True, eq=False)
+class _Signals:
+    """Where the signals of one output's equation are found."""
+
+    blocks: Blocks
+    output: int
+    inputs: Sequence[int]
+    images: dict[int, Path]
+
+    def gram(self, depth: int, image: Path | None, prefilter: FloatArray) -> FloatArray:
+        """Of all lags of (y, x, u, images of u), all filtered.
+
+        Raises
+        ------
+        DataError : no segment is long enough.
+        """
+        full = lagged_gram(windows(self._rows(image, prefilter), depth), depth)
+        if len(full) == 1:
+            raise DataError(
+                f"no segment is longer than the model's depth of {depth + len(prefilter)} samples",
+                hint="choose smaller orders or delays, or bring longer segments",
+            )
+        return full
+
+    def _rows(self, image: Path | None, prefilter: FloatArray) -> Iterator[Block]:
+        from scipy.signal import lfilter
+
+        paths = ([image] if image is not None else []) + [self.images[j] for j in self.inputs if self.images]
+        number, memory, tail, drop = -1, [], np.zeros((0, 0)), 0
+        for current, block in self.blocks():
+            if current != number:
+                number, drop = current, len(prefilter) - 1
+                memory = [_Memory(path) for path in paths]
+                tail = np.zeros((1 + len(self.inputs) + len(paths), len(prefilter) - 1))
+            made = [m.run(block) for m in memory]
+            first = 1 if image is not None else 0
+            rows = np.stack([block[self.output], *made[:first], *block[list(self.inputs)], *made[first:]])
+            rows, tail = lfilter(prefilter, [1.0], rows, axis=1, zi=tail)
+            skip = min(drop, rows.shape[1])  # the filter's start at a segment's edge
+            drop -= skip
+            if rows.shape[1] > skip:
+                yield number, rows[:, skip:]
+
+
+class _Memory:
+    """A path that runs on from block to block."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        order = max(len(path.denominator), *(len(b) for b in path.numerators.values())) - 1
+        self.states = {row: np.zeros(order) for row in path.numerators}
+
+    def run(self, block: FloatArray) -> FloatArray:
+        from scipy.signal import lfilter
+
+        total = np.zeros(block.shape[1])
+        for row, b in self.path.numerators.items():
+            part, self.states[row] = lfilter(b, self.path.denominator, block[row], zi=self.states[row])
+            total += part
+        return total
+
+
+def _driven(blocks: Blocks, target: int, references: Sequence[int]) -> Path:
+    """The part of a signal that the references drive: a long regression, simulated."""
+    own = Orders(LONG_ORDER, (LONG_ORDER + 1,) * len(references), (0,) * len(references), offset=True)
+    signals = _Signals(blocks, target, references, {})
+    gram = signals.gram(own.depth, None, np.ones(1))
+    step = own.depth + 1
+    regressors = own.columns(step, 0, 1)
+    theta = _solved(gram[np.ix_(regressors, regressors)], gram[regressors, 0])
+    return _path(own, theta, references)
+
+
+def _path(orders: Orders, theta: FloatArray, rows: Sequence[int]) -> Path:
+    a, b, _ = orders.polynomials(theta)
+    return Path(
+        stabilised(a, STABLE_RADIUS), {row: taps for row, taps in zip(rows, b, strict=True) if len(taps)}
+    )
+
+
+def _four_stages(signals: _Signals, orders: Orders, driven: Path | None, memory: int) -> Estimate:
+    none, depth, step = np.ones(1), orders.depth, orders.depth + 1
+    image = driven
+    if image is None:
+        plain = signals.gram(depth, None, none)
+        regressors = orders.columns(step, 0, 1)
+        first = _solved(plain[np.ix_(regressors, regressors)], plain[regressors, 0])
+        image = _path(orders, first, signals.inputs)
+    gram = signals.gram(depth + memory, image, none)
+    second = _instrumental(gram, orders, signals).theta
+    whitening = _autoregression(gram, orders, second, memory)
+    if driven is None:
+        image = _path(orders, second, signals.inputs)
+    last = _instrumental(signals.gram(depth, image, whitening), orders, signals)
+    if not orders.offset:
+        return last
+    size = np.ones(len(last.theta))  # the filter changed the constant's regressor
+    size[-1] = 1.0 / whitening.sum() if abs(whitening.sum()) > 1e-9 else 0.0
+    return Estimate(last.theta * size, last.covariance * np.outer(size, size))
+
+
+def _instrumental(gram: FloatArray, orders: Orders, signals: _Signals) -> Estimate:
+    n_u = len(signals.inputs)
+    step = (len(gram) - 1) // (2 + n_u * (2 if signals.images else 1))
+    phi = orders.columns(step, 0, 2)
+    z = orders.columns(step, 1, 2 + n_u if signals.images else 2)
+    cross = gram[np.ix_(z, phi)]
+    theta = _solved(cross, gram[z, 0])
+    misfit = np.append(1.0, -theta)
+    both = gram[np.ix_([0, *phi], [0, *phi])]
+    rows = float(gram[-1, -1])
+    variance = max(float(misfit @ both @ misfit), 0.0) / max(rows - len(theta), 1.0)
+    half = _solved(cross, _root(gram[np.ix_(z, z)]))
+    return Estimate(theta, variance * half @ half.T)
+
+
+def _root(gram: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh((gram + gram.T) / 2)
+    root: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))
+    return root
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """matrix⁻¹ right, rows and columns scaled first.
+
+    Raises
+    ------
+    FitError : singular.
+    """
+    rows, columns = np.linalg.norm(matrix, axis=1), np.linalg.norm(matrix, axis=0)
+    if not (rows > 0).all() or not (columns > 0).all():
+        raise FitError("an instrument or a regressor is always zero", hint="check delays and references")
+    scaled = matrix / rows[:, None]
+    columns = np.linalg.norm(scaled, axis=0)
+    scaled = scaled / columns
+    values = np.linalg.svd(scaled, compute_uv=False)
+    if values[-1] < SINGULAR * values[0]:
+        raise FitError(
+            "the instruments say nothing about some coefficient: the regression is singular",
+            hint="lower the orders, take a longer sample time, or bring data with more excitation",
+        )
+    lifted = right / (rows if right.ndim == 1 else rows[:, None])
+    answer = np.linalg.solve(scaled, lifted)
+    return np.asarray(answer / (columns if right.ndim == 1 else columns[:, None]))
+
+
+def _autoregression(gram: FloatArray, orders: Orders, theta: FloatArray, memory: int) -> FloatArray:
+    """Monic L that whitens what theta leaves over, from the Gram that theta came from."""
+    step = orders.depth + memory + 1
+    weights = np.zeros((len(gram), memory + 1))
+    for shift in range(memory + 1):
+        weights[shift, shift] = 1.0
+        np.add.at(weights[:, shift], orders.columns(step, 0, 2, shift), -theta)
+    power = weights.T @ gram @ weights
+    size = np.sqrt(np.maximum(np.diag(power), np.finfo(float).tiny))
+    scaled = power / np.outer(size, size)
+    taps = np.linalg.lstsq(scaled[1:, 1:], scaled[1:, 0], rcond=1e-10)[0]
+    return np.append(1.0, -taps * size[0] / size[1:])
+
+
+def _model(
+    parts: Parts,
+    orders: Sequence[Orders],
+    columns: Columns,
+    found: Sequence[Estimate],
+    n_init: int | None,
+) -> FittedLinear:
+    n_y, n_u = len(orders), len(parts.train.inputs)
+    last = max((n + k for o in orders for n, k in zip(o.nb, o.nk, strict=True)), default=1)
+    a = np.zeros((max(o.na for o in orders) + 1, n_y, n_y))
+    b, c = np.zeros((max(last, 1), n_y, n_u)), np.zeros(n_y)
+    free: list[int] = []
+    factors: list[float] = []
+    a_size, scaling = a[1:].size, parts.scaling
+    for i, (own, estimate) in enumerate(zip(orders, found, strict=True)):
+        denominator, numerators, c[i] = own.polynomials(estimate.theta)
+        a[: len(denominator), i, i] = denominator
+        free += [lag * n_y * n_y + i * n_y + i for lag in range(own.na)]
+        factors += [1.0] * own.na
+        for j, taps, delay in zip(columns.inputs, numerators, own.nk, strict=True):
+            b[: len(taps), i, j] = taps
+            free += [a_size + lag * n_y * n_u + i * n_u + j for lag in range(delay, len(taps))]
+            factors += [float(scaling.y_scale[i] / scaling.u_scale[j])] * (len(taps) - delay)
+        free += [a_size + b.size + i] * own.offset
+        factors += [float(scaling.y_scale[i])] * own.offset
+    # the flat order counts A's lags from 1 and signs them as in A y = B u, theta as in y = ...
+    covariance = np.zeros((len(free),) * 2)
+    at = 0
+    for own, estimate in zip(orders, found, strict=True):
+        sign = np.ones(len(estimate.theta))
+        sign[: own.na] = -1.0
+        block = slice(at, at + len(sign))
+        covariance[block, block] = estimate.covariance * np.outer(sign, sign)
+        at += len(sign)
+    system = Difference(a, b, c)
+    return _started(parts, system, free, covariance * np.outer(factors, factors), n_init)
+
+
+def _started(
+    parts: Parts, system: Difference, free: Sequence[int], covariance: FloatArray, n_init: int | None
+) -> FittedLinear:
+    """The model with its start and its noise model; lags as measured where it is not stable."""
+    roots = [np.roots(system.a[:, i, i]) for i in range(len(system.c))]
+    stable = max((float(np.abs(r).max(initial=0.0)) for r in roots), default=0.0) < 1.0
+    starts = start_gains(system, parts, n_init) if stable else None
+    scaling = parts.scaling
+    model = FittedLinear(
+        structure="iv",
+        dt_s=parts.train.dt_s,
+        inputs=parts.train.inputs,
+        outputs=parts.train.outputs,
+        n_init=max(system.depth, 1) if starts is None else starts.shape[2],
+        output_limits=parts.limits,
+        system=scaling.physical(system),
+        u_origin=scaling.u_origin,
+        y_origin=scaling.y_origin,
+        noise=np.ones((1, len(system.c))) if stable else None,
+        starts=starts,
+        free=tuple(free),
+        covariance=covariance,
+    )
+    return _with_noise(model, parts) if stable else model
+
+
+def _with_noise(model: FittedLinear, parts: Parts) -> FittedLinear:
+    n = model.n_init
+    errors = [
+        (s.y - model.simulate(s.u, s.y[:n]))[n:] / parts.scaling.y_scale
+        for s in shortened(parts.train, SEARCH_ROWS).segments
+        if len(s) > n + 1
+    ]
+    return replace(model, noise=noise_models(errors)) if errors else model

@@ -1,0 +1,279 @@
+"""A fitted linear difference equation with its noise model: what every linear structure becomes.
+
+    A(q) (y - y*) = B(q) (u - u*) + c + noise
+
+around the training means u*, y* (kept apart so that a large offset costs no digits). The free run is the
+deterministic part. Prediction depends on how the noise enters: through 1/A (equation error; the predictor
+regresses on measured lags), or added to the free run as an autoregression of its own (output error).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import FloatArray, Signal
+from flysid.errors import UsageError
+from flysid.model.arguments import as_columns, as_record
+from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
+from flysid.model.freerun import Difference, saturated
+from flysid.model.linear.text import conclusion, describe
+from flysid.model.noise import k_step_ahead
+from flysid.model.polynomials import ComplexArray
+
+
+@dataclass(frozen=True, eq=False)
+class FittedLinear:
+    """A linear model; the laws of `flysid.model.base` hold.
+
+    Attributes
+    ----------
+    structure : "arx", "oe", ...
+    system : A, B and c in physical units, around the origins.
+    u_origin, y_origin : (n_u,), (n_y,) training means.
+    noise : (p + 1, n_y) monic autoregression of the simulation error per output, or None: noise enters
+        through 1/A.
+    starts : (n_y, L, n_init) estimate of the starting state from the first outputs (see
+        `freerun.start_gain`), or None: the lags are taken as measured.
+    free : indices of the estimated parameters in `flat` order.
+    covariance : (n_parameters, n_parameters) of the estimated parameters; NaN where unknown.
+    output_limits : the training range, widened by its width on both sides.
+    scores : figures of the fit for people, e.g. {"validation free run RMSE": 0.02}.
+    ma : (q + 1, n_y) monic moving average C of the noise per output, or None: C = 1.
+    noise_parameters : how many coefficients of the noise model were estimated as the model's own.
+    """
+
+    structure: str
+    dt_s: float
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    n_init: int
+    output_limits: FloatArray
+    system: Difference
+    u_origin: FloatArray
+    y_origin: FloatArray
+    noise: FloatArray | None
+    starts: FloatArray | None
+    free: tuple[int, ...]
+    covariance: FloatArray
+    notes: tuple[str, ...] = ()
+    scores: Mapping[str, float] = field(default_factory=dict)
+    ma: FloatArray | None = None
+    noise_parameters: int = 0
+
+    @property
+    def n_parameters(self) -> int:
+        return len(self.free) + self.noise_parameters
+
+    @property
+    def flat(self) -> FloatArray:
+        """A_1.., B_0.., c in one row; `free` points into it."""
+        s = self.system
+        return np.concatenate([s.a[1:].ravel(), s.b.ravel(), s.c])
+
+    @cached_property
+    def standard_errors(self) -> FloatArray:
+        """Standard error of every entry of `flat`; 0 for those that were not estimated."""
+        errors = np.zeros(len(self.flat))
+        errors[list(self.free)] = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return errors
+
+    # -- the laws ----------------------------------------------------------------------------------------
+
+    def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+        """(N, n_y) free run from the first `n_init` measured outputs; from zero inputs and outputs when None.
+
+        Raises
+        ------
+        UsageError : shapes do not fit the model, or fewer than `n_init` outputs are given.
+        """
+        u = as_columns(u, len(self.inputs), "u")
+        if y0 is None:
+            return saturated(self._from_rest(u), self.output_limits)
+        n = self.n_init
+        y0 = as_columns(y0, len(self.outputs), "y0")
+        if len(y0) < min(n, len(u)):
+            raise UsageError(f"a simulation starts from {n} measured outputs, not {len(y0)}")
+        du, dy = u - self.u_origin, y0[:n] - self.y_origin
+        if len(u) <= n:
+            return np.array(y0[: len(u)])
+        tail = self._after(du, dy) if self.starts is None else self._estimated(du, dy, self.starts)
+        tail = saturated(tail + self.y_origin, self.output_limits)
+        return np.concatenate([y0[:n], tail])
+
+    def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
+        """(N, n_y) prediction from outputs at least k steps old; the first n_init + k - 1 rows are NaN.
+
+        Raises
+        ------
+        UsageError : shapes do not fit, or k < 1.
+        """
+        u, y = as_record(self, u, y, k)
+        first = self.n_init + k - 1
+        out = np.full(y.shape, np.nan)
+        if len(y) <= first:
+            return out
+        if self.noise is None:
+            drive = self.system.drive(u - self.u_origin)
+            e = self._innovations(self.system.a, y - self.y_origin, drive)
+            ahead = k_step_ahead(self.system.a, y - self.y_origin, drive, k, self.ma, e) + self.y_origin
+        else:
+            free = self.simulate(u, y[: self.n_init])
+            coloured = np.stack([np.diag(row) for row in self.noise])
+            e = self._innovations(coloured, y - free, np.zeros_like(y))
+            ahead = free + k_step_ahead(coloured, y - free, np.zeros_like(y), k, self.ma, e)
+        out[first:] = ahead[first:]
+        return out
+
+    def rules(self) -> tuple[Rule, ...]:
+        """One rule that always holds."""
+        radius = float(np.abs(self.poles).max(initial=0.0))
+        slow = -self.dt_s / np.log(radius) if 0 < radius < 1 else (0.0 if radius == 0 else np.inf)
+        return (Rule("R1", "always", conclusion(self), self.dc_gain, float(slow), radius, 1.0),)
+
+    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:  # noqa: ARG002
+        """(N, 1) ones: the single rule always fires."""
+        return np.ones((len(np.asarray(y)), 1))
+
+    # -- what people ask of a linear model ---------------------------------------------------------------
+
+    @cached_property
+    def poles(self) -> ComplexArray:
+        """Poles in z, slowest first (without those at zero)."""
+        n_y, n = self.system.a.shape[1], len(self.system.a) - 1
+        if n == 0:
+            return np.zeros(0, dtype=np.complex128)
+        companion = np.eye(n_y * n, k=-n_y)
+        companion[:n_y] = -np.hstack(list(self.system.a[1:]))
+        found = np.asarray(np.linalg.eigvals(companion), dtype=np.complex128)
+        found = found[np.abs(found) > 1e-12]
+        return np.asarray(found[np.argsort(-np.abs(found), kind="stable")])
+
+    @property
+    def is_stable(self) -> bool:
+        """Every pole lies inside the unit circle."""
+        return bool(np.abs(self.poles).max(initial=0.0) < 1.0)
+
+    @cached_property
+    def dc_gain(self) -> FloatArray:
+        """(n_y, n_u) steady gain; NaN where the model integrates."""
+        a_sum, b_sum = self.system.a.sum(axis=0), self.system.b.sum(axis=0)
+        if self.poles.size and np.abs(self.poles - 1.0).min() < 1e-9:
+            return np.full(b_sum.shape, np.nan)
+        gain: FloatArray = np.linalg.solve(a_sum, b_sum)
+        return gain
+
+    def __str__(self) -> str:
+        return describe(self)
+
+    # -- storage -----------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "format": MODEL_FORMAT,
+            "version": MODEL_VERSION,
+            "structure": self.structure,
+            "dt_s": self.dt_s,
+            "inputs": [[s.name, s.unit, s.resolution] for s in self.inputs],
+            "outputs": [[s.name, s.unit, s.resolution] for s in self.outputs],
+            "n_init": self.n_init,
+            "output_limits": self.output_limits.tolist(),
+            "a": self.system.a.tolist(),
+            "b": self.system.b.tolist(),
+            "c": self.system.c.tolist(),
+            "u_origin": self.u_origin.tolist(),
+            "y_origin": self.y_origin.tolist(),
+            "noise": None if self.noise is None else self.noise.tolist(),
+            "starts": None if self.starts is None else self.starts.tolist(),
+            "ma": None if self.ma is None else self.ma.tolist(),
+            "noise_parameters": self.noise_parameters,
+            "free": list(self.free),
+            "covariance": _without_nan(self.covariance),
+            "notes": list(self.notes),
+            "scores": {k: float(v) for k, v in self.scores.items() if np.isfinite(v)},
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as JSON; `flysid.load` reads it."""
+        write_document(self.to_dict(), path)
+
+    # -- parts -------------------------------------------------------------------------------------------
+
+    def _innovations(self, a: FloatArray, y: FloatArray, drive: FloatArray) -> FloatArray | None:
+        """(N, n_y) e of A y = drive + C e, zero in the first n_init rows; None where C = 1."""
+        if self.ma is None:
+            return None
+        from scipy.signal import lfilter
+
+        right = y - drive
+        for lag in range(1, len(a)):
+            right[lag:] += y[:-lag] @ a[lag].T
+        right[: self.n_init] = 0.0
+        return np.stack([lfilter([1.0], self.ma[:, i], right[:, i]) for i in range(y.shape[1])], axis=1)
+
+    def _from_rest(self, u: FloatArray) -> FloatArray:
+        depth = self.system.depth
+        past_u = np.tile(-self.u_origin, (depth, 1))
+        past_y = np.tile(-self.y_origin, (depth, 1))
+        return self.system.run(u - self.u_origin, self.system.state(past_u, past_y)) + self.y_origin
+
+    def _after(self, du: FloatArray, dy: FloatArray) -> FloatArray:
+        n = self.n_init
+        return self.system.run(du[n:], self.system.state(du[:n], dy))
+
+    def _estimated(self, du: FloatArray, dy: FloatArray, starts: FloatArray) -> FloatArray:
+        n, system = self.n_init, self.system
+        drive = system.drive(du)
+        zero = np.zeros((system.depth, len(self.outputs)))
+        miss = dy - system.respond(drive[:n], zero)
+        state = np.einsum("oln,no->lo", starts, miss)
+        return system.respond(drive, state)[n:]
+
+
+def _without_nan(matrix: FloatArray) -> list[list[float | None]]:
+    """Rows for JSON, which knows no NaN: null stands for it (and reads back as NaN)."""
+    return [[float(x) if np.isfinite(x) else None for x in row] for row in matrix]
+
+
+def from_dict(document: Mapping[str, Any]) -> FittedLinear:
+    """Rebuild a model from `to_dict()`; damage raises KeyError, TypeError or ValueError (see `base.load`)."""
+
+    def array(key: str, ndim: int) -> FloatArray:
+        values = np.asarray(document[key], dtype=np.float64)
+        if values.ndim != ndim or not np.isfinite(values).all():
+            raise ValueError(f"{key} is not a finite array of {ndim} dimensions")
+        return values
+
+    def signals(key: str) -> tuple[Signal, ...]:
+        return tuple(Signal(str(n), str(unit), float(r)) for n, unit, r in document[key])
+
+    system = Difference(array("a", 3), array("b", 3), array("c", 1))
+    outputs, inputs = signals("outputs"), signals("inputs")
+    if system.a.shape[1:] != (len(outputs),) * 2 or system.b.shape[1:] != (len(outputs), len(inputs)):
+        raise ValueError("the polynomials do not fit the signals")
+    free = tuple(int(i) for i in document["free"])
+    covariance = np.asarray(document["covariance"], dtype=np.float64).reshape(len(free), len(free))
+    return FittedLinear(
+        structure=str(document["structure"]),
+        dt_s=float(document["dt_s"]),
+        inputs=inputs,
+        outputs=outputs,
+        n_init=int(document["n_init"]),
+        output_limits=array("output_limits", 2),
+        system=system,
+        u_origin=array("u_origin", 1),
+        y_origin=array("y_origin", 1),
+        noise=None if document["noise"] is None else array("noise", 2),
+        starts=None if document["starts"] is None else array("starts", 3),
+        free=free,
+        covariance=covariance,
+        notes=tuple(str(n) for n in document["notes"]),
+        scores={str(k): float(v) for k, v in document["scores"].items()},
+        ma=None if document.get("ma") is None else array("ma", 2),
+        noise_parameters=int(document.get("noise_parameters", 0)),
+    )

@@ -1,0 +1,327 @@
+"""Output-error models, output by output: delays, orders, refinement, noise model, covariance.
+
+Used by ARX (where it refines the simulation error) and by OE. Each output has its own transfer from all
+inputs; outputs do not feed each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import DataError, FitError
+from flysid.model.freerun import Difference
+from flysid.model.linear.data import EXACT, FOLDED_ROWS, SEARCH_ROWS, Parts, records, shortened
+from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.start import start_gains
+from flysid.model.noise import coloured_covariance, noise_model
+from flysid.model.polynomials import free_basis, monic_basis
+from flysid.model.selection import LEVEL, block_errors, judging_window, simplest
+from flysid.model.simulation_error import (
+    Orders,
+    OutputError,
+    Transfer,
+    find_start,
+    from_transfer,
+    to_transfer,
+)
+
+HIGHEST_ORDER = 6
+DELAY_S = 0.5
+MOST_DELAYS = 50
+ORDER_LOSS = 0.02
+PATIENCE = 2
+CANCELLING = np.array([1.0, -0.5])
+"""A pole and a zero that leave a transfer as it is."""
+
+
+@dataclass(frozen=True, eq=False)
+class OneOutput:
+    """A refined transfer of one output, in scaled deviations."""
+
+    problem: OutputError
+    theta: FloatArray
+    cost: float
+
+    @property
+    def transfer(self) -> Transfer:
+        return to_transfer(self.theta, self.problem.orders)
+
+
+def delay_steps(dt_s: float, longest: int) -> list[int]:
+    """Delays worth trying: dense near zero, sparse up to half a second, no deeper than the data allow."""
+    most = min(max(5, round(DELAY_S / dt_s)), MOST_DELAYS, max(longest // 10, 1))
+    steps = [1, 0, 2, 3, 4, 5, 7, 9, 12, 16, 21, 28, 37, 50]
+    return [s for s in steps if s <= most]
+
+
+def widened(options: Sequence[int], delay: int, most: int) -> list[int]:
+    """The options, then another delay and its neighbours, as far as they are new and not above `most`."""
+    return [*options, *(d for d in (delay, delay - 1, delay + 1) if 0 <= d <= most and d not in options)]
+
+
+def fit_output(problem: OutputError, known: Sequence[FloatArray] = (), *, iterations: int = 40) -> OneOutput:
+    """Start and refine.
+
+    Raises
+    ------
+    FitError : no stable start was found.
+    DataError : no segment is long enough.
+    """
+    if not any(True for _ in problem.usable()):
+        raise DataError(
+            f"no segment has the {problem.start_row() + 2 * problem.orders.na + 1} samples these orders need",
+            hint="choose smaller orders or delays, or bring longer segments",
+        )
+    start = find_start(problem, known)
+    found = problem.refine(start.theta, max_iterations=iterations)
+    return OneOutput(problem, found.theta, found.cost)
+
+
+def find_delays(data: Dataset, output: int, probe: Orders) -> tuple[int, ...]:
+    """Delay per input, one input at a time, by the simulation error of the start.
+
+    One sample, the delay of any plant behind a zero-order hold, holds unless another lowers the cost by more
+    than chance would (a BIC step).
+
+    Parameters
+    ----------
+    probe : the orders to try delays with. Its own delays are tried too, with their neighbours.
+    """
+    na, nb, offset = probe.na, probe.nb, probe.offset
+    small = shortened(data, SEARCH_ROWS)
+    parts = records(small, output)
+    rows = sum(len(r.y) for r in parts)
+    longest = max(len(r.y) for r in parts)
+    nk = [1] * len(nb)
+    for j in range(len(nb)):
+        costs: dict[int, float] = {}
+        for delay in widened(delay_steps(data.dt_s, longest), probe.nk[j], longest // 4):
+            costs[delay] = _delay_cost(parts, na, nb, (*nk[:j], delay, *nk[j + 1 :]), offset)
+        best = min(costs, key=lambda d: costs[d])
+        for delay in {best - 1, best + 1} - set(costs) - {-1}:  # between the sparse steps
+            costs[delay] = _delay_cost(parts, na, nb, (*nk[:j], delay, *nk[j + 1 :]), offset)
+        best = min(costs, key=lambda d: costs[d])
+        margin = np.exp(2.0 * np.log(rows) / rows)
+        nk[j] = best if costs[1] > max(margin * costs[best], EXACT**2) else 1
+    return tuple(nk)
+
+
+def _delay_cost(
+    parts: Sequence[object], na: int, nb: Sequence[int], nk: Sequence[int], offset: bool
+) -> float:
+    counts = tuple(n + 1 if k == 0 else n for n, k in zip(nb, nk, strict=True))
+    problem = OutputError(tuple(parts), Orders(na, counts, tuple(nk), offset))  # type: ignore[arg-type]
+    rows = sum(len(r.y) - problem.start_row() for r in problem.usable())
+    if rows <= problem.orders.count:
+        return np.inf
+    try:
+        return find_start(problem, tries=2, polish=0).cost / rows
+    except FitError:
+        return np.inf
+
+
+def assemble(
+    structure: str, parts: Parts, fits: Sequence[OneOutput], notes: Sequence[str], n_init: int | None = None
+) -> FittedLinear:
+    """One model of several refined outputs, with noise model, start and covariance."""
+    noises, covariances = [], []
+    for fit in fits:
+        d, variance = noise_model(fit.problem.errors(fit.theta))
+        noises.append(d)
+        covariances.append(_covariance(fit, d, variance))
+    noise = np.zeros((max(len(d) for d in noises), len(noises)))
+    for i, d in enumerate(noises):
+        noise[: len(d), i] = d
+    return replace(
+        runner(structure, parts, fits, n_init),
+        noise=noise,
+        covariance=_joint(covariances, fits, parts),
+        notes=tuple(notes),
+    )
+
+
+def runner(structure: str, parts: Parts, fits: Sequence[OneOutput], n_init: int | None) -> FittedLinear:
+    """A model good for free runs only: its noise is white, its covariance unknown."""
+    system = _joined([f.transfer for f in fits], len(parts.whole.inputs))
+    starts = start_gains(system, parts, n_init)
+    free = _free(system, fits)
+    return FittedLinear(
+        structure=structure,
+        dt_s=parts.train.dt_s,
+        inputs=parts.train.inputs,
+        outputs=parts.train.outputs,
+        n_init=starts.shape[2],
+        output_limits=parts.limits,
+        system=parts.scaling.physical(system),
+        u_origin=parts.scaling.u_origin,
+        y_origin=parts.scaling.y_origin,
+        noise=np.ones((1, len(fits))),
+        starts=starts,
+        free=free,
+        covariance=np.full((len(free), len(free)), np.nan),
+    )
+
+
+def _joined(transfers: Sequence[Transfer], n_u: int) -> Difference:
+    n_y = len(transfers)
+    na = max(len(t.a) for t in transfers)
+    nb = max((len(b) for t in transfers for b in t.b), default=1)
+    a, b, c = np.zeros((na, n_y, n_y)), np.zeros((max(nb, 1), n_y, n_u)), np.zeros(n_y)
+    for i, t in enumerate(transfers):
+        a[: len(t.a), i, i] = t.a
+        c[i] = t.c
+        for j, taps in enumerate(t.b):
+            b[: len(taps), i, j] = taps
+    return Difference(a, b, c)
+
+
+def _covariance(fit: OneOutput, d: FloatArray, variance: float) -> FloatArray:
+    """Of [a1..an, b.., c] in scaled units."""
+    orders = fit.problem.orders
+    jacobians = fit.problem.jacobians(fit.theta)
+    inner = coloured_covariance(jacobians, d, variance)
+    blocks = [monic_basis(orders.na)[1], *(free_basis(n) for n in orders.nb)]
+    if orders.offset:
+        blocks.append(np.ones((1, 1)))
+    size = sum(len(b) for b in blocks)
+    outer, position = np.zeros((size, size)), 0
+    for block in blocks:
+        outer[position : position + len(block), position : position + len(block)] = block
+        position += len(block)
+    covariance: FloatArray = outer @ inner @ outer.T
+    return covariance
+
+
+def _free(system: Difference, fits: Sequence[OneOutput]) -> tuple[int, ...]:
+    """Where each output's parameters stand in the flat order."""
+    n_y, n_u = system.b.shape[1:]
+    a_size, b_size = system.a[1:].size, system.b.size
+    free: list[int] = []
+    for i, fit in enumerate(fits):
+        orders = fit.problem.orders
+        free += [lag * n_y * n_y + i * n_y + i for lag in range(orders.na)]
+        for j, (count, delay) in enumerate(zip(orders.nb, orders.nk, strict=True)):
+            free += [a_size + lag * n_y * n_u + i * n_u + j for lag in range(delay, delay + count)]
+        if orders.offset:
+            free.append(a_size + b_size + i)
+    return tuple(free)
+
+
+def _joint(covariances: Sequence[FloatArray], fits: Sequence[OneOutput], parts: Parts) -> FloatArray:
+    """The covariance of all outputs' parameters, in physical units."""
+    factors: list[float] = []
+    for scale, fit in zip(parts.scaling.y_scale, fits, strict=True):
+        orders = fit.problem.orders
+        factors += [1.0] * orders.na
+        for count, source in zip(orders.nb, parts.scaling.u_scale, strict=True):
+            factors += [float(scale / source)] * count
+        factors += [float(scale)] * orders.offset
+    joint, position = np.zeros((len(factors), len(factors))), 0
+    for block in covariances:
+        joint[position : position + len(block), position : position + len(block)] = block
+        position += len(block)
+    return joint * np.outer(factors, factors)
+
+
+def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple[list[OneOutput], str]:
+    """Fit every candidate on the fitting part, judge by the validation free run, simplest within noise.
+
+    The search ends when two orders in a row were no better than the best before.
+
+    Parameters
+    ----------
+    candidates : simplest first; each gives the orders of every output.
+
+    Raises
+    ------
+    FitError : no candidate could be fitted.
+    """
+    deepest = max(o.depth for orders in candidates for o in orders)
+    folds = parts.folds if len(candidates) > 1 else (parts,)
+    window = max(judging_window(f, deepest) for f in folds)
+    before: list[list[OneOutput]] = [[] for _ in folds]
+    tried: list[tuple[list[OneOutput], FloatArray]] = []
+    best, since = np.inf, 0
+    for orders in candidates:
+        try:
+            before = [_fitted(f, orders, b) for f, b in zip(folds, before, strict=True)]
+        except (FitError, DataError):
+            continue
+        errors = [
+            block_errors(runner("oe", f, fits, window), f.check, window, f.scaling.y_scale)
+            for f, fits in zip(folds, before, strict=True)
+        ]
+        tried.append((before[0], np.concatenate(errors)))
+        mean = float(tried[-1][1].mean()) if len(tried[-1][1]) else np.inf
+        best, since = (mean, 0) if mean < (1.0 - LEVEL) * best else (best, since + 1)
+        if since == PATIENCE:
+            break
+    if not tried:
+        raise FitError(
+            "no stable output-error model was found",
+            hint="fit with refine=False, give lower orders, or check the data for gaps and feedback",
+        )
+    if len(tried) == 1:
+        return tried[0][0], ""
+    index = simplest([errors for _, errors in tried], ORDER_LOSS)
+    table = ", ".join(
+        f"order {_order(fits)}: {np.sqrt(e.mean()) if len(e) else np.nan:.3g}" for fits, e in tried
+    )
+    chosen = _order(tried[index][0])
+    return tried[index][0], (
+        f"order {chosen} is the simplest within one standard error of the best validation free run "
+        f"(RMSE in standard deviations of the output: {table})"
+    )
+
+
+def _fitted(parts: Parts, orders: Sequence[Orders], before: Sequence[OneOutput]) -> list[OneOutput]:
+    """Every output on the fitting part; never worse than the fits of lower orders (`before`, or none)."""
+    fits = []
+    for i, own in enumerate(orders):
+        fit = fit_output(OutputError(records(parts.fit, i), own))
+        lower = before[i] if before else None
+        if lower is not None and fit.cost > lower.cost and lower.problem.orders.nk == own.nk:
+            nested = fit.problem.refine(raised(lower.transfer, own), max_iterations=40)
+            fit = OneOutput(fit.problem, nested.theta, nested.cost) if nested.cost < fit.cost else fit
+        fits.append(fit)
+    return fits
+
+
+def raised(transfer: Transfer, orders: Orders) -> FloatArray:
+    """The same transfer in higher orders: its poles and zeros, and as many more that cancel."""
+    a, b = transfer.a, list(transfer.b)
+    for _ in range(orders.na + 1 - len(a)):
+        a, b = np.convolve(a, CANCELLING), [np.convolve(taps, CANCELLING) for taps in b]
+    sizes = [k + n for n, k in zip(orders.nb, orders.nk, strict=True)]
+    padded = [np.resize(np.append(t, np.zeros(n)), n) for t, n in zip(b, sizes, strict=True)]
+    return from_transfer(
+        Transfer(a, tuple(padded), transfer.c * CANCELLING.sum() ** (len(a) - len(transfer.a))), orders
+    )
+
+
+def _order(fits: Sequence[OneOutput]) -> int:
+    return max(f.problem.orders.na for f in fits)
+
+
+def refit(parts: Parts, fits: Sequence[OneOutput]) -> list[OneOutput]:
+    """The same orders on all training data, refined from where the search ended.
+
+    Short data have more than one minimum: there a fresh start is tried, too.
+    """
+    if parts.fit is parts.whole:
+        return list(fits)
+    again = []
+    for i, fit in enumerate(fits):
+        problem = replace(fit.problem, records=records(parts.whole, i))
+        found = problem.refine(fit.theta, max_iterations=25)
+        ends = [OneOutput(problem, found.theta, found.cost)]
+        if len(parts.train) <= FOLDED_ROWS:
+            with suppress(FitError):
+                ends.append(fit_output(problem))
+        again.append(min(ends, key=lambda end: end.cost))
+    return again

@@ -1,0 +1,1 @@
+"""Linear state space found by subspace methods, its filter, its refinement."""

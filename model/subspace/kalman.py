@@ -1,0 +1,178 @@
+"""States of a linear system in innovation form: estimated from a start, run free, looked ahead.
+
+    x(k+1) = A x(k) + B u(k) + drift + G(k) (y(k) - C x(k) - D u(k) - level)
+
+G(k) is the gain of the time-varying Kalman predictor from the states that training data lead one to expect,
+computed by the square-root array algorithm (Kailath, Sayed & Hassibi, 2000, Linear Estimation, 12.3), which
+keeps its digits where there is next to no noise; after the start it is the stationary K.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.model.subspace.triangle import Realisation
+
+QUIET = 1e-8
+"""Standard deviation of the innovation, relative to the largest output a state makes, that counts as none."""
+LOOK = 200
+"""Samples over which a wrong start is felt."""
+
+
+def start_gains(system: Realisation, most: int) -> tuple[FloatArray, FloatArray]:
+    """Gains of the first samples, and how wrong the free run still is after each of them.
+
+    Returns
+    -------
+    gains : (most, n, n_y).
+    spread : (most + 1,) root mean square error of the free run over the next `LOOK` samples for want of the
+        right state, in standard deviations of the innovation; the largest over the outputs.
+    """
+    noise = _noise_root(system)
+    n_y, n = system.c.shape
+    root, process = _half(system.state), system.k @ noise
+    gains, spread = np.zeros((most, n, n_y)), np.zeros(most + 1)
+    seen = _observed(system)
+    size = np.sqrt(np.sum(noise**2, axis=1))
+    for step in range(most + 1):
+        spread[step] = float(np.max(np.sqrt(np.mean((seen @ root) ** 2, axis=0).sum(axis=-1)) / size))
+        if step == most:
+            break
+        array = np.block([[noise, system.c @ root], [process, system.a @ root]])
+        lower = np.asarray(np.linalg.qr(array.T, mode="r")).T
+        gains[step] = np.linalg.solve(lower[:n_y, :n_y].T, lower[n_y:, :n_y].T).T
+        root = lower[n_y:, n_y:]
+    return gains, spread
+
+
+def _observed(system: Realisation) -> FloatArray:
+    """(LOOK, n_y, n) what each state adds to the outputs of the next samples; unstable parts are held."""
+    rows, at = np.empty((LOOK, *system.c.shape)), system.c
+    radius = max(float(np.abs(np.linalg.eigvals(system.a)).max(initial=0.0)), 1.0)
+    for step in range(LOOK):
+        rows[step] = at
+        at = at @ system.a / radius
+    return rows
+
+
+def _noise_root(system: Realisation) -> FloatArray:
+    size = np.sqrt(np.diag(system.c @ system.state @ system.c.T))
+    floor = np.diag(np.maximum(QUIET * size, np.finfo(float).tiny) ** 2)
+    return _half(system.innovation + floor)
+
+
+def _half(covariance: FloatArray) -> FloatArray:
+    """H with H Hᵀ the covariance."""
+    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
+    half: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))
+    return half
+
+
+def free_states(system: Realisation, u: FloatArray, x: FloatArray) -> FloatArray:
+    """(N, n) states from x on; not finite where they overflow."""
+    drive = u @ system.b.T + system.drift
+    states: FloatArray = _free_kernel()(system.a, drive, x)
+    return states
+
+
+def filtered_states(system: Realisation, u: FloatArray, y: FloatArray, gains: FloatArray) -> FloatArray:
+    """(N + 1, n) predicted state before every sample and after the last, from zero on.
+
+    Parameters
+    ----------
+    gains : (m, n, n_y) of the first m samples; K after them.
+    """
+    drive = u @ system.b.T + system.drift
+    miss = y - u @ system.d.T - system.level
+    every = np.concatenate([gains, system.k[None]])
+    states: FloatArray = _filter_kernel()(system.a, system.c, drive, miss, every)
+    return states
+
+
+def output_of(system: Realisation, states: FloatArray, u: FloatArray) -> FloatArray:
+    """(N, n_y) of states and inputs."""
+    y: FloatArray = states @ system.c.T + u @ system.d.T + system.level
+    return y
+
+
+def ahead(system: Realisation, states: FloatArray, u: FloatArray, k: int) -> FloatArray:
+    """(N, n_y) prediction of every output from the state k - 1 samples before; NaN in the first k - 1 rows.
+
+    Parameters
+    ----------
+    states : (N, n) predicted state before every sample.
+    """
+    out = np.full((len(u), len(system.c)), np.nan)
+    if len(u) < k:
+        return out
+    drive = u @ system.b.T + system.drift
+    at = states[: len(u) - k + 1]
+    for step in range(k - 1):
+        at = at @ system.a.T + drive[step : step + len(at)]
+    out[k - 1 :] = output_of(system, at, u[k - 1 :])
+    return out
+
+
+def resting_state(system: Realisation, u: FloatArray, y: FloatArray) -> FloatArray:
+    """(n,) the state in which constant inputs u hold the outputs y: the nearest there is."""
+    n = len(system.a)
+    matrix = np.vstack([np.eye(n) - system.a, system.c])
+    goal = np.concatenate([system.b @ u + system.drift, y - system.d @ u - system.level])
+    state: FloatArray = np.linalg.lstsq(matrix, goal, rcond=1e-12)[0]
+    return state
+
+
+@cache
+def _free_kernel() -> Any:
+    from numba import njit
+
+    @njit(cache=True)
+    def run(a: FloatArray, drive: FloatArray, x0: FloatArray) -> FloatArray:
+        rows, n = drive.shape
+        states = np.empty((rows, n))
+        x, following = x0.copy(), np.empty(n)
+        for k in range(rows):
+            for i in range(n):
+                states[k, i] = x[i]
+                value = drive[k, i]
+                for j in range(n):
+                    value += a[i, j] * x[j]
+                following[i] = value
+            x, following = following, x
+        return states
+
+    return run
+
+
+@cache
+def _filter_kernel() -> Any:
+    from numba import njit
+
+    @njit(cache=True)
+    def run(
+        a: FloatArray, c: FloatArray, drive: FloatArray, miss: FloatArray, gains: FloatArray
+    ) -> FloatArray:
+        rows, n = drive.shape
+        n_y, last = c.shape[0], len(gains) - 1
+        states = np.zeros((rows + 1, n))
+        e = np.empty(n_y)
+        for k in range(rows):
+            gain = gains[min(k, last)]
+            for o in range(n_y):
+                e[o] = miss[k, o]
+                for j in range(n):
+                    e[o] -= c[o, j] * states[k, j]
+            for i in range(n):
+                value = drive[k, i]
+                for j in range(n):
+                    value += a[i, j] * states[k, j]
+                for o in range(n_y):
+                    value += gain[i, o] * e[o]
+                states[k + 1, i] = value
+        return states
+
+    return run

@@ -1,0 +1,331 @@
+"""A fitted state-space model: what it predicts and simulates, and what it says about itself.
+
+    x(k+1) = A x(k) + B (u - u*)(k) + K e(k) + drift,    (y - y*)(k) = C x(k) + D (u - u*)(k) + level + e(k)
+
+around the training means u*, y*. The free run is the deterministic part; predictions filter the measured
+outputs with K. Where the model was fitted to the simulation error K is zero, and predictions model what the
+free run leaves over as an autoregression (`noise`), as output-error models do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import FloatArray, Signal
+from flysid.errors import UsageError
+from flysid.model.arguments import as_columns, as_record
+from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
+from flysid.model.freerun import saturated
+from flysid.model.noise import output_error_ahead
+from flysid.model.polynomials import ComplexArray, modes_of
+from flysid.model.subspace.kalman import ahead, filtered_states, free_states, output_of, resting_state
+from flysid.model.subspace.triangle import Realisation
+
+
+@dataclass(frozen=True, eq=False)
+class FittedStateSpace:
+    """A linear model in state space; the laws of `flysid.model.base` hold.
+
+    Attributes
+    ----------
+    realisation : A, B, C, D, K, constants and covariances in physical units, around the origins.
+    u_origin, y_origin : (n_u,), (n_y,) training means.
+    gains : (n_init, n, n_y) of the Kalman predictor through the samples that start a run.
+    noise : (p + 1, n_y) monic autoregression of the simulation error per output, or None: K predicts.
+    free : how many entries of A, B, C, D, K and the constants are not merely a choice of coordinates.
+    singular_values : of the decomposition that the order was read off, largest first.
+    covariance : (p, p) of A, B, C, drift, level and, where it is free, D, row by row; (0, 0) where unknown
+        (not refined). Only what does not hang on the coordinates has a meaning: see `bands`.
+    delays : samples by which every input is late before it enters; () for none.
+    """
+
+    dt_s: float
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    output_limits: FloatArray
+    realisation: Realisation
+    u_origin: FloatArray
+    y_origin: FloatArray
+    gains: FloatArray
+    free: int
+    singular_values: FloatArray
+    noise: FloatArray | None = None
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    delays: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
+    scores: Mapping[str, float] = field(default_factory=dict)
+
+    structure = "statespace"
+
+    @property
+    def n_init(self) -> int:
+        return len(self.gains)
+
+    @property
+    def n_parameters(self) -> int:
+        return self.free
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return self.realisation.order
+
+    # -- the laws ----------------------------------------------------------------------------------------
+
+    def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+        """(N, n_y) free run from the first `n_init` measured outputs; from zero inputs and outputs when None.
+
+        Raises
+        ------
+        UsageError : shapes do not fit the model, or fewer than `n_init` outputs are given.
+        """
+        system, n = self.realisation, self.n_init
+        du = as_columns(u, len(self.inputs), "u") - self.u_origin
+        if y0 is None:
+            du = self._late(du, -self.u_origin)
+            rest = resting_state(system, -self.u_origin, -self.y_origin)
+            return self._limited(output_of(system, free_states(system, du, rest), du))
+        y0 = as_columns(y0, len(self.outputs), "y0")
+        if len(y0) < min(n, len(du)):
+            raise UsageError(f"a simulation starts from {n} measured outputs, not {len(y0)}")
+        if len(du) <= n:
+            return np.array(y0[: len(du)])
+        du = self._late(du)
+        start = filtered_states(system, du[:n], y0[:n] - self.y_origin, self.gains)[-1]
+        run = output_of(system, free_states(system, du[n:], start), du[n:])
+        return np.concatenate([y0[:n], self._limited(run)])
+
+    def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
+        """(N, n_y) prediction from outputs at least k steps old; the first n_init + k - 1 rows are NaN.
+
+        Raises
+        ------
+        UsageError : shapes do not fit, or k < 1.
+        """
+        u, y = as_record(self, u, y, k)
+        first = self.n_init + k - 1
+        out = np.full(y.shape, np.nan)
+        if len(y) <= first:
+            return out
+        if self.noise is not None:
+            found = output_error_ahead(self.simulate(u, y[: self.n_init]), y, self.noise, k)
+        else:
+            system, du = self.realisation, self._late(u - self.u_origin)
+            states = filtered_states(system, du, y - self.y_origin, self.gains)[:-1]
+            found = ahead(system, states, du, k) + self.y_origin
+        out[first:] = found[first:]
+        return out
+
+    def rules(self) -> tuple[Rule, ...]:
+        """One rule that always holds."""
+        radius = float(np.abs(self.poles).max(initial=0.0))
+        slow = -self.dt_s / np.log(radius) if 0 < radius < 1 else (0.0 if radius == 0 else np.inf)
+        return (Rule("R1", "always", self._conclusion(), self.dc_gain, float(slow), radius, 1.0),)
+
+    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:  # noqa: ARG002
+        """(N, 1) ones: the single rule always fires."""
+        return np.ones((len(np.asarray(y)), 1))
+
+    # -- what people ask of a linear model ---------------------------------------------------------------
+
+    @cached_property
+    def poles(self) -> ComplexArray:
+        """Poles in z, slowest first."""
+        found = np.asarray(np.linalg.eigvals(self.realisation.a), dtype=np.complex128)
+        return np.asarray(found[np.argsort(-np.abs(found), kind="stable")])
+
+    @property
+    def is_stable(self) -> bool:
+        """Every pole lies inside the unit circle."""
+        return bool(np.abs(self.poles).max(initial=0.0) < 1.0)
+
+    @cached_property
+    def dc_gain(self) -> FloatArray:
+        """(n_y, n_u) steady gain; NaN where the model integrates."""
+        s = self.realisation
+        if np.abs(self.poles - 1.0).min(initial=np.inf) < 1e-9:
+            return np.full(s.d.shape, np.nan)
+        gain: FloatArray = s.c @ np.linalg.solve(np.eye(s.order) - s.a, s.b) + s.d
+        return gain
+
+    def states(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, n) the state before every sample, predicted from the samples before it.
+
+        Raises
+        ------
+        UsageError : shapes do not fit.
+        """
+        du = self._late(as_columns(u, len(self.inputs), "u") - self.u_origin)
+        dy = as_columns(y, len(self.outputs), "y") - self.y_origin
+        found: FloatArray = filtered_states(self.realisation, du, dy, self.gains)[:-1]
+        return found
+
+    def __str__(self) -> str:
+        kind = "simulation" if self.noise is not None else "prediction"
+        lines = [
+            f"State space of order {self.order}, {self.n_parameters} parameters, sample time {self.dt_s:g} s,"
+            f" fitted for {kind}"
+        ]
+        lines += [
+            f"{name} = {np.array2string(getattr(self.realisation, name.lower()), precision=5, prefix=name)}"
+            for name in ("A", "B", "C", "D", "K")
+        ]
+        if any(self.delays):
+            late = ", ".join(f"{i.name} {k}" for i, k in zip(self.inputs, self.delays, strict=True))
+            lines.append(f"inputs enter late, in samples: {late}")
+        modes = modes_of(self.poles, self.dt_s)
+        lines.append("poles: " + "; ".join(str(m) for m in modes))
+        lines.append("steady gain: " + "; ".join(self._gains()))
+        lines += [f"{name}: {value:.4g}" for name, value in self.scores.items()]
+        return "\n".join([*lines, *(f"- {note}" for note in self.notes)])
+
+    def _gains(self) -> list[str]:
+        return [
+            f"{i.name} -> {o.name} {self.dc_gain[r, c]:.4g}"
+            for r, o in enumerate(self.outputs)
+            for c, i in enumerate(self.inputs)
+        ]
+
+    def _conclusion(self) -> str:
+        modes = "; ".join(str(m) for m in modes_of(self.poles, self.dt_s))
+        names = ", ".join(s.name for s in self.outputs)
+        return f"{names}: {self.order} states ({modes}), steady gain {'; '.join(self._gains())}"
+
+    def _late(self, du: FloatArray, before: FloatArray | None = None) -> FloatArray:
+        """The inputs as they enter; what came before the first sample is `before`, the mean when None."""
+        out = np.array(du)
+        for j, late in enumerate(self.delays):
+            out[late:, j] = du[: max(len(du) - late, 0), j]
+            out[:late, j] = 0.0 if before is None else before[j]
+        return out
+
+    def _limited(self, y: FloatArray) -> FloatArray:
+        return saturated(y + self.y_origin, self.output_limits)
+
+    # -- storage -----------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "format": MODEL_FORMAT,
+            "version": MODEL_VERSION,
+            "structure": self.structure,
+            "dt_s": self.dt_s,
+            "inputs": [[s.name, s.unit, s.resolution] for s in self.inputs],
+            "outputs": [[s.name, s.unit, s.resolution] for s in self.outputs],
+            "output_limits": self.output_limits.tolist(),
+            **{f.name: getattr(self.realisation, f.name).tolist() for f in fields(Realisation)},
+            "u_origin": self.u_origin.tolist(),
+            "y_origin": self.y_origin.tolist(),
+            "gains": self.gains.tolist(),
+            "delays": list(self.delays),
+            "free": self.free,
+            "singular_values": self.singular_values.tolist(),
+            "noise": None if self.noise is None else self.noise.tolist(),
+            "covariance": self.covariance.tolist(),
+            "notes": list(self.notes),
+            "scores": {k: float(v) for k, v in self.scores.items() if np.isfinite(v)},
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as JSON; `flysid.load` reads it."""
+        write_document(self.to_dict(), path)
+
+
+def resting(
+    matrices: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    dt_s: float,
+    signals: tuple[tuple[Signal, ...], tuple[Signal, ...]],
+) -> FittedStateSpace:
+    """A model of given (A, B, C, D) that was not fitted: no noise, no offsets, starts at rest.
+
+    Parameters
+    ----------
+    signals : inputs, outputs.
+    """
+    a, b, c, d = (np.array(m, dtype=np.float64) for m in matrices)
+    n, n_u, n_y = len(a), b.shape[1], len(c)
+    still = Realisation(
+        a, b, c, d, np.zeros((n, n_y)), np.zeros(n), np.zeros(n_y), np.zeros((n_y, n_y)), np.zeros((n, n))
+    )
+    return FittedStateSpace(
+        dt_s=dt_s,
+        inputs=signals[0],
+        outputs=signals[1],
+        output_limits=np.array([[-1e12] * n_y, [1e12] * n_y]),
+        realisation=still,
+        u_origin=np.zeros(n_u),
+        y_origin=np.zeros(n_y),
+        gains=np.zeros((0, n, n_y)),
+        free=n * (n_u + n_y) + n_y * n_u,
+        singular_values=np.zeros(0),
+        notes=("Taken over as it was; nothing was estimated.",),
+    )
+
+
+def from_dict(document: Mapping[str, Any]) -> FittedStateSpace:
+    """Rebuild a model from `to_dict()`; damage raises KeyError, TypeError or ValueError (see `base.load`)."""
+
+    def array(key: str, *shape: int) -> FloatArray:
+        values = np.asarray(document[key], dtype=np.float64)
+        if values.size == 0:
+            values = values.reshape([max(size, 0) for size in shape])
+        agree = values.ndim == len(shape) and all(
+            size in (-1, found) for size, found in zip(shape, values.shape, strict=True)
+        )
+        if not agree or not np.isfinite(values).all():
+            raise ValueError(f"{key} is not a finite array of the model's size")
+        return values
+
+    def signals(key: str) -> tuple[Signal, ...]:
+        return tuple(Signal(str(n), str(unit), float(r)) for n, unit, r in document[key])
+
+    inputs, found_outputs = signals("inputs"), signals("outputs")
+    n_u, n_y, n = len(inputs), len(found_outputs), len(document["a"])
+    realisation = Realisation(
+        a=array("a", n, n),
+        b=array("b", n, n_u),
+        c=array("c", n_y, n),
+        d=array("d", n_y, n_u),
+        k=array("k", n, n_y),
+        drift=array("drift", n),
+        level=array("level", n_y),
+        innovation=array("innovation", n_y, n_y),
+        state=array("state", n, n),
+    )
+    return FittedStateSpace(
+        dt_s=float(document["dt_s"]),
+        inputs=inputs,
+        outputs=found_outputs,
+        output_limits=array("output_limits", 2, n_y),
+        realisation=realisation,
+        u_origin=array("u_origin", n_u),
+        y_origin=array("y_origin", n_y),
+        gains=array("gains", -1, n, n_y),
+        delays=_whole(document.get("delays", []), n_u),
+        free=int(document["free"]),
+        singular_values=array("singular_values", -1),
+        noise=None if document["noise"] is None else array("noise", -1, n_y),
+        covariance=_square(document.get("covariance", [])),
+        notes=tuple(str(n) for n in document["notes"]),
+        scores={str(k): float(v) for k, v in document["scores"].items()},
+    )
+
+
+def _square(rows: Any) -> FloatArray:
+    values = np.asarray(rows, dtype=np.float64).reshape(len(rows), len(rows))
+    if not np.isfinite(values).all():
+        raise ValueError("covariance is not finite")
+    return values
+
+
+def _whole(values: Any, count: int) -> tuple[int, ...]:
+    delays = tuple(int(v) for v in values)
+    if len(delays) not in (0, count) or min(delays, default=0) < 0:
+        raise ValueError("delays do not fit the inputs")
+    return delays
