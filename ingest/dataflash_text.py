@@ -30,7 +30,9 @@ from flysid.ingest.vehicletime import Clocked, VehicleTime
 FMT_LINE = re.compile(rb"(?:^|\n)FMT, ?\d+, ?\d+, ?\w+, ?\w+, ?\w")
 WHOLE, REAL, DIVIDED = frozenset("bBhHiIqQ"), frozenset("fdgcCeEL"), frozenset("cCeEL")
 MAX_LINE_BYTES = 4096
-_LINE_HEAD = re.compile(r"([A-Z][A-Z0-9]{1,3}), -?\d+,")
+_LINE_HEAD = re.compile(
+    r"(?=([A-Z][A-Z0-9]{1,3}), (-?\d+,.*))"
+)  # also inside a word: its separator is damaged
 BATCH_BYTES = 4 << 20  # as Python strings, lines take twenty times their bytes
 Column = npt.NDArray[np.int64] | npt.NDArray[np.float64] | list[str]
 
@@ -150,7 +152,11 @@ def _swallowed(reader: _Reader, code: int, text: str) -> bool:
     """Whether a text at the end of a line holds the line behind it, whose separator was damaged."""
     if reader.definitions.items[code].format[-1:] not in ("n", "N", "Z"):
         return False
-    return any(found[1] in reader.by_name for found in _LINE_HEAD.finditer(text))
+    for found in _LINE_HEAD.finditer(text):
+        inner = reader.by_name.get(found[1])
+        if inner is not None and found[2].count(",") >= len(reader.definitions.items[inner].format) - 1:
+            return True
+    return False
 
 
 def _split(data: bytes) -> list[bytes]:

@@ -84,6 +84,7 @@ class UlogReader:
         self._previous_ns: dict[int, int] = {}
         self._schemas: dict[int, pa.Schema] = {}
         self._batch = _Batch()
+        self._at = 0  # where the record in hand begins
         self._appended: list[int] = []
 
     def parts(self) -> Iterator[StreamPart]:
@@ -142,10 +143,14 @@ class UlogReader:
         framer = self._framer
         kind, body, end = framer.head(at)
         if framer.is_sound(at):
+            resume = end if framer.is_exact(at) else framer.next_record(at + 1, end)
+            if resume < end:
+                self._tally.skip(at, resume, "record of a wrong size")
+                return resume
+            self._at = at
             self._take(kind, self.view[body:end])
             return end
-        is_unit = kind > 0 and body < end <= framer.stop and framer.is_followed(end)
-        if is_unit and framer.next_record(at + 1, end) == end:
+        if framer.is_unit(at):
             self._tally.undecode(self._name_of(kind, body, end))
             return end
         resume = framer.stop if framer.is_cut_data(at) else self._resume(at)
@@ -215,6 +220,7 @@ class UlogReader:
             return
         if len(self._formats) < MAX_FORMATS:
             self._formats[name] = fields
+            self._framer.topics.add(name.encode())
 
     def _add_flags(self, body: memoryview) -> None:
         """compat[8], incompat[8], three offsets of appended data."""
@@ -239,10 +245,27 @@ class UlogReader:
             self._framer.sizes.known[number] = True
             self._framer.changed()
             return
+        if self._is_taken(number, Subscription("", topic, instance, layout)):
+            return
         index = self._subscription(topic, instance, layout)
         if index >= 0:
             self._framer.sizes.subscribe(number, index, layout.size, layout.full_size)
             self._framer.changed()
+
+    def _is_taken(self, number: int, new: Subscription) -> bool:
+        """Whether the id belongs to another subscription, and its data go on to have that one's size.
+
+        Vehicles use an id once, so one of both is damaged; which one, only sizes can tell.
+        """
+        used = int(self._framer.sizes.subscription[number])
+        old = self._subscriptions[used] if used >= 0 else new
+        if (old.topic, old.instance) == (new.topic, new.instance):
+            return False
+        self._tally.undecode("(subscriptions)")
+        if old.layout == new.layout:
+            return False
+        ours, theirs = (range(one.size, one.full_size + 1) for one in (old.layout, new.layout))
+        return self._framer.fits_better(number, self._at, ours, theirs)
 
     def _subscription(self, topic: str, instance: int, layout: UlogLayout) -> int:
         """The number of a subscription; the same one for the same topic, instance and layout."""

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flysid.ingest.gather import Bytes, Index, as_bytes, numbers
+from flysid.ingest.ulog_formats import NUMBERS
 
 MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
 SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
@@ -27,8 +28,11 @@ HEAD = struct.Struct("<HB")
 OTHER_TYPES = frozenset(b"BFIMPQARSOLC")
 WINDOW_BYTES = 8 << 20
 MAX_TEXT = 300
+MAX_UNKNOWN = 4
 FLAGS, FORMAT_TYPE, ADDED, LOGGED, TAGGED, SYNC_TYPE, DATA = b"BFALCSD"
 _KEY = re.compile(rb"[a-z0-9_]+(\[\d+\])? [\x21-\x7e]+")
+_SIZED = re.compile(rb"(\w+?)(?:\[(\d{1,5})\])? ")
+_TEXT_AT = {LOGGED: 9, TAGGED: 11}
 _FORMAT = re.compile(rb"[\w/-]+:[ -~]*")  # all of it: a length that swallows the next record is none
 
 
@@ -76,6 +80,7 @@ class Framer:
         self.view = view
         self.stop = stop
         self.sizes = Sizes()
+        self.topics: set[bytes] = set()  # names of formats, which subscriptions name
         self.data = as_bytes(view)
         self._window: _Window | None = None
 
@@ -109,15 +114,53 @@ class Framer:
         return kind in OTHER_TYPES and has_shape(kind, self.view[body:end])
 
     def is_followed(self, end: int) -> bool:
-        """Whether at `end` is the end, a sound record, one that the end cuts, or data of a known id."""
+        """Whether at `end` is the end, a sound record, one that the end cuts, or data of a known id.
+
+        A few records of data whose subscriptions are lost may stand before it.
+        """
         if end >= self.stop:
             return end == self.stop
-        if self.is_sound(end) or self.is_cut(end):
+        if self.is_cut(end):
             return True
-        kind, body, after = self.head(end)
-        if kind != DATA or not body + 2 <= after <= self.stop:
+        for _ in range(MAX_UNKNOWN):
+            if self.is_sound(end):
+                return True
+            kind, body, after = self.head(end)
+            if kind != DATA or not body + 2 <= after <= self.stop:
+                return False
+            if self.sizes.known[self._id(body)]:
+                return True
+            end = after
+        return False
+
+    def is_unit(self, at: int) -> bool:
+        """Whether an unusable record lies at `at`: another follows, a sound one if its type is new."""
+        kind, body, end = self.head(at)
+        if kind <= 0 or not body < end <= self.stop:
             return False
-        return bool(self.sizes.known[self._id(body)]) or self.is_sound(after)
+        is_known = kind in OTHER_TYPES or kind == DATA
+        return (self.is_followed if is_known else self.is_sound)(end) and self.next_record(at + 1, end) == end
+
+    def fits_better(self, number: int, at: int, ours: range, theirs: range) -> bool:
+        """Whether data of an id behind `at` are rather `ours` than `theirs`, sizes without the id."""
+        places = np.flatnonzero(self.data[at + 2 : min(at + WINDOW_BYTES, self.stop)] == DATA) + at
+        places = places[places + 5 <= self.stop]
+        places = places[numbers(self.data, places + 3, "<u2") == number]
+        sizes = (numbers(self.data, places, "<u2").astype(np.int64) - 2).tolist()
+        return sum(size in ours for size in sizes) > sum(size in theirs for size in sizes)
+
+    def is_exact(self, at: int) -> bool:
+        """Whether a sound record, not of data, is as long as its content asks and another one follows.
+
+        Texts and values take any length: where a wrong one swallows records, only this tells.
+        """
+        kind, body, end = self.head(at)
+        content = self.view[body:end]
+        if kind in b"LC" and not is_text(content[_TEXT_AT[kind] :]):
+            return False
+        if kind in b"IPMQ" and not _has_its_value(content[1:] if kind in b"MQ" else content):
+            return False
+        return self.is_followed(end)
 
     def is_cut(self, at: int) -> bool:
         """Whether a record of a known type starts at `at` that the end cuts."""
@@ -169,13 +212,22 @@ class Framer:
             if not self.is_sound(place):
                 continue
             kind, body, after = self.head(place)
-            if kind in b"LC" and (
-                after - body > MAX_TEXT or min(self.view[body + 11 : after], default=32) < 9
-            ):
+            if kind in b"LC" and not is_text(self.view[body + _TEXT_AT[kind] : after]):
                 continue
             if self.is_sound(after) or (kind not in b"RO" and self.is_followed(after)):
                 return int(place)
+            if kind == ADDED and self._is_subscription(body, after):
+                return int(place)
         return -1
+
+    def _is_subscription(self, body: int, end: int) -> bool:
+        """Whether a topic of a known format is subscribed, and data of an id that nobody knows follow.
+
+        So it is where the subscriptions before it are lost.
+        """
+        kind, data, after = self.head(end)
+        named = bytes(self.view[body + 3 : end]) in self.topics
+        return named and kind == DATA and data + 2 <= after <= self.stop
 
     def _id(self, body: int) -> int:
         return self.view[body] | self.view[body + 1] << 8
@@ -229,6 +281,16 @@ def has_shape(kind: int, body: memoryview) -> bool:
     if kind == FORMAT_TYPE:
         return _FORMAT.fullmatch(bytes(body)) is not None
     return _has_key(body[1:] if kind in b"MQ" else body)
+
+
+def _has_its_value(body: memoryview) -> bool:
+    """Whether the value behind "type name" has the size of its type; any size where the type is unknown."""
+    key = bytes(body[1 : 1 + body[0]])
+    found = _SIZED.match(key)
+    size = NUMBERS.get(found[1].decode("latin-1")) if found else None
+    if found is None or size is None:
+        return True
+    return len(body) - 1 - len(key) == np.dtype(size).itemsize * int(found[2] or 1)
 
 
 def _has_key(body: memoryview) -> bool:

@@ -70,9 +70,9 @@ class Words:
         return True
 
     def add_multiple(self, body: memoryview, time_ns: int) -> bool:
-        """One piece of a multi-part information; binary ones are left out."""
+        """One piece of a multi-part information; binary ones are left out, unknown types are False."""
         named = parse_named(body[1:]) if len(body) else None
-        if named is None:
+        if named is None or named.kind.partition("[")[0] not in NUMBERS:
             return False
         if isinstance(named.value, str):
             self._texts.append((time_ns, named.name, named.value, bool(body[0])))
@@ -91,7 +91,7 @@ class Words:
         if not len(body):
             return False
         which = [origin for bit, origin in ((1, 2), (2, 3)) if body[0] & bit]
-        return all(self.add_parameter(body[1:], time_ns, origin) for origin in which)
+        return bool(which) and all(self.add_parameter(body[1:], time_ns, origin) for origin in which)
 
     def add_message(self, body: memoryview, tagged: bool) -> None:
         """A logged message: level, maybe tag, time in us, text."""

@@ -212,6 +212,46 @@ def test_resynchronises_after_damage_without_losing_what_follows() -> None:
     assert flight.damage.region_count == 1
 
 
+@pytest.mark.parametrize("kind", "IMPQLCO")
+@pytest.mark.parametrize("more", [100, 255, 1000])
+def test_a_record_of_words_whose_size_is_wrong_swallows_nothing(kind: str, more: int) -> None:
+    raw = sample.build()
+    hit = [r for r in sample.records(raw)[1:] if raw[r.start + 2] == ord(kind)][-1]
+    size = struct.pack("<H", hit.end - hit.start - 3 + more)
+    flight = read(raw[: hit.start] + size + raw[hit.start + 2 :])
+    assert flight.rows >= read(raw).rows - hit.rows
+    assert flight.damage.lossy
+    assert flight.damage.bytes_skipped == hit.end - hit.start
+
+
+def test_an_id_that_two_subscriptions_claim_stays_with_the_one_whose_sizes_fit() -> None:
+    raw = bytearray(sample.build())
+    third = [r for r in sample.records(bytes(raw))[1:] if raw[r.start + 2] == ord("A")][2]
+    raw[third.start + 4] = 0  # "other" says that it is number 0, which "topic" is
+    flight = read(bytes(raw))
+    assert flight["topic"].num_rows == 60
+    assert flight.damage.undecoded == {"(subscriptions)": 1, "(message id 2)": 60}
+
+
+@pytest.mark.parametrize(("kind", "at", "byte"), [("Q", 3, 0), ("M", 5, ord("g"))])
+def test_words_of_no_known_kind_are_counted(kind: str, at: int, byte: int) -> None:
+    raw = bytearray(sample.build())
+    hit = next(r for r in sample.records(bytes(raw))[1:] if raw[r.start + 2] == ord(kind))
+    raw[hit.start + at] = byte
+    assert sum(read(bytes(raw)).damage.undecoded.values()) == 1
+
+
+def test_subscriptions_are_found_behind_those_that_are_lost() -> None:
+    raw = sample.build()
+    first, second, third = (r for r in sample.records(raw)[1:] if raw[r.start + 2] == ord("A"))
+    lost = raw[: second.start - 3] + b"\xff" * 8 + raw[second.start + 5 :]
+    flight = read(lost)
+    assert flight["other"].num_rows == 60
+    assert flight.damage.regions[0].start == first.start
+    assert flight.damage.regions[0].end == third.start
+    assert sum(flight.damage.undecoded.values()) + flight.damage.bytes_skipped > 90
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -12,6 +12,8 @@ A module `tests/samplelogs/<format name>.py` offers
 - optionally `KNOWS_ITS_END = True`: a log that is cut between two records shows that it is cut;
 - optionally `ADDRESSED = True`: records refer to each other by their place in the file (pages of a database),
   so that damage is tried by overwriting, not by inserting or deleting (docs/adr/0011);
+- optionally `UNCHECKED = True`: no checksums, so that a record whose middle is deleted takes in as many bytes
+  behind it, and nothing tells where these happen to end at another record's end;
 - optionally `HARMLESS`: bytes that mean nothing between records (empty lines of a text log).
 """
 

@@ -7,6 +7,7 @@ import struct
 from tests.samplelogs import Record, record_at
 
 SUFFIX = ".ulg"
+UNCHECKED = True
 HEAD = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000_000)
 SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 POINT = "point:float x;float y;"
