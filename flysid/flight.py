@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 TIME = "time_ns"
 BOOT = "boot"
 RECEIVED = "recv_ns"
+ROW_NUMBER = "row number"
+"""The `time_source` of a table without a time: rows stand a second apart until a recipe says how far."""
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,7 @@ class Source:
     yaw : source of the heading, for transforms into the heading frame.
     where : rows are kept where these columns have these values, e.g. {"C": 0} for one estimator core.
     time : a column that holds the sample's own time, e.g. `timestamp_sample`; `time_ns` when empty.
+    row_period_s : seconds from row to row, for a table without a time column, and for nothing else.
     """
 
     stream: str
@@ -66,6 +67,7 @@ class Source:
     yaw: Source | None = None
     where: dict[str, int | float | str] = dataclasses.field(default_factory=dict)
     time: str = ""
+    row_period_s: float | None = None
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -388,6 +390,8 @@ def _check_source(source: Source, name: str, where: str) -> None:
         raise RecipeError(f"transform {source.transform!r} of {name!r} {verb} a yaw source", path=where)
     if not is_known(source.unit):
         raise RecipeError(f"unknown unit {source.unit!r} of {name!r}", path=where)
+    if source.row_period_s is not None and not 0 < source.row_period_s < float("inf"):
+        raise RecipeError(f"row_period_s of {name!r} must be positive, not {source.row_period_s}", path=where)
     if source.scale == 0.0:
         raise RecipeError(f"scale of {name!r} must not be 0", path=where)
     if source.yaw is not None:

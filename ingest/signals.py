@@ -18,7 +18,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from flysid.errors import RecipeError
-from flysid.flight import BOOT, TIME, Flight, field_scale, field_unit, matching_streams
+from flysid.flight import BOOT, ROW_NUMBER, TIME, Flight, field_scale, field_unit, matching_streams
 from flysid.ingest.recipe import SignalSpec, Source
 from flysid.ingest.transforms import TRANSFORMS
 from flysid.ingest.units import factor, is_known
@@ -357,10 +357,21 @@ def _integers(column: pa.ChunkedArray) -> IntArray:
 def _times(source: Source, table: pa.Table) -> IntArray:
     """(N,) ns: the stream's own time, or that of a column with a time unit (us where none is stated)."""
     if not source.time:
-        return _integers(table[TIME])
+        return _by_rows(source, table)
     values = column_values(table, source.time)
     unit = field_unit(_schema(table, source.time)) or "us"
     return np.round(values.astype(np.float64) * factor(unit, "ns")).astype(np.int64)
+
+
+def _by_rows(source: Source, table: pa.Table) -> IntArray:
+    """(N,) ns: the stream's own time; for a table without one, its rows at the recipe's period."""
+    times = _integers(table[TIME])
+    numbered = (table.schema.metadata or {}).get(b"time_source") == ROW_NUMBER.encode()
+    if numbered and source.row_period_s is None:
+        raise RecipeError("the table has no time column", hint="--dt SECONDS, or row_period_s in the recipe")
+    if not numbered and source.row_period_s is not None:
+        raise RecipeError("the log tells the time", hint="leave out --dt, or row_period_s in the recipe")
+    return times if source.row_period_s is None else np.round(times * source.row_period_s).astype(np.int64)
 
 
 def _yaw_at(source: Source, log: Log, boots: IntArray, t_ns: IntArray) -> FloatArray:

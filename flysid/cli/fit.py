@@ -1,13 +1,15 @@
-"""`flysid fit DATA --recipe R -o RUN`."""
+"""`flysid fit DATA --recipe R -o RUN`, or `--from FIELD --to FIELD` instead of a recipe."""
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from flysid.cli.output import check_target, cores, say, status
+from flysid.cli.source import Words, opened, words_options
 
 if TYPE_CHECKING:
     from flysid.split import By
@@ -24,7 +26,7 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
 
 @click.command("fit")
 @click.argument("data", type=click.Path(path_type=Path))
-@click.option("--recipe", "-r", required=True, help="Name of a shipped recipe, or path of a .toml file.")
+@words_options
 @click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
 @click.option("--channel", "-c", "channels", multiple=True, help="Fit this channel only; may be repeated.")
 @click.option(
@@ -49,6 +51,9 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
 def command(
     data: Path,
     recipe: str,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    dt: float | None,
     output: Path,
     channels: tuple[str, ...],
     models: str,
@@ -62,21 +67,23 @@ def command(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Fit linear and Takagi-Sugeno models to every channel of a recipe.
+    """Fit linear and Takagi-Sugeno models to every channel of a recipe, or from some fields to others.
 
+    DATA is an ingested folder, or a single log or table (.csv), which is ingested into RUN.data.
     A part of the data is held out before anything is learned; 'flysid validate RUN' judges the models on it.
     Channels that the data cannot serve are named and left out (exit code 3 where --channel asked for them).
     """
     check_target(output, force)
+    place = fresh_place(output, force) if data.is_file() else None
     from flysid.ingest.doubts import REMARKS
-    from flysid.ingest.lake import open as open_lake
     from flysid.validate.fitting import fit_run
     from flysid.validate.run import FitSettings
 
     labels = tuple(label for label in models.replace(" ", "").lower().split(",") if label)
     settings = FitSettings(holdout, by, seed, rules, antecedents, channels, labels)
-    with status(quiet) as progress:
-        run = fit_run(open_lake(data), recipe, output, settings, jobs=jobs or cores(), progress=progress)
+    asked = Words(recipe, inputs, outputs, dt)
+    with opened(data, asked, place, quiet) as (lake, chosen), status(quiet) as progress:
+        run = fit_run(lake, chosen, output, settings, jobs=jobs or cores(), progress=progress)
     if as_json:
         click.echo((output / "run.json").read_text("utf-8"), nl=False)
     else:
@@ -97,6 +104,17 @@ def command(
         say(f"channel {name} skipped: {why}")
     say(f"next: flysid validate {output}", quiet)
     return 3 if set(channels) & set(run.skipped) else 0
+
+
+def fresh_place(output: Path, force: bool) -> Path:
+    """The folder RUN.data for the log of a run, not there any more: other logs in it would be fitted too."""
+    place = output.with_name(output.name + ".data")
+    check_target(place, force)
+    if place.exists():
+        from flysid.manifest import check_data_folder
+
+        shutil.rmtree(check_data_folder(place))
+    return place
 
 
 def transfer_lines(run: Run, channel: ChannelRun) -> list[str]:

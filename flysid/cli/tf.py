@@ -10,6 +10,7 @@ import click
 
 from flysid.cli.ls import aligned
 from flysid.cli.output import check_target, say, status
+from flysid.cli.source import Words, opened, words_options
 
 if TYPE_CHECKING:
     from flysid.validate.transfers import ChannelTransfers
@@ -29,7 +30,7 @@ def _auto_or(kind: type) -> Any:
 
 @click.command("tf")
 @click.argument("data", type=click.Path(path_type=Path))
-@click.option("--recipe", "-r", required=True, help="Name of a shipped recipe, or path of a .toml file.")
+@words_options
 @click.option("--channel", "-c", "channels", multiple=True, help="This channel only; may be repeated.")
 @click.option("--poles", default="auto", callback=_auto_or(int), show_default=True, help="Of every output.")
 @click.option("--zeros", default="auto", callback=_auto_or(int), show_default=True, help="Of every input.")
@@ -66,6 +67,9 @@ def _auto_or(kind: type) -> Any:
 def command(
     data: Path,
     recipe: str,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    dt: float | None,
     channels: tuple[str, ...],
     table: bool,
     plot: Path | None,
@@ -76,11 +80,10 @@ def command(
 ) -> int:
     """Identify transfer functions in s, with intervals, from the frequency response and the free run.
 
-    Every flight of DATA is used; 'flysid fit --models tf' and 'flysid validate' judge such a model on flights
-    that it has not seen. Channels that the data cannot serve are named (exit code 3 where --channel asked for
-    them).
+    DATA is an ingested folder, or a single log or table (.csv). Every flight of it is used; 'flysid fit
+    --models tf' and 'flysid validate' judge such a model on flights that it has not seen. Channels that the
+    data cannot serve are named (exit code 3 where --channel asked for them).
     """
-    from flysid.ingest.lake import open as open_lake
     from flysid.model.transfer_function import TF
     from flysid.validate.transfers import identify
 
@@ -100,16 +103,15 @@ def command(
         band=settings["band"] or None,
         method=settings["method"],
     )
-    with status(quiet) as progress:
-        found, skipped = identify(
-            open_lake(data),
-            recipe,
-            estimator,
-            channels=channels,
-            progress=progress,
-        )
+    words = Words(recipe, inputs, outputs, dt)
+    with opened(data, words, None, quiet) as (lake, chosen), status(quiet) as progress:
+        found, skipped = identify(lake, chosen, estimator, channels=channels, progress=progress)
     if as_json:
-        body = {"recipe": recipe, "channels": [c.to_dict() for c in found], "skipped": dict(skipped)}
+        body = {
+            "recipe": recipe or "quick",
+            "channels": [c.to_dict() for c in found],
+            "skipped": dict(skipped),
+        }
         click.echo(json.dumps(body, indent=1, allow_nan=False))
     else:
         click.echo("\n\n".join(text_of(c, table) for c in found))

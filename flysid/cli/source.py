@@ -1,0 +1,99 @@
+"""What `fit` and `tf` work on: an ingested folder or a log, with a recipe or a few words instead of one."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from flysid.errors import FormatError, UsageError
+
+if TYPE_CHECKING:
+    from flysid.ingest.lake import Lake
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class Words:
+    """What the command line says of the channels: a recipe, or from which fields to which."""
+
+    recipe: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    dt: float | None
+
+
+def words_options(function: F) -> F:
+    """Adds --recipe, --from, --to and --dt."""
+    for option in (
+        click.option("--dt", type=float, metavar="SECONDS", help="Between rows, where a table has no time."),
+        click.option("--to", "outputs", multiple=True, metavar="FIELD", help="Output; see --from."),
+        click.option(
+            "--from",
+            "inputs",
+            multiple=True,
+            metavar="FIELD",
+            help="Input, as FIELD or STREAM.FIELD; may be repeated. Instead of a recipe.",
+        ),
+        click.option("--recipe", "-r", default="", help="Name of a shipped recipe, or path of a .toml file."),
+    ):
+        function = option(function)
+    return function
+
+
+@contextmanager
+def opened(data: Path, words: Words, place: Path | None, quiet: bool) -> Iterator[tuple[Lake, str]]:
+    """The ingested folder, and the name of a recipe; both hold until the block ends.
+
+    A log is ingested first, into the new folder `place`, which goes again where the block fails; for as long
+    as the block lasts where `place` is None.
+
+    Raises
+    ------
+    UsageError : neither a recipe nor fields, or both; no such folder.
+    RecipeError : a field is not there.
+    """
+    if words.recipe and (words.inputs or words.outputs or words.dt is not None):
+        raise UsageError("--recipe says what --from, --to and --dt would", hint="leave out one or the other")
+    from flysid.ingest.lake import open as open_lake
+
+    with TemporaryDirectory() as folder:
+        target = place or Path(folder) / "data"
+        recipe = Path(folder) / "quick.toml"
+        try:
+            lake = open_lake(_taken_in(data, target, quiet) if data.is_file() else data)
+            if not words.recipe:
+                recipe.write_text(_written(words, lake), "utf-8")
+            yield lake, words.recipe or str(recipe)
+        except BaseException:
+            if place is not None:
+                shutil.rmtree(place, ignore_errors=True)
+            raise
+
+
+def _written(words: Words, lake: Lake) -> str:
+    """A recipe for the fields that are asked for; without any, the error names what there is."""
+    from flysid.ingest.quick import quick_recipe
+
+    if not (words.inputs or words.outputs) and (served := lake.recipes()):
+        raise UsageError("nothing says what to identify", hint=f"--recipe {', or --recipe '.join(served)}")
+    return quick_recipe(lake.logs, words.inputs, words.outputs, words.dt)
+
+
+def _taken_in(log: Path, place: Path, quiet: bool) -> Path:
+    """Ingest one log; raises FormatError where nothing of it can be read."""
+    from flysid.cli.ingest import report
+    from flysid.ingest.batch import find_logs, ingest_logs
+
+    results = list(ingest_logs(find_logs([log]), place, jobs=1))
+    report(results, quiet)
+    if results[0].skipped:
+        raise FormatError("nothing could be read", path=log, hint=f"flysid doctor {log}")
+    return place

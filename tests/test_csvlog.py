@@ -1,0 +1,172 @@
+"""Tables in text: what spreadsheets, MATLAB, PlotJuggler, ulog2csv and ground stations write."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flysid.errors import FormatError
+from flysid.flight import Flight, field_unit
+from flysid.ingest.base import Limits, all_formats, collect, detect
+
+
+def read(text: str | bytes, **limits: int) -> Flight:
+    blob = text.encode() if isinstance(text, str) else text
+    return collect(memoryview(blob), "t.csv", all_formats()["csv"], Limits(**limits))
+
+
+def column(flight: Flight, name: str) -> list[object]:
+    values: list[object] = flight["table"][name].to_pylist()
+    return values
+
+
+def seconds(flight: Flight) -> list[float]:
+    return [ns / 1e9 for ns in flight["table"]["time_ns"].to_pylist()]
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("time,u,y\n0.0,1,2\n0.1,3,4\n", ["u", "y"]),
+        ("time;u;y\n0,0;1,5;2\n0,1;3,5;4\n", ["u", "y"]),
+        ("time\tu\ty\n0.0\t1\t2\n0.1\t3\t4\n", ["u", "y"]),
+        ("\ufefftime,u,y\r\n0.0,1,2\r\n0.1,3,4\r\n", ["u", "y"]),
+        ("# log of today\n% in the garden\n\ntime,u,y\n0.0,1,2\n0.1,3,4\n", ["u", "y"]),
+        ('"time","u","y"\n"0.0","1","2"\n"0.1","3","4"\n', ["u", "y"]),
+        ("time_s,u [deg],y (m/s)\n0.0,1,2\n0.1,3,4\n", ["u", "y"]),
+        ("time,u,y\ns,deg,m/s\n0.0,1,2\n0.1,3,4\n", ["u", "y"]),
+        ("Tempo_s,u,y\n0.0,+1.,2e0\n0.1,3,4\n", ["u", "y"]),
+        ("date time,u,y\n1970-01-01 00:00:00.0,1,2\n1970-01-01 00:00:00.1,3,4\n", ["u", "y"]),
+    ],
+)
+def test_the_usual_dialects_give_the_same_table(text: str, names: list[str]) -> None:
+    flight = read(text)
+    assert seconds(flight) == pytest.approx([0.0, 0.1])
+    assert not flight.damage.lossy
+    assert column(flight, names[1]) == [2.0, 4.0]
+    assert column(flight, names[0]) in ([1.0, 3.0], [1.5, 3.5])
+
+
+def test_units_come_from_brackets_or_from_a_line_of_their_own() -> None:
+    for text in ("time,u [deg],y (m/s)\n0,1,2\n1,3,4\n", "time,u,y\ns,deg,m/s\n0,1,2\n1,3,4\n"):
+        schema = read(text)["table"].schema
+        assert [field_unit(schema.field(n)) for n in ("u", "y")] == ["deg", "m/s"]
+    assert "q [furlong]" in read("time,u [deg],q [furlong]\n0,1,2\n1,3,4\n")["table"].column_names
+
+
+@pytest.mark.parametrize(
+    ("times", "name", "expected"),
+    [
+        (["100", "104", "108"], "time_ms", [0.1, 0.104, 0.108]),
+        (["5000000", "5004000", "5008000"], "timestamp", [5.0, 5.004, 5.008]),  # ulog2csv
+        (["0", "20", "40"], "t", [0.0, 0.02, 0.04]),
+        (["0", "1", "2"], "t", [0.0, 1.0, 2.0]),
+        (["1700000000.25", "1700000000.5", "1700000000.75"], "__time", [0.25, 0.5, 0.75]),  # PlotJuggler
+        (["1700000000250", "1700000000500", "1700000000750"], "time", [0.25, 0.5, 0.75]),
+        (["1700000000250000001", "1700000000500000002", "1700000000750000003"], "time", [0.25, 0.5, 0.75]),
+        (["2023-11-14T22:13:20.25Z", "2023-11-14T22:13:20.5Z"], "utc", [0.25, 0.5]),
+    ],
+)
+def test_the_unit_of_a_time_is_stated_or_seen(times: list[str], name: str, expected: list[float]) -> None:
+    rows = "".join(f"{t},1.5,2\n" for t in times)
+    flight = read(f"{name},u,y\n{rows}")
+    since = 1.7e9 if seconds(flight)[0] > 1e9 else 0.0
+    assert seconds(flight) == pytest.approx([since + e for e in expected], abs=1e-6)
+    if times[0].endswith("1"):
+        assert flight["table"]["time_ns"].to_pylist() == [int(t) for t in times]
+
+
+def test_a_table_without_a_time_has_numbered_rows() -> None:
+    flight = read("u,y\n1.5,2\n3,4\n5,6\n")
+    assert seconds(flight) == [0.0, 1.0, 2.0]
+    assert flight["table"].schema.metadata[b"time_source"] == b"row number"
+    skipped = read("u,y\n1.5,2\n3,4,5\n5,6\n")
+    assert seconds(skipped) == [0.0, 2.0]  # the time of what is lost goes by
+
+
+def test_a_table_without_a_header_has_numbered_columns() -> None:
+    assert read("1.5,2\n3,4\n5,6\n")["table"].column_names[2:] == ["c1", "c2"]
+
+
+def test_missing_is_missing_and_nonsense_is_counted() -> None:
+    rows = "".join(f"{i / 10},{i},{i}\n" for i in range(20))
+    flight = read(f"time,u,y\n{rows}2.0,,nan\n2.1,abc,5\n2.2,7\n2.3,8,9\n")
+    assert column(flight, "u")[20:] == [None, None, 8.0]
+    assert column(flight, "y")[20:] == [None, 5.0, 9.0]
+    assert flight.damage.undecoded == {"table.u": 1}
+    assert flight.damage.reasons == {"table.u": "'abc' is not a number"}
+    start = len(f"time,u,y\n{rows}2.0,,nan\n2.1,abc,5\n")
+    assert [(r.start, r.end) for r in flight.damage.regions] == [(start, start + len("2.2,7\n"))]
+
+
+def test_losses_are_in_the_order_of_the_file() -> None:
+    rows = [f"{i / 10},{i},{i}\n" for i in range(20)]
+    rows[5], rows[9], rows[12] = "0.5,1\n", "nine,1,1\n", "1\n"
+    flight = read("time,u,y\n" + "".join(rows))
+    starts = [r.start for r in flight.damage.regions]
+    assert len(starts) == 3
+    assert starts == sorted(starts)
+    assert flight.rows == 17
+
+
+def test_a_time_that_fits_no_neighbour_costs_its_row() -> None:
+    rows = [f"{i / 10},{i},{i}\n" for i in range(20)]
+    rows[10] = "10000,10,10\n"
+    flight = read("time,u,y\n" + "".join(rows))
+    assert flight.rows == 19
+    assert flight.damage.region_count == 1
+
+
+def test_a_clock_that_starts_again_begins_a_boot() -> None:
+    half = "".join(f"{10 + i / 10},{i},{i}\n" for i in range(20))
+    assert read(f"time,u,y\n{half}{half}")["table"]["boot"].to_pylist() == [0] * 20 + [1] * 20
+
+
+def test_separators_in_quotes_and_words_are_kept() -> None:
+    flight = read('time,mode,y\n0.0,"POS, HOLD",1\n0.1, LOITER ,2\n')
+    assert column(flight, "mode") == ["POS, HOLD", "LOITER"]
+
+
+def test_dates_that_do_not_exist_cost_their_row() -> None:
+    rows = "".join(f"2024-02-01 00:00:{i:02d},{i}\n" for i in range(12))
+    flight = read(f"date,u\n{rows}2024-02-31 00:00:12,1\n2024-02-01 00:00:13,1\n")
+    assert flight.rows == 13
+    assert flight.damage.region_count == 1
+
+
+@pytest.mark.parametrize("text", ["hello\nworld\n", "a,b\n", "a,b\nc,d\ne,f\n", "1 2\n3 4\n", ""])
+def test_what_is_no_table_of_numbers_is_refused(text: str) -> None:
+    with pytest.raises(FormatError):
+        read(text or "\n")
+
+
+def test_other_text_logs_keep_their_reader() -> None:
+    head = b"FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n" + b"ATT, 1, 2, 3, 4, 5\n" * 9
+    assert detect(head, "log.csv").name == "dataflash_text"
+
+
+cells = st.one_of(st.floats(allow_nan=False, allow_infinity=False, width=64), st.none())
+rows_of_cells = st.lists(st.tuples(cells, cells), min_size=2, max_size=40)
+
+
+@settings(max_examples=60, deadline=None)
+@given(rows_of_cells, st.sampled_from([",", ";", "\t"]), st.integers(20, 5000))
+def test_what_pandas_writes_comes_back_to_the_last_digit(
+    rows: list[tuple[float | None, float | None]], separator: str, batch: int
+) -> None:
+    frame = pd.DataFrame(rows, columns=["u", "y"], dtype=float)
+    frame.insert(0, "time_s", np.arange(len(rows)) / 8)
+    flight = read(frame.to_csv(index=False, sep=separator), batch_bytes=batch)
+    assert not flight.damage.lossy
+    got = flight["table"].to_pandas()
+    pd.testing.assert_frame_equal(got[["time_s", "u", "y"]], frame, check_exact=True)
+
+
+def test_cell_by_cell_says_what_the_fast_way_says() -> None:
+    rng = np.random.default_rng(1)
+    frame = pd.DataFrame({"time_s": np.arange(500) / 50, "u": rng.standard_normal(500), "mode": "HOVER"})
+    text = frame.to_csv(index=False)
+    assert read(text)["table"].equals(read(text.replace(",HOVER", ',"HOVER"'))["table"])

@@ -1,0 +1,100 @@
+"""From some fields to others, without a recipe: what `--from`, `--to` and `--dt` make of logs and tables."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import flysid
+from flysid.cli import root
+from flysid.errors import RecipeError
+from flysid.flight import Flight
+from flysid.ingest.align import align
+from flysid.ingest.quick import quick_recipe
+from flysid.ingest.recipe import Recipe, parse_recipe
+from flysid.ingest.signals import FlightLog
+
+
+def table(path: Path, header: str, timed: bool = True) -> Flight:
+    """A first-order plant behind random steps, 400 rows 50 ms apart."""
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.uniform(-1, 1, 40), 10)
+    y = np.zeros(400)
+    for k in range(1, 400):
+        y[k] = 0.9 * y[k - 1] + 0.2 * u[k - 1]
+    columns = [u, y + 0.01 * rng.standard_normal(400)]
+    rows = np.column_stack([np.arange(400) * 0.05, *columns] if timed else columns)
+    np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.6f")
+    return flysid.read(path)
+
+
+def recipe_of(flight: Flight, source: str, target: str, dt: float | None = None) -> Recipe:
+    return parse_recipe(tomllib.loads(quick_recipe([FlightLog(flight)], [source], [target], dt)))
+
+
+def test_a_table_becomes_a_channel_with_its_units(tmp_path: Path) -> None:
+    flight = table(tmp_path / "a.csv", "time,tilt cmd [deg],v.x [m/s]")
+    data = align([flight], recipe_of(flight, "tilt cmd", "v.x"), "v_x").dataset
+    assert (data.dt_s, data.inputs[0].unit, data.outputs[0].unit) == (0.05, "deg", "m/s")
+    assert data.segments[0].u[:, 0] == pytest.approx(flight["table"]["tilt cmd"].to_numpy())
+    assert data.segments[0].y[:, 0] == pytest.approx(flight["table"]["v.x"].to_numpy())
+
+
+def test_rows_without_a_time_need_their_period_and_others_refuse_it(tmp_path: Path) -> None:
+    flight = table(tmp_path / "a.csv", "u,y", timed=False)
+    assert align([flight], recipe_of(flight, "u", "y", dt=4.0), "y").dataset.dt_s == 4.0
+    with pytest.raises(RecipeError, match="no time column") as error:
+        align([flight], recipe_of(flight, "u", "y"), "y")
+    assert "--dt" in error.value.hint
+    timed = table(tmp_path / "b.csv", "time,u,y")
+    with pytest.raises(RecipeError, match="tells the time"):
+        align([timed], recipe_of(timed, "u", "y", dt=4.0), "y")
+
+
+def test_fields_are_found_by_name_by_stream_and_by_element() -> None:
+    flight = flysid.read(next(Path("sample_logs").glob("*.tlog")))
+    log = FlightLog(flight)
+    for word in ("ATTITUDE.pitch", "1.1/ATTITUDE.pitch"):
+        assert 'field = "pitch"' in quick_recipe([log], ["ATTITUDE_TARGET.thrust"], [word])
+    text = quick_recipe([log], ["ATTITUDE_TARGET.q[1]"], ["ATTITUDE.roll", "ATTITUDE.pitch"])
+    recipe = parse_recipe(tomllib.loads(text))
+    assert list(recipe.channels) == ["roll", "pitch"]
+    assert recipe.signals["roll"].unit == "rad"
+    assert recipe.signals["q_1"].hold == "zero"
+
+
+def test_a_word_that_means_nothing_or_too_much_names_what_is_near() -> None:
+    log = FlightLog(flysid.read(next(Path("sample_logs").glob("*.tlog"))))
+    with pytest.raises(RecipeError, match="field of") as error:
+        quick_recipe([log], ["time_boot_ms"], ["pitch"])
+    assert "ATTITUDE.time_boot_ms" in error.value.hint
+    with pytest.raises(RecipeError, match="no log has a field 'pich'") as error:
+        quick_recipe([log], ["pich"], ["pitch"])
+    assert "pitch" in error.value.hint
+    with pytest.raises(RecipeError, match="nothing says") as error:
+        quick_recipe([log], [], [])
+    assert "ATTITUDE" in error.value.hint
+
+
+def test_from_a_table_to_a_verdict(tmp_path: Path) -> None:
+    table(tmp_path / "steps.csv", "time,u,y")
+    run, log = tmp_path / "run", str(tmp_path / "steps.csv")
+    words = ["fit", log, "--from", "u", "--to", "y", "-o", str(run), "-m", "arx", "-q"]
+    assert CliRunner().invoke(root, words).exit_code == 0
+    assert (tmp_path / "run.data").is_dir()
+    assert CliRunner().invoke(root, ["validate", str(run), "-q"]).exit_code == 0
+    again = CliRunner().invoke(root, [*words, "--force"])
+    assert again.exit_code == 0
+    assert CliRunner().invoke(root, ["tf", log, "--from", "u", "--to", "y", "-q"]).exit_code == 0
+
+
+def test_a_failed_fit_leaves_nothing_behind(tmp_path: Path) -> None:
+    table(tmp_path / "steps.csv", "time,u,y")
+    words = ["fit", str(tmp_path / "steps.csv"), "--from", "x", "--to", "y", "-o", str(tmp_path / "run")]
+    with pytest.raises(RecipeError):
+        CliRunner().invoke(root, words, catch_exceptions=False, standalone_mode=False)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["steps.csv"]
