@@ -186,6 +186,8 @@ def verdict(found: Survey) -> tuple[str, str]:
     velocity, velocity_rate = found.role("velocity")
     if share > 0.05:
         return f"damaged: {share:.0%} of the bytes lost", "copy it from the vehicle again"
+    if found.source.format == "csv":
+        return "a table: its columns say nothing of their meaning", "flysid fit FILE --from FIELD --to FIELD -o RUN"
     if not attitude and not velocity:
         return "holds no attitude and no velocity", advice
     if found.duration_s < SHORT_S:
