@@ -16,12 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from flysid.stretch import FloatArray, Stretch
+
 Hashes = npt.NDArray[np.uint64]
 
 COPY_ROWS = 16  # rows that must agree to count as copied
@@ -39,19 +39,6 @@ SAME_SHARE = 0.5  # of a flight whose outputs agree so well
 FRACTIONS = 9  # lags tried between two samples
 SIGMAS = 8.0  # chance reaches about 5 over the lags of the longest flights
 LONGEST_PAUSE = 1000  # samples: longer pauses are shortened, so that a day between two boots costs no memory
-
-
-class Stretch(Protocol):
-    """Consecutive samples of a flight."""
-
-    @property
-    def u(self) -> FloatArray: ...
-    @property
-    def y(self) -> FloatArray: ...
-    @property
-    def t0_ns(self) -> int: ...
-    @property
-    def flight(self) -> str: ...
 
 
 @dataclass(frozen=True)

@@ -14,22 +14,15 @@ from typing import Any, Literal, Protocol, Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from flysid import copies
 from flysid.copies import find_copy
 from flysid.errors import DataError, StoreError, UsageError
+from flysid.stretch import FloatArray, Stretch
 
-FloatArray = npt.NDArray[np.float64]
 By = Literal["auto", "flight", "time"]
 
 MIN_FLIGHTS = 3  # from here on "auto" splits by flight
 BLOCKS = 10  # per flight, when splitting by time
 MIN_PIECE = 20  # samples; shorter pieces are left out
-
-
-class Stretch(copies.Stretch, Protocol):
-    """What a split needs of a segment."""
-
-    def slice(self, start: int, stop: int, dt_s: float) -> Self: ...
 
 
 class Splittable(Protocol):

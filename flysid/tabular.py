@@ -13,12 +13,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
+
+from flysid.stretch import Stretch
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-FloatArray = npt.NDArray[np.float64]
 FIXED = ("flight", "segment", "time_ns", "marks")
 FORMAT, VERSION = "flysid-dataset", 1
 META = b"flysid"
@@ -35,17 +35,9 @@ class Named(Protocol):
     def resolution(self) -> float: ...
 
 
-class Piece(Protocol):
-    """A segment."""
+class Marked(Stretch, Protocol):
+    """A segment: a stretch with marks."""
 
-    @property
-    def u(self) -> FloatArray: ...
-    @property
-    def y(self) -> FloatArray: ...
-    @property
-    def t0_ns(self) -> int: ...
-    @property
-    def flight(self) -> str: ...
     @property
     def marks(self) -> Mapping[str, str | float]: ...
 
@@ -113,7 +105,7 @@ def _signal_document(signal: Named) -> dict[str, Any]:
     return {"name": signal.name, "unit": signal.unit, "resolution": float(signal.resolution)}
 
 
-def batch_of(head: Head, piece: Piece, number: int) -> pa.RecordBatch:
+def batch_of(head: Head, piece: Marked, number: int) -> pa.RecordBatch:
     """One segment as a record batch of `schema_of(head)`."""
     import pyarrow as pa
 
@@ -196,7 +188,7 @@ def _by_flight(data: Tabular) -> dict[str, list[Any]]:
     return flights
 
 
-def covered(segments: Sequence[Piece], dt_s: float) -> Iterator[tuple[float, float]]:
+def covered(segments: Sequence[Marked], dt_s: float) -> Iterator[tuple[float, float]]:
     """(start, stop) of every segment as shares of the time from the first sample to the last."""
     begin = min(s.t0_ns for s in segments) * 1e-9
     end = max(s.t0_ns * 1e-9 + len(s.y) * dt_s for s in segments)
@@ -205,7 +197,7 @@ def covered(segments: Sequence[Piece], dt_s: float) -> Iterator[tuple[float, flo
         yield start / (end - begin), (start + len(s.y) * dt_s) / (end - begin)
 
 
-def _flight_row(name: str, segments: Sequence[Piece], dt_s: float) -> str:
+def _flight_row(name: str, segments: Sequence[Marked], dt_s: float) -> str:
     parts = list(covered(segments, dt_s))
     seconds = sum(len(s.y) for s in segments) * dt_s
     lost = max(0.0, 1.0 - sum(stop - start for start, stop in parts))

@@ -63,6 +63,7 @@ ADVICE = {
     "dataflash_text": "set LOG_BITMASK bit 0 (fast attitude)",
     "tlog": "use the vehicle's own .bin log, or raise SR0_EXTRA1 and SR0_POSITION",
     "ulog": "set SDLOG_PROFILE bits 0 and 2 (default and high rate)",
+    "csv": "say what its columns are: flysid fit FILE --from FIELD --to FIELD -o RUN",
     "navdata": "set general:navdata_demo FALSE and general:navdata_options to all",
 }
 
@@ -187,7 +188,10 @@ def verdict(found: Survey) -> tuple[str, str]:
     if share > 0.05:
         return f"damaged: {share:.0%} of the bytes lost", "copy it from the vehicle again"
     if found.source.format == "csv":
-        return "a table: its columns say nothing of their meaning", "flysid fit FILE --from FIELD --to FIELD -o RUN"
+        return (
+            "a table: its columns say nothing of their meaning",
+            "flysid fit FILE --from FIELD --to FIELD -o RUN",
+        )
     if not attitude and not velocity:
         return "holds no attitude and no velocity", advice
     if found.duration_s < SHORT_S:
