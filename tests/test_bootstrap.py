@@ -14,6 +14,7 @@ from flysid.validate.bootstrap import (
     diebold_mariano,
     holm,
     make_units,
+    seen_by_blocks,
 )
 from tests.bench.verdict_coverage import CASES, Case, run
 
@@ -75,7 +76,35 @@ def test_equal_models_and_hopeless_data() -> None:
     assert change_interval(Units(np.zeros(9), np.ones(9), "blocks", 9)) is None
 
 
-@pytest.mark.parametrize("case", [CASES[0], CASES[5], CASES[6]], ids=lambda c: c.name)
+def test_share_of_the_variance_that_blocks_show() -> None:
+    """Against the variance of block sums of an AR(1) process, by its autocovariance."""
+    phi, length = 0.9, 40
+    k = np.arange(1, length)
+    exact = 1.0 + 2.0 * float(np.sum((1.0 - k / length) * phi**k))
+    tau = (1.0 + phi) / (1.0 - phi)
+    assert seen_by_blocks(tau, length) == pytest.approx(exact / tau, rel=1e-9)
+    assert seen_by_blocks(1.0, 50) == 1.0
+    assert seen_by_blocks(1e6, 2) == 0.3
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_p_is_below_5_percent_where_the_interval_excludes_no_change(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a = rng.gamma(2.0, size=9)
+    interval = change_interval(Units(a, a * np.exp(rng.normal(-0.2, 0.3, size=9)), "flights", 0))
+    assert interval is not None
+    assert (interval.p < 0.05) == (not interval.low_pct <= 0.0 <= interval.high_pct)
+
+
+def test_the_interval_reaches_beyond_the_worst_of_five_flights() -> None:
+    """Five flights cannot show how bad a sixth may be; a percentile interval would end at the worst."""
+    interval = change_interval(Units(np.ones(5), np.array([0.9, 1.0, 1.1, 1.2, 1.3]), "flights", 0))
+    assert interval is not None
+    assert interval.low_pct < 0.0 < interval.high_pct
+    assert interval.high_pct > 100.0 * (np.sqrt(1.2) - 1.0)
+
+
+@pytest.mark.parametrize("case", [CASES[0], CASES[4], CASES[5], CASES[6]], ids=lambda c: c.name)
 def test_interval_covers_the_truth_about_as_often_as_it_says(case: Case) -> None:
     """120 draws: two and a half standard errors are 5 %. The bench does this at length, for more cases."""
     outcome = run(case, 120)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,11 +11,13 @@ from flysid.model.arx import ARX
 from flysid.model.ts import TS
 from flysid.validate.compare import compare
 from tests.bench.verdict_fairness import (
+    Journal,
     Outcome,
     exact_interval,
     flights,
     linear_plant,
     nonlinear_plant,
+    row,
     totals,
 )
 
@@ -47,3 +51,21 @@ def test_totals_state_exact_intervals() -> None:
     assert "better: 4 of 4" in text
     assert "with more than one rule: 2 of 4" in text
     assert "holds the truth: 4 of 4" in text
+    assert row("linear", said, range(4)) == (
+        "| linear, seeds 0 to 3 | 4 | 4 (40 to 100 %), of them 2 with one rule | 0 | 0 | 0 "
+        "| 4 of 4 (40 to 100 %) |"
+    )
+
+
+def test_an_interrupted_campaign_goes_on_with_the_same_plants_only(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    first = Journal("linear", path)
+    first.read()
+    outcome = Outcome(3, "linear", "same", 1, "arx", None, None, None, 0.5, 1.0)
+    first.add(3, outcome)
+    first.add(4, "could not be fitted")
+    again = Journal("linear", path)
+    again.read()
+    assert again.found == {3: outcome, 4: "could not be fitted"}
+    with pytest.raises(SystemExit, match="name a new file"):
+        Journal("nonlinear", path).read()

@@ -2,7 +2,7 @@
 
 Errors of two models are drawn as correlated AR(1) processes whose RMSE ratio is known, in flights of
 different difficulty. `python -m tests.bench.verdict_coverage [repetitions [seed]]` prints one line
-per case. The interval was chosen on the draws of seed 5, so that seed does not count.
+per case. The interval was chosen on the draws of seeds 3, 5, 71, 72 and 99, so that these do not count.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def _ar1(n: int, rho: float, rng: np.random.Generator) -> FloatArray:
     return filtered
 
 
-def run(case: Case, repetitions: int, seed: int = 2026) -> Outcome:
+def run(case: Case, repetitions: int, seed: int = 4242) -> Outcome:
     """Repeat one case; a draw that gives no interval counts as covered by "not enough data"."""
     rng = np.random.default_rng(seed)
     held, widths = [], []
@@ -113,7 +113,7 @@ def run(case: Case, repetitions: int, seed: int = 2026) -> Outcome:
 def main() -> None:
     """Print the table."""
     repetitions = int(sys.argv[1]) if len(sys.argv) > 1 else 400
-    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 2026
+    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 4242
     print(f"{repetitions} draws a case, seed {seed}")
     print(f"{'case':28s} {'true':>6s} {'covered':>8s} {'better':>7s} {'worse':>6s} {'half width':>10s}")
     for case in CASES:

@@ -1,7 +1,8 @@
 """Real fits on plants whose nature is known: does the verdict find what is there, and nothing else?
 
-`python -m tests.bench.verdict_fairness linear 200` and `... nonlinear 200` print one line per plant and the
-totals; `--journal FILE` lets an interrupted campaign go on. Both sides are what `flysid fit` makes: the best
+`python -m tests.bench.verdict_fairness linear 200` and `... nonlinear 200` print one line per plant, the
+totals, and the row for docs/measured.md; `--jobs 2` judges two plants at a time; `--journal FILE` lets an
+interrupted campaign go on, with the same code only. Both sides are what `flysid fit` makes: the best
 linear model by validation, and TS (at most 3 rules, to save time). On linear plants TS must be called better
 in at most 5 %; on nonlinear plants, with noise such that a perfect model is 20 % better than the best linear
 one, it should be found in at least 80 %, and the interval should hold the change that the same two fitted
@@ -11,11 +12,14 @@ models show on 60 fresh flights in 93 to 97 %.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, field
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -227,39 +231,127 @@ def totals(kind: str, outcomes: Sequence[Outcome], failed: Mapping[str, int]) ->
     return "\n".join(lines)
 
 
-def known(path: Path | None) -> dict[int, Outcome]:
-    """Outcomes that an interrupted campaign has written, by seed."""
-    if path is None or not path.is_file():
-        return {}
-    found = [Outcome(**json.loads(line)) for line in path.read_text("utf-8").splitlines()]
-    return {o.seed: o for o in found}
+def row(kind: str, outcomes: Sequence[Outcome], seeds: range) -> str:
+    """The line of the table in docs/measured.md."""
+    n = len(outcomes)
+    count = Counter(o.verdict for o in outcomes)
+    covered = [o.covered for o in outcomes if o.covered is not None]
+    better, held = exact_interval(count["better"], n), exact_interval(sum(covered), len(covered))
+    one_rule = sum(o.verdict == "better" and o.rules == 1 for o in outcomes)
+    cells = (
+        f"{kind}, seeds {seeds.start} to {seeds.stop - 1}",
+        f"{n}",
+        f"{count['better']} ({better[0]:.0f} to {better[1]:.0f} %)"
+        + (f", of them {one_rule} with one rule" if one_rule else ""),
+        f"{count['same']}",
+        f"{count['worse']}",
+        f"{count['not enough data']}",
+        f"{sum(covered)} of {len(covered)} ({held[0]:.0f} to {held[1]:.0f} %)",
+    )
+    return f"| {' | '.join(cells)} |"
+
+
+@dataclass(frozen=True)
+class Task:
+    """One plant to judge, in a process of its own or not."""
+
+    kind: str
+    seed: int
+
+
+def judge_task(task: Task) -> Outcome | str:
+    """The outcome; or the reason why there is none."""
+    rng = np.random.default_rng(task.seed)
+    try:
+        plant = linear_plant(rng) if task.kind == "linear" else nonlinear_plant(rng)
+        return judged(plant, rng, task.seed)
+    except FlysidError as error:
+        return error.message[:60]
+
+
+@dataclass
+class Journal:
+    """What a campaign has found, a JSON line each; the first line says of which plants and by which code."""
+
+    kind: str
+    path: Path | None = None
+    found: dict[int, Outcome | str] = field(default_factory=dict)
+
+    def read(self) -> None:
+        """Take up what is there.
+
+        Raises
+        ------
+        SystemExit : the journal is of other plants or of other code.
+        """
+        head = {"kind": self.kind, "code": code_hash()}
+        if self.path is None:
+            return
+        if not self.path.is_file() or not self.path.stat().st_size:
+            self._append(head)
+            return
+        first, *lines = [json.loads(line) for line in self.path.read_text("utf-8").splitlines()]
+        if first != head:
+            raise SystemExit(
+                f"{self.path} is of {first.get('kind')} plants or of other code: name a new file"
+            )
+        for line in lines:
+            self.found[line["seed"]] = line["failed"] if "failed" in line else Outcome(**line)
+
+    def add(self, seed: int, what: Outcome | str) -> None:
+        """Keep one outcome, on disk too."""
+        self.found[seed] = what
+        self._append({"seed": seed, "failed": what} if isinstance(what, str) else asdict(what))
+
+    def _append(self, line: Mapping[str, object]) -> None:
+        if self.path is not None:
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(line) + "\n")
+
+
+def code_hash() -> str:
+    """SHA-256 of every Python file that a verdict may hang on, and of this one."""
+    root = Path(__file__).parents[2]
+    files = sorted(
+        f for part in ("flysid", "ingest", "model", "validate") for f in root.glob(f"{part}/**/*.py")
+    )
+    digest = hashlib.sha256()
+    for file in [*files, Path(__file__)]:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def judge_all(tasks: Sequence[Task], jobs: int) -> Iterator[tuple[int, Outcome | str]]:
+    """(seed, outcome) of every task, in the order in which they are done."""
+    if jobs <= 1:
+        yield from ((task.seed, judge_task(task)) for task in tasks)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        waiting = {pool.submit(judge_task, task): task.seed for task in tasks}
+        for future in as_completed(waiting):
+            yield waiting[future], future.result()
 
 
 def main() -> None:
-    """Print a line per plant and the totals."""
+    """Print a line per plant, the totals, and the row of the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kind", choices=["linear", "nonlinear"])
     parser.add_argument("count", type=int, nargs="?", default=200)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--jobs", type=int, default=1, help="plants judged at a time")
     parser.add_argument("--journal", type=Path, help="append outcomes to this file, and skip those in it")
     order = parser.parse_args()
-    done, failed = known(order.journal), Counter[str]()
-    outcomes: list[Outcome] = []
-    for seed in range(order.first, order.first + order.count):
-        rng = np.random.default_rng(seed)
-        try:
-            if seed not in done:
-                plant = linear_plant(rng) if order.kind == "linear" else nonlinear_plant(rng)
-                done[seed] = judged(plant, rng, seed)
-                if order.journal is not None:
-                    with order.journal.open("a", encoding="utf-8") as journal:
-                        journal.write(json.dumps(asdict(done[seed])) + "\n")
-        except FlysidError as error:
-            failed[error.message[:60]] += 1
-            continue
-        outcomes.append(done[seed])
-        print(done[seed], flush=True)
-    print(totals(order.kind, outcomes, failed))
+    seeds = range(order.first, order.first + order.count)
+    journal = Journal(order.kind, order.journal)
+    journal.read()
+    tasks = [Task(order.kind, seed) for seed in seeds if seed not in journal.found]
+    for seed, what in judge_all(tasks, order.jobs):
+        journal.add(seed, what)
+        print(f"{seed:4d} failed: {what}" if isinstance(what, str) else what, flush=True)
+    found = [journal.found[seed] for seed in seeds]
+    outcomes = [o for o in found if isinstance(o, Outcome)]
+    print(totals(order.kind, outcomes, Counter(o for o in found if isinstance(o, str))))
+    print(row(order.kind, outcomes, seeds))
 
 
 if __name__ == "__main__":
