@@ -23,6 +23,8 @@ _HOME = {
     "Mean": "flysid.model.mean",
     "Persistence": "flysid.model.persistence",
     "TS": "flysid.model.ts",
+    "TSStateSpace": "flysid.model.ts_state_space",
+    "BestTS": "flysid.model.ts_best",
     "StaticTS": "flysid.model.static_ts",
     "ANFIS": "flysid.model.anfis",
     "Ensemble": "flysid.model.ensemble",
@@ -40,6 +42,7 @@ _HOME = {
     "FitError": "flysid.errors",
     "read": "flysid.ingest.base",
     "open": "flysid.ingest.lake",
+    "dataset_from": "flysid.ingest.quick",
     "load": "flysid.model.base",
     "compare": "flysid.validate.compare",
 }
@@ -58,6 +61,8 @@ __all__ = [  # noqa: RUF022
     "Mean",
     "Persistence",
     "TS",
+    "TSStateSpace",
+    "BestTS",
     "StaticTS",
     "ANFIS",
     "Ensemble",
@@ -75,6 +80,7 @@ __all__ = [  # noqa: RUF022
     "FitError",
     "read",
     "open",
+    "dataset_from",
     "load",
     "compare",
 ]
@@ -93,6 +99,7 @@ if TYPE_CHECKING:
     from flysid.flight import Damage, Flight
     from flysid.ingest.base import read
     from flysid.ingest.lake import open  # noqa: A004
+    from flysid.ingest.quick import dataset_from
     from flysid.model.anfis import ANFIS
     from flysid.model.armax import ARMAX
     from flysid.model.arx import ARX
@@ -109,6 +116,8 @@ if TYPE_CHECKING:
     from flysid.model.static_ts import StaticTS
     from flysid.model.transfer_function import TF
     from flysid.model.ts import TS
+    from flysid.model.ts_best import BestTS
+    from flysid.model.ts_state_space import TSStateSpace
     from flysid.validate.compare import compare
 
 

@@ -1,15 +1,21 @@
-"""A recipe from a few words: from these fields to those, for logs that no shipped recipe speaks of."""
+"""From these fields to those: recipes and datasets of logs that no shipped recipe speaks of."""
 
 from __future__ import annotations
 
 import difflib
 import re
+import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
+from flysid.dataset import Dataset
 from flysid.errors import RecipeError
-from flysid.flight import BOOT, RECEIVED, TIME, field_unit, matching_streams
-from flysid.ingest.signals import Log
+from flysid.flight import BOOT, RECEIVED, TIME, Flight, field_unit, matching_streams
+from flysid.ingest.align import align
+from flysid.ingest.base import read
+from flysid.ingest.recipe import ChannelSpec, parse_recipe
+from flysid.ingest.signals import FlightLog, Log
 from flysid.ingest.units import is_known
 
 _ELEMENT = re.compile(r"^(.+?)(\[\d+\])?$")
@@ -30,6 +36,37 @@ class Place:
     def name(self) -> str:
         """As a signal's name."""
         return _PLAIN.sub("_", self.field).strip("_") or "signal"
+
+
+def dataset_from(
+    source: str | Path | Flight | Sequence[str | Path | Flight],
+    inputs: str | Sequence[str],
+    outputs: str | Sequence[str],
+    *,
+    dt_s: float | None = None,
+) -> Dataset:
+    """The dataset of some fields of logs: one clock, cut at gaps, inputs held from sample to sample.
+
+    Parameters
+    ----------
+    source : a log or table (.csv), or several of them: paths, or flights in memory.
+    inputs, outputs : fields, as `FIELD` where one stream has it, else as `STREAM.FIELD`.
+    dt_s : seconds from row to row, for tables that have no time column.
+
+    Raises
+    ------
+    FormatError : a log cannot be read.
+    RecipeError : a field is nowhere, or in several streams; a table needs `dt_s`, or a log has its own time.
+    DataError : the logs are too short, or a signal never moves.
+    """
+    sources = [source] if isinstance(source, str | Path | Flight) else source
+    logs = [FlightLog(s if isinstance(s, Flight) else read(s)) for s in sources]
+    driving, driven = ([words] if isinstance(words, str) else list(words) for words in (inputs, outputs))
+    recipe = parse_recipe(tomllib.loads(quick_recipe(logs, driving, driven, dt_s)))
+    signals, count = list(recipe.signals), len(dict.fromkeys(driving))
+    both = ChannelSpec(tuple(signals[:count]), tuple(recipe.channels))
+    name = ", ".join(recipe.channels)
+    return align(logs, replace(recipe, channels={name: both}), name).dataset
 
 
 def quick_recipe(

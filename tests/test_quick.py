@@ -98,3 +98,17 @@ def test_a_failed_fit_leaves_nothing_behind(tmp_path: Path) -> None:
     with pytest.raises(RecipeError):
         CliRunner().invoke(root, words, catch_exceptions=False, standalone_mode=False)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["steps.csv"]
+
+
+def test_in_python_a_file_is_enough(tmp_path: Path) -> None:
+    table(tmp_path / "a.csv", "time,u,y")
+    table(tmp_path / "b.csv", "u,y", timed=False)
+    data = flysid.dataset_from(tmp_path / "a.csv", "u", "y")
+    assert (data.dt_s, len(data), [s.name for s in data.inputs]) == (0.05, 400, ["u"])
+    assert flysid.dataset_from([tmp_path / "b.csv"], ["u"], ["y"], dt_s=0.05).segments[0].y == pytest.approx(
+        data.segments[0].y
+    )
+    log = flysid.read(next(Path("sample_logs").glob("*.tlog")))
+    both = flysid.dataset_from(log, "ATTITUDE.rollspeed", ["ATTITUDE.roll", "ATTITUDE.pitch"])
+    assert [s.name for s in both.outputs] == ["roll", "pitch"]
+    assert both.outputs[0].unit == "rad"
