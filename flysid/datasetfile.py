@@ -76,13 +76,15 @@ def _flush(writer: pq.ParquetWriter, waiting: list[pa.RecordBatch]) -> None:
 
 @dataclass(frozen=True)
 class Entry:
-    """Where one segment stands in a file: its number, first row and number of rows; flight and marks."""
+    """Where one segment stands in a file: its number, first row and number of rows; flight, marks, and the
+    time of its first sample."""
 
     number: int
     start: int
     rows: int
     flight: str
     marks: Mapping[str, str | float] = field(default_factory=dict)
+    t0_ns: int = 0
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ class DatasetFile:
 
     @cached_property
     def entries(self) -> tuple[Entry, ...]:
-        """The segments, without their samples; one pass over three narrow columns.
+        """The segments, without their samples; one pass over four narrow columns.
 
         Raises
         ------
@@ -123,15 +125,15 @@ class DatasetFile:
         """
         found: list[Entry] = []
         start = 0
-        columns = ["segment", "flight", "marks"]
+        columns = ["segment", "flight", "marks", "time_ns"]
         for batch in self._batches(columns, everything=True):
             for piece in _by_segment(batch):
                 number = _number(piece)
                 if found and found[-1].number == number:
                     found[-1] = replace(found[-1], rows=found[-1].rows + len(piece))
                 else:
-                    flight, marks = (piece.column(name)[0].as_py() for name in ("flight", "marks"))
-                    found.append(Entry(number, start, len(piece), flight, json.loads(marks)))
+                    flight, marks, t0_ns = (piece.column(name)[0].as_py() for name in columns[1:])
+                    found.append(Entry(number, start, len(piece), flight, json.loads(marks), t0_ns))
                 start += len(piece)
         return tuple(e for e in found if self.only is None or e.number in self.only)
 
@@ -145,7 +147,7 @@ class DatasetFile:
         entry = next((e for e in self.entries if e.number == number), None)
         if entry is None:
             raise UsageError(f"no segment {number}", path=self.path, hint=f"{len(self.entries)} segments")
-        return next(iter(self._with([entry])))
+        return next(iter(self.subset([entry])))
 
     def group_by(self, mark: str) -> dict[str, DatasetFile]:
         """One view of the file per value of a mark, e.g. "vehicle", "mode", or "flight"; nothing is copied.
@@ -156,10 +158,10 @@ class DatasetFile:
         for entry in self.entries:
             value = entry.flight if mark == "flight" else str(entry.marks.get(mark, ""))
             groups.setdefault(value, []).append(entry)
-        return {value: self._with(members) for value, members in groups.items()}
+        return {value: self.subset(members) for value, members in groups.items()}
 
-    def _with(self, entries: Sequence[Entry]) -> DatasetFile:
-        """These segments only."""
+    def subset(self, entries: Sequence[Entry]) -> DatasetFile:
+        """A view of the file with these segments only; nothing is copied."""
         view = replace(self, rows=sum(e.rows for e in entries), only=frozenset(e.number for e in entries))
         vars(view)["entries"] = tuple(entries)  # known already: the file need not be read for them again
         return view

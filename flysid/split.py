@@ -177,10 +177,26 @@ def _by_flight(
     segments: Sequence[Stretch], flights: Sequence[str], holdout: float, rng: np.random.Generator
 ) -> tuple[list[Piece], list[Piece]]:
     """Whole flights, in random order, as long as each brings the held-out share nearer to `holdout`."""
+    size = {f: sum(len(s.y) for s in segments if s.flight == f) for f in flights}
+    held = flights_to_hold(size, holdout * sum(size.values()), rng)
+    whole = [(s.flight in held, Piece(i, 0, len(s.y))) for i, s in enumerate(segments)]
+    return [p for is_held, p in whole if not is_held], [p for is_held, p in whole if is_held]
+
+
+def flights_to_hold(size: Mapping[str, int], goal: float, rng: np.random.Generator) -> set[str]:
+    """Flights of together about `goal` samples, but never all.
+
+    Parameters
+    ----------
+    size : samples of every flight.
+
+    Raises
+    ------
+    DataError : there is one flight only.
+    """
+    flights = list(size)
     if len(flights) < 2:
         raise DataError("one flight cannot be split by flight", hint='by="time", or add flights')
-    size = {f: sum(len(s.y) for s in segments if s.flight == f) for f in flights}
-    goal = holdout * sum(size.values())
     held: set[str] = set()
     held_size = 0
     for i in rng.permutation(len(flights)):
@@ -189,8 +205,7 @@ def _by_flight(
         if len(held) < len(flights) - 1 and (better or not held):
             held.add(flight)
             held_size += size[flight]
-    whole = [(s.flight in held, Piece(i, 0, len(s.y))) for i, s in enumerate(segments)]
-    return [p for is_held, p in whole if not is_held], [p for is_held, p in whole if is_held]
+    return held
 
 
 def _by_time(

@@ -97,6 +97,17 @@ class Lake:
         """The dataset of a channel; raises as `flysid.ingest.align.align`."""
         return self.align(recipe, channel).dataset
 
+    def expected_samples(self, recipe: Recipe | str | Path, channel: str) -> int:
+        """About as many samples as the channel's dataset will have: rows of its slowest paced source."""
+        recipe = _as_recipe(recipe)
+        specs = [recipe.signals[name] for name in recipe.signals_of(channel)]
+        paced = [s for s in specs if s.max_gap_s != float("inf")] or specs
+        total = 0
+        for log in self.logs:
+            found = [find_source(s.sources, log) for s in paced]
+            total += min((log.rows[source[1]] for source in found if source is not None), default=0)
+        return total
+
     def write(self, recipe: Recipe | str | Path, channel: str, path: str | Path) -> AlignReport:
         """The dataset of a channel into a parquet file, in bounded memory; see `align_to_file`."""
         return align_to_file(path, self.logs, _as_recipe(recipe), channel)

@@ -24,7 +24,7 @@ from flysid.model.linear.model import FittedLinear, from_dict
 from flysid.model.linear.orders import grid_gram
 from flysid.model.noise import noise_model
 from flysid.model.regressors import Lags
-from flysid.model.stream import OnDisk, Source
+from flysid.model.stream import Source
 from flysid.model.threads import on_one_thread
 
 MOST_TAPS = 120
@@ -60,10 +60,7 @@ class FIR:
         DataError : no or too short segments, a signal that never changes.
         """
         n_y, n_u = len(train.outputs), len(train.inputs)
-        if isinstance(train, OnDisk):
-            parts = Parts.on_disk(train, centred=self.offset)
-        else:
-            parts = Parts.of(train, None, centred=self.offset)
+        parts = Parts.measured(train, centred=self.offset)
         taps = self._taps(parts.train, cut=len(parts.train) < len(train))
         lags = Lags.arx((0,) * n_y, (taps,) * n_u, as_tuple(self.nk, n_u))
         gram = grid_gram(train, lags, parts.scaling)

@@ -71,10 +71,7 @@ class IV:
         columns = _columns(self, train)
         small = train.head(CHOICE_ROWS) if isinstance(train, OnDisk) else train
         orders, note = _chosen(self, Parts.of(small, validation, centred=self.offset), columns)
-        if isinstance(train, OnDisk):
-            parts = Parts.on_disk(train, centred=self.offset)
-        else:
-            parts = Parts.of(train, None, centred=self.offset)
+        parts = Parts.measured(train, centred=self.offset)
         scale = parts.scaling
         blocks = scaled_blocks(
             blocks_of(train, np.concatenate([scale.y_origin, scale.u_origin])),

@@ -14,20 +14,21 @@ from flysid.model.base import Structure
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts
 from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.stream import Source
 
 
 @dataclass(frozen=True)
 class Mean:
     """A reference without settings."""
 
-    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002
+    def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002
         """The mean of every output over all samples.
 
         Raises
         ------
         DataError : no samples, or a signal that never changes.
         """
-        parts = Parts.of(train, train)
+        parts = Parts.measured(train)
         n_u, n_y = len(train.inputs), len(train.outputs)
         variance = parts.scaling.y_scale**2 / len(train)
         return FittedLinear(

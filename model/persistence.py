@@ -16,13 +16,14 @@ from flysid.model.base import Structure
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts
 from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.stream import Source
 
 
 @dataclass(frozen=True)
 class Persistence:
     """A reference without settings."""
 
-    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002
+    def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002
         """Takes only the signals and their range from the data.
 
         Raises
@@ -36,7 +37,7 @@ class Persistence:
             inputs=train.inputs,
             outputs=train.outputs,
             n_init=1,
-            output_limits=Parts.of(train, train).limits,
+            output_limits=Parts.measured(train).limits,
             system=Difference(np.stack([np.eye(n_y), -np.eye(n_y)]), np.zeros((1, n_y, n_u)), np.zeros(n_y)),
             u_origin=np.zeros(n_u),
             y_origin=np.zeros(n_y),

@@ -6,8 +6,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -20,9 +19,6 @@ from flysid.validate.judge import judge_run
 from flysid.validate.run import FitSettings
 from tests.fault_trials import full_disks, killed_ingests, limited, read_only_disks, small_data, visible
 from tests.soak import Outcome
-
-if TYPE_CHECKING:
-    from flysid.ingest.align import Aligned
 
 
 def test_kill_during_ingest_then_the_same_command_again(tmp_path: Path) -> None:
@@ -72,12 +68,8 @@ class Deadly:
 def test_a_fit_whose_process_dies_costs_that_channel_only() -> None:
     short = Dataset.from_arrays([np.ones((4, 1))], [np.ones((4, 1))], 0.1)
     jobs = [
-        _Job(
-            cast("Aligned", SimpleNamespace(dataset=replace(short, name=name), more=more)),
-            Path(),
-            FitSettings(),
-        )
-        for name, more in (("short", None), ("deadly", Deadly()))
+        _Job(replace(short, name=name), Path(), FitSettings(), doubts=cast("tuple[Any, ...]", more))
+        for name, more in (("short", ()), ("deadly", (Deadly(),)))
     ]
     reasons = dict(_fitted(jobs, 2, lambda _: None))
     assert "ended with code 9" in str(reasons["deadly"])

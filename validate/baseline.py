@@ -66,7 +66,7 @@ def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Choi
     """
     try:
         fit, check = train.split(holdout=HELD_OUT)
-        errors = _errors(_fitted(candidates, fit, check), check)
+        errors = free_run_errors(_fitted(candidates, fit, check), check)
     except DataError:
         return Choice(_first(candidates), words="the training part is too short to choose on")
     label = _first(errors)
@@ -90,7 +90,7 @@ def confirmed(choice: Choice, models: Mapping[str, Fitted], train: Dataset) -> C
     first = _first(models)
     if choice.label == first or choice.label not in models:
         return replace(choice, label=first)
-    errors = _errors({n: models[n] for n in (first, choice.label)}, train)
+    errors = free_run_errors({n: models[n] for n in (first, choice.label)}, train)
     if errors[choice.label].mean() <= errors[first].mean():
         return choice
     rmse = {n.upper(): f"{np.sqrt(e.mean()):.3g}" for n, e in errors.items()}
@@ -119,7 +119,7 @@ def _fitted(candidates: Mapping[str, Estimator], fit: Dataset, check: Dataset) -
     return models
 
 
-def _errors(models: Mapping[str, Fitted], check: Dataset) -> dict[str, FloatArray]:
+def free_run_errors(models: Mapping[str, Fitted], check: Dataset) -> dict[str, FloatArray]:
     """Mean squared free-run errors of blocks of the validation part, in variances of the outputs."""
     trials = run_trials(models, check, FREE_RUN)
     scale = np.std(np.concatenate([t.y for t in trials]), axis=0)

@@ -7,6 +7,7 @@ result does not depend on how many.
 from __future__ import annotations
 
 import os
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,18 +15,21 @@ from pathlib import Path
 from typing import Any
 
 from flysid.dataset import Dataset
+from flysid.datasetfile import open_dataset
 from flysid.errors import DataError, FitError, UsageError
 from flysid.flightwriter import slug, write_atomically
-from flysid.ingest.align import Aligned
 from flysid.ingest.deadtime import dead_times, delays_to_try
+from flysid.ingest.doubts import Doubt, doubts
 from flysid.ingest.lake import Lake
-from flysid.ingest.recipe import load_recipe, recipe_text
+from flysid.ingest.recipe import Recipe, load_recipe, recipe_text
 from flysid.ingest.workers import Bounds, Lost, run_bounded
 from flysid.model.base import Estimator, Fitted
 from flysid.model.feedback import feedback
-from flysid.model.fuzzy import words
 from flysid.split import plan_split
 from flysid.validate.baseline import REFERENCES, choose_baseline, confirmed, linear_estimators
+from flysid.validate.diskparts import LOOK_ROWS
+from flysid.validate.fitdisk import DiskJob
+from flysid.validate.fitone import fit_one
 from flysid.validate.run import (
     RECIPE_FILE,
     RUN_FILE,
@@ -41,6 +45,7 @@ from flysid.validate.run import (
 BESIDE = ("arx", "oe")
 """Linear models that every run holds, whichever is the baseline."""
 USUAL = ("line", "static_ts", "ts")
+FROM_DISK = " from disk: it has more samples than may be in memory (--memory)"
 
 
 def estimators(
@@ -85,11 +90,20 @@ def estimators(
 
 @dataclass(frozen=True)
 class _Job:
-    """One channel to fit: what a worker process needs."""
+    """One channel to fit in memory: what a worker process needs."""
 
-    aligned: Aligned
+    dataset: Dataset
     folder: Path
     settings: FitSettings
+    lines: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
+
+    @property
+    def name(self) -> str:
+        return self.dataset.name
+
+    def run(self) -> ChannelRun | str:
+        return _fit_channel(self)
 
 
 def fit_run(
@@ -103,7 +117,8 @@ def fit_run(
 ) -> Run:
     """Fit every channel of a recipe and write the run folder.
 
-    A channel that cannot be fitted is skipped with its reason (`Run.skipped`).
+    A channel that cannot be fitted is skipped with its reason (`Run.skipped`). One with more samples than may
+    be in memory is fitted from disk, by the models that can.
 
     Parameters
     ----------
@@ -128,13 +143,14 @@ def fit_run(
     }
     wanted = _chosen([n for n in recipe.channels if n not in skipped], settings.channels)
     with replacing_folder(out) as folder:
-        queue: list[_Job] = []
-        for name in wanted:
-            try:
-                queue.append(_Job(lake.align(recipe, name), folder, settings))
-            except DataError as error:
-                skipped[name] = str(error)
-        found = dict(_fitted(queue, jobs, progress))
+        queue: list[_Job | DiskJob] = []
+        with tempfile.TemporaryDirectory(prefix=".aligned-", dir=folder) as scratch:
+            for name in wanted:
+                try:
+                    queue.append(_job(lake, recipe, name, Places(folder, Path(scratch)), settings))
+                except DataError as error:
+                    skipped[name] = str(error)
+            found = dict(_fitted(queue, jobs, progress))
         fitted = tuple(found[name] for name in wanted if isinstance(found.get(name), ChannelRun))
         skipped |= {name: str(why) for name, why in found.items() if not isinstance(why, ChannelRun)}
         if not fitted:
@@ -155,6 +171,57 @@ def fit_run(
     return run
 
 
+def fit_file(path: Path, out: Path, settings: FitSettings, *, progress: Progress = lambda _: None) -> Run:
+    """Fit the one channel that a dataset file holds (`flysid.datasetfile`) and write the run folder.
+
+    Raises
+    ------
+    DataError : nothing can be fitted. StoreError : not a dataset file, or damaged.
+    UsageError : `settings` names a channel or a model that is not there.
+    """
+    estimators(settings)
+    file = open_dataset(path)
+    _chosen([file.name], settings.channels)
+    with replacing_folder(out) as folder:
+        large = _megabytes(len(file), len(file.inputs) + len(file.outputs)) > settings.memory_mb
+        job = DiskJob(file, folder, settings) if large else _Job(file.read(), folder, settings)
+        progress(f"fitting {job.name}{FROM_DISK if large else ''}")
+        channel = job.run()
+        if isinstance(channel, str):
+            raise DataError(f"{job.name!r} could not be fitted: {channel}", path=path)
+        flights = tuple(dict.fromkeys(e.flight for e in file.entries))
+        run = Run(out, os.path.abspath(path), "", flights, settings, (channel,), {}, versions())
+        write_atomically(folder / RUN_FILE, run_document(run))
+    return run
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where a run is made, and where aligned channels lie meanwhile."""
+
+    run: Path
+    scratch: Path
+
+
+def _job(lake: Lake, recipe: Recipe, name: str, places: Places, settings: FitSettings) -> _Job | DiskJob:
+    """A channel to fit: aligned in memory, or into a file where it has more samples than may be in memory."""
+    signals = len(recipe.signals_of(name))
+    if _megabytes(lake.expected_samples(recipe, name), signals) <= settings.memory_mb:
+        aligned = lake.align(recipe, name)
+        lines = tuple(aligned.report.lines())
+        return _Job(aligned.dataset, places.run, settings, lines, aligned.report.doubts)
+    path = places.scratch / f"{slug(name)}.parquet"
+    report = lake.write(recipe, name, path)
+    file = open_dataset(path)
+    found = doubts(file.head(LOOK_ROWS), recipe.channel(name)) if len(file) else ()
+    return DiskJob(file, places.run, settings, tuple(report.lines()), found)
+
+
+def _megabytes(samples: int, signals: int) -> float:
+    """Of so many samples in memory."""
+    return 8e-6 * samples * signals
+
+
 def _chosen(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
     for name in wanted:
         if name not in names:
@@ -162,26 +229,31 @@ def _chosen(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
     return [n for n in names if not wanted or n in wanted]
 
 
-def _fitted(queue: Sequence[_Job], jobs: int, progress: Progress) -> Iterator[tuple[str, ChannelRun | str]]:
+def _fitted(
+    queue: Sequence[_Job | DiskJob], jobs: int, progress: Progress
+) -> Iterator[tuple[str, ChannelRun | str]]:
     """(channel, its run or why there is none), in the order in which they are done."""
-    names = ", ".join(job.aligned.dataset.name for job in queue)
+    said = [f"{job.name}{FROM_DISK if isinstance(job, DiskJob) else ''}" for job in queue]
     if min(jobs, len(queue)) <= 1:
-        for job in queue:
-            progress(f"fitting {job.aligned.dataset.name}")
-            yield job.aligned.dataset.name, _fit_channel(job)
+        for job, words in zip(queue, said, strict=True):
+            progress(f"fitting {words}")
+            yield job.name, job.run()
         return
-    progress(f"fitting {names}")
-    waiting = [job.aligned.dataset.name for job in queue]
-    for job, found in run_bounded(_fit_channel, queue, min(jobs, len(queue)), Bounds(None, None)):
-        name = job.aligned.dataset.name
-        waiting.remove(name)
-        progress(f"{name} fitted" + (f", fitting {', '.join(waiting)}" if waiting else ""))
-        yield name, found.reason if isinstance(found, Lost) else found
+    progress(f"fitting {', '.join(said)}")
+    waiting = [job.name for job in queue]
+    for job, found in run_bounded(_run, queue, min(jobs, len(queue)), Bounds(None, None)):
+        waiting.remove(job.name)
+        progress(f"{job.name} fitted" + (f", fitting {', '.join(waiting)}" if waiting else ""))
+        yield job.name, found.reason if isinstance(found, Lost) else found
+
+
+def _run(job: _Job | DiskJob) -> ChannelRun | str:
+    return job.run()
 
 
 def _fit_channel(job: _Job) -> ChannelRun | str:
     """Split, fit and save one channel; or the reason why its baseline cannot be fitted."""
-    dataset, settings = job.aligned.dataset, job.settings
+    dataset, settings = job.dataset, job.settings
     files: dict[str, str] = {}
     seconds: dict[str, float] = {}
     failed: dict[str, str] = {}
@@ -198,7 +270,7 @@ def _fit_channel(job: _Job) -> ChannelRun | str:
         seconds["choice of the baseline"] = time.perf_counter() - started
         for label, estimator in estimators(settings, choice.label, hint).items():
             started = time.perf_counter()
-            model = _fit_one(estimator, train, job.folder / f"{place}/{label}.json")
+            model = fit_one(estimator, train, job.folder / f"{place}/{label}.json")
             if isinstance(model, str):
                 failed[label] = model
                 continue
@@ -212,36 +284,16 @@ def _fit_channel(job: _Job) -> ChannelRun | str:
         loops = tuple(f.words for f in feedback(linear[choice.label], train) if f.closed)
     except (DataError, FitError) as error:
         return str(error)
-    report = job.aligned.report
     return ChannelRun(
         name=dataset.name,
         models=files,
         split=split.to_dict(),
-        aligned=tuple(report.lines()),
+        aligned=job.lines,
         fit_seconds=seconds,
         failed=failed,
-        doubts=report.doubts,
+        doubts=job.doubts,
         dead_times=tuple(d.words for d in late),
         loops=loops,
         baseline=choice.label,
         chosen=choice.words,
     )
-
-
-def _fit_one(estimator: Estimator, train: Dataset, path: Path) -> Fitted | str:
-    """Fit and save a model, and its rules in words beside it; or why it could not be fitted."""
-    try:
-        model = estimator.fit(train)
-    except (FitError, DataError) as error:
-        return str(error)
-    model.save(path)
-    write_atomically(path.with_suffix(".txt"), in_words(model).encode())
-    return model
-
-
-def in_words(model: Fitted) -> str:
-    """A model's rules with what they mean, a line each, and how it was chosen."""
-    rules = model.rules()
-    count = f"{len(rules)} rule{'s' if len(rules) > 1 else ''}"
-    title = f"{model.structure}, {count}, {model.n_parameters} parameters"
-    return words.in_words(title, rules, model.notes) + "\n"

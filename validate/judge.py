@@ -16,7 +16,7 @@ from flysid.validate.document import to_json
 from flysid.validate.paperfigures import write_figures
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.page import render
-from flysid.validate.run import HeldOut, Progress, Run, held_out, replacing_folder
+from flysid.validate.run import FitSettings, HeldOut, Progress, Run, held_out, replacing_folder
 from flysid.validate.tables import to_csv, to_markdown
 from flysid.validate.terminal import summary, table
 
@@ -144,7 +144,7 @@ def _command(run: Run) -> str:
     settings = run.settings
     words = [
         "flysid fit DATA",
-        f"--recipe {run.recipe}",
+        *([f"--recipe {run.recipe}"] if run.recipe else []),
         f"--holdout {settings.holdout:g}",
         f"--by {settings.by}",
     ]
@@ -152,6 +152,7 @@ def _command(run: Run) -> str:
     words += [f"--antecedent '{a}'" for a in settings.antecedents]
     words += [f"--channel '{c}'" for c in settings.channels]
     words += [f"--models {','.join(settings.models)}"] if settings.models else []
+    words += [f"--memory {settings.memory_mb:g}"] if settings.memory_mb != FitSettings.memory_mb else []
     return " ".join([*words, "-o RUN"]) + " && flysid validate RUN"
 
 

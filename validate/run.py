@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import platform
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from flysid.dataset import Dataset
+from flysid.datasetfile import DatasetFile, open_dataset
 from flysid.errors import StoreError, UsageError
 from flysid.flightwriter import put_in_place, writing_to
 from flysid.ingest.doubts import Doubt
@@ -30,6 +32,7 @@ from flysid.ingest.lake import open as open_lake
 from flysid.ingest.recipe import Recipe, load_recipe
 from flysid.model.base import Fitted, load
 from flysid.split import By, Split
+from flysid.validate.diskparts import LOOK_ROWS, parts_of
 from flysid.version import __version__, check_version
 
 RUN_FORMAT = "flysid-run"
@@ -54,6 +57,7 @@ class FitSettings:
     antecedents : variables that choose between rules, or () for automatic choice.
     channels : names to fit; all of the recipe's when empty.
     models : labels to fit besides the references, ARX, OE and the baseline; the usual ones when empty.
+    memory_mb : samples of a channel that may be in memory; a channel with more is fitted from disk.
     """
 
     holdout: float = 0.3
@@ -63,6 +67,7 @@ class FitSettings:
     antecedents: tuple[str, ...] = ()
     channels: tuple[str, ...] = ()
     models: tuple[str, ...] = ()
+    memory_mb: float = 64.0
 
 
 @dataclass(frozen=True)
@@ -81,6 +86,7 @@ class ChannelRun:
     doubts : reasons in the data not to trust any model of it.
     dead_times : what was found of the pairs' dead times and handed to the models, one sentence each.
     loops : where a loop is closed around the baseline's free run, one sentence per output.
+    on_disk : fitted from disk; the split is of a dataset file (`flysid.validate.diskparts`).
     """
 
     name: str
@@ -94,11 +100,12 @@ class ChannelRun:
     doubts: tuple[Doubt, ...] = ()
     dead_times: tuple[str, ...] = ()
     loops: tuple[str, ...] = ()
+    on_disk: bool = False
 
 
 @dataclass(frozen=True)
 class Run:
-    """A run folder, read back."""
+    """A run folder, read back; `recipe` is "" where `data` is a dataset file and not an ingested folder."""
 
     folder: Path
     data: str
@@ -215,24 +222,42 @@ def _channel_from(body: Mapping[str, Any]) -> ChannelRun:
 def held_out(run: Run, data: str | Path | None = None) -> list[HeldOut]:
     """The models of a run beside the data that they have not seen.
 
+    Of the training part of a channel that was fitted from disk, only the beginning is given.
+
     Parameters
     ----------
-    data : the ingested folder, where it moved since the fit.
+    data : the ingested folder or the dataset file, where it moved since the fit.
 
     Raises
     ------
     StoreError : a model file is damaged. DataError : the data differs from what was fitted.
     """
-    lake = open_lake(run.data if data is None else data)
-    then = tuple(m for m in lake.flights if m.id in run.flights)
+    place = run.data if data is None else data
+    if not run.recipe:
+        file = open_dataset(place)
+        return [_held_out_channel(run, c, file if c.on_disk else file.read()) for c in run.channels]
+    lake = open_lake(place)
+    then = Lake(lake.folder, tuple(m for m in lake.flights if m.id in run.flights))
     recipe = load_recipe(run.folder / RECIPE_FILE)
-    return [_held_out_channel(run, channel, Lake(lake.folder, then), recipe) for channel in run.channels]
+    return [_held_out_of_lake(run, channel, then, recipe) for channel in run.channels]
 
 
-def _held_out_channel(run: Run, channel: ChannelRun, lake: Lake, recipe: Recipe) -> HeldOut:
-    train, test = Split.from_dict(channel.split).apply(lake.dataset(recipe, channel.name))
+def _held_out_of_lake(run: Run, channel: ChannelRun, lake: Lake, recipe: Recipe) -> HeldOut:
+    if not channel.on_disk:
+        return _held_out_channel(run, channel, lake.dataset(recipe, channel.name))
+    with tempfile.TemporaryDirectory(prefix="flysid-") as folder:
+        path = Path(folder) / "channel.parquet"
+        lake.write(recipe, channel.name, path)
+        return _held_out_channel(run, channel, open_dataset(path))
+
+
+def _held_out_channel(run: Run, channel: ChannelRun, data: Dataset | DatasetFile) -> HeldOut:
     models = {label: load(_inside(run.folder, file)) for label, file in channel.models.items()}
-    return HeldOut(channel, models, train, test)
+    split = Split.from_dict(channel.split)
+    if isinstance(data, Dataset):
+        return HeldOut(channel, models, *split.apply(data))
+    train, test = parts_of(split, data)
+    return HeldOut(channel, models, train.head(LOOK_ROWS), test.read())
 
 
 def _inside(folder: Path, file: str) -> Path:

@@ -1,4 +1,4 @@
-"""`flysid fit DATA --recipe R -o RUN`, or `--from FIELD --to FIELD` instead of a recipe."""
+"""`flysid fit DATA --recipe R -o RUN`, or `--from FIELD --to FIELD` instead; or a dataset file."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ import click
 
 from flysid.cli.output import check_target, cores, say, status
 from flysid.cli.source import Words, opened, words_options
+from flysid.errors import UsageError
 
 if TYPE_CHECKING:
     from flysid.split import By
     from flysid.validate.run import ChannelRun, Run
+
+DATASET = ".parquet"
 
 
 def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | str:
@@ -44,6 +47,14 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
 )
 @click.option("--by", default="auto", show_default=True, type=click.Choice(["auto", "flight", "time"]))
 @click.option("--seed", default=7, show_default=True)
+@click.option(
+    "--memory",
+    default=64.0,
+    show_default=True,
+    metavar="MB",
+    type=click.FloatRange(0.0),
+    help="Of a channel's samples in memory; larger ones are fitted from disk, by arx, fir, iv, statespace.",
+)
 @click.option("--jobs", "-j", default=0, metavar="N", help="Channels at a time; one per core when not given.")
 @click.option("--force", is_flag=True, help="Replace the run if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was fitted as JSON.")
@@ -62,6 +73,7 @@ def command(
     holdout: float,
     by: By,
     seed: int,
+    memory: float,
     jobs: int,
     force: bool,
     as_json: bool,
@@ -69,21 +81,29 @@ def command(
 ) -> int:
     """Fit linear and Takagi-Sugeno models to every channel of a recipe, or from some fields to others.
 
-    DATA is an ingested folder, or a single log or table (.csv), which is ingested into RUN.data.
+    DATA is an ingested folder; or a single log or table (.csv), which is ingested into RUN.data; or a dataset
+    file that Python wrote (.parquet), which is one channel already.
     A part of the data is held out before anything is learned; 'flysid validate RUN' judges the models on it.
     Channels that the data cannot serve are named and left out (exit code 3 where --channel asked for them).
     """
     check_target(output, force)
-    place = fresh_place(output, force) if data.is_file() else None
+    is_dataset = data.suffix == DATASET and data.is_file()
+    asked = Words(recipe, inputs, outputs, dt)
+    if is_dataset:
+        check_no_words(data, asked)
+    place = fresh_place(output, force) if data.is_file() and not is_dataset else None
     from flysid.ingest.doubts import REMARKS
-    from flysid.validate.fitting import fit_run
+    from flysid.validate.fitting import fit_file, fit_run
     from flysid.validate.run import FitSettings
 
     labels = tuple(label for label in models.replace(" ", "").lower().split(",") if label)
-    settings = FitSettings(holdout, by, seed, rules, antecedents, channels, labels)
-    asked = Words(recipe, inputs, outputs, dt)
-    with opened(data, asked, place, quiet) as (lake, chosen), status(quiet) as progress:
-        run = fit_run(lake, chosen, output, settings, jobs=jobs or cores(), progress=progress)
+    settings = FitSettings(holdout, by, seed, rules, antecedents, channels, labels, memory)
+    if is_dataset:
+        with status(quiet) as progress:
+            run = fit_file(data, output, settings, progress=progress)
+    else:
+        with opened(data, asked, place, quiet) as (lake, chosen), status(quiet) as progress:
+            run = fit_run(lake, chosen, output, settings, jobs=jobs or cores(), progress=progress)
     if as_json:
         click.echo((output / "run.json").read_text("utf-8"), nl=False)
     else:
@@ -104,6 +124,16 @@ def command(
         say(f"channel {name} skipped: {why}")
     say(f"next: flysid validate {output}", quiet)
     return 3 if set(channels) & set(run.skipped) else 0
+
+
+def check_no_words(data: Path, asked: Words) -> None:
+    """Raise UsageError where a dataset file comes with a recipe or with fields."""
+    if asked != Words("", (), (), None):
+        raise UsageError(
+            "a dataset file is one channel already",
+            path=data,
+            hint="leave out --recipe, --from, --to and --dt",
+        )
 
 
 def fresh_place(output: Path, force: bool) -> Path:

@@ -150,6 +150,18 @@ class Parts:
             raise DataError("there are no samples to learn from", hint="check the recipe and the splits")
         return cls(train, validation, Scaling.of(train, centred=centred))
 
+    @classmethod
+    def measured(cls, data: Source, *, centred: bool = True) -> Parts:
+        """For what needs no choices: the data, in memory or on disk, as they are.
+
+        Raises
+        ------
+        DataError : no samples, or a signal that never changes.
+        """
+        if isinstance(data, OnDisk):
+            return cls.on_disk(data, centred=centred)
+        return cls.of(data, None, centred=centred)
+
     @cached_property
     def _split(self) -> tuple[Dataset, Dataset]:
         if self.validation is not None:

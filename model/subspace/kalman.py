@@ -19,6 +19,7 @@ from flysid.model.subspace.triangle import Realisation
 
 QUIET = 1e-8
 """Standard deviation of the innovation, relative to the largest output a state makes, that counts as none."""
+STILL = 1e-12
 LOOK = 200
 """Samples over which a wrong start is felt."""
 
@@ -45,8 +46,16 @@ def start_gains(system: Realisation, most: int) -> tuple[FloatArray, FloatArray]
         array = np.block([[noise, system.c @ root], [process, system.a @ root]])
         lower = np.asarray(np.linalg.qr(array.T, mode="r")).T
         gains[step] = np.linalg.solve(lower[:n_y, :n_y].T, lower[n_y:, :n_y].T).T
+        if step and _is_still(gains[step], gains[step - 1]):
+            gains[step:], spread[step:] = gains[step], spread[step]
+            break
         root = lower[n_y:, n_y:]
     return gains, spread
+
+
+def _is_still(gain: FloatArray, before: FloatArray) -> bool:
+    """The filter is stationary: from here on every step is as the last."""
+    return bool(np.abs(gain - before).max(initial=0.0) <= STILL * np.abs(gain).max(initial=0.0))
 
 
 def _observed(system: Realisation) -> FloatArray:

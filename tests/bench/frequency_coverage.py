@@ -1,14 +1,15 @@
 """How often the intervals of frequency responses and transfer functions hold the plant.
 
-`python -m tests.bench.frequency_coverage [runs]`: the paper's three loops, flown with a chirp and with random
-steps, coloured noise on the output; per run the measured response, a transfer function fitted to it, and TF.
-Orders are given, everything else is by default. Prints coverage of nominal 95 % intervals, and the bias in
-standard deviations.
+`python -m tests.bench.frequency_coverage [runs [case...]]`, a case being e.g. lateral-steps: the paper's
+loops, flown with a chirp and with random steps, coloured noise on the output; the response, a transfer
+function fitted to it, and TF. Orders are given, everything else is by default. Prints coverage of nominal
+95 % intervals, and the bias in standard deviations.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,11 +87,13 @@ def run(case: Case, seed: int) -> dict[str, tuple[FloatArray, FloatArray]]:
     }
 
 
-def main(runs: int) -> None:
-    """Print the table."""
+def main(runs: int, wanted: Sequence[str] = ()) -> None:
+    """Print the table: all cases, or the wanted ones."""
     print(f"| loop | excitation | {' | '.join(f'{w}: coverage %, bias / sd' for w in WORK)} | failed |")
     for loop in BANDS_HZ:
         for excitation in ("chirp", "steps"):
+            if wanted and f"{loop}-{excitation}" not in wanted:
+                continue
             case, failed = Case(loop, excitation), 0
             seen: dict[str, list[tuple[FloatArray, FloatArray]]] = {w: [] for w in WORK}
             for seed in range(runs):
@@ -111,4 +114,4 @@ def _cell(pairs: list[tuple[FloatArray, FloatArray]]) -> str:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 200)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 200, sys.argv[2:])

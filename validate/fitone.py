@@ -1,0 +1,38 @@
+"""One model of a run: fitted, saved, its rules in words beside it; or why it could not be fitted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from flysid.errors import DataError, FitError
+from flysid.flightwriter import write_atomically
+from flysid.model.base import Fitted
+from flysid.model.fuzzy import words
+
+S = TypeVar("S", contravariant=True)
+
+
+class FitsTo(Protocol[S]):
+    """An estimator of data in memory, or of data on disk."""
+
+    def fit(self, train: S) -> Fitted: ...
+
+
+def fit_one(estimator: FitsTo[S], train: S, path: Path) -> Fitted | str:
+    """Fit and save a model, and its rules in words beside it; or why it could not be fitted."""
+    try:
+        model = estimator.fit(train)
+    except (FitError, DataError) as error:
+        return str(error)
+    model.save(path)
+    write_atomically(path.with_suffix(".txt"), in_words(model).encode())
+    return model
+
+
+def in_words(model: Fitted) -> str:
+    """A model's rules with what they mean, a line each, and how it was chosen."""
+    rules = model.rules()
+    count = f"{len(rules)} rule{'s' if len(rules) > 1 else ''}"
+    title = f"{model.structure}, {count}, {model.n_parameters} parameters"
+    return words.in_words(title, rules, model.notes) + "\n"
