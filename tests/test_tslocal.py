@@ -56,6 +56,16 @@ def test_linearisation_predicts_small_steps(model: FittedTS) -> None:
         linearise(model, np.zeros(3), np.zeros(1))
 
 
+def test_linearise_takes_signals_by_name_and_means_for_the_rest(model: FittedTS) -> None:
+    u, y = model.inputs[0].name, model.outputs[0].name
+    mean_y, mean_u = model.layout.shift
+    for at, u_at, y_at in (({u: 0.2, y: 0.1}, 0.2, 0.1), ({u: 0.2}, 0.2, mean_y), ({}, mean_u, mean_y)):
+        expected = linearise(model, np.array([u_at]), np.array([y_at]))
+        assert np.array_equal(model.linearise(at).A, expected.A)
+    with pytest.raises(UsageError, match="no signal 'speed'"):
+        model.linearise({"speed": 1.0})
+
+
 def test_a_certificate_is_a_proof(model: FittedTS) -> None:
     found = certificate(model)
     rules = [s.A[:2, :2] for s in polytope(model)]

@@ -7,11 +7,11 @@ with the firing strengths and the weighted mean of the paper's eq. (1)-(3) (Taka
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,6 +28,10 @@ from flysid.model.fuzzy.physical import physical_consequents, physical_partition
 from flysid.model.fuzzy.words import condition_in_words, equation, in_words
 from flysid.model.noise import output_error_ahead
 from flysid.model.start import estimate_start, full_window
+
+if TYPE_CHECKING:
+    from flysid.model.fuzzy.explain import Explanation
+    from flysid.model.fuzzy.local import StateSpace
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,9 +266,40 @@ class FittedTS:
             "notes": list(self.notes),
         }
 
+    def explain(self, u: FloatArray, y: FloatArray, row: int) -> Explanation:
+        """Which rules spoke at a sample of measured data, how loudly and why; see `explain.explain`."""
+        from flysid.model.fuzzy.explain import explain
+
+        return explain(self, u, y, row)
+
+    def linearise(self, at: Mapping[str, float]) -> StateSpace:
+        """The local linear model while every signal stands at a value; see `local.linearise`.
+
+        Parameters
+        ----------
+        at : signal's name -> value; signals left out stand at their mean in training.
+
+        Raises
+        ------
+        UsageError : a name that is no signal of the model.
+        """
+        from flysid.model.fuzzy.local import linearise
+
+        values = values_at([s.name for s in self.layout.signals], self.layout.shift, at)
+        n_y = self.layout.n_y
+        return linearise(self, values[n_y:], values[:n_y])
+
     def save(self, path: str | Path) -> None:
         """Write the model as JSON, whole or not at all."""
         write_document(self.to_dict(), path)
+
+
+def values_at(names: Sequence[str], means: FloatArray, at: Mapping[str, float]) -> FloatArray:
+    """The mean of every signal, or what `at` says of it; UsageError for a name that is none of them."""
+    for name in at:
+        if name not in names:
+            raise UsageError(f"the model has no signal {name!r}", hint=f"one of {', '.join(names)}")
+    return np.array([at.get(name, mean) for name, mean in zip(names, means, strict=True)], dtype=float)
 
 
 def pole_radius(A: FloatArray) -> float:
