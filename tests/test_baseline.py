@@ -14,11 +14,11 @@ from flysid.model.mean import Mean
 from flysid.model.persistence import Persistence
 from flysid.validate.baseline import choose_baseline, confirmed, linear_estimators
 from flysid.validate.cautions import cautions
-from flysid.validate.compare import compare
+from flysid.validate.compare import across_channels, compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.report import ReportContext, render
 from flysid.validate.tables import to_csv, to_markdown
-from flysid.validate.terminal import table
+from flysid.validate.terminal import summary, table
 from tests.fakes import FirstOrder, flown
 
 TRUTH = FirstOrder(a=0.9, b=0.1)
@@ -119,3 +119,48 @@ def test_a_better_model_of_one_rule_is_called_linear_in_every_form() -> None:
     assert c.to_json()["channels"][c.channel]["free_run"]["one_rule"]
     said = cautions({"roll": c}, {"roll": diagnose(c, TRAIN)})
     assert any("has one rule: it is a linear model" in x.text for x in said)
+
+
+def two_rules(b: float) -> FirstOrder:
+    return FirstOrder(a=0.9, b=b, structure="ts", labels=("R1", "R2"))
+
+
+def test_better_than_a_poor_baseline_is_not_better_than_every_linear_model() -> None:
+    """State space was the wrong choice; ARX beside it does as well as the rules."""
+    models = {
+        "statespace": FirstOrder(a=0.9, b=0.07, structure="statespace"),
+        "arx": TRUTH,
+        "ts": two_rules(0.1),
+    }
+    c = compare(models, TEST, baseline="statespace", train=TRAIN)
+    pair = c.verdict["y"]
+    assert pair.verdict == "better"
+    assert pair.short_of == ("arx",)
+    assert pair.contested
+    assert not pair.earned
+    page = render(ReportContext({"roll": c}, train={"roll": TRAIN}))
+    assert "The fuzzy model is better than the chosen linear model, not shown against ARX." in page
+    for text in (summary({"roll": c}), to_markdown({"roll": c}), page):
+        assert "TS better than STATESPACE, not shown against ARX" in text
+    found = c.to_json()["channels"][c.channel]["free_run"]
+    assert found["short_of"] == ["arx"]
+    assert found["rivals"]["arx"]["verdict"] == "same"
+    said = cautions({"roll": c}, {"roll": diagnose(c, TRAIN)})
+    assert said[0].text.startswith("Better than the linear model that the training data chose, but not than")
+
+
+def test_better_than_every_linear_model_is_a_headline() -> None:
+    models = {
+        "statespace": FirstOrder(a=0.9, b=0.07, structure="statespace"),
+        "arx": FirstOrder(a=0.9, b=0.08),
+        "ts": two_rules(0.1),
+    }
+    c = compare(models, TEST, baseline="statespace")
+    pair = c.verdict["y"]
+    assert pair.earned
+    assert not pair.short_of
+    assert c.entry().rivals["arx"].verdict == "better"
+    assert not c.entry(horizon=1).rivals
+    again = across_channels({"one": c})["one"]
+    assert again.verdict == c.verdict
+    assert "The fuzzy model is better on roll." in render(ReportContext({"roll": c}))

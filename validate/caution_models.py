@@ -10,7 +10,7 @@ from flysid.validate.caution import Caution, Comparisons, Diagnoses, heads, join
 from flysid.validate.comparison import Comparison, Entry
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
-from flysid.validate.words import number, one_line
+from flysid.validate.words import named, number, one_line
 
 COLLINEAR = 1e5
 """Condition number above which single coefficients mean little."""
@@ -63,6 +63,33 @@ def _nothing_learnt(kind: str, figures: str, name: str) -> Caution:
         "output.",
         9.0 if kind == "mean" else 8.0,
     )
+
+
+def contested(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    """Better than the baseline only: another linear model in the table does as well."""
+    del diagnoses
+    said = []
+    for c in comparisons.values():
+        head = FREE_RUN if FREE_RUN in c.horizons else c.horizons[0]
+        for output, pair in c.verdict.items():
+            if pair.contested:
+                entry = c.entry(output, head)
+                rmse = {n: entry.models[n].scores.rmse for n in pair.short_of}
+                best = min(rmse, key=lambda n: rmse[n])
+                figures = ", ".join(
+                    f"{one_line(n).upper()} {number(entry.models[n].scores.rmse)}"
+                    for n in (pair.baseline, best, pair.model)
+                )
+                said.append(f"{output} (not against {named(pair.short_of)}; RMSE: {figures})")
+    if said:
+        yield Caution(
+            "warning",
+            "Better than the linear model that the training data chose, but not than every linear one: "
+            f"{join(said)}.",
+            "quote the change against the best linear model of the table; train on more flights, so that the "
+            "choice of the baseline is less a matter of luck.",
+            7.0,
+        )
 
 
 def one_rule(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:

@@ -8,7 +8,7 @@ from flysid.ingest.doubts import Doubt
 from flysid.validate.bootstrap import MIN_FLIGHTS
 from flysid.validate.caution import Caution, Comparisons, Diagnoses, heads, join
 from flysid.validate.caution_data import in_the_data
-from flysid.validate.caution_models import collinear, one_rule, runs_away, unsure_gains, useless
+from flysid.validate.caution_models import collinear, contested, one_rule, runs_away, unsure_gains, useless
 from flysid.validate.comparison import Comparison
 from flysid.validate.diagnostics import Diagnosis, Outside
 from flysid.validate.trials import FREE_RUN
@@ -37,9 +37,9 @@ def cautions(
 
 def _rules() -> tuple[Callable[[Comparisons, Diagnoses], Iterator[Caution]], ...]:
     return (
-        _diverged, useless, one_rule, runs_away, _unstable, _unexplained, _extrapolates, _missing_dynamics,
-        _undecided, _few, unsure_gains, collinear, _feedback, _noisy_start, _not_white, _one_step_flatters,
-        _idle_rules, _unused,
+        _diverged, useless, contested, one_rule, runs_away, _unstable, _unexplained, _extrapolates,
+        _missing_dynamics, _undecided, _few, unsure_gains, collinear, _noisy_start, _not_white,
+        _one_step_flatters, _idle_rules, _unused,
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
 from flysid.model.base import Fitted
-from flysid.validate.baseline import REFERENCES
+from flysid.validate.baseline import LINEAR, REFERENCES
 from flysid.validate.bootstrap import (
     Interval,
     Units,
@@ -35,7 +35,7 @@ from flysid.validate.trials import (
     run_trials,
     start_of,
 )
-from flysid.validate.verdict import Evidence, decide
+from flysid.validate.verdict import Evidence, Verdict, decide
 
 __all__ = [
     "HORIZONS", "Comparison", "Entry", "ModelInfo", "ModelScore", "Pair", "SegmentScore", "across_channels",
@@ -85,7 +85,8 @@ def compare(
     names = [horizon_name(h) for h in dict.fromkeys(horizons)]
     if not names:
         raise UsageError("no horizon given", hint="use 'free_run', 10 and 1")
-    one_rule = _one_rule(named) if named[base].structure not in FUZZY else frozenset[str]()
+    sides = _sides(named, base, contender or _contender(named, base), seed)
+    head = FREE_RUN if FREE_RUN in names else names[0]
     entries: list[Entry] = []
     scored, start_s = 0, 0.0
     for horizon in names:
@@ -93,13 +94,13 @@ def compare(
         scored = max(scored, len(trials))
         if horizon == FREE_RUN:
             start_s = max(t.first for t in trials) * test.dt_s
-        entries += _entries(trials, test, horizon, _Sides(base, one_rule, seed))
+        entries += _entries(trials, test, horizon, sides if horizon == head else replace(sides, rivals=()))
     comparison = Comparison(
         channel=test.name,
         dt_s=test.dt_s,
         models={name: _info(name, model) for name, model in named.items()},
         baseline=base,
-        contender=contender or _contender(named, base),
+        contender=sides.contender,
         entries=tuple(entries),
         lags=start_of(named),
         start_s=start_s,
@@ -115,16 +116,18 @@ def compare(
 def across_channels(comparisons: Mapping[str, Comparison]) -> dict[str, Comparison]:
     """The same comparisons with p-values corrected (Holm) over channels and outputs, verdicts decided anew.
 
-    A family is one horizon and one pair of models. Doing it again changes nothing.
+    A family is one horizon and one pair of models. Doing it again changes nothing. Against rivals a channel
+    is better only where all tests say so, which needs no correction over rivals (Berger, 1982).
     """
-    families: dict[tuple[str, str], list[Pair]] = {}
+    families: dict[tuple[str, str, bool], list[Pair]] = {}
     for c in comparisons.values():
         for e in c.entries:
-            for name, pair in e.pairs.items():
-                families.setdefault((e.horizon, name), []).append(pair)
+            for pairs, rival in ((e.pairs, False), (e.rivals, True)):
+                for name, pair in pairs.items():
+                    families.setdefault((e.horizon, name, rival), []).append(pair)
     corrected: dict[int, Pair] = {}
-    for pairs in families.values():
-        tested = [pair for pair in pairs if pair.p is not None]
+    for family in families.values():
+        tested = [pair for pair in family if pair.p is not None]
         for pair, p in zip(tested, holm([t.p for t in tested if t.p is not None]), strict=True):
             evidence = replace(pair.evidence, p=p)
             verdict, reason = decide(evidence)
@@ -136,7 +139,22 @@ def across_channels(comparisons: Mapping[str, Comparison]) -> dict[str, Comparis
 
 
 def _with_pairs(entry: Entry, corrected: Mapping[int, Pair]) -> Entry:
-    return replace(entry, pairs={n: corrected.get(id(p), p) for n, p in entry.pairs.items()})
+    pairs, rivals = (
+        {n: corrected.get(id(p), p) for n, p in old.items()} for old in (entry.pairs, entry.rivals)
+    )
+    lost = tuple(name for name, pair in rivals.items() if pair.verdict is not Verdict.BETTER)
+    for model in {pair.model for pair in rivals.values()}:
+        pairs[model] = replace(pairs[model], short_of=lost)
+    return replace(entry, pairs=pairs, rivals=rivals)
+
+
+def _sides(models: Mapping[str, Fitted], base: str, contender: str | None, seed: int) -> _Sides:
+    """Rivals are there for a fuzzy contender against a linear baseline."""
+    if models[base].structure in FUZZY:
+        return _Sides(base, contender, (), frozenset(), seed)
+    fuzzy = contender is not None and models[contender].structure in FUZZY
+    rivals = [n for n, m in models.items() if n != base and m.structure in LINEAR] if fuzzy else []
+    return _Sides(base, contender, tuple(rivals), _one_rule(models), seed)
 
 
 def _one_rule(models: Mapping[str, Fitted]) -> frozenset[str]:
@@ -197,9 +215,12 @@ class _Panel:
 
 @dataclass(frozen=True)
 class _Sides:
-    """Who is compared with whom: the baseline, the fuzzy models of one rule, the bootstrap's seed."""
+    """Who is compared with whom: the baseline, the contender and the other linear models, the fuzzy models of
+    one rule, the bootstrap's seed."""
 
     base: str
+    contender: str | None
+    rivals: tuple[str, ...]
     one_rule: frozenset[str]
     seed: int
 
@@ -209,7 +230,12 @@ def _entries(trials: Sequence[Trial], test: Dataset, horizon: str, sides: _Sides
     for j, output in enumerate(test.outputs):
         panel = _panel(trials, test, j)
         pairs = {name: _pair(panel, sides, name) for name in panel.models if name != sides.base}
-        entries.append(Entry(output, horizon, panel.models, pairs, panel.resolution))
+        rivals = {
+            name: _pair(panel, replace(sides, base=name), sides.contender)
+            for name in sides.rivals
+            if sides.contender is not None
+        }
+        entries.append(Entry(output, horizon, panel.models, pairs, panel.resolution, rivals))
     return entries
 
 

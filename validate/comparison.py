@@ -54,6 +54,8 @@ class Pair:
     p, p_holm : two-sided bootstrap p-value of no change, before and after Holm's correction.
     p_dm : Diebold-Mariano p-value, a second opinion that no verdict uses.
     units, unit : how many independent units, and what they are ("flights" or "blocks of 1.2 s").
+    short_of : linear models in the table that the contender is not shown to be better than, although it is
+        better than the baseline: validation may have chosen the wrong one, and beating it proves little.
     one_rule : the model is a Takagi-Sugeno model of one rule: a linear model, so whatever it gains over the
         baseline comes from its order or its refinement, not from fuzziness.
     """
@@ -71,22 +73,35 @@ class Pair:
     verdict: Verdict
     reason: str
     one_rule: bool = False
+    short_of: tuple[str, ...] = ()
+
+    @property
+    def contested(self) -> bool:
+        """Better than the baseline, and not shown to be better than another linear model."""
+        return self.verdict is Verdict.BETTER and not self.one_rule and bool(self.short_of)
 
     @property
     def earned(self) -> bool:
-        """The model is better, and it is not the linear model of one rule."""
-        return self.verdict is Verdict.BETTER and not self.one_rule
+        """The model is better than every linear one, and not the linear model of one rule."""
+        return self.verdict is Verdict.BETTER and not self.one_rule and not self.short_of
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One output at one horizon: every model's scores, every pair."""
+    """One output at one horizon: every model's scores, every pair.
+
+    Attributes
+    ----------
+    pairs : every model against the baseline.
+    rivals : a fuzzy contender against every other linear model, at the headline's horizon.
+    """
 
     output: Signal
     horizon: str
     models: Mapping[str, ModelScore]
     pairs: Mapping[str, Pair]
     resolution: float
+    rivals: Mapping[str, Pair] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,8 @@ def to_json(
     A channel with several outputs is listed once per output, as "channel/output". "change_pct", "ci95"
     and "verdict" speak of the contender ("ts" where there is one) against the baseline, which "about" names;
     "one_rule": the contender has one rule, so it is a linear model. "pairs" holds every model against the
-    baseline. What is said of a whole channel stands under "about";
+    baseline, "rivals" the contender against every other linear model, "short_of" those that it is not shown
+    to be better than. What is said of a whole channel stands under "about";
     with `diagnoses` there are also "cautions", worst first, and "diagnostics" by channel.
     """
     channels: dict[str, Any] = {}
@@ -117,6 +118,8 @@ def _entry(entry: Entry, comparison: Comparison) -> dict[str, Any]:
         "verdict": str(head.verdict) if head else None,
         "reason": head.reason if head else "only one model was given",
         "one_rule": bool(head and head.one_rule),
+        "short_of": list(head.short_of) if head else [],
+        "rivals": {name: _pair(pair) for name, pair in entry.rivals.items()},
         "pairs": {name: _pair(pair) for name, pair in entry.pairs.items()},
         "output": entry.output.name,
         "unit": entry.output.unit,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from flysid.validate.compare import Pair
 from flysid.validate.trials import FREE_RUN
@@ -61,9 +62,17 @@ def verdict_words(pair: Pair) -> str:
         return "both diverged" if pair.evidence.diverged_model else f"{model} better: {base} diverged"
     if pair.evidence.diverged_model:
         return f"{model} worse: it diverged"
+    if pair.contested:
+        return f"{model} better than {base}, not shown against {named(pair.short_of)}"
     if pair.verdict in (Verdict.BETTER, Verdict.WORSE):
         return f"{model} {pair.verdict}" + (" (one rule: linear)" if pair.one_rule else "")
     return "no difference shown" if pair.verdict is Verdict.SAME else str(pair.verdict)
+
+
+def named(models: Sequence[str]) -> str:
+    """ "ARX", "ARX and OE", "ARX, OE and LINE"."""
+    names = [one_line(m).upper() for m in models]
+    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)
 
 
 ONE_RULE = "one rule: a linear model; the gain comes from its order or refinement, not from fuzziness"

@@ -176,8 +176,10 @@ def meaning(judgement: Judgement) -> str:
     """What the verdicts say, in one line."""
     pairs = {name: pair for c in judgement.comparisons.values() for name, pair in c.verdict.items()}
     better = [name for name, pair in pairs.items() if pair.earned]
-    if not better:
+    if not better and all(pair.verdict == "same" or pair.one_rule for pair in pairs.values()):
         return "One linear model per channel is enough here."
+    if not better:
+        return "These flights do not show that rules help. Read the report's first lines for why."
     others = [name for name in pairs if name not in better]
     rest = f"; on {', '.join(others)} a linear model is enough" if others else ""
     return f"Rules help on {', '.join(better)}{rest}. Read the cautions in the report before you rely on it."

@@ -36,6 +36,7 @@ from flysid.validate.trials import FREE_RUN
 
 DT_S = 0.05
 TRAIN, TEST, FRESH = 4, 8, 60
+VERDICTS = ("better", "contested", "same", "worse", "not enough data")
 LENGTH = 500
 
 
@@ -137,6 +138,7 @@ class Outcome:
 
     Attributes
     ----------
+    verdict : "contested": better than the baseline, not shown against ARX beside it.
     rules : of the TS model; with one it is a linear model.
     baseline : the linear structure that validation chose.
     change, low, high, truth : percent; None where there is no such number.
@@ -189,7 +191,7 @@ def judged(plant: Plant, rng: np.random.Generator, seed: int) -> Outcome:
     return Outcome(
         seed,
         plant.name,
-        str(pair.verdict),
+        "contested" if pair.contested else str(pair.verdict),
         rules,
         base,
         pair.change_pct,
@@ -223,7 +225,7 @@ def totals(kind: str, outcomes: Sequence[Outcome], failed: Mapping[str, int]) ->
     verdicts = Counter(o.verdict for o in outcomes)
     covered = [o.covered for o in outcomes if o.covered is not None]
     lines = [f"{kind} plants: {n}"]
-    lines += [share(f"  {v}", verdicts[v], n) for v in ("better", "same", "worse", "not enough data")]
+    lines += [share(f"  {v}", verdicts[v], n) for v in VERDICTS]
     fuzzy = sum(o.verdict == "better" and o.rules > 1 for o in outcomes)
     lines.append(share("  better, with more than one rule", fuzzy, n))
     lines.append(share("  the interval holds the truth", sum(covered), len(covered)))
@@ -238,11 +240,13 @@ def row(kind: str, outcomes: Sequence[Outcome], seeds: range) -> str:
     covered = [o.covered for o in outcomes if o.covered is not None]
     better, held = exact_interval(count["better"], n), exact_interval(sum(covered), len(covered))
     one_rule = sum(o.verdict == "better" and o.rules == 1 for o in outcomes)
+    contested = count["contested"]
     cells = (
         f"{kind}, seeds {seeds.start} to {seeds.stop - 1}",
         f"{n}",
         f"{count['better']} ({better[0]:.0f} to {better[1]:.0f} %)"
-        + (f", of them {one_rule} with one rule" if one_rule else ""),
+        + (f", of them {one_rule} with one rule" if one_rule else "")
+        + (f"; {contested} more, but not against ARX" if contested else ""),
         f"{count['same']}",
         f"{count['worse']}",
         f"{count['not enough data']}",

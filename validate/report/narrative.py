@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from flysid.validate.compare import FUZZY
 from flysid.validate.comparison import Comparison, Pair
 from flysid.validate.verdict import Verdict
-from flysid.validate.words import one_line
+from flysid.validate.words import named, one_line
 
 NAMES = {
     "ts": "fuzzy model",
@@ -29,7 +29,20 @@ CSS = {
     Verdict.NOT_ENOUGH: "unsure",
 }
 
+CONTESTED = ("△", "unsure")
+"""Symbol and CSS class of "better than the baseline, not shown against another linear model"."""
+
 Heads = Sequence[tuple[str, Pair]]
+
+
+def symbol(pair: Pair) -> str:
+    """Of the verdict: never colour alone."""
+    return CONTESTED[0] if pair.contested else SYMBOLS[pair.verdict]
+
+
+def css(pair: Pair) -> str:
+    """CSS class of the verdict."""
+    return CONTESTED[1] if pair.contested else CSS[pair.verdict]
 
 
 def heads(comparisons: Mapping[str, Comparison]) -> list[tuple[str, Pair]]:
@@ -62,7 +75,8 @@ def title(pairs: Heads) -> str:
     model, base = called(pairs[0][1].model), base_words(pairs)
     count = {v: sum(p.verdict is v for _, p in pairs) for v in Verdict}
     one_rule = sum(p.verdict is Verdict.BETTER and p.one_rule for _, p in pairs)
-    count[Verdict.BETTER] -= one_rule
+    contested = [p for _, p in pairs if p.contested]
+    count[Verdict.BETTER] -= one_rule + len(contested)
     count[Verdict.SAME] += one_rule
     total = len(pairs)
     every = "both" if total == 2 else f"all {total}"
@@ -75,6 +89,10 @@ def title(pairs: Heads) -> str:
         return f"The {model} is better {on_all}."
     if count[Verdict.BETTER]:
         return f"The {model} is better on {count[Verdict.BETTER]} of {total} channels."
+    if contested:
+        rest = f" on {len(contested)} of {total} channels" if total > 1 else ""
+        rivals = named(tuple(dict.fromkeys(n for p in contested for n in p.short_of)))
+        return f"The {model} is better than the chosen linear model{rest}, not shown against {rivals}."
     if count[Verdict.WORSE] == total:
         return f"The {base} is better {on_all}."
     if count[Verdict.WORSE]:
@@ -95,7 +113,7 @@ def subtitle(pairs: Heads) -> str:
     if pairs and all(pair.verdict is Verdict.SAME for _, pair in pairs):
         both = f"the {called(pairs[0][1].model)} and the {base_words(pairs)}"
         return f"In free run the flights show no difference between {both}: keep the simpler one."
-    sentences = [*_diverged(pairs), *_one_rule(pairs)]
+    sentences = [*_diverged(pairs), *_contested(pairs), *_one_rule(pairs)]
     base = base_words(pairs) if pairs else ""
     for verdict, text in (
         (Verdict.SAME, "the flights show no difference in free run: keep the {base} there."),
@@ -125,6 +143,16 @@ def _diverged(pairs: Heads) -> list[str]:
         return []
     base = base_words(pairs)
     return [f"On {_listed(names)} the {base} diverged in free run, so there is no error to compare with."]
+
+
+def _contested(pairs: Heads) -> list[str]:
+    """Where a better verdict is owed to the choice of the baseline."""
+    return [
+        f"On {name} {one_line(p.model).upper()} is better than {one_line(p.baseline).upper()}, which the "
+        f"training data chose, and not shown to be better than {named(p.short_of)}: do not quote it so."
+        for name, p in pairs
+        if p.contested
+    ]
 
 
 def _one_rule(pairs: Heads) -> list[str]:

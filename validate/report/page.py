@@ -191,7 +191,7 @@ def _cards(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
                     "badge": badge(pair),
                     "change": change_words(pair),
                     "horizon": "RMSE in " + horizon_words(entry.horizon, c.dt_s),
-                    "bar": interval_bar(pair, reach, narrative.CSS[pair.verdict]),
+                    "bar": interval_bar(pair, reach, narrative.css(pair)),
                     "interval": interval_words(pair),
                     "reason": pair.reason,
                     "rmse": (base.rmse, model.rmse),
@@ -211,7 +211,7 @@ def _size(info: ModelInfo) -> str:
 def badge(pair: Pair) -> dict[str, str]:
     """Symbol, words and CSS class of a verdict: never colour alone."""
     words = verdict_words(pair)
-    return {"symbol": narrative.SYMBOLS[pair.verdict], "words": words, "css": narrative.CSS[pair.verdict]}
+    return {"symbol": narrative.symbol(pair), "words": words, "css": narrative.css(pair)}
 
 
 def _rows(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
@@ -237,7 +237,7 @@ def _rows(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
                         "headline": entry.horizon == FREE_RUN,
                         "base": base,
                         "other": other,
-                        "bar": interval_bar(pair, reach, narrative.CSS[pair.verdict], 190.0) if pair else "",
+                        "bar": interval_bar(pair, reach, narrative.css(pair), 190.0) if pair else "",
                         "change": change_words(pair) if pair else "",
                         "interval": interval_words(pair) if pair else "",
                         "badge": badge(pair) if pair else None,
