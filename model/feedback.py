@@ -24,6 +24,11 @@ MOST_LAGS, FEWEST_LAGS = 25, 5
 LEVEL = 1e-4
 SHARE = 0.02
 """Of the innovations' variance that later inputs must explain."""
+BIASED = "Free-run fits (OE, TF, refined ARX) may be biased"
+REMEDY = (
+    "compare with ARMAX or BJ (prediction error), or IV with the reference as instrument, or excite the "
+    "command far above the controller's own activity"
+)
 
 
 @dataclass(frozen=True)
@@ -49,17 +54,20 @@ class Feedback:
         return self.p_value < LEVEL and self.share > SHARE
 
     @property
-    def words(self) -> str:
-        """What was seen and what to do; "" in open loop."""
+    def seen(self) -> str:
+        """What was seen; "" in open loop."""
         if not self.closed:
             return ""
         return (
             f"{' and '.join(self.inputs)} answer{'s' if len(self.inputs) == 1 else ''} {self.output}: within "
             f"{self.look_s:.2g} s after, {100 * self.share:.0f} % of what the model could not foresee shows "
-            "in the input, so a loop is closed around it. Free-run fits (OE, TF, refined ARX) may be biased: "
-            "compare with ARMAX or BJ (prediction error), or IV with the reference as instrument, or excite "
-            "the command far above the controller's own activity."
+            "in the input, so a loop is closed around it."
         )
+
+    @property
+    def words(self) -> str:
+        """What was seen and what to do; "" in open loop."""
+        return f"{self.seen} {BIASED}: {REMEDY}." if self.closed else ""
 
 
 def feedback(model: Fitted, data: Dataset) -> tuple[Feedback, ...]:

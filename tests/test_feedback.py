@@ -9,6 +9,9 @@ from scipy.signal import lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.feedback import feedback
 from flysid.model.oe import OE
+from flysid.validate.cautions import cautions
+from flysid.validate.compare import compare
+from flysid.validate.diagnostics import diagnose
 from tests.fakes import FirstOrder
 from tests.test_frequency_response import DT_S, A, B, chirp, steps
 
@@ -79,3 +82,15 @@ def test_too_little_data_say_nothing() -> None:
     (found,) = feedback(model, short)
     assert found.p_value == 1.0
     assert not found.closed
+
+
+@pytest.mark.parametrize(("gain", "lag"), [(0.0, 1), (3.0, 15)])
+def test_the_report_says_it_as_the_fit_says_it(gain: float, lag: int) -> None:
+    """One rule in one place; and nothing is said in open loop."""
+    data = closed_loop(gain, lag, 0)
+    model = OE(na=2, nb=2, nk=1).fit(data)
+    (found,) = feedback(model, data)
+    c = compare([model], data, baseline=None)
+    said = [x.text for x in cautions({"roll": c}, {"roll": diagnose(c, data)})]
+    assert found.closed == bool(gain)
+    assert any(x.startswith("theta answers v_x: within") for x in said) == bool(gain)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from flysid.ingest.doubts import Doubt
+from flysid.model.feedback import BIASED, REMEDY
 from flysid.validate.bootstrap import MIN_FLIGHTS
 from flysid.validate.caution import Caution, Comparisons, Diagnoses, heads, join
 from flysid.validate.caution_data import in_the_data
@@ -38,7 +39,7 @@ def cautions(
 def _rules() -> tuple[Callable[[Comparisons, Diagnoses], Iterator[Caution]], ...]:
     return (
         _diverged, useless, contested, one_rule, runs_away, _unstable, _unexplained, _extrapolates,
-        _missing_dynamics, _undecided, _few, unsure_gains, collinear, _noisy_start, _not_white,
+        _missing_dynamics, _undecided, _few, unsure_gains, collinear, _feedback, _noisy_start, _not_white,
         _one_step_flatters, _idle_rules, _unused,
     )  # fmt: skip
 
@@ -206,20 +207,11 @@ def _few(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
 
 
 def _feedback(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
-    said = [
-        out.output.name
-        for channel, d in diagnoses.items()
-        for out in d.outputs
-        if any(c.feedback for name in heads(comparisons[channel]) for c in out.dependence.get(name, ()))
-    ]
+    """The test is the fit's own, `flysid.model.feedback`."""
+    del comparisons
+    said = list(dict.fromkeys(loop.seen for d in diagnoses.values() for loop in d.loops if loop.closed))
     if said:
-        yield Caution(
-            "note",
-            f"The input seems to answer the output on {join(said)} (error and later input are correlated): "
-            "a loop is closed around the model, and least squares may be biased.",
-            "excite the command on purpose, or model from the pilot's command instead of the controller's.",
-            1.0,
-        )
+        yield Caution("note", one_line(f"{' '.join(said)} {BIASED}."), f"{REMEDY}.", 1.0)
 
 
 def _not_white(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.model.base import Fitted
+from flysid.model.feedback import Feedback, feedback
 from flysid.validate.checks import Checks, check
 from flysid.validate.comparison import Comparison
 from flysid.validate.residuals import (
@@ -78,6 +79,7 @@ class Diagnosis:
     pole_radius : largest pole modulus over the rules, by model.
     changes : per input, share of held-out samples that differ from the one before.
     checks : of the models of the headline: stability, conditioning, intervals.
+    loops : per output, whether the input answers it, in the training data where known.
     """
 
     outputs: tuple[OutputDiagnosis, ...]
@@ -88,6 +90,7 @@ class Diagnosis:
     checks: Mapping[str, Checks]
     free_runs: tuple[Trial, ...]
     one_steps: tuple[Trial, ...]
+    loops: tuple[Feedback, ...] = ()
 
 
 def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
@@ -107,6 +110,7 @@ def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
         changes=tuple(_changes(test, i) for i in range(len(test.inputs))),
         free_runs=free,
         one_steps=one,
+        loops=() if train is None else feedback(models[comparison.baseline], train),
     )
 
 

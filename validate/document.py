@@ -64,6 +64,7 @@ def _diagnosis(d: Diagnosis, comparison: Comparison) -> dict[str, Any]:
         ],
         "rule_use": {name: asdict(use) for name, use in d.rule_use.items()},
         "checks": {name: _checks(c) for name, c in d.checks.items()},
+        "feedback": [asdict(loop) | {"closed": loop.closed} for loop in d.loops],
         "outputs": {
             out.output.name: {
                 "whiteness": {name: _correlation(c, comparison.dt_s) for name, c in out.whiteness.items()},

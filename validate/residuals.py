@@ -58,12 +58,6 @@ class Correlation:
         return abs(self.peak[1]) > together * self.band
 
     @property
-    def feedback(self) -> bool:
-        """Most lags where the output would lead the input are outside too: a sign of a closed loop."""
-        early = self.lags < 0
-        return bool(early.any()) and float(np.mean(np.abs(self.rho[early]) > self.band)) > 0.5
-
-    @property
     def peak(self) -> tuple[int, float]:
         """(lag, rho) of the largest tested correlation."""
         i = int(np.argmax(np.where(self.causal > 0, np.abs(self.rho), -1.0)))
