@@ -94,14 +94,25 @@ class StateSpace:
         _check_delays(self, len(train.inputs))
         if isinstance(train, OnDisk):
             return _from_disk(self, train, validation)
-        plan = min(
-            (_planned(self, train, validation, late) for late in _delays(self, train, validation)),
-            key=lambda plan: plan.loss,
-        )
+        plan = _best_plan(self, train, validation)
         model = _final(self, plan.parts.train, plan.parts, plan.choice, plan.note)
         if self.refine is not False:
             model = _refined(self, plan.parts, plan.choice, model)
         return _delayed_model(model, plan.late) if any(plan.late) else model
+
+
+def with_choices_made(settings: StateSpace, train: Dataset, validation: Dataset | None = None) -> StateSpace:
+    """The same settings with order, method, past and delays as `fit` would choose them."""
+    plan = _best_plan(settings, train, validation)
+    choice, nk = plan.choice, tuple(late + 1 for late in plan.late)
+    return replace(settings, order=choice.order, method=choice.method, past=choice.past, nk=nk)
+
+
+def _best_plan(settings: StateSpace, train: Dataset, validation: Dataset | None) -> _Plan:
+    return min(
+        (_planned(settings, train, validation, late) for late in _delays(settings, train, validation)),
+        key=lambda plan: plan.loss,
+    )
 
 
 def _check_delays(settings: StateSpace, n_u: int) -> None:

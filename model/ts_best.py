@@ -20,8 +20,8 @@ from flysid.model.fuzzy.estimate import learn as learn_lagged
 from flysid.model.fuzzy.finish import finished as finished_lagged
 from flysid.model.fuzzy.layout import scaling
 from flysid.model.fuzzy.model import FittedTS
+from flysid.model.hidden.finish import finished
 from flysid.model.hidden.fit import learn
-from flysid.model.hidden.model import finished
 from flysid.model.noise import noise_model
 from flysid.model.start import estimate_start, start_window
 from flysid.model.threads import on_one_thread
@@ -64,7 +64,8 @@ class BestTS:
         if not hints_at_hidden_state(lagged, train):
             return lagged
         try:
-            learned = learn(TSStateSpace(rules=self.rules, antecedents=self.antecedents), train, validation)
+            hidden = TSStateSpace(rules=self.rules, antecedents=self.antecedents, nk_hint=self.nk_hint)
+            learned = learn(hidden, train, validation)
         except (DataError, FitError, UsageError):  # e.g. antecedents that it does not have
             return lagged
         gain, clear = advantage(known.folds, learned.folds)
@@ -73,7 +74,7 @@ class BestTS:
             note = f"A hidden state was tried and not taken: {ratio}, not clearly less."
             return replace(lagged, notes=(*lagged.notes, note))
         note = f"A hidden state explains what lagged outputs do not: {ratio}."
-        return finished(train, learned.stage, (note, *learned.notes))
+        return finished(train, learned.stage, (note, *learned.notes), intervals=learned.intervals)
 
 
 def hints_at_hidden_state(model: FittedTS, train: Dataset) -> bool:

@@ -15,8 +15,9 @@ from typing import Literal
 
 from flysid.dataset import Dataset
 from flysid.model.base import Structure
+from flysid.model.hidden.finish import finished
 from flysid.model.hidden.fit import learn
-from flysid.model.hidden.model import FittedTSStateSpace, finished, from_dict
+from flysid.model.hidden.model import FittedTSStateSpace, from_dict
 from flysid.model.threads import on_one_thread
 
 
@@ -33,6 +34,8 @@ class TSStateSpace:
     most_rules : where "auto" stops.
     iterations : Levenberg-Marquardt steps per rule.
     ridge : weight on the difference of the rules, in shares of the error that is left, or "auto".
+    nk_hint : delays that "auto" tries as well, one per input: the dead time that the log shows
+        (`flysid.ingest.deadtime`).
     """
 
     states: int | Literal["auto"] = "auto"
@@ -42,6 +45,7 @@ class TSStateSpace:
     most_rules: int = 5
     iterations: int = 30
     ridge: float | Literal["auto"] = "auto"
+    nk_hint: Sequence[int] = ()
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTSStateSpace:
@@ -54,7 +58,7 @@ class TSStateSpace:
         FitError : no stable model was found.
         """
         learned = learn(self, train, validation)
-        return finished(train, learned.stage, learned.notes)
+        return finished(train, learned.stage, learned.notes, intervals=learned.intervals)
 
 
 MODEL = Structure("ts_ss", from_dict)

@@ -10,21 +10,33 @@ import pytest
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
+from flysid.model.base import Fitted
 from flysid.model.fuzzy.layout import scaling
 from flysid.model.fuzzy.problem import Body
-from flysid.model.hidden.choice import Start
-from flysid.model.hidden.fit import Bench, linear_starts
+from flysid.model.hidden.bench import Bench
+from flysid.model.hidden.explain import explain
 from flysid.model.hidden.grow import Training, one_rule_more
 from flysid.model.hidden.judge import ends_of_travel
-from flysid.model.hidden.local import next_states, polytope, to_nonlinear_system
+from flysid.model.hidden.local import (
+    certificate,
+    linearise,
+    next_states,
+    polytope,
+    resting_states,
+    to_nonlinear_system,
+)
 from flysid.model.hidden.model import FittedTSStateSpace
 from flysid.model.hidden.problem import StateError
 from flysid.model.hidden.start import coordinates, realised
+from flysid.model.hidden.systems import System, linear_systems, realised_states
+from flysid.model.hidden.uncertainty import StateUncertainty, uncertainty
 from flysid.model.oe import OE
+from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
 from flysid.model.ts_best import advantage, hints_at_hidden_state
 from flysid.model.ts_state_space import MODEL, TSStateSpace
-from tests.bench.hidden_plants import PLANTS
+from flysid.validate.trials import free_run
+from tests.bench.hidden_plants import LINEAR, PLANTS
 from tests.model_examples import data
 
 VEHICLE = PLANTS["vehicle with drag and a lagging actuator"]
@@ -50,10 +62,10 @@ def free_run_gap(model: FittedTSStateSpace, test: Dataset, truth: list[FloatArra
     return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)) / np.std(np.concatenate(truth)))
 
 
-def stage_of(dataset: Dataset, states: int = 2, *, order: int = 0) -> tuple[Bench, Start]:
+def system_of(dataset: Dataset, states: int = 2) -> tuple[Bench, System]:
     settings, scaled = TSStateSpace(states=states, nk=1), scaling(dataset)
-    starts = linear_starts(settings, dataset, scaled)
-    return Bench(settings, 30, ends_of_travel(dataset), scaled), starts[order]
+    systems = linear_systems(settings, dataset, None, scaled)
+    return Bench(settings, 30, ends_of_travel(dataset), scaled), systems[0]
 
 
 def test_a_lagging_actuator_and_drag_are_found() -> None:
@@ -69,7 +81,7 @@ def test_every_coordinate_is_the_same_linear_model() -> None:
     """Realisations in all coordinates answer an input as the difference equation does."""
     dataset = data(2, 2, noise=0.0)
     fitted, (shift, scale) = OE(na=2, nb=2, nk=1).fit(dataset), scaling(dataset)
-    choices = coordinates(realised(fitted, shift, scale), 2)
+    choices = list(coordinates(realised(fitted, shift, scale), 2).values())
     u = dataset.segments[0].u
     expected = fitted.simulate(u) - fitted.simulate(np.zeros_like(u))
     assert len({c.words for c in choices}) > 1
@@ -83,8 +95,8 @@ def test_every_coordinate_is_the_same_linear_model() -> None:
 
 def test_sensitivities_are_exact() -> None:
     """The gradient of the cost agrees with central differences."""
-    bench, start = stage_of(vehicle())
-    stage = bench.stage(start, vehicle())
+    bench, system = system_of(vehicle())
+    stage = bench.linear(system, vehicle())
     grown = one_rule_more(stage, bench.candidates(stage.layout), Training(iterations=3, tries=1))
     error = StateError(grown.problem, grown.body, np.ones(grown.body.size), grown.initial)
     p = error.start() + 1e-3 * np.random.default_rng(0).standard_normal(len(error.start()))
@@ -227,3 +239,122 @@ def test_an_advantage_must_exceed_its_spread() -> None:
     assert not advantage(level, level)[1]
     assert not advantage(noisy, [0.75 * noisy[0][::-1]])[1]
     assert advantage([], []) == (0.0, False)
+
+
+@cache
+def intervals() -> StateUncertainty:
+    return uncertainty(flown(), vehicle())
+
+
+@pytest.mark.parametrize("feedthrough", [False, True])
+def test_a_state_space_in_coordinates_of_its_outputs_is_the_same_model(feedthrough: bool) -> None:
+    """Two outputs, three states, with and without a direct term, an input late by two samples."""
+    dataset = data(2, 2, noise=0.05)
+    model = StateSpace(
+        order=3, method="pbsid", past=10, nk=(1, 3), feedthrough=feedthrough, refine=False
+    ).fit(dataset)
+    shift, scale = scaling(dataset)
+    real = realised_states(model, shift, scale)
+    assert real.input_lags == (((0, 1), (2, 3)) if feedthrough else ((1,), (3,)))
+    u = np.array(dataset.segments[0].u[:200])
+    late = np.stack([u[:, 0], np.concatenate([np.full(2, model.u_origin[1]), u[:-2, 1]])], axis=1)
+    U, lagged = (u - shift[2:]) / scale[2:], (late - shift[2:]) / scale[2:]
+    s = model.realisation
+    w = np.zeros(3)
+    first = s.d @ (late[0] - model.u_origin) + s.level + model.y_origin
+    x = np.zeros(len(real.A))
+    x[:2] = (first - shift[:2]) / scale[:2]
+    x[2:] = 0.0
+    for k in range(1, 200):
+        w = s.a @ w + s.b @ (late[k - 1] - model.u_origin) + s.drift
+        drive = [B @ (U[k - lag] if k >= lag else lagged[0]) for lag, B in real.B.items()]
+        x = real.A @ x + sum(drive, np.zeros(len(x))) + real.c
+        y = s.c @ w + s.d @ (late[k] - model.u_origin) + s.level + model.y_origin
+        if k > 3:
+            assert x[:2] * scale[:2] + shift[:2] == pytest.approx(y, abs=1e-8)
+
+
+def test_on_a_linear_plant_one_rule_is_the_linear_side() -> None:
+    """One rule is enough, and as near to the truth as the linear state space itself."""
+    plant = LINEAR["flexible arm"]
+    train, _ = plant.dataset((1, 2), 400, 0.05)
+    test, truth = plant.dataset((101,), 1000, 0.05)
+    rules, linear = TSStateSpace(most_rules=2, iterations=10).fit(train), StateSpace().fit(train)
+    assert len(rules.rules()) == 1
+    assert "One rule is enough" in str(rules)
+    assert trial_gap(rules, test, truth) < 1.1 * trial_gap(linear, test, truth)
+
+
+def trial_gap(model: Fitted, test: Dataset, truth: list[FloatArray]) -> float:
+    """RMSE against the truth from a start that 60 samples suggest."""
+    gaps = [free_run(model, s, 60) - y[60:, None] for s, y in zip(test.segments, truth, strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)))
+
+
+def test_an_explanation_adds_up() -> None:
+    model, segment = flown(), vehicle().segments[0]
+    told = explain(model, segment.u, segment.y, 100)
+    assert sum(v.share for v in told.voices) == pytest.approx(1.0)
+    together = sum(v.share * v.output[0] for v in told.voices)
+    assert told.output[0] == pytest.approx(together, abs=1e-9)
+    assert told.antecedents["y(k-1)"] == pytest.approx(segment.y[99, 0])
+    assert "spoke with" in str(told)
+    with pytest.raises(UsageError, match="cannot be explained"):
+        explain(model, segment.u, segment.y, len(segment))
+
+
+def test_a_linearisation_predicts_small_steps() -> None:
+    """Around the rest at an input, the linear model follows the fuzzy one to second order."""
+    model, u = flown(), np.array([0.15])
+    local = linearise(model, u)
+    x = resting_states(model, u)
+    s = np.concatenate([x, u])
+    assert next_states(model, s, u) == pytest.approx(x, abs=1e-8)
+    moved = s + 1e-3 * np.array([1.0, -0.5, 0.3])
+    assert (local.A @ moved + local.B @ u + local.f)[:2] == pytest.approx(
+        next_states(model, moved, u), abs=1e-6
+    )
+    beside = linearise(model, u, np.array([0.5]))
+    assert beside.A.shape == local.A.shape
+    with pytest.raises(UsageError, match="shape"):
+        linearise(model, np.zeros(2))
+
+
+def test_a_certificate_of_the_rules_is_a_proof() -> None:
+    found = certificate(flown())
+    assert found.proved
+    for theta in flown().consequents:
+        A = theta[:, :2]
+        assert np.linalg.eigvalsh(A.T @ found.P @ A - found.P).max() < 0.0
+
+
+def test_intervals_hold_the_gain_and_follow_from_the_data() -> None:
+    """The drag's gain at a crawl, 9.81 / 0.2, is not seen; intervals are finite and around the estimate."""
+    sure, model = intervals(), flown()
+    low, high = sure.gain_interval[:, :, 0, 0]
+    gains = np.array([rule.dc_gain[0, 0] for rule in model.rules()])
+    assert ((low < gains) & (gains < high)).all()
+    assert (high - low < 2.0 * np.abs(gains)).all()
+    run = vehicle().segments[1]
+    lower, upper = sure.simulation_band(run.u, run.y[: model.n_init])
+    middle = model.simulate(run.u, run.y[: model.n_init])
+    assert np.mean((lower <= middle) & (middle <= upper)) > 0.9
+    assert 0.0 < np.median(upper - lower) < 0.1 * np.std(run.y)
+    slow = sure.time_constant_interval_s
+    assert (slow[0] < [r.time_constant_s for r in model.rules()]).all()
+
+
+def test_rules_carry_their_intervals_into_files() -> None:
+    model = flown()
+    assert model.gain_interval is not None
+    again = MODEL.from_dict(json.loads(json.dumps(model.to_dict())))
+    interval = again.rules()[0].gain_interval
+    assert interval is not None
+    assert interval == pytest.approx(model.gain_interval[:, 0], nan_ok=True)
+
+
+def test_a_dead_time_that_the_log_shows_is_tried() -> None:
+    """nk_hint reaches the linear starts."""
+    settings = TSStateSpace(states=2, nk_hint=(4,))
+    found = linear_systems(settings, vehicle(), None, scaling(vehicle()))
+    assert {system.real.input_lags for system in found} == {((1,),), ((4,),)}

@@ -42,8 +42,10 @@ def check(model: Fitted, test: Dataset, train: Dataset | None = None) -> Checks:
 def _certificate(model: Fitted) -> tuple[bool, str]:
     from flysid.model.fuzzy.local import certificate
     from flysid.model.fuzzy.model import FittedTS
+    from flysid.model.hidden.local import certificate as of_states
+    from flysid.model.hidden.model import FittedTSStateSpace
 
-    if not isinstance(model, FittedTS) or len(model.rules()) < 2:
+    if not isinstance(model, FittedTS | FittedTSStateSpace) or len(model.rules()) < 2:
         return False, ""
-    found = certificate(model)
+    found = certificate(model) if isinstance(model, FittedTS) else of_states(model)
     return found.proved, found.reason

@@ -78,7 +78,7 @@ def estimators(
         "tf": TF(),
         "static_ts": StaticTS(seed=settings.seed),
         "ts": TS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
-        "ts_ss": TSStateSpace(rules=rules, antecedents=antecedents),
+        "ts_ss": TSStateSpace(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
         "ts_best": BestTS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
     }
     for label in settings.models:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,10 @@ from flysid.errors import FlysidError
 from flysid.model.base import Fitted
 from flysid.model.linear.model import FittedLinear
 from flysid.model.regressors import lagged_name
+
+if TYPE_CHECKING:
+    from flysid.model.fuzzy.model import FittedTS
+    from flysid.model.hidden.model import FittedTSStateSpace
 
 Z95 = 1.959963984540054
 
@@ -50,21 +55,23 @@ class Intervals:
 def intervals(model: Fitted, train: Dataset | None) -> Intervals | None:
     """What the structure offers: linear difference equations, and TS beside its training data."""
     from flysid.model.fuzzy.model import FittedTS
+    from flysid.model.hidden.model import FittedTSStateSpace
 
     if isinstance(model, FittedLinear):
         return _linear(model)
-    if isinstance(model, FittedTS) and train is not None:
+    if isinstance(model, FittedTS | FittedTSStateSpace) and train is not None:
         return _fuzzy(model, train)
     return None
 
 
-def _fuzzy(model: Fitted, train: Dataset) -> Intervals | None:
+def _fuzzy(model: FittedTS | FittedTSStateSpace, train: Dataset) -> Intervals | None:
+    """Of rules over lags or over states; None where the data cannot tell."""
     from flysid.model.fuzzy.model import FittedTS
     from flysid.model.fuzzy.uncertainty import uncertainty
+    from flysid.model.hidden.uncertainty import uncertainty as of_states
 
-    assert isinstance(model, FittedTS)
     try:
-        sure = uncertainty(model, train)
+        sure = uncertainty(model, train) if isinstance(model, FittedTS) else of_states(model, train)
         with np.errstate(all="ignore"):
             gain, slow = sure.gain_interval, sure.time_constant_interval_s
     except (FlysidError, np.linalg.LinAlgError):

@@ -122,14 +122,19 @@ class Certificate:
 
 
 def certificate(model: FittedTS) -> Certificate:
-    """Search a P > 0 with A_r' P A_r - P < 0 for the output dynamics of every rule.
+    """A P > 0 with A_r' P A_r - P < 0 for the output dynamics of every rule, where one is found."""
+    n = model.layout.orders.na * len(model.outputs)
+    return certificate_of([s.A[:n, :n] for s in polytope(model)])
+
+
+def certificate_of(rules: list[FloatArray]) -> Certificate:
+    """Search a P > 0 with A_r' P A_r - P < 0 for the (n, n) matrices of all rules.
 
     The gradient method of Liberzon and Tempo (2004): the worst rule's most violated direction is pushed
     down, the result projected on the positive definite matrices. The answer is verified by Cholesky
     factors, so that "proved" does not rest on the search.
     """
-    n = model.layout.orders.na * len(model.outputs)
-    rules = [s.A[:n, :n] for s in polytope(model)]
+    n = len(rules[0])
     if n == 0:
         return Certificate(True, np.zeros((0, 0)), 0.0, "The model has no memory of its outputs.")
     radii = [float(np.abs(np.linalg.eigvals(A)).max()) for A in rules]

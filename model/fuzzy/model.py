@@ -262,7 +262,7 @@ class FittedTS:
             "initial_gain": self.initial_gain.tolist(),
             "support": self.support.tolist(),
             "noise": None if self.noise is None else self.noise.tolist(),
-            "gain_interval": None if self.gain_interval is None else _with_null(self.gain_interval),
+            "gain_interval": None if self.gain_interval is None else with_null(self.gain_interval),
             "notes": list(self.notes),
         }
 
@@ -350,17 +350,17 @@ def from_dict(document: Mapping[str, Any]) -> FittedTS:
         initial_gain=np.array(document["initial_gain"], dtype=np.float64),
         support=np.array(document["support"], dtype=np.float64),
         notes=tuple(document["notes"]),
-        noise=_array_or_none(document["noise"]),
-        gain_interval=_array_or_none(document.get("gain_interval")),
+        noise=array_or_none(document["noise"]),
+        gain_interval=array_or_none(document.get("gain_interval")),
     )
     check(layout, model.parameters, model.noise)
     return model
 
 
-def _with_null(array: FloatArray) -> list[Any]:
+def with_null(array: FloatArray) -> list[Any]:
     """The array as JSON types, null for NaN."""
     return list(np.where(np.isnan(array), None, array).tolist())  # type: ignore[call-overload]
 
 
-def _array_or_none(value: Any) -> FloatArray | None:
+def array_or_none(value: Any) -> FloatArray | None:
     return None if value is None else np.array(value, dtype=np.float64)

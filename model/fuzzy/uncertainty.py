@@ -12,12 +12,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from flysid.dataset import Dataset, FloatArray
+from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
-from flysid.model.fuzzy.kernel import sensitivities
+from flysid.model.fuzzy.kernel import Parameters, sensitivities
 from flysid.model.fuzzy.model import FittedTS, dc_gain, pole_radius, time_constant
 from flysid.model.fuzzy.problem import Body, Problem, SimulationError, runs_of
 from flysid.model.fuzzy.refit import restated
@@ -28,8 +29,28 @@ _MOST_ROWS = 20_000  # sensitivities kept at a time; longer records are cut, whi
 _LEVEL = (2.5, 97.5)
 
 
+class Uncertain(Protocol):
+    """What a model must offer to be drawn again with other numbers: a dataclass with `parameters`."""
+
+    @property
+    def dt_s(self) -> float: ...
+    @property
+    def consequents(self) -> FloatArray: ...
+    def local_polynomials(self) -> Sequence[tuple[FloatArray, FloatArray, FloatArray]]: ...
+    def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray: ...
+
+
+class Coordinates(Protocol):
+    """What turns a body into a model's parameters."""
+
+    def parameters(self, body: Body) -> Parameters: ...
+
+
+M = TypeVar("M", bound=Uncertain)
+
+
 @dataclass(frozen=True, eq=False)
-class Uncertainty:
+class Uncertainty(Generic[M]):
     """The distribution of a model's numbers, normal to first order.
 
     Attributes
@@ -39,9 +60,9 @@ class Uncertainty:
     covariance : (P, P) of `body.vector()`: consequent coordinates, centres, log widths.
     """
 
-    model: FittedTS
+    model: M
     body: Body
-    problem: Problem
+    problem: Coordinates
     covariance: FloatArray
 
     @cached_property
@@ -75,7 +96,7 @@ class Uncertainty:
         low, high = np.percentile(runs, _LEVEL, axis=0)
         return low, high
 
-    def draws(self, count: int = 200, seed: int = 0) -> list[FittedTS]:
+    def draws(self, count: int = 200, seed: int = 0) -> list[M]:
         """Models whose numbers are drawn from the distribution; the same ones for the same seed."""
         values, vectors = np.linalg.eigh((self.covariance + self.covariance.T) / 2)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -83,13 +104,14 @@ class Uncertainty:
         steps = np.random.default_rng(seed).standard_normal((count, len(centre))) @ root.T
         return [self._at(centre + step) for step in steps]
 
-    def _at(self, vector: FloatArray) -> FittedTS:
-        parameters = self.problem.parameters(self.body.moved(vector))
-        return replace(self.model, parameters=parameters)
+    def _at(self, vector: FloatArray) -> M:
+        model: Any = self.model
+        moved: M = replace(model, parameters=self.problem.parameters(self.body.moved(vector)))
+        return moved
 
 
 @on_one_thread
-def uncertainty(model: FittedTS, train: Dataset) -> Uncertainty:
+def uncertainty(model: FittedTS, train: Dataset) -> Uncertainty[FittedTS]:
     """How sure the model is of its numbers, from the data that it was fitted to.
 
     Raises
@@ -97,13 +119,8 @@ def uncertainty(model: FittedTS, train: Dataset) -> Uncertainty:
     UsageError : the data hold other signals than the model.
     DataError : fewer samples than numbers in the model.
     """
-    names = [s.name for s in (*train.outputs, *train.inputs)]
-    if names != [s.name for s in model.layout.signals]:
-        raise UsageError(
-            f"the data hold {names}, the model has {[s.name for s in model.layout.signals]}",
-            hint="give the data that the model was fitted to",
-        )
-    runs = _shortened(runs_of(model.layout, train.segments, model.n_init + 2))
+    check_signals(model.layout.signals, train)
+    runs = shortened(runs_of(model.layout, train.segments, model.n_init + 2))
     if sum(len(W) - model.n_init for W in runs) * model.layout.n_y <= model.n_parameters:
         raise DataError("fewer samples than numbers in the model: nothing can be said about its uncertainty")
     problem, body = restated(model.layout, model.parameters, runs)
@@ -112,11 +129,16 @@ def uncertainty(model: FittedTS, train: Dataset) -> Uncertainty:
         J, e = _sensitivities(problem, body, W, initial)
         jacobians.append(J)
         errors.append(e)
-    chosen = np.arange(body.size if len(body.a) > 1 else body.a.size)
-    found = _covariance([J[:, :, chosen] for J in jacobians], errors)
-    covariance = np.zeros((body.size, body.size))
-    covariance[np.ix_(chosen, chosen)] = found
-    return Uncertainty(model, body, problem, covariance)
+    return Uncertainty(model, body, problem, covariance_of(body, jacobians, errors))
+
+
+def check_signals(signals: Sequence[Signal], train: Dataset) -> None:
+    """Raise UsageError where the data hold other signals than a model's outputs and inputs."""
+    names, known = [s.name for s in (*train.outputs, *train.inputs)], [s.name for s in signals]
+    if names != known:
+        raise UsageError(
+            f"the data hold {names}, the model has {known}", hint="give the data that the model was fitted to"
+        )
 
 
 def _steady_gain(A: FloatArray, B: FloatArray) -> FloatArray:
@@ -124,7 +146,7 @@ def _steady_gain(A: FloatArray, B: FloatArray) -> FloatArray:
     return dc_gain(A, B) if pole_radius(A) < 1.0 else np.full(B.shape[1:], np.nan)
 
 
-def _shortened(runs: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+def shortened(runs: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
     """As many whole runs as fit into the rows kept at a time, and the beginning of the next."""
     kept: list[FloatArray] = []
     left = _MOST_ROWS
@@ -166,6 +188,14 @@ def _sensitivities(
     rest = flat[:, : body.size]
     rest = rest - own @ (own.T @ rest)
     return rest.reshape(len(W), n_y, -1), W[:, :n_y] - run[:, :n_y]
+
+
+def covariance_of(body: Body, jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> FloatArray:
+    """(P, P) of `body.vector()`; a single rule's memberships mean nothing, and are certain."""
+    chosen = np.arange(body.size if len(body.a) > 1 else body.a.size)
+    covariance = np.zeros((body.size, body.size))
+    covariance[np.ix_(chosen, chosen)] = _covariance([J[:, :, chosen] for J in jacobians], errors)
+    return covariance
 
 
 def _covariance(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> FloatArray:

@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.hidden.judge import Judged
-from flysid.model.hidden.start import Realisation
+from flysid.model.hidden.start import PLAIN_WORDS
+from flysid.model.hidden.systems import System
 
 _RULE_GAIN = 0.1  # of the mean square: what a rule must win
 _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
+_CLEAR = 1.5  # standard errors over windows; those of one fold share a model
 _UNBOUNDED = 1e6  # mean square that stands for a model that may not be offered
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A linear model in one choice of coordinates, from which rules are grown."""
+    """A linear system in one choice of coordinates, from which rules are grown."""
 
-    real: Realisation
-    order: int
-
-    def __str__(self) -> str:
-        lags = sorted({min(own) for own in self.real.input_lags})
-        return f"{len(self.real.A)} states, delay {', '.join(map(str, lags))}"
+    system: System
+    coordinates: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +33,13 @@ class Family:
     ----------
     ridge : weight on the difference of the rules, see `Training`.
     folds : per fold, the models in the order of their rules.
+    words : what the hidden states are.
     """
 
     start: Start
     ridge: float
     folds: tuple[tuple[Judged, ...], ...]
+    words: str = PLAIN_WORDS
 
     @property
     def logs(self) -> FloatArray:
@@ -60,37 +58,45 @@ class Family:
         return np.asarray(np.exp(0.5 * self.logs.mean(axis=0)))
 
 
-def fewest_rules(family: Family) -> int:
-    """Index of the rule count to take: the fewest rules within one standard error of the best."""
-    logs = family.logs
-    best = int(logs.mean(axis=0).argmin())
+def fewest_rules(family: Family, plain: Family) -> int:
+    """Index of the rule count to take: the fewest rules that are not clearly worse than the best.
+
+    Models are compared window by window in logarithms, so that a manoeuvre which only one fold holds out, and
+    which every model errs on by multiples, is one voice of many. A single judging part is compared over the
+    blocks of its free run.
+
+    Parameters
+    ----------
+    plain : judges a single rule, the best of all starts.
+    """
+    if len(family.folds) == 1:
+        models = (plain.folds[0][0], *family.folds[0][1:])
+        return _fewest([m.errors if m.bounded else np.full(len(m.errors), _UNBOUNDED) for m in models])
+    counts = range(min(len(f) for f in family.folds))
+    units = [_window_logs(plain if i == 0 else family, i) for i in counts]
+    best = int(np.argmin([u.mean() for u in units]))
     for i in range(best):
-        gap = logs[:, i] - logs[:, best]
-        spread = gap.std(ddof=1) / np.sqrt(len(gap)) if len(gap) > 1 else _block_error(family, i, best)
-        if gap.mean() <= max(float(spread), _RULE_GAIN):
+        gap = units[i] - units[best]
+        if gap.mean() <= max(_CLEAR * _standard_error(gap), _RULE_GAIN):
             return i
     return best
 
 
-def _block_error(family: Family, i: int, best: int) -> float:
-    """Standard error of the relative difference of two models of a single fold, over its blocks."""
-    models = family.folds[0]
-    gap = (models[i].errors - models[best].errors) / max(models[i].mean, _EXACT)
+def _window_logs(family: Family, at: int) -> FloatArray:
+    """Logarithms of the mean squares of all windows of all folds; the worst for what is not bounded."""
+    models = [fold[at] for fold in family.folds]
+    found = np.log(np.maximum(np.concatenate([m.windows for m in models]), _EXACT))
+    return found if all(m.bounded for m in models) else np.full(len(found), np.log(_UNBOUNDED))
+
+
+def _fewest(errors: list[FloatArray]) -> int:
+    best = int(np.argmin([e.mean() for e in errors]))
+    for i in range(best):
+        gap = (errors[i] - errors[best]) / max(float(errors[i].mean()), _EXACT)
+        if gap.mean() <= max(_standard_error(gap), _RULE_GAIN) or errors[i].mean() < _EXACT:
+            return i
+    return best
+
+
+def _standard_error(gap: FloatArray) -> float:
     return float(gap.std(ddof=1) / np.sqrt(len(gap))) if len(gap) > 1 else 0.0
-
-
-def chosen(families: Sequence[Family], rules: int | Literal["auto"]) -> tuple[Family, int]:
-    """The family to take and the index of its rule count.
-
-    The family of the lowest error, where a mode that drives the outputs is preferred to rates of change at an
-    equal error: it is easier to name.
-    """
-    last = min(f.logs.shape[1] for f in families) - 1
-    values = [
-        float(f.logs.mean(axis=0)[last] if rules != "auto" else f.logs.mean(axis=0).min()) for f in families
-    ]
-    order = sorted(
-        range(len(families)), key=lambda i: ("mode" not in families[i].start.real.words, values[i])
-    )
-    family = families[next(i for i in order if values[i] <= min(values) + _RULE_GAIN)]
-    return family, fewest_rules(family) if rules == "auto" else last

@@ -7,10 +7,12 @@ the most promising ones a little, first over short windows and then over longer 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.model.fuzzy.kernel import firing
@@ -18,7 +20,7 @@ from flysid.model.fuzzy.layout import Antecedent
 from flysid.model.fuzzy.problem import Body
 from flysid.model.hidden.layout import StateLayout, windows
 from flysid.model.hidden.problem import StateError, StateProblem, antecedent_range
-from flysid.model.hidden.start import Prior, Realisation, initial_states
+from flysid.model.hidden.start import Prior, Realisation, initial_states, uncorrelated
 from flysid.model.refine import levenberg_marquardt
 
 _PLACES = (0.15, 0.5, 0.85)
@@ -28,6 +30,8 @@ _FLOOR = 1e-3  # of the metric's diagonal, added to it: directions that the line
 _START_ROWS = 400  # of a run from which a linear start takes its initial state
 _PIECE = 600  # rows of a piece, where long records are thinned
 _FEW, _MORE = 3000, 8000  # rows for ranking insertions, and for trying the best ones
+_OVERFLOW = 1e9  # spreads: a state beyond has run away
+_FEWEST = 10  # samples of a region that takes another rule
 _MARGIN = 0.1  # of its range, by which a hidden antecedent's range is widened
 
 
@@ -69,9 +73,17 @@ class StateStage:
 
 
 def linear_stage(
-    layout: StateLayout, runs: tuple[FloatArray, ...], real: Realisation, ends: FloatArray, iterations: int
+    layout: StateLayout,
+    runs: tuple[FloatArray, ...],
+    real: Realisation,
+    ends: FloatArray,
+    iterations: int,
+    *,
+    whiten: bool = False,
 ) -> StateStage:
     """The refined linear model in the coordinates of `real`, hidden states scaled to their spread.
+
+    With `whiten` in coordinates of its own: hidden states uncorrelated with the outputs and each other.
 
     Parameters
     ----------
@@ -89,11 +101,17 @@ def linear_stage(
     spread, middle = states.std(axis=0), states.mean(axis=0)
     spread[:n_y], middle[:n_y] = 1.0, 0.0
     spread = np.where((spread > 1e-12) & np.isfinite(spread), spread, 1.0)
-    real = real.transformed(np.diag(1.0 / spread), np.where(np.isfinite(middle), middle, 0.0) / spread)
+    if whiten and np.abs(states).max() < _OVERFLOW:
+        T = uncorrelated(np.cov(states, rowvar=False).reshape(n, n), n_y)
+        shift = T @ states.mean(axis=0)
+        real = real.transformed(T, np.where(np.arange(n) < n_y, 0.0, shift))
+    else:
+        real = real.transformed(np.diag(1.0 / spread), np.where(np.isfinite(middle), middle, 0.0) / spread)
     limits[:, n_y:] = np.array([[-_HIDDEN_LIMIT], [_HIDDEN_LIMIT]])
     limits[0, :n_y] = np.maximum(limits[0, :n_y], ends[0])
     limits[1, :n_y] = np.minimum(limits[1, :n_y], ends[1])
-    stage = refine(_linear(problem, real, nowhere), iterations, 1e-8)
+    stage = _linear(problem, real, nowhere)
+    stage = refine(stage, iterations, 1e-6) if iterations else stage
     error = _error(stage)
     H = error.normal(error.start())[1]
     m = stage.body.a.size
@@ -173,30 +191,51 @@ def with_variables(stage: StateStage, antecedents: tuple[Antecedent, ...]) -> St
     return replace(stage, problem=problem, body=Body(stage.body.a, centre, width))
 
 
-def insertions(stage: StateStage, candidates: Sequence[Antecedent]) -> list[StateStage]:
-    """The stage with one rule more, at several places along every candidate variable.
+@dataclass(frozen=True)
+class Insertion:
+    """Where a rule goes: along which variable, in whose region, at which quantile of the variable there."""
 
-    Places are quantiles of the variable where each present rule speaks; the new rule takes that rule's
-    centre in the other variables. Its width is half the spread there.
-    """
+    antecedent: Antecedent
+    rule: int
+    place: float
+
+    def into(self, stage: StateStage) -> StateStage | None:
+        """The stage with that rule more, not refined; None where the region holds next to no samples.
+
+        The new rule takes the other rule's centre in the other variables. Its width is half the spread there.
+        """
+        known = stage.layout.antecedents
+        wide = stage if self.antecedent in known else with_variables(stage, (*known, self.antecedent))
+        z, phi = z_and_firing(wide)
+        return self._into(wide, z, phi.argmax(axis=1))
+
+    def _into(self, wide: StateStage, z: FloatArray, strongest: npt.NDArray[np.intp]) -> StateStage | None:
+        j = wide.layout.antecedents.index(self.antecedent)
+        span, chosen = float(np.ptp(z[:, j])), z[strongest == self.rule, j]
+        if len(chosen) < _FEWEST or span == 0.0:
+            return None
+        centre, width = wide.body.centre[self.rule].copy(), wide.body.width[self.rule].copy()
+        centre[j] = np.quantile(chosen, self.place)
+        width[j] = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)
+        if wide.rules == 1:
+            width[j] = max(width[j], 0.2 * span)
+        return inserted(wide, centre, width)
+
+
+def insertions(stage: StateStage, candidates: Sequence[Antecedent]) -> list[tuple[Insertion, StateStage]]:
+    """One rule more, at several places along every candidate variable in every rule's region."""
     options = []
+    places = _PLACES if stage.rules > 1 else _FIRST_PLACES
     for antecedent in candidates:
         known = stage.layout.antecedents
         wide = stage if antecedent in known else with_variables(stage, (*known, antecedent))
-        j = wide.layout.antecedents.index(antecedent)
         z, phi = z_and_firing(wide)
-        span = float(np.ptp(z[:, j]))
-        for rule in range(stage.rules):
-            chosen = z[phi.argmax(axis=1) == rule, j]
-            if len(chosen) < 10 or span == 0.0:
-                continue
-            for place in _PLACES if stage.rules > 1 else _FIRST_PLACES:
-                centre, width = wide.body.centre[rule].copy(), wide.body.width[rule].copy()
-                centre[j] = np.quantile(chosen, place)
-                width[j] = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)
-                if stage.rules == 1:
-                    width[j] = max(width[j], 0.2 * span)
-                options.append(inserted(wide, centre, width))
+        strongest = phi.argmax(axis=1)
+        for rule, place in itertools.product(range(stage.rules), places):
+            insertion = Insertion(antecedent, rule, place)
+            grown = insertion._into(wide, z, strongest)
+            if grown is not None:
+                options.append((insertion, grown))
     return options
 
 
@@ -248,30 +287,52 @@ class Training:
     ridge : of the mean square error: 0.01 is as if one more sample in a hundred said that rules are equal.
     horizons : window lengths in rows that come before the whole runs.
     tries : insertions tried out.
-    iterations : Levenberg-Marquardt steps of the last refinement.
+    iterations, tolerance : Levenberg-Marquardt steps of the last refinement, and when it has converged.
     """
 
     ridge: float = 0.01
     horizons: tuple[int, ...] = ()
     tries: int = 3
     iterations: int = 30
+    tolerance: float = 1e-6
 
 
 def one_rule_more(stage: StateStage, candidates: Sequence[Antecedent], how: Training) -> StateStage:
-    """The best insertion, refined fully.
+    """The best insertion, refined fully."""
+    return best_insertion(stage, candidates, how)[0]
+
+
+def best_insertion(
+    stage: StateStage, candidates: Sequence[Antecedent], how: Training
+) -> tuple[StateStage, Insertion | None]:
+    """The stage with the best insertion, refined fully, and where that was; the stage itself where none fits.
 
     Promises are computed on few samples, tried out on more, and the best is refined on all.
     """
     stage = with_ridge(stage, how.ridge * stage.mean_square())
     options = insertions(thinned(stage, _FEW), candidates)
-    order = np.argsort([expected_cost(option) for option in options], kind="stable")
+    if not options:
+        return stage, None
+    order = np.argsort([expected_cost(option) for _, option in options], kind="stable")[: how.tries]
     more = thinned(stage, _MORE)
-    trials = [trained(_on(options[i], more), how, max(6, how.iterations // 3)) for i in order[: how.tries]]
-    best = min(trials, key=lambda s: s.cost)
+    trials = [trained(_on(options[i][1], more), how, max(6, how.iterations // 3)) for i in order]
+    at = int(np.argmin([t.cost for t in trials]))
+    best = trials[at]
     if more is not stage:
-        best = refine(with_ridge(best, how.ridge * best.mean_square()), how.iterations, 1e-6)
+        best = refine(with_ridge(best, how.ridge * best.mean_square()), how.iterations, how.tolerance)
         best = on_runs_of(best, stage)
-    return refine(with_ridge(best, how.ridge * best.mean_square()), how.iterations, 1e-6)
+    return settled(best, how), options[order[at]][0]
+
+
+def same_insertion(stage: StateStage, insertion: Insertion, how: Training) -> StateStage | None:
+    """A rule more where another part of the data wanted it, refined fully; None where it cannot be."""
+    grown = insertion.into(with_ridge(stage, how.ridge * stage.mean_square()))
+    return None if grown is None else settled(grown, how)
+
+
+def settled(stage: StateStage, how: Training) -> StateStage:
+    """Refined fully, under the ridge that its present error asks for."""
+    return refine(with_ridge(stage, how.ridge * stage.mean_square()), how.iterations, how.tolerance)
 
 
 def _on(stage: StateStage, other: StateStage) -> StateStage:

@@ -11,6 +11,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.fuzzy.choice import blocks, judging_window
 from flysid.model.fuzzy.kernel import free_run
 from flysid.model.hidden.grow import StateStage
+from flysid.model.hidden.layout import windows
 from flysid.model.hidden.start import initial_states, simulated
 
 _AT_END = 2e-3  # of an output's range: this near the extreme counts as at it
@@ -18,14 +19,27 @@ _CORNER = 0.01  # of the range: an output that arrives at an end this fast per s
 _STAY = 5  # samples that it must stay there
 _VISITS = 2  # times that it must have happened
 _STEPS = 3000  # of random inputs
+_WINDOWS = 4  # that a judging part is cut into,
+_LONGER = 3  # each at least this many times as long as what starts it,
+_SCORED = 5  # with so many rows at least to score
+_AWAY = 1e12  # mean square of what ran away
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A stage with its validation block errors, and whether it came back from bounded random inputs."""
+    """A stage on a judging part.
+
+    Attributes
+    ----------
+    errors : mean squares over about 16 blocks of one free run per segment.
+    windows : mean squares over a few windows, each with a start of its own, so that what one manoeuvre left
+        behind does not speak again in the next.
+    bounded : it came back from bounded random inputs.
+    """
 
     stage: StateStage
     errors: FloatArray
+    windows: FloatArray
     bounded: bool
 
     @property
@@ -46,8 +60,14 @@ def free_run_errors(stage: StateStage, runs: Sequence[FloatArray], window: int) 
 def judged(stage: StateStage, runs: Sequence[FloatArray], least: int) -> Judged:
     """A stage on validation runs, of which the first rows (at least `least`) only start it."""
     errors = blocks(free_run_errors(stage, runs, judging_window(runs, least)))
-    errors = np.where(np.isfinite(errors), errors, 1e12)
-    return Judged(stage, errors, is_bounded(stage))
+    rows = max(sum(len(W) for W in runs) // _WINDOWS, _LONGER * least)
+    pieces = [W for W in windows(runs, stage.layout.depth, rows) if len(W) > least + _SCORED]
+    own = [float((e * e).mean()) for e in free_run_errors(stage, pieces, least)]
+    return Judged(stage, _finite(errors), _finite(np.array(own)), is_bounded(stage))
+
+
+def _finite(errors: FloatArray) -> FloatArray:
+    return np.where(np.isfinite(errors), np.minimum(errors, _AWAY), _AWAY)
 
 
 def is_bounded(stage: StateStage, seed: int = 0) -> bool:

@@ -64,6 +64,10 @@ def start_state(W, first, n_y, lags, par, guess, mean, inverse, weight):  # type
             J[:, j] = (moved - base) / _NUDGE
         H = weight * (J.T @ J) + inverse
         g = weight * (J.T @ base) + inverse @ (x - mean)
+        if not (np.isfinite(H).all() and np.isfinite(g).all()):  # a model that runs away
+            break
+        for j in range(n):
+            H[j, j] += 1e-14 * H[j, j] + 1e-300
         step = np.linalg.solve(H, g)
         size_of_step = 1.0
         better = False

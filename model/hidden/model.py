@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.model.arguments import as_columns
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
@@ -18,12 +18,12 @@ from flysid.model.fuzzy.check import check_states
 from flysid.model.fuzzy.kernel import Parameters, firing
 from flysid.model.fuzzy.layout import Antecedent, at
 from flysid.model.fuzzy.memberships import Partition
+from flysid.model.fuzzy.model import array_or_none, with_null
 from flysid.model.fuzzy.physical import physical_consequents, physical_partition
 from flysid.model.fuzzy.words import condition_in_words, equation, in_words
-from flysid.model.hidden.grow import StateStage, rule_support
 from flysid.model.hidden.layout import StateLayout
 from flysid.model.hidden.start import Prior, initial_states, simulated
-from flysid.model.noise import noise_models, output_error_ahead
+from flysid.model.noise import output_error_ahead
 from flysid.model.start import full_window, start_window
 
 _REST = 20  # rows of zeros that put a model to rest
@@ -42,6 +42,7 @@ class FittedTSStateSpace:
     output_limits : (2, n_y) range of the training outputs, widened by itself on each side.
     support : (R,) share of training samples for which each rule is the strongest.
     noise : (p + 1, n_y) monic autoregression of the free run's error per output, for predictions.
+    gain_interval : (2, R, n_y, n_u) 95 % interval of every rule's steady gain, or None where it is not known.
     """
 
     dt_s: float
@@ -53,6 +54,7 @@ class FittedTSStateSpace:
     support: FloatArray
     notes: tuple[str, ...]
     noise: FloatArray
+    gain_interval: FloatArray | None = None
 
     structure = "ts_ss"
 
@@ -77,6 +79,11 @@ class FittedTSStateSpace:
         """Names of the antecedent variables."""
         return tuple(a.name(self.layout.signals) for a in self.layout.antecedents)
 
+    @property
+    def regressor_names(self) -> tuple[str, ...]:
+        """What the consequents multiply; the last is the constant 1."""
+        return self.layout.regressor_names
+
     # -- the laws ----------------------------------------------------------------------------------------
 
     def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
@@ -86,18 +93,16 @@ class FittedTSStateSpace:
         """
         u = as_columns(u, len(self.inputs), "u")
         if y0 is None:
-            rows = _REST + self.n_init
-            W = self.layout.stack(
-                np.vstack([np.zeros((rows, u.shape[1])), u]), np.zeros((rows, self.layout.n_y))
-            )
-            return self._outputs(self._run(W, rows))[rows:]
+            W = self.started(u, None)
+            rows = len(W) - len(u)
+            return self.outputs_of(self.run(W, rows))[rows:]
         given = as_columns(y0, self.layout.n_y, "y0")[: self.n_init]
         if len(given) < min(self.n_init, len(u)):
             raise UsageError(f"{len(given)} measured samples; the model starts from {self.n_init}")
         given = given[: len(u)]
         if len(u) <= self.n_init:
             return np.array(given)
-        result = self._outputs(self._run(self.layout.stack(u, given), self.n_init))
+        result = self.outputs_of(self.run(self.layout.stack(u, given), self.n_init))
         result[: self.n_init] = given
         return result
 
@@ -116,7 +121,7 @@ class FittedTSStateSpace:
         for rows in (self.n_init, full_window(self.n_init, self.dt_s)):
             begin = rows + k - 1
             if begin < len(y):
-                free = self._outputs(self._run(self.layout.stack(u, y[:rows]), rows))
+                free = self.outputs_of(self.run(self.layout.stack(u, y[:rows]), rows))
                 out[begin:] = output_error_ahead(free, y, self.noise, k)[begin:]
         out[:first] = np.nan
         return out
@@ -127,14 +132,14 @@ class FittedTSStateSpace:
 
     def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, R) normalised firing strengths: hidden states from the free run, outputs as measured."""
-        W = self._seen(u, y)
+        W = self.seen(u, y)
         return np.asarray(firing(W, self.layout.depth, self.layout.lags, self.parameters))
 
     def states(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, n) states of the free run along measured data, physical units (hidden ones in spreads)."""
         u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
         rows = min(len(y), max(self.n_init, start_window(self.n_init, len(y), self.dt_s)))
-        W, n = self._run(self.layout.stack(u, y[:rows]), rows), self.layout.n
+        W, n = self.run(self.layout.stack(u, y[:rows]), rows), self.layout.n
         return np.asarray(W[:, :n] * self.layout.scale[:n] + self.layout.shift[:n])
 
     # -- what the rules say ------------------------------------------------------------------------------
@@ -209,7 +214,9 @@ class FittedTSStateSpace:
         slow = np.inf if radius >= 1.0 - 1e-9 else (-self.dt_s / np.log(radius) if radius > 0 else 0.0)
         units = [layout.signals[a.column].unit for a in layout.antecedents]
         condition = condition_in_words(self.partition, r, self.antecedents, units)
-        return Rule(f"R{r + 1}", condition, text, steady, float(slow), radius, float(self.support[r]))
+        support, interval = float(self.support[r]), self.gain_interval
+        known = None if interval is None else interval[:, r]
+        return Rule(f"R{r + 1}", condition, text, steady, float(slow), radius, support, known)
 
     def __str__(self) -> str:
         """The rules and how they were chosen, in words."""
@@ -245,6 +252,7 @@ class FittedTSStateSpace:
             "output_limits": self.output_limits.tolist(),
             "support": self.support.tolist(),
             "noise": self.noise.tolist(),
+            "gain_interval": None if self.gain_interval is None else with_null(self.gain_interval),
             "notes": list(self.notes),
         }
 
@@ -252,9 +260,19 @@ class FittedTSStateSpace:
         """Write the model as JSON, whole or not at all."""
         write_document(self.to_dict(), path)
 
+    def started(self, u: FloatArray, y0: FloatArray | None) -> FloatArray:
+        """W that a run computes: rows of zeros before the inputs where it starts from rest."""
+        u = as_columns(u, len(self.inputs), "u")
+        if y0 is not None:
+            return self.layout.stack(u, as_columns(y0, self.layout.n_y, "y0")[: self.n_init])
+        rows = _REST + self.n_init
+        return self.layout.stack(
+            np.vstack([np.zeros((rows, u.shape[1])), u]), np.zeros((rows, self.layout.n_y))
+        )
+
     # -- parts -------------------------------------------------------------------------------------------
 
-    def _run(self, W: FloatArray, rows: int) -> FloatArray:
+    def run(self, W: FloatArray, rows: int) -> FloatArray:
         """W simulated from the most likely state given its first `rows` rows of outputs."""
         depth = self.layout.depth
         if len(W) < depth:
@@ -263,10 +281,11 @@ class FittedTSStateSpace:
         x = initial_states(self.layout, [W], self.parameters, self.prior, known)[0]
         return simulated(self.layout, W, x, self.parameters)
 
-    def _outputs(self, W: FloatArray) -> FloatArray:
+    def outputs_of(self, W: FloatArray) -> FloatArray:
+        """(N, n_y) physical outputs of a run, inside the output limits."""
         return np.asarray(np.clip(self.layout.outputs_of(W), *self.output_limits))
 
-    def _seen(self, u: FloatArray, y: FloatArray) -> FloatArray:
+    def seen(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """W with measured outputs and the free run's hidden states."""
         u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
         if len(u) != len(y):
@@ -275,36 +294,6 @@ class FittedTSStateSpace:
         states = self.states(u, y)
         W[:, n_y:n] = (states[:, n_y:] - self.layout.shift[n_y:n]) / self.layout.scale[n_y:n]
         return W
-
-
-def finished(train: Dataset, stage: StateStage, notes: tuple[str, ...]) -> FittedTSStateSpace:
-    """The stage as a fitted model, with its start, support and noise model."""
-    layout, n_y = stage.layout, stage.layout.n_y
-    y = np.vstack([s.y for s in train.segments])
-    low, high = y.min(axis=0), y.max(axis=0)
-    fitted = FittedTSStateSpace(
-        dt_s=train.dt_s,
-        layout=layout,
-        parameters=stage.problem.parameters(stage.body),
-        prior=stage.prior(),
-        n_init=layout.depth + 2 * -(-layout.n // n_y),
-        output_limits=np.stack([low - (high - low), high + (high - low)]),
-        support=rule_support(stage),
-        notes=notes,
-        noise=np.ones((1, n_y)),
-    )
-    return _with_noise_model(fitted, train)
-
-
-def _with_noise_model(fitted: FittedTSStateSpace, train: Dataset) -> FittedTSStateSpace:
-    """The model with an autoregression of what its free run leaves over on the training data."""
-    errors = []
-    for s in train.segments:
-        window = start_window(fitted.n_init, len(s), fitted.dt_s)
-        if len(s) > window + 1:
-            run = fitted._run(fitted.layout.stack(s.u, s.y[:window]), window)
-            errors.append((s.y - fitted._outputs(run))[window:])
-    return replace(fitted, noise=noise_models(errors)) if errors else fitted
 
 
 def from_dict(document: Mapping[str, Any]) -> FittedTSStateSpace:
@@ -338,6 +327,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedTSStateSpace:
         support=np.array(document["support"], dtype=np.float64),
         notes=tuple(str(n) for n in document["notes"]),
         noise=np.array(document["noise"], dtype=np.float64),
+        gain_interval=array_or_none(document.get("gain_interval")),
     )
     check_states(layout, model.parameters, model.noise)
     return model

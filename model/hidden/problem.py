@@ -9,7 +9,7 @@ identification"): short windows make a smoother cost with fewer bad minima.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -166,31 +166,37 @@ def _run_normal(
     problem: StateProblem, body: Body, W: FloatArray, initial: FloatArray, free: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
     """J'J, J'e and e'e of one run, over the free unknowns and its own initial state."""
+    columns = np.concatenate([np.flatnonzero(free > 0), body.size + np.arange(problem.layout.n)])
+    whole = len(columns) == body.size + problem.layout.n
+    H, g, total = np.zeros((len(columns),) * 2), np.zeros(len(columns)), 0.0
+    for J, e in swept(problem, body, W, initial):
+        part = J.reshape(-1, J.shape[2])
+        part, error = part if whole else part[:, columns], e.ravel()
+        H += part.T @ part
+        g += part.T @ error
+        total += float(error @ error)
+    return H, g, total
+
+
+def swept(
+    problem: StateProblem, body: Body, W: FloatArray, initial: FloatArray
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """(rows, n_y, P + n) sensitivities to the body and the initial state and (rows, n_y) errors, in pieces.
+
+    Errors are simulated less measured. The first piece is the initial state's own row.
+    """
     d, n_y, n = problem.layout.depth, problem.layout.n_y, problem.layout.n
     lags, par, basis = problem.layout.lags, problem.parameters(body), np.eye(body.a.shape[2])
-    columns = np.concatenate([np.flatnonzero(free > 0), body.size + np.arange(n)])
     run = W.copy()
     run[d - 1, :n] = initial
     J = np.zeros((d + _CHUNK, n, body.size + n))
     J[d - 1, np.arange(n), body.size + np.arange(n)] = 1.0
-    count = len(columns) - n
-    H, g = np.zeros((len(columns),) * 2), np.zeros(len(columns))
-    gap = initial[:n_y] - W[d - 1, :n_y]
-    H[count + np.arange(n_y), count + np.arange(n_y)] = 1.0
-    g[count : count + n_y] = gap
-    total = float(gap @ gap)
-    whole = len(columns) == J.shape[2]
+    yield J[d - 1 : d, :n_y], (initial[:n_y] - W[d - 1, :n_y])[None]
     for begin in range(d, len(W), _CHUNK):
         end = min(begin + _CHUNK, len(W))
         sensitivities(run, (begin, end, begin - d), lags, par, basis, J)
-        part = J[d : d + end - begin, :n_y].reshape(-1, J.shape[2])
-        part = part if whole else part[:, columns]
-        error = (run[begin:end, :n_y] - W[begin:end, :n_y]).ravel()
-        H += part.T @ part
-        g += part.T @ error
-        total += float(error @ error)
+        yield J[d : d + end - begin, :n_y], run[begin:end, :n_y] - W[begin:end, :n_y]
         J[:d] = J[end - begin : end - begin + d].copy()
-    return H, g, total
 
 
 def antecedent_range(

@@ -19,7 +19,10 @@ from flysid.model.hidden.kernel import start_state
 from flysid.model.hidden.layout import StateLayout
 from flysid.model.linear.model import FittedLinear
 
-_SINGULAR = 1e-8  # coordinates closer to dependent than this are not offered
+_SINGULAR = 1e-6  # coordinates closer to dependent than this are not offered
+PLAIN = "plain"
+"""The coordinates that a realisation comes in; hidden states are then made uncorrelated."""
+PLAIN_WORDS = "uncorrelated with the outputs and with each other"
 _CLOSED = 60  # rows that suffice to start a run while fitting
 
 
@@ -47,6 +50,21 @@ class Realisation:
             c=T @ self.c + A @ shift - shift,
             words=words or self.words,
         )
+
+    @classmethod
+    def of(cls, layout: StateLayout, theta: FloatArray) -> Realisation:
+        """The system that a consequent (n, n_x), in the order of `layout.regressors`, stands for."""
+        n, n_u = layout.n, len(layout.inputs)
+        A, c = np.zeros((n, n)), np.zeros(n)
+        B = {lag: np.zeros((n, n_u)) for own in layout.input_lags for lag in own}
+        for m, (column, lag) in enumerate(layout.regressors):
+            if column < 0:
+                c = theta[:, m].copy()
+            elif column < n:
+                A[:, column] = theta[:, m]
+            else:
+                B[lag][:, column - n] = theta[:, m]
+        return cls(A, B, c, layout.input_lags)
 
     def consequent(self, layout: StateLayout) -> FloatArray:
         """(n, n_x) A, B and c in the order of `layout.regressors`."""
@@ -94,29 +112,47 @@ def _first_lag(taps: FloatArray) -> int:
     return int(moving[0]) if len(moving) else 1
 
 
-def coordinates(plain: Realisation, n_y: int, most: int = 3) -> list[Realisation]:
-    """The same system with its hidden states chosen in different ways, most readable first."""
+def coordinates(plain: Realisation, n_y: int, most: int = 3) -> dict[str, Realisation]:
+    """The same system with its hidden states chosen in different ways, most readable first, by name."""
     n = len(plain.A)
     if n == n_y:
-        return [plain]
+        return {PLAIN: plain}
     C = np.eye(n_y, n)
     rates = [C]
     while len(rates) * n_y < n:
         rates.append(rates[-1] @ (plain.A - np.eye(n)))
     rate_rows = np.vstack(rates)[n_y:n]
-    choices = [(rate_rows, "rates of change of the outputs to come")]
+    choices = [("rates", rate_rows, "rates of change of the outputs to come")]
     modes = driving_modes(plain.A, n_y)
-    for mode in modes:
+    for i, mode in enumerate(modes):
         rows = np.vstack([mode[None], rate_rows])[: n - n_y]
-        choices.append((rows, "a mode of its own that drives the outputs"))
+        choices.append((f"mode {i + 1}", rows, "a mode of its own that drives the outputs"))
     if n - n_y >= 2 and len(modes) >= n - n_y:
-        choices.append((np.stack(modes[: n - n_y]), "modes of their own that drive the outputs"))
-    found = []
-    for rows, words in choices:
-        T = np.vstack([C, rows / np.linalg.norm(rows, axis=1, keepdims=True)])
-        if np.linalg.cond(T) < 1.0 / _SINGULAR:
-            found.append(plain.transformed(T, np.zeros(n), words))
-    return found[:most] or [plain]
+        choices.append(("modes", np.stack(modes[: n - n_y]), "modes of their own that drive the outputs"))
+    found: dict[str, Realisation] = {}
+    for name, rows, words in choices:
+        size = np.linalg.norm(rows, axis=1, keepdims=True)
+        T = np.vstack([C, rows / np.where(size > 0, size, 1.0)])
+        if np.linalg.cond(T) < 1.0 / _SINGULAR and len(found) < most:
+            found[name] = plain.transformed(T, np.zeros(n), words)
+    return found or {PLAIN: plain}
+
+
+def uncorrelated(covariance: FloatArray, n_y: int) -> FloatArray:
+    """(n, n) T that keeps the outputs and makes the other states uncorrelated, of spread one."""
+    n = len(covariance)
+    T = np.eye(n)
+    if n == n_y:
+        return T
+    seen, cross = covariance[:n_y, :n_y], covariance[n_y:, :n_y]
+    R = np.linalg.lstsq(seen, cross.T, rcond=1e-12)[0].T
+    left = covariance[n_y:, n_y:] - R @ cross.T
+    size = np.sqrt(np.maximum(np.diag(covariance)[n_y:], 1e-300))
+    values, vectors = np.linalg.eigh(left / np.outer(size, size))
+    still = values < 1e-12  # a state that the outputs say already
+    root = vectors.T / np.where(still, 1.0, np.sqrt(np.maximum(values, 1e-12)))[:, None] / size
+    T[n_y:] = np.hstack([-root @ R, root])
+    return T
 
 
 def driving_modes(A: FloatArray, n_y: int) -> list[FloatArray]:
@@ -167,7 +203,8 @@ def initial_states(
     for s, W in enumerate(runs):
         part = np.ascontiguousarray(W[: d - 1 + max(rows, 1)])
         best = np.inf
-        for guess in (prior.mean, _measured(prior.mean, part[d - 1, :n_y])):
+        guesses = (prior.mean, _measured(prior.mean, part[d - 1, :n_y]))
+        for guess in guesses if len(par.theta) > 1 else guesses[:1]:
             x, cost = start_state(
                 part, d, n_y, layout.lags, par, guess, prior.mean, prior.inverse, prior.weight
             )

@@ -113,6 +113,26 @@ def _first(x: FloatArray) -> float:
     return float(x[0])
 
 
+def _linear_tanks(x: FloatArray, u: float) -> FloatArray:
+    return np.array([0.06 * u - 0.02 * x[0], 0.02 * x[0] - 0.015 * x[1]])
+
+
+def _lagging_vehicle(x: FloatArray, u: float) -> FloatArray:
+    return np.array([(u - x[0]) / 0.25, 9.81 * x[0] - 0.6 * x[1]])
+
+
+def _arm(x: FloatArray, u: float) -> FloatArray:
+    twist = 60.0 * (x[0] - x[2]) + 0.4 * (x[1] - x[3])
+    return np.array([x[1], 4.0 * u - 2.0 * x[1] - 3.0 * x[0] - twist, x[3], 1.5 * twist - 0.2 * x[3]])
+
+
+def _motor(x: FloatArray, u: float) -> FloatArray:
+    return np.array([x[1], 8.0 * (2.0 * u - x[1]) - 4.0 * x[0]])
+
+
+LINEAR: dict[str, Plant]
+"""Linear plants with hidden states, on which one rule is the truth."""
+
 PLANTS: dict[str, Plant] = {
     "two tanks with overflow": Plant(
         _tanks,
@@ -136,4 +156,17 @@ PLANTS: dict[str, Plant] = {
         (0.0, 0.0),
     ),
     "hysteresis": Plant(_bouc_wen, _free, _first, 0.05, smooth_noise(0.05, -2.0, 2.0), (0.0, 0.0, 0.0)),
+}
+
+LINEAR = {
+    "two linear tanks": Plant(
+        _linear_tanks, _free, lambda x: float(x[1]), 4.0, smooth_noise(0.035, 0.4, 6.3), (9.0, 9.0)
+    ),
+    "linear vehicle": Plant(
+        _lagging_vehicle, _free, lambda x: float(x[1]), 0.05, held_steps(25, -0.4, 0.4), (0.0, 0.0)
+    ),
+    "flexible arm": Plant(
+        _arm, _free, lambda x: float(x[2]), 0.05, held_steps(15, -1.0, 1.0), (0.0, 0.0, 0.0, 0.0)
+    ),
+    "motor": Plant(_motor, _free, _first, 0.05, smooth_noise(0.08, -1.0, 1.0), (0.0, 0.0)),
 }

@@ -17,11 +17,12 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.fuzzy.layout import scaling
-from flysid.model.hidden.choice import Start
-from flysid.model.hidden.fit import Bench, linear_starts
+from flysid.model.hidden.bench import Bench
+from flysid.model.hidden.finish import finished
 from flysid.model.hidden.grow import StateStage, Training, one_rule_more
 from flysid.model.hidden.judge import ends_of_travel
-from flysid.model.hidden.model import finished
+from flysid.model.hidden.start import coordinates
+from flysid.model.hidden.systems import linear_systems
 from flysid.model.ts_state_space import TSStateSpace
 from tests.bench.hidden_plants import PLANTS
 
@@ -48,9 +49,9 @@ def gap(model: Fitted, test: Dataset, truth: list[FloatArray]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)) / np.std(np.concatenate(truth)))
 
 
-def grown(bench: Bench, start: Start, train: Dataset, how: Training) -> list[StateStage]:
+def grown(bench: Bench, start: StateStage, how: Training) -> list[StateStage]:
     """Models with 1 to RULES rules."""
-    stages = [bench.stage(start, train)]
+    stages = [start]
     while len(stages) < RULES:
         stages.append(one_rule_more(stages[-1], bench.candidates(stages[-1].layout), how))
     return stages
@@ -72,13 +73,16 @@ def _compare(name: str, noise: float, seed: int) -> None:
     scaled = scaling(train)
     bench = Bench(settings, 40, ends_of_travel(train), scaled)
     print(f"{name}, noise {noise:.0%}, recording {seed}: ARX {gap(ARX().fit(train), test, truth):.4f}")
-    for start in linear_starts(settings, train, scaled):
+    system = linear_systems(settings, train, None, scaled)[0]
+    linear = bench.linear(system, train)
+    for name in coordinates(system.real, 1):
+        start, words = bench.in_coordinates(linear, name)
         for title, how in STRATEGIES.items():
             begin = time.process_time()
-            stages = grown(bench, start, train, how)
+            stages = grown(bench, start, how)
             seconds = time.process_time() - begin
             errors = ", ".join(f"{gap(finished(train, s, ()), test, truth):.4f}" for s in stages)
-            print(f"  {start.real.words[:24]:24s} {title:24s} {errors}  {seconds:.1f} s CPU", flush=True)
+            print(f"  {words[:24]:24s} {title:24s} {errors}  {seconds:.1f} s CPU", flush=True)
 
 
 if __name__ == "__main__":
