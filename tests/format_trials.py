@@ -188,10 +188,8 @@ def delete(name: str, count: int, goes_on: Ask) -> Outcome:
     """64 bytes deleted (zeroed in a log of places): what they do not touch stays."""
     outcome, blob, rng = Outcome(name), sample(name), random.Random(name + "-")
     whole, slack = intact(name).rows, int(getattr(module_of(name), "RESYNC_BYTES", 0))
-    for _ in range(count):
+    while outcome.trials < count and goes_on():
         at = rng.randrange(len(blob) - 64)
-        if not goes_on():
-            break
         if max(at_risk(name, byte) for byte in range(at, at + 64)) == whole:
             continue
         end = max(at + 64, chimera_end(name, at))

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 
-from tests.soak import Budget, Campaign, Outcome, peak_memory
+from tests.soak import Budget, Campaign, Outcome, instrument, peak_memory, row_07_fuzz
 from tests.soak.__main__ import PAGE, campaigns, chosen
+from tests.soak.row_07_fuzz import fuzz_apart
 from tests.soak.table import line, merge, parse
 
 
@@ -57,3 +61,40 @@ def test_trials_are_counted_and_memory_is_seen() -> None:
     assert len(block)
     assert outcome.trials == 1
     assert outcome.peak_mb is None or outcome.peak_mb > 25
+
+
+def test_blocks_are_counted_and_code_does_what_it_did(monkeypatch: pytest.MonkeyPatch) -> None:
+    source = """
+def f(n):
+    'A docstring.'
+    even = 0
+    for k in range(n):
+        if k % 2 == 0 and k > 0 or k == 7:
+            even += 1
+    return 'many' if even > 2 else 'few'
+"""
+    monkeypatch.setattr(instrument, "HITS", [])
+    space: dict[str, Any] = {instrument.NAME: instrument.hit}
+    exec(instrument.counting(source, "f.py"), space)
+    assert space["f"].__doc__ == "A docstring."
+    found = []
+    for n, answer in ((0, "few"), (3, "few"), (4, "few"), (12, "many")):
+        instrument.reset()
+        assert space["f"](n) == answer
+        found.append(instrument.taken())
+    assert len({place for place, _ in found[0]}) == 2  # the body, and "few"
+    assert {place for place, _ in found[1]} == {place for place, _ in found[2]}
+    assert found[1] != found[2]  # by how often
+    assert len(found[3] - found[2]) >= 3
+
+
+def test_a_reader_is_fuzzed_in_a_process_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    outcome = fuzz_apart("dataflash_text", 0.5)
+    assert outcome.failures == []
+    assert outcome.trials > 2
+    monkeypatch.setattr(row_07_fuzz, "FOUND", tmp_path)
+    monkeypatch.setattr(row_07_fuzz, "last_input", lambda _: tmp_path / "last")
+    (tmp_path / "last").write_bytes(b"fatal")
+    dead = fuzz_apart("no such format", 0.5)
+    assert "ended with 1" in dead.failures[0]
+    assert [p.read_bytes() for p in tmp_path.iterdir()] == [b"fatal"]

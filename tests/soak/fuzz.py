@@ -1,7 +1,7 @@
 """A small fuzzer for readers: mutations, checksums made right again, kept where they reach new code.
 
-Coverage is that of branches inside `ingest/`, by the coverage library. A mutation that takes a branch not
-taken before joins the corpus and is mutated further. Checksums are repaired, as otherwise every mutation
+Coverage is that of blocks inside `ingest/` and the magnitude of their counts (`instrument`). A mutation that
+reaches a new one joins the corpus and is mutated further. Checksums are repaired, as otherwise every mutation
 would end at them.
 """
 
@@ -13,32 +13,28 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import fastcrc
 
-from flysid.ingest.mavdialect import load_dialect
-
-INGEST = Path(__file__).resolve().parents[2] / "ingest"
 MAX_BYTES = 60_000
 HANG_S = 20
 NUMBERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**63, 2**64 - 1)
 
 
 class Corpus:
-    """Inputs that reached new branches, newest last, and the branches reached so far."""
+    """Inputs that reached new blocks, newest last, and the blocks reached so far."""
 
     def __init__(self, seeds: list[bytes], rng: random.Random) -> None:
         self.inputs = list(seeds)
         self._rng = rng
-        self._seen: set[tuple[str, int, int]] = set()
+        self._seen: set[tuple[int, int]] = set()
 
     @property
-    def branches(self) -> int:
-        """How many have been taken."""
-        return len(self._seen)
+    def blocks(self) -> int:
+        """How many have been reached."""
+        return len({place for place, _ in self._seen})
 
     def propose(self, repair: Callable[[bytearray], None]) -> bytes:
         """A mutated input; new ones are mutated more often than old ones."""
@@ -52,8 +48,8 @@ class Corpus:
             repair(blob)
         return bytes(blob)
 
-    def judge(self, blob: bytes, taken: set[tuple[str, int, int]]) -> None:
-        """Keep an input that took a new branch."""
+    def judge(self, blob: bytes, taken: set[tuple[int, int]]) -> None:
+        """Keep an input that reached a block, or reached it much more often than ever."""
         if not taken <= self._seen:
             self._seen |= taken
             self.inputs.append(blob)
@@ -85,22 +81,6 @@ def mutate(blob: bytearray, rng: random.Random, others: list[bytes]) -> None:
         blob[at : at + span] = other[start : start + span]
     else:
         blob[at:at] = rng.randbytes(rng.choice((1, 3, 16)))
-
-
-@contextmanager
-def traced(taken: set[tuple[str, int, int]]) -> Iterator[None]:
-    """Add to `taken` the branches inside `ingest/` that the block takes."""
-    import coverage
-
-    cover = coverage.Coverage(data_file=None, branch=True, include=[str(INGEST / "*")], config_file=False)
-    cover.start()
-    try:
-        yield
-    finally:
-        cover.stop()
-        data = cover.get_data()
-        for name in data.measured_files():
-            taken.update((Path(name).name, a, b) for a, b in data.arcs(name) or ())
 
 
 @contextmanager
@@ -146,6 +126,8 @@ def repair_mavlink(blob: bytearray) -> None:
 
 @cache
 def _crc_extra() -> Any:
+    from flysid.ingest.mavdialect import load_dialect  # not before `instrument` can count
+
     return load_dialect().crc_extra
 
 

@@ -1,92 +1,56 @@
 """Row 7: coverage-guided fuzzing of every reader, checksums repaired; an hour for each unless told otherwise.
 
+Each reader is fuzzed in a process of its own, so that a crash of compiled code is a failure like others.
 Inputs that fail are left in `.bench/fuzz`; each becomes a small test before it is deleted.
 """
 
 from __future__ import annotations
 
-import hashlib
-import random
-import struct
+import json
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from mcap.writer import CompressionType
-
-from flysid.errors import FormatError
-from tests.format_trials import FORMATS, Ask, read, sample
-from tests.samplelogs import mcap, navdata
+from tests.format_trials import FORMATS
 from tests.soak import Budget, Campaign, Outcome
-from tests.soak.fuzz import HANG_S, REPAIR, Corpus, leave, no_longer_than, traced
-from tests.soak.readers import each_format
+from tests.soak.fuzz_reader import FOUND, last_input
+from tests.soak.readers import HANG_S, MEMORY_MB
 
 HOUR_S = 3600.0
-FOUND = Path(__file__).resolve().parents[2] / ".bench" / "fuzz"
+GRACE_S = 120.0
+ROOT = Path(__file__).resolve().parents[2]
 
 
-def seeds(name: str) -> list[bytes]:
-    """The sample log, and others where it is compressed or of one kind only."""
-    if name == "mcap":
-        pairs = [struct.pack("<Idf", k, k / 3, k) for k in range(30)]
-        text = "uint32 k\nfloat64 x\nfloat32[] y\nstring s\n"
-        topics = [
-            mcap.json_topic("/a", {"properties": {"k": {"type": "integer"}}}, [{"k": k} for k in range(30)]),
-            mcap.ros1_topic(
-                "/b", "p/Mixed", text, [p[:12] + struct.pack("<IfI", 1, 2, 2) + b"ab" for p in pairs]
-            ),
-        ]
-        plain = CompressionType.NONE
-        chunked = [
-            mcap.mcap_file(topics, compression=plain, chunked=c, chunk_size=400) for c in (True, False)
-        ]
-        return [*chunked, sample(name)]
-    if name == "navdata":
-        packets = [
-            (k * 5_000_000, navdata.udp(navdata.pcmd(k, (0.1, 0.2, 0.3, 0.4)), 5556, 5556)) for k in range(9)
-        ]
-        whole = [(k * 5_000_000 + 9, navdata.udp(sample(name)[:500], 5554, 5554)) for k in range(9)]
-        return [sample(name), navdata.pcap(sorted([*packets, *whole]))]
-    return [sample(name)]
-
-
-def fuzz(name: str, goes_on: Ask) -> Outcome:
-    """Mutate until the time is up."""
-    outcome = Outcome(name)
-    corpus, repair = Corpus(seeds(name), random.Random(name)), REPAIR.get(name, leave)
-    for seed in list(corpus.inputs):
-        _try(name, seed, corpus, outcome)
-    del corpus.inputs[len(seeds(name)) :]
-    first = corpus.branches
-    while goes_on():
-        _try(name, corpus.propose(repair), corpus, outcome)
-    outcome.remark = f"branches {first:,} to {corpus.branches:,}, corpus {len(corpus.inputs)}"
-    return outcome
-
-
-def _try(name: str, blob: bytes, corpus: Corpus, outcome: Outcome) -> None:
-    taken: set[tuple[str, int, int]] = set()
-    fault = ""
-    with outcome.trial(), traced(taken):
-        try:
-            with no_longer_than(HANG_S):
-                flight = read(name, blob)
-            for table in flight.tables.values():
-                table.validate(full=True)
-        except FormatError:
-            outcome.raised += 1
-        except Exception as error:  # noqa: BLE001 - this is what is looked for
-            fault = f"{type(error).__name__}: {error}"
-    corpus.judge(blob, taken)
-    if fault:
-        FOUND.mkdir(parents=True, exist_ok=True)
-        place = FOUND / f"{name}-{hashlib.sha256(blob).hexdigest()[:12]}"
-        place.write_bytes(blob)
-        outcome.failures.append(f"{place.name}: {fault}")
+def fuzz_apart(name: str, seconds: float) -> Outcome:
+    """The outcome of one reader; where its process dies or hangs, a failure that names the input."""
+    FOUND.mkdir(parents=True, exist_ok=True)
+    words = [sys.executable, "-m", "tests.soak.fuzz_child", name, str(seconds), str(time.time_ns())]
+    try:
+        done = subprocess.run(
+            words, cwd=ROOT, capture_output=True, text=True, timeout=seconds + GRACE_S, check=False
+        )
+        if done.returncode == 0:
+            return Outcome(**json.loads(done.stdout))
+        fault = f"ended with {done.returncode}: {done.stderr[-300:]}"
+    except subprocess.TimeoutExpired:
+        fault = "hangs"
+    kept = last_input(name).rename(FOUND / f"{name}-fatal-{time.time_ns()}")
+    return Outcome(name, failures=[f"{kept.name}: {fault}"])
 
 
 def run(budget: Budget) -> Iterator[Outcome]:
-    """One outcome per format."""
-    return each_format(budget if budget.seconds else Budget(HOUR_S * len(FORMATS)), fuzz)
+    """One outcome per format; memory above 512 MB and trials above 5 s are failures too."""
+    each = HOUR_S if budget.seconds is None else budget.seconds / len(FORMATS)
+    for name in FORMATS:
+        outcome = fuzz_apart(name, each)
+        if (outcome.peak_mb or 0) > MEMORY_MB:
+            outcome.failures.append(f"{outcome.peak_mb:.0f} MB of memory")
+        if (outcome.slowest_s or 0) > HANG_S:
+            outcome.failures.append(f"a trial took {outcome.slowest_s:.1f} s")
+        outcome.remark += f", {each / 60:.0f} min"
+        yield outcome
 
 
 CAMPAIGN = Campaign(7, "coverage-guided fuzzing", run)
