@@ -52,6 +52,7 @@ class _Batch:
     limit: int
     is_last: bool
     end: int  # where the content ends: before trailing padding
+    doubtful: frozenset[int] = frozenset()  # ids whose FMT contradicts itself: their length may be wrong
 
 
 @dataclass
@@ -74,7 +75,7 @@ class Walker:
         `content` must reach LOOK_AHEAD bytes beyond `limit`, except at the end, where limit == len(content).
         """
         batch, data = _prepare(content, limit), content
-        lengths, codes = self.definitions.lengths(), self.definitions.codes()
+        lengths, codes = self._learnt(batch)
         starts: list[IntArray] = []
         kinds: list[CodeArray] = []
         position = self._search(batch, base, 0, lengths) if self._lost_at is not None else 0
@@ -88,7 +89,7 @@ class Walker:
                 starts.append(np.array([position], dtype=np.int64))
                 number = data[position + 2]
                 if number == FMT_ID and self._define(data, position):
-                    lengths, codes = self.definitions.lengths(), self.definitions.codes()
+                    lengths, codes = self._learnt(batch)
                 kinds.append(codes[[number]])
                 position += int(lengths[number])
             else:
@@ -100,6 +101,12 @@ class Walker:
         start = np.concatenate(starts) if starts else np.empty(0, np.int64)
         code = np.concatenate(kinds) if kinds else np.empty(0, np.uint16)
         return Messages(batch.raw, start, code), base + position
+
+    def _learnt(self, batch: _Batch) -> tuple[IntArray, CodeArray]:
+        """Length and index of the definition of every id, (256,); the batch learns which are doubtful."""
+        known = self.definitions
+        batch.doubtful = frozenset(n for n, k in known.current.items() if known.items[k].layout is None)
+        return known.lengths(), known.codes()
 
     def damage(self) -> Damage:
         """What was lost so far."""
@@ -116,7 +123,7 @@ class Walker:
         if data[at + 2] == FMT_ID and is_consistent(*_definition(data, at)):
             return True
         inside = int(np.searchsorted(batch.heads, at, side="right"))
-        if _chains_to(batch, inside, end, lengths):
+        if _holds_messages(batch, inside, end, lengths):
             return False
         return _is_followed(batch, end, lengths)
 
@@ -228,20 +235,25 @@ def _clean_stretch(batch: _Batch, position: int, lengths: IntArray) -> tuple[Int
         inside = lengths[number] > 0 and number != FMT_ID and position < batch.limit
         if not inside or after >= len(batch.heads) or batch.heads[after] != end:
             break
-        if _chains_to(batch, index + 1, end, lengths):
+        if _holds_messages(batch, index + 1, end, lengths):
             break
         found.append(batch.heads[index : index + 1])
         index, position, size = after, end, FIRST_STRETCH
     return np.concatenate(found) if found else np.empty(0, np.int64), position
 
 
-def _chains_to(batch: _Batch, index: int, end: int, lengths: IntArray) -> bool:
-    """Do messages inside a message lead exactly to its end? Then its own id is damaged, and they are real."""
+def _holds_messages(batch: _Batch, index: int, end: int, lengths: IntArray) -> bool:
+    """Are messages inside the one before head `index` real? Then its own id, or its FMT's length, is damaged.
+
+    They are where they lead exactly to its end; where its length is doubtful, two in a row are enough.
+    """
+    doubtful = int(batch.ids[index - 1]) in batch.doubtful if index else False
     while index < len(batch.heads) and batch.heads[index] < end:
-        at = int(batch.heads[index])
+        at, count = int(batch.heads[index]), 0
         while at < end and batch.data[at : at + 2] == HEAD and lengths[batch.data[at + 2]]:
             at += int(lengths[batch.data[at + 2]])
-        if at == end:
+            count += 1
+        if at == end or (doubtful and count > 1):
             return True
         index += 1
     return False

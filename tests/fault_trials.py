@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from flysid.store import list_flights, read_flight
@@ -75,18 +76,42 @@ def _without_times(path: Path) -> bytes:
 # ------------------------------------------------------------------------------------------ kill -9
 
 
-def kill_after(command: Sequence[str], where: Path, seconds: float) -> bool:
-    """Start a command, kill it after a time; True where it was still running."""
+def kill_when(command: Sequence[str], where: Path, due: Callable[[], bool]) -> bool:
+    """Start a command, kill it as soon as it is due; True where it was still running."""
     with subprocess.Popen(
         command, cwd=where, env=PLACE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     ) as child:
-        try:
-            child.wait(seconds)
-        except subprocess.TimeoutExpired:
-            child.send_signal(signal.SIGKILL)
-            child.wait()
-            return True
+        while child.poll() is None:
+            if due():
+                child.send_signal(signal.SIGKILL)
+                child.wait()
+                return True
+            time.sleep(0.001)
     return False
+
+
+def after(seconds: float) -> Callable[[], bool]:
+    """Due when this time has passed from now on."""
+    stop = time.monotonic() + seconds
+    return lambda: time.monotonic() >= stop
+
+
+class Changes:
+    """Counts how often what is written for an output changes: its files, and those beside it in the making."""
+
+    def __init__(self, out: Path) -> None:
+        self._out = out
+        self._last: list[str] | None = None
+        self.count = -1
+
+    def seen(self) -> int:
+        """How many changes so far."""
+        beside = f".{self._out.name}."
+        tops = [p for p in self._out.parent.iterdir() if p == self._out or p.name.startswith(beside)]
+        found = sorted(str(path) for top in tops for path in (top, *top.rglob("*")))
+        if found != self._last:
+            self._last, self.count = found, self.count + 1
+        return self.count
 
 
 def killed_ingests(
@@ -103,7 +128,7 @@ def killed_ingests(
     while outcome.trials < count and goes_on():
         out = folder / f"data{outcome.trials}"
         with outcome.trial():
-            interrupted += kill_after(verb.command(out), folder, rng.uniform(0.1, 1.05) * length)
+            interrupted += kill_when(verb.command(out), folder, after(rng.uniform(0.1, 1.05) * length))
             left = visible(out) if out.exists() else {}
             if not left.items() <= whole.items() and not _is_whole_so_far(out, whole):
                 outcome.failures.append(
@@ -129,22 +154,25 @@ def killed_replacements(
 ) -> Outcome:
     """`kill -9` while an output is replaced: the old one is intact, or the new one complete.
 
-    `folder / "old"` holds the old output; its parent is where trials put their copies.
+    Every other trial is killed at a change of what is written, as these moments are short and the ones that
+    count; the rest at any time. `folder / "old"` holds the old output.
     """
     old = visible(folder / "old")
     shutil.copytree(folder / "old", folder / "new")
-    began = time.monotonic()
-    done = verb.run(folder / "new")
-    assert done.returncode == 0, done.stderr
-    length = time.monotonic() - began
-    new = visible(folder / "new")
+    began, changes = time.monotonic(), Changes(folder / "new")
+    kill_when(verb.command(folder / "new"), folder, lambda: changes.seen() < 0)
+    length, new = time.monotonic() - began, visible(folder / "new")
+    assert new != old
     outcome, rng, interrupted = Outcome(name), random.Random(1), 0
     kept = 0
     while outcome.trials < count and goes_on():
         out = folder / f"trial{outcome.trials}"
         shutil.copytree(folder / "old", out)
         with outcome.trial():
-            interrupted += kill_after(verb.command(out), folder, rng.uniform(0.3, 1.05) * length)
+            own, last = Changes(out), rng.randint(1, changes.count)
+            at_change = partial(_has_reached, own, last)
+            due = after(rng.uniform(0.3, 1.05) * length) if outcome.trials % 2 else at_change
+            interrupted += kill_when(verb.command(out), folder, due)
             left = visible(out) if out.is_dir() else {}
             kept += left == old
             if left not in (old, new):
@@ -158,6 +186,10 @@ def killed_replacements(
         shutil.rmtree(out, ignore_errors=True)
     outcome.remark = f"{interrupted} still running when killed, {kept} left the old output"
     return outcome
+
+
+def _has_reached(changes: Changes, count: int) -> bool:
+    return changes.seen() >= count
 
 
 # --------------------------------------------------------------------------- disks, rights, handles
@@ -277,22 +309,31 @@ def fit_verb(data: Path, *more: str) -> Verb:
     )
 
 
+def quick_fit(data: Path, *more: str) -> Verb:
+    """A fit of one channel with the fewest models: what is written, and how, is that of any other."""
+    return fit_verb(data, "--channel", "vertical", "--models", "line", *more)
+
+
 def killed_fits(folder: Path, count: int, goes_on: Callable[[], bool] = lambda: True) -> Outcome:
     """`kill -9` while a run is fitted in place of another."""
     data = small_data(folder)
-    assert fit_verb(data, "--channel", "vertical", "--seed", "1").run(folder / "old").returncode == 0
-    return killed_replacements(folder, fit_verb(data, "--channel", "vertical"), "fit", count, goes_on)
+    assert quick_fit(data, "--seed", "1").run(folder / "old").returncode == 0
+    return killed_replacements(folder, quick_fit(data), "fit", count, goes_on)
 
 
 def killed_validations(folder: Path, count: int, goes_on: Callable[[], bool] = lambda: True) -> Outcome:
     """`kill -9` while a report is written in place of another."""
     data = small_data(folder)
     for seed in ("1", "2"):
-        done = fit_verb(data, "--channel", "vertical", "--seed", seed).run(folder / f"run{seed}")
+        done = quick_fit(data, "--seed", seed).run(folder / f"run{seed}")
         assert done.returncode == 0, done.stderr
     assert Verb(("validate", str(folder / "run1"), "-q", "-o")).run(folder / "old").returncode == 0
     verb = Verb(("validate", str(folder / "run2"), "-q", "--force", "-o"))
     return killed_replacements(folder, verb, "validate", count, goes_on)
+
+
+def _channels(*names: str) -> list[str]:
+    return [word for name in names for word in ("--channel", name)]
 
 
 def equal_runs(folder: Path, workers: Sequence[int]) -> Outcome:
@@ -303,7 +344,7 @@ def equal_runs(folder: Path, workers: Sequence[int]) -> Outcome:
     for count in workers:
         run = folder / f"run{outcome.trials}"
         with outcome.trial():
-            done = fit_verb(data, "--jobs", str(count)).run(run)
+            done = fit_verb(data, *_channels("vertical", "lateral"), "--jobs", str(count)).run(run)
             judged = Verb(("validate", str(run), "-q", "-o")).run(folder / f"report{outcome.trials}")
             if done.returncode or judged.returncode:
                 outcome.failures.append(done.stderr + judged.stderr)

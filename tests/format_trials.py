@@ -9,6 +9,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 from functools import cache
+from itertools import accumulate
 from types import ModuleType
 
 from flysid.errors import FormatError
@@ -72,6 +73,13 @@ def at_risk(name: str, byte: int) -> int:
     if hasattr(module, "at_risk"):
         return int(module.at_risk(sample(name), byte))
     return record_at(records_of(name), byte).rows
+
+
+def risk_of(name: str, start: int, end: int) -> int:
+    """Rows that damage to the bytes [start, end) may cost: of every record that it hits."""
+    hit = [r for r in records_of(name) if r.start < end and r.end > start]
+    spans = [range(max(start, r.start), min(end, r.end)) for r in hit]
+    return sum(max(at_risk(name, byte) for byte in span) for span in spans)
 
 
 def cut(name: str, every: int, goes_on: Ask) -> Outcome:
@@ -194,7 +202,7 @@ def delete(name: str, count: int, goes_on: Ask) -> Outcome:
             continue
         end = max(at + 64, chimera_end(name, at))
         touched = [r for r in records_of(name) if r.start < end + slack and r.end > at - slack]
-        risk = sum({r: max(r.rows, at_risk(name, max(at, r.start))) for r in touched}.values())
+        risk = risk_of(name, at, at + 64) + sum(r.rows for r in touched if r.start >= at + 64 or r.end <= at)
         rest = bytes(64) + blob[at + 64 :] if is_addressed(name) else blob[at + 64 :]
         flight = read_or_none(name, blob[:at] + rest, outcome)
         rows = flight.rows if flight is not None else 0
@@ -213,25 +221,34 @@ def chimera_end(name: str, at: int) -> int:
     return 0 if shows else hit.end + 64
 
 
-def definition_of(name: str) -> Record | None:
-    """A record of at most one row that decides over those of one stream; None where a format has none."""
-    whole = intact(name).rows
-    found = [r for r in records_of(name) if r.rows < 2 and r.rows < at_risk(name, r.start) < whole]
-    return max(found, key=lambda r: at_risk(name, r.start), default=None)
+def definitions_of(name: str) -> list[tuple[int, int, int]]:
+    """Bytes [start, end) that decide over one stream, and rows at risk; the shortest up to 100 bytes."""
+    module, whole = module_of(name), intact(name).rows
+    if hasattr(module, "defining"):
+        found: list[tuple[int, int, int]] = module.defining(sample(name))
+        return found
+    risks = [(r, at_risk(name, r.start)) for r in records_of(name) if r.rows < 2]
+    spans = [(r.start, r.end, risk) for r, risk in risks if max(9, r.rows) < risk < whole]
+    spans.sort(key=lambda span: span[1] - span[0])
+    sizes = accumulate(end - start for start, end, _ in spans)
+    return [span for k, (span, size) in enumerate(zip(spans, sizes, strict=True)) if not k or size <= 100]
 
 
 def edit(name: str, goes_on: Ask) -> Outcome:
-    """Every byte of a definition set to every value: only its stream's rows are lost, and not in silence."""
-    outcome, blob, record, whole = Outcome(name), sample(name), definition_of(name), intact(name).rows
-    assert record is not None
-    risk = at_risk(name, record.start)
-    edits = [(byte, value) for byte in range(record.start, record.end) for value in range(256)]
+    """Every byte of definitions set to every value: only their stream's rows are lost, and not in silence."""
+    outcome, blob, whole = Outcome(name), sample(name), intact(name).rows
+    edits = [
+        (byte, value, risk)
+        for start, end, risk in definitions_of(name)
+        for byte in range(start, end)
+        for value in range(256)
+        if blob[byte] != value
+    ]
     random.Random(name).shuffle(edits)
-    for byte, value in edits:
+    for byte, value, risk in edits:
         if not goes_on():
+            outcome.remark = f"of {len(edits):,}"
             break
-        if blob[byte] == value:
-            continue
         flight = read_or_none(name, blob[:byte] + bytes([value]) + blob[byte + 1 :], outcome)
         rows, where = (flight.rows if flight is not None else 0), f"byte {byte} set to {value}"
         outcome.keep(rows, whole)
@@ -257,8 +274,7 @@ def length(name: str, count: int, goes_on: Ask) -> Outcome:
         flight = read_or_none(name, blob[:at] + raw + blob[at + width :], outcome)
         rows = flight.rows if flight is not None else 0
         outcome.keep(rows, whole)
-        hit = [r for r in records_of(name) if r.start < at + width and r.end > at]
-        risk = sum(at_risk(name, max(at, r.start)) for r in hit)
+        risk = risk_of(name, at, at + width)
         if rows < whole - risk:
             outcome.failures.append(
                 f"{width} bytes of {value} at {at}: {rows} rows of {whole}, {risk} at risk"

@@ -224,6 +224,18 @@ def test_line_ends_beside_damage_are_part_of_it(garbage: bytes) -> None:
     assert flight.damage.bytes_skipped == len(garbage)
 
 
+def test_a_fmt_whose_length_and_name_are_damaged_costs_its_own_messages_only() -> None:
+    raw = bytearray(build())
+    at = next(k for k in range(0, 800, 89) if raw[k + 3] == 13)
+    raw[at + 4 : at + 12] = b"\xff" * 8  # ten of its messages would fit into one
+    flight = read(bytes(raw))
+    kept = {
+        stream: table.num_rows for stream, table in flight.tables.items() if stream in ("ATT", "GPS", "NOTE")
+    }
+    assert kept == {"ATT": 45, "GPS": 5, "NOTE": 5}
+    assert flight.damage.bytes_skipped == 90 * 24
+
+
 def test_empty_lines_between_whole_ones_mean_nothing() -> None:
     blob = text_sample.build()
     flight = collect(

@@ -40,6 +40,8 @@ def test_new_outcomes_replace_those_of_their_campaign_only() -> None:
         ("2", "mine", "b", "5", "99 of 100 (99.000 %)", "0", "1", "2", "0.12", "a/b", "2026-01-02"),
         ("2", "other", "a", "4", "", "0", "0", "", "", "", "2026-01-01"),
     ]
+    page = merge(page, [line(mine, Outcome("c", 7), "2026-01-03")], part=True)
+    assert [cells[2:4] for cells in parse(page)] == [("b", "5"), ("c", "7"), ("a", "4")]
     with pytest.raises(ValueError, match="has no"):
         merge("a page without marks", [])
 
@@ -52,6 +54,8 @@ def test_the_page_has_its_marks() -> None:
 def test_a_budget_runs_out_and_none_does_not() -> None:
     assert Budget().clock()()
     assert not Budget(0.0).shares(2)[0].clock()()
+    assert Budget().chosen("ab") == ["a", "b"]
+    assert Budget(subjects=("b",)).chosen("ab") == ["b"]
 
 
 def test_trials_are_counted_and_memory_is_seen() -> None:

@@ -14,6 +14,8 @@ A module `tests/samplelogs/<format name>.py` offers
   so that damage is tried by overwriting, not by inserting or deleting (docs/adr/0011);
 - optionally `UNCHECKED = True`: no checksums, so that a record whose middle is deleted takes in as many bytes
   behind it, and nothing tells where these happen to end at another record's end;
+- optionally `defining(blob) -> list[tuple[int, int, int]]`: bytes [start, end) that define a stream, and the
+  rows that any edit of a byte there may cost; by default, records that `at_risk` makes definitions;
 - optionally `HARMLESS`: bytes that mean nothing between records (empty lines of a text log).
 """
 

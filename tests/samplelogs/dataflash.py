@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections import Counter
 
 from tests.samplelogs import Record, record_at
 
@@ -75,11 +76,20 @@ def records(blob: bytes) -> list[Record]:
 
 
 def at_risk(blob: bytes, byte: int) -> int:
-    """A FMT decides over all messages of its kind, and a wrong length over their neighbours."""
+    """A FMT decides over all messages of its kind, and its number over those of the kind that it claims."""
     every = records(blob)
     hit = record_at(every, byte)
-    if blob[hit.start + 2] == 128:
-        number = blob[hit.start + 3]
-        same = sum(blob[r.start + 2] == number for r in every)
-        return len(every) if byte < hit.start + 5 else 2 * same + 2
-    return 2
+    if blob[hit.start + 2] != 128:
+        return 2
+    kinds = Counter(blob[r.start + 2] for r in every)
+    number = blob[hit.start + 3]
+    if number == 128:
+        return len(every)
+    claimed = max(count for kind, count in kinds.items() if kind != number) if byte == hit.start + 3 else 0
+    return kinds[number] + 2 + claimed
+
+
+def defining(blob: bytes) -> list[tuple[int, int, int]]:
+    """The FMT of attitudes; the kinds that its number could claim, where they do not follow, have 5 rows."""
+    hit = next(r for r in records(blob) if blob[r.start + 2 : r.start + 4] == bytes([128, 10]))
+    return [(hit.start, hit.end, 45 + 1 + 5)]

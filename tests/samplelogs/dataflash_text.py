@@ -42,5 +42,22 @@ def records(blob: bytes) -> list[Record]:
 
 def at_risk(blob: bytes, byte: int) -> int:
     """A FMT decides over all lines of its kind; a damaged line end joins two lines."""
-    hit = record_at(records(blob), byte)
-    return len(records(blob)) if blob[hit.start : hit.start + 3] == b"FMT" else 2
+    every = records(blob)
+    hit = record_at(every, byte)
+    behind = [r for r in every if r.start == hit.end] if byte == hit.end - 1 else []
+    return sum(_decides_over(blob, r) for r in (hit, *behind))
+
+
+def _decides_over(blob: bytes, line: Record) -> int:
+    """Rows that need this line, itself included."""
+    cells = blob[line.start : line.end].split(b", ")
+    if cells[0] != b"FMT":
+        return 1
+    same = sum(blob[r.start : r.end].startswith(cells[3] + b", ") for r in records(blob))
+    return same + (cells[3] != b"FMT")
+
+
+def defining(blob: bytes) -> list[tuple[int, int, int]]:
+    """The FMT line of attitudes, and with its end that of GPS behind it."""
+    hit = next(r for r in records(blob) if b" ATT, " in blob[r.start : r.end])
+    return [(hit.start, hit.end, at_risk(blob, hit.end - 1))]

@@ -135,6 +135,15 @@ def at_risk(blob: bytes, byte: int) -> int:  # noqa: ARG001
     return _page_at_risk(byte // PAGE_BYTES)
 
 
+def defining(blob: bytes) -> list[tuple[int, int, int]]:
+    """What a page says of the topic /plain and of its type: SQLite's cells, with their two bytes of head."""
+    heads = {b"\x07\x00\x19#\x13\r\r/plain": b"cdr", b"\x06\x00#\x1b7\rp/msg/Plain": PLAIN.encode()}
+    cells = [
+        (blob.index(head) - 2, blob.index(tail, blob.index(head)) + len(tail)) for head, tail in heads.items()
+    ]
+    return [(start, end, ROWS // 2) for start, end in cells]
+
+
 @cache
 def _page_at_risk(page: int) -> int:
     if page in _definition_pages():

@@ -9,7 +9,7 @@ writes their outcomes into that page.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,9 +25,15 @@ class Budget:
     Attributes
     ----------
     seconds : wall time of the whole campaign; None for as long as its full size takes.
+    subjects : try these only; all where there are none.
     """
 
     seconds: float | None = None
+    subjects: tuple[str, ...] = ()
+
+    def chosen(self, names: Sequence[str]) -> list[str]:
+        """Those of the subjects' names that shall be tried."""
+        return [name for name in names if not self.subjects or name in self.subjects]
 
     def shares(self, count: int) -> list[Budget]:
         """The budget in `count` equal parts, one per subject."""

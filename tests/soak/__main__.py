@@ -1,6 +1,6 @@
 """`make soak`: runs long campaigns and writes their outcomes into `docs/reliability.md`.
 
-    python -m tests.soak [NAME...] [--minutes M] [--list] [--dry]
+    python -m tests.soak [NAME...] [--minutes M] [--subject S] [--list] [--dry]
 
 NAME is a row number or a part of a campaign's name; all campaigns run without one. `--minutes` bounds each
 campaign; without it each runs at its full size. Ends with 1 where a promise was broken.
@@ -50,10 +50,11 @@ def chosen(words: list[str]) -> dict[str, Campaign]:
     return found
 
 
-def run_apart(module: str, seconds: float | None) -> list[Outcome]:
+def run_apart(module: str, budget: Budget) -> list[Outcome]:
     """The outcomes of one campaign, run in a process of its own; a crash is an outcome too."""
     command = [sys.executable, "-m", "tests.soak", "--inside", module]
-    command += [] if seconds is None else ["--minutes", str(seconds / 60)]
+    command += [] if budget.seconds is None else ["--minutes", str(budget.seconds / 60)]
+    command += [word for subject in budget.subjects for word in ("--subject", subject)]
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
     outcomes = [Outcome(**json.loads(text)) for text in done.stdout.splitlines() if text.startswith("{")]
     if done.returncode:
@@ -82,13 +83,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.soak", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("names", nargs="*", help="row numbers or parts of names; all without")
     parser.add_argument("--minutes", type=float, help="wall time for each campaign")
+    parser.add_argument("--subject", action="append", default=[], help="rows 1 to 5 and 7: this format only")
     parser.add_argument("--list", action="store_true", help="name the campaigns and stop")
     parser.add_argument("--dry", action="store_true", help="leave docs/reliability.md as it is")
     parser.add_argument("--inside", help=argparse.SUPPRESS)
     options = parser.parse_args()
     seconds = None if options.minutes is None else options.minutes * 60
+    budget = Budget(seconds, tuple(options.subject))
     if options.inside:
-        run_inside(options.inside, Budget(seconds))
+        run_inside(options.inside, budget)
         return 0
     failed = False
     for module, campaign in chosen(options.names).items():
@@ -97,12 +100,12 @@ def main() -> int:
             continue
         date = datetime.datetime.now(datetime.UTC).date().isoformat()
         fresh = []
-        for outcome in run_apart(module, seconds):
+        for outcome in run_apart(module, budget):
             fresh.append(line(campaign, outcome, date))
             report(campaign, outcome, fresh[-1])
             failed |= bool(outcome.failures)
         if not options.dry:
-            PAGE.write_text(merge(PAGE.read_text("utf-8"), fresh), "utf-8")
+            PAGE.write_text(merge(PAGE.read_text("utf-8"), fresh, bool(options.subject)), "utf-8")
     return int(failed)
 
 

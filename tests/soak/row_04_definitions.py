@@ -1,17 +1,17 @@
-"""Row 4: every single-byte edit of one definition of every format that has any outside a checksum."""
+"""Row 4: every single-byte edit of a definition of every format that has any outside a checksum."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from tests.format_trials import FORMATS, definition_of, edit
+from tests.format_trials import FORMATS, definitions_of, edit
 from tests.soak import Budget, Campaign, Outcome
 from tests.soak.readers import each_format
 
 
 def run(budget: Budget) -> Iterator[Outcome]:
     """One outcome per format."""
-    names = [name for name in FORMATS if definition_of(name) is not None]
+    names = [name for name in FORMATS if definitions_of(name)]
     return each_format(budget, edit, names)
 
 

@@ -42,14 +42,15 @@ def fuzz_apart(name: str, seconds: float) -> Outcome:
 
 def run(budget: Budget) -> Iterator[Outcome]:
     """One outcome per format; memory above 512 MB and trials above 5 s are failures too."""
-    each = HOUR_S if budget.seconds is None else budget.seconds / len(FORMATS)
-    for name in FORMATS:
+    names = budget.chosen(FORMATS)
+    each = HOUR_S if budget.seconds is None else budget.seconds / max(1, len(names))
+    for name in names:
         outcome = fuzz_apart(name, each)
         if (outcome.peak_mb or 0) > MEMORY_MB:
             outcome.failures.append(f"{outcome.peak_mb:.0f} MB of memory")
         if (outcome.slowest_s or 0) > HANG_S:
             outcome.failures.append(f"a trial took {outcome.slowest_s:.1f} s")
-        outcome.remark += f", {each / 60:.0f} min"
+        outcome.remark += f", {each / 60:.3g} min"
         yield outcome
 
 

@@ -10,11 +10,12 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from flysid.store import list_flights
 from tests.samplelogs.mcap import Topic, json_topic, mcap_file, ros1_topic
 from tests.soak import Budget, Campaign, Outcome
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = 500
+NAMES, TOGETHER = 500, 50
 PARTS = [
     *(
         "../",
@@ -48,47 +49,53 @@ def log(names: list[str]) -> bytes:
     return mcap_file([*topics, ros1_topic("/b", "p/T", "uint32 k\n", [struct.pack("<I", 7)])])
 
 
+def file_names(names: list[str]) -> list[str]:
+    """What of these names a file system takes, each once, besides case."""
+    safe = [name.replace("/", "\u2215").replace("\0", "")[:60] + f"{k}.mcap" for k, name in enumerate(names)]
+    return [name for name in safe if len(name.encode()) < 250]
+
+
 def run(budget: Budget) -> Iterator[Outcome]:
-    """One outcome for names inside logs, one for names of logs."""
+    """One outcome for names inside logs, one for names of logs; 50 names a trial."""
     goes_on, names = budget.clock(), hostile(NAMES)
     inside, files = Outcome("topics and fields"), Outcome("files")
-    for k in range(0, NAMES, 50):
+    for k in range(0, NAMES, TOGETHER):
+        some = names[k : k + TOGETHER]
         if goes_on():
-            _ingest(inside, f"log{k}.mcap", log(names[k : k + 50]))
-    for name in names[: NAMES // 25]:
-        safe = name.replace("/", "\u2215").replace("\0", "")[:60] or "x"
-        if goes_on() and safe not in (".", ".."):
-            _ingest(files, safe + ".mcap", log(["/a"]))
+            _ingest(inside, {f"log{k}.mcap": log(some)})
+            _ingest(files, {name: log([f"/{i}"]) for i, name in enumerate(file_names(some))})
     yield inside
     yield files
 
 
-def _ingest(outcome: Outcome, file_name: str, blob: bytes) -> None:
-    """Ingest, list and survey one log; look at what was written and said."""
+def _ingest(outcome: Outcome, logs: dict[str, bytes]) -> None:
+    """Ingest, list and survey logs; look at what was written and said."""
     with tempfile.TemporaryDirectory() as place:
-        logs, data = Path(place, "logs"), Path(place, "data")
-        logs.mkdir()
-        (logs / file_name).write_bytes(blob)
+        folder, data = Path(place, "logs"), Path(place, "data")
+        folder.mkdir()
+        for name, blob in logs.items():
+            (folder / name).write_bytes(blob)
+        paths = [str(folder / name) for name in logs]
         texts = []
         with outcome.trial():
-            for words in (["ingest", str(logs), "-o", str(data)], ["ls", str(data)], ["doctor", str(logs)]):
-                done = subprocess.run(
-                    [sys.executable, "-m", "flysid", *words],
-                    cwd=ROOT,
-                    capture_output=True,
-                    check=False,
-                    timeout=300,
-                )
+            for words in (["ingest", *paths, "-o", str(data)], ["ls", str(data)], ["doctor", *paths[:1]]):
+                done = _said(words)
                 texts.append(done.stdout + done.stderr)
                 if done.returncode not in (0, 3) or b"Traceback" in done.stderr:
-                    outcome.failures.append(
-                        f"{file_name!a} {words[0]}: {done.returncode} {done.stderr[-200:]!a}"
-                    )
+                    outcome.failures.append(f"{words[0]}: {done.returncode} {done.stderr[-200:]!a}")
+        outcome.keep(len(list_flights(data)), len(logs))
+        if outcome.lost:
+            outcome.failures.append(f"{outcome.lost} of {len(logs)} logs lost")
         stray = [p for p in Path(place).iterdir() if p.name not in ("logs", "data")]
-        if stray or len(list(logs.iterdir())) != 1:
-            outcome.failures.append(f"{file_name!a}: written outside: {stray}")
+        if stray or sorted(p.name for p in folder.iterdir()) != sorted(logs):
+            outcome.failures.append(f"written outside: {stray}")
         if any(code in text for text in texts for code in (b"\x1b[31m", b"\x1b]0;", b"\0", b"\x07")):
-            outcome.failures.append(f"{file_name!a}: control characters reach the terminal")
+            outcome.failures.append("control characters reach the terminal")
+
+
+def _said(words: list[str]) -> subprocess.CompletedProcess[bytes]:
+    command = [sys.executable, "-m", "flysid", *words]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, check=False, timeout=300)
 
 
 CAMPAIGN = Campaign(13, "hostile names", run)

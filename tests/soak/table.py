@@ -37,14 +37,18 @@ def kept(outcome: Outcome) -> str:
     return f"{outcome.kept:,} of {whole:,} ({100 * outcome.kept / whole:.3f} %)" if whole else "0"
 
 
-def merge(page: str, fresh: list[Line]) -> str:
-    """`page` with the lines of all campaigns in `fresh` replaced. Raises ValueError without its marks."""
+def merge(page: str, fresh: list[Line], part: bool = False) -> str:
+    """`page` with the lines of all campaigns in `fresh` replaced; where it is a `part`, of their subjects only.
+
+    Raises ValueError without its marks.
+    """
     before, began, rest = page.partition(BEGIN)
     table, ended, after = rest.partition(END)
     if not began or not ended:
         raise ValueError(f"the page has no {BEGIN} ... {END}")
-    names = {cells[1] for cells in fresh}
-    lines = [cells for cells in parse(table) if cells[1] not in names] + fresh
+    width = 3 if part else 2
+    names = {cells[1:width] for cells in fresh}
+    lines = [cells for cells in parse(table) if cells[1:width] not in names] + fresh
     lines.sort(key=lambda cells: (int(cells[0]), cells[1], cells[2]))
     body = "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
     return f"{before}{BEGIN}\n{HEAD}\n{body}\n{END}{after}"
