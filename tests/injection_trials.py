@@ -10,9 +10,10 @@ from __future__ import annotations
 import csv
 import io
 import json
+import random
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -21,7 +22,6 @@ import numpy as np
 
 from flysid.dataset import Dataset, Segment
 from flysid.validate.compare import compare
-from flysid.validate.diagnostics import diagnose
 from flysid.validate.document import to_json
 from flysid.validate.report import ReportContext, render
 from flysid.validate.tables import to_csv, to_markdown
@@ -93,9 +93,19 @@ class Skeleton(HTMLParser):
                 self.live.append(f"<{tag} {name}={value}>")
 
 
-def page_with(text: str, field: str) -> tuple[str, list[str]]:
-    """A report whose `field` is `text`, and the other forms of the same comparison."""
-    pick = {name: text if name == field else f"harmless {name}" for name in FIELDS}
+def texts(count: int) -> list[str]:
+    """The scripts, then what becomes of two of them in one text."""
+    rng = random.Random(14)
+    more = (
+        rng.choice(("{}{}", "{} {}", "a {}\n{}", "{}\t{}", "{}\u00a0{}")).format(*rng.sample(SCRIPTS, 2))
+        for _ in range(count)
+    )
+    return [*SCRIPTS, *more][:count]
+
+
+def page_with(given: Mapping[str, str]) -> tuple[str, list[str]]:
+    """A report with these texts in these fields, and the other forms of the same comparison."""
+    pick = {name: given.get(name, f"harmless {name}") for name in FIELDS}
     arx, ts = FirstOrder(a=0.9, b=0.08), FirstOrder(a=0.9, b=0.1, structure="ts", labels=("R1", pick["rule"]))
     inputs = (replace(arx.inputs[0], name=pick["input"]),)
     outputs = (replace(arx.outputs[0], name=pick["output"], unit=pick["unit"]),)
@@ -118,7 +128,7 @@ def page_with(text: str, field: str) -> tuple[str, list[str]]:
         remark=pick["remark"],
         provenance={pick["label"]: pick["label"]},
     )
-    document = json.dumps(to_json({name: c}, {name: diagnose(c, data)}), allow_nan=False)
+    document = json.dumps(to_json({name: c}, context.diagnoses), allow_nan=False)
     forms = [document, table({name: c}), summary({name: c}), to_csv({name: c}), to_markdown({name: c})]
     return render(context), forms
 
@@ -130,26 +140,39 @@ def skeleton(page: str) -> Skeleton:
     return found
 
 
-def injections(goes_on: GoesOn = always, every: int = 1, pages: Path | None = None) -> Outcome:
-    """Every string in every field; `pages` keeps the pages for a browser."""
-    outcome = Outcome("strings in reports")
-    plain: dict[str, list[tuple[str, ...]]] = {}
-    cases = [(text, field) for text in SCRIPTS for field in FIELDS]
-    for number, (text, field) in enumerate(cases):
-        if number % every or not goes_on():
-            continue
+def injections(
+    goes_on: GoesOn = always, count: int = len(SCRIPTS), step: int = 1, pages: Path | None = None
+) -> Outcome:
+    """Every one of `count` texts in every field, as many at a time as there are fields.
+
+    Each page has another text in every field, so that after `count` pages each text has stood in each; with a
+    larger `step` in some. Where a page fails, its texts are tried alone. `pages` keeps pages for a browser.
+    """
+    outcome, every = Outcome("strings in reports"), texts(count)
+    plain = skeleton(page_with({})[0]).tags
+    for number in range(0, count, step):
+        if not goes_on():
+            break
+        given = {field: every[(number + k) % count] for k, field in enumerate(FIELDS)}
         with outcome.trial():
-            if field not in plain:
-                plain[field] = skeleton(page_with("harmless", field)[0]).tags
-            page, forms = page_with(text, field)
-            for fault in _faults(page, forms, plain[field], text):
-                outcome.failures.append(f"{text[:40]!r} as {field}: {fault}")
+            page, faults = _tried(given, plain)
+        if faults:
+            alone = [
+                f"{t[:40]!r} as {f}: {fault}" for f, t in given.items() for fault in _tried({f: t}, plain)[1]
+            ]
+            outcome.failures += alone or faults
         if pages is not None:
             (pages / f"{number}.html").write_text(page, "utf-8", errors="replace")
+    outcome.remark = f"{len(FIELDS)} strings a trial"
     return outcome
 
 
-def _faults(page: str, forms: list[str], plain: list[tuple[str, ...]], text: str) -> Iterator[str]:
+def _tried(given: Mapping[str, str], plain: list[tuple[str, ...]]) -> tuple[str, list[str]]:
+    page, forms = page_with(given)
+    return page, list(_faults(page, forms, plain, set(given.values())))
+
+
+def _faults(page: str, forms: list[str], plain: list[tuple[str, ...]], given: set[str]) -> Iterator[str]:
     found = skeleton(page)
     if found.tags != plain:
         at = next((i for i, (a, b) in enumerate(zip(found.tags, plain, strict=False)) if a != b), -1)
@@ -159,19 +182,21 @@ def _faults(page: str, forms: list[str], plain: list[tuple[str, ...]], text: str
         yield "control characters in text"
     for row in csv.reader(io.StringIO(forms[3])):
         if any(
-            (cell[:1] in "=@\t\r" and cell) or (cell[:2] in ("+1", "-2") and cell == text) for cell in row
+            (cell[:1] in "=@\t\r" and cell) or (cell[:2] in ("+1", "-2") and cell in given) for cell in row
         ):
             yield f"a cell that a spreadsheet would run: {row}"
     page.encode("utf-8")
 
 
-def browsed(pages: Path, chromium: str | None = None) -> Outcome | None:
+def browsed(pages: Path, goes_on: GoesOn = always, chromium: str | None = None) -> Outcome | None:
     """The pages opened by chromium, which must not set the mark; None where there is none."""
     chromium = chromium or shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
         return None
     outcome = Outcome("strings in a browser")
     for page in sorted(pages.glob("*.html")):
+        if not goes_on():
+            break
         with outcome.trial():
             command = [chromium, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom", page.as_uri()]
             done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)

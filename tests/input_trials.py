@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import os
 import pickle
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -67,11 +67,19 @@ WRONG: tuple[Any, ...] = (
 )  # fmt: skip
 
 
-def broken(document: dict[str, Any], rng: random.Random) -> tuple[str, dict[str, Any]]:
+class Base:
+    """A model file, and every place in it that can be broken."""
+
+    def __init__(self, path: Path) -> None:
+        self.name, self.text = path.stem, path.read_text()
+        every = _spots(json.loads(self.text), ())
+        self.spots = [spot for spot in every if spot[-1] not in ("format", "structure")]
+
+
+def broken(base: Base, rng: random.Random) -> tuple[str, dict[str, Any]]:
     """The document with one thing in it, at any depth, replaced, removed or repeated."""
-    found = copy.deepcopy(document)
-    spots = [spot for spot in _spots(found, ()) if spot[-1] not in ("format", "structure")]
-    spot = rng.choice(spots)
+    found: dict[str, Any] = json.loads(base.text)
+    spot = rng.choice(base.spots)
     inner: Any = found
     for key in spot[:-1]:
         inner = inner[key]
@@ -99,13 +107,8 @@ def hostile_models(folder: Path, count: int, goes_on: GoesOn = always, seed: int
     """Model files that are refused, or that compute plain numbers; nothing in them is ever executed."""
     outcome, rng = Outcome("model files"), random.Random(seed)
     mark, path = folder / "executed", folder / "model.json"
-    cases: list[tuple[str, bytes]] = list(raw_files(mark))
-    bases = [p for version in released() for p in sorted((version / "models").glob("*.json"))]
-    while len(cases) < count:
-        base = rng.choice(bases)
-        what, document = broken(json.loads(base.read_text()), rng)
-        cases.append((f"{base.stem}: {what}", json.dumps(document).encode()))
-    for what, raw in cases[:count]:
+    bases = [Base(p) for version in released() for p in sorted((version / "models").glob("*.json"))]
+    for what, raw in islice(chain(raw_files(mark), _broken_files(bases, rng)), count):
         if not goes_on():
             break
         path.write_bytes(raw)
@@ -118,6 +121,14 @@ def hostile_models(folder: Path, count: int, goes_on: GoesOn = always, seed: int
         outcome.failures.append("code from a model file was executed")
     outcome.remark = f"{outcome.trials - outcome.raised - len(outcome.failures)} harmless, and computed"
     return outcome
+
+
+def _broken_files(bases: list[Base], rng: random.Random) -> Iterator[tuple[str, bytes]]:
+    """Without end."""
+    while True:
+        base = rng.choice(bases)
+        what, document = broken(base, rng)
+        yield f"{base.name}: {what}", json.dumps(document).encode()
 
 
 def _try_model(path: Path) -> str:

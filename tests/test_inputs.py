@@ -9,7 +9,7 @@ import pytest
 
 from flysid.errors import StoreError
 from flysid.model.base import load
-from tests.injection_trials import injections
+from tests.injection_trials import FIELDS, injections
 from tests.input_trials import hopeless_data, hostile_models, leaks, wild_models
 from tests.released_files import released
 
@@ -57,6 +57,6 @@ def test_a_copied_flight_is_found_by_content() -> None:
 
 
 def test_strings_in_reports_stay_strings() -> None:
-    outcome = injections(every=83)
+    outcome = injections(step=len(FIELDS))  # every text in one field
     assert outcome.failures == []
-    assert outcome.trials > 4
+    assert outcome.trials == 4

@@ -9,12 +9,17 @@ from pathlib import Path
 from tests.injection_trials import browsed, injections
 from tests.soak import Budget, Campaign, Outcome
 
+TEXTS = 200
+
 
 def run(budget: Budget) -> Iterator[Outcome]:
     """The plain check, and chromium where there is one (a part of the pages)."""
+    plain, browser = budget.shares(2)
     with tempfile.TemporaryDirectory() as folder:
-        yield injections(budget.clock(), pages=Path(folder))
-        yield browsed(Path(folder)) or Outcome("strings in a browser", remark="not tried: no chromium")
+        yield injections(plain.clock(), TEXTS, pages=Path(folder))
+        yield browsed(Path(folder), browser.clock()) or Outcome(
+            "strings in a browser", remark="not tried: no chromium"
+        )
 
 
 CAMPAIGN = Campaign(14, "injection into reports", run)

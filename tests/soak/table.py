@@ -38,7 +38,7 @@ def kept(outcome: Outcome) -> str:
 
 
 def merge(page: str, fresh: list[Line], part: bool = False) -> str:
-    """`page` with the lines of all campaigns in `fresh` replaced; where it is a `part`, of their subjects only.
+    """`page` with the lines of the campaigns in `fresh` replaced; of a `part`, those of their subjects only.
 
     Raises ValueError without its marks.
     """
