@@ -22,6 +22,7 @@ from flysid.model.fuzzy.layout import scaling
 from flysid.model.fuzzy.model import FittedTS
 from flysid.model.hidden.finish import finished
 from flysid.model.hidden.fit import learn
+from flysid.model.hidden.model import FittedTSStateSpace
 from flysid.model.noise import noise_model
 from flysid.model.start import estimate_start, start_window
 from flysid.model.threads import on_one_thread
@@ -58,23 +59,53 @@ class BestTS:
         DataError : no or too few samples, a signal that never moves.
         FitError : no stable model was found.
         """
-        settings = TS(self.rules, antecedents=self.antecedents, nk_hint=self.nk_hint)
-        known = learn_lagged(settings, train, validation)
-        lagged = finished_lagged(known.stage, train, known.notes)
-        if not hints_at_hidden_state(lagged, train):
-            return lagged
-        try:
-            hidden = TSStateSpace(rules=self.rules, antecedents=self.antecedents, nk_hint=self.nk_hint)
-            learned = learn(hidden, train, validation)
-        except (DataError, FitError, UsageError):  # e.g. antecedents that it does not have
-            return lagged
-        gain, clear = advantage(known.folds, learned.folds)
-        ratio = f"{np.exp(0.5 * gain):.2f} times the validation free-run error of the model over lags"
-        if not clear:
+        return contest(self, train, validation).winner
+
+
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """The model over lags; the one over hidden states where it was tried, with the notes of either's winning.
+
+    Attributes
+    ----------
+    lagged, hidden : the models; hidden is None where nothing asked for it, or none was found.
+    gain, clear : see `advantage`.
+    """
+
+    lagged: FittedTS
+    hidden: FittedTSStateSpace | None = None
+    gain: float = 0.0
+    clear: bool = False
+
+    @property
+    def winner(self) -> Fitted:
+        """The model to take, with a note on why."""
+        ratio = f"{np.exp(0.5 * self.gain):.2f} times the validation free-run error of the model over lags"
+        if self.hidden is None:
+            return self.lagged
+        if not self.clear:
             note = f"A hidden state was tried and not taken: {ratio}, not clearly less."
-            return replace(lagged, notes=(*lagged.notes, note))
+            return replace(self.lagged, notes=(*self.lagged.notes, note))
         note = f"A hidden state explains what lagged outputs do not: {ratio}."
-        return finished(train, learned.stage, (note, *learned.notes), intervals=learned.intervals)
+        return replace(self.hidden, notes=(note, *self.hidden.notes))
+
+
+def contest(settings: BestTS, train: Dataset, validation: Dataset | None = None) -> Contest:
+    """Both kinds, the second where the first hints at it."""
+    over_lags = TS(settings.rules, antecedents=settings.antecedents, nk_hint=settings.nk_hint)
+    known = learn_lagged(over_lags, train, validation)
+    lagged = finished_lagged(known.stage, train, known.notes)
+    if not hints_at_hidden_state(lagged, train):
+        return Contest(lagged)
+    try:
+        hidden = TSStateSpace(
+            rules=settings.rules, antecedents=settings.antecedents, nk_hint=settings.nk_hint
+        )
+        learned = learn(hidden, train, validation)
+    except (DataError, FitError, UsageError):  # e.g. antecedents that it does not have
+        return Contest(lagged)
+    found = finished(train, learned.stage, learned.notes, intervals=learned.intervals)
+    return Contest(lagged, found, *advantage(known.folds, learned.folds))
 
 
 def hints_at_hidden_state(model: FittedTS, train: Dataset) -> bool:

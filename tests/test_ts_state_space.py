@@ -14,7 +14,6 @@ from flysid.model.base import Fitted
 from flysid.model.fuzzy.layout import scaling
 from flysid.model.fuzzy.problem import Body
 from flysid.model.hidden.bench import Bench
-from flysid.model.hidden.explain import explain
 from flysid.model.hidden.grow import Training, one_rule_more
 from flysid.model.hidden.judge import ends_of_travel
 from flysid.model.hidden.local import (
@@ -293,14 +292,14 @@ def trial_gap(model: Fitted, test: Dataset, truth: list[FloatArray]) -> float:
 
 def test_an_explanation_adds_up() -> None:
     model, segment = flown(), vehicle().segments[0]
-    told = explain(model, segment.u, segment.y, 100)
+    told = model.explain(segment.u, segment.y, 100)
     assert sum(v.share for v in told.voices) == pytest.approx(1.0)
     together = sum(v.share * v.output[0] for v in told.voices)
     assert told.output[0] == pytest.approx(together, abs=1e-9)
     assert told.antecedents["y(k-1)"] == pytest.approx(segment.y[99, 0])
     assert "spoke with" in str(told)
     with pytest.raises(UsageError, match="cannot be explained"):
-        explain(model, segment.u, segment.y, len(segment))
+        model.explain(segment.u, segment.y, len(segment))
 
 
 def test_a_linearisation_predicts_small_steps() -> None:
@@ -315,7 +314,10 @@ def test_a_linearisation_predicts_small_steps() -> None:
         next_states(model, moved, u), abs=1e-6
     )
     beside = linearise(model, u, np.array([0.5]))
-    assert beside.A.shape == local.A.shape
+    named = model.linearise({"u": 0.15, "y": 0.5})
+    assert pytest.approx(named.A) == beside.A
+    with pytest.raises(UsageError, match="z"):
+        model.linearise({"z": 1.0})
     with pytest.raises(UsageError, match="shape"):
         linearise(model, np.zeros(2))
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,13 +18,17 @@ from flysid.model.fuzzy.check import check_states
 from flysid.model.fuzzy.kernel import Parameters, firing
 from flysid.model.fuzzy.layout import Antecedent, at
 from flysid.model.fuzzy.memberships import Partition
-from flysid.model.fuzzy.model import array_or_none, with_null
+from flysid.model.fuzzy.model import array_or_none, values_at, with_null
 from flysid.model.fuzzy.physical import physical_consequents, physical_partition
 from flysid.model.fuzzy.words import condition_in_words, equation, in_words
 from flysid.model.hidden.layout import StateLayout
 from flysid.model.hidden.start import Prior, initial_states, simulated
 from flysid.model.noise import output_error_ahead
 from flysid.model.start import full_window, start_window
+
+if TYPE_CHECKING:
+    from flysid.model.fuzzy.explain import Explanation
+    from flysid.model.fuzzy.local import StateSpace
 
 _REST = 20  # rows of zeros that put a model to rest
 
@@ -224,6 +228,32 @@ class FittedTSStateSpace:
         title = f"Takagi-Sugeno state-space model, {count} rule{'s' if count > 1 else ''}, {layout.n} states"
         title += f" ({layout.hidden} hidden), {self.n_parameters} parameters"
         return in_words(title, self.rules(), self.notes)
+
+    def explain(self, u: FloatArray, y: FloatArray, row: int) -> Explanation:
+        """Which rules spoke at a sample of measured data, how loudly and why; see `explain.explain`."""
+        from flysid.model.hidden.explain import explain
+
+        return explain(self, u, y, row)
+
+    def linearise(self, at: Mapping[str, float]) -> StateSpace:
+        """The local linear model while every signal stands at a value; see `local.linearise`.
+
+        Hidden states stand where they rest beside the others.
+
+        Parameters
+        ----------
+        at : signal's name -> value; signals left out stand at their mean in training.
+
+        Raises
+        ------
+        UsageError : a name that is no signal of the model, or hidden states that come to no rest.
+        """
+        from flysid.model.hidden.local import linearise
+
+        n_y, n, shift = self.layout.n_y, self.layout.n, self.layout.shift
+        known = np.concatenate([shift[:n_y], shift[n:]])
+        values = values_at([s.name for s in (*self.outputs, *self.inputs)], known, at)
+        return linearise(self, values[n_y:], values[:n_y])
 
     # -- storage -----------------------------------------------------------------------------------------
 

@@ -22,7 +22,7 @@ from flysid.model.hidden.judge import Judged
 from flysid.model.hidden.start import PLAIN, Realisation, coordinates
 from flysid.model.hidden.systems import System
 
-_RIDGES = (0.01, 0.1)
+_RIDGES = (0.1, 0.01)  # the first for every start, the second for the best one
 _LARGE = 10_000  # samples from which on one start and one ridge must do
 _SCREEN_ROWS = 3000  # of every part, in pieces of
 _PIECE = 1000
