@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from flysid.dataset import Dataset
 from flysid.model.base import Fitted
 from flysid.validate.conditioning import conditions
 from flysid.validate.parameters import Intervals, intervals
 from flysid.validate.robustness import Robustness, robustness
+
+if TYPE_CHECKING:
+    from flysid.validate.bands import Drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +34,11 @@ class Checks:
     intervals: Intervals | None
     certificate: str
     proved: bool
+
+    @property
+    def fuzzy(self) -> Drawn | None:
+        """What is known of a TS model's numbers."""
+        return None if self.intervals is None else self.intervals.fuzzy
 
 
 def check(model: Fitted, test: Dataset, train: Dataset | None = None) -> Checks:

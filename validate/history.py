@@ -18,9 +18,12 @@ from typing import Any
 
 from flysid.errors import StoreError, UsageError
 from flysid.manifest import DATA_FILE
+from flysid.validate.compare import CONTENDERS
 from flysid.validate.judge import DOCUMENT
 from flysid.validate.run import RUN_FILE, Run, open_run
 from flysid.validate.trials import FREE_RUN
+from flysid.validate.verdict import Verdict
+from flysid.validate.words import named
 
 REPORT = "report"
 DEPTH = 4  # folders below the one that is asked for
@@ -53,6 +56,11 @@ class RunChannel:
     held_out: str
     baseline: str = ""
     rank: int | None = None
+
+    @property
+    def fuzzy(self) -> str | None:
+        """Label of the fuzzy model that the verdict is about."""
+        return next((label for label in CONTENDERS if label in self.rmse), None)
 
     @property
     def best(self) -> float:
@@ -153,6 +161,13 @@ def _judged(run: Run) -> list[RunChannel] | None:
         ) from error
 
 
+def _verdict(free: Mapping[str, Any]) -> str:
+    """ "better", or "better, not than ARX" where another linear model does as well."""
+    words = str(free["verdict"] or free["reason"])
+    short = named([str(n) for n in free.get("short_of", ())]) if words == Verdict.BETTER else ""
+    return f"{words}, not than {short}" if short else words
+
+
 def _channel(run: Run, name: str, free: Mapping[str, Any], about: Mapping[str, Any]) -> RunChannel:
     change = free["change_pct"]
     rmse = {str(m): float(s["rmse"]) for m, s in free["models"].items() if s["rmse"] is not None}
@@ -164,7 +179,7 @@ def _channel(run: Run, name: str, free: Mapping[str, Any], about: Mapping[str, A
         rmse=rmse,
         unit=str(free["unit"]),
         change_pct=None if change is None else float(change),
-        verdict=str(free["verdict"] or free["reason"]),
+        verdict=_verdict(free),
         held_out=str(about["test_sha256"]),
         baseline=str(about.get("baseline", "arx")),
     )

@@ -21,6 +21,7 @@ from flysid.model.regressors import lagged_name
 if TYPE_CHECKING:
     from flysid.model.fuzzy.model import FittedTS
     from flysid.model.hidden.model import FittedTSStateSpace
+    from flysid.validate.bands import Drawn
 
 Z95 = 1.959963984540054
 
@@ -45,11 +46,13 @@ class Intervals:
     gain : (2, R, n_y, n_u) of every rule's steady gain; NaN where there is none.
     time_constant_s : (2, R), or None where it is not known.
     coefficients : every estimated coefficient.
+    fuzzy : what all of this was drawn from, for a TS model.
     """
 
     gain: FloatArray
     time_constant_s: FloatArray | None
     coefficients: tuple[Coefficient, ...]
+    fuzzy: Drawn | None = None
 
 
 def intervals(model: Fitted, train: Dataset | None) -> Intervals | None:
@@ -83,7 +86,7 @@ def _fuzzy(model: FittedTS | FittedTSStateSpace, train: Dataset) -> Intervals | 
         for i, output in enumerate(model.outputs)
         for m, (name, value) in enumerate(zip(model.regressor_names, rule[i], strict=True))
     ]
-    return Intervals(gain, slow, tuple(found))
+    return Intervals(gain, slow, tuple(found), sure)
 
 
 def _linear(model: FittedLinear) -> Intervals | None:

@@ -22,7 +22,7 @@ from flysid.validate.judge import DOCUMENT
 from flysid.validate.run import RUN_FILE
 
 INDEX = ".flysid-runs.parquet"
-VERSION = b"2"
+VERSION = b"3"
 Stamp = tuple[int, int, int, int]
 Indexed = dict[str, tuple[Stamp, list[RunChannel]]]
 

@@ -48,7 +48,7 @@ class Stages:
 
     @property
     def report(self) -> Path:
-        return self.root / "report"
+        return self.run / "report"  # where 'flysid runs' looks for the verdict
 
 
 @click.command("demo")
@@ -180,6 +180,8 @@ def meaning(judgement: Judgement) -> str:
         return "One linear model per channel is enough here."
     if not better:
         return "These flights do not show that rules help. Read the report's first lines for why."
-    others = [name for name in pairs if name not in better]
-    rest = f"; on {', '.join(others)} a linear model is enough" if others else ""
+    enough = [name for name, pair in pairs.items() if pair.verdict == "same" or pair.one_rule]
+    open_ = [name for name in pairs if name not in (*better, *enough)]
+    rest = f"; on {', '.join(enough)} a linear model is enough" if enough else ""
+    rest += f"; on {', '.join(open_)} these flights do not tell" if open_ else ""
     return f"Rules help on {', '.join(better)}{rest}. Read the cautions in the report before you rely on it."

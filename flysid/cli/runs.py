@@ -49,9 +49,16 @@ def linear_text(channel: RunChannel) -> str:
     return number(rmse) if rmse is None else f"{number(rmse)} {channel.baseline}"
 
 
+def fuzzy_text(channel: RunChannel) -> str:
+    """ "0.035", or "0.035 ts_ss" where it is not the usual one."""
+    from flysid.validate.words import number
+
+    label = channel.fuzzy
+    return number(channel.rmse.get(label or "")) + (f" {label}" if label not in (None, "ts") else "")
+
+
 def row(channel: RunChannel) -> tuple[str, ...]:
     """One channel of a run as the cells of a table; the errors are free-run RMSE on the held-out part."""
-    from flysid.validate.words import number
 
     return (
         channel.recipe,
@@ -60,7 +67,7 @@ def row(channel: RunChannel) -> tuple[str, ...]:
         "-" if channel.rank is None else str(channel.rank),
         channel.folder,
         linear_text(channel),
-        number(channel.rmse.get("ts")),
+        fuzzy_text(channel),
         channel.unit,
         channel.verdict,
         channel.fitted_at[:16].replace("T", " "),

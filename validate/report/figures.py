@@ -8,6 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import FloatArray
+from flysid.validate.bands import Curve
 from flysid.validate.compare import Pair
 from flysid.validate.report.context import Sweep
 from flysid.validate.report.svg import (
@@ -25,7 +26,6 @@ from flysid.validate.report.svg import (
     text,
 )
 from flysid.validate.residuals import Correlation, Spectrum
-from flysid.validate.responses import ComplexArray
 from flysid.validate.words import interval_words
 
 HALF = 470.0
@@ -72,13 +72,13 @@ def correlogram(c: Correlation, dt_s: float, css: str, label: str) -> Markup:
 
 def bode(
     empirical: Spectrum | None,
-    models: Mapping[str, Sequence[ComplexArray]],
+    models: Mapping[str, Sequence[Curve]],
     hz: FloatArray,
     unit: str,
     label: str,
 ) -> Markup:
-    """Gain, phase and coherence; `models` maps a CSS class stem to one response per rule."""
-    curves = [r for responses in models.values() for r in responses]
+    """Gain, phase and coherence; `models` maps a CSS class stem to one curve per rule, with its band."""
+    curves = [c.response for own in models.values() for c in own]
     gain_db = [20 * np.log10(np.maximum(np.abs(r), 1e-12)) for r in curves]
     phases = [np.unwrap(np.angle(r)) * 180 / np.pi for r in curves]
     shown = [*gain_db]
@@ -98,12 +98,29 @@ def bode(
     parts.append(frame(bottom, "coherence", "frequency, Hz", y_count=1))
     if empirical is not None:
         parts += _empirical(empirical, gain, phase, bottom, phases)
-    for css, responses in models.items():
-        for i, response in enumerate(responses):
-            style = f"{css}" if len(responses) == 1 else f"rule r{i % 8 + 1}"
-            parts.append(line(gain, hz, 20 * np.log10(np.maximum(np.abs(response), 1e-12)), style))
-            parts.append(line(phase, hz, np.unwrap(np.angle(response)) * 180 / np.pi, style))
+    for css, own in models.items():
+        for i, curve in enumerate(own):
+            stem = css if len(own) == 1 else f"r{i % 8 + 1}"
+            parts += _curve(curve, hz, (gain, phase), stem, css if len(own) == 1 else f"rule {stem}")
     return picture(HALF, 424, parts, label)
+
+
+def _curve(curve: Curve, hz: FloatArray, axes: tuple[Axes, Axes], stem: str, style: str) -> list[Markup]:
+    """Gain and phase of one rule over its band; every third point of a band is enough."""
+    gain, phase = axes
+    degrees = np.unwrap(np.angle(curve.response)) * 180 / np.pi
+    parts = []
+    if curve.band is not None:
+        few, b = slice(None, None, 3), curve.band
+        db = [20 * np.log10(np.maximum(v, 1e-12))[few] for v in (b.low, b.high)]
+        turned = [(degrees + v * 180 / np.pi)[few] for v in (b.turn_low, b.turn_high)]
+        for one, (low, high) in ((gain, db), (phase, turned)):
+            if np.isfinite(low).all() and np.isfinite(high).all():
+                ends = (np.clip(low, *one.y), np.clip(high, *one.y))
+                parts.append(area(one, hz[few], *ends, f"sure {stem}"))
+    parts.append(line(gain, hz, 20 * np.log10(np.maximum(np.abs(curve.response), 1e-12)), style))
+    parts.append(line(phase, hz, degrees, style))
+    return parts
 
 
 def _empirical(

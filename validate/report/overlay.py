@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,15 +10,20 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import FloatArray
+from flysid.validate.bands import free_run_band
 from flysid.validate.compare import Comparison
 from flysid.validate.report.decimate import decimate, rounded
 from flysid.validate.report.rulefigures import firing_along, strongest_runs
-from flysid.validate.report.svg import Axes, box, frame, line, picture, span
+from flysid.validate.report.source import Source
+from flysid.validate.report.svg import Axes, area, box, frame, line, picture, span
 from flysid.validate.trials import Trial
 from flysid.validate.words import one_line
 
 WIDE = 960.0
 MOST_SEGMENTS = 60
+MOST_BANDED = 24
+THIN = 4
+"""Bands are smooth: every fourth sample drawn will do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +37,7 @@ class Strip:
     y, u : (P,) measured output, and the input drawn below.
     models : (name, CSS class, (P,) free run) of each model drawn.
     runs : (from, to, rule) of the strongest rule of the contender.
+    bands : (CSS class, lower, upper), (P / THIN,) each, of the free runs that have one.
     """
 
     index: int
@@ -41,16 +47,18 @@ class Strip:
     models: tuple[tuple[str, str, FloatArray], ...]
     errors: tuple[FloatArray, ...]
     runs: tuple[tuple[float, float, int], ...]
+    bands: tuple[tuple[str, FloatArray, FloatArray], ...] = ()
 
 
-def strips(
-    comparison: Comparison, trials: Sequence[Trial], output: int, signal: int, points: int
-) -> list[Strip]:
-    """A Strip for every trial, at most 60 (the first ones), each of about `points` samples."""
-    return [_strip(comparison, trial, output, signal, points) for trial in trials[:MOST_SEGMENTS]]
+def strips(source: Source, output: int, signal: int) -> list[Strip]:
+    """A Strip for every trial, at most 60 (the first ones), the first 24 of them with bands."""
+    trials = source.diagnosis.free_runs[:MOST_SEGMENTS]
+    return [_strip(source, t, (output, signal), i < MOST_BANDED) for i, t in enumerate(trials)]
 
 
-def _strip(comparison: Comparison, trial: Trial, output: int, signal: int, points: int) -> Strip:
+def _strip(source: Source, trial: Trial, place: tuple[int, int], banded: bool) -> Strip:
+    """`place` is (output, input)."""
+    comparison, (output, signal) = source.comparison, place
     segment = comparison.test.segments[trial.segment]
     t = comparison.dt_s * np.arange(trial.first, len(segment), dtype=np.float64)
     names = drawn(comparison)
@@ -58,7 +66,7 @@ def _strip(comparison: Comparison, trial: Trial, output: int, signal: int, point
     for name, _ in names:
         series[f"m {name}"] = trial.yh[name][:, output]
         series[f"e {name}"] = trial.y[:, output] - trial.yh[name][:, output]
-    times, few = decimate(t, series, points)
+    times, few = decimate(t, series, source.points)
     runs: list[tuple[float, float, int]] = []
     if comparison.contender:
         strength = firing_along(comparison.fitted[comparison.contender], segment)
@@ -72,7 +80,23 @@ def _strip(comparison: Comparison, trial: Trial, output: int, signal: int, point
         tuple((name, css, few[f"m {name}"]) for name, css in names),
         tuple(few[f"e {name}"] for name, _ in names),
         tuple(runs),
+        tuple(_bands(source, trial, output, times) if banded else ()),
     )
+
+
+def _bands(
+    source: Source, trial: Trial, output: int, times: FloatArray
+) -> Iterator[tuple[str, FloatArray, FloatArray]]:
+    """Of every model drawn that offers one and did not diverge, at every fourth of `times`."""
+    segment = source.comparison.test.segments[trial.segment]
+    rows = np.rint(times[::THIN] / source.comparison.dt_s).astype(np.int64) - trial.first
+    for name, css in drawn(source.comparison):
+        if name in trial.diverged_s:
+            continue
+        model = source.comparison.fitted[name]
+        band = free_run_band(model, segment, trial.first, source.sure(name))
+        if band is not None:
+            yield css, band[0][rows, output], band[1][rows, output]
 
 
 def drawn(comparison: Comparison) -> list[tuple[str, str]]:
@@ -113,6 +137,9 @@ def still(strip: Strip, titles: tuple[str, str, str], label: str) -> Markup:
         line(top, strip.t, strip.y, "measured"),
         line(low, strip.t, strip.u, "input"),
     ]
+    for css, lower, upper in strip.bands:
+        low_edge, high_edge = np.clip(lower, *top.y), np.clip(upper, *top.y)
+        parts.append(area(top, strip.t[::THIN], low_edge, high_edge, f"sure {css}"))
     for (_, css, values), error in zip(strip.models, strip.errors, strict=True):
         parts += [line(top, strip.t, values, css), line(middle, strip.t, error, css)]
     for begin, end, rule in strip.runs:
@@ -133,5 +160,6 @@ def as_json(strip: Strip, label: str) -> dict[str, Any]:
         "range": list(vertical(strip)),
         "error_range": list(error_range(strip)),
         "input_range": list(span(strip.u, pad=0.1)),
+        "bands": [[css, rounded(lower), rounded(upper)] for css, lower, upper in strip.bands],
         "runs": [[round(a, 3), round(b, 3), r] for a, b, r in strip.runs],
     }

@@ -11,13 +11,14 @@ from markupsafe import Markup
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Rule
+from flysid.validate.bands import curves
 from flysid.validate.compare import Comparison
-from flysid.validate.diagnostics import Diagnosis
 from flysid.validate.report import figures, overlay, rulefigures
 from flysid.validate.report.checktable import CheckRow, check_rows, coefficient_rows, interval_text
 from flysid.validate.report.context import Sweep
+from flysid.validate.report.source import Source
 from flysid.validate.residuals import Correlation
-from flysid.validate.responses import responses, steady_outputs
+from flysid.validate.responses import steady_outputs
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.words import number, one_line
 
@@ -69,18 +70,6 @@ class Section:
     data: Mapping[str, Any]
 
 
-@dataclass(frozen=True, eq=False)
-class Source:
-    """What one channel is drawn from."""
-
-    channel: str
-    comparison: Comparison
-    diagnosis: Diagnosis
-    train: Dataset | None
-    sweep: Sweep | None
-    points: int
-
-
 def sections(source: Source, number_of: int) -> list[Section]:
     """A Section for every output of the channel; `number_of` counts channels, for anchors."""
     outputs = source.comparison.test.outputs
@@ -90,7 +79,7 @@ def sections(source: Source, number_of: int) -> list[Section]:
 def _section(source: Source, j: int, anchor: str) -> Section:
     c = source.comparison
     signal = _main_input(source, j)
-    pieces = overlay.strips(c, source.diagnosis.free_runs, j, signal, source.points)
+    pieces = overlay.strips(source, j, signal)
     longest = max(range(len(pieces)), key=lambda i: pieces[i].t[-1] - pieces[i].t[0])
     titles = (
         _with_unit(c.test.outputs[j].name, c.test.outputs[j].unit),
@@ -121,6 +110,7 @@ def _section(source: Source, j: int, anchor: str) -> Section:
             "segments": [overlay.as_json(p, label) for p, label in zip(pieces, labels, strict=True)],
             "shown": longest,
             "titles": list(titles),
+            "banded": any(p.bands for p in pieces),
             "models": [f"{one_line(m).upper()} free run" for m, _ in overlay.drawn(c)],
         },
     )
@@ -203,14 +193,18 @@ def _bode(source: Source, j: int, signal: int) -> Panel:
     empirical = source.diagnosis.outputs[j].responses[signal]
     total = max(len(s) for s in c.test.segments) * c.dt_s
     hz = np.geomspace(max(2.0 / total, 1e-4), 0.5 / c.dt_s, 160)
-    curves = {css: responses(c.fitted[m], hz, j, signal) for m, css in overlay.drawn(c)}
+    known = {m: curves(c.fitted[m], hz, (j, signal), source.sure(m)) for m, _ in overlay.drawn(c)}
     unit = f"{c.test.outputs[j].unit or '1'} per {c.test.inputs[signal].unit or '1'}"
     return Panel(
         "Local models against the linear baseline",
         "dots: measured, with 95 % whiskers, faint where the coherence is below 0.5; dashed: linear; one "
-        "colour per rule",
+        "colour per rule; shaded: 95 % bands from the training data",
         figures.bode(
-            empirical, curves, hz, one_line(unit), "Frequency response of the rules and the linear model"
+            empirical,
+            {css: known[m] for m, css in overlay.drawn(c)},
+            hz,
+            one_line(unit),
+            "Frequency response of the rules and the linear model",
         ),
     )
 
@@ -222,13 +216,13 @@ def _static(source: Source, j: int, signal: int) -> Panel:
     y = np.concatenate([s.y[:, j] for s in data.segments])
     fixed = np.mean(np.concatenate([s.u for s in data.segments]), axis=0)
     levels = np.linspace(float(u.min()), float(u.max()), 25)
-    curves = {css: steady_outputs(c.fitted[m], levels, fixed, j, signal) for m, css in overlay.drawn(c)}
+    steady = {css: steady_outputs(c.fitted[m], levels, fixed, j, signal) for m, css in overlay.drawn(c)}
     x, name = _with_unit(c.test.inputs[signal].name, c.test.inputs[signal].unit), c.test.outputs[j].name
     return Panel(
         "Static map",
         f"dots: {'training' if source.train else 'held-out'} samples; lines: where each model settles",
         figures.static_map(
-            u, y, levels, curves, (x, _with_unit(name, c.test.outputs[j].unit), f"Static map of {name}")
+            u, y, levels, steady, (x, _with_unit(name, c.test.outputs[j].unit), f"Static map of {name}")
         ),
     )
 

@@ -32,6 +32,35 @@
     parent.appendChild(p);
   }
 
+  function full(thin, n) { // a band is kept at every fourth sample: straight lines between
+    var out = new Array(n), last = thin.length - 1;
+    for (var i = 0; i < n; i++) {
+      var k = Math.min(i >> 2, last), next = Math.min(k + 1, last), part = (i & 3) / 4;
+      out[i] = thin[k] === null || thin[next] === null ? null : thin[k] + part * (thin[next] - thin[k]);
+    }
+    return out;
+  }
+
+  function shade(current, plot) { // 95 % bands below the lines
+    if (!current.bands.length) { return; }
+    var pen = plot.ctx, box = plot.bbox;
+    pen.save();
+    pen.beginPath();
+    pen.rect(box.left, box.top, box.width, box.height);
+    pen.clip();
+    pen.globalAlpha = 0.18;
+    current.bands.forEach(function (band) {
+      var n = current.t.length, low = full(band[1], n), high = full(band[2], n), i;
+      pen.fillStyle = colour(band[0]);
+      pen.beginPath();
+      for (i = 0; i < n; i++) { pen.lineTo(plot.valToPos(current.t[i], "x", true), plot.valToPos(high[i], "y", true)); }
+      for (i = n - 1; i >= 0; i--) { pen.lineTo(plot.valToPos(current.t[i], "x", true), plot.valToPos(low[i], "y", true)); }
+      pen.closePath();
+      pen.fill();
+    });
+    pen.restore();
+  }
+
   function chart(parent, height, channel, lines, range, showTime, key) {
     var options = {
       width: Math.max(260, parent.clientWidth),
@@ -107,6 +136,7 @@
       zooming = false;
       paintStrip();
     }
+    top.hooks.drawAxes = [function (plot) { shade(current, plot); }];
     [[top, 0], [middle, 1], [bottom, 2]].forEach(function (item) {
       item[0].hooks.setScale = (item[0].hooks.setScale || []).concat([follow(function () { return item[0]; })]);
     });

@@ -1,0 +1,74 @@
+"""Bands of frequency response and free run: against the models' own, and against truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flysid.dataset import Dataset
+from flysid.model.arx import ARX
+from flysid.model.linear.uncertainty import simulation_band
+from flysid.model.start import estimate_start
+from flysid.model.statespace import StateSpace
+from flysid.model.ts import TS
+from flysid.validate.bands import curves, free_run_band
+from flysid.validate.parameters import intervals
+from flysid.validate.responses import responses
+from tests.fakes import FirstOrder, flown
+
+TRUTH = FirstOrder(a=0.9, b=0.1)
+TRAIN = flown(TRUTH, [400] * 3, noise=0.05)
+HZ = np.geomspace(0.05, 9.0, 12)
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["arx", "state space"])
+def test_bands_of_linear_models_hold_the_truth(which: int) -> None:
+    model = (ARX(na=1, nb=1, nk=1), StateSpace(order=1, refine=True))[which].fit(TRAIN)
+    (curve,) = curves(model, HZ, (0, 0))
+    (truth,) = responses(TRUTH, HZ, 0, 0)
+    assert curve.band is not None
+    assert (curve.band.low < np.abs(curve.response)).all()
+    assert (np.abs(curve.response) < curve.band.high).all()
+    inside = (curve.band.low < np.abs(truth)) & (np.abs(truth) < curve.band.high)
+    assert inside.mean() > 0.8
+    segment = flown(TRUTH, [300], noise=0.0, seed=9).segments[0]
+    band = free_run_band(model, segment, 20)
+    assert band is not None
+    assert band[0].shape == (280, 1)
+    assert (band[0] <= band[1]).all()
+    held = (band[0] <= segment.y[20:]) & (segment.y[20:] <= band[1])
+    assert held.mean() > 0.8
+
+
+def test_the_band_of_arx_is_the_models_own() -> None:
+    model = ARX(na=1, nb=1, nk=1).fit(TRAIN)
+    segment = TRAIN.segments[0]
+    low, high = simulation_band(
+        model, segment.u, estimate_start(model, segment.u[:20], segment.y[:20]), draws=100
+    )
+    band = free_run_band(model, segment, 20)
+    assert band is not None
+    np.testing.assert_array_equal(band[0], low[20:])
+    np.testing.assert_array_equal(band[1], high[20:])
+
+
+def test_rules_have_a_band_each() -> None:
+    data: Dataset = flown(FirstOrder(a=0.9, b=0.1, d=-0.3), [300] * 3, noise=0.02)
+    model = TS(rules=2, na=1, nb=1, nk=1).fit(data)
+    known = intervals(model, data)
+    assert known is not None
+    found = curves(model, HZ, (0, 0), known.fuzzy)
+    assert len(found) == 2
+    for curve in found:
+        assert curve.band is not None
+        assert (curve.band.low <= curve.band.high).all()
+        assert (curve.band.turn_low <= curve.band.turn_high).all()
+    band = free_run_band(model, data.segments[0], 10, known.fuzzy)
+    assert band is not None
+    assert np.isfinite(band).all()
+
+
+def test_a_model_that_does_not_know_has_none() -> None:
+    (curve,) = curves(TRUTH, HZ, (0, 0))
+    assert curve.band is None
+    assert free_run_band(TRUTH, TRAIN.segments[0], 10) is None
