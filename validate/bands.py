@@ -32,6 +32,10 @@ class Drawn(Protocol):
         """Models whose numbers are drawn from their distribution; the same ones for the same seed."""
         ...
 
+    def simulation_band(self, u: FloatArray, y0: FloatArray | None = ...) -> tuple[FloatArray, FloatArray]:
+        """(lower, upper), (N, n_y) each, of the free run."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class ResponseBand:
@@ -53,9 +57,11 @@ class Curve:
 
 def curves(model: Fitted, hz: FloatArray, place: tuple[int, int], sure: Drawn | None = None) -> list[Curve]:
     """Response of every rule with its band; `place`: (output, input); `sure`: what a TS model's fit tells."""
+    from flysid.model.fuzzy.model import FittedTS
+
     nominal = responses(model, hz, *place)
     bands: Sequence[ResponseBand | None] = [None] * len(nominal)
-    if sure is not None:
+    if sure is not None and isinstance(model, FittedTS):  # draws of hidden states are wild
         bands = _drawn_bands(nominal, sure, hz, place)
     elif (known := _first_order(model, hz)) is not None:
         bands = [_linear_band(known, place)]
@@ -115,8 +121,7 @@ def free_run_band(
     try:
         y0 = estimate_start(model, segment.u[:start], segment.y[:start])
         if sure is not None:
-            runs = [m.simulate(segment.u, y0) for m in sure.draws(DRAWS)]
-            low, high = np.percentile(runs, LEVEL, axis=0)
+            low, high = sure.simulation_band(segment.u, y0)
         elif isinstance(model, FittedLinear):
             low, high = uncertainty.simulation_band(model, segment.u, y0, draws=DRAWS)
         elif isinstance(model, FittedStateSpace):
