@@ -48,7 +48,7 @@ def read_rosbag2(view: memoryview, name: str, limits: Limits) -> Parts:
 
 
 def _read_database(view: memoryview, name: str, limits: Limits, tally: Tally) -> Parts:
-    bag, topics = _Bag(view, limits, tally), Topics(tally)
+    bag, topics = Bag(view, limits, tally), Topics(tally)
     released = 0
 
     def passed() -> None:
@@ -67,7 +67,7 @@ def _read_database(view: memoryview, name: str, limits: Limits, tally: Tally) ->
     return Summary(tally.freeze(), topics.clocks(), {**bag.info, **topics.notes()})
 
 
-class _Bag:
+class Bag:
     """The messages of one file; `rows` and `info` fill while they are read."""
 
     def __init__(self, view: memoryview, limits: Limits, tally: Tally) -> None:

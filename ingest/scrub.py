@@ -48,6 +48,8 @@ def scrubbers() -> Mapping[str, Function]:
         scrub_mavlink,
         scrub_mcap,
         scrub_navdata,
+        scrub_rosbag,
+        scrub_rosbag2,
         scrub_ulog,
     )
 
@@ -57,6 +59,8 @@ def scrubbers() -> Mapping[str, Function]:
         "dataflash_text": scrub_dataflash_text.scrub,
         "mcap": scrub_mcap.scrub,
         "navdata": scrub_navdata.scrub,
+        "rosbag": scrub_rosbag.scrub,
+        "rosbag2": scrub_rosbag2.scrub,
         "ulog": scrub_ulog.scrub,
     }
 

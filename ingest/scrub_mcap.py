@@ -7,25 +7,21 @@ that cannot be decoded, attachments, metadata. Chunks are compressed with zstd w
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import IO, Any, cast
 
 from flysid.ingest import scrub_rules as rules
 from flysid.ingest.base import Limits
-from flysid.ingest.cdr import ROS1_WIRE
 from flysid.ingest.mcap_reader import McapReader
 from flysid.ingest.mcap_records import HEAD_BYTES, MESSAGE_HEAD_BYTES, Channel
-from flysid.ingest.mcap_topics import CDR_WIRES
 from flysid.ingest.protomsg import parse_descriptors
-from flysid.ingest.rosmsg import DefinitionError, parse_definition
-from flysid.ingest.scrub_ros import MessageError, may_hold, scrub_message
+from flysid.ingest.rosmsg import DefinitionError
+from flysid.ingest.scrub_ros import CORRECTIONS, Clean, cleaner_for
 from flysid.ingest.scrub_rules import Column, Scrubber
 from flysid.ingest.tally import Tally
 
-Clean = Callable[[bytes], bytes]
 LIBRARY = "flysid scrub"
 CHUNK_BYTES = 1 << 20
-CORRECTIONS = "rtcm"
 
 
 def scrub(view: memoryview, scrubber: Scrubber, limits: Limits) -> Iterator[bytes]:
@@ -112,20 +108,7 @@ def _cleaner(channel: Channel, scrubber: Scrubber) -> Clean | None:
     if channel.encoding == "protobuf" and schema.encoding == "protobuf":
         layout = parse_descriptors(schema.name, schema.data)
         return lambda raw: _protobuf(layout.message.FromString(raw), where, scrubber)
-    if channel.encoding == "ros1" and schema.encoding == "ros1msg":
-        kind = parse_definition(schema.name, schema.data.decode("utf-8", "replace"), 1)
-        return (lambda raw: scrub_message(kind, raw, ROS1_WIRE, where, scrubber)) if may_hold(kind) else bytes
-    if channel.encoding == "cdr" and schema.encoding == "ros2msg":
-        kind2 = parse_definition(schema.name, schema.data.decode("utf-8", "replace"), 2)
-
-        def clean(raw: bytes) -> bytes:
-            wire = CDR_WIRES.get(raw[1]) if len(raw) >= 4 else None
-            if wire is None:
-                raise MessageError("an encapsulation that is not known")
-            return raw[:4] + scrub_message(kind2, raw[4:], wire, where, scrubber)
-
-        return clean if may_hold(kind2) else bytes
-    return None
+    return cleaner_for(channel, scrubber)
 
 
 def _json(raw: bytes, where: str, scrubber: Scrubber) -> bytes:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from flysid.ingest import scrub_rules as rules
-from flysid.ingest.cdr import Wire
-from flysid.ingest.rosmsg import Array, Number, Record, Text, Type
+from flysid.ingest.cdr import ROS1_WIRE, Wire
+from flysid.ingest.mcap_records import Channel
+from flysid.ingest.mcap_topics import CDR_WIRES
+from flysid.ingest.rosmsg import Array, DefinitionError, Number, Record, Text, Type, parse_definition
 from flysid.ingest.scrub_rules import Column, Scrubber
 
+Clean = Callable[[bytes], bytes]
+CORRECTIONS = "rtcm"
 FRAME_NAMES = frozenset({"frame_id", "child_frame_id"})
 MAX_STEPS = 1_000_000
 
@@ -82,6 +86,37 @@ def _move(out: bytearray, numbers: dict[str, Spot], wire: Wire, where: str, scru
         rules.scrub_place(rows, place, where, scrubber)
         for spot in spots:
             out[spot.at : spot.at + spot.size] = rows[spot.path].tobytes()
+
+
+def cleaner_for(channel: Channel, scrubber: Scrubber) -> Clean | None:
+    """What cleans one message of a ROS topic; None where its definition gives no layout.
+
+    Corrections for receivers are None too: they tell where the base is.
+    """
+    schema, where = channel.schema, channel.topic
+    if schema is None or channel.fault or CORRECTIONS in f"{where} {schema.name}".lower():
+        return None
+    wires = {("ros1", "ros1msg"): 1, ("cdr", "ros2msg"): 2}
+    ros = wires.get((channel.encoding, schema.encoding))
+    if ros is None:
+        return None
+    try:
+        kind = parse_definition(schema.name, schema.data.decode("utf-8", "replace"), ros)
+    except DefinitionError:
+        return None
+    if not may_hold(kind):
+        return bytes
+    if ros == 1:
+        return lambda raw: scrub_message(kind, raw, ROS1_WIRE, where, scrubber)
+    return lambda raw: _scrub_cdr(kind, raw, where, scrubber)
+
+
+def _scrub_cdr(kind: Record, raw: bytes, where: str, scrubber: Scrubber) -> bytes:
+    """A message behind its 4 bytes of encapsulation. Raises MessageError where these are not known."""
+    wire = CDR_WIRES.get(raw[1]) if len(raw) >= 4 else None
+    if wire is None:
+        raise MessageError("an encapsulation that is not known")
+    return raw[:4] + scrub_message(kind, raw[4:], wire, where, scrubber)
 
 
 class _Walk:

@@ -122,14 +122,17 @@ class Database:
         base = HEADER_BYTES if number == 1 else 0
         if page[base] != INNER:
             raise PageError("not an inner page of a table")
-        children, taken = [], 0
+        children, taken, fault = [], 0, ""
         for at in _places(page, base, 12):
             if at + 5 > len(page):
                 continue
             children.append(_u32(page, at))
-            taken += max(varint(page, at + 4)[1] - at, 4)
+            try:
+                taken += max(varint(page, at + 4)[1] - at, 4)
+            except PageError as error:
+                fault = str(error)
         children.append(_u32(page, base + 8))
-        return Inner(tuple(children), self._uncovered(page, base, 12, taken))
+        return Inner(tuple(children), fault or self._uncovered(page, base, 12, taken))
 
     def freelist(self) -> set[int]:
         """Pages that are in no use; they may hold rows that were deleted."""

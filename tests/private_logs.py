@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import math
 import struct
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from mcap.writer import CompressionType
 
-from tests.samplelogs import dataflash, dataflash_text, mcap, navdata, tlog, ulog
+from flysid.ingest.write_bag import BagWriter
+from tests.samplelogs import dataflash, dataflash_text, mcap, navdata, rosbag2, tlog, ulog
 
 STEPS = 60
 LAT, LON, ALT = 48.1234567, -122.7654321, 523.45
@@ -205,6 +207,44 @@ def _fix_message(k: int, ros: int) -> bytes:
     return (b"\x00\x01\x00\x00" if ros == 2 else b"") + bytes(out)
 
 
+def ros_bag() -> Private:
+    """ROS 1: a receiver and a plain topic, whose publishers are named after a machine and a user."""
+    text = f"{NAVSATFIX}{'=' * 80}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
+    topics = {"/gps": ("p/Fix", text), "/motion": ("p/Pair", "float64 x\nfloat64 y\n")}
+    with tempfile.TemporaryFile() as body:
+        writer = BagWriter(body)
+        for topic, (kind, definition) in topics.items():
+            about = {
+                "type": kind,
+                "md5sum": "0" * 32,
+                "message_definition": definition,
+                "callerid": f"/{SERIAL.decode()}",
+            }
+            writer.connect(topic.encode(), {k.encode(): v.encode() for k, v in about.items()})
+        for k in range(STEPS):
+            time = struct.pack("<II", 1_600_000_000 + k, 5)
+            writer.add(0, time, _fix_message(k, 1))
+            writer.add(1, time, struct.pack("<dd", k / 3, -k))
+        writer.finish()
+        body.seek(0)
+        blob = writer.head() + body.read()
+    return Private(".bag", blob, (*doubles(), SERIAL), "/gps", ("latitude", "longitude"))
+
+
+def ros2_bag() -> Private:
+    text = f"{NAVSATFIX}{'=' * 80}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    topics = [
+        ("/gps", "p/msg/Fix", "ros2msg", text),
+        ("/motion", "p/msg/Pair", "ros2msg", "float64 x\nfloat64 y\n"),
+    ]
+    rows = []
+    for k in range(STEPS):
+        pair = b"\x00\x01\x00\x00" + struct.pack("<dd", k / 3, -k)
+        rows += [(1, 1_600_000_000 * 10**9 + k, _fix_message(k, 2)), (2, 1_600_000_000 * 10**9 + k, pair)]
+    secrets = (*doubles(), SERIAL)
+    return Private(".db3", rosbag2.database(topics, rows), secrets, "/gps", ("latitude", "longitude"))
+
+
 def robot() -> Private:
     rows = [
         {
@@ -256,4 +296,6 @@ PRIVATE: dict[str, Callable[[], Private]] = {
     "ulog": px4,
     "mcap": robot,
     "navdata": ardrone,
+    "rosbag": ros_bag,
+    "rosbag2": ros2_bag,
 }

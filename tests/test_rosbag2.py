@@ -247,6 +247,16 @@ def test_pages_that_refer_to_each_other_do_not_hang() -> None:
     assert parse(bytes(blob)).rows == sample.ROWS
 
 
+def test_an_inner_page_whose_cell_runs_past_its_end_costs_no_row() -> None:
+    raw, size = bytearray(sample.build()), sample.PAGE_BYTES
+    at = next(k for k in range(0, len(raw), size) if raw[k] == sqlite_pages.INNER)
+    raw[at + 12 : at + 14] = struct.pack(">H", size - 6)
+    raw[at + size - 6 : at + size] = raw[at + 300 : at + 304] + b"\xff\xff"  # a key without an end
+    flight = parse(bytes(raw))
+    assert flight.rows == sample.ROWS
+    assert flight.damage.lossy
+
+
 def test_overflow_pages_shared_by_many_rows_are_no_bomb(monkeypatch: pytest.MonkeyPatch) -> None:
     blob = sample.database(sample.TOPICS, [(2, k, bytes(100_000)) for k in range(60)], 4096)
     assert parse(blob).damage.bytes_skipped == 0

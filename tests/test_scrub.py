@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import os
+import sqlite3
 import struct
 import subprocess
 import sys
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
+import zstandard
 
 import flysid
 from flysid.errors import UsageError
 from flysid.flight import Flight, field_scale
 from flysid.ingest.scrub import Scrubbed, scrub_log, scrubbers
 from flysid.ingest.scrub_rules import Column, Fix, Gps, Scrubber, is_private_parameter, places, redacted
+from flysid.ingest.write_bag import BagWriter
 from tests.private_logs import ALT, PRIVATE, SERIAL, STEPS, Private
 from tests.samplelogs import tlog
 
@@ -186,6 +192,66 @@ def test_mcap_reads_the_copy(tmp_path: Path) -> None:
     assert both[0] == both[1]
 
 
+def by_rosbags(path: Path) -> list[Any]:
+    reader = pytest.importorskip("rosbags.rosbag1", reason="the rosbags library is not installed").Reader
+    with reader(path) as bag:
+        return [(c.topic, c.msgtype, c.digest, time, len(raw)) for c, time, raw in bag.messages()]
+
+
+def by_sqlite(path: Path) -> list[Any]:
+    query = "SELECT t.name, t.type, d.encoded_message_definition, m.timestamp, length(m.data) FROM messages m"
+    query += " JOIN topics t ON t.id = m.topic_id JOIN message_definitions d ON d.topic_type = t.type"
+    with contextlib.closing(sqlite3.connect(path)) as link:
+        assert link.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+        return link.execute(f"{query} ORDER BY m.id").fetchall()
+
+
+@pytest.mark.parametrize(("form", "messages"), [("rosbag", by_rosbags), ("rosbag2", by_sqlite)])
+def test_others_read_the_copy_of_a_bag(
+    tmp_path: Path, form: str, messages: Callable[[Path], list[Any]]
+) -> None:
+    log = PRIVATE[form]()
+    (tmp_path / f"log{log.suffix}").write_bytes(log.blob)
+    _, out = scrubbed(tmp_path / f"log{log.suffix}")
+    found = messages(out)
+    assert found == messages(tmp_path / f"log{log.suffix}")
+    assert len(found) == 2 * STEPS
+
+
+@pytest.mark.parametrize("kind", [b"bz2", b"lz4"])
+def test_a_compressed_bag_stays_compressed_and_a_topic_of_no_known_type_is_left_out(
+    tmp_path: Path, kind: bytes
+) -> None:
+    log = tmp_path / "a.bag"
+    with log.open("w+b") as file, tempfile.TemporaryFile() as body:
+        writer = BagWriter(body, kind)
+        about = {b"type": b"p/Pair", b"md5sum": b"0" * 32, b"message_definition": b"float64 x\nfloat64 y\n"}
+        writer.connect(b"/motion", about)
+        writer.connect(b"/strange", {**about, b"message_definition": b"nonsense[ x\n"})
+        for k in range(40_000):  # several chunks
+            writer.add(k % 2, struct.pack("<II", 1000 + k, 0), struct.pack("<dd", k, -k))
+        writer.finish()
+        body.seek(0)
+        file.write(writer.head() + body.read())
+    done = scrub_log(log, tmp_path / "b.bag")
+    assert done.removed == {("bytes that could not be read", "messages of /strange"): 20_000}
+    before, after = flysid.read(log), flysid.read(tmp_path / "b.bag")
+    assert b"compression=" + kind in (tmp_path / "b.bag").read_bytes()
+    assert not after.damage.lossy
+    assert list(after.tables) == ["/motion"]
+    assert after["/motion"].equals(before["/motion"])
+
+
+def test_a_bag_compressed_as_a_whole_stays_so(tmp_path: Path) -> None:
+    log = PRIVATE["rosbag2"]()
+    (tmp_path / "a.db3.zstd").write_bytes(zstandard.compress(log.blob))
+    done = scrub_log(tmp_path / "a.db3.zstd", tmp_path / "b.db3.zstd")
+    copy = zstandard.ZstdDecompressor().decompressobj().decompress((tmp_path / "b.db3.zstd").read_bytes())
+    assert not [s for s in log.secrets if s in copy]
+    assert flysid.read(tmp_path / "b.db3.zstd").rows == 2 * STEPS
+    assert sum(n for (what, _), n in done.removed.items() if what == "positions") >= STEPS
+
+
 def test_protobuf_fields_are_found_by_their_names(tmp_path: Path) -> None:
     from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
     from google.protobuf.descriptor_pool import DescriptorPool
@@ -245,12 +311,13 @@ def test_the_command_says_what_it_removed(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_scrubbed_is_refused(tmp_path: Path) -> None:
-    from tests.samplelogs import rosbag
+    from tests.samplelogs import navdata
 
-    (tmp_path / "a.bag").write_bytes(rosbag.build())
+    capture = navdata.pcap([(5, navdata.udp(navdata.build()[:500], 5554, 5554))])
+    (tmp_path / "a.pcap").write_bytes(capture)
     with pytest.raises(UsageError, match="cannot be scrubbed"):
-        scrub_log(tmp_path / "a.bag", tmp_path / "b.bag")
-    assert not (tmp_path / "b.bag").exists()
+        scrub_log(tmp_path / "a.pcap", tmp_path / "b.pcap")
+    assert not (tmp_path / "b.pcap").exists()
 
 
 @pytest.mark.parametrize(
