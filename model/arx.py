@@ -11,62 +11,45 @@ the validation free run decide, and `notes` say how.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Literal
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
 from flysid.model.base import Structure
-from flysid.model.detrend import Trend, check_trend, detrended
 from flysid.model.freerun import Difference
 from flysid.model.gram import LeastSquares
 from flysid.model.linear.data import CHOICE_ROWS, Parts, Scaling, as_tuple
 from flysid.model.linear.model import FittedLinear, from_dict
-from flysid.model.linear.oe_search import SHARE, Refined, check_orders, search
+from flysid.model.linear.oe_search import SHARE, Refined, search
 from flysid.model.linear.orders import Choice, Grid, best_per_order, grid_triangle
 from flysid.model.linear.output_error import delay_steps, runner, widened
+from flysid.model.linear.settings import Auto, PolynomialSettings
 from flysid.model.linear.stability import settled
 from flysid.model.linear.start import equation_starts
 from flysid.model.selection import block_errors, clearly_better, judging_window, simplest
 from flysid.model.stream import OnDisk, Source
 from flysid.model.threads import on_one_thread
 
-Auto = Literal["auto"]
 HIGHEST_NA = 6
 
 
 @dataclass(frozen=True)
-class ARX:
-    """Settings of an ARX model; the defaults choose by themselves.
+class ARX(PolynomialSettings):
+    """Settings of an ARX model: those of `PolynomialSettings`, and whether to refine.
 
     Parameters
     ----------
-    na : past outputs of every output, or "auto".
-    nb : past inputs, one number or one per input, or "auto".
-    nk : delay in samples from input to output, one number or one per input, or "auto". 0 is feed-through.
-    offset : estimate a constant.
+    na, nb : past outputs of every output, past inputs.
     refine : fit the simulation error instead of the next sample: "auto" unless the validation free run is
         worse for it by more than noise, True or False to force. A refined model has no coupling between
         outputs.
-    n_init : measured samples that start a refined model's simulation; None chooses.
-    nk_hint : delays that "auto" tries besides its own, one per input: the dead time the log shows
-        (`flysid.ingest.deadtime`).
-    trend : "remove" takes a straight line out of every segment's signals first; see `detrend`.
-    stable : poles outside the unit circle are mirrored into it and B is fitted again; see `stability`.
+    n_init : of a refined model; others start from their lags.
     """
 
-    na: int | Auto = "auto"
-    nb: int | Sequence[int] | Auto = "auto"
-    nk: int | Sequence[int] | Auto = "auto"
-    offset: bool = True
-    refine: bool | Auto = "auto"
-    n_init: int | None = None
-    nk_hint: Sequence[int] = ()
-    trend: Trend = "none"
-    stable: bool = False
+    refine: bool | Auto = field(default="auto", kw_only=True)
 
     @on_one_thread
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:
@@ -81,19 +64,15 @@ class ARX:
         DataError : no or too few samples, a signal that never changes.
         FitError : refine=True and no stable model was found.
         """
-        check_trend(self.trend, ("none", "remove"))
+        self.check(train)
+        if self.refine not in (True, False, "auto"):
+            raise UsageError(f"refine is {self.refine!r}", hint="use 'auto', True or False")
         if isinstance(train, OnDisk):
-            if self.trend != "none":
-                raise UsageError("a trend is not taken out of data on disk", hint="use trend='none'")
             return settled(self._fitted(train, validation), train.head(CHOICE_ROWS), stable=self.stable)
-        train = detrended(train, self.trend)
-        validation = None if validation is None else detrended(validation, self.trend)
+        train, validation = self.detrended(train, validation)
         return settled(self._fitted(train, validation), train, stable=self.stable)
 
     def _fitted(self, train: Source, validation: Dataset | None) -> FittedLinear:
-        check_orders(self, len(train.inputs))
-        if self.refine not in (True, False, "auto"):
-            raise UsageError(f"refine is {self.refine!r}", hint="use 'auto', True or False")
         if isinstance(train, OnDisk):
             return _from_disk(self, train, validation)
         parts = Parts.of(train, validation, centred=self.offset)

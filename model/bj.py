@@ -8,40 +8,28 @@ equation each and do not feed each other.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.base import Structure
-from flysid.model.linear.data import Parts
 from flysid.model.linear.model import FittedLinear, from_dict
 from flysid.model.linear.pem_fit import BJ_NOISES, fit_prediction_error
-from flysid.model.linear.stability import settled
+from flysid.model.linear.settings import Auto, PolynomialSettings
 from flysid.model.threads import on_one_thread
 
 
 @dataclass(frozen=True)
-class BJ:
-    """Settings of a Box-Jenkins model; the defaults choose by themselves.
+class BJ(PolynomialSettings):
+    """Settings of a Box-Jenkins model: those of `PolynomialSettings`, and of its noise.
 
     Parameters
     ----------
-    na, nb, nk, offset, n_init, nk_hint : as of `OE` (na is the order of F).
-    stable : as of `ARX`.
     nc, nd : orders of C and D, both numbers, or both "auto": by BIC among a few.
     """
 
-    na: int | Literal["auto"] = "auto"
-    nb: int | Sequence[int] | Literal["auto"] = "auto"
-    nk: int | Sequence[int] | Literal["auto"] = "auto"
-    nc: int | Literal["auto"] = "auto"
-    nd: int | Literal["auto"] = "auto"
-    offset: bool = True
-    n_init: int | None = None
-    nk_hint: Sequence[int] = ()
-    stable: bool = False
+    nc: int | Auto = field(default="auto", kw_only=True)
+    nd: int | Auto = field(default="auto", kw_only=True)
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
@@ -56,11 +44,7 @@ class BJ:
         if (self.nc == "auto") != (self.nd == "auto"):
             raise UsageError("give both nc and nd, or neither")
         noises = BJ_NOISES if self.nc == "auto" or self.nd == "auto" else ((self.nc, self.nd),)
-        return settled(
-            fit_prediction_error("bj", self, Parts.of(train, validation, centred=self.offset), noises),
-            train,
-            stable=self.stable,
-        )
+        return fit_prediction_error("bj", self, (train, validation), noises)
 
 
 MODEL = Structure("bj", from_dict)

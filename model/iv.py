@@ -17,8 +17,7 @@ Each stage is a filter and the Gram of lagged signals: three passes over the dat
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,34 +27,27 @@ from flysid.model.base import Structure
 from flysid.model.linear.data import CHOICE_ROWS, Parts
 from flysid.model.linear.iv_stages import Columns, Orders, fitted_by_iv, scaled_blocks
 from flysid.model.linear.model import FittedLinear, from_dict
-from flysid.model.linear.oe_search import SHARE, check_orders
+from flysid.model.linear.oe_search import SHARE
 from flysid.model.linear.output_error import HIGHEST_ORDER, ORDER_LOSS, find_delays
+from flysid.model.linear.settings import PolynomialSettings
+from flysid.model.linear.stability import settled
 from flysid.model.selection import block_errors, judging_window, simplest
 from flysid.model.simulation_error import Orders as SearchOrders
 from flysid.model.stream import OnDisk, Source, blocks_of
 from flysid.model.threads import on_one_thread
 
-Auto: TypeAlias = Literal["auto"]
-
 
 @dataclass(frozen=True)
-class IV:
-    """Settings of an instrumental variable estimate; the defaults choose by themselves.
+class IV(PolynomialSettings):
+    """Settings of an instrumental variable estimate: those of `PolynomialSettings`, and references.
 
     Parameters
     ----------
-    na, nb, nk, offset, n_init, nk_hint : as of `OE`.
     reference : names of inputs of the dataset that drive a feedback loop from outside. They serve as
         instruments and have no coefficients of their own. Empty: the inputs are their own instruments.
     """
 
-    na: int | Auto = "auto"
-    nb: int | Sequence[int] | Auto = "auto"
-    nk: int | Sequence[int] | Auto = "auto"
-    offset: bool = True
-    n_init: int | None = None
-    reference: Sequence[str] = ()
-    nk_hint: Sequence[int] = ()
+    reference: Sequence[str] = field(default=(), kw_only=True)
 
     @on_one_thread
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:
@@ -67,9 +59,13 @@ class IV:
         DataError : no or too few samples, a signal that never changes.
         FitError : the instruments say nothing about the output.
         """
-        check_orders(self, len(train.inputs))
+        self.check(train)
         columns = _columns(self, train)
-        small = train.head(CHOICE_ROWS) if isinstance(train, OnDisk) else train
+        if isinstance(train, OnDisk):
+            small = train.head(CHOICE_ROWS)
+        else:
+            train, validation = self.detrended(train, validation)
+            small = train
         orders, note = _chosen(self, Parts.of(small, validation, centred=self.offset), columns)
         parts = Parts.measured(train, centred=self.offset)
         scale = parts.scaling
@@ -77,7 +73,8 @@ class IV:
             blocks_of(train, np.concatenate([scale.y_origin, scale.u_origin])),
             np.concatenate([scale.y_scale, scale.u_scale]),
         )
-        return replace(fitted_by_iv(parts, blocks, orders, columns, self.n_init), notes=(note,))
+        model = replace(fitted_by_iv(parts, blocks, orders, columns, self.n_init), notes=(note,))
+        return settled(model, small, stable=self.stable)
 
 
 def _columns(settings: IV, data: Source) -> Columns:

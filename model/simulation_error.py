@@ -5,7 +5,8 @@ Ljung, 1999, System Identification, 4.2 and 10.2).
 
 Nuisance: the state of every segment at its start is unknown. Its response is a combination of na known
 signals; residual and Jacobian are projected onto their orthogonal complement, so it is estimated along
-without being searched for (variable projection, Kaufman, 1975, BIT 15). Samples whose inputs would reach
+without being searched for (variable projection, Kaufman, 1975, BIT 15). So are, on request, an offset and a
+drift of every segment's output. Samples whose inputs would reach
 back before the segment (max nk + nb - 1) are left out of the cost.
 
 Search: refined instrumental variables (Young & Jakeman, 1979, Int. J. Control 29) from state-variable
@@ -35,12 +36,16 @@ class Record:
 
 @dataclass(frozen=True)
 class Orders:
-    """Orders of one output: na, and per input nb coefficients from lag nk on."""
+    """Orders of one output: na, and per input nb coefficients from lag nk on.
+
+    `drift`: every segment has an offset and a drift of its own, instead of one offset for all.
+    """
 
     na: int
     nb: tuple[int, ...]
     nk: tuple[int, ...]
     offset: bool = True
+    drift: bool = False
 
     @property
     def depth(self) -> int:
@@ -174,8 +179,30 @@ class OutputError:
         parts = []
         for record in self.usable():
             error = (transfer.forced(record.u) - record.y)[first:]
-            parts.append(without(free_space(transfer.a, len(error)), error))
+            parts.append(without(self._nuisance(transfer.a, len(error)), error))
         return parts
+
+    def _nuisance(self, a: FloatArray, rows: int) -> FloatArray:
+        """Orthonormal basis of what every record may hold besides the forced response."""
+        space = free_space(a, rows)
+        if not self.orders.drift:
+            return space
+        both = np.zeros((rows, space.shape[1] + 2))
+        both[: len(space), 2:] = space
+        both[:, :2] = lines(rows)
+        if not np.isfinite(both).all():
+            return np.full_like(both, np.nan)
+        q, r = np.linalg.qr(both)
+        kept: FloatArray = q[:, np.abs(np.diag(r)) > 1e-9]
+        return kept
+
+    def _drift(self, a: FloatArray, error: FloatArray) -> FloatArray:
+        """The lines' part of what is projected out of an error."""
+        space = free_space(a, len(error))
+        line = without(space, lines(len(error)))
+        weights = np.linalg.lstsq(line, error, rcond=1e-9)[0]
+        found: FloatArray = lines(len(error)) @ weights
+        return found
 
     def cost(self, theta: FloatArray) -> float:
         """Sum of squared simulation errors; inf for an unstable model."""
@@ -200,11 +227,13 @@ class OutputError:
         orders, first = self.orders, self.start_row()
         forced = transfer.forced(record.u)
         error = (forced - record.y)[first:]
-        space = free_space(transfer.a, len(error))
+        space = self._nuisance(transfer.a, len(error))
         residual = without(space, error)
         # the free run from the best state: what the residual is measured against
         response = np.zeros_like(forced)
         response[first:] = residual + record.y[first:]
+        if orders.drift:  # the lines are none of the model's doing
+            response[first:] += self._drift(transfer.a, error)
         rows = slice(first, len(forced))
         filtered = lfilter([1.0], transfer.a, response)
         columns = [-differences(filtered, orders.na, 0, rows, monic=True)]
@@ -272,8 +301,17 @@ class OutputError:
         for _ in range(orders.na):
             target = np.diff(target, prepend=0.0)
         phi, goal = np.hstack(columns), target[rows]
-        space = free_space(a_filter, len(goal))
+        space = self._nuisance(a_filter, len(goal))
         return without(space, phi), without(space, goal)
+
+
+def lines(rows: int) -> FloatArray:
+    """(rows, 2) orthonormal: a constant and a line."""
+    t = np.arange(rows) - (rows - 1) / 2.0
+    both = np.stack([np.ones(rows), t], axis=1)
+    size = np.linalg.norm(both, axis=0)
+    found: FloatArray = both / np.where(size > 0.0, size, 1.0)
+    return found
 
 
 def _instrumental(phi: FloatArray, z: FloatArray, y: FloatArray) -> FloatArray:

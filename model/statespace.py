@@ -15,16 +15,18 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.errors import DataError, FitError, UsageError
+from flysid.errors import FitError, UsageError
 from flysid.model.base import Structure
+from flysid.model.detrend import Trend, check_trend, detrended
 from flysid.model.linear.data import CHOICE_ROWS, Parts, as_tuple
-from flysid.model.linear.oe_search import check_hint
 from flysid.model.linear.output_error import find_delays
+from flysid.model.linear.settings import check_hint
+from flysid.model.linear.stability import unstable_words
 from flysid.model.selection import block_errors, judging_window
 from flysid.model.simulation_error import Orders
-from flysid.model.stream import OnDisk, Source
+from flysid.model.stream import Late, OnDisk, Source, delayed_inputs
 from flysid.model.subspace.model import FittedStateSpace, from_dict
-from flysid.model.subspace.refine import SimulationError
+from flysid.model.subspace.refine import SimulationError, mirrored
 from flysid.model.subspace.search import (
     ORDER_WORTH,
     Choice,
@@ -66,6 +68,9 @@ class StateSpace:
         validation free run is better for it. 1 or less is no delay here (see `feedthrough`).
     n_init : measured samples that start a simulation; None chooses.
     nk_hint : delays that "auto" tries besides its own, one per input.
+    trend : "remove" takes a straight line out of every segment's signals first; see `detrend`.
+    stable : an unstable estimate has its poles mirrored into the unit circle, and all matrices are fitted
+        again to the simulation error from there.
     """
 
     order: int | Auto = "auto"
@@ -76,6 +81,8 @@ class StateSpace:
     nk: int | Sequence[int] | Auto = "auto"
     n_init: int | None = None
     nk_hint: Sequence[int] = ()
+    trend: Trend = "none"
+    stable: bool = False
 
     @on_one_thread
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedStateSpace:
@@ -92,13 +99,15 @@ class StateSpace:
         """
         _check(self)
         _check_delays(self, len(train.inputs))
+        check_trend(self.trend, ("none", "remove"))
         if isinstance(train, OnDisk):
             return _from_disk(self, train, validation)
-        plan = _best_plan(self, train, validation)
+        train = detrended(train, self.trend)
+        plan = _best_plan(self, train, None if validation is None else detrended(validation, self.trend))
         model = _final(self, plan.parts.train, plan.parts, plan.choice, plan.note)
         if self.refine is not False:
             model = _refined(self, plan.parts, plan.choice, model)
-        return _delayed_model(model, plan.late) if any(plan.late) else model
+        return _delayed_model(_settled(self, plan.parts, model), plan.late)
 
 
 def with_choices_made(settings: StateSpace, train: Dataset, validation: Dataset | None = None) -> StateSpace:
@@ -109,6 +118,7 @@ def with_choices_made(settings: StateSpace, train: Dataset, validation: Dataset 
 
 
 def _best_plan(settings: StateSpace, train: Dataset, validation: Dataset | None) -> _Plan:
+    """Of the delays that the inputs may have, those of the best validation free run."""
     return min(
         (_planned(settings, train, validation, late) for late in _delays(settings, train, validation)),
         key=lambda plan: plan.loss,
@@ -140,8 +150,8 @@ class _Plan:
 def _planned(
     settings: StateSpace, train: Dataset, validation: Dataset | None, late: tuple[int, ...]
 ) -> _Plan:
-    held = None if validation is None else _delayed(validation, late)
-    parts = Parts.of(_delayed(train, late), held)
+    held = None if validation is None else delayed_inputs(validation, late)
+    parts = Parts.of(delayed_inputs(train, late), held)
     choice, note, loss = _chosen(settings, parts)
     # no delay is the simpler choice
     return _Plan(late, parts, choice, note, loss if not any(late) else loss / (1.0 - ORDER_WORTH))
@@ -158,15 +168,17 @@ def _from_disk(settings: StateSpace, train: OnDisk, validation: Dataset | None) 
 
     Raises
     ------
-    UsageError : a refinement or a delay was asked for.
+    UsageError : a refinement or a trend was asked for.
     """
-    n_u = len(train.inputs)
-    if settings.refine is True or (settings.nk != "auto" and max(as_tuple(settings.nk, n_u)) > 1):
+    if settings.refine is True or settings.trend != "none":
         raise UsageError(
-            "a refinement or a delay needs its data in memory", hint="fit data.read(), or data.head(rows)"
+            "a refinement or a trend needs its data in memory", hint="fit data.read(), or data.head(rows)"
         )
-    choice, note, _ = _chosen(settings, Parts.of(train.head(CHOICE_ROWS), validation))
-    return _final(settings, train, Parts.on_disk(train), choice, note)
+    plan = _best_plan(settings, train.head(CHOICE_ROWS), validation)
+    data = Late(train, plan.late) if any(plan.late) else train
+    parts = Parts.on_disk(data)
+    model = _final(settings, data, parts, plan.choice, plan.note)
+    return _delayed_model(_settled(settings, parts, model), plan.late)
 
 
 def _delays(settings: StateSpace, train: Dataset, validation: Dataset | None) -> list[tuple[int, ...]]:
@@ -185,25 +197,10 @@ def _delays(settings: StateSpace, train: Dataset, validation: Dataset | None) ->
     return [none, late] if any(late) and max(late) < shortest // 4 else [none]
 
 
-def _delayed(data: Dataset, late: tuple[int, ...]) -> Dataset:
-    """The inputs as they enter, the rows before the first of them left out."""
-    most = max(late)
-    if most == 0:
-        return data
-    segments = []
-    for s in data.segments:
-        if len(s) > most:
-            u = np.stack([s.u[most - k : len(s) - k, j] for j, k in enumerate(late)], axis=1)
-            segments.append(replace(s.slice(most, len(s), data.dt_s), u=u))
-    if not segments:
-        raise DataError(
-            f"no segment is longer than the delay of {most} samples", hint="bring longer segments"
-        )
-    return data.with_segments(segments)
-
-
 def _delayed_model(model: FittedStateSpace, late: tuple[int, ...]) -> FittedStateSpace:
     """The model for inputs as they are sent; the start waits until they enter."""
+    if not any(late):
+        return model
     wait = np.zeros((max(late), *model.gains.shape[1:]))
     words = ", ".join(f"{s.name} {k}" for s, k in zip(model.inputs, late, strict=True))
     return replace(
@@ -230,10 +227,9 @@ def _check(settings: StateSpace) -> None:
 
 def _refined(settings: StateSpace, parts: Parts, choice: Choice, plain: FittedStateSpace) -> FittedStateSpace:
     """The model refined on the simulation error, or the plain one with the reason why not."""
-    n, p = choice.order, choice.order * (choice.order + 3 * len(parts.train.outputs + parts.train.inputs))
-    if settings.refine == "auto" and len(parts.train) * n * p > MOST_WORK:
+    if settings.refine == "auto" and _work(parts, choice.order) > MOST_WORK:
         return plain
-    skip = judging_window(parts, n)
+    skip = judging_window(parts, choice.order)
     if settings.refine == "auto":
         before, after = (
             mean_of(np.concatenate([_judged(settings, f, choice, skip, refine=r) for f in parts.folds]))
@@ -246,22 +242,60 @@ def _refined(settings: StateSpace, parts: Parts, choice: Choice, plain: FittedSt
         note = f"Refined on the simulation error: {figures} (standard deviations of the output)."
     else:
         note = "Refined on the simulation error."
-    feedthrough = _feeds_through(plain)
-    start = Projections(settings, already_scaled(parts), parts.whole, window(choice.past, choice.method))
-    problem = SimulationError(
-        parts.whole.segments, start.of(choice.method, choice.past).realise(n), feedthrough
+    problem = _problem(parts, plain)
+    model = _simulated(settings, parts, problem, plain)
+    return replace(model, notes=(*plain.notes, note))
+
+
+def _problem(parts: Parts, model: FittedStateSpace) -> SimulationError:
+    """The simulation error over the training data, from a model of them on."""
+    scaling = parts.scaling
+    inverse = replace(scaling, u_scale=1.0 / scaling.u_scale, y_scale=1.0 / scaling.y_scale)
+    return SimulationError(
+        parts.whole.segments, model.realisation.in_units(inverse), bool(model.realisation.d.any())
     )
+
+
+def _simulated(
+    settings: StateSpace, parts: Parts, problem: SimulationError, plain: FittedStateSpace
+) -> FittedStateSpace:
+    """The model of least simulation error from the problem's start, with its noise and its covariance."""
     theta = problem.refine(ITERATIONS).theta
-    model = built(parts, problem.settled(theta), settings.n_init, feedthrough)
-    factor = _units(parts, n, feedthrough)
+    model = built(parts, problem.settled(theta), settings.n_init, problem.feedthrough)
+    factor = _units(parts, model.order, problem.feedthrough)
     return replace(
         model,
-        free=model.free - n * len(model.outputs),
+        free=model.free - model.order * len(model.outputs),
         singular_values=plain.singular_values,
         noise=problem.noise(theta),
         covariance=problem.covariance(theta) * np.outer(factor, factor),
-        notes=(*plain.notes, note),
     )
+
+
+def _settled(settings: StateSpace, parts: Parts, model: FittedStateSpace) -> FittedStateSpace:
+    """A stable model, with intervals where they can be had; an unstable one with what that means."""
+    if not model.is_stable:
+        radius = float(np.abs(model.poles).max())
+        if not settings.stable:
+            return replace(model, notes=(*model.notes, unstable_words(radius, model.dt_s)))
+        problem = _problem(parts, model)
+        inside = _simulated(settings, parts, replace(problem, start=mirrored(problem.start)), model)
+        words = (
+            f"Made stable: the largest pole radius was {radius:.5f} and is {np.abs(inside.poles).max():.5f}; "
+            "all matrices were fitted again to the simulation error."
+        )
+        return replace(inside, notes=(*model.notes, words))
+    if len(model.covariance) or _work(parts, model.order) > MOST_WORK:
+        return model
+    problem = _problem(parts, model)
+    factor = _units(parts, model.order, problem.feedthrough)
+    covariance = problem.spread(problem.theta0) * np.outer(factor, factor)
+    return replace(model, covariance=covariance) if np.isfinite(covariance).all() else model
+
+
+def _work(parts: Parts, order: int) -> float:
+    """Samples times states times parameters."""
+    return len(parts.train) * order * order * (order + 3 * len(parts.train.outputs + parts.train.inputs))
 
 
 def _judged(settings: StateSpace, parts: Parts, choice: Choice, skip: int, *, refine: bool) -> FloatArray:
@@ -276,10 +310,6 @@ def _judged(settings: StateSpace, parts: Parts, choice: Choice, skip: int, *, re
         except FitError:
             return np.array([np.inf])
     return block_errors(built(parts, found, skip), parts.check, skip, parts.scaling.y_scale)
-
-
-def _feeds_through(model: FittedStateSpace) -> bool:
-    return bool(model.realisation.d.any())
 
 
 def _units(parts: Parts, n: int, feedthrough: bool) -> FloatArray:

@@ -6,12 +6,14 @@ origin. Blocks of one segment follow each other without a gap; a new number is a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.errors import DataError
 from flysid.model.regressors import CHUNK_ROWS
 
 Block: TypeAlias = tuple[int, FloatArray]
@@ -58,6 +60,70 @@ def _parts_of(data: Source) -> Iterator[tuple[int, FloatArray, FloatArray]]:
     if isinstance(data, Dataset):
         return ((number, s.u, s.y) for number, s in enumerate(data.segments))
     return data.blocks()
+
+
+@dataclass(frozen=True)
+class Late:
+    """A dataset on disk whose inputs enter late, in samples; rows before they enter are left out."""
+
+    source: OnDisk
+    late: tuple[int, ...]
+
+    @property
+    def dt_s(self) -> float:
+        return self.source.dt_s
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]:
+        return self.source.inputs
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]:
+        return self.source.outputs
+
+    def __len__(self) -> int:
+        """Samples of the source."""
+        return len(self.source)
+
+    def blocks(self) -> Iterator[tuple[int, FloatArray, FloatArray]]:
+        most, current = max(self.late), -1
+        held = np.zeros((0, len(self.late)))
+        for number, u, y in self.source.blocks():
+            if number != current:
+                current, held = number, u[:0]
+            both = np.concatenate([held, u])
+            if len(both) > most:
+                yield number, entering(both, self.late), y[most - len(held) :]
+            held = both[max(len(both) - most, 0) :]
+
+    def head(self, rows: int) -> Dataset:
+        return delayed_inputs(self.source.head(rows + max(self.late)), self.late)
+
+
+def entering(u: FloatArray, late: Sequence[int]) -> FloatArray:
+    """(N - max(late), n_u) the inputs as they enter."""
+    most = max(late)
+    return np.stack([u[most - k : len(u) - k, j] for j, k in enumerate(late)], axis=1)
+
+
+def delayed_inputs(data: Dataset, late: Sequence[int]) -> Dataset:
+    """The dataset with its inputs as they enter, the rows before the first of them left out.
+
+    Raises
+    ------
+    DataError : no segment is longer than the delay.
+    """
+    most = max(late)
+    if most == 0:
+        return data
+    kept = [s for s in data.segments if len(s) > most]
+    if not kept:
+        raise DataError(
+            f"no segment is longer than the delay of {most} samples", hint="bring longer segments"
+        )
+    return data.with_segments(
+        [replace(s.slice(most, len(s), data.dt_s), u=entering(s.u, late)) for s in kept]
+    )
 
 
 def signals_in_rows(u: FloatArray, y: FloatArray, origin: FloatArray | None = None) -> FloatArray:

@@ -32,6 +32,7 @@ from flysid.model.frequency.start import Starts
 from flysid.model.linear.data import Parts
 from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.model import from_dict as linear_from_dict
+from flysid.model.linear.settings import check_hint
 from flysid.model.selection import block_errors, judging_window, simplest
 from flysid.model.threads import on_one_thread
 
@@ -95,7 +96,8 @@ class TF:
 
     Parameters
     ----------
-    poles : of every output, or "auto", at most 4.
+    poles : of every output, or "auto", at most 4. 0 is a gain with its dead time (to the sample, behind a
+        zero-order hold).
     zeros : one number or one per input, or "auto".
     dead_time_s : "auto": none, or estimated where that explains clearly more; or seconds, one number or one
         per input, None for an input whose dead time is to be estimated.
@@ -112,6 +114,7 @@ class TF:
         With a band the simulation error, which knows none, is left alone.
     method : how the response is measured, see `measure_response`.
     n_init : measured samples that start a simulation; None chooses.
+    nk_hint : delays in samples that the search for dead times tries besides its own, one per input.
     """
 
     poles: int | Auto = "auto"
@@ -125,6 +128,7 @@ class TF:
     band: tuple[float, float] | None = None
     method: Method = "local"
     n_init: int | None = None
+    nk_hint: Sequence[int] = ()
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTF:
@@ -150,6 +154,7 @@ class TF:
 
     def _check(self, n_u: int) -> None:
         check_trend(self.trend)
+        check_hint(self.nk_hint, n_u)
         if self.hold not in ("zero", "first"):
             raise UsageError(f"hold is {self.hold!r}", hint="'zero' or 'first'")
         if self.method not in METHODS:

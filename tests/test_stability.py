@@ -13,9 +13,14 @@ from flysid.errors import FitError, UsageError
 from flysid.model.armax import ARMAX
 from flysid.model.arx import ARX
 from flysid.model.base import load
+from flysid.model.iv import IV
+from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.stability import LARGEST, made_stable
-from flysid.model.linear.uncertainty import simulation_band
+from flysid.model.linear.uncertainty import frequency_response, simulation_band
 from flysid.model.oe import OE
+from flysid.model.statespace import StateSpace
+from flysid.model.subspace.refine import mirrored
+from flysid.model.subspace.triangle import Realisation
 
 
 def creeping(coupled: bool = False) -> Dataset:
@@ -51,6 +56,50 @@ def test_an_unstable_estimate_is_named_and_made_stable(coupled: bool, tmp_path: 
     assert (low <= high).all()
     held.save(tmp_path / "held.json")  # type: ignore[operator]
     assert load(tmp_path / "held.json").notes == held.notes  # type: ignore[operator]
+
+
+def test_a_state_space_and_an_instrumental_estimate_are_made_stable_on_request() -> None:
+    data = creeping()
+    for settings in (
+        StateSpace(order=1, method="pbsid", past=3, refine=False, feedthrough=False, nk=1),
+        IV(na=1, nb=1, nk=1),
+    ):
+        loose, held = settings.fit(data), replace(settings, stable=True).fit(data)
+        assert not loose.is_stable
+        assert any("Unstable" in note and "stable=True" in note for note in loose.notes)
+        assert held.is_stable
+        assert any("Made stable" in note for note in held.notes)
+        s = data.segments[0]
+        miss = held.simulate(s.u, s.y[: held.n_init]) - s.y
+        assert np.std(miss[held.n_init :]) < 0.6 * s.y.std()  # 1.004^200 is not 0.996^200
+    two = np.diag([1.1, 0.5]) + np.eye(2, k=1)
+    still = Realisation(*(np.zeros((2, 2)) for _ in range(9)))
+    assert np.abs(np.linalg.eigvals(mirrored(replace(still, a=two)).a)).max() == pytest.approx(1 / 1.1)
+
+
+def test_a_drift_of_every_segment_is_estimated_or_taken_out() -> None:
+    """The plant's gain is 1; the drift would pull it far off."""
+    rng = np.random.default_rng(0)
+    us, ys = [], []
+    for slope in (2e-3, -3e-3):
+        u = np.repeat(rng.choice([-1.0, 1.0], 60), 10)
+        y = lfilter([0.0, 0.1], [1.0, -0.9], u) + slope * np.arange(600) + 0.02 * rng.standard_normal(600)
+        us.append(u)
+        ys.append(y)
+    data = Dataset.from_arrays(us, ys, 0.05)
+    found = OE(na=1, nb=1, nk=1, trend="estimate").fit(data)
+    assert found.dc_gain[0, 0] == pytest.approx(1.0, abs=4 * gain_error(found))
+    assert gain_error(found) < 0.01
+    for settings in (ARMAX(na=1, nb=1, nk=1, nc=1, trend="remove"), IV(na=1, nb=1, nk=1, trend="remove"),
+                     StateSpace(order=1, nk=1, trend="remove")):  # fmt: skip
+        assert settings.fit(data).dc_gain[0, 0] == pytest.approx(1.0, abs=0.1)
+    with pytest.raises(UsageError, match="trend is 'estimate'"):
+        ARMAX(trend="estimate").fit(data)
+
+
+def gain_error(model: FittedLinear) -> float:
+    """Standard error of the steady gain."""
+    return float(frequency_response(model, np.zeros(1)).magnitude_error[0, 0, 0])
 
 
 def test_the_rest_is_fitted_again() -> None:
@@ -93,5 +142,5 @@ def test_a_drift_is_taken_out_on_request(structure: type[ARX] | type[OE]) -> Non
     bent, straight = (structure(na=1, nb=1, nk=1, trend=t).fit(data) for t in ("none", "remove"))
     assert abs(straight.poles[0] - 0.95) < 0.2 * abs(bent.poles[0] - 0.95)
     assert abs(straight.poles[0] - 0.95) < 0.01
-    with pytest.raises(UsageError, match="trend"):
-        structure(trend="estimate").fit(data)
+    with pytest.raises(UsageError, match="trend is 'away'"):
+        structure(trend="away").fit(data)  # type: ignore[arg-type]

@@ -66,11 +66,32 @@ def test_a_refined_model_free_runs_better_and_carries_bands() -> None:
     low, high = simulation_band(refined, u[:, None], draws=50)
     assert (low <= high).all()
     assert np.mean((low <= truth) & (truth <= high)) > 0.5
+    bare = replace(plain, covariance=np.zeros((0, 0)))
     with pytest.raises(UsageError, match="carries no covariance"):
-        simulation_band(plain, u[:, None])
-    assert np.isnan(frequency_response(plain, np.array([1.0])).magnitude_error).all()
+        simulation_band(bare, u[:, None])
+    assert np.isnan(frequency_response(bare, np.array([1.0])).magnitude_error).all()
+    assert "intervals: none" in str(bare)
     with pytest.raises(UsageError, match="Nyquist"):
         frequency_response(plain, np.array([40.0]))
+
+
+def test_an_estimate_that_is_not_refined_knows_how_far_off_it_is() -> None:
+    """MOESP and PBSID of too low an order for coloured noise are biased: their intervals are wide enough."""
+    omega, inside = np.array([1.0, 3.0, 6.0]), []
+    z = np.exp(1j * omega * 0.1)
+    truth = np.abs(np.polyval([0.5, 1.0, 0.0], 1 / z) / np.polyval([0.7, -1.5, 1.0], 1 / z))
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        u = rng.standard_normal(1000)
+        noise = lfilter([1.0], [1.0, -0.9], rng.standard_normal(1000))
+        y = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + noise
+        settings = StateSpace(order=2, method="pbsid", past=10, refine=False, feedthrough=False, nk=1)
+        model = settings.fit(Dataset.from_arrays(u, y, 0.1))
+        found = frequency_response(model, omega)
+        miss = np.abs(found.response[:, 0, 0]) - truth
+        inside.append(np.abs(miss) < 1.96 * found.magnitude_error[:, 0, 0])
+        assert " +- " in str(model)
+    assert np.mean(inside) > 0.9
 
 
 def test_validation_decides_and_the_note_says_how() -> None:

@@ -14,7 +14,7 @@ from flysid.errors import DataError, UsageError
 from flysid.model.arx import ARX
 from flysid.model.fir import FIR
 from flysid.model.statespace import StateSpace
-from flysid.model.stream import blocks_of, windows
+from flysid.model.stream import Late, blocks_of, delayed_inputs, windows
 from tests.model_examples import data
 
 WHOLE = data(2, 2, samples=900, noise=0.05)
@@ -49,6 +49,20 @@ def test_a_state_space_from_disk_is_that_from_memory(stored: DatasetFile, method
         at = [r.c @ np.linalg.matrix_power(r.a, power) @ np.hstack([r.b, r.k]) for r in (disk, memory)]
         assert close(*at)
     assert close(disk.d, memory.d)
+
+
+def test_a_delay_from_disk_is_that_in_memory(stored: DatasetFile) -> None:
+    late = Late(stored, (3, 7))
+    memory = delayed_inputs(WHOLE, (3, 7))
+    for number, segment in enumerate(memory.segments):
+        found = [(u, y) for n, u, y in late.blocks() if n == number]
+        assert np.array_equal(np.concatenate([u for u, _ in found]), segment.u)
+        assert np.array_equal(np.concatenate([y for _, y in found]), segment.y)
+    assert np.array_equal(late.head(100).segments[0].u, memory.segments[0].u[:100])
+    settings = StateSpace(order=3, method="pbsid", past=6, refine=False, nk=(4, 8))
+    disk, given = settings.fit(stored), settings.fit(WHOLE)
+    assert disk.delays == given.delays == (3, 7)
+    assert close(disk.dc_gain, given.dc_gain)
 
 
 def test_choices_are_made_on_the_head_and_said(stored: DatasetFile) -> None:

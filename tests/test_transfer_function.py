@@ -207,3 +207,18 @@ def test_noise_alone_gives_a_model_whose_intervals_say_so() -> None:
 
 def test_the_public_name() -> None:
     assert flysid.TF is TF
+
+
+def test_a_static_gain_with_a_dead_time_is_found_as_one() -> None:
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.choice([-1.0, 1.0], 200), 6) + 0.1 * rng.standard_normal(1200)
+    y = 2.5 * np.concatenate([np.zeros(4), u[:-4]]) + 0.3 + 0.05 * rng.standard_normal(1200)
+    data = Dataset.from_arrays(u, y, 0.05)
+    for settings in (TF(), TF(poles=0)):
+        found = settings.fit(data).transfer()
+        assert len(found.denominator) == 1
+        assert found.numerator[0] == pytest.approx(2.5, abs=3 * found.numerator_error[0])
+        assert found.dead_time_s == pytest.approx(0.2)
+        assert "\n1\n" not in str(found)
+    with pytest.raises(UsageError, match="nk_hint"):
+        TF(nk_hint=(1, 2)).fit(data)

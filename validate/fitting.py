@@ -75,7 +75,7 @@ def estimators(
         **linear_estimators(nk_hint),
         "fir": FIR(),
         "iv": IV(nk_hint=nk_hint),
-        "tf": TF(),
+        "tf": TF(nk_hint=nk_hint),
         "static_ts": StaticTS(seed=settings.seed),
         "ts": TS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
         "ts_ss": TSStateSpace(rules=rules, antecedents=antecedents, nk_hint=nk_hint),

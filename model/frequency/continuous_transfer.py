@@ -222,6 +222,8 @@ class ContinuousTransfer:
         dead = f" e^(-{_spread_text(self.dead_time_s, self.errors[-1])} s)" if self.dead_time_s else ""
         rule = "-" * max(len(top), len(bottom))
         lines = [f"{self.output} / {self.input} ={dead}", top, rule, bottom]
+        if len(self.denominator) == 1:
+            lines = [f"{self.output} / {self.input} = {top}{dead}"]
         gain = self.gain
         words = [] if np.isnan(gain.value) else [f"steady gain: {gain}"]
         if Z95 * gain.error > abs(gain.value):

@@ -192,7 +192,7 @@ def forms(
     else:
         delays = [tuple(None if t is None else float(t) for t in dead_time_s)]
     found = []
-    for n in range(1, MOST_POLES + 1) if poles == "auto" else [int(poles)]:
+    for n in range(MOST_POLES + 1) if poles == "auto" else [int(poles)]:
         for d in delays:
             if zeros == "auto":
                 found += [Form(n, (m,) * n_u, d, stable) for m in range(max(n, 1))]

@@ -48,6 +48,8 @@ class Settings(Protocol):
     @property
     def offset(self) -> bool: ...
     @property
+    def nk_hint(self) -> Sequence[int]: ...
+    @property
     def trend(self) -> Trend: ...
     @property
     def stable(self) -> bool: ...
@@ -184,7 +186,8 @@ class _Discrete:
         if self.nk is None:
             probe = min(2, form.poles)
             counts = (max(probe, 1),) * len(form.zeros)
-            orders = Orders(probe, counts, (1,) * len(counts), self.settings.offset)
+            spoken_for = tuple(self.settings.nk_hint) or (1,) * len(counts)
+            orders = Orders(probe, counts, spoken_for, self.settings.offset)
             found = find_delays(self.parts.fit, 0, orders)
             self.nk = tuple(max(k, 1) for k in found)
         return self.nk
@@ -279,6 +282,10 @@ def _refined(settings: Settings, parts: Parts, form: Form, rational: Rational) -
         0.0 if t is None and d < NO_DELAY * problem.dt_s else t
         for t, d in zip(form.dead_time_s, ended.dead_time_s, strict=True)
     )
+    if form.poles == 0 and settings.hold == "zero":  # a held gain tells a dead time to the sample only
+        dt_s = problem.dt_s
+        ended = replace(ended, dead_time_s=dt_s * np.ceil(ended.dead_time_s / dt_s - NO_DELAY))
+        none = tuple(float(d) for d in ended.dead_time_s)
     if none != form.dead_time_s:  # at its bound a dead time has no interval, and bends those of the others
         kept = [d if t is None else t for t, d in zip(none, ended.dead_time_s, strict=True)]
         ended = replace(ended, dead_time_s=np.array(kept))

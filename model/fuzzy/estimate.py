@@ -16,7 +16,7 @@ from flysid.model.fuzzy.problem import runs_of
 from flysid.model.fuzzy.refit import on_all_runs
 from flysid.model.fuzzy.search import cross_validated, search
 from flysid.model.fuzzy.workshop import SPARE_ROWS, Settings, Workshop
-from flysid.model.linear.oe_search import check_hint
+from flysid.model.linear.settings import check_hint
 
 _HIGHEST_ORDER = 4
 _DEEPEST_DELAY = 40  # samples of delay and lags that the linear side may choose on long records

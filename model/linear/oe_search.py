@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from dataclasses import dataclass, replace
 
-import numpy as np
-
-from flysid.errors import UsageError
 from flysid.model.linear.data import Parts, as_tuple
 from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.output_error import (
@@ -19,29 +15,12 @@ from flysid.model.linear.output_error import (
     find_delays,
     refit,
 )
+from flysid.model.linear.settings import PolynomialSettings
 from flysid.model.simulation_error import Orders
 
-Auto = Literal["auto"]
 SHARE = 10
 """A regression needs this many samples per parameter before an order is tried."""
 FEW_INPUTS = 2
-
-
-class OrderSettings(Protocol):
-    """What the search needs to know; `ARX` and `OE` are such settings."""
-
-    @property
-    def na(self) -> int | Auto: ...
-    @property
-    def nb(self) -> int | Sequence[int] | Auto: ...
-    @property
-    def nk(self) -> int | Sequence[int] | Auto: ...
-    @property
-    def offset(self) -> bool: ...
-    @property
-    def n_init(self) -> int | None: ...
-    @property
-    def nk_hint(self) -> Sequence[int]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +28,7 @@ class Refined:
     """Fits of the part that choices are made on, ready to become a model of all training data."""
 
     structure: str
-    settings: OrderSettings
+    settings: PolynomialSettings
     parts: Parts
     fits: tuple[OneOutput, ...]
     note: str
@@ -65,30 +44,8 @@ class Refined:
         return assemble(self.structure, self.parts, fits, (self.note, *notes), self.settings.n_init)
 
 
-def check_orders(settings: OrderSettings, n_u: int) -> None:
-    """Raise UsageError for orders that cannot be."""
-    for name in ("na", "nb", "nk"):
-        value = getattr(settings, name)
-        if value == "auto":
-            continue
-        values = tuple(np.atleast_1d(np.asarray(value, dtype=object)))
-        if not all(isinstance(v, (int, np.integer)) and v >= 0 for v in values):
-            raise UsageError(f"{name} must be whole numbers of at least 0, not {value!r}")
-        if (name == "na" or not isinstance(value, int)) and len(values) != (1 if name == "na" else n_u):
-            raise UsageError(f"{name} has {len(values)} numbers for {n_u} inputs")
-    check_hint(settings.nk_hint, n_u)
-    if settings.n_init is not None and settings.n_init < 1:
-        raise UsageError(f"n_init must be at least 1, not {settings.n_init}")
-
-
-def check_hint(nk_hint: Sequence[int], n_u: int) -> None:
-    """Raise UsageError unless there is none or one whole number of at least 0 per input."""
-    if len(nk_hint) not in (0, n_u) or not all(isinstance(k, int) and k >= 0 for k in nk_hint):
-        raise UsageError(f"nk_hint={nk_hint!r}", hint=f"give () or {n_u} whole numbers, one per input")
-
-
 def search(
-    structure: str, settings: OrderSettings, parts: Parts, known_nk: tuple[int, ...] | None = None
+    structure: str, settings: PolynomialSettings, parts: Parts, known_nk: tuple[int, ...] | None = None
 ) -> Refined:
     """Delays, then orders, on the simulation error.
 
@@ -124,7 +81,7 @@ def search(
 
 
 def _delays(
-    settings: OrderSettings, parts: Parts, output: int, highest: int, known_nk: tuple[int, ...] | None
+    settings: PolynomialSettings, parts: Parts, output: int, highest: int, known_nk: tuple[int, ...] | None
 ) -> tuple[int, ...]:
     n_u = len(parts.train.inputs)
     if settings.nk != "auto":
@@ -134,12 +91,13 @@ def _delays(
     probe = min(2, highest)
     counts = as_tuple(probe if settings.nb == "auto" else settings.nb, n_u)
     spoken_for = tuple(settings.nk_hint) or (1,) * n_u
-    return find_delays(parts.fit, output, Orders(probe, counts, spoken_for, settings.offset))
+    return find_delays(parts.fit, output, replace(_orders(settings, probe, spoken_for), nb=counts))
 
 
-def _orders(settings: OrderSettings, na: int, nk: tuple[int, ...]) -> Orders:
+def _orders(settings: PolynomialSettings, na: int, nk: tuple[int, ...]) -> Orders:
     if settings.nb == "auto":
         nb = tuple(max(na, 1) + (1 if k == 0 else 0) for k in nk)
     else:
         nb = as_tuple(settings.nb, len(nk))
-    return Orders(na, nb, nk, settings.offset)
+    drift = settings.trend == "estimate"
+    return Orders(na, nb, nk, settings.offset and not drift, drift)

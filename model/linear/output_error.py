@@ -24,6 +24,7 @@ from flysid.model.selection import LEVEL, block_errors, judging_window, simplest
 from flysid.model.simulation_error import (
     Orders,
     OutputError,
+    Record,
     Transfer,
     find_start,
     from_transfer,
@@ -92,30 +93,27 @@ def find_delays(data: Dataset, output: int, probe: Orders) -> tuple[int, ...]:
     ----------
     probe : the orders to try delays with. Its own delays are tried too, with their neighbours.
     """
-    na, nb, offset = probe.na, probe.nb, probe.offset
     small = shortened(data, SEARCH_ROWS)
     parts = records(small, output)
     rows = sum(len(r.y) for r in parts)
     longest = max(len(r.y) for r in parts)
-    nk = [1] * len(nb)
-    for j in range(len(nb)):
+    nk = [1] * len(probe.nb)
+    for j in range(len(nk)):
         costs: dict[int, float] = {}
         for delay in widened(delay_steps(data.dt_s, longest), probe.nk[j], longest // 4):
-            costs[delay] = _delay_cost(parts, na, nb, (*nk[:j], delay, *nk[j + 1 :]), offset)
+            costs[delay] = _delay_cost(parts, replace(probe, nk=(*nk[:j], delay, *nk[j + 1 :])))
         best = min(costs, key=lambda d: costs[d])
         for delay in {best - 1, best + 1} - set(costs) - {-1}:  # between the sparse steps
-            costs[delay] = _delay_cost(parts, na, nb, (*nk[:j], delay, *nk[j + 1 :]), offset)
+            costs[delay] = _delay_cost(parts, replace(probe, nk=(*nk[:j], delay, *nk[j + 1 :])))
         best = min(costs, key=lambda d: costs[d])
         margin = np.exp(2.0 * np.log(rows) / rows)
         nk[j] = best if costs[1] > max(margin * costs[best], EXACT**2) else 1
     return tuple(nk)
 
 
-def _delay_cost(
-    parts: Sequence[object], na: int, nb: Sequence[int], nk: Sequence[int], offset: bool
-) -> float:
-    counts = tuple(n + 1 if k == 0 else n for n, k in zip(nb, nk, strict=True))
-    problem = OutputError(tuple(parts), Orders(na, counts, tuple(nk), offset))  # type: ignore[arg-type]
+def _delay_cost(parts: tuple[Record, ...], orders: Orders) -> float:
+    counts = tuple(n + 1 if k == 0 else n for n, k in zip(orders.nb, orders.nk, strict=True))
+    problem = OutputError(parts, replace(orders, nb=counts))
     rows = sum(len(r.y) - problem.start_row() for r in problem.usable())
     if rows <= problem.orders.count:
         return np.inf

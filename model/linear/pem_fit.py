@@ -4,31 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
 
 import numpy as np
 
-from flysid.dataset import FloatArray
+from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts, records
 from flysid.model.linear.model import FittedLinear
-from flysid.model.linear.oe_search import OrderSettings, check_orders, search
+from flysid.model.linear.oe_search import search
 from flysid.model.linear.output_error import OneOutput, runner
 from flysid.model.linear.pem import Kind, PredictionError, innovations_start
+from flysid.model.linear.settings import PolynomialSettings
+from flysid.model.linear.stability import settled
 from flysid.model.linear.start import equation_starts
 from flysid.model.simulation_error import Orders, OutputError, to_transfer
 
-Auto = Literal["auto"]
 BJ_NOISES = ((0, 0), (0, 1), (0, 2), (1, 1), (2, 2), (0, 4))
 ARMAX_NOISES = (1, 2, 3, 4)
-
-
-class NoiseSettings(OrderSettings, Protocol):
-    """Orders of the dynamics and of the noise; `ARMAX` and `BJ` are such settings."""
-
-    @property
-    def nc(self) -> int | Auto: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +44,16 @@ class NoisyFit:
 
 
 def fit_prediction_error(
-    kind: Kind, settings: NoiseSettings, parts: Parts, noises: Sequence[tuple[int, int]]
+    kind: Kind,
+    settings: PolynomialSettings,
+    data: tuple[Dataset, Dataset | None],
+    noises: Sequence[tuple[int, int]],
 ) -> FittedLinear:
     """Dynamics' orders by the simulation error, noise orders by BIC, all parameters by prediction error.
 
     Parameters
     ----------
+    data : training part, and validation part or None.
     noises : (nc, nd) to try.
 
     Raises
@@ -65,10 +62,12 @@ def fit_prediction_error(
     DataError : too few samples for these orders.
     FitError : no stable start was found.
     """
-    check_orders(settings, len(parts.train.inputs))
+    settings.check(data[0])
     for value in {n for pair in noises for n in pair}:
         if not isinstance(value, int) or value < 0:
             raise UsageError(f"orders of the noise model must be whole numbers of at least 0, not {value!r}")
+    train, validation = settings.detrended(*data)
+    parts = Parts.of(train, validation, centred=settings.offset)
     found = search(kind, settings, parts)
     fits = []
     for i, start in enumerate(found.fits):
@@ -79,7 +78,9 @@ def fit_prediction_error(
         for o, f in zip(parts.train.outputs, fits, strict=True)
     )
     how = "of lowest BIC" if len(noises) > 1 else "as given"
-    return _assemble(kind, parts, fits, (found.note, f"Noise model {how}: {names}."), settings.n_init)
+    notes = found.note, f"Noise model {how}: {names}."
+    model = _assemble(kind, parts, fits, notes, settings.n_init)
+    return settled(model, train, stable=settings.stable)
 
 
 def _fit(kind: Kind, parts: Parts, output: int, start: OneOutput, noise: tuple[int, int]) -> NoisyFit:

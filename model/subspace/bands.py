@@ -6,6 +6,7 @@ A covariance of matrices hangs on the coordinates of the state; these figures do
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,9 @@ import numpy.typing as npt
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.linear.uncertainty import FrequencyResponse, below_nyquist, drawn, spread_of
-from flysid.model.subspace.model import FittedStateSpace
+
+if TYPE_CHECKING:
+    from flysid.model.subspace.model import FittedStateSpace
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -71,7 +74,9 @@ def simulation_band(
     UsageError : the model carries no covariance, or nearly every draw is unstable.
     """
     if not len(model.covariance):
-        raise UsageError("this model carries no covariance", hint="fit it with refine=True")
+        raise UsageError(
+            "this model carries no covariance", hint="fit it in memory, with refine=True or stable=True"
+        )
     models = drawn(model, _moved, model.covariance, draws, seed)
     low, high = np.percentile([m.simulate(u, y0) for m in models], [2.5, 97.5], axis=0)
     return low, high

@@ -24,6 +24,7 @@ from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
 from flysid.model.freerun import saturated
 from flysid.model.noise import output_error_ahead
 from flysid.model.polynomials import ComplexArray, modes_of
+from flysid.model.subspace.bands import frequency_response
 from flysid.model.subspace.kalman import ahead, filtered_states, free_states, output_of, resting_state
 from flysid.model.subspace.triangle import Realisation
 
@@ -40,8 +41,9 @@ class FittedStateSpace:
     noise : (p + 1, n_y) monic autoregression of the simulation error per output, or None: K predicts.
     free : how many entries of A, B, C, D, K and the constants are not merely a choice of coordinates.
     singular_values : of the decomposition that the order was read off, largest first.
-    covariance : (p, p) of A, B, C, drift, level and, where it is free, D, row by row; (0, 0) where unknown
-        (not refined). Only what does not hang on the coordinates has a meaning: see `bands`.
+    covariance : (p, p) of A, B, C, drift, level and, where it is free, D, row by row; (0, 0) where unknown.
+        Not refined, it holds the distance to the refined estimate, too. Only what does not hang on the
+        coordinates has a meaning: see `bands`.
     delays : samples by which every input is late before it enters; () for none.
     """
 
@@ -182,15 +184,28 @@ class FittedStateSpace:
         modes = modes_of(self.poles, self.dt_s)
         lines.append("poles: " + "; ".join(str(m) for m in modes))
         lines.append("steady gain: " + "; ".join(self._gains()))
+        lines.append(f"intervals: {self._intervals()}")
         lines += [f"{name}: {value:.4g}" for name, value in self.scores.items()]
         return "\n".join([*lines, *(f"- {note}" for note in self.notes)])
 
     def _gains(self) -> list[str]:
+        errors = np.full(self.dc_gain.shape, np.nan)
+        if len(self.covariance) and np.isfinite(self.dc_gain).all():
+            errors = frequency_response(self, np.zeros(1)).magnitude_error[0]
         return [
             f"{i.name} -> {o.name} {self.dc_gain[r, c]:.4g}"
+            + (f" +- {errors[r, c]:.2g}" if np.isfinite(errors[r, c]) else "")
             for r, o in enumerate(self.outputs)
             for c, i in enumerate(self.inputs)
         ]
+
+    def _intervals(self) -> str:
+        """What is known of the uncertainty, in words."""
+        if not len(self.covariance):
+            return "none (from disk, unstable, or too long for them); refine=True has them"
+        if self.noise is not None:
+            return "of the simulation-error fit"
+        return "of the scatter, and of the distance to the least simulation error (wide where biased)"
 
     def _conclusion(self) -> str:
         modes = "; ".join(str(m) for m in modes_of(self.poles, self.dt_s))

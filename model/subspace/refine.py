@@ -21,6 +21,8 @@ from flysid.model.refine import NormalEquations, Refinement, levenberg_marquardt
 from flysid.model.regressors import CHUNK_ROWS
 from flysid.model.subspace.triangle import Realisation
 
+LARGEST = 0.999
+"""Radius that no pole exceeds once a system is made stable."""
 CONFIDENCE_ROWS = 20_000
 """Samples, the first, whose sensitivities the covariance is computed from; it is scaled to all of them."""
 
@@ -151,6 +153,18 @@ class SimulationError:
         found: FloatArray = share * inverse @ coloured @ inverse
         return found
 
+    def spread(self, theta: FloatArray) -> FloatArray:
+        """(p, p) of an estimate that is not refined: the covariance, and its distance to the refined one.
+
+        Both estimates are of the same system; how far one Gauss-Newton step would go tells what the estimate
+        is biased by, which no covariance knows.
+        """
+        _, jtj, jtr = self.normal_equations(theta)
+        assert isinstance(jtj, np.ndarray)
+        step = _solved(jtj, jtr)
+        found: FloatArray = self.covariance(theta) + np.outer(step, step)
+        return found
+
     @property
     def _radius(self) -> float:
         """Poles stay inside the unit circle, or no further out than they were."""
@@ -158,6 +172,19 @@ class SimulationError:
 
     def _usable(self) -> list[Segment]:
         return [s for s in self.segments if len(s) > 2 * self.start.order + 1]
+
+
+def mirrored(system: Realisation) -> Realisation:
+    """The system with its poles outside the unit circle reflected into it; in the same coordinates.
+
+    Where A has no full set of eigenvectors, all poles are drawn in alike.
+    """
+    values, vectors = np.linalg.eig(system.a)
+    size = np.abs(values)
+    if np.linalg.cond(vectors) > 1e10:
+        return replace(system, a=system.a * LARGEST / float(size.max()))
+    inside = np.where(size > LARGEST, np.minimum(LARGEST, 1.0 / size) * values / size, values)
+    return replace(system, a=np.real(vectors @ np.diag(inside) @ np.linalg.inv(vectors)))
 
 
 def _eliminated(gram: FloatArray, p: int, n: int) -> FloatArray:

@@ -1,0 +1,85 @@
+"""Settings that all polynomial structures share: orders, delays, offset, start, trend, stability."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
+from typing import ClassVar, Literal, TypeAlias
+
+import numpy as np
+
+from flysid.dataset import Dataset
+from flysid.errors import UsageError
+from flysid.model.detrend import Trend, check_trend, detrended
+from flysid.model.stream import OnDisk, Source
+
+Auto: TypeAlias = Literal["auto"]
+
+
+@dataclass(frozen=True)
+class PolynomialSettings:
+    """What ARX, OE, ARMAX, BJ and IV are told alike; the defaults choose by themselves.
+
+    Parameters
+    ----------
+    na : order of the denominator (A, or F of OE and BJ), or "auto": the simplest within one standard error
+        of the best free run on validation data.
+    nb : coefficients of every B, one number or one per input, or "auto" (as many as na).
+    nk : delay in samples from input to output, one number or one per input, or "auto". 0 is feed-through.
+    offset : estimate a constant.
+    n_init : measured samples that start a simulation; None chooses.
+    nk_hint : delays that "auto" tries besides its own, one per input: the dead time the log shows
+        (`flysid.ingest.deadtime`).
+    trend : "remove" takes a straight line out of every segment's signals first; see `detrend`.
+    stable : poles outside the unit circle are mirrored into it and B is fitted again; see `stability`.
+    """
+
+    na: int | Auto = "auto"
+    nb: int | Sequence[int] | Auto = "auto"
+    nk: int | Sequence[int] | Auto = "auto"
+    _: KW_ONLY
+    offset: bool = True
+    n_init: int | None = None
+    nk_hint: Sequence[int] = ()
+    trend: Trend = "none"
+    stable: bool = False
+
+    trends: ClassVar[tuple[str, ...]] = ("none", "remove")
+
+    def check(self, data: Source) -> None:
+        """Raise UsageError for settings that cannot be, or not for these data."""
+        check_orders(self, len(data.inputs))
+        check_trend(self.trend, self.trends)
+        if isinstance(data, OnDisk) and self.trend != "none":
+            raise UsageError("a trend is not taken out of data on disk", hint="use trend='none'")
+
+    def detrended(self, train: Dataset, validation: Dataset | None) -> tuple[Dataset, Dataset | None]:
+        """Both parts, without their trends where that is asked for."""
+        return detrended(train, self.trend), None if validation is None else detrended(validation, self.trend)
+
+
+def check_orders(settings: PolynomialSettings, n_u: int) -> None:
+    """Raise UsageError for orders that cannot be."""
+    if n_u == 0:
+        raise UsageError(
+            "the dataset has no input: a model from inputs to outputs has nothing to start from",
+            hint="name an input in the recipe",
+        )
+    for name in ("na", "nb", "nk"):
+        value = getattr(settings, name)
+        if value == "auto":
+            continue
+        values = tuple(np.atleast_1d(np.asarray(value, dtype=object)))
+        if not all(isinstance(v, (int, np.integer)) and v >= 0 for v in values):
+            raise UsageError(f"{name} must be whole numbers of at least 0, not {value!r}")
+        if (name == "na" or not isinstance(value, int)) and len(values) != (1 if name == "na" else n_u):
+            raise UsageError(f"{name} has {len(values)} numbers for {n_u} inputs")
+    check_hint(settings.nk_hint, n_u)
+    if settings.n_init is not None and settings.n_init < 1:
+        raise UsageError(f"n_init must be at least 1, not {settings.n_init}")
+
+
+def check_hint(nk_hint: Sequence[int], n_u: int) -> None:
+    """Raise UsageError unless there is none or one whole number of at least 0 per input."""
+    if len(nk_hint) not in (0, n_u) or not all(isinstance(k, int) and k >= 0 for k in nk_hint):
+        raise UsageError(f"nk_hint={nk_hint!r}", hint=f"give () or {n_u} whole numbers, one per input")
