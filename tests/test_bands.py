@@ -12,7 +12,11 @@ from flysid.model.start import estimate_start
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
 from flysid.validate.bands import curves, free_run_band
+from flysid.validate.compare import compare
+from flysid.validate.diagnostics import diagnose
+from flysid.validate.document import to_json
 from flysid.validate.parameters import intervals
+from flysid.validate.report import ReportContext, render
 from flysid.validate.responses import responses
 from tests.fakes import FirstOrder, flown
 
@@ -72,3 +76,20 @@ def test_a_model_that_does_not_know_has_none() -> None:
     (curve,) = curves(TRUTH, HZ, (0, 0))
     assert curve.band is None
     assert free_run_band(TRUTH, TRAIN.segments[0], 10) is None
+
+
+def test_fewer_words_have_a_price_on_the_page_and_in_the_document() -> None:
+    """Three rules for a plant that two describe: merging two of them costs next to nothing, and is said."""
+    data = flown(FirstOrder(a=0.9, b=0.1, d=-0.3), [300] * 4, noise=0.02)
+    spare, arx = TS(rules=3, na=1, nb=1, nk=1).fit(data), ARX(na=1, nb=1, nk=1).fit(data)
+    c = compare(
+        [arx, spare], flown(FirstOrder(a=0.9, b=0.1, d=-0.3), [300] * 6, noise=0.02, seed=4), train=data
+    )
+    found = diagnose(c, data)
+    cheapest = found.checks["ts"].simpler[0]
+    assert "merged" in cheapest.what or "dropped" in cheapest.what
+    assert cheapest.loss_pct < 5.0
+    assert not found.checks["arx"].simpler
+    assert str(cheapest) in render(ReportContext({"roll": c}, train={"roll": data}))
+    document = to_json({"roll": c}, {"roll": found})
+    assert document["diagnostics"]["roll"]["checks"]["ts"]["simpler"][0]["what"] == cheapest.what

@@ -80,12 +80,33 @@ def opened(browser: Any, path: Path) -> list[str]:
     return left + [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
 
 
+def scroll_to_charts(browser: Any) -> None:
+    """Charts are made when they come near the screen: go there and wait for the frame after."""
+    browser.execute_async_script(
+        """const done = arguments[0], until = Date.now() + 5000;
+           document.querySelector('.channel:not([hidden]) .overlay').scrollIntoView();
+           (function look() {
+             const n = document.querySelectorAll('.channel:not([hidden]) .live canvas').length;
+             if (n >= 4 || Date.now() > until) { requestAnimationFrame(() => setTimeout(done, 30)); }
+             else { setTimeout(look, 20); }
+           })();"""
+    )
+
+
+def test_charts_wait_until_they_are_near(browser: Any, page: Path) -> None:
+    opened(browser, page)
+    assert browser.execute_script("return document.querySelectorAll('.live canvas').length") == 0
+    scroll_to_charts(browser)
+    assert browser.execute_script("return document.querySelectorAll('.live canvas').length") == 4
+
+
 def test_no_request_no_error_every_panel_drawn(browser: Any, page: Path) -> None:
     assert opened(browser, page) == []
     assert page.stat().st_size < 1_500_000
     assert browser.execute_script("return document.documentElement.dataset.ready") == "yes"
     for i in range(3):
         browser.execute_script(f"document.querySelectorAll('#tabs button')[{i}].click()")
+        scroll_to_charts(browser)
         drawn = browser.execute_script(
             """return [...document.querySelectorAll('.channel:not([hidden]) .live canvas')].map(c => {
                  const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
@@ -102,6 +123,7 @@ def test_no_request_no_error_every_panel_drawn(browser: Any, page: Path) -> None
 
 def test_segments_can_be_chosen_and_zoom_is_shared(browser: Any, page: Path) -> None:
     opened(browser, page)
+    scroll_to_charts(browser)
     chosen = browser.execute_script(
         """const b = document.querySelectorAll('.segments button'); b[3].click();
            return [...document.querySelectorAll('.segments')[0].querySelectorAll('button')]

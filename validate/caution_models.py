@@ -14,6 +14,8 @@ from flysid.validate.words import named, number, one_line
 
 COLLINEAR = 1e5
 """Condition number above which single coefficients mean little."""
+CHEAP_PCT = 2.0
+"""Growth of the free run's RMSE that a simpler rule base is worth."""
 
 
 def useless(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
@@ -107,6 +109,26 @@ def one_rule(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution
             "gain comes from its order or refinement, not from fuzziness.",
             "use it as a linear model; do not quote it as evidence for rules.",
             3.5,
+        )
+
+
+def spare_words(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    """Rules that could go for next to nothing."""
+    said = [
+        f"{channel} ({checks.simpler[0]})"
+        for channel, d in diagnoses.items()
+        for name, checks in d.checks.items()
+        if name == comparisons[channel].contender
+        and checks.simpler
+        and checks.simpler[0].loss_pct < CHEAP_PCT
+    ]
+    if said:
+        yield Caution(
+            "note",
+            f"The rules could say nearly the same in fewer words on {join(said)}, by free-run RMSE on the "
+            "training flights.",
+            "fit with one rule less (--rules), or flysid.model.fuzzy.simplify.",
+            0.65,
         )
 
 

@@ -9,7 +9,15 @@ from flysid.model.feedback import BIASED, REMEDY
 from flysid.validate.bootstrap import MIN_FLIGHTS
 from flysid.validate.caution import Caution, Comparisons, Diagnoses, heads, join
 from flysid.validate.caution_data import in_the_data
-from flysid.validate.caution_models import collinear, contested, one_rule, runs_away, unsure_gains, useless
+from flysid.validate.caution_models import (
+    collinear,
+    contested,
+    one_rule,
+    runs_away,
+    spare_words,
+    unsure_gains,
+    useless,
+)
 from flysid.validate.comparison import Comparison
 from flysid.validate.diagnostics import Diagnosis, Outside
 from flysid.validate.trials import FREE_RUN
@@ -40,7 +48,7 @@ def _rules() -> tuple[Callable[[Comparisons, Diagnoses], Iterator[Caution]], ...
     return (
         _diverged, useless, contested, one_rule, runs_away, _unstable, _unexplained, _extrapolates,
         _missing_dynamics, _undecided, _few, unsure_gains, collinear, _feedback, _noisy_start, _not_white,
-        _one_step_flatters, _idle_rules, _unused,
+        _one_step_flatters, _idle_rules, spare_words, _unused,
     )  # fmt: skip
 
 

@@ -5,14 +5,33 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from flysid.dataset import Dataset
+from flysid.errors import FlysidError
 from flysid.model.base import Fitted
 from flysid.validate.conditioning import conditions
 from flysid.validate.parameters import Intervals, intervals
 from flysid.validate.robustness import Robustness, robustness
+from flysid.validate.words import percent
 
 if TYPE_CHECKING:
     from flysid.validate.bands import Drawn
+
+
+MOST_SAMPLES = 200_000
+"""Training samples up to which simplifications are priced: each is refined on all of them."""
+
+
+@dataclass(frozen=True)
+class Simpler:
+    """An edit of the rules in words, and by how much it raises the free run's RMSE on the training data."""
+
+    what: str
+    loss_pct: float
+
+    def __str__(self) -> str:
+        return f"{self.what}: {percent(self.loss_pct, 1)}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +46,7 @@ class Checks:
     certificate : what is proved about the stability of any blend of the rules, in words; "" where there is
         one rule, whose poles say all.
     proved : a common quadratic Lyapunov function was found.
+    simpler : what could be said with fewer words and its price on the training data, cheapest first.
     """
 
     robustness: Robustness
@@ -34,6 +54,7 @@ class Checks:
     intervals: Intervals | None
     certificate: str
     proved: bool
+    simpler: tuple[Simpler, ...] = ()
 
     @property
     def fuzzy(self) -> Drawn | None:
@@ -45,7 +66,27 @@ def check(model: Fitted, test: Dataset, train: Dataset | None = None) -> Checks:
     """Try `model` on the ranges of `train` (of `test` where there is none)."""
     seen = test if train is None else train
     proved, words = _certificate(model)
-    return Checks(robustness(model, seen), conditions(model, seen), intervals(model, train), words, proved)
+    return Checks(
+        robustness(model, seen),
+        conditions(model, seen),
+        intervals(model, train),
+        words,
+        proved,
+        () if train is None else _simpler(model, train),
+    )
+
+
+def _simpler(model: Fitted, train: Dataset) -> tuple[Simpler, ...]:
+    """Edits of rules over lags; none where the data are too many or too short."""
+    from flysid.model.fuzzy.model import FittedTS
+    from flysid.model.fuzzy.simplify import simplifications
+
+    if not isinstance(model, FittedTS) or len(model.rules()) < 2 or len(train) > MOST_SAMPLES:
+        return ()
+    try:
+        return tuple(Simpler(s.what, s.loss_pct) for s in simplifications(model, train))
+    except (FlysidError, np.linalg.LinAlgError):
+        return ()
 
 
 def _certificate(model: Fitted) -> tuple[bool, str]:

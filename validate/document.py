@@ -89,6 +89,7 @@ def _checks(c: Checks) -> dict[str, Any]:
     return {
         "long_run": asdict(c.robustness),
         "condition_per_rule": list(c.conditions),
+        "simpler": [asdict(s) for s in c.simpler],
         "certificate": {"proved": c.proved, "words": c.certificate},
         "gain_95": None if sure is None else sure.gain.tolist(),
         "time_constant_95_s": None

@@ -19,6 +19,7 @@ from flysid.validate.report.page import render
 from flysid.validate.run import FitSettings, HeldOut, Progress, Run, held_out, replacing_folder
 from flysid.validate.tables import to_csv, to_markdown
 from flysid.validate.terminal import summary, table
+from flysid.validate.words import one_line
 
 PAGE = "report.html"
 DOCUMENT = "report.json"
@@ -54,7 +55,17 @@ class Judgement:
     def table(self) -> str:
         """The comparison for a terminal: every model, channel and horizon, then the verdicts in words."""
         times = self.context.fit_seconds
-        return f"{table(self.comparisons, times)}\n\n{summary(self.comparisons)}"
+        parts = [table(self.comparisons, times), summary(self.comparisons), *self._simpler()]
+        return "\n\n".join(part for part in parts if part)
+
+    def _simpler(self) -> list[str]:
+        """The cheapest way to fewer words of every channel with several rules."""
+        lines = []
+        for channel, d in self.context.diagnoses.items():
+            checks = d.checks.get(self.comparisons[channel].contender or "")
+            if checks is not None and checks.simpler:
+                lines.append(f"{channel}: in fewer words: {checks.simpler[0]} RMSE on the training flights")
+        return ["\n".join(map(one_line, lines))] if lines else []
 
     def text(self, form: str = "table") -> str:
         """The comparison as "table", "json", "markdown" or "csv", without a line break at the end."""

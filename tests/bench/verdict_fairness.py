@@ -6,7 +6,7 @@ interrupted campaign go on, with the same code only. Both sides are what `flysid
 linear model by validation, and TS (at most 3 rules, to save time). On linear plants TS must be called better
 in at most 5 %; on nonlinear plants, with noise such that a perfect model is 20 % better than the best linear
 one, it should be found in at least 80 %, and the interval should hold the change that the same two fitted
-models show on 60 fresh flights in 93 to 97 %.
+models show on 120 fresh flights in 93 to 97 %.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from flysid.validate.compare import compare
 from flysid.validate.trials import FREE_RUN
 
 DT_S = 0.05
-TRAIN, TEST, FRESH = 4, 8, 60
+TRAIN, TEST, FRESH = 4, 8, 120
 VERDICTS = ("better", "contested", "same", "worse", "not enough data")
 LENGTH = 500
 

@@ -67,6 +67,7 @@ class Section:
     models: tuple[str, ...]
     checks: tuple[CheckRow, ...]
     coefficients: tuple[tuple[str, str, str, str], ...]
+    simpler: str
     data: Mapping[str, Any]
 
 
@@ -106,6 +107,7 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         models=tuple(one_line(m).upper() for m, _ in overlay.drawn(c)),
         checks=check_rows(c, source.diagnosis, j),
         coefficients=coefficient_rows(c, source.diagnosis, j),
+        simpler=_simpler(source),
         data={
             "segments": [overlay.as_json(p, label) for p, label in zip(pieces, labels, strict=True)],
             "shown": longest,
@@ -114,6 +116,15 @@ def _section(source: Source, j: int, anchor: str) -> Section:
             "models": [f"{one_line(m).upper()} free run" for m, _ in overlay.drawn(c)],
         },
     )
+
+
+def _simpler(source: Source) -> str:
+    """What fewer words would cost, in one sentence; "" where there is nothing to leave out."""
+    checks = source.diagnosis.checks.get(source.comparison.contender or "")
+    if checks is None or not checks.simpler:
+        return ""
+    edits = "; ".join(map(str, checks.simpler))
+    return f"Fewer words, and what they cost in free-run RMSE on the training flights: {one_line(edits)}."
 
 
 def _main_input(source: Source, j: int) -> int:

@@ -1,8 +1,13 @@
 (function () {
   "use strict";
-  var data = JSON.parse(document.getElementById("data").textContent);
+  var held = null;
   var root = document.documentElement;
   var charts = [];
+
+  function data(index) { // read when the first chart is drawn, not when the page opens
+    held = held || JSON.parse(document.getElementById("data").textContent);
+    return held[index];
+  }
 
   function colour(name) {
     return getComputedStyle(root).getPropertyValue("--" + name).trim();
@@ -149,7 +154,7 @@
   function start(figure) {
     if (figure.dataset.started) { return; }
     figure.dataset.started = "yes";
-    var index = +figure.dataset.index, channel = data[index];
+    var index = +figure.dataset.index, channel = data(index);
     var show = draw(figure, channel, index);
     figure.querySelectorAll(".scripted").forEach(function (e) { e.hidden = false; });
     var group = document.querySelector('.segments[data-index="' + index + '"]');
@@ -175,6 +180,19 @@
     charts.forEach(function (c) { if (c.plot) { c.plot.redraw(false, true); } if (c.paint) { c.paint(); } });
   }
 
+  var waits = "IntersectionObserver" in window ? new IntersectionObserver(function (entries) {
+    entries.forEach(function (entry) {
+      if (entry.isIntersecting) {
+        waits.unobserve(entry.target);
+        start(entry.target);
+      }
+    });
+  }, { rootMargin: "400px" }) : null;
+
+  function startWhenSeen(figure) { // until then its still picture stands there
+    if (waits) { waits.observe(figure); } else { start(figure); }
+  }
+
   var sections = Array.prototype.slice.call(document.querySelectorAll(".channel"));
   var tabs = document.getElementById("tabs");
   function open(section) {
@@ -184,7 +202,7 @@
       b.setAttribute("aria-selected", on ? "true" : "false");
       b.tabIndex = on ? 0 : -1;
     });
-    section.querySelectorAll(".overlay").forEach(start);
+    section.querySelectorAll(".overlay").forEach(startWhenSeen);
     resize();
   }
   if (sections.length > 1) {
