@@ -33,6 +33,8 @@ MAX_LINE_BYTES = 4096
 _LINE_HEAD = re.compile(
     r"(?=([A-Z][A-Z0-9]{1,3}), (-?\d+,.*))"
 )  # also inside a word: its separator is damaged
+# its name is damaged too, maybe all up to its time
+_LOST_HEAD = re.compile(r"[\x00-\x08\x0e-\x1f\x7f\ufffd][A-Z0-9]{0,3},? ?\d{4,},")
 BATCH_BYTES = 4 << 20  # as Python strings, lines take twenty times their bytes
 Column = npt.NDArray[np.int64] | npt.NDArray[np.float64] | list[str]
 
@@ -152,6 +154,8 @@ def _swallowed(reader: _Reader, code: int, text: str) -> bool:
     """Whether a text at the end of a line holds the line behind it, whose separator was damaged."""
     if reader.definitions.items[code].format[-1:] not in ("n", "N", "Z"):
         return False
+    if _LOST_HEAD.search(text):
+        return True
     for found in _LINE_HEAD.finditer(text):
         inner = reader.by_name.get(found[1])
         if inner is not None and found[2].count(",") >= len(reader.definitions.items[inner].format) - 1:

@@ -244,12 +244,13 @@ def test_empty_lines_between_whole_ones_mean_nothing() -> None:
     assert not flight.damage.lossy
 
 
-@pytest.mark.parametrize("letter", [b"\xf7", b"J", b"*", b" "])
+@pytest.mark.parametrize("letter", [b"\xf7", b"J", b"*", b" ", b"\0\0\0\0", b"\xff\xffTT"])
 def test_a_text_that_holds_the_next_line_is_damage_and_another_is_not(letter: bytes) -> None:
     blob = text_sample.build()
-    joined = blob.replace(b"(0123abcd)\nATT", b"(0123abcd)" + letter + b"ATT")
+    head = b"" if len(letter) > 1 else b"ATT"
+    joined = blob.replace(b"(0123abcd)\nATT", b"(0123abcd)" + letter + head)
     whole, flight = (collect(memoryview(b), "a.log", dataflash_text.FORMAT, Limits()) for b in (blob, joined))
     assert flight.rows == whole.rows - 2
     assert [r.reason for r in flight.damage.regions] == ["two lines run into one"]
-    talk = blob + b"MSG, 9, EKF3 IMU0, ATT bad, 3, 4\nMSG, 10, XATT, 5, 6\n"
+    talk = blob + b"MSG, 9, EKF3 IMU0, ATT bad, 3, 4\nMSG, 10, XATT, 5, 6\nMSG, 11, 5\xb0, 6, 7\n"
     assert not collect(memoryview(talk), "a.log", dataflash_text.FORMAT, Limits()).damage.lossy
