@@ -18,6 +18,7 @@ from flysid.validate.document import to_json
 from flysid.validate.parameters import intervals
 from flysid.validate.report import ReportContext, render
 from flysid.validate.responses import responses
+from flysid.validate.trials import free_run
 from tests.fakes import FirstOrder, flown
 
 TRUTH = FirstOrder(a=0.9, b=0.1)
@@ -67,9 +68,12 @@ def test_rules_have_a_band_each() -> None:
         assert curve.band is not None
         assert (curve.band.low <= curve.band.high).all()
         assert (curve.band.turn_low <= curve.band.turn_high).all()
-    band = free_run_band(model, data.segments[0], 10, known.fuzzy)
+    segment = data.segments[0]
+    band = free_run_band(model, segment, 10, known.fuzzy)
     assert band is not None
-    assert np.isfinite(band).all()
+    run = free_run(model, segment, 10)
+    np.testing.assert_allclose(band[1] - run, run - band[0], atol=1e-9)  # to first order
+    assert 0.0 < float(np.mean(band[1] - band[0])) < 0.1 * float(np.std(segment.y))
 
 
 def test_a_model_that_does_not_know_has_none() -> None:

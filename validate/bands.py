@@ -1,14 +1,15 @@
 """Where the parameters' uncertainty lets a model's frequency response and free run lie: pointwise 95 % bands.
 
 They come from the training data and speak of noise alone; what a structure cannot express is not in them.
-Linear models have theirs from their parameters' covariance, to first order; TS from draws of its numbers.
+All are to first order: a draw of a slow rule's numbers may well be unstable and says nothing of the model.
+Linear models have theirs from their parameters' covariance, fuzzy ones from draws of small steps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,21 +21,12 @@ from flysid.model.linear.uncertainty import FrequencyResponse
 from flysid.model.start import estimate_start
 from flysid.validate.responses import ComplexArray, responses
 
+if TYPE_CHECKING:
+    from flysid.model.fuzzy.uncertainty import Uncertainty
+
 DRAWS = 100
-LEVEL = (2.5, 97.5)
+STEP = 0.01
 Z95 = 1.959963984540054
-
-
-class Drawn(Protocol):
-    """What a fuzzy model's fit tells of its numbers, rules over lags or over states."""
-
-    def draws(self, count: int = ..., seed: int = ...) -> Sequence[Fitted]:
-        """Models whose numbers are drawn from their distribution; the same ones for the same seed."""
-        ...
-
-    def simulation_band(self, u: FloatArray, y0: FloatArray | None = ...) -> tuple[FloatArray, FloatArray]:
-        """(lower, upper), (N, n_y) each, of the free run."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +47,13 @@ class Curve:
     band: ResponseBand | None = None
 
 
-def curves(model: Fitted, hz: FloatArray, place: tuple[int, int], sure: Drawn | None = None) -> list[Curve]:
-    """Response of every rule with its band; `place`: (output, input); `sure`: what a TS model's fit tells."""
-    from flysid.model.fuzzy.model import FittedTS
-
+def curves(
+    model: Fitted, hz: FloatArray, place: tuple[int, int], sure: Uncertainty[Any] | None = None
+) -> list[Curve]:
+    """Response of every rule with its band; `place`: (output, input); `sure`: of a fuzzy one."""
     nominal = responses(model, hz, *place)
     bands: Sequence[ResponseBand | None] = [None] * len(nominal)
-    if sure is not None and isinstance(model, FittedTS):  # draws of hidden states are wild
+    if sure is not None:
         bands = _drawn_bands(nominal, sure, hz, place)
     elif (known := _first_order(model, hz)) is not None:
         bands = [_linear_band(known, place)]
@@ -91,24 +83,35 @@ def _linear_band(r: FrequencyResponse, place: tuple[int, int]) -> ResponseBand:
     return ResponseBand(np.maximum(gain - reach, 0.0), gain + reach, -turn, turn)
 
 
+def _nearby(sure: Uncertainty[Any]) -> list[Fitted]:
+    """Models whose numbers are `STEP` of a standard deviation away, in random directions."""
+    return list(replace(sure, covariance=STEP**2 * sure.covariance).draws(DRAWS))
+
+
+def _half_width(drawn: FloatArray) -> FloatArray:
+    """1.96 standard deviations of what `drawn` (DRAWS, ...) deviates, for whole steps."""
+    half: FloatArray = Z95 / STEP * np.sqrt(np.mean(drawn**2, axis=0))
+    return half
+
+
 def _drawn_bands(
-    nominal: Sequence[ComplexArray], sure: Drawn, hz: FloatArray, place: tuple[int, int]
+    nominal: Sequence[ComplexArray], sure: Uncertainty[Any], hz: FloatArray, place: tuple[int, int]
 ) -> list[ResponseBand | None]:
     """One band per rule; none where a draw has no response."""
-    drawn = np.array([responses(m, hz, *place) for m in sure.draws(DRAWS)])
+    drawn = np.array([responses(m, hz, *place) for m in _nearby(sure)])
     found: list[ResponseBand | None] = []
     for r, own in enumerate(nominal):
-        if not np.isfinite(drawn[:, r]).all() or not np.isfinite(own).all():
+        gain = np.abs(own)
+        if not np.isfinite(drawn[:, r]).all() or not (gain > 0.0).all():
             found.append(None)
             continue
-        low, high = np.percentile(np.abs(drawn[:, r]), LEVEL, axis=0)
-        back, forth = np.percentile(np.angle(drawn[:, r] / np.where(own == 0.0, 1.0, own)), LEVEL, axis=0)
-        found.append(ResponseBand(low, high, back, forth))
+        reach, turn = _half_width(np.abs(drawn[:, r]) - gain), _half_width(np.angle(drawn[:, r] / own))
+        found.append(ResponseBand(np.maximum(gain - reach, 0.0), gain + reach, -turn, turn))
     return found
 
 
 def free_run_band(
-    model: Fitted, segment: Segment, start: int, sure: Drawn | None = None
+    model: Fitted, segment: Segment, start: int, sure: Uncertainty[Any] | None = None
 ) -> tuple[FloatArray, FloatArray] | None:
     """(lower, upper), (N - start, n_y) each, of the free run that scores are made of; None where not known.
 
@@ -121,7 +124,7 @@ def free_run_band(
     try:
         y0 = estimate_start(model, segment.u[:start], segment.y[:start])
         if sure is not None:
-            low, high = sure.simulation_band(segment.u, y0)
+            low, high = _fuzzy_run_band(model, segment.u, y0, sure)
         elif isinstance(model, FittedLinear):
             low, high = uncertainty.simulation_band(model, segment.u, y0, draws=DRAWS)
         elif isinstance(model, FittedStateSpace):
@@ -131,3 +134,16 @@ def free_run_band(
     except (FlysidError, np.linalg.LinAlgError):
         return None
     return low[start:], high[start:]
+
+
+def _fuzzy_run_band(
+    model: Fitted, u: FloatArray, y0: FloatArray, sure: Uncertainty[Any]
+) -> tuple[FloatArray, FloatArray]:
+    """Rules over states have a first-order band of their own."""
+    from flysid.model.fuzzy.model import FittedTS
+
+    if not isinstance(model, FittedTS):
+        return sure.simulation_band(u, y0)
+    run = model.simulate(u, y0)
+    half = _half_width(np.array([m.simulate(u, y0) - run for m in _nearby(sure)]))
+    return run - half, run + half

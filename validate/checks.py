@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from flysid.validate.robustness import Robustness, robustness
 from flysid.validate.words import percent
 
 if TYPE_CHECKING:
-    from flysid.validate.bands import Drawn
+    from flysid.model.fuzzy.uncertainty import Uncertainty
 
 
 MOST_SAMPLES = 200_000
@@ -57,7 +57,7 @@ class Checks:
     simpler: tuple[Simpler, ...] = ()
 
     @property
-    def fuzzy(self) -> Drawn | None:
+    def fuzzy(self) -> Uncertainty[Any] | None:
         """What is known of a TS model's numbers."""
         return None if self.intervals is None else self.intervals.fuzzy
 

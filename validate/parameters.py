@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,8 +20,8 @@ from flysid.model.regressors import lagged_name
 
 if TYPE_CHECKING:
     from flysid.model.fuzzy.model import FittedTS
+    from flysid.model.fuzzy.uncertainty import Uncertainty
     from flysid.model.hidden.model import FittedTSStateSpace
-    from flysid.validate.bands import Drawn
 
 Z95 = 1.959963984540054
 
@@ -52,7 +52,7 @@ class Intervals:
     gain: FloatArray
     time_constant_s: FloatArray | None
     coefficients: tuple[Coefficient, ...]
-    fuzzy: Drawn | None = None
+    fuzzy: Uncertainty[Any] | None = None
 
 
 def intervals(model: Fitted, train: Dataset | None) -> Intervals | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from flysid.dataset import Dataset
 from flysid.validate.compare import Comparison
@@ -11,7 +11,7 @@ from flysid.validate.diagnostics import Diagnosis
 from flysid.validate.report.context import Sweep
 
 if TYPE_CHECKING:
-    from flysid.validate.bands import Drawn
+    from flysid.model.fuzzy.uncertainty import Uncertainty
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Source:
     sweep: Sweep | None
     points: int
 
-    def sure(self, model: str) -> Drawn | None:
+    def sure(self, model: str) -> Uncertainty[Any] | None:
         """What is known of a fuzzy model's numbers."""
         checks = self.diagnosis.checks.get(model)
         return None if checks is None else checks.fuzzy
