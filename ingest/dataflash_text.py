@@ -33,6 +33,7 @@ MAX_LINE_BYTES = 4096
 _LINE_HEAD = re.compile(
     r"(?=([A-Z][A-Z0-9]{1,3}), (-?\d+,.*))"
 )  # also inside a word: its separator is damaged
+_FMT_INSIDE = re.compile(rb"FMT, ?\d+, ?\d+, ?[A-Z][A-Z0-9]{0,3}, ?\w+, ?[\w,]+\s*$")
 # its name is damaged too, maybe all up to its time
 _LOST_HEAD = re.compile(r"[\x00-\x08\x0e-\x1f\x7f\ufffd][A-Z0-9]{0,3},? ?\d{4,},")
 BATCH_BYTES = 4 << 20  # as Python strings, lines take twenty times their bytes
@@ -120,6 +121,10 @@ def _group(reader: _Reader, data: bytes, base: int) -> dict[int, _Lines]:
     blank = start = base  # empty lines since `blank` mean nothing, unless damage follows or precedes them
     for row, line in enumerate(_split(data)):
         end = start + len(line)
+        if extra := _before_fmt(line):
+            line, start = line[extra:], start + extra
+            _skip(reader, blank, start, "no format known for this line")
+            blank = start
         head = end - len(line.lstrip(b"\r\n"))
         if reader.regions and reader.regions[-1].end == start:
             _skip(reader, start, head, "")
@@ -148,6 +153,12 @@ def _group(reader: _Reader, data: bytes, base: int) -> dict[int, _Lines]:
                 _skip(reader, blank, end, "not the fields that the format states")
         blank = start = end
     return groups
+
+
+def _before_fmt(line: bytes) -> int:
+    """Bytes of garbage, or of a line that lost its end, in front of a whole FMT; 0 where there are none."""
+    found = _FMT_INSIDE.search(line, 1) if b"FMT, " in line[1:] else None
+    return found.start() if found is not None else 0
 
 
 def _swallowed(reader: _Reader, code: int, text: str) -> bool:

@@ -244,6 +244,15 @@ def test_empty_lines_between_whole_ones_mean_nothing() -> None:
     assert not flight.damage.lossy
 
 
+@pytest.mark.parametrize("garbage", [b"x", b"\xff" * 300, b"FMT, 1, 2", b"MSG, 1, a text"])
+def test_a_fmt_behind_what_lost_its_end_still_defines(garbage: bytes) -> None:
+    blob = text_sample.build()
+    at = blob.index(b"FMT, 13")
+    flight = collect(memoryview(blob[:at] + garbage + blob[at:]), "a.log", dataflash_text.FORMAT, Limits())
+    assert flight.rows == collect(memoryview(blob), "a.log", dataflash_text.FORMAT, Limits()).rows
+    assert [(r.start, r.end) for r in flight.damage.regions] == [(at, at + len(garbage))]
+
+
 @pytest.mark.parametrize("letter", [b"\xf7", b"J", b"*", b" ", b"\0\0\0\0", b"\xff\xffTT"])
 def test_a_text_that_holds_the_next_line_is_damage_and_another_is_not(letter: bytes) -> None:
     blob = text_sample.build()

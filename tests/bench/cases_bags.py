@@ -1,4 +1,4 @@
-"""MCAP in four encodings and ULog, against the libraries of their makers."""
+"""MCAP in four encodings, a ROS 2 bag in SQLite, and ULog, against the libraries of their makers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import io
 import itertools
 import json
+import sqlite3
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,6 +19,7 @@ from tests.bench.harness import LOGS, Case
 HERE = "tests.bench.cases_bags"
 OURS = "tests.bench.readers:flysid_tables"
 TARGET_BYTES = 150_000_000
+DB3_BYTES = 60_000_000
 PARQUET = "ardrone/ardrone2_flight_nav_198hz.parquet"
 ULOG = "ulog/quad_stabilised_92s.ulg"
 
@@ -137,6 +139,22 @@ def ros_payload(ros: int, definition: str, kind: str, k: int) -> bytes:
     return text.encode_ros1(text.ros1_types(kind, definition), kind, message)
 
 
+def build_db3(path: Path) -> None:
+    """60 MB of the same ROS 2 messages with strings and sequences, as a bag in SQLite."""
+    from flysid.ingest.scrub_rosbag2 import TABLES
+
+    text, kind, templates, places = ros_messages(2, True)
+    few = itertools.islice(patched(templates, places), DB3_BYTES // len(templates[0]))
+    path.unlink(missing_ok=True)
+    with contextlib.closing(sqlite3.connect(path)) as link:
+        link.executescript(TABLES)
+        link.execute("INSERT INTO topics VALUES (1, '/topic', ?, 'cdr', '', '')", (kind,))
+        link.execute("INSERT INTO message_definitions VALUES (1, ?, 'ros2msg', ?, '')", (kind, text))
+        rows = ((time_ns, payload) for _, time_ns, payload in few)
+        link.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES (1, ?, ?)", rows)
+        link.commit()
+
+
 def build_json(path: Path) -> None:
     """JSON messages of a pose with 5 numbers, a stamp and a label."""
     number = {"type": "number", "unit": "deg"}
@@ -240,6 +258,20 @@ def peer_ros2(path: Path) -> Any:
     return _decoded(path, DecoderFactory())
 
 
+def peer_rosbags(path: Path) -> Any:
+    """rosbags' decoder over SQLite's rows, as its reader does, which asks for a metadata.yaml besides."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store, last = get_typestore(Stores.ROS2_HUMBLE), None
+    with contextlib.closing(sqlite3.connect(path)) as link:
+        query = "SELECT topic_type, encoded_message_definition FROM message_definitions"
+        kind, text = link.execute(query).fetchone()
+        store.register({k: v for k, v in get_types_from_msg(text, kind).items() if k not in store.fielddefs})
+        for _, raw in link.execute("SELECT timestamp, data FROM messages ORDER BY timestamp"):
+            last = store.deserialize_cdr(raw, kind)
+    return last
+
+
 def peer_protobuf(path: Path) -> Any:
     """mcap-protobuf-support."""
     from mcap_protobuf.decoder import DecoderFactory
@@ -302,6 +334,14 @@ CASES = (
     _mcap("MCAP ROS 2, fixed layout", "ros2.mcap", build_ros(2, False), ("mcap-ros2", "peer_ros2", 12.0)),
     _mcap("MCAP ROS 1, sequences", "ros1seq.mcap", build_ros(1, True), ("mcap-ros1", "peer_ros1", 5.0)),
     _mcap("MCAP ROS 2, sequences", "ros2seq.mcap", build_ros(2, True), ("mcap-ros2", "peer_ros2", 5.0)),
+    Case(
+        "ROS 2 bag in SQLite, sequences",
+        "bag.db3",
+        build_db3,
+        OURS,
+        {"SQLite and rosbags": (f"{HERE}:peer_rosbags", 0.0)},
+        needs=PARQUET,
+    ),
     _mcap("MCAP protobuf", "proto.mcap", build_protobuf, ("mcap-protobuf", "peer_protobuf", 3.0)),
     _mcap("MCAP JSON", "json.mcap", build_json, ("mcap and json", "peer_json", 2.0)),
 )
