@@ -22,6 +22,7 @@ from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts, Scaling, as_tuple
 from flysid.model.linear.model import FittedLinear, from_dict
 from flysid.model.linear.orders import grid_gram
+from flysid.model.linear.settings import check_inputs
 from flysid.model.noise import noise_model
 from flysid.model.regressors import Lags
 from flysid.model.stream import Source
@@ -60,6 +61,7 @@ class FIR:
         DataError : no or too short segments, a signal that never changes.
         """
         n_y, n_u = len(train.outputs), len(train.inputs)
+        check_inputs(n_u)
         parts = Parts.measured(train, centred=self.offset)
         taps = self._taps(parts.train, cut=len(parts.train) < len(train))
         lags = Lags.arx((0,) * n_y, (taps,) * n_u, as_tuple(self.nk, n_u))

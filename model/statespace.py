@@ -20,7 +20,7 @@ from flysid.model.base import Structure
 from flysid.model.detrend import Trend, check_trend, detrended
 from flysid.model.linear.data import CHOICE_ROWS, Parts, as_tuple
 from flysid.model.linear.output_error import find_delays
-from flysid.model.linear.settings import check_hint
+from flysid.model.linear.settings import check_hint, check_inputs
 from flysid.model.linear.stability import unstable_words
 from flysid.model.selection import block_errors, judging_window
 from flysid.model.simulation_error import Orders
@@ -126,6 +126,7 @@ def _best_plan(settings: StateSpace, train: Dataset, validation: Dataset | None)
 
 
 def _check_delays(settings: StateSpace, n_u: int) -> None:
+    check_inputs(n_u)
     check_hint(settings.nk_hint, n_u)
     if settings.nk == "auto":
         return

@@ -32,7 +32,7 @@ from flysid.model.frequency.start import Starts
 from flysid.model.linear.data import Parts
 from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.model import from_dict as linear_from_dict
-from flysid.model.linear.settings import check_hint
+from flysid.model.linear.settings import check_hint, check_inputs
 from flysid.model.selection import block_errors, judging_window, simplest
 from flysid.model.threads import on_one_thread
 
@@ -154,6 +154,7 @@ class TF:
 
     def _check(self, n_u: int) -> None:
         check_trend(self.trend)
+        check_inputs(n_u)
         check_hint(self.nk_hint, n_u)
         if self.hold not in ("zero", "first"):
             raise UsageError(f"hold is {self.hold!r}", hint="'zero' or 'first'")

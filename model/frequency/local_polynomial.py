@@ -104,7 +104,10 @@ def local_response(
     kept = [i for i, p in enumerate(found) if p is not None]
     picked = [p for p in found if p is not None]
     if len(kept) < 2:
-        raise DataError("hardly any frequency is excited: no response can be measured")
+        raise DataError(
+            "hardly any frequency is excited: no response can be measured",
+            hint="fly a sweep, steps or doublets, or fit a model of few parameters (OE, ARX)",
+        )
     return _joined(omega[kept], picked)
 
 

@@ -190,6 +190,11 @@ class Parts:
         return self._split[1]
 
     @property
+    def fitted(self) -> Dataset:
+        """The part to fit candidates on, in physical units."""
+        return self._split[0]
+
+    @property
     def limits(self) -> FloatArray:
         """(2, n_y) the training range, widened by its width on both sides."""
         low, high = self.scaling.y_range

@@ -36,6 +36,8 @@ DELAY_S = 0.5
 MOST_DELAYS = 50
 ORDER_LOSS = 0.02
 PATIENCE = 2
+WORSE_FIT = 1.5
+"""Mean square of the free run over the fitting part, relative to a simpler candidate's, that is too much."""
 CANCELLING = np.array([1.0, -0.5])
 """A pole and a zero that leave a transfer as it is."""
 
@@ -229,7 +231,9 @@ def _joint(covariances: Sequence[FloatArray], fits: Sequence[OneOutput], parts: 
 def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple[list[OneOutput], str]:
     """Fit every candidate on the fitting part, judge by the validation free run, simplest within noise.
 
-    The search ends when two orders in a row were no better than the best before.
+    A candidate that free-runs the fitting part much worse than a simpler one is left out: the state at
+    every segment's start is fitted along, and slow modes of a high order use it to follow disturbances, which
+    no free run can. The search ends when two orders in a row were no better than the best before.
 
     Parameters
     ----------
@@ -244,17 +248,27 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
     window = max(judging_window(f, deepest) for f in folds)
     before: list[list[OneOutput]] = [[] for _ in folds]
     tried: list[tuple[list[OneOutput], FloatArray]] = []
-    best, since = np.inf, 0
+    left_out: list[int] = []
+    least, best, since = np.inf, np.inf, 0
     for orders in candidates:
         try:
             before = [_fitted(f, orders, b) for f, b in zip(folds, before, strict=True)]
         except (FitError, DataError):
             continue
-        errors = [
-            block_errors(runner("oe", f, fits, window), f.check, window, f.scaling.y_scale)
-            for f, fits in zip(folds, before, strict=True)
-        ]
-        tried.append((before[0], np.concatenate(errors)))
+        models = [runner("oe", f, fits, window) for f, fits in zip(folds, before, strict=True)]
+        checks, own = (
+            [
+                block_errors(m, p, window, f.scaling.y_scale)
+                for m, p, f in zip(models, data, folds, strict=True)
+            ]
+            for data in ([f.check for f in folds], [f.fitted for f in folds])
+        )
+        fitted = float(np.concatenate(own).mean()) if len(np.concatenate(own)) else np.inf
+        if fitted > WORSE_FIT * least:
+            left_out.append(_order(before[0]))
+            continue
+        least = min(least, fitted)
+        tried.append((before[0], np.concatenate(checks)))
         mean = float(tried[-1][1].mean()) if len(tried[-1][1]) else np.inf
         best, since = (mean, 0) if mean < (1.0 - LEVEL) * best else (best, since + 1)
         if since == PATIENCE:
@@ -271,9 +285,10 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
         f"order {_order(fits)}: {np.sqrt(e.mean()) if len(e) else np.nan:.3g}" for fits, e in tried
     )
     chosen = _order(tried[index][0])
+    worse = f"; {', '.join(map(str, left_out))} free-ran the fitting part worse" if left_out else ""
     return tried[index][0], (
         f"order {chosen} is the simplest within one standard error of the best validation free run "
-        f"(RMSE in standard deviations of the output: {table})"
+        f"(RMSE in standard deviations of the output: {table}{worse})"
     )
 
 

@@ -58,13 +58,18 @@ class PolynomialSettings:
         return detrended(train, self.trend), None if validation is None else detrended(validation, self.trend)
 
 
-def check_orders(settings: PolynomialSettings, n_u: int) -> None:
-    """Raise UsageError for orders that cannot be."""
+def check_inputs(n_u: int) -> None:
+    """Raise UsageError where there is no input."""
     if n_u == 0:
         raise UsageError(
-            "the dataset has no input: a model from inputs to outputs has nothing to start from",
+            "the dataset has no input: there is nothing that a model could answer",
             hint="name an input in the recipe",
         )
+
+
+def check_orders(settings: PolynomialSettings, n_u: int) -> None:
+    """Raise UsageError for orders that cannot be."""
+    check_inputs(n_u)
     for name in ("na", "nb", "nk"):
         value = getattr(settings, name)
         if value == "auto":

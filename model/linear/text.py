@@ -55,7 +55,7 @@ def describe(model: FittedLinear) -> str:
     if modes:
         lines.append("poles: " + "; ".join(str(m) for m in modes))
     gains = [
-        f"{i.name} -> {o.name} {model.dc_gain[r, c]:.4g}"
+        f"{i.name} -> {o.name} {gain_text(model.dc_gain[r, c])}"
         for r, o in enumerate(model.outputs)
         for c, i in enumerate(model.inputs)
     ]
@@ -63,6 +63,11 @@ def describe(model: FittedLinear) -> str:
     lines += [f"{name}: {value:.4g}" for name, value in model.scores.items()]
     lines += [f"- {note}" for note in model.notes]
     return "\n".join(lines)
+
+
+def gain_text(value: float) -> str:
+    """A steady gain, which what integrates has not."""
+    return "none, it integrates" if np.isnan(value) else f"{value:.4g}"
 
 
 def _polynomials(model: FittedLinear) -> list[str]:

@@ -22,6 +22,7 @@ from flysid.errors import UsageError
 from flysid.model.arguments import as_columns, as_record
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
 from flysid.model.freerun import saturated
+from flysid.model.linear.text import gain_text
 from flysid.model.noise import output_error_ahead
 from flysid.model.polynomials import ComplexArray, modes_of
 from flysid.model.subspace.bands import frequency_response
@@ -193,7 +194,7 @@ class FittedStateSpace:
         if len(self.covariance) and np.isfinite(self.dc_gain).all():
             errors = frequency_response(self, np.zeros(1)).magnitude_error[0]
         return [
-            f"{i.name} -> {o.name} {self.dc_gain[r, c]:.4g}"
+            f"{i.name} -> {o.name} {gain_text(self.dc_gain[r, c])}"
             + (f" +- {errors[r, c]:.2g}" if np.isfinite(errors[r, c]) else "")
             for r, o in enumerate(self.outputs)
             for c, i in enumerate(self.inputs)
