@@ -6,10 +6,10 @@ fills an Outcome; its `failures` say where a promise was broken. `goes_on` is as
 
 from __future__ import annotations
 
+import itertools
 import random
 from collections.abc import Callable
 from functools import cache
-from itertools import accumulate
 from types import ModuleType
 
 from flysid.errors import FormatError
@@ -134,10 +134,10 @@ def insert(name: str, count: int, goes_on: Ask) -> Outcome:
     outcome, blob, rng, whole = Outcome(name), sample(name), random.Random(name), intact(name).rows
     borders = [r.end for r in records_of(name) if r.end < len(blob) and at_risk(name, r.end) < whole]
     harmless = getattr(module_of(name), "HARMLESS", b"")
-    for turn in range(count):
+    for turn in itertools.count():
         at, size = rng.choice(borders), rng.choice((1, 7, 64, 511, 4096))
         garbage = bytes(size) if turn % 4 == 0 else rng.randbytes(size)
-        if not goes_on():
+        if outcome.trials >= count or not goes_on():
             break
         if not garbage.strip(harmless):
             continue
@@ -230,7 +230,7 @@ def definitions_of(name: str) -> list[tuple[int, int, int]]:
     risks = [(r, at_risk(name, r.start)) for r in records_of(name) if r.rows < 2]
     spans = [(r.start, r.end, risk) for r, risk in risks if max(9, r.rows) < risk < whole]
     spans.sort(key=lambda span: span[1] - span[0])
-    sizes = accumulate(end - start for start, end, _ in spans)
+    sizes = itertools.accumulate(end - start for start, end, _ in spans)
     return [span for k, (span, size) in enumerate(zip(spans, sizes, strict=True)) if not k or size <= 100]
 
 

@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from flysid import store
 from flysid.cli.bounds import MEMORY, TIME, quantity
 from flysid.errors import WriteError
 from flysid.ingest import batch
+from flysid.ingest import tlog as reader
+from flysid.ingest.base import Limits, Parts
 from flysid.ingest.workers import Bounds, Lost, anonymous_bytes, run_bounded
 from tests.hostile_tasks import act, read_or_act
 from tests.samplelogs import mcap, tlog
@@ -74,6 +77,25 @@ def test_one_hostile_log_does_not_take_the_batch_down(tmp_path: Path) -> None:
     assert {name: r for name, r in reasons.items() if WHY.get(name, "") not in r} == {}
     assert sorted(m.source.name for m in store.list_flights(data)) == ["better.tlog", "good.tlog"]
     assert len(list((data / "flights").iterdir())) == 2, "what lost workers had begun is gone"
+
+
+@pytest.mark.parametrize("begun", [False, True], ids=["at once", "amid its parts"])
+def test_a_log_that_memory_is_too_small_for_is_named_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: bool
+) -> None:
+    def starved(*_: object) -> Parts:
+        if begun:
+            yield from reader.read(memoryview(tlog.build()), "a.tlog", Limits())
+        raise MemoryError
+
+    (tmp_path / "a.tlog").write_bytes(tlog.build())
+    job = batch._prepare(tmp_path / "a.tlog")
+    assert isinstance(job, batch.Job)
+    monkeypatch.setattr(batch, "detect", lambda *_: replace(reader.FORMAT, read=starved))
+    data = store.create_data_folder(tmp_path / "data")
+    result = batch.ingest_one(job, data, Limits(), replace=False)
+    assert (result.manifest, result.reason) == (None, batch.NO_MEMORY)
+    assert not list((data / "flights").iterdir())
 
 
 @LINUX
