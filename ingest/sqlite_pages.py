@@ -197,6 +197,8 @@ class Database:
 
 def varint(data: memoryview | bytes, at: int) -> tuple[int, int]:
     """A number of 1 to 9 bytes, 7 bits each, the highest first, and where it ends. Raises PageError."""
+    if at < len(data) and data[at] < 0x80:  # most of them
+        return data[at], at + 1
     value = 0
     for k in range(at, min(at + 8, len(data))):
         byte = data[k]
@@ -216,7 +218,11 @@ def columns(payload: bytes) -> list[Value]:
     values: list[Value] = []
     place = head
     while at < head:
-        kind, at = varint(payload, at)
+        kind = payload[at]
+        if kind < 0x80:  # spares a call
+            at += 1
+        else:
+            kind, at = varint(payload, at)
         value, place = _value(payload, kind, place)
         values.append(value)
     if at != head or place != len(payload):
