@@ -25,6 +25,7 @@ from flysid.model.hidden.layout import StateLayout, runs_of
 from flysid.model.hidden.start import PLAIN, PLAIN_WORDS, Realisation, coordinates
 from flysid.model.hidden.systems import System
 
+LARGE = 6000  # samples from which on one start and one ridge must do, and a sample of the data
 SPARE_ROWS = 12  # a segment must be longer than its start by this to say anything
 _SAMPLES = 2  # that there must be per consequent
 _READABLE = 4  # states up to which rates of change and modes say more than uncorrelated numbers
@@ -116,18 +117,25 @@ class Bench:
     def on_everything(self, family: Family, at: int, train: Dataset) -> StateStage:
         """The chosen model on all training data: grown again, or refined from the first part's.
 
-        Fewer rules where it does not come back from bounded random inputs.
+        Long records are spared growing again. Fewer rules where the model does not come back from bounded
+        random inputs.
         """
         start, _ = self.in_coordinates(self.linear(family.start.system, train), family.start.coordinates)
-        how = Training(ridge=family.ridge, iterations=self.settings.iterations)
-        stages = [start]
-        while len(stages) <= at:
-            stages.append(best_insertion(stages[-1], self.candidates(start.layout), how)[0])
         kept = on_runs_of(family.folds[0][at].stage, start)
         kept = with_ridge(kept, family.ridge * kept.mean_square())
         kept = refine(kept, self.settings.iterations, 1e-6)
-        options = [stages[-1], kept] if np.isfinite(kept.cost) else [stages[-1]]
-        options = sorted(options, key=lambda s: s.mean_square()) + stages[-2::-1]
+        options = [kept] if np.isfinite(kept.cost) else []
         if not is_bounded(start):
-            return options[0]
+            return min([*options, *self._regrown(start, family.ridge, at)[-1:]], key=StateStage.mean_square)
+        if len(train) > LARGE and options and is_bounded(kept):
+            return kept
+        again = self._regrown(start, family.ridge, at)
+        options = sorted([*options, again[-1]], key=StateStage.mean_square) + again[-2::-1]
         return next((s for s in options if is_bounded(s)), start)
+
+    def _regrown(self, start: StateStage, ridge: float, at: int) -> list[StateStage]:
+        how = Training(ridge=ridge, iterations=self.settings.iterations)
+        stages = [start]
+        while len(stages) <= at:
+            stages.append(best_insertion(stages[-1], self.candidates(start.layout), how)[0])
+        return stages

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import Dataset
-from flysid.model.hidden.bench import Bench
+from flysid.model.hidden.bench import LARGE, Bench
 from flysid.model.hidden.choice import Family, Start
 from flysid.model.hidden.grow import Insertion, StateStage, Training, best_insertion, same_insertion
 from flysid.model.hidden.judge import Judged
@@ -23,9 +23,10 @@ from flysid.model.hidden.start import PLAIN, Realisation, coordinates
 from flysid.model.hidden.systems import System
 
 _RIDGES = (0.1, 0.01)  # the first for every start, the second for the best one
-_LARGE = 10_000  # samples from which on one start and one ridge must do
-_SCREEN_ROWS = 3000  # of every part, in pieces of
-_PIECE = 1000
+_SCREEN_ROWS = 3000  # of the first judging part
+_SEARCH_ROWS = 6000  # of a fitting part, where data are long
+_PIECES = 8  # that a long part is cut into at least, each of
+_PIECE = 1000  # rows at least
 _KEPT = 2  # starts that are grown over all parts
 _SYSTEMS = 4  # linear systems whose coordinates are tried
 _MOST_STATES = 8  # of a system that rules are grown from
@@ -70,6 +71,9 @@ class _Linear:
 
 def searched(bench: Bench, systems: Sequence[System], parts: Parts) -> Found:
     """The best family over all starts; see the module's docstring."""
+    many = len(parts[0][0]) > LARGE
+    if many:
+        parts = [(_sampled(fit, _SEARCH_ROWS), check) for fit, check in parts]
     linear = sorted((_Linear.of(bench, s, parts) for s in systems), key=lambda x: x.error)
     near = [x for x in linear if x.error <= _LEVEL * linear[0].error]
     plain = min(near, key=lambda x: len(x.system.real.A)).family
@@ -77,7 +81,6 @@ def searched(bench: Bench, systems: Sequence[System], parts: Parts) -> Found:
     able = [x for x in able if x.error < _RAN_AWAY] or able[:1]
     if bench.most == 1 or not able:
         return Found(plain, plain)
-    many = len(parts[0][0]) > _LARGE
     kept = _screened(bench, able[:_SYSTEMS], parts)[: 1 if many else _KEPT]
     ridges = _RIDGES if bench.settings.ridge == "auto" else (bench.settings.ridge,)
     families = [(grown(bench, start, x.stages, parts, ridges[0]), x) for start, x in kept]
@@ -166,9 +169,9 @@ def _sampled(data: Dataset, rows: int) -> Dataset:
     """About `rows` rows of a dataset in evenly spaced pieces."""
     if len(data) <= rows:
         return data
-    pieces = []
+    pieces, size = [], max(_PIECE, min(len(data), 3 * rows) // _PIECES)
     for segment in data.segments:
-        count = max(1, round(len(segment) / _PIECE))
+        count = max(1, round(len(segment) / size))
         edges = np.linspace(0, len(segment), count + 1).astype(int)
         pieces += [segment.slice(int(a), int(b), data.dt_s) for a, b in itertools.pairwise(edges)]
     every = max(1, round(len(data) / rows))
