@@ -61,12 +61,12 @@ class _Linear:
     @classmethod
     def of(cls, bench: Bench, system: System, parts: Parts) -> _Linear:
         stages = tuple(bench.linear(system, fit) for fit, _ in parts)
-        found = tuple((_tolerant(bench.judge(s, c)),) for s, (_, c) in zip(stages, parts, strict=True))
+        found = tuple((bench.judge(s, c),) for s, (_, c) in zip(stages, parts, strict=True))
         return cls(system, stages, Family(Start(system, PLAIN), 0.0, found))
 
     @property
     def error(self) -> float:
-        return float(self.family.rmse[0])
+        return float(tolerant(self.family).rmse[0])
 
 
 def searched(bench: Bench, systems: Sequence[System], parts: Parts) -> Found:
@@ -76,7 +76,7 @@ def searched(bench: Bench, systems: Sequence[System], parts: Parts) -> Found:
         parts = [(_sampled(fit, _SEARCH_ROWS), check) for fit, check in parts]
     linear = sorted((_Linear.of(bench, s, parts) for s in systems), key=lambda x: x.error)
     near = [x for x in linear if x.error <= _LEVEL * linear[0].error]
-    plain = min(near, key=lambda x: len(x.system.real.A)).family
+    plain = tolerant(min(near, key=lambda x: len(x.system.real.A)).family)
     able = [x for x in linear if len(x.system.real.A) <= _MOST_STATES and bench.room(x.stages[0])]
     able = [x for x in able if x.error < _RAN_AWAY] or able[:1]
     if bench.most == 1 or not able:
@@ -85,16 +85,27 @@ def searched(bench: Bench, systems: Sequence[System], parts: Parts) -> Found:
     ridges = _RIDGES if bench.settings.ridge == "auto" else (bench.settings.ridge,)
     families = [(grown(bench, start, x.stages, parts, ridges[0]), x) for start, x in kept]
     families.sort(key=lambda f: _error(bench, f[0]))
-    best, x = families[0]
-    helps = bench.settings.rules != "auto" or _error(bench, best) < 0.99 * linear[0].error
-    if len(ridges) > 1 and helps and not many:
-        again = grown(bench, best.start, x.stages, parts, ridges[1])
-        best = min(best, again, key=lambda f: _error(bench, f))
+    again = families[: _again(bench, families, linear[0].error)] if not many else []
+    found = [grown(bench, f.start, x.stages, parts, r) for r in ridges[1:] for f, x in again]
+    best = min([*(f for f, _ in families), *found], key=lambda f: _error(bench, f))
     return Found(best, plain)
+
+
+def _again(bench: Bench, families: Sequence[tuple[Family, _Linear]], plain: float) -> int:
+    """How many of the families another ridge is tried on: all where one ran away, the best where it helps."""
+    if any(not m.bounded for family, _ in families for fold in family.folds for m in fold):
+        return len(families)
+    helps = bench.settings.rules != "auto" or _error(bench, families[0][0]) < 0.99 * plain
+    return 1 if helps else 0
 
 
 def _error(bench: Bench, family: Family) -> float:
     return float(family.rmse[-1] if bench.settings.rules != "auto" else family.rmse.min())
+
+
+def tolerant(family: Family) -> Family:
+    """The family as if all were bounded: a process that integrates has linear models that drift, too."""
+    return replace(family, folds=tuple(tuple(_tolerant(m) for m in fold) for fold in family.folds))
 
 
 def _tolerant(found: Judged) -> Judged:
@@ -104,17 +115,18 @@ def _tolerant(found: Judged) -> Judged:
 def _screened(bench: Bench, linear: Sequence[_Linear], parts: Parts) -> list[tuple[Start, _Linear]]:
     """Starts by what two rules do on the first part, best first."""
     check = _sampled(parts[0][1], _SCREEN_ROWS)
-    tried: list[tuple[float, Start, _Linear]] = []
+    tried: list[tuple[bool, float, Start, _Linear]] = []
     for x in linear:
         first = x.stages[0]
         for name in coordinates(Realisation.of(first.layout, first.body.a[0]), len(check.outputs)):
             stage, _ = bench.in_coordinates(first, name)
             found, _ = best_insertion(stage, bench.candidates(stage.layout), _SCREEN)
-            errors = (bench.judge(found, check).mean, found.mean_square())
-            score = float(np.log(np.maximum(errors, _EXACT)).sum())
-            tried.append((score, Start(x.system, name), x))
-    tried.sort(key=lambda t: t[0])
-    return [(start, x) for _, start, x in tried]
+            judged = bench.judge(found, check)
+            score = float(np.log(np.maximum((judged.mean, found.mean_square()), _EXACT)).sum())
+            runs_away = x.family.folds[0][0].bounded and not judged.bounded
+            tried.append((runs_away, score, Start(x.system, name), x))
+    tried.sort(key=lambda t: t[:2])
+    return [(start, x) for _, _, start, x in tried]
 
 
 def grown(bench: Bench, start: Start, linear: Sequence[StateStage], parts: Parts, ridge: float) -> Family:
@@ -128,8 +140,7 @@ def grown(bench: Bench, start: Start, linear: Sequence[StateStage], parts: Parts
         moved[0][1],
     )
     drifts = not all(f[0].bounded for f in family.folds)  # the process integrates: linear models of it drift
-    if drifts:
-        family = replace(family, folds=tuple((_tolerant(f[0]),) for f in family.folds))
+    family = tolerant(family) if drifts else family
     how = Training(ridge=ridge, iterations=bench.settings.iterations)
     while len(family.rmse) < bench.most and bench.room(stages[0]) and not _idle(bench, family, stages):
         first, where = best_insertion(stages[0], bench.candidates(stages[0].layout), how)
