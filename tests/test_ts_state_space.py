@@ -275,8 +275,8 @@ def test_a_state_space_in_coordinates_of_its_outputs_is_the_same_model(feedthrou
 
 def test_on_a_linear_plant_one_rule_is_the_linear_side() -> None:
     """One rule is enough, and as near to the truth as the linear state space itself."""
-    plant = LINEAR["flexible arm"]
-    train, _ = plant.dataset((1, 2), 400, 0.05)
+    plant = LINEAR["linear vehicle"]
+    train, _ = plant.dataset((1,), 400, 0.05)
     test, truth = plant.dataset((101,), 1000, 0.05)
     rules, linear = TSStateSpace(most_rules=2, iterations=10).fit(train), StateSpace().fit(train)
     assert len(rules.rules()) == 1
