@@ -19,18 +19,20 @@ CHEAP_PCT = 2.0
 
 
 def useless(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
-    """Models of the headline that a reference or a static line beats in free run."""
+    """Models of the headline that a reference or a static line beats in free run; every reference once."""
     del diagnoses
+    said: dict[str, list[str]] = {"mean": [], "persistence": [], "line": []}
     for channel, c in comparisons.items():
         if FREE_RUN not in c.horizons:
             continue
         for output in c.test.outputs:
             entry = c.entry(output.name, FREE_RUN)
             name = output.name if len(c.test.outputs) > 1 or not channel else channel
-            for kind in ("mean", "persistence", "line"):
+            for kind, found in said.items():
                 beaten = _beaten_by(kind, entry, c)
                 if beaten:
-                    yield _nothing_learnt(kind, beaten, one_line(name))
+                    found.append(f"{one_line(name)} (RMSE: {beaten})")
+    yield from (_nothing_learnt(kind, join(found)) for kind, found in said.items() if found)
 
 
 def _beaten_by(kind: str, entry: Entry, c: Comparison) -> str:
@@ -47,20 +49,19 @@ def _beaten_by(kind: str, entry: Entry, c: Comparison) -> str:
     return f"{', '.join(said)} against {number(least)} {unit}".rstrip()
 
 
-def _nothing_learnt(kind: str, figures: str, name: str) -> Caution:
+def _nothing_learnt(kind: str, where: str) -> Caution:
     called = {"mean": "the training mean", "persistence": "the held starting value", "line": "a static line"}
     if kind == "line":
         return Caution(
             "warning",
-            f"In free run {called[kind]} is as good on {name} as a model (RMSE: {figures}): no dynamics are "
-            "shown.",
+            f"In free run {called[kind]} is as good on {where} as a model: no dynamics are shown.",
             "use the line, or fly manoeuvres that excite the dynamics.",
             3.6,
         )
     return Caution(
         "danger",
-        f"In free run {called[kind]} is as good on {name} as a model (RMSE: {figures}): what it has learnt "
-        "does not hold on these flights.",
+        f"In free run {called[kind]} is as good on {where} as a model: what was learnt does not hold on "
+        "these flights.",
         "do not use them; check the recipe's signals and units, the excitation, and what else moves the "
         "output.",
         9.0 if kind == "mean" else 8.0,

@@ -52,13 +52,14 @@ def summary(comparisons: Mapping[str, Comparison]) -> str:
 def summary_cells(comparisons: Mapping[str, Comparison]) -> list[Sequence[str]]:
     """Output, verdict, RMSE from and to, change and interval, as text, per channel and output."""
     rows: list[Sequence[str]] = []
-    for comparison in comparisons.values():
+    outputs = [output for c in comparisons.values() for output in c.verdict]
+    for channel, comparison in comparisons.items():
         for output, pair in comparison.verdict.items():
             entry = comparison.entry(output, comparison.horizons[0])
             from_, to = (number(entry.models[m].scores.rmse) for m in (pair.baseline, pair.model))
             rows.append(
                 (
-                    one_line(output),
+                    one_line(output if outputs.count(output) == 1 else f"{channel}/{output}"),
                     verdict_words(pair),
                     f"RMSE {from_} -> {to} {one_line(entry.output.unit)}".rstrip(),
                     change_words(pair),

@@ -113,7 +113,7 @@ def subtitle(pairs: Heads) -> str:
     if pairs and all(pair.verdict is Verdict.SAME for _, pair in pairs):
         both = f"the {called(pairs[0][1].model)} and the {base_words(pairs)}"
         return f"In free run the flights show no difference between {both}: keep the simpler one."
-    sentences = [*_diverged(pairs), *_contested(pairs), *_one_rule(pairs)]
+    sentences = [*_gains(pairs), *_diverged(pairs), *_contested(pairs), *_one_rule(pairs)]
     base = base_words(pairs) if pairs else ""
     for verdict, text in (
         (Verdict.SAME, "the flights show no difference in free run: keep the {base} there."),
@@ -143,6 +143,16 @@ def _diverged(pairs: Heads) -> list[str]:
         return []
     base = base_words(pairs)
     return [f"On {_listed(names)} the {base} diverged in free run, so there is no error to compare with."]
+
+
+def _gains(pairs: Heads) -> list[str]:
+    """Where the model is better, by how much, and how sure that is; of four channels at most."""
+    said = [
+        f"{-p.change_pct:.0f} % smaller on {name} (95 %: {-p.ci95[1]:.0f} to {-p.ci95[0]:.0f} %)"
+        for name, p in pairs
+        if p.earned and p.change_pct is not None and p.ci95 is not None
+    ]
+    return [f"In free run its error is {_listed(said)}."] if 0 < len(said) <= 4 else []
 
 
 def _contested(pairs: Heads) -> list[str]:
