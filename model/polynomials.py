@@ -62,6 +62,11 @@ def stabilised(a: FloatArray, radius: float = 1.0) -> FloatArray:
     return padded
 
 
+Z95 = 1.959963984540054
+MOST_TERMS = 12
+"""Of a polynomial that is shown."""
+
+
 @dataclass(frozen=True)
 class Mode:
     """A pole or a conjugate pair in continuous-time words.
@@ -104,13 +109,29 @@ def modes_of(roots: ComplexArray, dt_s: float) -> tuple[Mode, ...]:
 
 
 def polynomial_text(coefficients: FloatArray, errors: FloatArray | None = None) -> str:
-    """ "1 - 1.5 (+- 0.02) q^-1 + 0.7 (+- 0.01) q^-2"; zero terms are left out."""
+    """ "1 - 1.5 (+- 0.04) q^-1 + 0.7 (+- 0.02) q^-2"; zero terms are left out, long ones cut short.
+
+    Parameters
+    ----------
+    errors : standard errors; half the width of a 95 % interval is shown, and no digits far below it.
+    """
+    half = Z95 * (np.zeros(len(coefficients)) if errors is None else np.nan_to_num(errors))
+    powers = [power for power, value in enumerate(coefficients) if value != 0.0]
     terms: list[str] = []
-    for power, value in enumerate(coefficients):
-        if value == 0.0:
-            continue
+    for power in powers[:MOST_TERMS]:
+        value = coefficients[power]
         sign = ("-" if value < 0 else "") if not terms else (" - " if value < 0 else " + ")
-        error = f" (+- {errors[power]:.2g})" if errors is not None and errors[power] > 0 else ""
+        error = f" (+- {half[power]:.2g})" if half[power] > 0 else ""
         delay = f" q^-{power}" if power else ""
-        terms.append(f"{sign}{abs(value):.6g}{error}{delay}")
-    return "".join(terms) or "0"
+        terms.append(f"{sign}{_digits(abs(value), half[power])}{error}{delay}")
+    more = len(powers) - MOST_TERMS
+    return ("".join(terms) or "0") + (f" + ... ({more} more, to q^-{powers[-1]})" if more > 0 else "")
+
+
+def _digits(value: float, half: float) -> str:
+    """Six digits, or as many as the uncertainty leaves."""
+    if half > 0 and value > 0:
+        places = int(np.ceil(-np.log10(half))) + 1
+        if 0 <= places <= 12 and np.floor(np.log10(value)) + places < 6:
+            return f"{value:.{places}f}"
+    return f"{value:.6g}"

@@ -17,6 +17,7 @@ from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.output_error import raised
 from flysid.model.noise import burg, noise_model
 from flysid.model.oe import OE
+from flysid.model.polynomials import polynomial_text
 from flysid.model.simulation_error import Orders, OutputError, Record, from_transfer, to_transfer
 
 BENCHMARKS = Path(__file__).parents[2] / "shared" / "benchmarks"
@@ -175,3 +176,20 @@ def test_silverbox() -> None:
     parts = (multisine[cut:], arrow, arrow[:32_000])
     found = [1000 * held_out_rmse(model, p[:, :1], p[:, 1:], 50)[0] for p in parts]
     assert (np.array(found) <= [7.0, 14.5, 6.6]).all(), found
+
+
+def test_an_order_that_free_runs_the_fitting_part_worse_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.uniform(-1, 1, 80), 10)
+    y = lfilter([0.0, 0.05, 0.05], [1.0, -1.5, 0.6], u) + 0.02 * rng.standard_normal(800)
+    data = Dataset.from_arrays(u, y, 0.05)
+    assert len(OE(nk=1).fit(data).poles) == 2
+    monkeypatch.setattr("flysid.model.linear.output_error.WORSE_FIT", 0.0)  # nothing is good enough any more
+    assert len(OE(nk=1).fit(data).poles) == 1
+
+
+def test_a_polynomial_shows_no_digits_that_the_data_do_not() -> None:
+    text = polynomial_text(np.array([1.0, -1.50081234, 8.1e-6]), np.array([0.0, 0.003, 0.0018]))
+    assert text == "1 - 1.5008 (+- 0.0059) q^-1 + 0.0000 (+- 0.0035) q^-2"
+    assert polynomial_text(np.ones(40)).endswith(" + ... (28 more, to q^-39)")
+    assert polynomial_text(np.array([0.0, 1e9]), np.array([0.0, 1e7])) == "1e+09 (+- 2e+07) q^-1"

@@ -70,7 +70,7 @@ def test_a_refined_model_free_runs_better_and_carries_bands() -> None:
     with pytest.raises(UsageError, match="carries no covariance"):
         simulation_band(bare, u[:, None])
     assert np.isnan(frequency_response(bare, np.array([1.0])).magnitude_error).all()
-    assert "intervals: none" in str(bare)
+    assert "none (from disk" in str(bare)
     with pytest.raises(UsageError, match="Nyquist"):
         frequency_response(plain, np.array([40.0]))
 

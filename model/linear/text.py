@@ -1,12 +1,13 @@
-"""A fitted linear model in words: equations, polynomials with standard errors, poles, choices."""
+"""A fitted linear model in words: equations, polynomials with intervals, poles, choices."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from flysid.model.polynomials import modes_of, polynomial_text
+from flysid.dataset import FloatArray, Signal
+from flysid.model.polynomials import Z95, modes_of, polynomial_text
 from flysid.model.regressors import lagged_name
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 def conclusion(model: FittedLinear) -> str:
     """ "v_x(k) = 0.97 v_x(k-1) + 0.003 theta_in(k-1) + 0.01", one equation per output, "; " between."""
     a, b = model.system.a, model.system.b
-    constant = model.system.c + a.sum(axis=0) @ model.y_origin - b.sum(axis=0) @ model.u_origin
+    constant = constants(model)
     equations = []
     for i, output in enumerate(model.outputs):
         terms = [
@@ -34,6 +35,13 @@ def conclusion(model: FittedLinear) -> str:
     return "; ".join(equations)
 
 
+def constants(model: FittedLinear) -> FloatArray:
+    """(n_y,) constants of the equations of the signals themselves, not of their deviations."""
+    s = model.system
+    found: FloatArray = s.c + s.a.sum(axis=0) @ model.y_origin - s.b.sum(axis=0) @ model.u_origin
+    return found
+
+
 def _sum(terms: list[tuple[float, str]], constant: float) -> str:
     parts = [(value, f"{abs(value):.5g} {name}") for value, name in terms]
     if constant != 0.0 or not parts:
@@ -45,24 +53,68 @@ def _sum(terms: list[tuple[float, str]], constant: float) -> str:
     return text
 
 
+EQUATIONS = {
+    "arx": "A(q) y = B(q) u + c + e",
+    "armax": "A(q) y = B(q) u + c + C(q) e",
+    "bj": "A(q) x = B(q) u + c, y = x + C(q) / D(q) e",
+    "oe": "A(q) x = B(q) u + c, y = x + v",
+    "iv": "A(q) y = B(q) u + c + v",
+    "fir": "y = B(q) u + c + v",
+    "line": "y = B u + c + v",
+}
+"""How a structure's polynomials are meant; e is white, v any noise."""
+
+
 def describe(model: FittedLinear) -> str:
-    """Several lines: polynomials with standard errors, poles, figures, choices."""
+    """Several lines: polynomials with intervals, poles, figures, choices."""
     lines = [
         f"{model.structure.upper()} model, {model.n_parameters} parameters, sample time {model.dt_s:g} s"
     ]
+    meant = "oe" if model.structure == "arx" and model.noise is not None else model.structure  # refined
+    if meant in EQUATIONS:
+        lines.append(f"{EQUATIONS[meant]}; q^-1 is a delay of one sample")
     lines += _polynomials(model)
     modes = modes_of(model.poles, model.dt_s)
     if modes:
         lines.append("poles: " + "; ".join(str(m) for m in modes))
-    gains = [
-        f"{i.name} -> {o.name} {gain_text(model.dc_gain[r, c])}"
-        for r, o in enumerate(model.outputs)
-        for c, i in enumerate(model.inputs)
-    ]
-    lines.append("steady gain: " + "; ".join(gains))
+    lines.append("steady gain: " + "; ".join(gains_text(model, _gain_errors(model))))
+    if (model.standard_errors > 0).any():
+        lines.append("(+- is half the width of a 95 % interval)")
     lines += [f"{name}: {value:.4g}" for name, value in model.scores.items()]
     lines += [f"- {note}" for note in model.notes]
     return "\n".join(lines)
+
+
+class WithGain(Protocol):
+    """A model with a steady gain."""
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]: ...
+    @property
+    def outputs(self) -> tuple[Signal, ...]: ...
+    @property
+    def dc_gain(self) -> FloatArray: ...
+
+
+def gains_text(model: WithGain, errors: FloatArray) -> list[str]:
+    """ "u -> y 2.5 +- 0.1" for every input and output; (n_y, n_u) standard errors, NaN where unknown."""
+    return [
+        f"{i.name} -> {o.name} {gain_text(model.dc_gain[r, c])}"
+        + (f" +- {Z95 * errors[r, c]:.2g}" if errors[r, c] > 0 and np.isfinite(model.dc_gain[r, c]) else "")
+        for r, o in enumerate(model.outputs)
+        for c, i in enumerate(model.inputs)
+    ]
+
+
+def _gain_errors(model: FittedLinear) -> FloatArray:
+    """(n_y, n_u) standard errors of the steady gain; NaN where they are unknown."""
+    from flysid.model.linear.uncertainty import frequency_response
+
+    if not len(model.free) or not np.isfinite(model.covariance).all() or not np.isfinite(model.dc_gain).all():
+        return np.full(model.dc_gain.shape, np.nan)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # a gain of zero has no direction
+        found: FloatArray = frequency_response(model, np.zeros(1)).magnitude_error[0]
+    return found
 
 
 def gain_text(value: float) -> str:
@@ -76,14 +128,17 @@ def _polynomials(model: FittedLinear) -> list[str]:
     a_size, b_size = s.a[1:].size, s.b.size
     a_err = np.concatenate([np.zeros((1, *s.a.shape[1:])), errors[:a_size].reshape(s.a[1:].shape)])
     b_err = errors[a_size : a_size + b_size].reshape(s.b.shape)
+    constant = constants(model)
     lines = []
     for i, output in enumerate(model.outputs):
         for j, other in enumerate(model.outputs):
-            if i == j or s.a[:, i, j].any():
+            if s.a[1:, i, j].any():
                 text = polynomial_text(s.a[:, i, j], a_err[:, i, j])
                 lines.append(f"A[{output.name}, {other.name}] = {text}")
         for j, source in enumerate(model.inputs):
             lines.append(f"B[{output.name}, {source.name}] = {polynomial_text(s.b[:, i, j], b_err[:, i, j])}")
+        if constant[i]:
+            lines.append(f"c[{output.name}] = {constant[i]:.6g}")
         if model.ma is not None:
             lines.append(f"C[{output.name}] = {polynomial_text(model.ma[:, i])}")
         if model.noise is not None and len(model.noise) > 1:

@@ -22,7 +22,7 @@ from flysid.errors import UsageError
 from flysid.model.arguments import as_columns, as_record
 from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
 from flysid.model.freerun import saturated
-from flysid.model.linear.text import gain_text
+from flysid.model.linear.text import gains_text
 from flysid.model.noise import output_error_ahead
 from flysid.model.polynomials import ComplexArray, modes_of
 from flysid.model.subspace.bands import frequency_response
@@ -175,6 +175,9 @@ class FittedStateSpace:
             f"State space of order {self.order}, {self.n_parameters} parameters, sample time {self.dt_s:g} s,"
             f" fitted for {kind}"
         ]
+        lines.append(
+            "x(k+1) = A x(k) + B u(k) + K e(k), y(k) = C x(k) + D u(k) + e(k), deviations from the means"
+        )
         lines += [
             f"{name} = {np.array2string(getattr(self.realisation, name.lower()), precision=5, prefix=name)}"
             for name in ("A", "B", "C", "D", "K")
@@ -185,7 +188,7 @@ class FittedStateSpace:
         modes = modes_of(self.poles, self.dt_s)
         lines.append("poles: " + "; ".join(str(m) for m in modes))
         lines.append("steady gain: " + "; ".join(self._gains()))
-        lines.append(f"intervals: {self._intervals()}")
+        lines.append(f"intervals (+-, half the width, 95 %): {self._intervals()}")
         lines += [f"{name}: {value:.4g}" for name, value in self.scores.items()]
         return "\n".join([*lines, *(f"- {note}" for note in self.notes)])
 
@@ -193,12 +196,7 @@ class FittedStateSpace:
         errors = np.full(self.dc_gain.shape, np.nan)
         if len(self.covariance) and np.isfinite(self.dc_gain).all():
             errors = frequency_response(self, np.zeros(1)).magnitude_error[0]
-        return [
-            f"{i.name} -> {o.name} {gain_text(self.dc_gain[r, c])}"
-            + (f" +- {errors[r, c]:.2g}" if np.isfinite(errors[r, c]) else "")
-            for r, o in enumerate(self.outputs)
-            for c, i in enumerate(self.inputs)
-        ]
+        return gains_text(self, errors)
 
     def _intervals(self) -> str:
         """What is known of the uncertainty, in words."""
