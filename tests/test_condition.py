@@ -77,6 +77,8 @@ def test_conditions(expression: str, channels: tuple[str, ...]) -> None:
         ("(" * 300 + "1 > 0" + ")" * 300, "nested deeper"),
         ("not " * 300 + "1 > 0", "nested deeper"),
         ("free_run.change_pct ; 5", "not understood"),
+        ("free_run.verdict == wrse", "no verdict 'wrse'"),
+        ("'enough' != roll.free_run.verdict", "no verdict 'enough'"),
     ],
 )
 def test_what_is_not_understood_is_named(expression: str, message: str) -> None:

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from flysid.errors import UsageError
+from flysid.validate.verdict import Verdict
 
 _TOKEN = re.compile(
     r"""\s*(?:
@@ -144,11 +145,13 @@ class _Parser:
             self._depth -= 1
 
     def _compare(self) -> bool:
+        begin = self._at
         left = self._operand()
         sign = self._take()
         if sign.text not in _COMPARE:
             raise UsageError(f"condition needs a comparison, not {sign.text!r}", hint=EXAMPLE)
         right = self._operand()
+        _check_verdict(self._tokens[begin], self._tokens[self._at - 1])
         if left is None or right is None:
             return False
         if isinstance(left, str) != isinstance(right, str):
@@ -178,6 +181,20 @@ class _Parser:
             raise UsageError(f"{path!r} names a channel and nothing in it", hint=EXAMPLE)
         entry = _member(channel, parts.pop(0), "horizon")
         return _field(entry, parts, path)
+
+
+def _check_verdict(*sides: _Token) -> None:
+    """A verdict compared with a word that none of them is would never hold, and guard nothing."""
+    if not any(t.kind == "path" and t.text.endswith(".verdict") for t in sides):
+        return
+    for token in sides:
+        word = token.text.strip("\"'")
+        if token.kind in ("text", "word") and word not in list(Verdict):
+            near = difflib.get_close_matches(word, list(Verdict), n=1)
+            hint = (
+                f"did you mean {near[0]!r}?" if near else f"one of {', '.join(map(repr, map(str, Verdict)))}"
+            )
+            raise UsageError(f"no verdict {word!r}", hint=hint)
 
 
 def _field(entry: Mapping[str, Any], parts: list[str], path: str) -> Value:
