@@ -154,6 +154,7 @@
   function start(figure) {
     if (figure.dataset.started) { return; }
     figure.dataset.started = "yes";
+    figure.removeAttribute("tabindex"); // only the still picture of a narrow page scrolls
     var index = +figure.dataset.index, channel = data(index);
     var show = draw(figure, channel, index);
     figure.querySelectorAll(".scripted").forEach(function (e) { e.hidden = false; });
