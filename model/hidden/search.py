@@ -24,8 +24,8 @@ from flysid.model.hidden.systems import System
 
 _RIDGES = (0.1, 0.01)  # the first for every start, the second for the best one
 _SCREEN_ROWS = 3000  # of the first judging part
-_SEARCH_ROWS = 6000  # of a fitting part, where data are long
-_PIECES = 8  # that a long part is cut into at least, each of
+_SEARCH_ROWS = 20_000  # of a fitting part, where data are longer: a plant that integrates needs its whole
+_PIECES = 4  # that a long part is cut into at least, each of
 _PIECE = 1000  # rows at least
 _KEPT = 2  # starts that are grown over all parts
 _SYSTEMS = 4  # linear systems whose coordinates are tried
