@@ -19,7 +19,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
-from flysid.model.fuzzy.model import dc_gain, time_constant
+from flysid.model.fuzzy.model import time_constant
 from flysid.model.fuzzy.problem import Body
 from flysid.model.fuzzy.uncertainty import Uncertainty, check_signals, covariance_of, shortened
 from flysid.model.hidden.layout import runs_of
@@ -41,13 +41,16 @@ class StateUncertainty(Uncertainty[FittedTSStateSpace]):
     def gain_interval(self) -> FloatArray:
         """(2, R, n_y, n_u) 95 % interval of every rule's steady gain; NaN where the data do not bound it.
 
-        A rule that may be unstable has no steady gain.
+        Of the ratio N / D that a gain is, by Fieller's theorem (1954): where D, which vanishes for a rule
+        that integrates, is not surely another number than 0, nothing bounds it.
         """
-        gains = np.array([rule.dc_gain for rule in self.model.rules()])
-        half = self._half_width(lambda m: np.array([_gain(A, B) for A, B, _ in m.local_polynomials()]))
-        interval = np.stack([gains - half, gains + half])
-        interval[:, self._radius[1] >= 1.0] = np.nan
-        return interval
+        top, under = _numerators(self.model), _denominators(self.model)
+        J, K = self._slopes(_numerators), self._slopes(_denominators)
+        a = under**2 - self._product(K, K)
+        b = top * under - self._product(J, K)
+        root = np.sqrt(np.maximum(b * b - a * (top**2 - self._product(J, J)), 0.0))
+        with np.errstate(all="ignore"):
+            return np.where(a > 0.0, np.stack([(b - root) / a, (b + root) / a]), np.nan)
 
     @cached_property
     def time_constant_interval_s(self) -> FloatArray:
@@ -90,20 +93,34 @@ class StateUncertainty(Uncertainty[FittedTSStateSpace]):
         return np.maximum(np.stack([radius - half, radius + half]), 0.0)
 
     def _half_width(self, of: Callable[[FittedTSStateSpace], FloatArray]) -> FloatArray:
-        """1.96 standard errors of a figure of the model, by central differences."""
+        """1.96 standard errors of a figure of the model."""
+        J = self._slopes(of)
+        return np.sqrt(np.maximum(self._product(J, J), 0.0))
+
+    def _slopes(self, of: Callable[[FittedTSStateSpace], FloatArray]) -> FloatArray:
+        """(..., P) derivatives of a figure to all consequents, by central differences."""
         centre, slopes = self.body.vector(), []
         for j in range(self.body.a.size):  # no rule's own figures hang on memberships
             step = np.zeros(len(centre))
             step[j] = _NUDGE
             slopes.append((of(self._at(centre + step)) - of(self._at(centre - step))) / (2.0 * _NUDGE))
-        J, size = np.stack(slopes, axis=-1), self.body.a.size
-        variance = np.einsum("...p,pq,...q->...", J, self.covariance[:size, :size], J)
-        return np.asarray(_Z95 * np.sqrt(np.maximum(variance, 0.0)))
+        return np.stack(slopes, axis=-1)
+
+    def _product(self, J: FloatArray, K: FloatArray) -> FloatArray:
+        """1.96 squared times the covariance of two figures of these derivatives."""
+        size = self.body.a.size
+        return np.asarray(_Z95**2 * np.einsum("...p,pq,...q->...", J, self.covariance[:size, :size], K))
 
 
-def _gain(A: FloatArray, B: FloatArray) -> FloatArray:
-    with np.errstate(all="ignore"):
-        return dc_gain(A, B)
+def _numerators(model: FittedTSStateSpace) -> FloatArray:
+    """(R, n_y, n_u) of the steady gains."""
+    return np.array([B.sum(axis=0) for _, B, _ in model.local_polynomials()])
+
+
+def _denominators(model: FittedTSStateSpace) -> FloatArray:
+    """(R, n_y, n_u) of the steady gains: one number per rule."""
+    found = [np.full(B.shape[1:], 1.0 - A.sum(axis=0)[0, 0]) for A, B, _ in model.local_polynomials()]
+    return np.array(found)
 
 
 @on_one_thread
