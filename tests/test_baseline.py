@@ -146,6 +146,7 @@ def test_better_than_a_poor_baseline_is_not_better_than_every_linear_model() -> 
     assert "The fuzzy model is better than the chosen linear model, not shown against ARX." in page
     for text in (summary({"roll": c}), to_markdown({"roll": c}), page):
         assert "TS better than STATESPACE, not shown against ARX" in text
+    assert ",better,arx\n" in to_csv({"roll": c})
     found = c.to_json()["channels"][c.channel]["free_run"]
     assert found["short_of"] == ["arx"]
     assert found["rivals"]["arx"]["verdict"] == "same"

@@ -29,6 +29,7 @@ from flysid.validate.words import (
 CSV_HEADER = (
     "channel", "output", "unit", "horizon", "model", "segment", "flight", "n", "rmse", "mae", "worst", "bias",
     "fit_pct", "vaf_pct", "r2", "diverged_s", "change_pct", "ci95_low", "ci95_high", "p_holm", "verdict",
+    "short_of",
 )  # fmt: skip
 
 
@@ -140,9 +141,9 @@ def _numbers(s: Scores) -> list[Cell]:
 
 def _judged(pair: Pair | None) -> list[Cell]:
     if pair is None:
-        return [""] * 5
+        return [""] * 6
     low, high = pair.ci95 or (None, None)
-    return [pair.change_pct, low, high, pair.p_holm, str(pair.verdict)]
+    return [pair.change_pct, low, high, pair.p_holm, str(pair.verdict), " ".join(pair.short_of)]
 
 
 def _safe(cells: list[Cell]) -> list[Cell]:
