@@ -25,6 +25,7 @@ from flysid.flightwriter import sync, writing_to
 from flysid.version import check_version
 
 ROWS_PER_GROUP = 1 << 19
+HOW = "write one in Python: flysid.open(DATA).write(RECIPE, CHANNEL, PATH)"
 
 
 def write_dataset(path: str | Path, head: tabular.Head, segments: Iterable[Segment] | None = None) -> int:
@@ -259,9 +260,9 @@ def open_dataset(path: str | Path) -> DatasetFile:
             rows = file.metadata.num_rows
             document = json.loads((file.schema_arrow.metadata or {})[tabular.META])
     except (OSError, pa.ArrowException, KeyError, ValueError) as error:
-        raise StoreError("not a dataset file of flysid", path=path) from error
+        raise StoreError("not a dataset file of flysid", path=path, hint=HOW) from error
     if not isinstance(document, dict) or document.get("format") != tabular.FORMAT:
-        raise StoreError("not a dataset file of flysid", path=path)
+        raise StoreError("not a dataset file of flysid", path=path, hint=HOW)
     check_version(document.get("version"), tabular.VERSION, "dataset", path)
     try:
         inputs, outputs = _signals(document["inputs"]), _signals(document["outputs"])

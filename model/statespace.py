@@ -179,7 +179,7 @@ def _from_disk(settings: StateSpace, train: OnDisk, validation: Dataset | None) 
     data = Late(train, plan.late) if any(plan.late) else train
     parts = Parts.on_disk(data)
     model = _final(settings, data, parts, plan.choice, plan.note)
-    return _delayed_model(_settled(settings, parts, model), plan.late)
+    return _delayed_model(_stable(settings, parts, model), plan.late)
 
 
 def _delays(settings: StateSpace, train: Dataset, validation: Dataset | None) -> list[tuple[int, ...]]:
@@ -275,23 +275,29 @@ def _simulated(
 
 def _settled(settings: StateSpace, parts: Parts, model: FittedStateSpace) -> FittedStateSpace:
     """A stable model, with intervals where they can be had; an unstable one with what that means."""
-    if not model.is_stable:
-        radius = float(np.abs(model.poles).max())
-        if not settings.stable:
-            return replace(model, notes=(*model.notes, unstable_words(radius, model.dt_s)))
-        problem = _problem(parts, model)
-        inside = _simulated(settings, parts, replace(problem, start=mirrored(problem.start)), model)
-        words = (
-            f"Made stable: the largest pole radius was {radius:.5f} and is {np.abs(inside.poles).max():.5f}; "
-            "all matrices were fitted again to the simulation error."
-        )
-        return replace(inside, notes=(*model.notes, words))
-    if len(model.covariance) or _work(parts, model.order) > MOST_WORK:
+    model = _stable(settings, parts, model)
+    if not model.is_stable or len(model.covariance) or _work(parts, model.order) > MOST_WORK:
         return model
     problem = _problem(parts, model)
     factor = _units(parts, model.order, problem.feedthrough)
     covariance = problem.spread(problem.theta0) * np.outer(factor, factor)
     return replace(model, covariance=covariance) if np.isfinite(covariance).all() else model
+
+
+def _stable(settings: StateSpace, parts: Parts, model: FittedStateSpace) -> FittedStateSpace:
+    """An unstable model made stable where the settings ask for it, or with what that means."""
+    if model.is_stable:
+        return model
+    radius = float(np.abs(model.poles).max())
+    if not settings.stable:
+        return replace(model, notes=(*model.notes, unstable_words(radius, model.dt_s)))
+    problem = _problem(parts, model)
+    inside = _simulated(settings, parts, replace(problem, start=mirrored(problem.start)), model)
+    words = (
+        f"Made stable: the largest pole radius was {radius:.5f} and is {np.abs(inside.poles).max():.5f}; "
+        "all matrices were fitted again to the simulation error."
+    )
+    return replace(inside, notes=(*model.notes, words))
 
 
 def _work(parts: Parts, order: int) -> float:

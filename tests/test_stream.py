@@ -74,6 +74,14 @@ def test_choices_are_made_on_the_head_and_said(stored: DatasetFile) -> None:
         ARX(refine=True).fit(stored)
 
 
+def test_intervals_of_the_first_samples_are_not_given_out_for_those_of_all(stored: DatasetFile) -> None:
+    settings = StateSpace(order=3, method="pbsid", past=10, refine=False)
+    disk, memory = settings.fit(stored), settings.fit(WHOLE)
+    assert len(memory.covariance)
+    assert not len(disk.covariance)
+    assert "none (from disk" in str(disk)
+
+
 def test_the_head_is_the_first_samples_with_their_segments(stored: DatasetFile) -> None:
     head = stored.head(1000)
     assert [len(s) for s in head.segments] == [900, 100]
