@@ -113,7 +113,11 @@ def _preamble(reader: _Reader, before: bytes) -> None:
     at, cells = 0, len(reader.layout.columns)
     for raw in before.splitlines(keepends=True):
         line = raw.removeprefix(b"\xef\xbb\xbf").strip()
-        if line and line[:1] not in b"#%" and line.count(reader.layout.separator) < cells - 1:
+        is_plain = (
+            line.decode("utf-8", "replace").replace("\t", "").isprintable()
+        )  # else not read as a header
+        is_short = line[:1] not in b"#%" and line.count(reader.layout.separator) < cells - 1
+        if line and (is_short or not is_plain):
             reader.tally.skip(at, at + len(raw), "a line above the table")
         at += len(raw)
 

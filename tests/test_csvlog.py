@@ -170,3 +170,19 @@ def test_cell_by_cell_says_what_the_fast_way_says() -> None:
     frame = pd.DataFrame({"time_s": np.arange(500) / 50, "u": rng.standard_normal(500), "mode": "HOVER"})
     text = frame.to_csv(index=False)
     assert read(text)["table"].equals(read(text.replace(",HOVER", ',"HOVER"'))["table"])
+
+
+@pytest.mark.parametrize(
+    "damage", [(48, b"\x02"), (79, b"\x08"), (59, b"\0\0")], ids=["line end", "first row", "cells"]
+)
+def test_damage_above_the_second_row_is_counted(damage: tuple[int, bytes]) -> None:
+    from tests.samplelogs import csv as sample
+
+    blob, (at, raw) = sample.build(), damage
+    whole, flight = (
+        collect(memoryview(b), "a.csv", all_formats()["csv"], Limits())
+        for b in (blob, blob[:at] + raw + blob[at + len(raw) :])
+    )
+    assert not whole.damage.lossy
+    assert flight.rows < whole.rows
+    assert flight.damage.lossy

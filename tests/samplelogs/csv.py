@@ -8,7 +8,7 @@ from tests.samplelogs import Record, record_at
 
 SUFFIX = ".csv"
 ROWS = 150
-HARMLESS = b" +0\t\r\n"  # before a number they mean nothing
+HARMLESS = b" +-0123456789\t\r\n"  # part of the number behind them: nothing tells
 RESYNC_BYTES = 120  # garbage without a line end swallows the line behind it
 
 
