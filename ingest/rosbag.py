@@ -35,15 +35,16 @@ class _Connections:
     def __init__(self) -> None:
         self._of: dict[int, Channel] = {}
 
-    def define(self, record: BagRecord, data: bytes) -> None:
-        """Learn a connection; the first definition of a number stands, one that is damaged is none."""
+    def define(self, record: BagRecord, data: bytes) -> bool:
+        """Learn a connection; the first definition of a number stands. False where it is damaged."""
         fields = split_fields(data)
         if record.connection in self._of or fields is None or len(self._of) >= MAX_CONNECTIONS:
-            return
+            return fields is not None
         name = record.fields[b"topic"].decode("utf-8", "replace")
         kind = fields.get(b"type", b"").decode("utf-8", "replace")
         schema = Schema(kind, "ros1msg", fields.get(b"message_definition", b""))
         self._of[record.connection] = Channel(name, "ros1", schema)
+        return True
 
     def message(self, record: BagRecord, source: memoryview | bytes) -> Message:
         """A message with its channel; publishers of one topic and type share it."""
@@ -89,7 +90,8 @@ def _messages(view: memoryview, reader: BagReader, tally: Tally) -> Iterator[Mes
         connections.define(known, bytes(view[known.data_at : known.end]))
     for source, record in reader.records():
         if record.op == CONNECTION:
-            connections.define(record, bytes(source[record.data_at : record.end]))
+            if not connections.define(record, bytes(source[record.data_at : record.end])):
+                tally.undecode("(connections)")  # its length may have taken in messages
         elif record.op == MESSAGE:
             message = connections.message(record, source)
             if message.channel is None:

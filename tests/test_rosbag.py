@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -103,3 +104,15 @@ def test_a_chunk_refused_for_its_size_is_no_bad_checksum() -> None:
 def test_topics_without_a_stamp_are_named_with_the_distance_of_their_clock() -> None:
     note = collect(memoryview(sample.build()), "a.bag", FORMAT, Limits()).info["clock_note"]
     assert note.startswith("/pair: no stamp, on the time of recording, 0.003 s ahead")
+
+
+def test_a_connection_whose_length_takes_in_messages_is_counted() -> None:
+    raw = bytearray(sample.build())
+    at = raw.index(b"topic=/pair", raw.index(sample.connection(1))) + len(
+        b"topic=/pair"
+    )  # where the length of its data stands
+    taken = len(sample.message(0, 0)) + len(sample.message(1, 1))
+    raw[at : at + 4] = struct.pack("<I", int.from_bytes(raw[at : at + 4], "little") + taken)
+    flight = collect(memoryview(raw), "a.bag", FORMAT, Limits())
+    assert flight.rows == 158
+    assert flight.damage.undecoded == {"(connections)": 1}
