@@ -16,11 +16,14 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.model.fuzzy.grow import Stage
 from flysid.model.fuzzy.kernel import free_run
-from flysid.model.fuzzy.problem import simulate_runs
+from flysid.model.fuzzy.linear_side import LinearModel
+from flysid.model.fuzzy.problem import simulate_runs, widened
 from flysid.model.fuzzy.stress import stress_run
 from flysid.model.start import MAX_SHARE, estimate_start
 
 _BLOCKS = 16
+_FAR = 10.0  # ranges: in a closed loop an output that integrates is never seen to move as it can
+_ROUNDING = 1e-5  # of a pole at one that stands twice
 _RESOLUTION = 1e-10  # mean squares (of normalised outputs) below this are all "exact"
 
 
@@ -131,11 +134,15 @@ def blocks(errors: Sequence[FloatArray]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A model and its validation block errors, simplest first in every list."""
+    """A model and its validation block errors, simplest first in every list.
+
+    `linear`: the model of the linear side that this stage is, where nothing has moved it since.
+    """
 
     stage: Stage
     errors: FloatArray
     stable: bool = True
+    linear: LinearModel | None = None
 
     @property
     def mean(self) -> float:
@@ -168,14 +175,30 @@ def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
 
     First random steps over the whole range of the training inputs, which may push any plant far out; then
     blocks of the training inputs in random order. In that second part no more than one sample in fifty
-    may lie on an output limit (the range of training, widened by itself on each side).
+    may lie on an output limit (the range of training, widened by itself on each side). Of a model that
+    holds an integrator the changes of the output are asked instead (the range widened tenfold), as its
+    output may go anywhere.
     """
     problem, n_y = stage.problem, stage.problem.layout.n_y
     W = stress_run(problem.runs, n_y, steps, seed)
     free_run(W, problem.layout.depth, problem.layout.lags, problem.parameters(stage.body))
-    y = W[steps + steps // 4 :, :n_y]
-    at_limit = (y <= problem.limits[0]) | (y >= problem.limits[1])
+    y, limits = W[steps + steps // 4 :, :n_y], problem.limits
+    if problem.integrates:
+        if not _rules_settle(stage):
+            return False
+        runs = simulate_runs(problem, stage.body, stage.initial)
+        usual = np.concatenate([np.diff(run[:, :n_y], axis=0) for run in runs])
+        y, limits = np.diff(y, axis=0), widened(np.stack([usual.min(axis=0), usual.max(axis=0)]), _FAR)
+    at_limit = (y <= limits[0]) | (y >= limits[1])
     return bool(at_limit.any(axis=1).mean() < 0.02)
+
+
+def _rules_settle(stage: Stage) -> bool:
+    """Whether no rule has a pole outside the unit circle: behind an integrator it would drift away."""
+    lags = stage.problem.layout.orders.na
+    theta = stage.problem.parameters(stage.body).theta[:, 0, :lags]
+    poles = [np.abs(np.roots(np.concatenate([[1.0], -row]))).max() for row in theta]
+    return bool(max(poles) < 1.0 + _ROUNDING)
 
 
 def judged(stage: Stage, runs: Sequence[FloatArray], skip: int, *, must_be_bounded: bool) -> Candidate:

@@ -10,16 +10,19 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.fuzzy.choice import Candidate, choose, hold_out
+from flysid.model.fuzzy.fewer import fewer_words
 from flysid.model.fuzzy.grow import Stage, ordered
 from flysid.model.fuzzy.layout import Antecedent, Orders, parse_antecedent, scaling
 from flysid.model.fuzzy.problem import runs_of
-from flysid.model.fuzzy.refit import on_all_runs
+from flysid.model.fuzzy.refit import refit
 from flysid.model.fuzzy.search import cross_validated, search
 from flysid.model.fuzzy.workshop import SPARE_ROWS, Settings, Workshop
 from flysid.model.linear.settings import check_hint
 
 _HIGHEST_ORDER = 4
-_DEEPEST_DELAY = 40  # samples of delay and lags that the linear side may choose on long records
+_HIGHEST_LINEAR = 12  # samples of lags that the linear side may choose on short records,
+_DEEPEST_DELAY = 40  # and on long ones, delay included
+_SHARE = 20  # a segment must be so many times longer than what the linear side looks back
 _LATE = 2  # samples of delay from which a dead time is tried as such
 _RULE_GAIN = 0.05  # of the mean square: what a rule must win, about 2.5 % of the error
 _SMALL = 4000  # samples below which every quarter is held out in turn,
@@ -44,7 +47,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     check_hint(settings.nk_hint, len(train.inputs))
     choices = order_choices(settings, len(train.inputs))
     named = _named(settings, train)
-    deepest = _DEEPEST_DELAY if len(choices) > 1 and len(train) > _SMALL else 0
+    deepest = _deepest(train) if len(choices) > 1 else 0
     depths = [deepest, *(o.depth for o in choices), *(max(a.lag, a.minus) for a in named)]
     least = max(depths) + SPARE_ROWS
     fit_part, check_part, own = _parts(train, validation, least)
@@ -55,6 +58,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     candidates, notes = workshop.linear(choices)
     workshop = replace(workshop, must_be_bounded=any(c.stable for c in candidates))
     if not workshop.must_be_bounded:
+        candidates = [replace(c, stable=True) for c in candidates]
         notes.append(
             "The process integrates: linear models of it drift too, so boundedness was not asked for."
         )
@@ -68,16 +72,25 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
             hint="give more data, lower orders, or fewer rules",
         )
     notes += _changed_orders(models, at) + _unstable(models)
+    if settings.refine and settings.rules == "auto" and settings.antecedents == "auto":
+        chosen, simpler = fewer_words(workshop, chosen)
+        notes += simpler
     stage = ordered(chosen.stage)
     if settings.refine:
         runs = runs_of(stage.problem.layout, (train if own else fit_part).segments, least)
-        stage = on_all_runs(stage, runs, settings.iterations)
+        stage = refit(replace(chosen, stage=stage), train if own else fit_part, runs, settings.iterations)
     if own and settings.refine:
         notes.append("The model was refined once more on the held-out part together with the rest.")
     verdict = rule_verdict(settings, models, at)
     counted = folds if len(models) > 1 else ()
     errors = tuple(np.array_split(chosen.errors, 1 + len(counted)))
     return Learned(stage, (*notes, *verdict, _method(settings)), errors)
+
+
+def _deepest(train: Dataset) -> int:
+    """Samples that the linear side's models may look back."""
+    longest = max((len(s) for s in train.segments), default=0)
+    return min(_DEEPEST_DELAY if len(train) > _SMALL else _HIGHEST_LINEAR, longest // _SHARE)
 
 
 def _chosen(

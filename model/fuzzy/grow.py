@@ -31,6 +31,7 @@ _PLACES = (0.15, 0.5, 0.85)
 _RIDGE = 0.01  # of the mean square error: as if a hundred samples said that the rules are equal
 _PIECE = 1000  # rows of a piece, where long records are thinned
 _FEW = 5000  # rows for ranking insertions and for trying the best ones
+_START_STEPS = 4  # of a search over the first outputs alone; a linear model needs one
 _MORE = 1  # insertions tried beyond the best one along every antecedent
 
 
@@ -49,13 +50,14 @@ class Stage:
         return len(self.body.a)
 
 
-def first_basis(layout: Layout, runs: tuple[FloatArray, ...]) -> FloatArray:
-    """(n_x, n_x) basis in which the measured regressors are uncorrelated with unit mean square.
+def first_basis(layout: Layout, runs: tuple[FloatArray, ...], *, integrating: bool = False) -> FloatArray:
+    """(n_b, n_x) basis in which the measured regressors are uncorrelated with unit mean square.
 
     Lags are turned into differences of growing order first: at 100 Hz the lags themselves are equal to
-    three digits, and a direct factorisation would lose what tells them apart.
+    three digits, and a direct factorisation would lose what tells them apart. For a single output that
+    integrates its level is left out (n_b = n_x - 1): only its differences are free.
     """
-    differences = _difference_matrix(layout)
+    differences = _difference_matrix(layout)[1 if integrating else 0 :]
     X = np.vstack([regressors(layout, W) for W in runs]) @ differences.T
     size = np.sqrt((X * X).mean(axis=0))
     size[size == 0] = 1.0
@@ -103,9 +105,18 @@ def unrefined(problem: Problem, body: Body | None = None, initial: FloatArray | 
 
 
 def best_started(problem: Problem, body: Body) -> Stage:
-    """The stage from measured or from smoothed first outputs, whichever simulates better."""
-    starts = (problem.measured_initial(), problem.smooth_initial())
-    return min((unrefined(problem, body, initial) for initial in starts), key=lambda s: s.cost)
+    """The stage from the first outputs that suit it best, near the measured or the smoothed ones.
+
+    Whichever simulates better is where a search over the first outputs alone begins: noisy ones start a
+    model of high order, or one that integrates, so badly that a good model would look hopeless.
+    """
+    starts, plain = (
+        (problem.measured_initial(), problem.smooth_initial()),
+        replace(problem, ridge=0.0, stress=None),
+    )
+    stage = min((unrefined(plain, body, initial) for initial in starts), key=lambda s: s.cost)
+    stage = refined(stage, np.zeros(body.size), _START_STEPS, 1e-3)
+    return unrefined(problem, body, stage.initial)
 
 
 def embedded_start(stage: Stage, problem: Problem) -> tuple[Stage, ...]:
@@ -115,7 +126,7 @@ def embedded_start(stage: Stage, problem: Problem) -> tuple[Stage, ...]:
         return ()
     theta = np.zeros((1, problem.layout.n_y, len(new)))
     theta[:, :, [new.index(term) for term in old]] = stage.problem.parameters(stage.body).theta
-    body = Body(np.zeros_like(theta), stage.body.centre, stage.body.width)
+    body = Body(np.zeros((1, problem.layout.n_y, len(problem.basis))), stage.body.centre, stage.body.width)
     depth, n_y = problem.layout.depth, problem.layout.n_y
     runs = simulate_runs(stage.problem, stage.body, stage.initial)
     initial = np.stack([run[:depth, :n_y] for run in runs])
@@ -138,7 +149,7 @@ def _linear_starts(problem: Problem) -> Iterator[Body]:
     X = np.vstack([regressors(problem.layout, W) for W in problem.runs])
     E = X @ problem.basis.T
     d, n_y, n_z = problem.layout.depth, problem.layout.n_y, problem.z_range.shape[1]
-    Y = np.vstack([W[d:, :n_y] for W in problem.runs])
+    Y = np.vstack([W[d:, :n_y] for W in problem.runs]) - X @ problem.offset.T
     a: FloatArray = np.zeros((E.shape[1], n_y))
     for _ in range(3):  # repeated on the remainder: the regressors are nearly collinear
         remainder: FloatArray = Y - X @ (problem.basis.T @ a)
@@ -153,7 +164,14 @@ def _linear_starts(problem: Problem) -> Iterator[Body]:
 
 def refine(stage: Stage, iterations: int, tolerance: float) -> Stage:
     """Levenberg-Marquardt on the simulation error from where the stage is."""
-    error = SimulationError(stage.problem, stage.body, _free(stage.body))
+    found = refined(stage, _free(stage.body), iterations, tolerance)
+    return replace(stage, cost=float("inf")) if found is stage else found
+
+
+def refined(stage: Stage, free: FloatArray, iterations: int, tolerance: float) -> Stage:
+    """The stage with those of its numbers moved that are `free`, and its first outputs; itself where
+    sensitivities overflow."""
+    error = SimulationError(stage.problem, stage.body, free)
     try:
         found = levenberg_marquardt(
             error.normal,
@@ -162,8 +180,8 @@ def refine(stage: Stage, iterations: int, tolerance: float) -> Stage:
             max_iterations=iterations,
             tolerance=tolerance,
         )
-    except FitError:  # sensitivities overflow at the start
-        return replace(stage, cost=float("inf"))
+    except FitError:
+        return stage
     body, initial = error.split(found.theta)
     return Stage(stage.problem, body, initial, found.cost)
 
@@ -179,8 +197,8 @@ def rebased(stage: Stage) -> Stage:
         return replace(stage, cost=float("inf"))
     H = whole.corner
     m = stage.body.a[0].size
-    n_x = stage.body.a.shape[2]
-    block = sum(H[i : i + n_x, i : i + n_x] for i in range(0, m, n_x))
+    n_b = stage.body.a.shape[2]
+    block = sum(H[i : i + n_b, i : i + n_b] for i in range(0, m, n_b))
     values, vectors = np.linalg.eigh(np.asarray(block))
     values = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
     problem = replace(

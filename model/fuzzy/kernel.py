@@ -10,9 +10,10 @@ The sensitivity S(k) = dy(k)/dp obeys the same recursion as the model, driven by
 
     S(k) = df/dp + sum_l (df/dy(k-l)) S(k-l)
 
-which is exact, costs one pass, and needs no tape. z is clamped to the range seen in training, so that far
-away the nearest rules speak and nothing wakes a distant wide one; outputs are clamped to their limits, so
-that every run is finite. Cost per step: R (n_x + n_z) for the run, P n_lags more for P sensitivities.
+which is exact, costs one pass, and needs no tape. z is clamped a little beyond the range seen in training, so
+that far away the nearest rules speak and nothing wakes a distant wide one; outputs are clamped to their
+limits, so that every run is finite. Cost per step: R (n_x + n_z) for the run, P n_lags more for P
+sensitivities.
 """
 
 from __future__ import annotations
@@ -176,14 +177,14 @@ def sensitivities(W, rows, lags, par, basis, J):  # type: ignore[no-untyped-def]
     ----------
     W : (N, n_y + n_u), outputs written in place.
     rows : first row, row after the last, row of W that J[0] stands for.
-    basis : (n_x, n_x); consequent coordinates a with theta = a @ basis.
-    J : (B, n_y, P + Q), P = R n_y n_x + 2 R n_z ordered as a, centre, log width; Q further columns
+    basis : (n_b, n_x); consequent coordinates a with theta = offset + a @ basis.
+    J : (B, n_y, P + Q), P = R n_y n_b + 2 R n_z ordered as a, centre, log width; Q further columns
         (initial states) only propagate. Rows of the lags before rows[0] must be filled.
     """
     n_rules, n_y, n_x = par.theta.shape
-    n_z = lags.z_lag.size
+    n_z, n_b = lags.z_lag.size, basis.shape[0]
     x, z, phi = np.empty(n_x), np.empty(n_z), np.empty(n_rules)
-    e, part = np.empty(n_x), np.empty((n_rules, n_y))
+    e, part = np.empty(n_b), np.empty((n_rules, n_y))
     slope = np.empty(n_z)
     deepest = 1
     for m in range(n_x):
@@ -191,14 +192,14 @@ def sensitivities(W, rows, lags, par, basis, J):  # type: ignore[no-untyped-def]
     for j in range(n_z):
         deepest = max(deepest, lags.z_lag[j], lags.z_minus[j])
     G = np.zeros((deepest + 1, n_y))
-    at_centre = n_rules * n_y * n_x
+    at_centre = n_rules * n_y * n_b
     at_width = at_centre + n_rules * n_z
     for k in range(rows[0], rows[1]):
         b = k - rows[2]
         _regress(W, k, lags, x)
         _antecedents(W, k, lags, par, z)
         _fire(z, par, phi)
-        for m in range(n_x):
+        for m in range(n_b):
             total = 0.0
             for n in range(n_x):
                 total += basis[m, n] * x[n]
@@ -247,8 +248,8 @@ def sensitivities(W, rows, lags, par, basis, J):  # type: ignore[no-untyped-def]
             for r in range(n_rules):
                 if phi[r] == 0.0:
                     continue
-                base = (r * n_y + i) * n_x
-                for m in range(n_x):
+                base = (r * n_y + i) * n_b
+                for m in range(n_b):
                     row[base + m] += phi[r] * e[m]
                 lever = phi[r] * (part[r, i] - value)
                 for j in range(n_z):

@@ -316,7 +316,7 @@ def pole_radius(A: FloatArray) -> float:
 def dc_gain(A: FloatArray, B: FloatArray) -> FloatArray:
     """(n_y, n_u) steady gain; NaN where the rule integrates."""
     left = np.eye(B.shape[1]) - A.sum(axis=0)
-    if np.linalg.cond(left) > 1e12:
+    if np.linalg.cond(left) > 1e12 or np.abs(left).max() < 1e-12:
         return np.full(B.shape[1:], np.nan)
     return np.asarray(np.linalg.solve(left, B.sum(axis=0)))
 

@@ -23,6 +23,7 @@ from flysid.model.fuzzy.kernel import IntArray, Lags, Parameters, free_run, sens
 from flysid.model.fuzzy.layout import Layout
 from flysid.model.fuzzy.stress import beyond
 
+REACH = 0.25  # of the range of an antecedent: so far beyond the training data its rules go on as they are
 _HOLD = 3.0  # on memberships, relative to the ridge on consequents
 _CHUNK = 1024  # rows of sensitivities at a time: they stay in the cache
 
@@ -33,7 +34,7 @@ class Body:
 
     Attributes
     ----------
-    a : (R, n_y, n_x) consequent coordinates.
+    a : (R, n_y, n_b) consequent coordinates.
     centre, width : (R, n_z) memberships, normalised units.
     """
 
@@ -68,9 +69,11 @@ class Problem:
     ----------
     layout : lags and scaling.
     runs : measured W of every segment, each longer than the depth.
-    basis, offset : (n_x, n_x) and (n_y, n_x); consequents are offset + a @ basis. The offset keeps what
-        was reached before a change of basis, to the last digit.
-    z_range : (2, n_z) range of the antecedents in training.
+    basis, offset : (n_b, n_x) and (n_y, n_x); consequents are offset + a @ basis. The offset keeps what
+        was reached before a change of basis, to the last digit. n_b = n_x, but for a plant that integrates:
+        there no row of the basis moves the sum over an output's lags, which the offset puts at 1.
+    z_range : (2, n_z) range of the antecedents in training. They are clamped `REACH` beyond it: a blend that
+        froze at the edge would change its slope there.
     limits : (2, n_y) normalised output limits.
     ridge : weight on the spread of the rules' consequents about their mean, and on how far memberships
         have moved from where a refinement began.
@@ -97,13 +100,18 @@ class Problem:
         z = (max(a.lag, a.minus) for a in self.layout.antecedents if a.column < self.layout.n_y)
         return min(self.layout.depth, max(self.layout.orders.na, *z, 0))
 
+    @property
+    def integrates(self) -> bool:
+        """Whether every model of this problem has a pole at one."""
+        return bool(len(self.basis) < self.basis.shape[1])
+
     def parameters(self, body: Body) -> Parameters:
         """Kernel parameters of a body."""
         return Parameters(
             np.ascontiguousarray(self.offset + body.a @ self.basis),
             np.ascontiguousarray(body.centre),
             np.ascontiguousarray(body.width),
-            np.ascontiguousarray(self.z_range),
+            widened(self.z_range, REACH),
             np.ascontiguousarray(self.limits),
         )
 
@@ -129,6 +137,12 @@ class Problem:
     def with_antecedents(self, layout: Layout) -> Problem:
         """The same data for other antecedents."""
         return replace(self, layout=layout, z_range=antecedent_range(layout, self.runs))
+
+
+def widened(limits: FloatArray, times: float) -> FloatArray:
+    """(2, n) ranges, wider by so many times themselves on each side."""
+    margin = times * (limits[1] - limits[0])
+    return np.ascontiguousarray(np.stack([limits[0] - margin, limits[1] + margin]))
 
 
 def antecedent_range(layout: Layout, runs: Sequence[FloatArray]) -> FloatArray:

@@ -7,12 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from flysid.dataset import FloatArray
-from flysid.model.fuzzy.choice import is_bounded
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.fuzzy.choice import Candidate, is_bounded
 from flysid.model.fuzzy.grow import Stage, best_started, first_basis, refine
+from flysid.model.fuzzy.integrator import holds_integrator
 from flysid.model.fuzzy.kernel import Parameters
 from flysid.model.fuzzy.layout import Layout
-from flysid.model.fuzzy.problem import Body, Problem, antecedent_range
+from flysid.model.fuzzy.linear_side import as_stage
+from flysid.model.fuzzy.problem import REACH, Body, Problem, antecedent_range, widened
+
+
+def refit(chosen: Candidate, data: Dataset, runs: Sequence[FloatArray], iterations: int) -> Stage:
+    """The chosen model on all data, by the method that found it: what was judged is what is offered."""
+    again = None if chosen.linear is None else chosen.linear.refitted(data)
+    problem = chosen.stage.problem
+    if again is None or again.orders != problem.layout.orders:
+        return on_all_runs(chosen.stage, runs, iterations)
+    stage = as_stage(again, replace(problem, runs=tuple(runs)))
+    return stage if is_bounded(stage) else chosen.stage
 
 
 def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int) -> Stage:
@@ -22,14 +34,17 @@ def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int) -> St
     # differences of measured outputs are mostly noise: their range is that of the simulation
     change = np.array([a.minus >= 0 for a in stage.problem.layout.antecedents], dtype=bool)
     problem = replace(stage.problem, runs=tuple(runs), z_range=np.where(change, known, wider))
-    refit = refine(best_started(problem, stage.body), iterations, 1e-5)
-    return refit if is_bounded(refit) else stage
+    found = refine(best_started(problem, stage.body), iterations, 1e-5)
+    return found if is_bounded(found) else stage
 
 
 def restated(layout: Layout, parameters: Parameters, runs: tuple[FloatArray, ...]) -> tuple[Problem, Body]:
     """A fitted model as refinement writes it: consequents in a basis in which `runs` are well conditioned."""
-    basis = np.ascontiguousarray(first_basis(layout, runs))
     theta, p = parameters.theta, parameters
-    problem = Problem(layout, runs, basis, theta[0].copy(), p.z_range, p.limits)
-    a = np.linalg.solve(basis.T, (theta - theta[0]).reshape(-1, len(basis)).T).T
-    return problem, Body(np.ascontiguousarray(a.reshape(theta.shape)), p.centre, p.width)
+    held = holds_integrator(theta, layout.orders.na)
+    basis = np.ascontiguousarray(first_basis(layout, runs, integrating=held))
+    trained = widened(p.z_range, -REACH / (1.0 + 2.0 * REACH))
+    problem = Problem(layout, runs, basis, theta[0].copy(), trained, p.limits)
+    rows = (theta - theta[0]).reshape(-1, theta.shape[2]).T
+    a = (np.linalg.lstsq(basis.T, rows, rcond=None)[0] if held else np.linalg.solve(basis.T, rows)).T
+    return problem, Body(np.ascontiguousarray(a.reshape(*theta.shape[:2], -1)), p.centre, p.width)

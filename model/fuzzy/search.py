@@ -127,7 +127,14 @@ def cross_validated(
             shift, scale = scaling(fit_part)
         except DataError:  # a quarter without which nothing moves says nothing
             continue
-        other = replace(workshop, fit_part=fit_part, check_part=check_part, shift=shift, scale=scale)
+        other = replace(
+            workshop,
+            fit_part=fit_part,
+            check_part=check_part,
+            shift=shift,
+            scale=scale,
+            integrates=models[at].stage.problem.integrates,
+        )
         linear, _ = other.linear([orders])
         if linear[0].mean > _HOPELESS * max(models[0].mean, _EXACT):
             continue  # the linear refit went astray: rules that mend it would look useful

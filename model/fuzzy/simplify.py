@@ -7,22 +7,18 @@ worth, not what a careless edit breaks (rule base simplification: Setnes, Babusk
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
 from flysid.model.fuzzy.choice import is_bounded
+from flysid.model.fuzzy.edits import edits, staged
 from flysid.model.fuzzy.finish import finished, free_run_errors
-from flysid.model.fuzzy.grow import Stage, best_started, ordered, refine, with_ridge
-from flysid.model.fuzzy.kernel import Parameters
-from flysid.model.fuzzy.layout import Layout
+from flysid.model.fuzzy.grow import ordered, refine, with_ridge
 from flysid.model.fuzzy.model import FittedTS
-from flysid.model.fuzzy.problem import Body, runs_of
-from flysid.model.fuzzy.refit import restated
+from flysid.model.fuzzy.problem import runs_of
 from flysid.model.fuzzy.words import number
 from flysid.model.threads import on_one_thread
 
@@ -79,10 +75,15 @@ def simplifications(
     """
     judge = train if validation is None else validation
     before = _rmse(model, judge)
-    edits = [(what, stage) for what, layout, p in _edits(model) for stage in _staged(layout, p, train)]
-    edits.sort(key=lambda edit: edit[1].cost)
+    runs = runs_of(model.layout, train.segments, model.n_init + 2)
+    tried = [
+        (what, stage)
+        for what, layout, p in edits(model.layout, model.parameters, model.support)
+        for stage in staged(layout, p, runs)
+    ]
+    tried.sort(key=lambda edit: edit[1].cost)
     found = []
-    for what, stage in edits[:_TRIED]:
+    for what, stage in tried[:_TRIED]:
         refined = refine(with_ridge(stage, _RIDGE * stage.cost), iterations, 1e-5)
         if np.isfinite(refined.cost) and is_bounded(refined):
             edited = finished(ordered(refined), train, (*model.notes, f"Simplified by hand: {what}."))
@@ -122,59 +123,3 @@ def _rmse(model: FittedTS, data: Dataset) -> FloatArray:
         raise DataError(f"no segment is longer than {model.n_init} samples", hint="record longer")
     gaps = np.vstack(errors)
     return np.asarray(np.sqrt((gaps * gaps).mean(axis=0)))
-
-
-def _edits(model: FittedTS) -> Iterator[tuple[str, Layout, Parameters]]:
-    """Every pair of rules merged, every rule dropped, every antecedent left out."""
-    p, layout, share = model.parameters, model.layout, np.maximum(model.support, 1e-3)
-    rules, n_z = p.centre.shape
-    if rules == 1:
-        return
-    for i, j in combinations(range(rules), 2):
-        yield f"R{i + 1} and R{j + 1} merged", layout, _merged(p, i, j, share)
-    if rules > 2:
-        for r in range(rules):
-            yield f"R{r + 1} dropped", layout, _kept(p, np.delete(np.arange(rules), r))
-    for z in range(n_z if n_z > 1 else 0):
-        rest = np.delete(np.arange(n_z), z)
-        antecedents = tuple(layout.antecedents[k] for k in rest)
-        fewer = p._replace(
-            centre=p.centre[:, rest], width=p.width[:, rest], z_range=np.ascontiguousarray(p.z_range[:, rest])
-        )
-        yield (
-            f"conditions on {model.antecedents[z]} left out",
-            replace(layout, antecedents=antecedents),
-            _kept(fewer, np.arange(rules)),
-        )
-
-
-def _merged(p: Parameters, i: int, j: int, share: FloatArray) -> Parameters:
-    """Rules i and j as one: means weighted by support; the set covers both."""
-    w = np.array([share[i], share[j]]) / (share[i] + share[j])
-    centre = w @ p.centre[[i, j]]
-    spread = w @ (p.width[[i, j]] ** 2 + (p.centre[[i, j]] - centre) ** 2)
-    kept = _kept(p, np.delete(np.arange(len(p.theta)), j))
-    at = i if i < j else i - 1
-    kept.theta[at] = np.tensordot(w, p.theta[[i, j]], axes=1)
-    kept.centre[at], kept.width[at] = centre, np.sqrt(spread)
-    return kept
-
-
-def _kept(p: Parameters, rules: np.ndarray[tuple[int], np.dtype[np.int64]]) -> Parameters:
-    """A copy with some of the rules."""
-    return p._replace(theta=p.theta[rules].copy(), centre=p.centre[rules].copy(), width=p.width[rules].copy())
-
-
-def _staged(layout: Layout, p: Parameters, train: Dataset) -> Iterator[Stage]:
-    """The edited model as a stage of refinement; nothing where no segment is long enough."""
-    runs = runs_of(layout, train.segments, layout.depth + 2)
-    if runs:
-        problem, body = restated(layout, p, runs)
-        yield best_started(problem, _apart(body))
-
-
-def _apart(body: Body) -> Body:
-    """A single rule says the same everywhere: its set is written as one that covers everything."""
-    if len(body.a) > 1:
-        return body
-    return replace(body, centre=np.zeros_like(body.centre), width=np.ones_like(body.width))

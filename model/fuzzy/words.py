@@ -31,6 +31,7 @@ _DIRECTIONS: Mapping[str, tuple[str, str]] = {
     "vz": ("down", "up"),
 }
 _SPEED_UNITS = frozenset({"m/s", "m s-1", "m*s-1", "cm/s", "mm/s", "km/h"})
+_ON_CIRCLE = 1e-6  # a pole so near to one that it integrates, but for rounding
 _SAME_PLACE = 0.25  # of the narrowest width: centres closer than this are at one place
 _WIDER = 1.5  # a set is told from another at the same place when it is this much wider
 
@@ -197,7 +198,7 @@ def meaning(rule: Rule) -> str:
     if rule.pole_radius > 0:
         star = "*" if rule.pole_radius > 0.999 else ""
         parts.append(f"time constant {number(rule.time_constant_s)} s{star}")
-    if rule.pole_radius >= 1.0:
+    if rule.pole_radius >= 1.0 + _ON_CIRCLE:
         parts.append("unstable by itself")
     return ", ".join([*parts, f"strongest for {100 * rule.support:.0f} % of the samples"])
 

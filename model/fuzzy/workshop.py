@@ -19,14 +19,16 @@ from flysid.model.fuzzy.grow import (
     refine,
     unrefined,
 )
+from flysid.model.fuzzy.integrator import looks_integrating, with_integrator
 from flysid.model.fuzzy.layout import Layout, Orders
+from flysid.model.fuzzy.linear_side import LinearModel, arx_start, as_stage, linear_models
 from flysid.model.fuzzy.problem import Problem, runs_of
-from flysid.model.fuzzy.start import arx_start, as_stage, chosen_by_arx
 from flysid.model.fuzzy.stress import stress_run
 
 SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
 _ORDER_LOSS = 0.01
 _LOOSE = 100.0  # ranges within which the search for a linear model may move
+_FAR = 10.0  # ranges that a plant which integrates may leave its training range by
 _STRESS = 1000  # steps of each kind of stress
 _STRESS_SEED = 1  # not the one that models are asked with in the end
 
@@ -56,7 +58,12 @@ class Settings(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Workshop:
-    """Data and settings that all stages of one fit share."""
+    """Data and settings that all stages of one fit share.
+
+    Attributes
+    ----------
+    integrates : whether models keep a pole at one; None asks the data.
+    """
 
     settings: Settings
     fit_part: Dataset
@@ -66,6 +73,7 @@ class Workshop:
     least: int
     must_be_bounded: bool = True
     folds: tuple[tuple[Dataset, Dataset], ...] = ()
+    integrates: bool | None = None
 
     def problem(self, orders: Orders) -> Problem:
         """The problem of a linear model of these orders.
@@ -85,10 +93,14 @@ class Workshop:
         """A linear stage to grow from: with its output limits and with stress."""
         problem, n_y = stage.problem, stage.problem.layout.n_y
         y = np.vstack([W[:, :n_y] for W in problem.runs])
-        margin = np.ptp(y, axis=0)
+        margin = (_FAR if problem.integrates else 1.0) * np.ptp(y, axis=0)
         limits = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
         steps = min(_STRESS, max(200, len(y) // 2))
-        stress = stress_run(problem.runs, n_y, steps, _STRESS_SEED) if self.must_be_bounded else None
+        stress = (
+            stress_run(problem.runs, n_y, steps, _STRESS_SEED)
+            if self.must_be_bounded and not problem.integrates
+            else None
+        )
         return replace(stage, problem=replace(problem, limits=limits, stress=stress))
 
     def judge(self, stage: Stage) -> Candidate:
@@ -109,14 +121,14 @@ class Workshop:
                 stage = linear_stage(problem, self.settings.iterations, start)
             else:
                 stage = unrefined(problem)
-            candidates.append(self.judge(self.ready(stage)))
-            loose.append(stage)
+            variants = self._settled(stage, loose)
+            candidates += [self.judge(self.ready(s)) for s in variants]
+            loose += variants
         candidates += self._linear_side(len(choices))
-        at = choose(candidates, most_loss=_ORDER_LOSS)
+        candidates.sort(key=lambda c: c.stage.body.size)
+        at = choose(candidates, least_gain=_ORDER_LOSS, most_loss=_ORDER_LOSS)
         orders = candidates[at].stage.problem.layout.orders
-        how = (
-            "as given" if len(choices) == 1 else "the simplest within 1 % and one standard error of the best"
-        )
+        how = "as given" if len(choices) == 1 else "the simplest within 1 % of the best"
         note = f"Orders {orders}: {how} (validation free run of the linear model)."
         others = [c for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
         if self.settings.nk_hint:  # neighbours in order, not every order with and without the dead time
@@ -127,10 +139,24 @@ class Workshop:
         """What the linear side chooses by itself, with its delays, as it is and refined."""
         if choices == 1 or not self.settings.refine:
             return []
-        found = chosen_by_arx(self.fit_part, self.check_part, self.settings.nk_hint)
-        if found is None or found[0].depth + SPARE_ROWS > self.least:
-            return []
-        plain = as_stage(found[1], self.problem(found[0]))
-        plain = rebased(plain)
-        refined = refine(plain, self.settings.iterations, 1e-6)
-        return [self.judge(self.ready(stage)) for stage in (plain, refined)]
+        found = linear_models(self.fit_part, self.check_part, self.settings.nk_hint)
+        return [
+            c for model in found if model.orders.depth + SPARE_ROWS <= self.least for c in self._both(model)
+        ]
+
+    def _both(self, model: LinearModel) -> list[Candidate]:
+        plain = as_stage(model, self.problem(model.orders))
+        settled = self._settled(refine(rebased(plain), self.settings.iterations, 1e-6))
+        kept = [] if any(s.problem.integrates for s in settled) else [self.judge(self.ready(rebased(plain)))]
+        return [
+            *(replace(c, linear=model) for c in kept if np.isfinite(c.stage.cost)),
+            *(self.judge(self.ready(s)) for s in settled),
+        ]
+
+    def _settled(self, stage: Stage, known: Sequence[Stage] = ()) -> tuple[Stage, ...]:
+        """The linear stage, its integrator kept where it has one."""
+        asked = looks_integrating(stage) if self.integrates is None else self.integrates
+        if not (self.settings.refine and asked):
+            return (stage,)
+        stages = with_integrator(stage, self.settings.iterations, known)
+        return stages if self.integrates is None else stages[:1]

@@ -10,73 +10,16 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
-from flysid.dataset import Dataset, FloatArray, Segment, Signal
+from flysid.dataset import FloatArray
 from flysid.model.arx import ARX
-from flysid.model.base import Estimator, Fitted
-from flysid.model.start import estimate_start, start_window
+from flysid.model.base import Estimator
+from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
-
-Derivative = Callable[[FloatArray, float], FloatArray]
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """Noisy records to learn from and noise-free ones to be judged on."""
-
-    train: Dataset
-    test: Dataset
-    noise: float
-
-
-def integrate(f: Derivative, x0: FloatArray, u: FloatArray, dt: float, substeps: int = 4) -> FloatArray:
-    """(N, n) states of x' = f(x, u) under inputs held over each sample; Runge-Kutta of order 4."""
-    h = dt / substeps
-    x, out = np.array(x0, dtype=np.float64), np.empty((len(u), len(x0)))
-    for k, value in enumerate(u):
-        out[k] = x
-        for _ in range(substeps):
-            k1 = f(x, value)
-            k2 = f(x + 0.5 * h * k1, value)
-            k3 = f(x + 0.5 * h * k2, value)
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + f(x + h * k3, value))
-    return out
-
-
-def multisine(n: int, dt: float, band: tuple[float, float], rng: np.random.Generator) -> FloatArray:
-    """(N,) unit-variance sum of sines of random phase between two frequencies in Hz."""
-    f = np.fft.rfftfreq(n, dt)
-    spectrum = np.where((f >= band[0]) & (f <= band[1]), np.exp(2j * np.pi * rng.random(len(f))), 0)
-    x = np.fft.irfft(spectrum, n)
-    return np.asarray(x / x.std())
-
-
-def steps(n: int, hold: tuple[int, int], rng: np.random.Generator) -> FloatArray:
-    """(N,) steps of uniform height in [-1, 1] and random length."""
-    lengths = rng.integers(*hold, size=n // hold[0] + 1)
-    return np.repeat(rng.uniform(-1, 1, len(lengths)), lengths)[:n]
-
-
-def _set(parts: list[tuple[FloatArray, FloatArray]], dt: float) -> Dataset:
-    segments = tuple(Segment(u[:, None], y[:, None], flight=str(i)) for i, (u, y) in enumerate(parts))
-    return Dataset(dt, (Signal("u"),), (Signal("y"),), segments, name="y")
-
-
-def _experiment(
-    train: list[tuple[FloatArray, FloatArray]],
-    test: list[tuple[FloatArray, FloatArray]],
-    dt: float,
-    share: float,
-    rng: np.random.Generator,
-) -> Experiment:
-    """White noise of `share` times the training output's spread on the training outputs."""
-    level = share * float(np.concatenate([y for _, y in train]).std())
-    noisy = [(u, y + level * rng.normal(size=len(y))) for u, y in train]
-    spread = float(np.concatenate([y for _, y in test]).std())
-    return Experiment(_set(noisy, dt), _set(test, dt), level / spread)
+from tests.bench import ts_more_plants as more
+from tests.bench.ts_experiment import Experiment, experiment, integrate, multisine, off, steps
 
 
 def duffing(rng: np.random.Generator, hardening: float = 0.06) -> Experiment:
@@ -90,7 +33,7 @@ def duffing(rng: np.random.Generator, hardening: float = 0.06) -> Experiment:
         u = amplitude * multisine(n, dt, (1.0, 150.0), rng)
         return u, integrate(f, np.zeros(2), u, dt)[:, 0]
 
-    return _experiment([run(0.15)], [run(0.13), run(0.18)], dt, 0.005, rng)
+    return experiment([run(0.15)], [run(0.13), run(0.18)], dt, 0.005, rng)
 
 
 def stiff(rng: np.random.Generator) -> Experiment:
@@ -112,7 +55,7 @@ def tanks(rng: np.random.Generator) -> Experiment:
         u = 2.8 + 1.3 * multisine(n, dt, (1e-4, 0.0144), rng)
         return u, np.minimum(integrate(f, np.array([4.0, 4.0]), u, dt)[:, 1], 10.0)
 
-    return _experiment([run()], [run()], dt, 0.02, rng)
+    return experiment([run()], [run()], dt, 0.02, rng)
 
 
 def cart(rng: np.random.Generator) -> Experiment:
@@ -132,7 +75,7 @@ def cart(rng: np.random.Generator) -> Experiment:
     n = 2500
     smooth = np.convolve(0.25 * steps(n + 40, (60, 200), rng), np.full(41, 1 / 41), "valid")
     other = 0.12 * multisine(n, dt, (0.1, 1.0), rng)
-    return _experiment([run(smooth)], [run(other)], dt, 0.001, rng)
+    return experiment([run(smooth)], [run(other)], dt, 0.001, rng)
 
 
 def propeller(rng: np.random.Generator) -> Experiment:
@@ -160,7 +103,7 @@ def propeller(rng: np.random.Generator) -> Experiment:
     level = np.radians(25 + 25 * steps(n, (80, 160), rng))
     sweep = np.radians(25 + 15 * np.sin(2 * np.pi * (0.05 * t + 0.45 / (2 * t[-1]) * t * t)))
     fresh = np.radians(25 + 10 * multisine(n, dt, (0.02, 0.4), rng))
-    return _experiment([run(level), run(sweep)], [run(fresh)], dt, 0.01, rng)
+    return experiment([run(level), run(sweep)], [run(fresh)], dt, 0.01, rng)
 
 
 def drone(rng: np.random.Generator) -> Experiment:
@@ -175,7 +118,7 @@ def drone(rng: np.random.Generator) -> Experiment:
         u = np.radians(14.0) * steps(n, (50, 220), rng)
         return u, integrate(f, np.zeros(3), u, dt)[:, 0]
 
-    return _experiment([run() for _ in range(4)], [run() for _ in range(2)], dt, 0.01, rng)
+    return experiment([run() for _ in range(4)], [run() for _ in range(2)], dt, 0.01, rng)
 
 
 def saturated(rng: np.random.Generator) -> Experiment:
@@ -189,7 +132,7 @@ def saturated(rng: np.random.Generator) -> Experiment:
         u = steps(n, (8, 60), rng)
         return u, integrate(f, np.zeros(2), u, dt)[:, 0]
 
-    return _experiment([run() for _ in range(4)], [run() for _ in range(2)], dt, 0.05, rng)
+    return experiment([run() for _ in range(4)], [run() for _ in range(2)], dt, 0.05, rng)
 
 
 def arm(rng: np.random.Generator) -> Experiment:
@@ -205,7 +148,7 @@ def arm(rng: np.random.Generator) -> Experiment:
         x = integrate(f, np.zeros(4), u, dt)
         return u, x[:, 0] + 0.3 * x[:, 2]
 
-    return _experiment([run()], [run()], dt, 0.01, rng)
+    return experiment([run()], [run()], dt, 0.01, rng)
 
 
 def linear(rng: np.random.Generator) -> Experiment:
@@ -219,7 +162,7 @@ def linear(rng: np.random.Generator) -> Experiment:
         u = steps(n, (8, 60), rng)
         return u, integrate(f, np.zeros(2), u, dt)[:, 0]
 
-    return _experiment([run() for _ in range(4)], [run() for _ in range(2)], dt, 0.05, rng)
+    return experiment([run() for _ in range(4)], [run() for _ in range(2)], dt, 0.05, rng)
 
 
 PLANTS: dict[str, Callable[[np.random.Generator], Experiment]] = {
@@ -232,18 +175,14 @@ PLANTS: dict[str, Callable[[np.random.Generator], Experiment]] = {
     "tanks": tanks,
     "arm": arm,
     "cart": cart,
+    "hammerstein": more.hammerstein,
+    "wiener": more.wiener,
+    "servo": more.servo,
+    "linear servo": more.linear_servo,
+    "linear modes": more.linear_modes,
+    "linear lags": more.linear_lags,
+    "linear noisy": more.linear_noisy,
 }
-
-
-def off(model: Fitted, test: Dataset) -> float:
-    """Free-run error against the truth, per cent of its spread; started and skipped as in the verdict."""
-    gaps = []
-    for s in test.segments:
-        skip = start_window(max(model.n_init, 4), len(s), test.dt_s)
-        start = estimate_start(model, s.u[:skip], s.y[:skip])
-        gaps.append((model.simulate(s.u, start) - s.y)[skip:])
-    spread = np.concatenate([s.y for s in test.segments]).std()
-    return float(100 * np.sqrt(np.mean(np.concatenate(gaps) ** 2)) / spread)
 
 
 def main() -> None:
@@ -254,15 +193,15 @@ def main() -> None:
     options = parser.parse_args()
     for name in options.names or PLANTS:
         for seed in range(options.seeds):
-            experiment = PLANTS[name](np.random.default_rng(seed))
-            cells = [f"{name:10s} {seed} noise {100 * experiment.noise:5.2f}"]
-            estimators: list[tuple[str, Estimator]] = [("ARX", ARX()), ("TS", TS())]
+            plant = PLANTS[name](np.random.default_rng(seed))
+            cells = [f"{name:12s} {seed} noise {100 * plant.noise:5.2f}"]
+            estimators: list[tuple[str, Estimator]] = [("ARX", ARX()), ("SS", StateSpace()), ("TS", TS())]
             for title, estimator in estimators:
                 begin = time.process_time()
-                model = estimator.fit(experiment.train)
+                model = estimator.fit(plant.train)
                 seconds = time.process_time() - begin
                 cells.append(
-                    f"{title} {off(model, experiment.test):7.3f} ({len(model.rules())} rules, "
+                    f"{title} {off(model, plant.test):7.3f} ({len(model.rules())} rules, "
                     f"{model.n_parameters:3d} par, {seconds:5.1f} s)"
                 )
             print("  ".join(cells), flush=True)
