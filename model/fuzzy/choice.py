@@ -136,13 +136,14 @@ def blocks(errors: Sequence[FloatArray]) -> FloatArray:
 class Candidate:
     """A model and its validation block errors, simplest first in every list.
 
-    `linear`: the model of the linear side that this stage is, where nothing has moved it since.
+    `linear`: the model of the linear side that a stage of one rule comes from; `moved`: refined since.
     """
 
     stage: Stage
     errors: FloatArray
     stable: bool = True
     linear: LinearModel | None = None
+    moved: bool = True
 
     @property
     def mean(self) -> float:

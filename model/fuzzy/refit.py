@@ -10,7 +10,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.fuzzy.choice import Candidate, is_bounded
 from flysid.model.fuzzy.grow import Stage, best_started, first_basis, refine
-from flysid.model.fuzzy.integrator import holds_integrator
+from flysid.model.fuzzy.integrator import holds_integrator, rings_on
 from flysid.model.fuzzy.kernel import Parameters
 from flysid.model.fuzzy.layout import Layout
 from flysid.model.fuzzy.linear_side import as_stage
@@ -19,12 +19,12 @@ from flysid.model.fuzzy.problem import REACH, Body, Problem, antecedent_range, w
 
 def refit(chosen: Candidate, data: Dataset, runs: Sequence[FloatArray], iterations: int) -> Stage:
     """The chosen model on all data, by the method that found it: what was judged is what is offered."""
-    again = None if chosen.linear is None else chosen.linear.refitted(data)
+    again = None if chosen.linear is None or chosen.moved else chosen.linear.refitted(data)
     problem = chosen.stage.problem
     if again is None or again.orders != problem.layout.orders:
         return on_all_runs(chosen.stage, runs, iterations)
     stage = as_stage(again, replace(problem, runs=tuple(runs)))
-    return stage if is_bounded(stage) else chosen.stage
+    return stage if is_bounded(stage) and not _rings_newly(stage, chosen.stage) else chosen.stage
 
 
 def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int) -> Stage:
@@ -35,7 +35,11 @@ def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int) -> St
     change = np.array([a.minus >= 0 for a in stage.problem.layout.antecedents], dtype=bool)
     problem = replace(stage.problem, runs=tuple(runs), z_range=np.where(change, known, wider))
     found = refine(best_started(problem, stage.body), iterations, 1e-5)
-    return found if is_bounded(found) else stage
+    return found if is_bounded(found) and not _rings_newly(found, stage) else stage
+
+
+def _rings_newly(found: Stage, known: Stage) -> bool:
+    return rings_on(found) and not rings_on(known)
 
 
 def restated(layout: Layout, parameters: Parameters, runs: tuple[FloatArray, ...]) -> tuple[Problem, Body]:

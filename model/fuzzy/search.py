@@ -134,6 +134,7 @@ def cross_validated(
             shift=shift,
             scale=scale,
             integrates=models[at].stage.problem.integrates,
+            known=models[0].linear,
         )
         linear, _ = other.linear([orders])
         if linear[0].mean > _HOPELESS * max(models[0].mean, _EXACT):
@@ -141,7 +142,7 @@ def cross_validated(
         for known, model in zip(errors, search(other, linear, named), strict=False):
             known.append(model.errors)
     return [
-        Candidate(m.stage, np.concatenate(e), m.stable)
+        replace(m, errors=np.concatenate(e))
         for m, e in zip(models, errors, strict=True)
         if len(e) == len(errors[0])
     ]

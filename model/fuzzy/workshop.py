@@ -26,7 +26,7 @@ from flysid.model.fuzzy.problem import Problem, runs_of
 from flysid.model.fuzzy.stress import stress_run
 
 SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
-_ORDER_LOSS = 0.01
+_ORDER_GAIN, _ORDER_LOSS = 0.01, 0.05  # of the mean square: never, and at most, worth an order
 _LOOSE = 100.0  # ranges within which the search for a linear model may move
 _FAR = 10.0  # ranges that a plant which integrates may leave its training range by
 _STRESS = 1000  # steps of each kind of stress
@@ -63,6 +63,7 @@ class Workshop:
     Attributes
     ----------
     integrates : whether models keep a pole at one; None asks the data.
+    known : the linear side's model to start from; None lets it search.
     """
 
     settings: Settings
@@ -74,6 +75,7 @@ class Workshop:
     must_be_bounded: bool = True
     folds: tuple[tuple[Dataset, Dataset], ...] = ()
     integrates: bool | None = None
+    known: LinearModel | None = None
 
     def problem(self, orders: Orders) -> Problem:
         """The problem of a linear model of these orders.
@@ -126,9 +128,11 @@ class Workshop:
             loose += variants
         candidates += self._linear_side(len(choices))
         candidates.sort(key=lambda c: c.stage.body.size)
-        at = choose(candidates, least_gain=_ORDER_LOSS, most_loss=_ORDER_LOSS)
+        at = choose(candidates, least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS)
         orders = candidates[at].stage.problem.layout.orders
-        how = "as given" if len(choices) == 1 else "the simplest within 1 % of the best"
+        how = (
+            "as given" if len(choices) == 1 else "the simplest within one standard error of the best, and 5 %"
+        )
         note = f"Orders {orders}: {how} (validation free run of the linear model)."
         others = [c for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
         if self.settings.nk_hint:  # neighbours in order, not every order with and without the dead time
@@ -137,7 +141,12 @@ class Workshop:
 
     def _linear_side(self, choices: int) -> list[Candidate]:
         """What the linear side chooses by itself, with its delays, as it is and refined."""
-        if choices == 1 or not self.settings.refine:
+        if not self.settings.refine:
+            return []
+        if self.known is not None:
+            again = self.known.refitted(self.fit_part)
+            return [] if again is None else self._both(again)
+        if choices == 1:
             return []
         found = linear_models(self.fit_part, self.check_part, self.settings.nk_hint)
         return [
@@ -149,8 +158,8 @@ class Workshop:
         settled = self._settled(refine(rebased(plain), self.settings.iterations, 1e-6))
         kept = [] if any(s.problem.integrates for s in settled) else [self.judge(self.ready(rebased(plain)))]
         return [
-            *(replace(c, linear=model) for c in kept if np.isfinite(c.stage.cost)),
-            *(self.judge(self.ready(s)) for s in settled),
+            *(replace(c, linear=model, moved=False) for c in kept if np.isfinite(c.stage.cost)),
+            *(replace(self.judge(self.ready(s)), linear=model) for s in settled),
         ]
 
     def _settled(self, stage: Stage, known: Sequence[Stage] = ()) -> tuple[Stage, ...]:
