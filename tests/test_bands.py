@@ -36,6 +36,11 @@ def test_bands_of_linear_models_hold_the_truth(which: int) -> None:
     assert (np.abs(curve.response) < curve.band.high).all()
     inside = (curve.band.low < np.abs(truth)) & (np.abs(truth) < curve.band.high)
     assert inside.mean() > 0.8
+    known = intervals(model, TRAIN)
+    assert known is not None
+    low, high = known.gain[:, 0, 0, 0]
+    assert low < 1.0 < high  # the truth: 0.1 / (1 - 0.9)
+    assert high - low < 0.3
     segment = flown(TRUTH, [300], noise=0.0, seed=9).segments[0]
     band = free_run_band(model, segment, 20)
     assert band is not None

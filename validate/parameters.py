@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from flysid.model.fuzzy.model import FittedTS
     from flysid.model.fuzzy.uncertainty import Uncertainty
     from flysid.model.hidden.model import FittedTSStateSpace
+    from flysid.model.subspace.model import FittedStateSpace
 
 Z95 = 1.959963984540054
 
@@ -59,9 +60,12 @@ def intervals(model: Fitted, train: Dataset | None) -> Intervals | None:
     """What the structure offers: linear difference equations, and TS beside its training data."""
     from flysid.model.fuzzy.model import FittedTS
     from flysid.model.hidden.model import FittedTSStateSpace
+    from flysid.model.subspace.model import FittedStateSpace
 
     if isinstance(model, FittedLinear):
         return _linear(model)
+    if isinstance(model, FittedStateSpace):
+        return _state_space(model)
     if isinstance(model, FittedTS | FittedTSStateSpace) and train is not None:
         return _fuzzy(model, train)
     return None
@@ -87,6 +91,21 @@ def _fuzzy(model: FittedTS | FittedTSStateSpace, train: Dataset) -> Intervals | 
         for m, (name, value) in enumerate(zip(model.regressor_names, rule[i], strict=True))
     ]
     return Intervals(gain, slow, tuple(found), sure)
+
+
+def _state_space(model: FittedStateSpace) -> Intervals | None:
+    """Of a refined one; its matrices hang on the coordinates of the state, so no coefficient is listed."""
+    from flysid.model.subspace.bands import frequency_response
+
+    if not len(model.covariance):
+        return None
+    with np.errstate(all="ignore"):
+        try:
+            r = frequency_response(model, np.zeros(1))
+        except np.linalg.LinAlgError:  # it integrates
+            return None
+    gain, error = r.response[0].real, Z95 * r.magnitude_error[0]
+    return Intervals(np.stack([gain - error, gain + error])[:, None], None, ())
 
 
 def _linear(model: FittedLinear) -> Intervals | None:
