@@ -94,7 +94,7 @@ def create_data_folder(data: str | Path) -> Path:
     data = Path(data)
     if (data / DATA_FILE).is_file():
         return check_data_folder(data)
-    if data.is_file() or (data.is_dir() and any(p.name != ".lock" for p in data.iterdir())):
+    if data.is_file() or (data.is_dir() and not all(_is_own(p) for p in data.iterdir())):
         raise UsageError(
             "not an ingested folder, and not empty", path=data, hint="choose another folder with -o"
         )
@@ -103,6 +103,13 @@ def create_data_folder(data: str | Path) -> Path:
         document = f'{{"format": "{DATA_FORMAT}", "version": {VERSION}}}\n'
         write_atomically(data / DATA_FILE, document.encode())
     return data
+
+
+def _is_own(path: Path) -> bool:
+    """Whether an entry of a folder is what a writer leaves that is killed while it makes a data folder."""
+    if path.name == FLIGHTS:
+        return path.is_dir() and not any(path.iterdir())
+    return path.name == ".lock" or path.name.startswith(f".{DATA_FILE}.")
 
 
 @contextmanager

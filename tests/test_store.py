@@ -242,6 +242,14 @@ def test_names_that_are_not_there_get_the_nearest(data: Path) -> None:
     assert store.find_flight(data, "flight_7").id == flight.id
 
 
+def test_a_folder_that_a_killed_writer_began_is_finished(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    (data / "flights").mkdir(parents=True)
+    (data / ".flysid-data.json.4711").write_text("{")
+    assert store.create_data_folder(data) == data
+    assert (data / "flysid-data.json").is_file()
+
+
 def test_a_folder_with_other_things_is_not_taken_over(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(UsageError, match="not empty"):
