@@ -116,8 +116,9 @@ def _preamble(reader: _Reader, before: bytes) -> None:
         is_plain = (
             line.decode("utf-8", "replace").replace("\t", "").isprintable()
         )  # else not read as a header
-        is_short = line[:1] not in b"#%" and line.count(reader.layout.separator) < cells - 1
-        if line and (is_short or not is_plain):
+        extra = line.count(reader.layout.separator) - (cells - 1)
+        is_row = extra == 0 or (extra > 0 and b'"' in line)
+        if line and not (is_plain and (is_row or line[:1] in b"#%")):
             reader.tally.skip(at, at + len(raw), "a line above the table")
         at += len(raw)
 
