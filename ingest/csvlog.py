@@ -117,7 +117,8 @@ def _preamble(reader: _Reader, before: bytes) -> None:
             line.decode("utf-8", "replace").replace("\t", "").isprintable()
         )  # else not read as a header
         extra = line.count(reader.layout.separator) - (cells - 1)
-        is_row = extra == 0 or (extra > 0 and b'"' in line)
+        quotes = line.count(b'"')
+        is_row = quotes % 2 == 0 and (extra == 0 or (extra > 0 and quotes > 0))
         if line and not (is_plain and (is_row or line[:1] in b"#%")):
             reader.tally.skip(at, at + len(raw), "a line above the table")
         at += len(raw)

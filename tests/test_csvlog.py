@@ -174,8 +174,8 @@ def test_cell_by_cell_says_what_the_fast_way_says() -> None:
 
 @pytest.mark.parametrize(
     "damage",
-    [(48, b"\x02"), (79, b"\x08"), (59, b"\0\0"), (48, b"\xff")],
-    ids=["line end", "first row", "cells", "not UTF-8"],
+    [(48, b"\x02"), (79, b"\x08"), (59, b"\0\0"), (48, b"\xff"), (34, b'"')],
+    ids=["line end", "first row", "cells", "not UTF-8", "quote"],
 )
 def test_damage_above_the_second_row_is_counted(damage: tuple[int, bytes]) -> None:
     from tests.samplelogs import csv as sample
