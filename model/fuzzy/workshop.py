@@ -27,6 +27,7 @@ from flysid.model.fuzzy.stress import stress_run
 
 SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
 _ORDER_GAIN, _ORDER_LOSS = 0.01, 0.05  # of the mean square: never, and at most, worth an order
+_WORSE_FIT = 1.5  # of the training mean square: one good validation does not make up for it
 _LOOSE = 100.0  # ranges within which the search for a linear model may move
 _FAR = 10.0  # ranges that a plant which integrates may leave its training range by
 _STRESS = 1000  # steps of each kind of stress
@@ -127,7 +128,7 @@ class Workshop:
             candidates += [self.judge(self.ready(s)) for s in variants]
             loose += variants
         candidates += self._linear_side(len(choices))
-        candidates.sort(key=lambda c: c.stage.body.size)
+        candidates = plausible(sorted(candidates, key=lambda c: c.stage.body.size))
         at = choose(candidates, least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS)
         orders = candidates[at].stage.problem.layout.orders
         how = (
@@ -135,8 +136,6 @@ class Workshop:
         )
         note = f"Orders {orders}: {how} (validation free run of the linear model)."
         others = [c for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
-        if self.settings.nk_hint:  # neighbours in order, not every order with and without the dead time
-            others = [c for c in others if c.stage.problem.layout.orders.nk == orders.nk]
         return [candidates[at], *others], [note]
 
     def _linear_side(self, choices: int) -> list[Candidate]:
@@ -169,3 +168,21 @@ class Workshop:
             return (stage,)
         stages = with_integrator(stage, self.settings.iterations, known)
         return stages if self.integrates is None else stages[:1]
+
+
+def plausible(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates without ARX models one step ahead that fit the training part worse than no larger others.
+
+    Such a model was never asked to run free. It may do so well on one held-out manoeuvre by luck, and badly
+    everywhere else.
+    """
+    costs = [(c.stage.body.size, c.stage.cost) for c in candidates if c.stable]
+    return [c for c in candidates if not (_is_one_step(c) and c.stage.cost > _WORSE_FIT * _least(costs, c))]
+
+
+def _is_one_step(candidate: Candidate) -> bool:
+    return candidate.linear is not None and candidate.linear.name == "ARX" and not candidate.moved
+
+
+def _least(costs: Sequence[tuple[int, float]], candidate: Candidate) -> float:
+    return min((cost for size, cost in costs if size <= candidate.stage.body.size), default=np.inf)

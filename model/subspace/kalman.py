@@ -33,24 +33,35 @@ def start_gains(system: Realisation, most: int) -> tuple[FloatArray, FloatArray]
     spread : (most + 1,) root mean square error of the free run over the next `LOOK` samples for want of the
         right state, in standard deviations of the innovation; the largest over the outputs.
     """
+    gains, roots = _recursion(system, most)
+    seen = _observed(system)
+    size = np.sqrt(np.sum(_noise_root(system) ** 2, axis=1))
+    spread = [np.max(np.sqrt(np.mean((seen @ r) ** 2, axis=0).sum(axis=-1)) / size) for r in roots]
+    return gains, np.array(spread + [spread[-1]] * (most + 1 - len(spread)), dtype=np.float64)
+
+
+def gains_of(system: Realisation, most: int) -> FloatArray:
+    """(most, n, n_y) gains of the first samples alone."""
+    return _recursion(system, most)[0]
+
+
+def _recursion(system: Realisation, most: int) -> tuple[FloatArray, list[FloatArray]]:
+    """Gains, and the roots of the state's covariance before every sample until the filter is stationary."""
     noise = _noise_root(system)
     n_y, n = system.c.shape
-    root, process = _half(system.state), system.k @ noise
-    gains, spread = np.zeros((most, n, n_y)), np.zeros(most + 1)
-    seen = _observed(system)
-    size = np.sqrt(np.sum(noise**2, axis=1))
-    for step in range(most + 1):
-        spread[step] = float(np.max(np.sqrt(np.mean((seen @ root) ** 2, axis=0).sum(axis=-1)) / size))
-        if step == most:
-            break
-        array = np.block([[noise, system.c @ root], [process, system.a @ root]])
-        lower = np.asarray(np.linalg.qr(array.T, mode="r")).T
+    gains, roots = np.zeros((most, n, n_y)), [_half(system.state)]
+    array = np.empty((n_y + n, n_y + n))  # transposed
+    array[:n_y, :n_y], array[:n_y, n_y:] = noise.T, (system.k @ noise).T
+    both = np.vstack([system.c, system.a])
+    for step in range(most):
+        array[n_y:] = (both @ roots[-1]).T
+        lower = np.asarray(np.linalg.qr(array, mode="r")).T
         gains[step] = np.linalg.solve(lower[:n_y, :n_y].T, lower[n_y:, :n_y].T).T
         if step and _is_still(gains[step], gains[step - 1]):
-            gains[step:], spread[step:] = gains[step], spread[step]
+            gains[step:] = gains[step]
             break
-        root = lower[n_y:, n_y:]
-    return gains, spread
+        roots.append(lower[n_y:, n_y:])
+    return gains, roots
 
 
 def _is_still(gain: FloatArray, before: FloatArray) -> bool:

@@ -15,7 +15,7 @@ from flysid.model.linear.start import START_SHARE
 from flysid.model.selection import block_errors, judging_window, simplest
 from flysid.model.start import WINDOW_LAGS, WINDOW_S
 from flysid.model.stream import Source
-from flysid.model.subspace.kalman import start_gains
+from flysid.model.subspace.kalman import gains_of, start_gains
 from flysid.model.subspace.model import FittedStateSpace
 from flysid.model.subspace.triangle import (
     Columns,
@@ -185,9 +185,11 @@ def built(
     """The model of a realisation in scaled deviations; its start long enough to know the state."""
     train = parts.train
     n, n_y, n_u = realisation.order, len(train.outputs), len(train.inputs)
-    most = n_init or most_init(parts, n)
-    gains, spread = start_gains(realisation, most)
-    rows = n_init or enough(spread, n)
+    if n_init:
+        gains, rows = gains_of(realisation, n_init), n_init
+    else:
+        gains, spread = start_gains(realisation, most_init(parts, n))
+        rows = enough(spread, n)
     physical = realisation.in_units(parts.scaling)
     return FittedStateSpace(
         dt_s=train.dt_s,
