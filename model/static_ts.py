@@ -22,7 +22,8 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.arguments import as_columns
-from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, Structure, write_document
+from flysid.model.base import Rule, Structure, write_document
+from flysid.model.documents import head_of, signals_of
 from flysid.model.fuzzy.cluster import MOST_SAMPLES, Method, cluster, project
 from flysid.model.fuzzy.consequents import least_squares, weighted
 from flysid.model.fuzzy.memberships import Conjunction, Partition, Shape
@@ -199,12 +200,7 @@ class FittedStaticTS:
     def to_dict(self) -> dict[str, Any]:
         """Everything needed to rebuild the model, as JSON types only."""
         return {
-            "format": MODEL_FORMAT,
-            "version": MODEL_VERSION,
-            "structure": self.structure,
-            "dt_s": self.dt_s,
-            "inputs": [[s.name, s.unit, s.resolution] for s in self.inputs],
-            "outputs": [[s.name, s.unit, s.resolution] for s in self.outputs],
+            **head_of(self),
             "partition": self.partition.to_dict(),
             "consequents": self.consequents.tolist(),
             "support": self.support.tolist(),
@@ -279,8 +275,8 @@ def _support(partition: Partition, data: Source) -> FloatArray:
 def _from_dict(document: Mapping[str, Any]) -> FittedStaticTS:
     return FittedStaticTS(
         dt_s=float(document["dt_s"]),
-        inputs=tuple(Signal(*s) for s in document["inputs"]),
-        outputs=tuple(Signal(*s) for s in document["outputs"]),
+        inputs=signals_of(document, "inputs"),
+        outputs=signals_of(document, "outputs"),
         partition=Partition.from_dict(document["partition"]),
         consequents=np.array(document["consequents"], dtype=np.float64),
         support=np.array(document["support"], dtype=np.float64),

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
+from flysid.model.base import Rule
+from flysid.model.fuzzy.memberships import Partition
 from flysid.model.fuzzy.model import FittedTS
 from flysid.model.fuzzy.words import number
 
@@ -63,6 +66,18 @@ class Explanation:
         return "\n".join(lines)
 
 
+class Explained(Protocol):
+    """A model of rules, as far as it is explained alike over lags and over states."""
+
+    @property
+    def n_init(self) -> int: ...
+    @property
+    def antecedents(self) -> tuple[str, ...]: ...
+    @property
+    def partition(self) -> Partition: ...
+    def rules(self) -> tuple[Rule, ...]: ...
+
+
 def explain(model: FittedTS, u: FloatArray, y: FloatArray, row: int) -> Explanation:
     """Take the one-step prediction of sample `row` of measured data apart.
 
@@ -71,30 +86,46 @@ def explain(model: FittedTS, u: FloatArray, y: FloatArray, row: int) -> Explanat
     UsageError : the row has no full history, or is not there.
     """
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
-    if not model.n_init <= row < len(y):
-        raise UsageError(
-            f"sample {row} cannot be explained", hint=f"choose one from {model.n_init} to {len(y) - 1}"
-        )
+    refuse_row(model, row, len(y))
     begin = row - model.n_init
     part_u, part_y = u[begin : row + 1], y[begin : row + 1]
     shares = model.firing(part_u, part_y)[-1]
     alone = model.rule_outputs(part_u, part_y)[-1]
     z = antecedent_values(model, part_u, part_y)[-1]
+    return taken_apart(model, row, z, (shares, alone), model.one_step(part_u, part_y)[-1])
+
+
+def refuse_row(model: Explained, row: int, samples: int) -> None:
+    """Raises UsageError where a row of so many samples has no full history, or is not there."""
+    if not model.n_init <= row < samples:
+        raise UsageError(
+            f"sample {row} cannot be explained", hint=f"choose one from {model.n_init} to {samples - 1}"
+        )
+
+
+def taken_apart(
+    model: Explained, row: int, z: FloatArray, said: tuple[FloatArray, FloatArray], output: FloatArray
+) -> Explanation:
+    """One step in words and numbers.
+
+    Parameters
+    ----------
+    z : (n_z,) antecedents, physical units.
+    said : (R,) firing strengths, and (R, n_y) what every rule concludes alone.
+    output : (n_y,) the prediction.
+    """
+    shares, alone = said
     rules = model.rules()
-    voices = [
-        Voice(rules[r].label, rules[r].condition, float(shares[r]), tuple(float(v) for v in alone[r]))
-        for r in np.argsort(-shares, kind="stable")
-    ]
     low, high = model.partition.low, model.partition.high
-    far = tuple(
-        name for name, v, a, b in zip(model.antecedents, z, low, high, strict=True) if not a <= v <= b
-    )
     return Explanation(
         row,
         {name: float(v) for name, v in zip(model.antecedents, z, strict=True)},
-        far,
-        tuple(voices),
-        tuple(float(v) for v in model.one_step(part_u, part_y)[-1]),
+        tuple(n for n, v, a, b in zip(model.antecedents, z, low, high, strict=True) if not a <= v <= b),
+        tuple(
+            Voice(rules[r].label, rules[r].condition, float(shares[r]), tuple(float(v) for v in alone[r]))
+            for r in np.argsort(-shares, kind="stable")
+        ),
+        tuple(float(v) for v in output),
     )
 
 

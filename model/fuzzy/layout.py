@@ -63,6 +63,32 @@ class Orders:
         return f"na = {self.na}, nb = {list(self.nb)}, nk = {list(self.nk)}"
 
 
+def regressor_names(regressors: Sequence[tuple[int, int]], signals: Sequence[Signal]) -> tuple[str, ...]:
+    """What people call regressors (column of `signals`, lag); "1" for the constant."""
+    return tuple("1" if c < 0 else at(signals[c].name, lag) for c, lag in regressors)
+
+
+def lags_of(regressors: Sequence[tuple[int, int]], antecedents: Sequence[Antecedent]) -> Lags:
+    """Regressors and antecedents as the compiled kernels take them."""
+    columns, delays = zip(*regressors, strict=True)
+    return Lags(
+        np.array(columns, dtype=np.int64),
+        np.array(delays, dtype=np.int64),
+        np.array([a.column for a in antecedents], dtype=np.int64),
+        np.array([a.lag for a in antecedents], dtype=np.int64),
+        np.array([a.minus for a in antecedents], dtype=np.int64),
+    )
+
+
+def antecedent_values(antecedents: Sequence[Antecedent], W: FloatArray, depth: int) -> FloatArray:
+    """(N - depth, n_z) antecedents along W (N, signals), from row `depth` on."""
+    n, columns = len(W), []
+    for a in antecedents:
+        z = W[depth - a.lag : n - a.lag, a.column]
+        columns.append(z if a.minus < 0 else z - W[depth - a.minus : n - a.minus, a.column])
+    return np.stack(columns, axis=1) if columns else np.empty((max(n - depth, 0), 0))
+
+
 @dataclass(frozen=True, eq=False)
 class Layout:
     """Signals, orders, antecedents and scaling of one TS model.
@@ -105,18 +131,15 @@ class Layout:
             past += [(self.n_y + j, lag) for lag in range(nk, nk + nb)]
         return [*past, (-1, 0)]
 
+    @property
+    def regressor_names(self) -> tuple[str, ...]:
+        """What the consequents multiply; the last is the constant 1."""
+        return regressor_names(self.regressors, self.signals)
+
     @cached_property
     def lags(self) -> Lags:
         """The layout as the compiled kernels take it."""
-        columns, delays = zip(*self.regressors, strict=True)
-        z = self.antecedents
-        return Lags(
-            np.array(columns, dtype=np.int64),
-            np.array(delays, dtype=np.int64),
-            np.array([a.column for a in z], dtype=np.int64),
-            np.array([a.lag for a in z], dtype=np.int64),
-            np.array([a.minus for a in z], dtype=np.int64),
-        )
+        return lags_of(self.regressors, self.antecedents)
 
     def stack(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """W (N, n_y + n_u) of the kernels, normalised; always a new array."""
@@ -132,12 +155,7 @@ class Layout:
 
     def antecedent_values(self, W: FloatArray) -> FloatArray:
         """(N - depth, n_z) antecedent variables of normalised W."""
-        d, n = self.depth, len(W)
-        columns = []
-        for a in self.antecedents:
-            z = W[d - a.lag : n - a.lag, a.column]
-            columns.append(z if a.minus < 0 else z - W[d - a.minus : n - a.minus, a.column])
-        return np.stack(columns, axis=1) if columns else np.empty((n - d, 0))
+        return antecedent_values(self.antecedents, W, self.depth)
 
     def antecedent_scaling(self) -> tuple[FloatArray, FloatArray]:
         """Shift and scale (n_z,) that turn normalised antecedents into physical ones."""

@@ -9,22 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flysid.dataset import FloatArray, Signal
+from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.arguments import as_columns
-from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
+from flysid.model.base import Rule
+from flysid.model.documents import array_or_none, head_of, signals_of, with_null
 from flysid.model.fuzzy.check import check
 from flysid.model.fuzzy.choice import estimated_initial
 from flysid.model.fuzzy.kernel import Parameters, firing, free_run, predict
 from flysid.model.fuzzy.layout import Antecedent, Layout, Orders, at
-from flysid.model.fuzzy.memberships import Partition
-from flysid.model.fuzzy.physical import physical_consequents, physical_partition
+from flysid.model.fuzzy.ruled import Ruled
 from flysid.model.fuzzy.words import condition_in_words, equation, in_words
 from flysid.model.noise import output_error_ahead
 from flysid.model.start import estimate_start, full_window
@@ -35,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class FittedTS:
+class FittedTS(Ruled):
     """A dynamic TS model; see the laws in flysid.model.base.
 
     Attributes
@@ -61,36 +59,15 @@ class FittedTS:
     structure = "ts"
 
     @property
-    def inputs(self) -> tuple[Signal, ...]:
-        """Input signals."""
-        return self.layout.inputs
-
-    @property
-    def outputs(self) -> tuple[Signal, ...]:
-        """Output signals."""
-        return self.layout.outputs
-
-    @property
     def n_init(self) -> int:
         """Measured samples that start a simulation."""
         return self.layout.depth
-
-    @property
-    def n_parameters(self) -> int:
-        """Consequents, and centres and widths where there are several rules."""
-        p = self.parameters
-        return int(p.theta.size + (2 * p.centre.size if len(p.theta) > 1 else 0))
 
     @property
     def output_limits(self) -> FloatArray:
         """(2, n_y) range of the training outputs, widened by itself on each side."""
         n = self.layout.n_y
         return np.asarray(self.parameters.limits * self.layout.scale[:n] + self.layout.shift[:n])
-
-    @property
-    def antecedents(self) -> tuple[str, ...]:
-        """Names of the antecedent variables."""
-        return tuple(a.name(self.layout.signals) for a in self.layout.antecedents)
 
     def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
         """(N, n_y) predictions from outputs at least k steps old; the first n_init + k - 1 rows are NaN.
@@ -150,44 +127,13 @@ class FittedTS:
         """(N, R, n_y) what every rule concludes along measured data; NaN in the first n_init rows."""
         W, d, n_y = self._stack(u, y), self.n_init, self.layout.n_y
         result = np.full((len(W), len(self.parameters.theta), n_y), np.nan)
-        X = [np.ones(max(0, len(W) - d)) if c < 0 else W[d - lag : len(W) - lag, c] for c, lag in self._terms]
+        X = [
+            np.ones(max(0, len(W) - d)) if c < 0 else W[d - lag : len(W) - lag, c]
+            for c, lag in self.layout.regressors
+        ]
         part = np.einsum("rim,mn->nri", self.parameters.theta, np.stack(X))
         result[d:] = part * self.layout.scale[:n_y] + self.layout.shift[:n_y]
         return result
-
-    def memberships(self, variable: int, x: FloatArray) -> FloatArray:
-        """(len(x), R) grade of membership of values x of one antecedent (physical units)."""
-        return self.partition.grades(variable, x)
-
-    @cached_property
-    def partition(self) -> Partition:
-        """Memberships in physical units."""
-        return physical_partition(self.layout, self.parameters)
-
-    @property
-    def centres(self) -> FloatArray:
-        """(R, n_z) centres of the memberships, physical units."""
-        return self.partition.centre
-
-    @property
-    def widths(self) -> FloatArray:
-        """(R, n_z) widths of the memberships, physical units."""
-        return self.partition.left
-
-    @cached_property
-    def consequents(self) -> FloatArray:
-        """(R, n_y, n_x) consequents in physical units, in the order of `regressor_names`."""
-        return physical_consequents(self.layout, self.parameters)
-
-    @property
-    def regressor_names(self) -> tuple[str, ...]:
-        """What the consequents multiply; the last is the constant 1."""
-        names = [s.name for s in self.layout.signals]
-        return tuple("1" if c < 0 else at(names[c], lag) for c, lag in self._terms)
-
-    @property
-    def _terms(self) -> list[tuple[int, int]]:
-        return self.layout.regressors
 
     def local_polynomials(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
         """Per rule (A, B, c): y(k) = sum_j A[j-1] y(k-j) + sum_j B[j] u(k-j) + c, physical units.
@@ -195,12 +141,12 @@ class FittedTS:
         A is (na, n_y, n_y), B is (largest input lag + 1, n_y, n_u), c is (n_y,).
         """
         n_y, n_u = self.layout.n_y, len(self.inputs)
-        deepest = max([0, *(lag for c, lag in self._terms if c >= n_y)])
+        deepest = max([0, *(lag for c, lag in self.layout.regressors if c >= n_y)])
         result = []
         for theta in self.consequents:
             A = np.zeros((self.layout.orders.na, n_y, n_y))
             B = np.zeros((deepest + 1, n_y, n_u))
-            for m, (c, lag) in enumerate(self._terms[:-1]):
+            for m, (c, lag) in enumerate(self.layout.regressors[:-1]):
                 if c < n_y:
                     A[lag - 1, :, c] = theta[:, m]
                 else:
@@ -246,12 +192,7 @@ class FittedTS:
         """Everything needed to rebuild the model, as JSON types only."""
         layout, p = self.layout, self.parameters
         return {
-            "format": MODEL_FORMAT,
-            "version": MODEL_VERSION,
-            "structure": self.structure,
-            "dt_s": self.dt_s,
-            "inputs": [[s.name, s.unit, s.resolution] for s in layout.inputs],
-            "outputs": [[s.name, s.unit, s.resolution] for s in layout.outputs],
+            **head_of(self),
             "na": layout.orders.na,
             "nb": list(layout.orders.nb),
             "nk": list(layout.orders.nk),
@@ -288,10 +229,6 @@ class FittedTS:
         values = values_at([s.name for s in self.layout.signals], self.layout.shift, at)
         n_y = self.layout.n_y
         return linearise(self, values[n_y:], values[:n_y])
-
-    def save(self, path: str | Path) -> None:
-        """Write the model as JSON, whole or not at all."""
-        write_document(self.to_dict(), path)
 
 
 def values_at(names: Sequence[str], means: FloatArray, at: Mapping[str, float]) -> FloatArray:
@@ -336,8 +273,8 @@ def from_dict(document: Mapping[str, Any]) -> FittedTS:
     numbers["width"] = numbers["width"].reshape(rules, n_z)
     numbers["z_range"] = numbers["z_range"].reshape(2, n_z)
     layout = Layout(
-        outputs=tuple(Signal(*s) for s in document["outputs"]),
-        inputs=tuple(Signal(*s) for s in document["inputs"]),
+        outputs=signals_of(document, "outputs"),
+        inputs=signals_of(document, "inputs"),
         orders=Orders(int(document["na"]), tuple(document["nb"]), tuple(document["nk"])),
         antecedents=tuple(Antecedent(*a) for a in document["antecedents"]),
         shift=np.array(document["shift"], dtype=np.float64),
@@ -355,12 +292,3 @@ def from_dict(document: Mapping[str, Any]) -> FittedTS:
     )
     check(layout, model.parameters, model.noise)
     return model
-
-
-def with_null(array: FloatArray) -> list[Any]:
-    """The array as JSON types, null for NaN."""
-    return list(np.where(np.isnan(array), None, array).tolist())  # type: ignore[call-overload]
-
-
-def array_or_none(value: Any) -> FloatArray | None:
-    return None if value is None else np.array(value, dtype=np.float64)

@@ -19,7 +19,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Segment, Signal
 from flysid.model.fuzzy.kernel import Lags
-from flysid.model.fuzzy.layout import Antecedent, at
+from flysid.model.fuzzy.layout import Antecedent, antecedent_values, lags_of, regressor_names
 
 HIDDEN = "hidden"
 
@@ -76,21 +76,12 @@ class StateLayout:
     @property
     def regressor_names(self) -> tuple[str, ...]:
         """What the consequents multiply; the last is the constant 1."""
-        names = [s.name for s in self.signals]
-        return tuple("1" if c < 0 else at(names[c], lag) for c, lag in self.regressors)
+        return regressor_names(self.regressors, self.signals)
 
     @cached_property
     def lags(self) -> Lags:
         """The layout as the compiled kernels take it."""
-        columns, delays = zip(*self.regressors, strict=True)
-        z = self.antecedents
-        return Lags(
-            np.array(columns, dtype=np.int64),
-            np.array(delays, dtype=np.int64),
-            np.array([a.column for a in z], dtype=np.int64),
-            np.array([a.lag for a in z], dtype=np.int64),
-            np.full(len(z), -1, dtype=np.int64),
-        )
+        return lags_of(self.regressors, self.antecedents)
 
     def stack(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """W (N, n + n_u) of the kernels, normalised; hidden states, and outputs not given, are zero."""
@@ -106,9 +97,7 @@ class StateLayout:
 
     def antecedent_values(self, W: FloatArray) -> FloatArray:
         """(N - depth, n_z) antecedent variables of normalised W."""
-        d, n = self.depth, len(W)
-        columns = [W[d - a.lag : n - a.lag, a.column] for a in self.antecedents]
-        return np.stack(columns, axis=1) if columns else np.empty((max(n - d, 0), 0))
+        return antecedent_values(self.antecedents, W, self.depth)
 
     def antecedent_scaling(self) -> tuple[FloatArray, FloatArray]:
         """Shift and scale (n_z,) that turn normalised antecedents into physical ones."""

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flysid.dataset import FloatArray, Signal
+from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.arguments import as_columns
-from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
+from flysid.model.base import Rule
+from flysid.model.documents import array_or_none, head_of, signals_of, with_null
 from flysid.model.fuzzy.check import check_states
 from flysid.model.fuzzy.kernel import Parameters, firing
 from flysid.model.fuzzy.layout import Antecedent, at
-from flysid.model.fuzzy.memberships import Partition
-from flysid.model.fuzzy.model import array_or_none, values_at, with_null
-from flysid.model.fuzzy.physical import physical_consequents, physical_partition
+from flysid.model.fuzzy.model import time_constant, values_at
+from flysid.model.fuzzy.ruled import Ruled
 from flysid.model.fuzzy.words import condition_in_words, equation, in_words
 from flysid.model.hidden.layout import StateLayout
 from flysid.model.hidden.start import Prior, initial_states, simulated
@@ -34,7 +32,7 @@ _REST = 20  # rows of zeros that put a model to rest
 
 
 @dataclass(frozen=True, eq=False)
-class FittedTSStateSpace:
+class FittedTSStateSpace(Ruled):
     """A TS state-space model; see the laws in flysid.model.base.
 
     Attributes
@@ -61,32 +59,6 @@ class FittedTSStateSpace:
     gain_interval: FloatArray | None = None
 
     structure = "ts_ss"
-
-    @property
-    def inputs(self) -> tuple[Signal, ...]:
-        """Input signals."""
-        return self.layout.inputs
-
-    @property
-    def outputs(self) -> tuple[Signal, ...]:
-        """Output signals."""
-        return self.layout.outputs
-
-    @property
-    def n_parameters(self) -> int:
-        """Consequents, and centres and widths where there are several rules."""
-        p = self.parameters
-        return int(p.theta.size + (2 * p.centre.size if len(p.theta) > 1 else 0))
-
-    @property
-    def antecedents(self) -> tuple[str, ...]:
-        """Names of the antecedent variables."""
-        return tuple(a.name(self.layout.signals) for a in self.layout.antecedents)
-
-    @property
-    def regressor_names(self) -> tuple[str, ...]:
-        """What the consequents multiply; the last is the constant 1."""
-        return self.layout.regressor_names
 
     # -- the laws ----------------------------------------------------------------------------------------
 
@@ -148,30 +120,6 @@ class FittedTSStateSpace:
 
     # -- what the rules say ------------------------------------------------------------------------------
 
-    def memberships(self, variable: int, x: FloatArray) -> FloatArray:
-        """(len(x), R) grade of membership of values x of one antecedent (physical units)."""
-        return self.partition.grades(variable, x)
-
-    @cached_property
-    def partition(self) -> Partition:
-        """Memberships in physical units."""
-        return physical_partition(self.layout, self.parameters)
-
-    @property
-    def centres(self) -> FloatArray:
-        """(R, n_z) centres of the memberships, physical units."""
-        return self.partition.centre
-
-    @property
-    def widths(self) -> FloatArray:
-        """(R, n_z) widths of the memberships, physical units."""
-        return self.partition.left
-
-    @cached_property
-    def consequents(self) -> FloatArray:
-        """(R, n, n_x) consequents in physical units, in the order of `layout.regressor_names`."""
-        return physical_consequents(self.layout, self.parameters)
-
     def local_poles(self) -> tuple[FloatArray, ...]:
         """Poles of every rule by itself, slowest first (complex where they oscillate)."""
         n = self.layout.n
@@ -215,12 +163,13 @@ class FittedTSStateSpace:
                 gain[:, column - n] += theta[:, m]
         singular = np.linalg.cond(left) > 1e12
         steady = np.full((n_y, gain.shape[1]), np.nan) if singular else np.linalg.solve(left, gain)[:n_y]
-        slow = np.inf if radius >= 1.0 - 1e-9 else (-self.dt_s / np.log(radius) if radius > 0 else 0.0)
         units = [layout.signals[a.column].unit for a in layout.antecedents]
         condition = condition_in_words(self.partition, r, self.antecedents, units)
         support, interval = float(self.support[r]), self.gain_interval
         known = None if interval is None else interval[:, r]
-        return Rule(f"R{r + 1}", condition, text, steady, float(slow), radius, support, known)
+        return Rule(
+            f"R{r + 1}", condition, text, steady, time_constant(radius, self.dt_s), radius, support, known
+        )
 
     def __str__(self) -> str:
         """The rules and how they were chosen, in words."""
@@ -261,12 +210,7 @@ class FittedTSStateSpace:
         """Everything needed to rebuild the model, as JSON types only."""
         layout = self.layout
         return {
-            "format": MODEL_FORMAT,
-            "version": MODEL_VERSION,
-            "structure": self.structure,
-            "dt_s": self.dt_s,
-            "inputs": [[s.name, s.unit, s.resolution] for s in layout.inputs],
-            "outputs": [[s.name, s.unit, s.resolution] for s in layout.outputs],
+            **head_of(self),
             "hidden": layout.hidden,
             "input_lags": [list(lags) for lags in layout.input_lags],
             "antecedents": [[a.column, a.lag] for a in layout.antecedents],
@@ -285,10 +229,6 @@ class FittedTSStateSpace:
             "gain_interval": None if self.gain_interval is None else with_null(self.gain_interval),
             "notes": list(self.notes),
         }
-
-    def save(self, path: str | Path) -> None:
-        """Write the model as JSON, whole or not at all."""
-        write_document(self.to_dict(), path)
 
     def started(self, u: FloatArray, y0: FloatArray | None) -> FloatArray:
         """W that a run computes: rows of zeros before the inputs where it starts from rest."""
@@ -333,8 +273,8 @@ def from_dict(document: Mapping[str, Any]) -> FittedTSStateSpace:
     for name, shape in (("centre", (rules, n_z)), ("width", (rules, n_z)), ("z_range", (2, n_z))):
         numbers[name] = numbers[name].reshape(shape)
     layout = StateLayout(
-        outputs=tuple(Signal(*s) for s in document["outputs"]),
-        inputs=tuple(Signal(*s) for s in document["inputs"]),
+        outputs=signals_of(document, "outputs"),
+        inputs=signals_of(document, "inputs"),
         hidden=int(document["hidden"]),
         input_lags=tuple(tuple(int(lag) for lag in lags) for lags in document["input_lags"]),
         antecedents=tuple(Antecedent(int(c), int(lag)) for c, lag in document["antecedents"]),

@@ -19,9 +19,11 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
-from flysid.model.arguments import as_columns, as_record
-from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
+from flysid.model.arguments import as_columns
+from flysid.model.base import Rule, write_document
+from flysid.model.documents import array_of, head_of, signals_of, with_null
 from flysid.model.freerun import Difference, saturated
+from flysid.model.linear.laws import always, is_stable, predicted
 from flysid.model.linear.text import conclusion, describe
 from flysid.model.noise import k_step_ahead
 from flysid.model.polynomials import ComplexArray
@@ -113,28 +115,11 @@ class FittedLinear:
         ------
         UsageError : shapes do not fit, or k < 1.
         """
-        u, y = as_record(self, u, y, k)
-        first = self.n_init + k - 1
-        out = np.full(y.shape, np.nan)
-        if len(y) <= first:
-            return out
-        if self.noise is None:
-            drive = self.system.drive(u - self.u_origin)
-            e = self._innovations(self.system.a, y - self.y_origin, drive)
-            ahead = k_step_ahead(self.system.a, y - self.y_origin, drive, k, self.ma, e) + self.y_origin
-        else:
-            free = self.simulate(u, y[: self.n_init])
-            coloured = np.stack([np.diag(row) for row in self.noise])
-            e = self._innovations(coloured, y - free, np.zeros_like(y))
-            ahead = free + k_step_ahead(coloured, y - free, np.zeros_like(y), k, self.ma, e)
-        out[first:] = ahead[first:]
-        return out
+        return predicted(self, u, y, k, self._ahead)
 
     def rules(self) -> tuple[Rule, ...]:
         """One rule that always holds."""
-        radius = float(np.abs(self.poles).max(initial=0.0))
-        slow = -self.dt_s / np.log(radius) if 0 < radius < 1 else (0.0 if radius == 0 else np.inf)
-        return (Rule("R1", "always", conclusion(self), self.dc_gain, float(slow), radius, 1.0),)
+        return always(self, conclusion(self))
 
     def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:  # noqa: ARG002
         """(N, 1) ones: the single rule always fires."""
@@ -157,7 +142,7 @@ class FittedLinear:
     @property
     def is_stable(self) -> bool:
         """Every pole lies inside the unit circle."""
-        return bool(np.abs(self.poles).max(initial=0.0) < 1.0)
+        return is_stable(self)
 
     @cached_property
     def dc_gain(self) -> FloatArray:
@@ -175,12 +160,7 @@ class FittedLinear:
 
     def to_dict(self) -> dict[str, Any]:
         return {
-            "format": MODEL_FORMAT,
-            "version": MODEL_VERSION,
-            "structure": self.structure,
-            "dt_s": self.dt_s,
-            "inputs": [[s.name, s.unit, s.resolution] for s in self.inputs],
-            "outputs": [[s.name, s.unit, s.resolution] for s in self.outputs],
+            **head_of(self),
             "n_init": self.n_init,
             "output_limits": self.output_limits.tolist(),
             "a": self.system.a.tolist(),
@@ -193,7 +173,7 @@ class FittedLinear:
             "ma": None if self.ma is None else self.ma.tolist(),
             "noise_parameters": self.noise_parameters,
             "free": list(self.free),
-            "covariance": _without_nan(self.covariance),
+            "covariance": with_null(self.covariance),
             "notes": list(self.notes),
             "scores": {k: float(v) for k, v in self.scores.items() if np.isfinite(v)},
         }
@@ -203,6 +183,16 @@ class FittedLinear:
         write_document(self.to_dict(), path)
 
     # -- parts -------------------------------------------------------------------------------------------
+
+    def _ahead(self, u: FloatArray, y: FloatArray, k: int) -> FloatArray:
+        if self.noise is None:
+            drive = self.system.drive(u - self.u_origin)
+            e = self._innovations(self.system.a, y - self.y_origin, drive)
+            return k_step_ahead(self.system.a, y - self.y_origin, drive, k, self.ma, e) + self.y_origin
+        free = self.simulate(u, y[: self.n_init])
+        coloured = np.stack([np.diag(row) for row in self.noise])
+        e = self._innovations(coloured, y - free, np.zeros_like(y))
+        return free + k_step_ahead(coloured, y - free, np.zeros_like(y), k, self.ma, e)
 
     def _innovations(self, a: FloatArray, y: FloatArray, drive: FloatArray) -> FloatArray | None:
         """(N, n_y) e of A y = drive + C e, zero in the first n_init rows; None where C = 1."""
@@ -235,27 +225,19 @@ class FittedLinear:
         return system.respond(drive, state)[n:]
 
 
-def _without_nan(matrix: FloatArray) -> list[list[float | None]]:
-    """Rows for JSON, which knows no NaN: null stands for it (and reads back as NaN)."""
-    return [[float(x) if np.isfinite(x) else None for x in row] for row in matrix]
-
-
 def from_dict(document: Mapping[str, Any]) -> FittedLinear:
     """Rebuild a model from `to_dict()`; damage raises KeyError, TypeError or ValueError (see `base.load`)."""
 
-    def array(key: str, ndim: int) -> FloatArray:
-        values = np.asarray(document[key], dtype=np.float64)
-        if values.ndim != ndim or not np.isfinite(values).all():
-            raise ValueError(f"{key} is not a finite array of {ndim} dimensions")
-        return values
+    outputs, inputs = signals_of(document, "outputs"), signals_of(document, "inputs")
+    n_y, n_u = len(outputs), len(inputs)
 
-    def signals(key: str) -> tuple[Signal, ...]:
-        return tuple(Signal(str(n), str(unit), float(r)) for n, unit, r in document[key])
+    def array(key: str, *shape: int) -> FloatArray:
+        return array_of(document, key, *shape)
 
-    system = Difference(array("a", 3), array("b", 3), array("c", 1))
-    outputs, inputs = signals("outputs"), signals("inputs")
-    if system.a.shape[1:] != (len(outputs),) * 2 or system.b.shape[1:] != (len(outputs), len(inputs)):
-        raise ValueError("the polynomials do not fit the signals")
+    def optional(key: str, *shape: int) -> FloatArray | None:
+        return None if document.get(key) is None else array(key, *shape)
+
+    system = Difference(array("a", -1, n_y, n_y), array("b", -1, n_y, n_u), array("c", n_y))
     free = tuple(int(i) for i in document["free"])
     covariance = np.asarray(document["covariance"], dtype=np.float64).reshape(len(free), len(free))
     return FittedLinear(
@@ -264,16 +246,16 @@ def from_dict(document: Mapping[str, Any]) -> FittedLinear:
         inputs=inputs,
         outputs=outputs,
         n_init=int(document["n_init"]),
-        output_limits=array("output_limits", 2),
+        output_limits=array("output_limits", 2, n_y),
         system=system,
-        u_origin=array("u_origin", 1),
-        y_origin=array("y_origin", 1),
-        noise=None if document["noise"] is None else array("noise", 2),
-        starts=None if document["starts"] is None else array("starts", 3),
+        u_origin=array("u_origin", n_u),
+        y_origin=array("y_origin", n_y),
+        noise=optional("noise", -1, n_y),
+        starts=optional("starts", n_y, -1, -1),
         free=free,
         covariance=covariance,
         notes=tuple(str(n) for n in document["notes"]),
         scores={str(k): float(v) for k, v in document["scores"].items()},
-        ma=None if document.get("ma") is None else array("ma", 2),
+        ma=optional("ma", -1, n_y),
         noise_parameters=int(document.get("noise_parameters", 0)),
     )

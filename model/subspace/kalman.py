@@ -33,21 +33,26 @@ def start_gains(system: Realisation, most: int) -> tuple[FloatArray, FloatArray]
     spread : (most + 1,) root mean square error of the free run over the next `LOOK` samples for want of the
         right state, in standard deviations of the innovation; the largest over the outputs.
     """
-    gains, roots = _recursion(system, most)
+    noise = _noise_root(system)
+    gains, roots = _recursion(system, noise, most)
     seen = _observed(system)
-    size = np.sqrt(np.sum(_noise_root(system) ** 2, axis=1))
+    size = np.sqrt(np.sum(noise**2, axis=1))
     spread = [np.max(np.sqrt(np.mean((seen @ r) ** 2, axis=0).sum(axis=-1)) / size) for r in roots]
     return gains, np.array(spread + [spread[-1]] * (most + 1 - len(spread)), dtype=np.float64)
 
 
 def gains_of(system: Realisation, most: int) -> FloatArray:
     """(most, n, n_y) gains of the first samples alone."""
-    return _recursion(system, most)[0]
+    return _recursion(system, _noise_root(system), most)[0]
 
 
-def _recursion(system: Realisation, most: int) -> tuple[FloatArray, list[FloatArray]]:
-    """Gains, and the roots of the state's covariance before every sample until the filter is stationary."""
-    noise = _noise_root(system)
+def _recursion(system: Realisation, noise: FloatArray, most: int) -> tuple[FloatArray, list[FloatArray]]:
+    """Gains, and the roots of the state's covariance before every sample until the filter is stationary.
+
+    Parameters
+    ----------
+    noise : (n_y, n_y) root of the innovation's covariance.
+    """
     n_y, n = system.c.shape
     gains, roots = np.zeros((most, n, n_y)), [_half(system.state)]
     array = np.empty((n_y + n, n_y + n))  # transposed
@@ -80,6 +85,7 @@ def _observed(system: Realisation) -> FloatArray:
 
 
 def _noise_root(system: Realisation) -> FloatArray:
+    """(n_y, n_y) root of the innovation's covariance, never singular: see `QUIET`."""
     size = np.sqrt(np.diag(system.c @ system.state @ system.c.T))
     floor = np.diag(np.maximum(QUIET * size, np.finfo(float).tiny) ** 2)
     return _half(system.innovation + floor)

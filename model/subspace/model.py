@@ -19,9 +19,11 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
-from flysid.model.arguments import as_columns, as_record
-from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Rule, write_document
+from flysid.model.arguments import as_columns
+from flysid.model.base import Rule, write_document
+from flysid.model.documents import array_of, head_of, signals_of
 from flysid.model.freerun import saturated
+from flysid.model.linear.laws import always, is_stable, predicted
 from flysid.model.linear.text import gains_text
 from flysid.model.noise import output_error_ahead
 from flysid.model.polynomials import ComplexArray, modes_of
@@ -111,25 +113,11 @@ class FittedStateSpace:
         ------
         UsageError : shapes do not fit, or k < 1.
         """
-        u, y = as_record(self, u, y, k)
-        first = self.n_init + k - 1
-        out = np.full(y.shape, np.nan)
-        if len(y) <= first:
-            return out
-        if self.noise is not None:
-            found = output_error_ahead(self.simulate(u, y[: self.n_init]), y, self.noise, k)
-        else:
-            system, du = self.realisation, self._late(u - self.u_origin)
-            states = filtered_states(system, du, y - self.y_origin, self.gains)[:-1]
-            found = ahead(system, states, du, k) + self.y_origin
-        out[first:] = found[first:]
-        return out
+        return predicted(self, u, y, k, self._ahead)
 
     def rules(self) -> tuple[Rule, ...]:
         """One rule that always holds."""
-        radius = float(np.abs(self.poles).max(initial=0.0))
-        slow = -self.dt_s / np.log(radius) if 0 < radius < 1 else (0.0 if radius == 0 else np.inf)
-        return (Rule("R1", "always", self._conclusion(), self.dc_gain, float(slow), radius, 1.0),)
+        return always(self, self._conclusion())
 
     def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:  # noqa: ARG002
         """(N, 1) ones: the single rule always fires."""
@@ -146,7 +134,7 @@ class FittedStateSpace:
     @property
     def is_stable(self) -> bool:
         """Every pole lies inside the unit circle."""
-        return bool(np.abs(self.poles).max(initial=0.0) < 1.0)
+        return is_stable(self)
 
     @cached_property
     def dc_gain(self) -> FloatArray:
@@ -192,6 +180,13 @@ class FittedStateSpace:
         lines += [f"{name}: {value:.4g}" for name, value in self.scores.items()]
         return "\n".join([*lines, *(f"- {note}" for note in self.notes)])
 
+    def _ahead(self, u: FloatArray, y: FloatArray, k: int) -> FloatArray:
+        if self.noise is not None:
+            return output_error_ahead(self.simulate(u, y[: self.n_init]), y, self.noise, k)
+        system, du = self.realisation, self._late(u - self.u_origin)
+        states = filtered_states(system, du, y - self.y_origin, self.gains)[:-1]
+        return ahead(system, states, du, k) + self.y_origin
+
     def _gains(self) -> list[str]:
         errors = np.full(self.dc_gain.shape, np.nan)
         if len(self.covariance) and np.isfinite(self.dc_gain).all():
@@ -226,12 +221,7 @@ class FittedStateSpace:
 
     def to_dict(self) -> dict[str, Any]:
         return {
-            "format": MODEL_FORMAT,
-            "version": MODEL_VERSION,
-            "structure": self.structure,
-            "dt_s": self.dt_s,
-            "inputs": [[s.name, s.unit, s.resolution] for s in self.inputs],
-            "outputs": [[s.name, s.unit, s.resolution] for s in self.outputs],
+            **head_of(self),
             "output_limits": self.output_limits.tolist(),
             **{f.name: getattr(self.realisation, f.name).tolist() for f in fields(Realisation)},
             "u_origin": self.u_origin.tolist(),
@@ -286,21 +276,10 @@ def from_dict(document: Mapping[str, Any]) -> FittedStateSpace:
     """Rebuild a model from `to_dict()`; damage raises KeyError, TypeError or ValueError (see `base.load`)."""
 
     def array(key: str, *shape: int) -> FloatArray:
-        values = np.asarray(document[key], dtype=np.float64)
-        if values.size == 0:
-            values = values.reshape([max(size, 0) for size in shape])
-        agree = values.ndim == len(shape) and all(
-            size in (-1, found) for size, found in zip(shape, values.shape, strict=True)
-        )
-        if not agree or not np.isfinite(values).all():
-            raise ValueError(f"{key} is not a finite array of the model's size")
-        return values
+        return array_of(document, key, *shape)
 
-    def signals(key: str) -> tuple[Signal, ...]:
-        return tuple(Signal(str(n), str(unit), float(r)) for n, unit, r in document[key])
-
-    inputs, found_outputs = signals("inputs"), signals("outputs")
-    n_u, n_y, n = len(inputs), len(found_outputs), len(document["a"])
+    inputs, outputs = signals_of(document, "inputs"), signals_of(document, "outputs")
+    n_u, n_y, n = len(inputs), len(outputs), len(document["a"])
     realisation = Realisation(
         a=array("a", n, n),
         b=array("b", n, n_u),
@@ -315,7 +294,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedStateSpace:
     return FittedStateSpace(
         dt_s=float(document["dt_s"]),
         inputs=inputs,
-        outputs=found_outputs,
+        outputs=outputs,
         output_limits=array("output_limits", 2, n_y),
         realisation=realisation,
         u_origin=array("u_origin", n_u),
