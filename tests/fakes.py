@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -110,6 +111,14 @@ class FirstOrder:
 
     def save(self, path: str | Path) -> None:
         Path(path).write_text(json.dumps(self.to_dict()), "utf-8")
+
+
+def fields_of(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Names of a JSON document in depth, with what kind of value stands there, as far as null tells."""
+    return {
+        name: fields_of(value) if isinstance(value, Mapping) else isinstance(value, list)
+        for name, value in document.items()
+    }
 
 
 def smooth_input(n: int, rng: np.random.Generator, hold: int = 25) -> FloatArray:

@@ -103,6 +103,13 @@ def test_from_synth_to_verdict_on_one_channel(tmp_path: Path) -> None:
     again = call("fit", "data", "-r", "ardrone-synthetic", "-o", "run", cwd=tmp_path)
     assert again.returncode == 2
     assert "--force" in again.stderr
+    for verb in (("validate", "run"), ("compare", "run", "run", "-o", "both")):
+        misspelt = call(*verb, "--fail-if", "free_run.chnage_pct > 5", cwd=tmp_path)
+        assert (misspelt.returncode, misspelt.stdout) == (2, "")
+        assert "did you mean 'change_pct'?" in misspelt.stderr
+        assert "writing" not in misspelt.stderr
+    assert not (tmp_path / "run/report").exists()
+    assert not (tmp_path / "both").exists()
     judged = call(
         "validate", "run", "--json", "-q", "--fail-if", "free_run.models.arx.fit_pct < 50", cwd=tmp_path
     )

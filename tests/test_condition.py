@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.errors import UsageError
-from flysid.validate.condition import evaluate_condition, matching_channels
+from flysid.validate.condition import check_condition, evaluate_condition, matching_channels
 
 
 def entry(change: float | None, verdict: str, rmse: float = 0.3) -> dict[str, Any]:
@@ -19,7 +19,7 @@ def entry(change: float | None, verdict: str, rmse: float = 0.3) -> dict[str, An
         "change_pct": change,
         "ci95": [-38.0, -24.0],
         "verdict": verdict,
-        "pairs": {"ts": {"change_pct": change, "verdict": verdict}},
+        "pairs": {"ts": {"change_pct": change, "verdict": verdict, "p": None}},
     }
 
 
@@ -31,7 +31,8 @@ DOCUMENT = {
             "10": entry(None, "not enough data"),
             "1": entry(1, "same"),
         },
-    }
+    },
+    "skipped": {"skipped": "no excitation"},
 }
 
 
@@ -79,11 +80,41 @@ def test_conditions(expression: str, channels: tuple[str, ...]) -> None:
         ("free_run.change_pct ; 5", "not understood"),
         ("free_run.verdict == wrse", "no verdict 'wrse'"),
         ("'enough' != roll.free_run.verdict", "no verdict 'enough'"),
+        ("verdict == worse", "neither is a field"),
+        ("1 > 2 or free_run.change_pct > 5", "neither is a field"),
+        ("yaw.free_run.change_pct > 5 and skipped.free_run.change_pct > 5", "no channel or horizon 'yaw'"),
+        ("skipped.free_run.change_pct > 5", "channel 'skipped' was skipped: no excitation"),
     ],
 )
 def test_what_is_not_understood_is_named(expression: str, message: str) -> None:
     with pytest.raises(UsageError, match=message.replace("(", r"\(")):
         evaluate_condition(expression, DOCUMENT)
+
+
+@pytest.mark.parametrize(
+    ("expression", "hint"),
+    [
+        ("free_run.chnage_pct > 5", "did you mean 'change_pct'?"),
+        ("free_run.p > 5", "did you mean 'pairs.ts.p'?"),
+        ("rol.free_run.change_pct > 5", "did you mean 'roll'?"),
+        ("freerun.change_pct > 5", "did you mean 'free_run'?"),
+        ("free_run.txs.rmse > 5", "did you mean 'ts'?"),
+        ("free_run.ts.fitpct < 5", "did you mean 'fit_pct'?"),
+        ("free_run.rmse > 5", "did you mean 'models.ts.rmse' or 'models.arx.rmse'?"),
+        ("verdict == worse", "did you mean 'free_run.verdict'?"),
+        ("free_run.verdict == wrose", "did you mean 'worse'?"),
+        ("roll.5.change_pct > 5", "there is: 'free_run', '10', '1'"),
+    ],
+)
+def test_what_is_near_is_named(expression: str, hint: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        check_condition(expression, DOCUMENT)
+    assert caught.value.hint == hint
+
+
+def test_a_condition_that_is_understood_passes_the_check_whether_it_holds_or_not() -> None:
+    check_condition("free_run.change_pct > 5", DOCUMENT)
+    check_condition("free_run.change_pct > 1e9", DOCUMENT)
 
 
 @settings(deadline=None, max_examples=200)

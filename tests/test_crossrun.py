@@ -16,10 +16,11 @@ from flysid.ingest.batch import find_logs, ingest_logs
 from flysid.ingest.lake import open as open_lake
 from flysid.ingest.synth import WRITERS, Order, flights
 from flysid.split import plan_split
-from flysid.validate.crossrun import RunSource, judge_runs, unseen
+from flysid.validate.crossrun import RunSource, expected_of_runs, judge_runs, unseen
 from flysid.validate.fitting import fit_run
 from flysid.validate.report.narrative import called
 from flysid.validate.run import ChannelRun, FitSettings, HeldOut, Run, held_out
+from tests.fakes import fields_of
 
 CHANNEL = "longitudinal"
 
@@ -97,6 +98,10 @@ def test_two_runs_are_compared_like_with_like(runs: tuple[Run, Run]) -> None:
     with pytest.raises(UsageError, match="model 'bj'"):
         judge_runs(a, a, label="bj")
     assert called("b:ts") == "fuzzy model of run B"
+    expected = expected_of_runs(a.run, a.run)
+    assert fields_of(expected["channels"]) == fields_of(judgement.document["channels"])
+    with pytest.raises(UsageError, match="model 'bj'"):
+        expected_of_runs(a.run, a.run, "bj")
 
 
 def test_only_flights_held_out_by_both_are_used(runs: tuple[Run, Run]) -> None:

@@ -20,10 +20,12 @@ from flysid.ingest.synth import WRITERS, Order, flights
 from flysid.model.base import Estimator
 from flysid.validate import fitting
 from flysid.validate.baseline import linear_estimators
+from flysid.validate.expected import expected_of_run
 from flysid.validate.fitting import fit_run
 from flysid.validate.judge import judge_run, write_judgement
 from flysid.validate.run import FitSettings, Run, held_out, open_run, replacing_folder
 from flysid.validate.words import number
+from tests.fakes import fields_of
 
 CHANNEL = "longitudinal"
 
@@ -82,6 +84,9 @@ def test_the_judgement_finds_a_linear_model_enough_on_a_linear_plant(run: Run) -
     assert free["models"]["line"]["rmse"] > 3 * free["models"]["arx"]["rmse"]
     assert set(judgement.document["channels"][CHANNEL]) >= {"free_run", "10", "1"}
     json.dumps(judgement.document, allow_nan=False)
+    expected = expected_of_run(open_run(run.folder))
+    assert fields_of(expected["channels"]) == fields_of(judgement.document["channels"])
+    assert expected["skipped"] == judgement.document["skipped"]
 
 
 def test_the_report_is_written_whole_and_says_where_it_came_from(run: Run, tmp_path: Path) -> None:

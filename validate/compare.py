@@ -79,13 +79,10 @@ def compare(
     if train is not None:
         named = with_references(named, train)
     check_models(named, test)
-    base = _baseline(named, baseline)
-    if contender is not None and (contender not in named or contender == base):
-        raise UsageError(f"the contender {contender!r} is not among the models compared with {base!r}")
+    sides = sides_of(named, baseline, contender, seed)
     names = [horizon_name(h) for h in dict.fromkeys(horizons)]
     if not names:
         raise UsageError("no horizon given", hint="use 'free_run', 10 and 1")
-    sides = _sides(named, base, contender or _contender(named, base), seed)
     head = FREE_RUN if FREE_RUN in names else names[0]
     entries: list[Entry] = []
     scored, start_s = 0, 0.0
@@ -99,7 +96,7 @@ def compare(
         channel=test.name,
         dt_s=test.dt_s,
         models={name: _info(name, model) for name, model in named.items()},
-        baseline=base,
+        baseline=sides.base,
         contender=sides.contender,
         entries=tuple(entries),
         lags=start_of(named),
@@ -148,13 +145,22 @@ def _with_pairs(entry: Entry, corrected: Mapping[int, Pair]) -> Entry:
     return replace(entry, pairs=pairs, rivals=rivals)
 
 
-def _sides(models: Mapping[str, Fitted], base: str, contender: str | None, seed: int) -> _Sides:
-    """Rivals are there for a fuzzy contender against a linear baseline."""
+def sides_of(
+    models: Mapping[str, Fitted], baseline: str | None, contender: str | None = None, seed: int = 0
+) -> Sides:
+    """Who is compared with whom; arguments and errors as `compare`.
+
+    Rivals are there for a fuzzy contender against a linear baseline.
+    """
+    base = _baseline(models, baseline)
+    if contender is not None and (contender not in models or contender == base):
+        raise UsageError(f"the contender {contender!r} is not among the models compared with {base!r}")
+    contender = contender or _contender(models, base)
     if models[base].structure in FUZZY:
-        return _Sides(base, contender, (), frozenset(), seed)
+        return Sides(base, contender, (), frozenset(), seed)
     fuzzy = contender is not None and models[contender].structure in FUZZY
     rivals = [n for n, m in models.items() if n != base and m.structure in LINEAR] if fuzzy else []
-    return _Sides(base, contender, tuple(rivals), _one_rule(models), seed)
+    return Sides(base, contender, tuple(rivals), _one_rule(models), seed)
 
 
 def _one_rule(models: Mapping[str, Fitted]) -> frozenset[str]:
@@ -214,7 +220,7 @@ class _Panel:
 
 
 @dataclass(frozen=True)
-class _Sides:
+class Sides:
     """Who is compared with whom: the baseline, the contender and the other linear models, the fuzzy models of
     one rule, the bootstrap's seed."""
 
@@ -225,7 +231,7 @@ class _Sides:
     seed: int
 
 
-def _entries(trials: Sequence[Trial], test: Dataset, horizon: str, sides: _Sides) -> list[Entry]:
+def _entries(trials: Sequence[Trial], test: Dataset, horizon: str, sides: Sides) -> list[Entry]:
     entries = []
     for j, output in enumerate(test.outputs):
         panel = _panel(trials, test, j)
@@ -259,7 +265,7 @@ def _model_score(trials: Sequence[Trial], flights: Sequence[str], name: str, j: 
     return ModelScore(pooled([t.y[:, j] for t in trials], [t.yh[name][:, j] for t in trials]), segments)
 
 
-def _pair(panel: _Panel, sides: _Sides, name: str) -> Pair:
+def _pair(panel: _Panel, sides: Sides, name: str) -> Pair:
     base = sides.base
     a, b = panel.models[base], panel.models[name]
     ea, eb = panel.errors[base], panel.errors[name]

@@ -64,8 +64,19 @@ def evaluate_condition(expression: str, document: Mapping[str, Any]) -> bool:
 
 def matching_channels(expression: str, document: Mapping[str, Any]) -> tuple[str, ...]:
     """The channels on which the condition holds; errors as `evaluate_condition`."""
-    channels: Channels = document["channels"]
-    return tuple(name for name in channels if _Parser(_tokens(expression), channels, name).run())
+    tokens, channels = _tokens(expression), document["channels"]
+    skipped = document.get("skipped", {})
+    return tuple(name for name in channels if _Parser(tokens, channels, name, skipped).run())
+
+
+def check_condition(expression: str, expected: Mapping[str, Any]) -> None:
+    """Raise UsageError where a condition cannot be understood, before there is a document.
+
+    Parameters
+    ----------
+    expected : channels and fields that the document will have, with values of their types.
+    """
+    matching_channels(expression, expected)
 
 
 @dataclass(frozen=True)
@@ -90,10 +101,13 @@ def _tokens(expression: str) -> list[_Token]:
 class _Parser:
     """Recursive descent over the tokens, evaluated for one channel."""
 
-    def __init__(self, tokens: Sequence[_Token], channels: Channels, channel: str) -> None:
+    def __init__(
+        self, tokens: Sequence[_Token], channels: Channels, channel: str, skipped: Mapping[str, str]
+    ) -> None:
         self._tokens = list(tokens)
         self._channels = channels
         self._channel = channel
+        self._skipped = skipped
         self._at = 0
         self._depth = 0
 
@@ -151,7 +165,7 @@ class _Parser:
         if sign.text not in _COMPARE:
             raise UsageError(f"condition needs a comparison, not {sign.text!r}", hint=EXAMPLE)
         right = self._operand()
-        _check_verdict(self._tokens[begin], self._tokens[self._at - 1])
+        self._check_sides(self._tokens[begin], self._tokens[self._at - 1])
         if left is None or right is None:
             return False
         if isinstance(left, str) != isinstance(right, str):
@@ -159,6 +173,19 @@ class _Parser:
         if isinstance(left, str) and sign.text not in ("==", "!="):
             raise UsageError(f"words are equal or not, {sign.text!r} does not order them", hint=EXAMPLE)
         return _COMPARE[sign.text](left, right)
+
+    def _check_sides(self, *sides: _Token) -> None:
+        """Two constants always compare alike, and would guard nothing."""
+        if not any(t.kind == "path" for t in sides):
+            fields = sorted(_field_names(self._channels[self._channel]), key=lambda f: f.count("."))
+            words = [t.text for t in sides if t.kind == "word"]
+            meant = [f for f in fields if f.rpartition(".")[2] in words]
+            said = " and ".join(repr(t.text.strip("\"'")) for t in sides)
+            raise UsageError(
+                f"condition compares {said}, and neither is a field of the comparison",
+                hint=f"did you mean {meant[0]!r}?" if meant else EXAMPLE,
+            )
+        _check_verdict(*sides)
 
     def _operand(self) -> Value:
         token = self._take()
@@ -176,7 +203,9 @@ class _Parser:
         parts = [p.strip("\"'") for p in re.findall(r"\"[^\"]*\"|'[^']*'|[^.]+", path)]
         channel = self._channels[self._channel]
         if parts[0] not in channel:
-            channel = _member(self._channels, parts.pop(0), "channel or horizon")
+            if parts[0] in self._skipped:
+                raise UsageError(f"channel {parts[0]!r} was skipped: {self._skipped[parts[0]]}")
+            channel = _member(self._channels, parts.pop(0), "channel or horizon", (*self._channels, *channel))
         if not parts:
             raise UsageError(f"{path!r} names a channel and nothing in it", hint=EXAMPLE)
         entry = _member(channel, parts.pop(0), "horizon")
@@ -192,7 +221,9 @@ def _check_verdict(*sides: _Token) -> None:
         if token.kind in ("text", "word") and word not in list(Verdict):
             near = difflib.get_close_matches(word, list(Verdict), n=1)
             hint = (
-                f"did you mean {near[0]!r}?" if near else f"one of {', '.join(map(repr, map(str, Verdict)))}"
+                f"did you mean {str(near[0])!r}?"
+                if near
+                else f"one of {', '.join(map(repr, map(str, Verdict)))}"
             )
             raise UsageError(f"no verdict {word!r}", hint=hint)
 
@@ -205,7 +236,7 @@ def _field(entry: Mapping[str, Any], parts: list[str], path: str) -> Value:
         elif i == 0 and part not in entry and part in entry["models"]:
             value = entry["models"][part]
         elif isinstance(value, Mapping):
-            value = _member(value, part, "field")
+            value = _member(value, part, "field", (*value, *entry["models"]) if i == 0 else (), entry)
         else:
             raise UsageError(f"{path!r} goes on below a plain value", hint=EXAMPLE)
     if isinstance(value, bool) or not (value is None or isinstance(value, (int, float, str))):
@@ -223,9 +254,42 @@ def _owner(entry: Mapping[str, Any], parts: Sequence[str]) -> Mapping[str, Any]:
     return owner
 
 
-def _member(holder: Mapping[str, Any], name: str, what: str) -> Any:
+def _member(
+    holder: Mapping[str, Any],
+    name: str,
+    what: str,
+    names: Sequence[str] = (),
+    entry: Mapping[str, Any] | None = None,
+) -> Any:
+    """`holder[name]`; an error with what is near.
+
+    Parameters
+    ----------
+    names : all that could have stood there, where that is more than what `holder` holds.
+    entry : where a field that is elsewhere is looked for.
+    """
     if name in holder:
         return holder[name]
-    near = difflib.get_close_matches(name, [str(k) for k in holder], n=1, cutoff=0.4)
-    hint = f"did you mean {near[0]!r}?" if near else f"there is: {', '.join(map(repr, holder))}"
-    raise UsageError(f"no {what} {name!r} in this comparison", hint=hint)
+    raise UsageError(
+        f"no {what} {name!r} in this comparison", hint=_near(name, names or [*holder], entry or {})
+    )
+
+
+def _near(name: str, names: Sequence[str], entry: Mapping[str, Any]) -> str:
+    """ "did you mean 'change_pct'?": where else that name stands, what is spelt alike, or all there is."""
+    elsewhere = [path for path in _field_names(entry) if path.rpartition(".")[2] == name]
+    near = elsewhere[::-1] or difflib.get_close_matches(name, names, n=3, cutoff=0.55)
+    if near:
+        return f"did you mean {' or '.join(map(repr, near[:3]))}?"
+    return f"there is: {', '.join(map(repr, names))}"
+
+
+def _field_names(holder: Mapping[str, Any]) -> list[str]:
+    """Names of the single values of a horizon or a model, in depth: "models.ts.rmse"."""
+    names = []
+    for name, value in holder.items():
+        if isinstance(value, Mapping):
+            names += [f"{name}.{below}" for below in _field_names(value)]
+        elif not isinstance(value, list):
+            names.append(name)
+    return names

@@ -10,16 +10,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FlysidError, UsageError
 from flysid.model.base import Fitted
 from flysid.split import Piece, Split, refuse_copies
 from flysid.validate.baseline import REFERENCES
-from flysid.validate.compare import Comparison, across_channels, compare
+from flysid.validate.compare import Comparison, across_channels, compare, sides_of
+from flysid.validate.expected import expected_document
 from flysid.validate.judge import Judgement
 from flysid.validate.report.context import ReportContext
-from flysid.validate.run import HeldOut, Progress, Run, held_out
+from flysid.validate.run import HeldOut, Progress, Run, held_out, models_of
 
 PREFERRED = ("ts", "arx")
 
@@ -66,6 +68,16 @@ def judge_runs(
     context = _context(a.run, b.run, corrected, [ours[n] for n in found])
     seconds = {n: _seconds("a", theirs[n]) | _seconds("b", ours[n]) for n in found}
     return Judgement(b.run, corrected, skipped, replace(context, fit_seconds=seconds))
+
+
+def expected_of_runs(a: Run, b: Run, label: str | None = None) -> dict[str, Any]:
+    """The fields that the document of `judge_runs` will have, with values of their types."""
+    ours, theirs = {c.name: c for c in b.channels}, {c.name: c for c in a.channels}
+    channels = {}
+    for name in (name for name in ours if name in theirs):
+        models, head = _both(models_of(a, theirs[name]), models_of(b, ours[name]), label)
+        channels[name] = models, sides_of(models, f"a:{head}", f"b:{head}")
+    return expected_document(channels, {})
 
 
 def unseen(a: HeldOut, b: HeldOut) -> Dataset:
@@ -123,11 +135,18 @@ def _check_alike(a: Dataset, b: Dataset) -> None:
 
 def _compare(a: HeldOut, b: HeldOut, label: str | None, seed: int) -> Comparison:
     test = unseen(a, b)
-    head = _headline(a.models, b.models, label)
-    models = {f"a:{name}": m for name, m in a.models.items() if m.structure not in REFERENCES}
-    models |= {f"b:{name}": m for name, m in b.models.items() if m.structure not in REFERENCES}
-    models |= {name: m for name, m in b.models.items() if m.structure in REFERENCES}
+    models, head = _both(a.models, b.models, label)
     return compare(models, test, baseline=f"a:{head}", contender=f"b:{head}", seed=seed)
+
+
+def _both(
+    a: Mapping[str, Fitted], b: Mapping[str, Fitted], label: str | None
+) -> tuple[dict[str, Fitted], str]:
+    """The models of both runs under the names they are compared by, and the headline's label."""
+    head = _headline(a, b, label)
+    models = {f"a:{name}": m for name, m in a.items() if m.structure not in REFERENCES}
+    models |= {f"b:{name}": m for name, m in b.items() if m.structure not in REFERENCES}
+    return models | {name: m for name, m in b.items() if m.structure in REFERENCES}, head
 
 
 def _headline(a: Mapping[str, Fitted], b: Mapping[str, Fitted], label: str | None) -> str:

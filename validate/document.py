@@ -34,10 +34,7 @@ def to_json(
     channels: dict[str, Any] = {}
     about: dict[str, Any] = {}
     for name, comparison in comparisons.items():
-        outputs = list(dict.fromkeys(e.output.name for e in comparison.entries))
-        for entry in comparison.entries:
-            key = name if len(outputs) == 1 else f"{name}/{entry.output.name}"
-            channels.setdefault(key, {})[entry.horizon] = _entry(entry, comparison)
+        channels |= channel_documents(name, comparison.entries, comparison.contender)
         about[name] = _about(comparison)
     document: dict[str, Any] = {
         "format": "flysid-validation",
@@ -53,6 +50,16 @@ def to_json(
         document["diagnostics"] = {name: _diagnosis(d, comparisons[name]) for name, d in diagnoses.items()}
     plain: dict[str, Any] = _plain(document)
     return plain
+
+
+def channel_documents(name: str, entries: Sequence[Entry], contender: str | None) -> dict[str, Any]:
+    """{CHANNEL: {HORIZON: {...}}} of one channel; one key per output where there are several."""
+    outputs = list(dict.fromkeys(e.output.name for e in entries))
+    found: dict[str, Any] = {}
+    for entry in entries:
+        key = name if len(outputs) == 1 else f"{name}/{entry.output.name}"
+        found.setdefault(key, {})[entry.horizon] = _entry(entry, contender)
+    return found
 
 
 def _diagnosis(d: Diagnosis, comparison: Comparison) -> dict[str, Any]:
@@ -111,8 +118,8 @@ def _correlation(c: Correlation, dt_s: float) -> dict[str, Any]:
     }
 
 
-def _entry(entry: Entry, comparison: Comparison) -> dict[str, Any]:
-    head = entry.pairs.get(comparison.contender or "")
+def _entry(entry: Entry, contender: str | None) -> dict[str, Any]:
+    head = entry.pairs.get(contender or "")
     return {
         "models": {name: _model(score) for name, score in entry.models.items()},
         "change_pct": head.change_pct if head else None,

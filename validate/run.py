@@ -252,12 +252,17 @@ def _held_out_of_lake(run: Run, channel: ChannelRun, lake: Lake, recipe: Recipe)
 
 
 def _held_out_channel(run: Run, channel: ChannelRun, data: Dataset | DatasetFile) -> HeldOut:
-    models = {label: load(_inside(run.folder, file)) for label, file in channel.models.items()}
+    models = models_of(run, channel)
     split = Split.from_dict(channel.split)
     if isinstance(data, Dataset):
         return HeldOut(channel, models, *split.apply(data))
     train, test = parts_of(split, data)
     return HeldOut(channel, models, train.head(LOOK_ROWS), test.read())
+
+
+def models_of(run: Run, channel: ChannelRun) -> dict[str, Fitted]:
+    """The fitted models of a channel by label; StoreError where a file is damaged."""
+    return {label: load(_inside(run.folder, file)) for label, file in channel.models.items()}
 
 
 def _inside(folder: Path, file: str) -> Path:

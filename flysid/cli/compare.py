@@ -42,11 +42,14 @@ def command(
     form = chosen_form(forms)
     if output is not None:
         check_target(output, force)
-    from flysid.validate.crossrun import RunSource, judge_runs
+    from flysid.validate.condition import check_condition
+    from flysid.validate.crossrun import RunSource, expected_of_runs, judge_runs
     from flysid.validate.judge import write_judgement
     from flysid.validate.run import open_run
 
     a, b = RunSource(open_run(run_a), data_a), RunSource(open_run(run_b), data_b)
+    if condition is not None:
+        check_condition(condition, expected_of_runs(a.run, b.run, label))
     with status(quiet) as progress:
         judgement = judge_runs(a, b, label=label, progress=progress)
         page = None if output is None else write_judgement(judgement, output)

@@ -42,6 +42,8 @@ def command(
     """
     form = chosen_form(forms)
     target = output if output is not None else run / "report"
+    from flysid.validate.condition import check_condition
+    from flysid.validate.expected import expected_of_run
     from flysid.validate.judge import judge_run, write_judgement
     from flysid.validate.paperfigures import require_matplotlib
     from flysid.validate.run import open_run
@@ -50,6 +52,8 @@ def command(
         require_matplotlib()
     opened = open_run(run)
     check_target(target, force or is_own_report(target, run))
+    if condition is not None:
+        check_condition(condition, expected_of_run(opened))
     with status(quiet) as progress:
         judgement = judge_run(opened, data, progress)
         progress("writing the report")
