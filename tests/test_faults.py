@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,8 +13,12 @@ import pytest
 
 from flysid.dataset import Dataset
 from flysid.flightwriter import exchange, put_in_place
+from flysid.ingest.lake import Lake
 from flysid.ingest.lake import open as open_lake
-from flysid.validate.fitting import _fitted, _Job, fit_run
+from flysid.model.arx import ARX
+from flysid.model.base import Fitted
+from flysid.validate.diskparts import FilePart
+from flysid.validate.fitting import MemoryJob, _fitted, fit_run
 from flysid.validate.judge import judge_run
 from flysid.validate.run import FitSettings
 from tests.fault_trials import full_disks, killed_ingests, limited, read_only_disks, small_data, visible
@@ -68,12 +72,68 @@ class Deadly:
 def test_a_fit_whose_process_dies_costs_that_channel_only() -> None:
     short = Dataset.from_arrays([np.ones((4, 1))], [np.ones((4, 1))], 0.1)
     jobs = [
-        _Job(replace(short, name=name), Path(), FitSettings(), doubts=cast("tuple[Any, ...]", more))
+        MemoryJob(replace(short, name=name), Path(), FitSettings(), doubts=cast("tuple[Any, ...]", more))
         for name, more in (("short", ()), ("deadly", (Deadly(),)))
     ]
     reasons = dict(_fitted(jobs, 2, lambda _: None))
     assert "ended with code 9" in str(reasons["deadly"])
     assert "ended with" not in str(reasons["short"])
+
+
+@dataclass(frozen=True)
+class Greedy:
+    """ARX, which asks for more memory than there is where the channel has one of these names."""
+
+    channels: tuple[str, ...]
+
+    def fit(self, train: Any, validation: Dataset | None = None) -> Fitted:
+        del validation
+        if (train.file if isinstance(train, FilePart) else train).name in self.channels:
+            raise MemoryError("Unable to allocate 9 TiB")
+        return ARX(2, 2, 1).fit(train)
+
+
+@pytest.mark.parametrize("on_disk", [False, True])
+@pytest.mark.parametrize("models", ["all", "one"])
+def test_no_memory_costs_a_model_or_a_channel_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, models: str, on_disk: bool
+) -> None:
+    greedy, modest = Greedy(("vertical",)), Greedy(())
+    known: dict[str, Any] = {"arx": greedy if models == "all" else modest, "iv": greedy}
+    for name in ("fitting.linear_estimators", "fitting.estimators", "fitdisk.streaming_estimators"):
+        monkeypatch.setattr(f"flysid.validate.{name}", lambda *_: known)
+    settings = FitSettings(channels=("vertical", "lateral"), memory_mb=0.0 if on_disk else 64.0)
+    run = fit_run(open_lake(small_data(tmp_path)), "ardrone-synthetic", tmp_path / "run", settings)
+    fitted = {channel.name: channel for channel in run.channels}
+    assert fitted["lateral"].failed == {}
+    assert fitted["lateral"].on_disk == on_disk
+    if models == "all":
+        assert set(fitted) == {"lateral"}
+        why = run.skipped["vertical"]
+    else:
+        assert run.skipped == {}
+        assert set(fitted["vertical"].models) == {"arx"}
+        why = fitted["vertical"].failed["iv"]
+    assert "out of memory: Unable to allocate 9 TiB" in why
+    assert "--memory" in why
+
+
+def test_no_memory_to_align_costs_that_channel_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lake = open_lake(small_data(tmp_path))
+    align = type(lake).align
+
+    def greedy(self: Lake, recipe: Any, channel: str) -> Any:
+        if channel == "vertical":
+            raise MemoryError
+        return align(self, recipe, channel)
+
+    monkeypatch.setattr(Lake, "align", greedy)
+    monkeypatch.setattr("flysid.validate.fitting.linear_estimators", lambda *_: {"arx": Greedy(())})
+    monkeypatch.setattr("flysid.validate.fitting.estimators", lambda *_: {"arx": Greedy(())})
+    settings = FitSettings(channels=("vertical", "lateral"))
+    run = fit_run(lake, "ardrone-synthetic", tmp_path / "run", settings)
+    assert [channel.name for channel in run.channels] == ["lateral"]
+    assert run.skipped["vertical"].startswith("out of memory. Try: ")
 
 
 def test_a_folder_takes_the_place_of_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.base import Estimator, Fitted
 from flysid.model.selection import block_means, clearly_better
+from flysid.validate.fitone import UNFIT, reason
 from flysid.validate.trials import FREE_RUN, Trial, run_trials
 
 FIRST = "arx"
@@ -114,8 +115,8 @@ def _fitted(candidates: Mapping[str, Estimator], fit: Dataset, check: Dataset) -
     for name, estimator in candidates.items():
         try:
             models[name] = estimator.fit(fit, check)
-        except (DataError, FitError) as error:
-            reasons.append(f"{name}: {error}")
+        except UNFIT as error:
+            reasons.append(f"{name}: {reason(error)}")
     if not models:
         raise FitError("no linear model could be fitted: " + "; ".join(reasons))
     return models

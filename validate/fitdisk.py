@@ -6,27 +6,21 @@ them. Structures that search on the simulation error need their data in memory a
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile
-from flysid.errors import DataError, FitError
-from flysid.flightwriter import slug
 from flysid.ingest.deadtime import dead_times, delays_to_try
-from flysid.ingest.doubts import Doubt
 from flysid.model.base import Fitted
-from flysid.model.feedback import feedback
 from flysid.model.selection import clearly_better
 from flysid.validate.baseline import Choice, free_run_errors
+from flysid.validate.channeljob import ChannelJob
 from flysid.validate.diskparts import LOOK_ROWS, FilePart, plan_on_disk
-from flysid.validate.fitone import fit_one
-from flysid.validate.run import ChannelRun, FitSettings
+from flysid.validate.run import ChannelRun
 
 STREAMED = ("arx", "fir", "iv", "statespace")
 """Labels of the models that read their data block by block."""
@@ -53,70 +47,26 @@ def streaming_estimators(labels: Sequence[str], nk_hint: tuple[int, ...] = ()) -
     return {label: estimator for label, estimator in known.items() if label in wanted}
 
 
-@dataclass(frozen=True)
-class DiskJob:
-    """One channel to fit from disk: what a worker process needs."""
-
-    file: DatasetFile
-    folder: Path
-    settings: FitSettings
-    lines: tuple[str, ...] = ()
-    doubts: tuple[Doubt, ...] = ()
-
-    @property
-    def name(self) -> str:
-        return self.file.name
-
-    def run(self) -> ChannelRun | str:
-        """Split, fit and save; or the reason why nothing can be fitted."""
-        try:
-            return self._run()
-        except (DataError, FitError) as error:
-            return str(error)
+class DiskJob(ChannelJob[DatasetFile]):
+    """One channel to fit from disk."""
 
     def _run(self) -> ChannelRun | str:
-        settings, place = self.settings, slug(self.name)
-        split = plan_on_disk(self.file, holdout=settings.holdout, by=settings.by, seed=settings.seed)
-        train = FilePart(self.file, split.train)
+        settings = self.settings
+        split = plan_on_disk(self.data, holdout=settings.holdout, by=settings.by, seed=settings.seed)
+        train = FilePart(self.data, split.train)
         look = train.head(LOOK_ROWS)
-        (self.folder / place).mkdir()
         late = dead_times(look)
         hint = delays_to_try(late, len(look.inputs))
-        files: dict[str, str] = {}
-        seconds: dict[str, float] = {}
-        linear: dict[str, Fitted] = {}
-        failed = {label: self._cannot() for label in settings.models if label not in STREAMED}
-        for label, estimator in streaming_estimators(settings.models, hint).items():
-            started = time.perf_counter()
-            model = fit_one(estimator, train, self.folder / f"{place}/{label}.json")
-            if isinstance(model, str):
-                failed[label] = model
-                continue
-            seconds[label] = time.perf_counter() - started
-            files[label] = f"{place}/{label}.json"
-            if label in STREAMED:
-                linear[label] = model
+        fits = self.fit_each(streaming_estimators(settings.models, hint), train)
+        fits.failed = {n: self._cannot() for n in settings.models if n not in STREAMED} | fits.failed
+        linear = {label: model for label, model in fits.models.items() if label in STREAMED}
         if not linear:
-            return "; ".join(f"{label}: {why}" for label, why in failed.items())
-        choice = _baseline(linear, look)
-        return ChannelRun(
-            name=self.name,
-            models=files,
-            split=split.to_dict(),
-            aligned=self.lines,
-            fit_seconds=seconds,
-            failed=failed,
-            doubts=self.doubts,
-            dead_times=tuple(d.words for d in late),
-            loops=tuple(f.words for f in feedback(linear[choice.label], look) if f.closed),
-            baseline=choice.label,
-            chosen=choice.words,
-            on_disk=True,
-        )
+            return fits.reasons
+        return replace(self.told(fits, _baseline(linear, look), split, look, late), on_disk=True)
 
     def _cannot(self) -> str:
         return (
-            f"needs its data in memory, and these {len(self.file):,} samples were fitted from disk (allow "
+            f"needs its data in memory, and these {len(self.data):,} samples were fitted from disk (allow "
             "more with --memory, or fit some of the flights)"
         )
 

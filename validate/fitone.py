@@ -12,6 +12,17 @@ from flysid.model.fuzzy import words
 
 S = TypeVar("S", contravariant=True)
 
+UNFIT = (DataError, FitError, MemoryError)
+"""What keeps a model or a channel from being fitted, and nothing beside it."""
+
+
+def reason(error: Exception) -> str:
+    """Why something could not be fitted, for people; a lack of memory says nothing by itself."""
+    if not isinstance(error, MemoryError):
+        return str(error)
+    said = f": {error}." if str(error) else "."
+    return f"out of memory{said} Try: fewer --jobs at a time, or a smaller --memory, which fits from disk"
+
 
 class FitsTo(Protocol[S]):
     """An estimator of data in memory, or of data on disk."""
@@ -23,8 +34,8 @@ def fit_one(estimator: FitsTo[S], train: S, path: Path) -> Fitted | str:
     """Fit and save a model, and its rules in words beside it; or why it could not be fitted."""
     try:
         model = estimator.fit(train)
-    except (FitError, DataError) as error:
-        return str(error)
+    except UNFIT as error:
+        return reason(error)
     model.save(path)
     write_atomically(path.with_suffix(".txt"), in_words(model).encode())
     return model

@@ -16,20 +16,20 @@ from typing import Any
 
 from flysid.dataset import Dataset
 from flysid.datasetfile import open_dataset
-from flysid.errors import DataError, FitError, UsageError
+from flysid.errors import DataError, UsageError
 from flysid.flightwriter import slug, write_atomically
 from flysid.ingest.deadtime import dead_times, delays_to_try
-from flysid.ingest.doubts import Doubt, doubts
+from flysid.ingest.doubts import doubts
 from flysid.ingest.lake import Lake
 from flysid.ingest.recipe import Recipe, load_recipe, recipe_text
 from flysid.ingest.workers import Bounds, Lost, run_bounded
-from flysid.model.base import Estimator, Fitted
-from flysid.model.feedback import feedback
+from flysid.model.base import Estimator
 from flysid.split import plan_split
 from flysid.validate.baseline import REFERENCES, choose_baseline, confirmed, linear_estimators
+from flysid.validate.channeljob import ChannelJob
 from flysid.validate.diskparts import LOOK_ROWS
 from flysid.validate.fitdisk import DiskJob
-from flysid.validate.fitone import fit_one
+from flysid.validate.fitone import reason
 from flysid.validate.run import (
     RECIPE_FILE,
     RUN_FILE,
@@ -88,22 +88,24 @@ def estimators(
     return {label: estimator for label, estimator in known.items() if label in wanted}
 
 
-@dataclass(frozen=True)
-class _Job:
-    """One channel to fit in memory: what a worker process needs."""
+class MemoryJob(ChannelJob[Dataset]):
+    """One channel to fit in memory."""
 
-    dataset: Dataset
-    folder: Path
-    settings: FitSettings
-    lines: tuple[str, ...] = ()
-    doubts: tuple[Doubt, ...] = ()
-
-    @property
-    def name(self) -> str:
-        return self.dataset.name
-
-    def run(self) -> ChannelRun | str:
-        return _fit_channel(self)
+    def _run(self) -> ChannelRun | str:
+        settings = self.settings
+        split = plan_split(self.data, holdout=settings.holdout, by=settings.by, seed=settings.seed)
+        train, _ = split.apply(self.data)
+        late = dead_times(train)
+        hint = delays_to_try(late, len(train.inputs))
+        started = time.perf_counter()
+        choice = choose_baseline(train, linear_estimators(hint))
+        seconds = time.perf_counter() - started
+        fits = self.fit_each(estimators(settings, choice.label, hint), train)
+        fits.seconds = {"choice of the baseline": seconds} | fits.seconds
+        linear = {n: model for n, model in fits.models.items() if n in (*BESIDE, choice.label)}
+        if not linear:
+            return fits.reasons
+        return self.told(fits, confirmed(choice, linear, train), split, train, late)
 
 
 def fit_run(
@@ -143,13 +145,13 @@ def fit_run(
     }
     wanted = _chosen([n for n in recipe.channels if n not in skipped], settings.channels)
     with replacing_folder(out) as folder:
-        queue: list[_Job | DiskJob] = []
+        queue: list[MemoryJob | DiskJob] = []
         with tempfile.TemporaryDirectory(prefix=".aligned-", dir=folder) as scratch:
             for name in wanted:
                 try:
                     queue.append(_job(lake, recipe, name, Places(folder, Path(scratch)), settings))
-                except DataError as error:
-                    skipped[name] = str(error)
+                except (DataError, MemoryError) as error:
+                    skipped[name] = reason(error)
             found = dict(_fitted(queue, jobs, progress))
         fitted = tuple(found[name] for name in wanted if isinstance(found.get(name), ChannelRun))
         skipped |= {name: str(why) for name, why in found.items() if not isinstance(why, ChannelRun)}
@@ -184,7 +186,7 @@ def fit_file(path: Path, out: Path, settings: FitSettings, *, progress: Progress
     _chosen([file.name], settings.channels)
     with replacing_folder(out) as folder:
         large = _megabytes(len(file), len(file.inputs) + len(file.outputs)) > settings.memory_mb
-        job = DiskJob(file, folder, settings) if large else _Job(file.read(), folder, settings)
+        job = DiskJob(file, folder, settings) if large else MemoryJob(file.read(), folder, settings)
         progress(f"fitting {job.name}{FROM_DISK if large else ''}")
         channel = job.run()
         if isinstance(channel, str):
@@ -203,13 +205,13 @@ class Places:
     scratch: Path
 
 
-def _job(lake: Lake, recipe: Recipe, name: str, places: Places, settings: FitSettings) -> _Job | DiskJob:
+def _job(lake: Lake, recipe: Recipe, name: str, places: Places, settings: FitSettings) -> MemoryJob | DiskJob:
     """A channel to fit: aligned in memory, or into a file where it has more samples than may be in memory."""
     signals = len(recipe.signals_of(name))
     if _megabytes(lake.expected_samples(recipe, name), signals) <= settings.memory_mb:
         aligned = lake.align(recipe, name)
         lines = tuple(aligned.report.lines())
-        return _Job(aligned.dataset, places.run, settings, lines, aligned.report.doubts)
+        return MemoryJob(aligned.dataset, places.run, settings, lines, aligned.report.doubts)
     path = places.scratch / f"{slug(name)}.parquet"
     report = lake.write(recipe, name, path)
     file = open_dataset(path)
@@ -230,7 +232,7 @@ def _chosen(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
 
 
 def _fitted(
-    queue: Sequence[_Job | DiskJob], jobs: int, progress: Progress
+    queue: Sequence[MemoryJob | DiskJob], jobs: int, progress: Progress
 ) -> Iterator[tuple[str, ChannelRun | str]]:
     """(channel, its run or why there is none), in the order in which they are done."""
     said = [f"{job.name}{FROM_DISK if isinstance(job, DiskJob) else ''}" for job in queue]
@@ -247,53 +249,5 @@ def _fitted(
         yield job.name, found.reason if isinstance(found, Lost) else found
 
 
-def _run(job: _Job | DiskJob) -> ChannelRun | str:
+def _run(job: MemoryJob | DiskJob) -> ChannelRun | str:
     return job.run()
-
-
-def _fit_channel(job: _Job) -> ChannelRun | str:
-    """Split, fit and save one channel; or the reason why its baseline cannot be fitted."""
-    dataset, settings = job.dataset, job.settings
-    files: dict[str, str] = {}
-    seconds: dict[str, float] = {}
-    failed: dict[str, str] = {}
-    linear: dict[str, Fitted] = {}
-    place = slug(dataset.name)
-    try:
-        split = plan_split(dataset, holdout=settings.holdout, by=settings.by, seed=settings.seed)
-        train, _ = split.apply(dataset)
-        (job.folder / place).mkdir()
-        late = dead_times(train)
-        hint = delays_to_try(late, len(train.inputs))
-        started = time.perf_counter()
-        choice = choose_baseline(train, linear_estimators(hint))
-        seconds["choice of the baseline"] = time.perf_counter() - started
-        for label, estimator in estimators(settings, choice.label, hint).items():
-            started = time.perf_counter()
-            model = fit_one(estimator, train, job.folder / f"{place}/{label}.json")
-            if isinstance(model, str):
-                failed[label] = model
-                continue
-            if label in (*BESIDE, choice.label):
-                linear[label] = model
-            seconds[label] = time.perf_counter() - started
-            files[label] = f"{place}/{label}.json"
-        if not linear:
-            return "; ".join(f"{label}: {why}" for label, why in failed.items())
-        choice = confirmed(choice, linear, train)
-        loops = tuple(f.words for f in feedback(linear[choice.label], train) if f.closed)
-    except (DataError, FitError) as error:
-        return str(error)
-    return ChannelRun(
-        name=dataset.name,
-        models=files,
-        split=split.to_dict(),
-        aligned=job.lines,
-        fit_seconds=seconds,
-        failed=failed,
-        doubts=job.doubts,
-        dead_times=tuple(d.words for d in late),
-        loops=loops,
-        baseline=choice.label,
-        chosen=choice.words,
-    )

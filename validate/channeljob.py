@@ -1,0 +1,112 @@
+"""One channel to fit, in memory or from disk: what a worker process needs, and what comes of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from flysid.dataset import Dataset
+from flysid.datasetfile import DatasetFile
+from flysid.flightwriter import slug
+from flysid.ingest.deadtime import DeadTime
+from flysid.ingest.doubts import Doubt
+from flysid.model.base import Fitted
+from flysid.model.feedback import feedback
+from flysid.split import Split
+from flysid.validate.baseline import Choice
+from flysid.validate.fitone import UNFIT, FitsTo, fit_one, reason
+from flysid.validate.run import ChannelRun, FitSettings
+
+D = TypeVar("D", Dataset, DatasetFile)
+S = TypeVar("S")
+
+
+@dataclass
+class Fits:
+    """What came of a channel's models, by label: those fitted, their files and wall times, why not others."""
+
+    models: dict[str, Fitted] = field(default_factory=dict)
+    files: dict[str, str] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    failed: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def reasons(self) -> str:
+        """Why models could not be fitted, in one line."""
+        return "; ".join(f"{label}: {why}" for label, why in self.failed.items())
+
+
+@dataclass(frozen=True)
+class ChannelJob(Generic[D]):
+    """One channel to fit.
+
+    Attributes
+    ----------
+    data : the whole channel.
+    folder : the run's; models go into a folder of the channel's name in it.
+    lines, doubts : how the channel was aligned, and reasons in the data not to trust any model of it.
+    """
+
+    data: D
+    folder: Path
+    settings: FitSettings
+    lines: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The channel's."""
+        return self.data.name
+
+    def run(self) -> ChannelRun | str:
+        """Split, fit and save; or the reason why nothing can be fitted: one channel takes no other along."""
+        try:
+            return self._run()
+        except UNFIT as error:
+            return reason(error)
+
+    def _run(self) -> ChannelRun | str:
+        raise NotImplementedError
+
+    def fit_each(self, estimators: Mapping[str, FitsTo[S]], train: S) -> Fits:
+        """Fit and save every model; those that cannot be fitted leave a reason."""
+        place, fits = slug(self.name), Fits()
+        (self.folder / place).mkdir()
+        for label, estimator in estimators.items():
+            started = time.perf_counter()
+            file = f"{place}/{label}.json"
+            model = fit_one(estimator, train, self.folder / file)
+            if isinstance(model, str):
+                fits.failed[label] = model
+                continue
+            fits.seconds[label] = time.perf_counter() - started
+            fits.models[label], fits.files[label] = model, file
+        return fits
+
+    def told(
+        self, fits: Fits, choice: Choice, split: Split, seen: Dataset, late: tuple[DeadTime, ...]
+    ) -> ChannelRun:
+        """What the run remembers of the channel.
+
+        Parameters
+        ----------
+        choice : of the baseline, one of `fits.models`.
+        seen : training samples, on which a loop around the baseline is looked for.
+        late : dead times found in training.
+        """
+        return ChannelRun(
+            name=self.name,
+            models=fits.files,
+            split=split.to_dict(),
+            aligned=self.lines,
+            fit_seconds=fits.seconds,
+            failed=fits.failed,
+            doubts=self.doubts,
+            dead_times=tuple(d.words for d in late),
+            loops=tuple(f.words for f in feedback(fits.models[choice.label], seen) if f.closed),
+            baseline=choice.label,
+            chosen=choice.words,
+        )
