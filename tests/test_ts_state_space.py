@@ -102,8 +102,21 @@ def test_sensitivities_are_exact() -> None:
     _, _, g = error.normal(p)
     for j in range(len(p)):
         e = 1e-6 * np.eye(len(p))[j]
-        slope = (error.cost(p + e) - error.cost(p - e)) / 2e-6
+        slope = (error.normal(p + e)[0] - error.normal(p - e)[0]) / 2e-6
         assert 2.0 * g[j] == pytest.approx(slope, rel=1e-4, abs=1e-8)
+
+
+@pytest.mark.parametrize("samples", [218, 500])
+def test_models_of_any_delay_are_judged_over_the_same_windows(samples: int) -> None:
+    train = LINEAR["motor"].dataset((1,), samples, 0.02)[0]
+    scaled = scaling(train)
+    counts = []
+    for nk in (1, 12):
+        settings = TSStateSpace(states=2, nk=nk)
+        bench = Bench(settings, 60, ends_of_travel(train), scaled)
+        stage = bench.linear(linear_systems(settings, train, None, scaled)[0], train)
+        counts.append(len(bench.judge(stage, train).windows))
+    assert counts[0] == counts[1] > 0
 
 
 def test_an_overflow_is_an_end_and_a_peak_is_not() -> None:

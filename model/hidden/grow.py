@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import FloatArray
+from flysid.errors import FitError
 from flysid.model.fuzzy.kernel import firing
 from flysid.model.fuzzy.layout import Antecedent
 from flysid.model.fuzzy.problem import Body
@@ -29,7 +30,7 @@ _HIDDEN_LIMIT = 12.0  # spreads that a hidden state may reach
 _FLOOR = 1e-3  # of the metric's diagonal, added to it: directions that the linear model does not feel
 _START_ROWS = 400  # of a run from which a linear start takes its initial state
 _PIECE = 600  # rows of a piece, where long records are thinned
-_FEW, _MORE = 3000, 8000  # rows for ranking insertions, and for trying the best ones
+_FEW, _MORE = 3000, 4000  # rows for ranking insertions, and for trying the best ones
 _OVERFLOW = 1e9  # spreads: a state beyond has run away
 _FEWEST = 10  # samples of a region that takes another rule
 _MARGIN = 0.1  # of its range, by which a hidden antecedent's range is widened
@@ -139,12 +140,12 @@ def _error(stage: StateStage) -> StateError:
 def refine(stage: StateStage, iterations: int, tolerance: float) -> StateStage:
     """Levenberg-Marquardt on the simulation error from where the stage is."""
     error = _error(stage)
-    start = error.start()
-    if not np.isfinite(error.normal(start)[1]).all():
+    try:  # without a cheaper cost: nine trial points in ten are accepted, and need their derivatives anyhow
+        found = levenberg_marquardt(
+            error.normal, error.start(), max_iterations=iterations, tolerance=tolerance
+        )
+    except FitError:
         return replace(stage, cost=float("inf"))
-    found = levenberg_marquardt(
-        error.normal, start, cost=error.cost, max_iterations=iterations, tolerance=tolerance
-    )
     body, initial = error.split(found.theta)
     return replace(stage, body=body, initial=initial, cost=found.cost)
 

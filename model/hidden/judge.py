@@ -61,7 +61,8 @@ def judged(stage: StateStage, runs: Sequence[FloatArray], least: int) -> Judged:
     """A stage on validation runs, of which the first rows (at least `least`) only start it."""
     errors = blocks(free_run_errors(stage, runs, judging_window(runs, least)))
     rows = max(sum(len(W) for W in runs) // _WINDOWS, _LONGER * least)
-    pieces = [W for W in windows(runs, stage.layout.depth, rows) if len(W) > least + _SCORED]
+    # cut alike for every depth, so that any two models are compared window by window
+    pieces = [W for W in windows(runs, least, rows) if len(W) > least + _SCORED]
     own = [float((e * e).mean()) for e in free_run_errors(stage, pieces, least)]
     return Judged(stage, _finite(errors), _finite(np.array(own)), is_bounded(stage))
 

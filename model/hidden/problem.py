@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.fuzzy.kernel import Parameters, free_run, sensitivities
+from flysid.model.fuzzy.kernel import Parameters, free_run
 from flysid.model.fuzzy.problem import Body
+from flysid.model.hidden.kernel import state_sensitivities
 from flysid.model.hidden.layout import StateLayout
 
 _CHUNK = 512  # rows of sensitivities at a time: they stay in the cache
@@ -93,16 +94,6 @@ class StateError:
         span = np.maximum(high - low, 1e-12)
         centre, width = np.clip(body.centre, low, high), np.clip(body.width, 0.02 * span, 3.0 * span)
         return replace(body, centre=centre, width=width), p[count:].reshape(self.initial.shape)
-
-    def cost(self, p: FloatArray) -> float:
-        """Mean squared simulation error (in units of the outputs' variance) plus the ridge."""
-        body, initial = self.split(p)
-        n_y, first, total = self.problem.layout.n_y, self.problem.layout.depth - 1, 0.0
-        for run, W in zip(self.problem.simulate(body, initial), self.problem.runs, strict=True):
-            gap = run[first:, :n_y] - W[first:, :n_y]
-            total += float(np.einsum("ni,ni->", gap, gap))
-        values, _ = self._departure(body)
-        return total / self.problem.samples + values + self._start_cost(initial)
 
     def _start_cost(self, initial: FloatArray) -> float:
         hidden = initial[:, self.problem.layout.n_y :]
@@ -186,17 +177,17 @@ def swept(
     Errors are simulated less measured. The first piece is the initial state's own row.
     """
     d, n_y, n = problem.layout.depth, problem.layout.n_y, problem.layout.n
-    lags, par, basis = problem.layout.lags, problem.parameters(body), np.eye(body.a.shape[2])
+    lags, par = problem.layout.lags, problem.parameters(body)
     run = W.copy()
     run[d - 1, :n] = initial
-    J = np.zeros((d + _CHUNK, n, body.size + n))
-    J[d - 1, np.arange(n), body.size + np.arange(n)] = 1.0
-    yield J[d - 1 : d, :n_y], (initial[:n_y] - W[d - 1, :n_y])[None]
+    S = np.zeros((n, body.size + n))
+    S[np.arange(n), body.size + np.arange(n)] = 1.0
+    yield S[None, :n_y].copy(), (initial[:n_y] - W[d - 1, :n_y])[None]
+    J = np.empty((min(_CHUNK, len(W) - d), n_y, body.size + n))
     for begin in range(d, len(W), _CHUNK):
         end = min(begin + _CHUNK, len(W))
-        sensitivities(run, (begin, end, begin - d), lags, par, basis, J)
-        yield J[d : d + end - begin, :n_y], run[begin:end, :n_y] - W[begin:end, :n_y]
-        J[:d] = J[end - begin : end - begin + d].copy()
+        state_sensitivities(run, (begin, end), lags, par, n_y, S, J)
+        yield J[: end - begin], run[begin:end, :n_y] - W[begin:end, :n_y]
 
 
 def antecedent_range(

@@ -17,13 +17,13 @@ import numpy as np
 from flysid.dataset import Dataset
 from flysid.model.hidden.bench import LARGE, Bench
 from flysid.model.hidden.choice import Family, Start
-from flysid.model.hidden.grow import Insertion, StateStage, Training, best_insertion, same_insertion
+from flysid.model.hidden.grow import Insertion, StateStage, Training, best_insertion, same_insertion, thinned
 from flysid.model.hidden.judge import Judged
 from flysid.model.hidden.start import PLAIN, Realisation, coordinates
 from flysid.model.hidden.systems import System
 
 _RIDGES = (0.1, 0.01)  # the first for every start, the second for the best one
-_SCREEN_ROWS = 3000  # of the first judging part
+_SCREEN_ROWS = 3000  # of the first fitting part, and of the first judging part
 _SEARCH_ROWS = 20_000  # of a fitting part, where data are longer: a plant that integrates needs its whole
 _PIECES = 4  # that a long part is cut into at least, each of
 _PIECE = 1000  # rows at least
@@ -35,7 +35,8 @@ _RAN_AWAY = 1e2  # error of a single rule, in standard deviations of the output
 _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
 _SCREEN = Training(ridge=0.1, tries=2, iterations=12, tolerance=1e-3)
 _AS_MUCH = 0.7  # of the first part's gain in logarithms, that another part must see from the same place
-_IDLE = 2  # rules in a row that may bring nothing
+_IDLE = 2  # rules in a row that may bring nothing,
+_HARM = 1.05  # or one, if the validation error is so many times the least
 
 
 Parts = Sequence[tuple[Dataset, Dataset]]
@@ -117,7 +118,7 @@ def _screened(bench: Bench, linear: Sequence[_Linear], parts: Parts) -> list[tup
     check = _sampled(parts[0][1], _SCREEN_ROWS)
     tried: list[tuple[bool, float, Start, _Linear]] = []
     for x in linear:
-        first = x.stages[0]
+        first = thinned(x.stages[0], _SCREEN_ROWS)
         for name in coordinates(Realisation.of(first.layout, first.body.a[0]), len(check.outputs)):
             stage, _ = bench.in_coordinates(first, name)
             found, _ = best_insertion(stage, bench.candidates(stage.layout), _SCREEN)
@@ -173,7 +174,9 @@ def _idle(bench: Bench, family: Family, stages: Sequence[StateStage]) -> bool:
     if bench.settings.rules != "auto":
         return False
     errors = family.rmse
-    return bool(len(errors) - 1 - errors.argmin() >= _IDLE or stages[0].mean_square() < _EXACT)
+    idle = len(errors) - 1 - int(errors.argmin())
+    harms = len(errors) > 2 and errors[-1] > _HARM * errors.min()  # a second rule may wait for the third
+    return idle >= _IDLE or bool(harms) or stages[0].mean_square() < _EXACT
 
 
 def _sampled(data: Dataset, rows: int) -> Dataset:
