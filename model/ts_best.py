@@ -42,11 +42,12 @@ class BestTS:
 
     Parameters
     ----------
-    rules, antecedents, nk_hint : see `TS`.
+    rules, antecedents, most_rules, nk_hint : see `TS`.
     """
 
     rules: int | Literal["auto"] = "auto"
     antecedents: Sequence[str] | Literal["auto"] = "auto"
+    most_rules: int = 5
     nk_hint: Sequence[int] = ()
 
     @on_one_thread
@@ -92,16 +93,14 @@ class Contest:
 
 def contest(settings: BestTS, train: Dataset, validation: Dataset | None = None) -> Contest:
     """Both kinds, the second where the first hints at it."""
-    over_lags = TS(settings.rules, antecedents=settings.antecedents, nk_hint=settings.nk_hint)
+    asked = {name: getattr(settings, name) for name in ("rules", "antecedents", "most_rules", "nk_hint")}
+    over_lags = TS(**asked)
     known = learn_lagged(over_lags, train, validation)
     lagged = finished_lagged(known.stage, train, known.notes)
     if not hints_at_hidden_state(lagged, train):
         return Contest(lagged)
     try:
-        hidden = TSStateSpace(
-            rules=settings.rules, antecedents=settings.antecedents, nk_hint=settings.nk_hint
-        )
-        learned = learn(hidden, train, validation)
+        learned = learn(TSStateSpace(**asked), train, validation)
     except (DataError, FitError, UsageError):  # e.g. antecedents that it does not have
         return Contest(lagged)
     found = finished(train, learned.stage, learned.notes, intervals=learned.intervals)

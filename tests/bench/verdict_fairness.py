@@ -3,7 +3,8 @@
 `python -m tests.bench.verdict_fairness linear 200` and `... nonlinear 200` print one line per plant, the
 totals, and the row for docs/measured.md; `--jobs 2` judges two plants at a time; `--journal FILE` lets an
 interrupted campaign go on, with the same code only. Both sides are what `flysid fit` makes: the best
-linear model by validation, and TS (at most 3 rules, to save time). On linear plants TS must be called better
+linear model by validation, and TS (at most 3 rules, to save time); with `--contender best` rules over lags
+or over hidden states, whichever `BestTS` takes. On linear plants TS must be called better
 in at most 5 %; on nonlinear plants, with noise such that a perfect model is 20 % better than the best linear
 one, it should be found in at least 80 %, and the interval should hold the change that the same two fitted
 models show on 120 fresh flights in 93 to 97 %.
@@ -28,8 +29,9 @@ from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import FlysidError
 from flysid.ingest.deadtime import dead_times, delays_to_try
 from flysid.model.arx import ARX
-from flysid.model.base import Fitted
+from flysid.model.base import Estimator, Fitted
 from flysid.model.ts import TS
+from flysid.model.ts_best import BestTS
 from flysid.validate.baseline import choose_baseline, confirmed, linear_estimators
 from flysid.validate.compare import compare
 from flysid.validate.trials import FREE_RUN
@@ -38,6 +40,11 @@ DT_S = 0.05
 TRAIN, TEST, FRESH = 4, 8, 120
 VERDICTS = ("better", "contested", "same", "worse", "not enough data")
 LENGTH = 500
+CONTENDERS: dict[str, Callable[[tuple[int, ...]], Estimator]] = {
+    "ts": lambda hint: TS(most_rules=3, nk_hint=hint),
+    "best": lambda hint: BestTS(most_rules=3, nk_hint=hint),
+}
+"""Dead times to try -> what is fitted against the linear side."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +179,7 @@ class Outcome:
         )
 
 
-def judged(plant: Plant, rng: np.random.Generator, seed: int) -> Outcome:
+def judged(plant: Plant, rng: np.random.Generator, seed: int, contender: str = "ts") -> Outcome:
     """Defaults fitted to the plant as `flysid fit` does it, judged, and tried on fresh flights."""
     began = time.process_time()
     train, test = flights(plant, TRAIN, rng, "t"), flights(plant, TEST, rng, "h")
@@ -181,7 +188,7 @@ def judged(plant: Plant, rng: np.random.Generator, seed: int) -> Outcome:
     choice = choose_baseline(train, linear)
     models: dict[str, Fitted] = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
     base = confirmed(choice, models, train).label
-    models["ts"] = TS(most_rules=3, nk_hint=hint).fit(train)
+    models["ts"] = CONTENDERS[contender](hint).fit(train)
     pair = compare(models, test, horizons=[FREE_RUN], baseline=base).verdict["y"]
     many = flights(plant, FRESH, rng, "f")
     fresh = compare(models, many, horizons=[FREE_RUN], baseline=base).verdict["y"]
@@ -261,6 +268,7 @@ class Task:
 
     kind: str
     seed: int
+    contender: str = "ts"
 
 
 def judge_task(task: Task) -> Outcome | str:
@@ -268,7 +276,7 @@ def judge_task(task: Task) -> Outcome | str:
     rng = np.random.default_rng(task.seed)
     try:
         plant = linear_plant(rng) if task.kind == "linear" else nonlinear_plant(rng)
-        return judged(plant, rng, task.seed)
+        return judged(plant, rng, task.seed, task.contender)
     except FlysidError as error:
         return error.message[:60]
 
@@ -280,15 +288,16 @@ class Journal:
     kind: str
     path: Path | None = None
     found: dict[int, Outcome | str] = field(default_factory=dict)
+    contender: str = "ts"
 
     def read(self) -> None:
         """Take up what is there.
 
         Raises
         ------
-        SystemExit : the journal is of other plants or of other code.
+        SystemExit : the journal is of other plants, of another contender or of other code.
         """
-        head = {"kind": self.kind, "code": code_hash()}
+        head = {"kind": self.kind, "contender": self.contender, "code": code_hash()}
         if self.path is None:
             return
         if not self.path.is_file() or not self.path.stat().st_size:
@@ -297,7 +306,8 @@ class Journal:
         first, *lines = [json.loads(line) for line in self.path.read_text("utf-8").splitlines()]
         if first != head:
             raise SystemExit(
-                f"{self.path} is of {first.get('kind')} plants or of other code: name a new file"
+                f"{self.path} is of {first.get('kind')} plants, of another contender or of other code:"
+                " name a new file"
             )
         for line in lines:
             self.found[line["seed"]] = line["failed"] if "failed" in line else Outcome(**line)
@@ -344,11 +354,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--jobs", type=int, default=1, help="plants judged at a time")
     parser.add_argument("--journal", type=Path, help="append outcomes to this file, and skip those in it")
+    parser.add_argument("--contender", choices=list(CONTENDERS), default="ts", help="TS, or BestTS")
     order = parser.parse_args()
     seeds = range(order.first, order.first + order.count)
-    journal = Journal(order.kind, order.journal)
+    journal = Journal(order.kind, order.journal, contender=order.contender)
     journal.read()
-    tasks = [Task(order.kind, seed) for seed in seeds if seed not in journal.found]
+    tasks = [Task(order.kind, seed, order.contender) for seed in seeds if seed not in journal.found]
     for seed, what in judge_all(tasks, order.jobs):
         journal.add(seed, what)
         print(f"{seed:4d} failed: {what}" if isinstance(what, str) else what, flush=True)
