@@ -234,7 +234,7 @@ def _finite(text: str) -> float:
 
 
 def try_out(model: Fitted) -> None:
-    """Simulate and predict a few samples in the middle of the model's range.
+    """Simulate and predict a few samples in the middle of the model's range, and have it say what it is.
 
     Raises
     ------
@@ -256,5 +256,6 @@ def try_out(model: Fitted) -> None:
     for name, values in (("free run", free), ("prediction", ahead[start:])):
         if values.shape[1:] != (n_y,) or not np.isfinite(values).all():
             raise ValueError(f"its {name} is not finite")
-    if not model.rules() or not all(isinstance(note, str) for note in model.notes):
-        raise ValueError("no rules")
+    with np.errstate(all="ignore"):
+        if not (model.rules() and str(model)) or not all(isinstance(note, str) for note in model.notes):
+            raise ValueError("no rules")

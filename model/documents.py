@@ -64,6 +64,23 @@ def array_of(document: Mapping[str, Any], key: str, *shape: int) -> FloatArray:
     return values
 
 
+def monic(values: FloatArray, key: str) -> FloatArray:
+    """Coefficients that begin with 1, or with the identity: what a recursion divides by.
+
+    Parameters
+    ----------
+    values : (p + 1, n_y) polynomials in the delay per output, or (p + 1, n_y, n_y) between outputs.
+
+    Raises
+    ------
+    ValueError : there are none, or they begin otherwise.
+    """
+    one = np.eye(values.shape[-1]) if values.ndim == 3 else np.ones(values.shape[-1])
+    if not len(values) or np.abs(values[0] - one).max(initial=0.0) > 1e-9:
+        raise ValueError(f"{key} does not begin with 1")
+    return values
+
+
 def with_null(array: FloatArray) -> list[Any]:
     """The array as JSON types, null for what is not finite, which JSON does not know; it is read as NaN."""
     return list(np.where(np.isfinite(array), array, None).tolist())  # type: ignore[call-overload]

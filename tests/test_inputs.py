@@ -29,14 +29,45 @@ def test_hostile_model_files_are_refused_or_harmless(tmp_path: Path) -> None:
 def test_indices_beyond_the_data_never_reach_compiled_code(
     tmp_path: Path, spot: tuple[str | int, ...], value: int
 ) -> None:
-    document = json.loads(TS.read_text())
+    (tmp_path / "m.json").write_text(json.dumps(forged(TS, spot, value)))
+    with pytest.raises(StoreError, match="damaged model file"):
+        load(tmp_path / "m.json")
+
+
+@pytest.mark.parametrize(
+    ("name", "spot", "value", "what"),
+    [
+        ("arx", ("a", 0, 0, 0), 0, "a does not begin with 1"),
+        ("arx_coupled_outputs", ("a", 0, 0, 1), 0.5, "a does not begin with 1"),
+        ("tf", ("a", 0, 0, 0), 1e9, "a does not begin with 1"),
+        ("oe", ("noise", 0, 0), 0, "noise does not begin with 1"),
+        ("armax", ("ma", 0, 0), 0, "ma does not begin with 1"),
+        ("statespace_refined_two_inputs_and_outputs", ("noise", 0, 1), 0, "noise does not begin with 1"),
+        ("ts", ("noise", 0, 0), -7, "noise does not begin with 1"),
+        ("ts_ss", ("noise", 0, 0), 0, "noise does not begin with 1"),
+        ("arx", ("free", 0), -1, "free holds places"),
+        ("arx", ("free", 0), 6, "free holds places"),
+        ("arx", ("free", 0), 1, "free holds places"),
+    ],
+)
+def test_what_a_model_divides_by_and_points_to_is_looked_at(
+    tmp_path: Path, name: str, spot: tuple[str | int, ...], value: float, what: str
+) -> None:
+    path = tmp_path / f"{name}.json"
+    path.write_text(json.dumps(forged(TS.with_name(path.name), spot, value)))
+    with pytest.raises(StoreError, match=what) as caught:
+        load(path)
+    assert caught.value.path == str(path)
+
+
+def forged(path: Path, spot: tuple[str | int, ...], value: object) -> object:
+    """The model file's document with another value in one place."""
+    document = json.loads(path.read_text())
     inner = document
     for key in spot[:-1]:
         inner = inner[key]
     inner[spot[-1]] = value
-    (tmp_path / "m.json").write_text(json.dumps(document))
-    with pytest.raises(StoreError, match="damaged model file"):
-        load(tmp_path / "m.json")
+    return document
 
 
 @pytest.mark.filterwarnings("ignore")

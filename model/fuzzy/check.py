@@ -8,8 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from flysid.dataset import FloatArray
 from flysid.errors import StoreError
+from flysid.model.documents import monic
 from flysid.model.fuzzy.kernel import Parameters
 from flysid.model.fuzzy.layout import Antecedent, Layout
 
@@ -25,6 +28,7 @@ def check(layout: Layout, parameters: Parameters, noise: FloatArray | None) -> N
     Raises
     ------
     StoreError : one is out of its range, or does not fit the others.
+    ValueError : a noise model that does not begin with 1.
     """
     orders, n_u, n_y = layout.orders, len(layout.inputs), layout.n_y
     _require(n_y >= 1 and len(orders.nb) == len(orders.nk) == n_u, "orders that do not fit the signals")
@@ -33,7 +37,8 @@ def check(layout: Layout, parameters: Parameters, noise: FloatArray | None) -> N
     _check_scaling(layout.shift, layout.scale, n_y + n_u)
     n_x = n_y * orders.na + sum(orders.nb) + 1
     _check_parameters(parameters, (n_y, n_x, len(layout.antecedents)))
-    _require(noise is None or (noise.ndim == 2 and noise.shape[1] == n_y), "a noise model of another size")
+    if noise is not None:
+        _check_noise(noise, n_y)
 
 
 def check_states(layout: StateLayout, parameters: Parameters, noise: FloatArray) -> None:
@@ -45,7 +50,7 @@ def check_states(layout: StateLayout, parameters: Parameters, noise: FloatArray)
     _check_antecedents(layout.antecedents, layout.n, layout.n + n_u, layout.depth)
     _check_scaling(layout.shift, layout.scale, layout.n + n_u)
     _check_parameters(parameters, (layout.n, layout.n + len(lags) + 1, len(layout.antecedents)))
-    _require(noise.ndim == 2 and noise.shape[1] == n_y, "a noise model of another size")
+    _check_noise(noise, n_y)
 
 
 def _check_antecedents(antecedents: Sequence[Antecedent], states: int, columns: int, most: int) -> None:
@@ -72,6 +77,12 @@ def _check_parameters(p: Parameters, sizes: tuple[int, int, int]) -> None:
     for name, array, shape in zip(p._fields, p, wanted, strict=True):
         fits = array.shape == shape and array.flags.c_contiguous
         _require(fits, f"{name} of shape {array.shape}, not {shape}")
+
+
+def _check_noise(noise: FloatArray, n_y: int) -> None:
+    _require(noise.ndim == 2 and noise.shape[1] == n_y, "a noise model of another size")
+    _require(bool(np.isfinite(noise).all()), "a noise model that is not finite")
+    monic(noise, "noise")
 
 
 def _require(holds: bool, fault: str) -> None:

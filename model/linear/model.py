@@ -21,7 +21,7 @@ from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.model.arguments import as_columns
 from flysid.model.base import Rule, write_document
-from flysid.model.documents import array_of, head_of, signals_of, with_null
+from flysid.model.documents import array_of, head_of, monic, signals_of, with_null
 from flysid.model.freerun import Difference, saturated
 from flysid.model.linear.laws import always, is_stable, predicted
 from flysid.model.linear.text import conclusion, describe
@@ -237,8 +237,11 @@ def from_dict(document: Mapping[str, Any]) -> FittedLinear:
     def optional(key: str, *shape: int) -> FloatArray | None:
         return None if document.get(key) is None else array(key, *shape)
 
-    system = Difference(array("a", -1, n_y, n_y), array("b", -1, n_y, n_u), array("c", n_y))
+    noise, ma = optional("noise", -1, n_y), optional("ma", -1, n_y)
+    system = Difference(monic(array("a", -1, n_y, n_y), "a"), array("b", -1, n_y, n_u), array("c", n_y))
     free = tuple(int(i) for i in document["free"])
+    if len(set(free) & set(range(system.a[1:].size + system.b.size + n_y))) < len(free):
+        raise ValueError("free holds places where no parameter is, or one twice")
     covariance = np.asarray(document["covariance"], dtype=np.float64).reshape(len(free), len(free))
     return FittedLinear(
         structure=str(document["structure"]),
@@ -250,12 +253,12 @@ def from_dict(document: Mapping[str, Any]) -> FittedLinear:
         system=system,
         u_origin=array("u_origin", n_u),
         y_origin=array("y_origin", n_y),
-        noise=optional("noise", -1, n_y),
+        noise=None if noise is None else monic(noise, "noise"),
         starts=optional("starts", n_y, -1, -1),
         free=free,
         covariance=covariance,
         notes=tuple(str(n) for n in document["notes"]),
         scores={str(k): float(v) for k, v in document["scores"].items()},
-        ma=optional("ma", -1, n_y),
+        ma=None if ma is None else monic(ma, "ma"),
         noise_parameters=int(document.get("noise_parameters", 0)),
     )

@@ -21,7 +21,7 @@ from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.model.arguments import as_columns
 from flysid.model.base import Rule, write_document
-from flysid.model.documents import array_of, head_of, signals_of
+from flysid.model.documents import array_of, head_of, monic, signals_of
 from flysid.model.freerun import saturated
 from flysid.model.linear.laws import always, is_stable, predicted
 from flysid.model.linear.text import gains_text
@@ -303,7 +303,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedStateSpace:
         delays=_whole(document.get("delays", []), n_u),
         free=int(document["free"]),
         singular_values=array("singular_values", -1),
-        noise=None if document["noise"] is None else array("noise", -1, n_y),
+        noise=None if document["noise"] is None else monic(array("noise", -1, n_y), "noise"),
         covariance=_square(document.get("covariance", [])),
         notes=tuple(str(n) for n in document["notes"]),
         scores={str(k): float(v) for k, v in document["scores"].items()},
