@@ -14,13 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flysid.dataset import Signal
+from flysid.dataset import Dataset, Signal
 from flysid.errors import StoreError
 from flysid.validate.cautions import MOST, cautions
 from flysid.validate.compare import Comparison, compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.report import ReportContext, Sweep, render, write_report
 from flysid.validate.report.decimate import decimate, rounded
+from flysid.validate.report.rulefigures import antecedent_range
 from flysid.validate.report.svg import log_ticks, ticks
 from tests.fakes import FirstOrder, flown
 
@@ -171,6 +172,23 @@ def hostile_context() -> ReportContext:
         provenance={HOSTILE: HOSTILE},
         remark=HOSTILE,
     )
+
+
+@pytest.mark.parametrize("name", ["-rate", "+rate", "−rate", "a - b", "(x)", "rate(k-1)", "-"])
+def test_a_name_that_begins_with_a_sign_has_its_membership_picture(name: str) -> None:
+    data = Dataset.from_arrays(
+        [np.arange(50.0)[:, None]], [np.arange(50.0)[:, None] ** 2], 0.1, inputs=[name], outputs=["rate"]
+    )
+    assert antecedent_range(f"{name}(k)", data) == (0.0, 49.0)
+    assert antecedent_range(f"{name}(k-2)", data) == (0.0, 47.0)
+    assert antecedent_range(f"{name}(k)-{name}(k-1)", data) is None  # it never changes
+    low, high = antecedent_range(f"rate(k-1)-{name}(k-3)", data) or (0.0, 0.0)
+    assert (low, high) == (2.0**2 - 0.0, 48.0**2 - 46.0)
+    low, high = antecedent_range(f"-rate(k-1)+{name}(k-3)", data) or (0.0, 0.0)
+    if name not in ("-rate", "−rate"):  # where a signal is called so, it is that signal
+        assert (low, high) == (-(48.0**2) + 46.0, -4.0)
+    assert antecedent_range(f"{name}(k)x", data) is None
+    assert antecedent_range("", data) is None
 
 
 def test_hostile_names_are_shown_literally() -> None:

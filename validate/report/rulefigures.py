@@ -21,6 +21,7 @@ from flysid.validate.words import one_line
 WIDE = 960.0
 THIRD = 310.0
 SHOWN_FROM = 0.25
+_LAG = re.compile(r"\(k(?:-(\d+))?\)")
 
 
 @runtime_checkable
@@ -64,22 +65,37 @@ def antecedent_range(name: str, data: Dataset) -> tuple[float, float] | None:
 
 
 def _terms(name: str, signals: Sequence[Signal]) -> list[tuple[int, int, float]]:
-    """(column, lag, sign) of every "w(k-2)" in `name`; empty where a part of it is something else."""
+    """(column, lag, sign) of every "w(k-2)" in `name`; empty where a part of it is something else.
+
+    A signal's own name may begin with a sign: between terms the first sign is the operator, at the start it
+    is one only where no signal is called so.
+    """
+    names = [_plain(s.name) for s in signals]
     found: list[tuple[int, int, float]] = []
-    rest = name.replace(" ", "").replace("−", "-")
-    names = sorted(range(len(signals)), key=lambda i: -len(signals[i].name))
+    rest = _plain(name)
     while rest:
-        sign = -1.0 if rest.startswith("-") else 1.0
-        rest = rest.lstrip("+-")
-        for i in names:
-            match = re.match(re.escape(signals[i].name.replace(" ", "")) + r"\(k(?:-(\d+))?\)", rest)
-            if match:
-                found.append((i, int(match[1] or 0), sign))
-                rest = rest[match.end() :]
-                break
-        else:
+        term = None if found else _term(rest, names)
+        sign = -1.0 if term is None and rest[0] == "-" else 1.0
+        if term is None and rest[0] in "+-":
+            term = _term(rest[1:], names)
+        if term is None:
             return []
+        column, lag, rest = term
+        found.append((column, lag, sign))
     return found
+
+
+def _term(text: str, names: Sequence[str]) -> tuple[int, int, str] | None:
+    """(column, lag, what follows) of the "w(k-2)" that a text begins with, by the longest name that fits."""
+    for column in sorted(range(len(names)), key=lambda i: -len(names[i])):
+        lag = _LAG.match(text, len(names[column])) if text.startswith(names[column]) else None
+        if lag:
+            return column, int(lag[1] or 0), text[lag.end() :]
+    return None
+
+
+def _plain(name: str) -> str:
+    return name.replace(" ", "").replace("−", "-")
 
 
 def membership_figures(model: HasMemberships, data: Dataset, unit_of: dict[str, str]) -> list[Markup]:
