@@ -20,11 +20,12 @@ from pyarrow.csv import ConvertOptions, ParseOptions, ReadOptions, read_csv
 
 from flysid.errors import FormatError
 from flysid.flight import BOOT, ROW_NUMBER, TIME, ClockMap, field_metadata
-from flysid.ingest.base import HEAD_BYTES, Format, Limits, Parts, StreamPart, Summary, release
+from flysid.ingest.base import HEAD_BYTES, Format, Limits, Parts, StreamPart, Summary
 from flysid.ingest.clock import IntArray, UtcFit, back_steps, is_outlier
 from flysid.ingest.columns import numbers
 from flysid.ingest.csv_cells import Lines, as_int64, column_of, counted, split_lines, stamps, stated_times
 from flysid.ingest.csv_layout import MISSING, Column, Layout, layout_of
+from flysid.ingest.line_batches import whole_lines
 from flysid.ingest.tally import Tally
 
 STREAM = "table"
@@ -61,31 +62,16 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
             byte=0,
             hint="columns between commas, semicolons or tabs, one line a row, names in the first line",
         )
-    reader, position = _Reader(layout, _schema(layout)), layout.start
+    reader = _Reader(layout, _schema(layout))
     _preamble(reader, bytes(view[: layout.start]))
-    while position < len(view):
-        data = _batch(view, position, limits.batch_bytes)
-        end, stop = data.rfind(b"\n") + 1, position + len(data)
-        if end:
-            part = _part(reader, data[:end], position)
+    for lines in whole_lines(view, layout.start, limits.batch_bytes, MAX_LINE_BYTES):
+        if lines.data:
+            part = _part(reader, lines.data, lines.start)
             if part.num_rows:
                 yield StreamPart(STREAM, part)
-        if stop == len(view) and end < len(data):
-            reader.tally.truncated = True
-            reader.tally.skip(position + end, stop, "the last line has no end")
-            end = len(data)
-        elif end == 0:
-            reader.tally.skip(position, stop, "a line without an end")
-            end = len(data)
-        release(view, position, position + end)
-        position += end
+        reader.tally.truncated |= lines.is_cut
+        reader.tally.skip(lines.end, lines.stop, lines.fault)
     return _summary(reader)
-
-
-def _batch(view: memoryview, position: int, size: int) -> bytes:
-    """About `size` bytes from there; more where they hold no line's end."""
-    data = bytes(view[position : position + size])
-    return data if b"\n" in data else bytes(view[position : position + MAX_LINE_BYTES])
 
 
 def _schema(layout: Layout) -> pa.Schema:

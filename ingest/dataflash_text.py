@@ -20,11 +20,12 @@ import pyarrow as pa
 
 from flysid.errors import FormatError
 from flysid.flight import ClockMap, Damage, Region
-from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary, release
+from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary
 from flysid.ingest.clock import IntArray
 from flysid.ingest.columns import Layout, message_schema, numbers, strings
 from flysid.ingest.dataflash import SYSTEM, TIME_COLUMNS, firmware_in, note_utc, stated_time
 from flysid.ingest.dfformats import FMT_ID, HEADER_BYTES, Definition, Definitions, Units, packed_length
+from flysid.ingest.line_batches import whole_lines
 from flysid.ingest.vehicletime import Clocked, VehicleTime
 
 FMT_LINE = re.compile(rb"(?:^|\n)FMT, ?\d+, ?\d+, ?\w+, ?\w+, ?\w")
@@ -73,20 +74,13 @@ class _Lines:
 
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
     """Parts of a text log; see `Format.read`."""
-    reader, position = _Reader(), 0
-    while position < len(view):
-        size = max(min(limits.batch_bytes, BATCH_BYTES), MAX_LINE_BYTES)
-        data = bytes(view[position : position + size])
-        end = data.rfind(b"\n") + 1
-        if position + len(data) == len(view) and end < len(data):
-            reader.truncated = True
-            _skip(reader, position + end, len(view), "the last line has no end")
-        elif end == 0:
-            end = len(data)
-            _skip(reader, position, position + end, "a line without an end")
-        yield from _parts(reader, data[:end], position)
-        release(view, position, position + end)
-        position = len(view) if reader.truncated else position + end
+    reader = _Reader()
+    size = max(min(limits.batch_bytes, BATCH_BYTES), MAX_LINE_BYTES)
+    for lines in whole_lines(view, 0, size, size):
+        reader.truncated |= lines.is_cut
+        if lines.fault:
+            _skip(reader, lines.end, lines.stop, lines.fault)
+        yield from _parts(reader, lines.data, lines.start)
     if reader.row == 0:
         raise FormatError("no DataFlash line", path=name, hint="check that this is an ArduPilot .log")
     return _summary(reader)
