@@ -151,12 +151,20 @@ class Candidate:
         return float(self.errors.mean())
 
 
-def choose(candidates: Sequence[Candidate], *, least_gain: float = 0.0, most_loss: float = np.inf) -> int:
+def choose(
+    candidates: Sequence[Candidate],
+    *,
+    least_gain: float = 0.0,
+    most_loss: float = np.inf,
+    most_misfit: float = np.inf,
+) -> int:
     """Index of the simplest stable candidate within one standard error of the best stable one.
 
     `least_gain` and `most_loss` bound the relative loss in mean square that simplicity is worth: a rule
     must lower it by more than the first, however sure that gain is. Orders are chosen with a most_loss of
-    0.01, because a linear model of too low an order makes rules look useful that only replace its lags.
+    0.05, because a linear model of too low an order makes rules look useful that only replace its lags.
+    `most_misfit` bounds the loss on the training part in the same way: one validation flight may happen not
+    to ask for what a simpler model lacks.
     """
     stable = [i for i, c in enumerate(candidates) if c.stable]
     if not stable:
@@ -166,7 +174,8 @@ def choose(candidates: Sequence[Candidate], *, least_gain: float = 0.0, most_los
         gap = candidates[i].errors - candidates[best].errors
         allowed = float(gap.std(ddof=1) / np.sqrt(len(gap))) if len(gap) > 1 else 0.0
         allowed = min(max(allowed, least_gain * candidates[best].mean), most_loss * candidates[best].mean)
-        if i == best or gap.mean() <= allowed or candidates[i].mean < _RESOLUTION:
+        fits = candidates[i].stage.cost <= (1.0 + most_misfit) * candidates[best].stage.cost
+        if i == best or (fits and gap.mean() <= allowed) or candidates[i].mean < _RESOLUTION:
             return i
     return best
 

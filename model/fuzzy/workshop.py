@@ -27,6 +27,7 @@ from flysid.model.fuzzy.stress import stress_run
 
 SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
 _ORDER_GAIN, _ORDER_LOSS = 0.01, 0.05  # of the mean square: never, and at most, worth an order
+_ORDER_MISFIT = 0.1  # of the training mean square, which more lags always lower a little
 _WORSE_FIT = 1.5  # of the training mean square: one good validation does not make up for it
 _LOOSE = 100.0  # ranges within which the search for a linear model may move
 _FAR = 10.0  # ranges that a plant which integrates may leave its training range by
@@ -129,7 +130,9 @@ class Workshop:
             loose += variants
         candidates += self._linear_side(len(choices))
         candidates = plausible(sorted(candidates, key=lambda c: c.stage.body.size))
-        at = choose(candidates, least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS)
+        at = choose(
+            candidates, least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS, most_misfit=_ORDER_MISFIT
+        )
         orders = candidates[at].stage.problem.layout.orders
         how = (
             "as given" if len(choices) == 1 else "the simplest within one standard error of the best, and 5 %"
