@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
+from flysid.model.fuzzy.forgetting import forgets_start
 from flysid.model.fuzzy.grow import Stage
 from flysid.model.fuzzy.kernel import free_run
 from flysid.model.fuzzy.linear_side import LinearModel
@@ -185,9 +186,9 @@ def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
 
     First random steps over the whole range of the training inputs, which may push any plant far out; then
     blocks of the training inputs in random order. In that second part no more than one sample in fifty
-    may lie on an output limit (the range of training, widened by itself on each side). Of a model that
-    holds an integrator the changes of the output are asked instead (the range widened tenfold), as its
-    output may go anywhere.
+    may lie on an output limit (the range of training, widened by itself on each side), and models of several
+    rules must forget how they were started (`forgets_start`). Of a model that holds an integrator the changes
+    of the output are asked instead (the range widened tenfold), as its output may go anywhere.
     """
     problem, n_y = stage.problem, stage.problem.layout.n_y
     W = stress_run(problem.runs, n_y, steps, seed)
@@ -200,7 +201,16 @@ def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
         usual = np.concatenate([np.diff(run[:, :n_y], axis=0) for run in runs])
         y, limits = np.diff(y, axis=0), widened(np.stack([usual.min(axis=0), usual.max(axis=0)]), _FAR)
     at_limit = (y <= limits[0]) | (y >= limits[1])
-    return bool(at_limit.any(axis=1).mean() < 0.02)
+    if not at_limit.any(axis=1).mean() < 0.02:
+        return False
+    return problem.integrates or stage.rules == 1 or _forgets_start(stage)
+
+
+def _forgets_start(stage: Stage) -> bool:
+    problem, layout = stage.problem, stage.problem.layout
+    y = np.vstack([run[:, : layout.n_y] for run in simulate_runs(problem, stage.body, stage.initial)])
+    seen = np.stack([y.min(axis=0), y.max(axis=0)])
+    return forgets_start(problem.runs, seen, layout.depth, layout.lags, problem.parameters(stage.body))
 
 
 def _rules_settle(stage: Stage) -> bool:

@@ -130,9 +130,7 @@ class Workshop:
             loose += variants
         candidates += self._linear_side(len(choices))
         candidates = plausible(sorted(candidates, key=lambda c: c.stage.body.size))
-        at = choose(
-            candidates, least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS, most_misfit=_ORDER_MISFIT
-        )
+        at = choose(candidates, least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS, most_misfit=_ORDER_MISFIT)
         orders = candidates[at].stage.problem.layout.orders
         how = (
             "as given" if len(choices) == 1 else "the simplest within one standard error of the best, and 5 %"

@@ -9,7 +9,9 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.fuzzy.choice import blocks, judging_window
+from flysid.model.fuzzy.forgetting import forgets_start
 from flysid.model.fuzzy.kernel import free_run
+from flysid.model.fuzzy.stress import stress_run
 from flysid.model.hidden.grow import StateStage
 from flysid.model.hidden.layout import windows
 from flysid.model.hidden.start import initial_states, simulated
@@ -75,24 +77,21 @@ def is_bounded(stage: StateStage, seed: int = 0) -> bool:
     """Whether the free run stays off its limits under the training inputs in random order.
 
     Before that come random steps over the whole range of the inputs, which may push any plant far out. Ends
-    at which the plant itself saturates are no limits in this sense.
+    at which the plant itself saturates are no limits in this sense. It must also forget how it was
+    started, in its hidden states above all (`flysid.model.fuzzy.forgetting`).
     """
     problem, layout = stage.problem, stage.layout
-    rng, n = np.random.default_rng(seed), layout.n
-    pool = np.vstack([W[:, n:] for W in problem.runs])
-    low, high = pool.min(axis=0), pool.max(axis=0)
-    hold = max(2, len(pool) // 200)
-    begins = rng.integers(0, max(1, len(pool) - hold), size=-(-_STEPS // hold))
-    usual = np.vstack([pool[b : b + hold] for b in begins])[:_STEPS]
-    wild = np.repeat(rng.uniform(low, high, (-(-_STEPS // hold), len(low))), hold, axis=0)[:_STEPS]
-    W = np.zeros((len(wild) + len(usual), n + len(low)))
-    W[:, n:] = np.vstack([wild, usual])
+    n = layout.n
+    W = stress_run(problem.runs, n, _STEPS, seed)
     free_run(W, layout.depth, layout.lags, problem.parameters(stage.body))
     seen = np.vstack([r[layout.depth - 1 :, :n] for r in stage.simulated()])
     margin = 0.5 * np.ptp(seen, axis=0)
-    states = W[len(wild) + len(usual) // 4 :, :n]
+    states = W[_STEPS + _STEPS // 4 :, :n]
     out = (states < seen.min(axis=0) - margin) | (states > seen.max(axis=0) + margin)
-    return bool(np.isfinite(states).all() and out.any(axis=1).mean() < 0.02)
+    if not (np.isfinite(states).all() and out.any(axis=1).mean() < 0.02):
+        return False
+    ends = np.stack([seen.min(axis=0), seen.max(axis=0)])
+    return forgets_start(problem.runs, ends, layout.depth, layout.lags, problem.parameters(stage.body))
 
 
 def ends_of_travel(data: Dataset) -> FloatArray:
