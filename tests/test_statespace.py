@@ -13,6 +13,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.interop import from_control_states, to_control
 from flysid.model.statespace import StateSpace
+from flysid.model.subspace.kalman import gains_of
 from flysid.model.subspace.riccati import kalman_gain
 from flysid.model.subspace.triangle import METHODS, Method, Realisation, subspace
 
@@ -87,6 +88,19 @@ def test_the_kalman_gain_solves_the_filter_equation() -> None:
     for _ in range(500):
         p = A @ p @ A.T + q - A @ p @ C.T @ np.linalg.solve(C @ p @ C.T + r, C @ p @ A.T)
     assert gain == pytest.approx(A @ p @ C.T @ np.linalg.inv(C @ p @ C.T + r), abs=1e-7)
+
+
+def test_gains_of_the_first_samples_are_those_of_the_covariance_form() -> None:
+    """Whose recursion squares what the roots keep; with little noise it would lose its digits."""
+    r, p = np.array([[0.5, 0.1], [0.1, 1.0]]), np.diag([2.0, 1.0, 0.5])
+    still = np.zeros(3)
+    system = Realisation(A, B, C, D, K, still, still[:2], r, p)
+    gains = gains_of(system, 40)
+    for gain in gains:
+        cross, seen = A @ p @ C.T + K @ r, C @ p @ C.T + r
+        assert gain == pytest.approx(cross @ np.linalg.inv(seen), abs=1e-7)
+        p = A @ p @ A.T + K @ r @ K.T - gain @ cross.T
+    assert gains[-1] == pytest.approx(K, abs=1e-3)
 
 
 def data(rows: int = 2000, noise: float = 0.02, level: float = 2.0) -> Dataset:

@@ -20,6 +20,8 @@ from flysid.model.subspace.triangle import Realisation
 QUIET = 1e-8
 """Standard deviation of the innovation, relative to the largest output a state makes, that counts as none."""
 STILL = 1e-12
+NOTHING = 1e-280
+"""Squares below count as none: their reciprocals would overflow."""
 LOOK = 200
 """Samples over which a wrong start is felt."""
 
@@ -53,25 +55,9 @@ def _recursion(system: Realisation, noise: FloatArray, most: int) -> tuple[Float
     ----------
     noise : (n_y, n_y) root of the innovation's covariance.
     """
-    n_y, n = system.c.shape
-    gains, roots = np.zeros((most, n, n_y)), [_half(system.state)]
-    array = np.empty((n_y + n, n_y + n))  # transposed
-    array[:n_y, :n_y], array[:n_y, n_y:] = noise.T, (system.k @ noise).T
-    both = np.vstack([system.c, system.a])
-    for step in range(most):
-        array[n_y:] = (both @ roots[-1]).T
-        lower = np.asarray(np.linalg.qr(array, mode="r")).T
-        gains[step] = np.linalg.solve(lower[:n_y, :n_y].T, lower[n_y:, :n_y].T).T
-        if step and _is_still(gains[step], gains[step - 1]):
-            gains[step:] = gains[step]
-            break
-        roots.append(lower[n_y:, n_y:])
-    return gains, roots
-
-
-def _is_still(gain: FloatArray, before: FloatArray) -> bool:
-    """The filter is stationary: from here on every step is as the last."""
-    return bool(np.abs(gain - before).max(initial=0.0) <= STILL * np.abs(gain).max(initial=0.0))
+    parts = (system.a, system.c, _half(system.state), noise.T, (system.k @ noise).T)
+    gains, roots, count = _gains_kernel()(*(np.ascontiguousarray(p) for p in parts), most)
+    return gains, list(roots[:count])
 
 
 def _observed(system: Realisation) -> FloatArray:
@@ -150,6 +136,77 @@ def resting_state(system: Realisation, u: FloatArray, y: FloatArray) -> FloatArr
     goal = np.concatenate([system.b @ u + system.drift, y - system.d @ u - system.level])
     state: FloatArray = np.linalg.lstsq(matrix, goal, rcond=1e-12)[0]
     return state
+
+
+@cache
+def _gains_kernel() -> Any:
+    from numba import njit
+
+    @njit(cache=True, error_model="numpy")
+    def run(
+        a: FloatArray, c: FloatArray, first: FloatArray, noise: FloatArray, moved: FloatArray, most: int
+    ) -> tuple[FloatArray, FloatArray, int]:
+        n_y, n = c.shape
+        gains, roots = np.zeros((most, n, n_y)), np.zeros((most + 1, n, n))
+        R = np.empty((n_y + n, n_y + n))
+        for i in range(n):
+            for j in range(n):
+                roots[0, i, j] = first[i, j]
+        count = 1
+        for step in range(most):
+            root = roots[count - 1]
+            for o in range(n_y):
+                for i in range(n_y + n):
+                    R[o, i] = noise[o, i] if i < n_y else moved[o, i - n_y]
+            for q in range(n):
+                for i in range(n_y + n):
+                    total = 0.0
+                    for j in range(n):
+                        total += (c[i, j] if i < n_y else a[i - n_y, j]) * root[j, q]
+                    R[n_y + q, i] = total
+            for j in range(
+                n_y + n - 1
+            ):  # the triangle of R = Q R in place, by reflections (Householder, 1958)
+                square = 0.0
+                for i in range(j + 1, n_y + n):
+                    square += R[i, j] * R[i, j]
+                if square < NOTHING:
+                    continue
+                length = np.copysign(np.sqrt(square + R[j, j] * R[j, j]), R[j, j])
+                pivot = R[j, j] + length
+                scale = 2.0 / (square + pivot * pivot)
+                for q in range(j + 1, n_y + n):
+                    along = pivot * R[j, q]
+                    for i in range(j + 1, n_y + n):
+                        along += R[i, j] * R[i, q]
+                    along *= scale
+                    R[j, q] -= along * pivot
+                    for i in range(j + 1, n_y + n):
+                        R[i, q] -= along * R[i, j]
+                R[j, j] = -length
+            largest, change = 0.0, 0.0
+            for i in range(n):
+                for o in range(n_y - 1, -1, -1):
+                    value = R[o, n_y + i]
+                    for p in range(o + 1, n_y):
+                        value -= R[o, p] * gains[step, i, p]
+                    gains[step, i, o] = value / R[o, o]
+                    largest = max(largest, abs(gains[step, i, o]))
+                    if step:
+                        change = max(change, abs(gains[step, i, o] - gains[step - 1, i, o]))
+            if step and change <= STILL * largest:  # the filter is stationary: every step is as the last
+                for later in range(step + 1, most):
+                    for i in range(n):
+                        for o in range(n_y):
+                            gains[later, i, o] = gains[step, i, o]
+                break
+            for i in range(n):
+                for j in range(n):
+                    roots[count, i, j] = R[n_y + j, n_y + i] if j <= i else 0.0
+            count += 1
+        return gains, roots, count
+
+    return run
 
 
 @cache
