@@ -27,7 +27,8 @@ from flysid.model.documents import head_of, signals_of
 from flysid.model.fuzzy.cluster import MOST_SAMPLES, Method, cluster, project
 from flysid.model.fuzzy.consequents import least_squares, weighted
 from flysid.model.fuzzy.memberships import Conjunction, Partition, Shape
-from flysid.model.fuzzy.words import condition_in_words, equation, in_words, number
+from flysid.model.fuzzy.tongue import number
+from flysid.model.fuzzy.words import condition_in_words, equation, in_words
 from flysid.model.stream import Source, blocks_of
 from flysid.model.threads import on_one_thread
 

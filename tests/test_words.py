@@ -2,49 +2,196 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from flysid.errors import StoreError
 from flysid.model.base import write_document
+from flysid.model.fuzzy.labels import labels, pieces
 from flysid.model.fuzzy.memberships import Partition
-from flysid.model.fuzzy.words import condition_in_words, equation, labels, number
+from flysid.model.fuzzy.tongue import Axis, number
+from flysid.model.fuzzy.words import condition_in_words, equation
+
+V_X = Axis("v_x(k-1)", "m/s", -2.0, 2.1)
+SIZES = {"slow": 1, "moderately fast": 2, "fast": 3, "": 2, "very slow": 0, "very fast": 4}
+
+
+def one_axis(*sets: tuple[float, float], low: float = -3.0, high: float = 3.0) -> Partition:
+    """Symmetric Gaussian sets (centre, width) of one antecedent."""
+    centre, width = (np.array([s[i] for s in sets])[:, None] for i in range(2))
+    return Partition(centre, width, width, np.array([low]), np.array([high]))
+
+
+def said_of(partition: Partition, name: str = "v_x(k-1)", unit: str = "m/s") -> list[str]:
+    """The word of every rule."""
+    conditions = [condition_in_words(partition, r, [name], [unit]) for r in range(len(partition))]
+    found = [re.search("'(.*)'", c) for c in conditions]
+    return ["" if f is None else f[1] for f in found]
 
 
 def test_speeds_are_told_by_size_and_direction() -> None:
-    said = labels(np.array([-2.0, -0.6, 0.02, 0.7, 2.1]), "v_x(k-1)", "m/s", 4.1)
+    said = labels(np.array([-2.0, -0.6, 0.02, 0.7, 2.1]), V_X)
     assert said == ["fast backward", "slow backward", "hovering", "slow forward", "fast forward"]
-    assert labels(np.array([-1.0, 1.0]), "v_z(k-1)", "m/s", 2.2) == ["fast down", "fast up"]
+    assert labels(np.array([-1.0, 1.0]), Axis("v_z(k-1)", "m/s", -1.1, 1.1)) == ["down", "up"]
+    assert labels(np.array([-1.0, 1.0]), Axis("w", "m/s", -1.1, 1.1)) == ["negative", "positive"]
 
 
-def test_other_quantities_are_low_middle_high() -> None:
-    assert labels(np.array([3.0, 1.0, 2.0]), "theta(k)", "deg", 2.0) == ["high", "low", "middle"]
-    assert labels(np.array([1.0, 1.001]), "u", "", 2.0) == ["", ""]
-    assert len(set(labels(np.arange(9.0), "u", "", 9.0))) == 9
+def test_other_quantities_are_low_middle_high_or_signed() -> None:
+    assert labels(np.array([3.0, 1.0, 2.0]), Axis("h(k)", "m", 0.5, 3.5)) == ["high", "low", "middle"]
+    assert labels(np.array([1.0, 1.001]), Axis("u", "", 0.0, 2.0)) == ["", ""]
+    assert len(set(labels(np.arange(9.0), Axis("u", "", 0.0, 9.0)))) == 9
+    signed = labels(np.array([-10.0, -1.0, 4.0, 9.0]), Axis("phi(k)", "deg", -12.0, 12.0))
+    assert signed == ["negative", "near zero", "slightly positive", "strongly positive"]
+
+
+def test_a_speed_without_a_sign_is_slow_or_fast() -> None:
+    assert labels(np.array([12.0, 20.0]), Axis("airspeed(k-1)", "m/s", 9.0, 24.0)) == ["slow", "fast"]
+    assert said_of(one_axis((2.0, 1.0), (15.0, 4.0), low=0.0, high=20.0), "airspeed") == ["slow", "fast"]
 
 
 def test_only_one_speed_is_hovering() -> None:
-    said = labels(np.array([-0.1, 0.05, 1.0]), "v_x(k-1)", "m/s", 4.0)
-    assert said == ["slow backward", "hovering", "slow forward"]
-    assert labels(np.array([0.1, 0.3]), "v_x(k-1)", "m/s", 4.0) == ["hovering", "slow forward"]
+    assert labels(np.array([-0.1, 0.05, 1.0]), V_X) == ["backward", "hovering", "forward"]
+    assert labels(np.array([0.1, 0.3]), V_X) == ["hovering", "forward"]
 
 
 def test_changes_rise_and_fall() -> None:
-    said = labels(np.array([-0.2, 0.0, 0.05, 0.3]), "v_x(k-1)-v_x(k-2)", "m/s", 0.6)
-    assert said == ["falling slowly", "steady", "rising slowly", "rising quickly"]
+    said = labels(np.array([-0.2, 0.0, 0.05, 0.3]), Axis("v_x(k-1)-v_x(k-2)", "m/s", -0.3, 0.3))
+    assert said == ["falling", "steady", "rising slowly", "rising quickly"]
+
+
+def test_one_rule_to_a_side_speaks_for_the_whole_side() -> None:
+    assert said_of(one_axis((-0.9, 0.7), (0.7, 0.5))) == ["backward", "forward"]
+    assert said_of(one_axis((-1.0, 0.5), (0.0, 0.2), (1.0, 0.5))) == ["backward", "hovering", "forward"]
+    assert said_of(one_axis((0.2, 0.4), (2.0, 0.4))) == ["backward or slow forward", "fast forward"]
+
+
+def test_a_wide_set_under_a_narrow_one_is_named_by_where_it_is_left() -> None:
+    demo = one_axis((-0.813, 0.374), (-1.05, 0.267), (1.02, 0.326), low=-2.9, high=2.7)
+    assert said_of(demo, "v_y(k-1)") == [
+        "slow or fast to the left", "moderately fast to the left", "to the right",
+    ]  # fmt: skip
+    first = condition_in_words(demo, 0, ["v_y(k-1)"], ["m/s"])
+    assert first.endswith("(about -0.813 +- 0.374 m/s; strongest below -1.64 and from -0.951 to 0.169 m/s)")
+    assert "strongest" not in condition_in_words(demo, 1, ["v_y(k-1)"], ["m/s"])
+    assert said_of(one_axis((1.5, 2.0), (0.0, 0.3))) == ["backward or forward", "hovering"]
+    assert said_of(one_axis((0.0, 9.0), (-2.0, 0.6), (2.0, 0.6))) == [
+        "anywhere else", "moderately fast backward", "moderately fast forward",
+    ]  # fmt: skip
+    height = one_axis((5.0, 9.0), (4.0, 0.5), low=0.0, high=10.0)
+    assert said_of(height, "h(k-1)", "m") == ["away from 4 m", "near 4 m"]
+
+
+def test_a_rule_that_is_nowhere_the_strongest_is_called_so() -> None:
+    covered = one_axis((-1.0, 0.5), (0.0, 0.2), (-0.45, 0.05), (-0.6, 0.05), (-0.52, 0.02), (1.0, 0.5))
+    hidden = Partition(
+        covered.centre, covered.left, covered.right, np.array([-3.0]), np.array([3.0]), "gaussian", "minimum"
+    )
+    assert len(set(said_of(hidden))) == 6
+    outside = one_axis((-1.0, 0.5), (1.0, 0.5), (9.0, 0.5))
+    assert said_of(outside) == ["backward", "forward", "near 9 m/s"]
+    last = condition_in_words(outside, 2, ["v_x(k-1)"], ["m/s"])
+    assert last.endswith("(about 9 +- 0.5 m/s; hardly anywhere the strongest)")
 
 
 def test_sets_at_one_place_are_told_by_their_widths() -> None:
-    centre = np.array([[0.5], [0.501], [0.499]])
-    width = np.array([[0.2], [2.0], [0.25]])
-    p = Partition(centre, width, width, np.array([-1.0]), np.array([1.0]))
-    said = [condition_in_words(p, r, ["y(k-1)"], ["m"]) for r in range(3)]
-    assert "'near 0.5 m'" in said[0]
-    assert "'away from 0.5 m'" in said[1]
+    p = one_axis((0.5, 0.2), (0.501, 2.0), (0.499, 0.25), low=-0.2, high=1.8)
+    assert said_of(p, "y(k-1)", "m") == [
+        "near 0.499 m, narrowly",
+        "away from 0.499 m",
+        "near 0.499 m, widely",
+    ]
+    assert said_of(one_axis((0.5, 0.2), (0.5, 0.2)), "y", "m")[1].endswith(", 2 of 2")
+
+
+rule_sets = st.lists(
+    st.tuples(st.floats(-3.0, 3.0), st.floats(0.1, 3.0)), min_size=2, max_size=5, unique_by=lambda s: s[0]
+)
+axes = st.sampled_from([("v_x(k-1)", "m/s"), ("u(k)", ""), ("v_y(k-1)-v_y(k-2)", "m/s"), ("h(k-1)", "m")])
+
+
+@given(sets=rule_sets, axis=axes, high=st.sampled_from([3.0, 12.0]))
+def test_rules_of_a_model_have_different_words(
+    sets: list[tuple[float, float]], axis: tuple[str, str], high: float
+) -> None:
+    said = said_of(one_axis(*sets, high=high), *axis)
+    assert len(set(said)) == len(sets)
+    assert all(said)
+
+
+def rank(word: str) -> float | None:
+    """Where a speed of one word lies on the axis; None for several words."""
+    if word == "hovering":
+        return 0.0
+    match = re.fullmatch(r"(.*?) ?(backward|forward)(, .*)?", word)
+    if match is None or match[1] not in SIZES or match[3]:
+        return None
+    return (1 + SIZES[match[1]]) * (1.0 if match[2] == "forward" else -1.0)
+
+
+@given(sets=rule_sets)
+def test_words_are_ordered_as_the_centres_are(sets: list[tuple[float, float]]) -> None:
+    """Of rules that are the strongest at their own centre, and on one stretch only."""
+    partition = one_axis(*sets)
+    found, levels = pieces(partition)
+    said = said_of(partition)
+    plain = []
+    for level, rules in enumerate(levels):
+        (centre, *_), mine = partition.centre[rules, 0], [p for p in found if p.level == level]
+        if len(rules) == 1 and len(mine) == 1 and mine[0].low <= centre <= mine[0].high:
+            plain.append((float(centre), rank(said[rules[0]])))
+    ranks = [r for _, r in sorted(plain) if r is not None]
+    assert ranks == sorted(ranks)
+    assert len(set(ranks)) == len(ranks)
+
+
+@given(sets=rule_sets)
+def test_words_are_true_where_a_rule_is_the_strongest(sets: list[tuple[float, float]]) -> None:
+    """Whoever is called backward and nothing else is not the strongest far forward, and the other way."""
+    partition = one_axis(*sets)
+    said = said_of(partition)
+    x = np.linspace(-3.0, 3.0, 301)
+    strongest = partition.firing(x[:, None]).argmax(axis=1)
+    far = 0.2 * 6.0
+    for r, word in enumerate(said):
+        at = x[strongest == r]
+        place = rank(word)
+        if place is None or len(at) < 0.05 * len(x):  # short pieces are left to their neighbours
+            continue
+        wrong = at[at > far] if place < 0 else at[at < -far] if place > 0 else at[np.abs(at) > far]
+        assert len(wrong) <= 0.1 * len(x)
+
+
+@given(sets=rule_sets)
+def test_a_mirrored_axis_has_mirrored_words(sets: list[tuple[float, float]]) -> None:
+    partition = one_axis(*sets)
+    assume(all(len(rules) == 1 for rules in pieces(partition)[1]))
+    mirrored = one_axis(*((-c, w) for c, w in sets))
+    swap = {"backward": "forward", "forward": "backward"}
+    for word, other in zip(said_of(partition), said_of(mirrored), strict=True):
+        if not re.search("anywhere|away|near", word):
+            turned = re.sub("backward|forward", lambda m: swap[m[0]], word)
+            assert sorted(turned.split(" or ")) == sorted(other.split(" or "))
+
+
+@given(
+    centres=st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1)), min_size=2, max_size=5),
+    width=st.lists(st.floats(0.05, 5.0), min_size=10, max_size=10),
+)
+def test_rules_over_several_antecedents_have_different_words(
+    centres: list[tuple[float, float]], width: list[float]
+) -> None:
+    widths = np.array(width).reshape(5, 2)[: len(centres)]
+    ends = np.array([-1.2, -1.2]), np.array([1.2, 1.2])
+    partition = Partition(np.array(centres), widths, widths, *ends)
+    names, units = ["v_x(k-1)", "u(k-1)"], ["m/s", "deg"]
+    said = [condition_in_words(partition, r, names, units) for r in range(len(centres))]
+    words = [re.sub(r" is A\d+| \(about [^)]*\)", "", s) for s in said]
+    assert len(set(words)) == len(words)
 
 
 @given(
@@ -53,7 +200,7 @@ def test_sets_at_one_place_are_told_by_their_widths() -> None:
     unit=st.sampled_from(["m/s", "", "deg"]),
 )
 def test_different_places_have_different_words(values: list[float], name: str, unit: str) -> None:
-    said = labels(np.array(values), name, unit, 2.0)
+    said = labels(np.array(values), Axis(name, unit, -1.0, 1.0))
     for value, word in zip(values, said, strict=True):
         for other, other_word in zip(values, said, strict=True):
             if abs(value - other) > 0.08:
@@ -70,11 +217,9 @@ def test_equations_read_well() -> None:
 
 
 def test_conditions_name_variable_label_place_and_unit() -> None:
-    one = np.array([[0.3], [0.3]])
-    p = Partition(np.array([[-1.0], [1.0]]), one, one, np.array([-2.0]), np.array([2.0]))
-    said = condition_in_words(p, 1, ["v_x(k-1)"], ["m/s"])
-    assert said == "v_x(k-1) is A2 'slow forward' (about 1 +- 0.3 m/s)"
-    alone = Partition(p.centre[:1], one[:1], one[:1], p.low, p.high)
+    p = one_axis((-1.0, 0.3), (1.0, 0.3))
+    assert condition_in_words(p, 1, ["v_x(k-1)"], ["m/s"]) == "v_x(k-1) is A2 'forward' (about 1 +- 0.3 m/s)"
+    alone = Partition(p.centre[:1], p.left[:1], p.right[:1], p.low, p.high)
     assert condition_in_words(alone, 0, ["v_x(k-1)"], ["m/s"]) == "always"
 
 

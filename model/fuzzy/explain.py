@@ -12,7 +12,7 @@ from flysid.errors import UsageError
 from flysid.model.base import Rule
 from flysid.model.fuzzy.memberships import Partition
 from flysid.model.fuzzy.model import FittedTS
-from flysid.model.fuzzy.words import number
+from flysid.model.fuzzy.tongue import number
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from flysid.model.fuzzy.finish import finished, free_run_errors
 from flysid.model.fuzzy.grow import ordered, refine, with_ridge
 from flysid.model.fuzzy.model import FittedTS
 from flysid.model.fuzzy.problem import runs_of
-from flysid.model.fuzzy.words import number
+from flysid.model.fuzzy.tongue import number
 from flysid.model.threads import on_one_thread
 
 _TRIED = 3  # of all edits, ranked by what they cost before refinement

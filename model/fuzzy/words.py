@@ -2,45 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.base import Rule
+from flysid.model.fuzzy.labels import Piece, words_of_one, words_of_several
 from flysid.model.fuzzy.memberships import Partition
+from flysid.model.fuzzy.tongue import Axis, number
 
-_SCALES: Mapping[int, tuple[str, ...]] = {
-    2: ("low", "high"),
-    3: ("low", "middle", "high"),
-    4: ("very low", "low", "high", "very high"),
-    5: ("very low", "low", "middle", "high", "very high"),
-    6: ("extremely low", "very low", "low", "high", "very high", "extremely high"),
-    7: ("extremely low", "very low", "low", "middle", "high", "very high", "extremely high"),
-}
-_SIZES: Mapping[int, tuple[str, ...]] = {
-    2: ("slow", "fast"),
-    3: ("slow", "moderate", "fast"),
-    4: ("very slow", "slow", "fast", "very fast"),
-    5: ("very slow", "slow", "moderate", "fast", "very fast"),
-}
-_CHANGES: Mapping[int, tuple[str, ...]] = {2: ("slowly", "quickly"), 3: ("slowly", "steadily", "quickly")}
-_DIRECTIONS: Mapping[str, tuple[str, str]] = {
-    "vx": ("backward", "forward"),
-    "vy": ("to the left", "to the right"),
-    "vz": ("down", "up"),
-}
-_SPEED_UNITS = frozenset({"m/s", "m s-1", "m*s-1", "cm/s", "mm/s", "km/h"})
+ELSEWHERE = "always, most where no other rule does"
 _ON_CIRCLE = 1e-6  # a pole so near to one that it integrates, but for rounding
-_SAME_PLACE = 0.25  # of the narrowest width: centres closer than this are at one place
-_WIDER = 1.5  # a set is told from another at the same place when it is this much wider
-
-
-def number(value: float) -> str:
-    """Three significant digits, plain where that is short."""
-    if value == 0 or not np.isfinite(value):
-        return "0" if value == 0 else str(value)
-    return f"{value:.3g}" if 1e-3 <= abs(value) < 1e4 else f"{value:.2e}"
 
 
 def equation(left: str, gains: FloatArray, terms: Sequence[str], offset: float) -> str:
@@ -60,126 +33,50 @@ def precise(value: float) -> str:
     return f"{value:.4g}" if value < 0.5 or value >= 1e4 else f"{value:.5f}".rstrip("0").rstrip(".")
 
 
-def labels(
-    values: FloatArray, name: str = "", unit: str = "", span: float = 0.0, *, apart: float = 0.0
-) -> list[str]:
-    """A linguistic label for each value, from its position among the others.
-
-    Speeds are told by size and direction ("fast forward", "slow backward", "hovering"), changes of a signal
-    from sample to sample as falling or rising, everything else as low, middle, high; beyond seven they are
-    numbered. Values closer than `apart`, or 2 % of `span`, share a label; where all do, it is empty.
-    """
-    levels, level = _levels(values, max(apart, 0.02 * span))
-    if len(levels) < 2:
-        return ["" for _ in values]
-    if ")-" in name:
-        words = _signed_words(levels, span, ("falling", "steady", "rising"), _CHANGES)
-    elif unit in _SPEED_UNITS and span > 0 and levels[0] < 0.05 * span:
-        below, above = _direction(name)
-        words = _signed_words(levels, span, (below, "hovering", above), _SIZES)
-    elif len(levels) in _SCALES:
-        words = list(_SCALES[len(levels)])
-    else:
-        words = [f"level {i + 1} of {len(levels)}" for i in range(len(levels))]
-    return [words[i] for i in level]
-
-
-def _levels(values: FloatArray, tolerance: float) -> tuple[list[float], list[int]]:
-    """Distinct values in order, and which of them each value is."""
-    levels: list[float] = []
-    for value in np.sort(values):
-        if not levels or value - levels[-1] > tolerance:
-            levels.append(float(value))
-    level = [int(np.abs(np.array(levels) - v).argmin()) for v in values]
-    return levels, level
-
-
-def _direction(name: str) -> tuple[str, str]:
-    """What a negative and a positive speed of that name are called."""
-    key = "".join(c for c in name.lower() if c.isalnum())
-    return next((d for k, d in _DIRECTIONS.items() if key.startswith(k)), ("negative", "positive"))
-
-
-def _signed_words(
-    levels: Sequence[float], span: float, names: tuple[str, str, str], sizes: Mapping[int, tuple[str, ...]]
-) -> list[str]:
-    """A word per level: `names` are for below, at and above zero; several on one side differ by size.
-
-    At most one level, the nearest to zero and within 8 % of the span of it, is "at zero".
-    """
-    below, still, above = names
-    nearest = min(levels, key=abs)
-    rest = nearest if abs(nearest) <= 0.08 * span else None
-    sides = (
-        [v for v in reversed(levels) if v < 0 and v != rest],
-        [v for v in levels if v >= 0 and v != rest],
-    )
-    words = []
-    for value in levels:
-        if value == rest:
-            words.append(still)
-            continue
-        side, direction = (sides[0], below) if value < 0 else (sides[1], above)
-        words.append(_sized(side, side.index(value), direction, span, sizes))
-    return words
-
-
-def _sized(
-    side: Sequence[float], rank: int, direction: str, span: float, sizes: Mapping[int, tuple[str, ...]]
-) -> str:
-    """ "slow forward" for the first of two speeds on a side; a single one is told by its size."""
-    if len(side) == 1:
-        small, large = sizes[2]
-        word = large if abs(side[0]) > 0.35 * span else small
-    elif len(side) in sizes:
-        word = sizes[len(side)][rank]
-    else:
-        word = f"{rank + 1} of {len(side)}"
-    return f"{word} {direction}" if sizes is _SIZES else f"{direction} {word}"
-
-
-def set_words(partition: Partition, j: int, name: str, unit: str) -> list[str]:
-    """A word for every rule's set over one antecedent; empty where it tells this rule from no other.
-
-    Sets at one place are told apart by their widths: the narrow one speaks near it, the wide one away from
-    it, because the narrow one outshouts it there.
-    """
-    centre = partition.centre[:, j]
-    width = 0.5 * (partition.left[:, j] + partition.right[:, j])
-    span = float(partition.high[j] - partition.low[j])
-    words = labels(centre, name, unit, span, apart=_SAME_PLACE * float(width.min()))
-    for word in set(words):
-        same = [r for r, w in enumerate(words) if w == word]
-        if len(same) < 2 or width[same].max() < _WIDER * width[same].min():
-            continue
-        middle = np.sqrt(width[same].max() * width[same].min())
-        for r in same:
-            near = width[r] < middle
-            place = number(float(centre[same].mean())) + (f" {unit}" if unit else "")
-            alone = f"near {place}" if near else f"away from {place}"
-            words[r] = f"{word}, {'narrowly' if near else 'widely'}" if word else alone
-    return words
-
-
 def condition_in_words(partition: Partition, r: int, names: Sequence[str], units: Sequence[str]) -> str:
-    """ "v_x(k-1) is A2 'slow forward' (about 0.51 +- 0.2 m/s) and ...", or "always" for a single rule.
+    """ "v_x(k-1) is A2 'forward' (about 0.51 +- 0.2 m/s) and ...", or "always" for a single rule.
 
-    An antecedent that tells this rule from no other, or whose set covers the whole range, is left out.
+    With one antecedent the word is of where the rule is the strongest, which is said in numbers too where
+    the centre does not tell it. With several, an antecedent that tells this rule from no other is left out.
     """
     if len(partition) == 1:
         return "always"
-    parts = []
-    for j, (name, unit) in enumerate(zip(names, units, strict=True)):
-        span = float(partition.high[j] - partition.low[j])
-        width = 0.5 * float(partition.left[r, j] + partition.right[r, j])
-        word = set_words(partition, j, name, unit)[r]
-        if not word or (width > span and len(names) > 1):
-            continue
-        about = f"about {number(float(partition.centre[r, j]))} +- {number(width)}" + (
-            f" {unit}" if unit else ""
-        )
-        parts.append(f"{name} is A{r + 1} '{word}' ({about})")
-    return " and ".join(parts) if parts else "always, a little"
+    ranges = zip(partition.low.tolist(), partition.high.tolist(), strict=True)
+    axes = [Axis(n, u, low, high) for n, u, (low, high) in zip(names, units, ranges, strict=True)]
+    if len(axes) == 1:
+        words, places = words_of_one(partition, axes[0])
+        return _is(partition, r, 0, axes[0], words[r], _strongest(partition, r, axes[0], places[r]))
+    said = words_of_several(partition, axes)[r]
+    parts = [_is(partition, r, j, axes[j], word) for j, word in enumerate(said) if word]
+    return " and ".join(parts) if parts else ELSEWHERE
+
+
+def _is(partition: Partition, r: int, j: int, axis: Axis, word: str, where: str = "") -> str:
+    """ "v_x(k-1) is A2 'forward' (about 0.51 +- 0.2 m/s)"."""
+    width = 0.5 * float(partition.left[r, j] + partition.right[r, j])
+    about = f"{number(float(partition.centre[r, j]))} +- {number(width)}" + (
+        f" {axis.unit}" if axis.unit else ""
+    )
+    return f"{axis.name} is A{r + 1} '{word}' (about {about}{where})"
+
+
+def _strongest(partition: Partition, r: int, axis: Axis, places: Sequence[Piece]) -> str:
+    """ "; strongest below -1.6 and from -0.9 to 0.2 m/s" where a rule's centre does not tell; else ""."""
+    centre = float(np.clip(partition.centre[r, 0], axis.low, axis.high))
+    if not places:
+        return "; hardly anywhere the strongest"
+    if len(places) == 1 and places[0].low <= centre <= places[0].high:
+        return ""
+    unit = f" {axis.unit}" if axis.unit else ""
+    return "; strongest " + " and ".join(_between(p, axis) for p in places) + unit
+
+
+def _between(piece: Piece, axis: Axis) -> str:
+    if piece.low <= axis.low:
+        return f"below {number(piece.high)}"
+    if piece.high >= axis.high:
+        return f"above {number(piece.low)}"
+    return f"from {number(piece.low)} to {number(piece.high)}"
 
 
 def in_words(title: str, rules: Sequence[Rule], notes: Sequence[str]) -> str:

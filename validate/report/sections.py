@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,6 +22,8 @@ from flysid.validate.residuals import Correlation
 from flysid.validate.responses import steady_outputs
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.words import number, one_line
+
+SIGN = re.compile(r"(?<![\w)])-(?=[ \d])")
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,14 +280,8 @@ def _rule_row(rule: Rule, css: str, j: int, signal: int) -> RuleRow:
 
 
 def _typeset(words: str) -> str:
-    """Rule text with true plus-minus and minus signs."""
-    return (
-        one_line(words)
-        .replace("+-", "±")
-        .replace(" - ", " − ")
-        .replace("= -", "= −")
-        .replace("about -", "about −")
-    )
+    """Rule text with true plus-minus and minus signs; those of "y(k-1)-y(k-2)" stay."""
+    return SIGN.sub("−", one_line(words).replace("+-", "±"))
 
 
 def _sets(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
