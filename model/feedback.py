@@ -135,6 +135,7 @@ def _test(errors: Sequence[FloatArray], inputs: Sequence[FloatArray], lags: int)
 
 def _basis(columns: FloatArray, size: float | None = None) -> tuple[FloatArray, int]:
     """Orthonormal basis of the columns' range, and its dimension; directions below 1e-6 do not count."""
-    left, sigma, _ = np.linalg.svd(columns, full_matrices=False)
+    q, r = np.linalg.qr(columns)  # first, as columns are long: of the triangle the decomposition is cheap
+    left, sigma, _ = np.linalg.svd(r, full_matrices=False)
     rank = int(np.count_nonzero(sigma > 1e-6 * (sigma[0] if size is None else size)))
-    return left[:, :rank], rank
+    return q @ left[:, :rank], rank

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import erfc, sqrt
 from statistics import NormalDist
 
@@ -190,12 +191,19 @@ def _effective(a: FloatArray, b: FloatArray) -> float:
 
 def _drawn(a: FloatArray, b: FloatArray, seed: int) -> FloatArray:
     """(DRAWS,) theta of units drawn with replacement."""
-    rng = np.random.default_rng(seed)
-    n = len(a)
-    counts = rng.multinomial(n, np.full(n, 1.0 / n), size=DRAWS).astype(np.float64)
+    counts = _counts(len(a), seed)
     ratio = np.maximum(counts @ b, 1e-300) / np.maximum(counts @ a, 1e-300)
     drawn: FloatArray = np.clip(0.5 * np.log(ratio), -100.0, 100.0)
     return drawn
+
+
+@lru_cache(maxsize=4)
+def _counts(units: int, seed: int) -> FloatArray:
+    """(DRAWS, units) how often every unit is drawn; the same for all pairs of models of a comparison."""
+    rng = np.random.default_rng(seed)
+    counts = rng.multinomial(units, np.full(units, 1.0 / units), size=DRAWS).astype(np.float64)
+    counts.setflags(write=False)
+    return counts
 
 
 def _percent(theta: float) -> float:
