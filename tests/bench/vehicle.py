@@ -75,12 +75,21 @@ def accuracy() -> None:
         )
 
 
-def flight(share: float, command: int, seed: int) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Commands and truth of 60 s of one manoeuvre at a share of the firmware's limits."""
+def flight(
+    share: float, command: int, seed: int, axis: int | None = None
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Commands and truth of 60 s of one manoeuvre at a share of the firmware's limits.
+
+    Parameters
+    ----------
+    axis : the only command that moves; None moves all at once.
+    """
     time_s = np.arange(3000, dtype=np.float64) * PERIOD_S
     manoeuvre = (STEPS, MULTISINE, PILOT)[command]
     peaks = share * FULL
     u = manoeuvre.command(time_s, (peaks[0], peaks[1], peaks[2]), np.random.default_rng(seed))
+    if axis is not None:
+        u = np.where(np.arange(u.shape[1]) == axis, u, 0.0)
     return u, dict(fly_vehicle(Vehicle(), u).series())
 
 
