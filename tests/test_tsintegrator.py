@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from flysid.dataset import Dataset
+from flysid.model.fuzzy.choice import INTEGRATES
 from flysid.model.fuzzy.linear_side import as_difference
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
+from flysid.model.ts_state_space import TSStateSpace
 
 
 def axis(n: int, seed: int, noise: float) -> Dataset:
@@ -24,11 +26,27 @@ def test_the_pole_of_a_plant_that_integrates_is_one_and_its_free_run_does_not_dr
     model = TS(rules=1, na=2, nb=1, nk=1).fit(axis(600, 1, 0.02))
     lags = model.parameters.theta[0, 0, :2]
     assert abs(lags.sum() - 1.0) < 1e-12
-    assert "integrates" in str(model)
+    assert INTEGRATES in model.notes
     assert "unstable" not in str(model)
     fresh = axis(3000, 2, 0.0).segments[0]
     gap = model.simulate(fresh.u, fresh.y[: model.n_init]) - fresh.y
     assert np.sqrt((gap * gap).mean()) < 0.05 * fresh.y.std()
+
+
+def test_rules_over_hidden_states_say_that_the_process_integrates() -> None:
+    model = TSStateSpace(rules=2, states=2).fit(axis(600, 1, 0.02))
+    assert INTEGRATES in model.notes
+    assert INTEGRATES not in TSStateSpace(rules=1, states=2).fit(lag(600)).notes
+
+
+def lag(n: int) -> Dataset:
+    """y(k) = 0.95 y(k-1) + 0.05 u(k-1), with noise."""
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.normal(size=n // 20 + 1), 20)[:n]
+    y = np.zeros(n)
+    for k in range(1, n):
+        y[k] = 0.95 * y[k - 1] + 0.05 * u[k - 1]
+    return Dataset.from_arrays(u, y + 0.01 * rng.normal(size=n), 0.02)
 
 
 def test_a_state_space_as_a_difference_equation_runs_alike() -> None:

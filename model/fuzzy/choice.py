@@ -22,6 +22,11 @@ from flysid.model.fuzzy.problem import simulate_runs, widened
 from flysid.model.fuzzy.stress import stress_run
 from flysid.model.start import MAX_SHARE, estimate_start
 
+INTEGRATES = (
+    "The process integrates: its free run keeps its start, and inputs that do not average out drive it to "
+    "the output limits."
+)
+"""What users are told of a model that does not come back."""
 _BLOCKS = 16
 _FAR = 10.0  # ranges: in a closed loop an output that integrates is never seen to move as it can
 _ROUNDING = 1e-5  # of a pole at one that stands twice

@@ -9,7 +9,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
-from flysid.model.fuzzy.choice import Candidate, choose, hold_out
+from flysid.model.fuzzy.choice import INTEGRATES, Candidate, choose, hold_out
 from flysid.model.fuzzy.fewer import fewer_words
 from flysid.model.fuzzy.grow import Stage, ordered
 from flysid.model.fuzzy.layout import Antecedent, Orders, parse_antecedent, scaling
@@ -59,9 +59,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     workshop = replace(workshop, must_be_bounded=any(c.stable for c in candidates))
     if not workshop.must_be_bounded:
         candidates = [replace(c, stable=True) for c in candidates]
-        notes.append(
-            "The process integrates: linear models of it drift too, so boundedness was not asked for."
-        )
+        notes.append(f"{INTEGRATES} Boundedness was not asked for.")
     if folds:
         notes.append("Little data: every quarter of it was held out in turn to choose the number of rules.")
     models, at = _chosen(workshop, candidates, named)
@@ -81,6 +79,8 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         stage = refit(replace(chosen, stage=stage), train if own else fit_part, runs, settings.iterations)
     if own and settings.refine:
         notes.append("The model was refined once more on the held-out part together with the rest.")
+    if stage.problem.integrates and workshop.must_be_bounded:
+        notes.append(INTEGRATES)
     verdict = rule_verdict(settings, models, at)
     counted = folds if len(models) > 1 else ()
     errors = tuple(np.array_split(chosen.errors, 1 + len(counted)))

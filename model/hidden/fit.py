@@ -10,12 +10,12 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.model.fuzzy.choice import hold_out
+from flysid.model.fuzzy.choice import INTEGRATES, hold_out
 from flysid.model.fuzzy.layout import scaling
 from flysid.model.hidden.bench import SPARE_ROWS, Bench
 from flysid.model.hidden.choice import Family, fewest_rules
 from flysid.model.hidden.grow import StateStage, ordered
-from flysid.model.hidden.judge import ends_of_travel
+from flysid.model.hidden.judge import ends_of_travel, is_bounded
 from flysid.model.hidden.search import searched
 from flysid.model.hidden.systems import System, linear_systems
 
@@ -95,6 +95,8 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         *_rule_notes(settings, found.best, found.plain, final.rules),
     ]
     refined = final.rules > 1 or family.start.system.again is None
+    if not is_bounded(final):
+        notes.append(INTEGRATES)
     return Learned(final, tuple(notes), tuple(fold[at].errors for fold in family.folds), refined)
 
 

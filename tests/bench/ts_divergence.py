@@ -17,6 +17,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FlysidError
 from flysid.model.base import Estimator, Fitted
+from flysid.model.fuzzy.choice import INTEGRATES
 from flysid.model.ts import TS
 from flysid.model.ts_best import BestTS
 from flysid.model.ts_state_space import TSStateSpace
@@ -75,7 +76,7 @@ def main() -> None:
             print(f"{seed:3d} {name:12s} {title:28s} refused: {error.message}", flush=True)
             continue
         wrong = faults(model, experiment, 5000 + seed)
-        said = any("integrates" in note for note in model.notes)
+        said = any(note.startswith(INTEGRATES) for note in model.notes)
         announced += bool(wrong and said)
         unannounced += bool(wrong and not said)
         words = f"DIVERGED{' (announced)' if said else ''}: {'; '.join(wrong)}" if wrong else "well"
