@@ -16,6 +16,7 @@ from flysid.model.base import Estimator, Fitted
 from flysid.model.oe import OE
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
+from flysid.model.ts_best import BestTS
 from flysid.model.ts_state_space import TSStateSpace
 from tests.bench.accuracy_data import CASES, FOLDER, Case
 
@@ -59,6 +60,7 @@ def main(names: list[str]) -> int:
         print(line("TS, 1", TS(rules=1), case), flush=True)
         print(line("TS", TS(), case), flush=True)
         print(line("TS, ss", TSStateSpace(), case), flush=True)
+        print(line("TS, best", BestTS(), case), flush=True)
     return 0
 
 
