@@ -12,7 +12,7 @@ from flysid.errors import DataError, UsageError
 from flysid.model.fuzzy.model import FittedTS
 from flysid.model.fuzzy.uncertainty import uncertainty
 from flysid.model.fuzzy.words import gains
-from tests.bench.ts_intervals import coverage, experiment, known_model, refitted
+from tests.bench.ts_intervals import coverage, experiment, known_model, refitted, steps
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +43,28 @@ def test_the_same_draws_every_time_and_every_run_finite(truth: FittedTS) -> None
     low, high = sure.simulation_band(np.full((50, 1), 1e6))
     assert np.isfinite(low).all()
     assert (low <= high).all()
+
+
+@pytest.mark.parametrize("from_rest", [True, False])
+def test_the_band_is_what_small_steps_of_the_numbers_do(
+    truth: FittedTS, from_rest: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = experiment(truth, 7)
+    model = refitted(truth, data)
+    sure = uncertainty(model, data)
+    u, y0 = steps(3, 400), None if from_rest else data.segments[0].y[: model.n_init]
+    run = model.simulate(u, y0)
+    low, high = sure.simulation_band(u, y0)
+    near = replace(sure, covariance=1e-8 * sure.covariance).draws(1000)
+    spread = 1e4 * np.std([m.simulate(u, y0) - run for m in near], axis=0)
+    assert np.abs((high - low) / 2 - 1.96 * spread).max() < 0.12 * spread.max()
+    assert np.abs(high + low - 2 * run).max() < 1e-12
+    assert (high > low)[model.n_init + 1 :].all()
+    monkeypatch.setattr("flysid.model.fuzzy.problem._CHUNK", 7)
+    again = sure.simulation_band(u, y0)
+    assert np.allclose(again, (low, high), rtol=1e-12, atol=0)
+    short = sure.simulation_band(u[: model.n_init], None if y0 is None else y0)
+    assert np.shape(short) == (2, model.n_init, 1)
 
 
 def test_other_signals_are_refused(truth: FittedTS) -> None:

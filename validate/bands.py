@@ -2,7 +2,7 @@
 
 They come from the training data and speak of noise alone; what a structure cannot express is not in them.
 All are to first order: a draw of a slow rule's numbers may well be unstable and says nothing of the model.
-Linear models have theirs from their parameters' covariance, fuzzy ones from draws of small steps.
+Linear models have theirs from their parameters' covariance; of the responses of rules, draws of small steps.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def free_run_band(
     try:
         y0 = estimate_start(model, segment.u[:start], segment.y[:start])
         if sure is not None:
-            low, high = _fuzzy_run_band(model, segment.u, y0, sure)
+            low, high = sure.simulation_band(segment.u, y0)
         elif isinstance(model, FittedLinear):
             low, high = uncertainty.simulation_band(model, segment.u, y0, draws=DRAWS)
         elif isinstance(model, FittedStateSpace):
@@ -134,16 +134,3 @@ def free_run_band(
     except (FlysidError, np.linalg.LinAlgError):
         return None
     return low[start:], high[start:]
-
-
-def _fuzzy_run_band(
-    model: Fitted, u: FloatArray, y0: FloatArray, sure: Uncertainty[Any]
-) -> tuple[FloatArray, FloatArray]:
-    """Rules over states have a first-order band of their own."""
-    from flysid.model.fuzzy.model import FittedTS
-
-    if not isinstance(model, FittedTS):
-        return sure.simulation_band(u, y0)
-    run = model.simulate(u, y0)
-    half = _half_width(np.array([m.simulate(u, y0) - run for m in _nearby(sure)]))
-    return run - half, run + half

@@ -98,20 +98,29 @@ class FittedTS(Ruled):
 
         When None: from rest, that is with inputs and outputs at zero before the first sample.
         """
+        result = self._run(self.started(u, y0))
+        if y0 is None:
+            return result[self.n_init :]
+        result[: self.n_init] = as_columns(y0, self.layout.n_y, "y0")[: min(self.n_init, len(result))]
+        return result
+
+    def started(self, u: FloatArray, y0: FloatArray | None) -> FloatArray:
+        """W that a run computes, from row n_init on: those before are its start.
+
+        Rows of zeros before the inputs where it starts from rest.
+        """
         d, n_y = self.n_init, self.layout.n_y
         u = as_columns(u, len(self.inputs), "u")
         if y0 is None:
             before = np.concatenate([np.zeros((d, u.shape[1])), u])
-            return self._run(self.layout.stack(before, np.zeros((d, n_y))))[d:]
+            return self.layout.stack(before, np.zeros((d, n_y)))
         given = as_columns(y0, n_y, "y0")
         if len(given) < d:
             raise UsageError(f"{len(given)} measured samples; the model starts from {d}")
         W = self.layout.stack(u, given[: min(d, len(u))])
         if len(u) > d:
             W[:d, :n_y] = estimated_initial(self.initial_gain, W, d, n_y)
-        result = self._run(W)
-        result[:d] = given[: min(d, len(u))]
-        return result
+        return W
 
     def _run(self, W: FloatArray) -> FloatArray:
         """(N, n_y) outputs of a free run of W, whose first n_init rows are the start."""

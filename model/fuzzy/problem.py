@@ -12,7 +12,7 @@ has a meaning: the simulated variance that a departure from the common linear mo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -291,8 +291,6 @@ def _segment_normal(
 ) -> tuple[FloatArray, FloatArray, float]:
     """J'J, J'e and e'e of one segment, over the chosen unknowns and its own initial outputs."""
     depth, n_y = initial.shape
-    lags, par = problem.layout.lags, problem.parameters(body)
-    basis = np.ascontiguousarray(problem.basis)
     first, q = depth - problem.moving, problem.moving * n_y
     columns = np.concatenate([chosen, body.size + np.arange(q)]).astype(np.int64)
     run = W.copy()
@@ -307,37 +305,51 @@ def _segment_normal(
     g = np.concatenate([np.zeros(len(chosen)), gap[first:].ravel()])
     total = float((gap * gap).sum())
     whole = len(columns) == J.shape[2]
-    for begin in range(depth, len(W), _CHUNK):
-        end = min(begin + _CHUNK, len(W))
-        sensitivities(run, (begin, end, begin - depth), lags, par, basis, J)
-        part = J[depth : depth + end - begin].reshape(-1, J.shape[2])
+    for rows, found in swept(problem, body, run, J):
+        part = found.reshape(-1, J.shape[2])
         part = part if whole else part[:, columns]
-        error = (run[begin:end, :n_y] - W[begin:end, :n_y]).ravel()
+        error = (run[rows, :n_y] - W[rows, :n_y]).ravel()
         H += part.T @ part
         g += part.T @ error
         total += float(error @ error)
-        J[:depth] = J[end - begin : end - begin + depth].copy()
     return H, g, total
+
+
+def swept(
+    problem: Problem, body: Body, run: FloatArray, J: FloatArray | None = None
+) -> Iterator[tuple[slice, FloatArray]]:
+    """Rows of a free run and their sensitivities (rows, n_y, P + Q), in pieces of bounded memory.
+
+    Parameters
+    ----------
+    run : W, whose first `depth` rows are the start; the others are computed in place.
+    J : (depth + rows of a piece, n_y, P + Q) to work in, whose first rows are the start's; None where the
+        start hangs on nothing (Q = 0). What was given out before is overwritten.
+    """
+    depth, n_y = problem.layout.depth, problem.layout.n_y
+    lags, par = problem.layout.lags, problem.parameters(body)
+    basis = np.ascontiguousarray(problem.basis)
+    if J is None:
+        J = np.zeros((depth + min(_CHUNK, max(len(run) - depth, 0)), n_y, body.size))
+    for begin in range(depth, len(run), _CHUNK):
+        end = min(begin + _CHUNK, len(run))
+        sensitivities(run, (begin, end, begin - depth), lags, par, basis, J)
+        yield slice(begin, end), J[depth : depth + end - begin]
+        J[:depth] = J[end - begin : end - begin + depth].copy()
 
 
 def _stress_normal(
     problem: Problem, body: Body, W: FloatArray, chosen: IntArray
 ) -> tuple[FloatArray, FloatArray, float]:
     """J'J, J'e and e'e of how far the stress run leaves the range."""
-    depth, n_y = problem.layout.depth, problem.layout.n_y
-    lags, par = problem.layout.lags, problem.parameters(body)
-    basis, run = np.ascontiguousarray(problem.basis), W.copy()
-    J = np.zeros((depth + min(_CHUNK, len(W) - depth), n_y, body.size))
+    n_y, run = problem.layout.n_y, W.copy()
     H, g, total = np.zeros((len(chosen), len(chosen))), np.zeros(len(chosen)), 0.0
-    for begin in range(depth, len(W), _CHUNK):
-        end = min(begin + _CHUNK, len(W))
-        sensitivities(run, (begin, end, begin - depth), lags, par, basis, J)
-        over = beyond(run[begin:end, :n_y], problem.limits).ravel()
-        rows = np.flatnonzero(over)
-        if len(rows):
-            part = J[depth : depth + end - begin].reshape(-1, J.shape[2])[rows][:, chosen]
+    for rows, found in swept(problem, body, run):
+        over = beyond(run[rows, :n_y], problem.limits).ravel()
+        outside = np.flatnonzero(over)
+        if len(outside):
+            part = found.reshape(-1, found.shape[2])[outside][:, chosen]
             H += part.T @ part
-            g += part.T @ over[rows]
+            g += part.T @ over[outside]
             total += float(over @ over)
-        J[:depth] = J[end - begin : end - begin + depth].copy()
     return H, g, total
