@@ -3,12 +3,7 @@
 Stream keys: `vehicle_attitude` for instance 0, `vehicle_attitude#1` for instance 1; a topic that is
 subscribed again goes on in its table, and under `~2` if its format has changed. `time_ns` is the
 field `timestamp`, the vehicle's microseconds since boot. Framing and recovery: `ulog_records`; formats:
-`ulog_formats`.
-
-Old samples are common (a topic's last value when logging began), so a time in the past is kept. A record more
-than a minute ahead of the records on both sides is rejected and counted, unless it is the first of its topic:
-that one was kept by the vehicle from an earlier boot (missions are), and gets the time of its neighbours.
-Units are not in the file.
+`ulog_formats`; tables and their times: `ulog_data`. Units are not in the file.
 """
 
 from __future__ import annotations
@@ -18,20 +13,16 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-import pyarrow as pa
-from numpy.typing import NDArray
 
 from flysid.errors import FormatError
-from flysid.flight import BOOT, TIME
-from flysid.ingest import arrow_arrays
 from flysid.ingest.base import Format, Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.clock import UtcFit
-from flysid.ingest.gather import Index, Values, numbers, rows
+from flysid.ingest.gather import numbers
 from flysid.ingest.tally import Tally
+from flysid.ingest.ulog_data import AHEAD_US, MAX_TIME_US, DataDecoder, Subscription
 from flysid.ingest.ulog_formats import (
     NUMBERS,
     LayoutError,
-    UlogField,
     UlogLayout,
     flatten,
     parse_format,
@@ -39,24 +30,9 @@ from flysid.ingest.ulog_formats import (
 from flysid.ingest.ulog_records import FILE_HEAD_BYTES, MAGIC, DataRun, Framer
 from flysid.ingest.ulog_texts import Words
 
-AHEAD_US = 60_000_000
-NEIGHBOURS = 16
-MAX_TIME_US = (1 << 63) // 1000 - 1
-MAX_RETAINED_US = 30 * 86_400 * 10**6
 MAX_SUBSCRIPTIONS = 5000
 MAX_FORMATS = 5000
-FIRST_UTC_US = 10**15  # 2001
 APPENDED_BIT = 1
-
-
-@dataclass(frozen=True)
-class Subscription:
-    """A topic's instance with its layout, and the stream it goes to."""
-
-    stream: str
-    topic: str
-    instance: int
-    layout: UlogLayout
 
 
 @dataclass
@@ -73,16 +49,14 @@ class UlogReader:
     def __init__(self, view: memoryview, limits: Limits, tally: Tally) -> None:
         self.view = view
         self.words = Words()
-        self.utc = UtcFit()
         self._limits = limits
         self._tally = tally
         self._framer = Framer(view, len(view))
         self._formats: dict[str, str] = {}
-        self._subscriptions: list[Subscription] = []
+        self._decoder = DataDecoder(self._framer.data, tally)
+        self._subscriptions = self._decoder.subscriptions
         self._lost: dict[int, str] = {}  # ids of subscriptions without a layout
         self._time_us = self._doubtful_us = 0  # of the last data record
-        self._previous_ns: dict[int, int] = {}
-        self._schemas: dict[int, pa.Schema] = {}
         self._batch = _Batch()
         self._at = 0  # where the record in hand begins
         self._appended: list[int] = []
@@ -96,6 +70,11 @@ class UlogReader:
             yield from self._section(at, self._appended[0] if self._appended else len(self.view))
         for stream, table in self.words.tables().items():
             yield StreamPart(stream, table)
+
+    @property
+    def utc(self) -> UtcFit:
+        """Pairs of vehicle time and UTC seen so far."""
+        return self._decoder.utc
 
     @property
     def _now_ns(self) -> int:
@@ -116,11 +95,11 @@ class UlogReader:
             at = self._end_of(run)
             batch.size += at - int(run.at[0])
             if batch.size >= self._limits.batch_bytes:
-                yield from self._decode(batch)
+                yield from self._decoder.parts(batch.runs, self._time_us)
                 release(self.view, since, at)
                 batch, since = _Batch(), at
                 self._batch = batch
-        yield from self._decode(batch)
+        yield from self._decoder.parts(batch.runs, self._time_us)
 
     def _end_of(self, run: DataRun) -> int:
         """Where a run ends; remembers the time of its last record."""
@@ -296,130 +275,6 @@ class UlogReader:
         ord("B"): _add_flags,
         ord("O"): _add_dropout,
     }
-
-    # ------------------------------------------------------------------ data
-
-    def _decode(self, batch: _Batch) -> Iterator[StreamPart]:
-        if not batch.runs:
-            return
-        at = np.concatenate([run.at for run in batch.runs]) + 5
-        number = np.concatenate([run.subscription for run in batch.runs])
-        order = np.argsort(number.astype(np.uint16), kind="stable")
-        cuts = np.flatnonzero(np.diff(number[order])) + 1
-        groups = [(int(number[which[0]]), which) for which in np.split(order, cuts)]
-        time_us = self._times(at, groups)
-        ahead = far_ahead(time_us)
-        for index, which in groups:
-            kept = self._without_outliers(index, which, ahead, time_us) if ahead[which].any() else which
-            if len(kept):
-                yield self._part(index, at[kept], time_us[kept])
-
-    def _without_outliers(self, index: int, which: Index, ahead: NDArray[np.bool_], time_us: Index) -> Index:
-        """The records whose time can be used; that of a retained first one is set to its neighbours'."""
-        stream, first = self._subscriptions[index].stream, int(which[0])
-        if ahead[first] and index not in self._previous_ns and time_us[first] < MAX_RETAINED_US:
-            near = np.flatnonzero(~ahead[first + 1 : first + NEIGHBOURS])
-            time_us[first] = time_us[first + 1 + near[0]] if len(near) else self._time_us
-            ahead[first] = False
-            self._tally.out_of_order[stream] += 1
-        rejected = ahead[which]
-        if rejected.any():
-            self._tally.time_outliers[stream] += int(rejected.sum())
-        return which[~rejected]
-
-    def _times(self, at: Index, groups: list[tuple[int, Index]]) -> Index:
-        """Times of all records in file order, in us; those of topics without any are the last one before."""
-        time_us = np.full(len(at), -1, dtype=np.int64)
-        for index, which in groups:
-            spec = self._subscriptions[index].layout.time
-            if spec is not None:
-                raw = numbers(self._framer.data, at[which] + spec.offset, NUMBERS[spec.kind])
-                time_us[which] = np.where(raw > MAX_TIME_US, MAX_TIME_US, raw).astype(np.int64)
-        unknown = np.flatnonzero(time_us < 0)
-        if len(unknown):
-            known = np.maximum.accumulate(np.where(time_us >= 0, np.arange(len(at)), -1))
-            before = known[unknown]
-            time_us[unknown] = np.where(before >= 0, time_us[before], 0)
-        return time_us
-
-    def _part(self, index: int, at: Index, time_us: Index) -> StreamPart:
-        subscription = self._subscriptions[index]
-        layout = subscription.layout
-        table = rows(self._framer.data, at, layout.size).view(layout.dtype())
-        time_ns = time_us * 1000
-        self._observe(index, table, time_ns)
-        arrays = [
-            arrow_arrays.numeric(time_ns),
-            arrow_arrays.numeric(np.zeros(len(time_ns), dtype=np.int32)),
-            *(_column(spec, table[str(k)]) for k, spec in enumerate(layout.fields)),
-        ]
-        if index not in self._schemas:
-            self._schemas[index] = _schema(subscription, arrays)
-        return StreamPart(subscription.stream, pa.Table.from_arrays(arrays, schema=self._schemas[index]))
-
-    def _observe(self, index: int, table: Values, time_ns: Index) -> None:
-        """Count steps back and collect pairs of vehicle time and UTC."""
-        subscription = self._subscriptions[index]
-        back = int((np.diff(time_ns) < 0).sum()) + int(time_ns[0] < self._previous_ns.get(index, 0))
-        self._previous_ns[index] = int(time_ns[-1])
-        if back:
-            self._tally.out_of_order[subscription.stream] += back
-        self.utc.add(0, time_ns, None)
-        for k, spec in enumerate(subscription.layout.fields):
-            if spec.name == "time_utc_usec" and not spec.count:
-                utc_us = table[str(k)].astype(np.int64)
-                good = (utc_us > FIRST_UTC_US) & (utc_us < MAX_TIME_US)
-                self.utc.add(0, time_ns[good], utc_us[good] * 1000)
-
-
-def _column(spec: UlogField, values: Values) -> pa.Array:
-    if spec.kind == "char" and spec.count:
-        return arrow_arrays.fixed_text(values)
-    if spec.kind == "bool":
-        values = values != 0
-    return arrow_arrays.matrix(values) if spec.count else arrow_arrays.numeric(values)
-
-
-def _schema(subscription: Subscription, arrays: list[pa.Array]) -> pa.Schema:
-    layout = subscription.layout
-    names = [TIME, BOOT]
-    for spec in layout.fields:
-        names.append(arrow_arrays.free_name(spec.name, set(names)))
-    about = {
-        "time_source": "timestamp" if layout.time else "neighbours",
-        "topic": subscription.topic,
-        "instance": str(subscription.instance),
-    }
-    fields = [pa.field(name, array.type) for name, array in zip(names, arrays, strict=True)]
-    return pa.schema(fields, metadata=about)
-
-
-def far_ahead(time_us: Index) -> NDArray[np.bool_]:
-    """True where a time is over a minute ahead of all 16 records before and of all but one of 16 behind.
-
-    Times in file order, (n,). Alone in the file, or before a step back, a time is not ahead of anything.
-    """
-    ahead = time_us >= MAX_TIME_US
-    times = np.where(ahead, 0, time_us)
-    for _ in range(8):
-        found = _jumps(times)
-        if not len(found):
-            break
-        ahead[found] = True
-        times[found] = 0
-    return ahead
-
-
-def _jumps(times: Index) -> Index:
-    """Places that stand out to the future from both sides."""
-    before = np.zeros(len(times), dtype=np.int64)
-    for shift in range(1, NEIGHBOURS + 1):
-        np.maximum(before[shift:], times[:-shift], out=before[shift:])
-    steps = np.flatnonzero((times > before + AHEAD_US)[1:]) + 1
-    behind = [times[p + 1 : p + 1 + NEIGHBOURS] for p in steps.tolist()]
-    later = [int((b > times[p] - AHEAD_US).sum()) for p, b in zip(steps.tolist(), behind, strict=True)]
-    lone = [n < 2 and len(b) >= 4 for n, b in zip(later, behind, strict=True)]
-    return steps[np.array(lone, dtype=np.bool_)] if len(steps) else steps
 
 
 def read_ulog(view: memoryview, name: str, limits: Limits) -> Parts:

@@ -17,7 +17,8 @@ import flysid
 from flysid.errors import FormatError
 from flysid.flight import Flight
 from flysid.ingest.base import Limits, collect
-from flysid.ingest.ulog import FORMAT, far_ahead
+from flysid.ingest.ulog import FORMAT
+from flysid.ingest.ulog_data import far_ahead
 from tests.samplelogs import ulog as sample
 
 LOGS = Path(__file__).resolve().parents[2] / "shared" / "logs" / "ulog"
