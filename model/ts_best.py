@@ -2,13 +2,14 @@
 
 The model over lags comes first: its rules speak of measured signals only. A state-space model is tried where
 the free run of the first leaves an error that its own past foretells, as a state does that the lags do not
-show. It is taken only if its settings do clearly better on the same held-out parts.
+show. It is taken only if it does clearly better on held-out parts, both refitted on the rest each time, and
+better on the training data.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -16,13 +17,20 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Fitted
+from flysid.model.fuzzy.choice import hold_out
+from flysid.model.fuzzy.estimate import Learned
 from flysid.model.fuzzy.estimate import learn as learn_lagged
 from flysid.model.fuzzy.finish import finished as finished_lagged
 from flysid.model.fuzzy.layout import scaling
 from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.problem import runs_of
+from flysid.model.fuzzy.refit import on_all_runs
+from flysid.model.fuzzy.workshop import SPARE_ROWS
 from flysid.model.hidden.finish import finished
+from flysid.model.hidden.fit import Learned as LearnedStates
 from flysid.model.hidden.fit import learn
 from flysid.model.hidden.model import FittedTSStateSpace
+from flysid.model.hidden.rivals import Advantage, advantage, block_errors, compared
 from flysid.model.noise import noise_model
 from flysid.model.start import estimate_start, start_window
 from flysid.model.threads import on_one_thread
@@ -31,9 +39,10 @@ from flysid.model.ts_state_space import TSStateSpace
 
 _FORETOLD = 0.5  # share of the free run's error that its own past must explain
 _RESOLUTION = 1e-3  # of the outputs' spread: a free-run error below leaves nothing to explain
-_CLEARLY = 0.3  # in logarithms of the mean square: about 14 % of the error
 _MOST_OUTPUTS = 2
 _MOST_SAMPLES = 100_000
+_PARTS = 4  # every one held out in turn,
+_STEPS = 6  # of both models' refinement on the rest
 
 
 @dataclass(frozen=True)
@@ -50,7 +59,6 @@ class BestTS:
     most_rules: int = 5
     nk_hint: Sequence[int] = ()
 
-    @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> Fitted:
         """Fit the model over lags, and the other one where that may help; keep the better.
 
@@ -70,41 +78,74 @@ class Contest:
     Attributes
     ----------
     lagged, hidden : the models; hidden is None where nothing asked for it, or none was found.
-    gain, clear : see `advantage`.
+    advantage : of hidden states, on held-out parts.
+    fits : they fit the training data better, too.
     """
 
     lagged: FittedTS
     hidden: FittedTSStateSpace | None = None
-    gain: float = 0.0
-    clear: bool = False
+    advantage: Advantage = field(default_factory=Advantage)
+    fits: bool = False
+
+    @property
+    def clear(self) -> bool:
+        """The hidden states win."""
+        return self.hidden is not None and self.advantage.clear and self.fits
 
     @property
     def winner(self) -> Fitted:
         """The model to take, with a note on why."""
-        ratio = f"{np.exp(0.5 * self.gain):.2f} times the validation free-run error of the model over lags"
         if self.hidden is None:
             return self.lagged
+        times = np.exp(0.5 * self.advantage.gain)
+        ratio = f"{times:.2f} times the free-run error of rules over lags on held-out parts"
         if not self.clear:
-            note = f"A hidden state was tried and not taken: {ratio}, not clearly less."
+            but = "but more in training" if self.advantage.clear else "not clearly less"
+            note = f"A hidden state was tried and not taken: {ratio}, {but}."
             return replace(self.lagged, notes=(*self.lagged.notes, note))
         note = f"A hidden state explains what lagged outputs do not: {ratio}."
         return replace(self.hidden, notes=(note, *self.hidden.notes))
 
 
+@on_one_thread
 def contest(settings: BestTS, train: Dataset, validation: Dataset | None = None) -> Contest:
     """Both kinds, the second where the first hints at it."""
     asked = {name: getattr(settings, name) for name in ("rules", "antecedents", "most_rules", "nk_hint")}
-    over_lags = TS(**asked)
-    known = learn_lagged(over_lags, train, validation)
+    known = learn_lagged(TS(**asked), train, validation)
     lagged = finished_lagged(known.stage, train, known.notes)
     if not hints_at_hidden_state(lagged, train):
         return Contest(lagged)
     try:
         learned = learn(TSStateSpace(**asked), train, validation)
-    except (DataError, FitError, UsageError):  # e.g. antecedents that it does not have
+        found = finished(train, learned.stage, learned.notes, intervals=learned.intervals)
+        judgement = _judged((known, lagged), (learned, found), train, validation)
+    except (DataError, FitError, UsageError, np.linalg.LinAlgError):  # e.g. antecedents that it does not have
         return Contest(lagged)
-    found = finished(train, learned.stage, learned.notes, intervals=learned.intervals)
-    return Contest(lagged, found, *advantage(known.folds, learned.folds))
+    return Contest(lagged, found, *judgement)
+
+
+def _judged(
+    lags: tuple[Learned, FittedTS],
+    states: tuple[LearnedStates, FittedTSStateSpace],
+    train: Dataset,
+    validation: Dataset | None,
+) -> tuple[Advantage, bool]:
+    """The advantage of hidden states on held-out parts, and whether they fit the training data better."""
+    (known, lagged), (learned, found) = lags, states
+    fits = advantage([block_errors((lagged, found), train)]).gain < 0.0
+    if validation is not None:
+        return compared(lambda _: lagged, lambda _: found, [(train, validation)]), fits
+    least = max(known.stage.problem.layout.depth + SPARE_ROWS, learned.bench.least)
+
+    def over_lags(data: Dataset) -> FittedTS:
+        stage = on_all_runs(known.stage, runs_of(lagged.layout, data.segments, least), _STEPS)
+        return finished_lagged(stage, data, (), intervals=False)
+
+    def over_states(data: Dataset) -> FittedTSStateSpace:
+        return finished(data, learned.again(data, _STEPS), ())
+
+    parts = [hold_out(train, least, fold) for fold in range(_PARTS)]
+    return compared(over_lags, over_states, parts), fits
 
 
 def hints_at_hidden_state(model: FittedTS, train: Dataset) -> bool:
@@ -126,34 +167,6 @@ def hints_at_hidden_state(model: FittedTS, train: Dataset) -> bool:
         if square > (_RESOLUTION * scale[j]) ** 2 and foreseen > _FORETOLD:
             return True
     return False
-
-
-def advantage(lagged: Sequence[FloatArray], hidden: Sequence[FloatArray]) -> tuple[float, bool]:
-    """Mean logarithm of the ratio of mean squares (below 0: the hidden state helps), and whether it is clear.
-
-    Clear is what exceeds one standard error, over the parts or over the blocks of a single one, and
-    `_CLEARLY`.
-
-    Parameters
-    ----------
-    lagged, hidden : block errors of both on the same parts.
-    """
-    pairs = [(a, b) for a, b in zip(lagged, hidden, strict=False) if len(a) and len(b)]
-    if not pairs:
-        return 0.0, False
-    gaps = [float(np.log(max(b.mean(), 1e-12) / max(a.mean(), 1e-12))) for a, b in pairs]
-    error = float(np.hypot(_relative_error(pairs[0][0]), _relative_error(pairs[0][1])))
-    if len(gaps) > 1:
-        error = float(np.std(gaps, ddof=1) / np.sqrt(len(gaps)))
-    gain = float(np.mean(gaps))
-    return gain, gain < -max(error, _CLEARLY)
-
-
-def _relative_error(errors: FloatArray) -> float:
-    """Standard error of the mean of block errors, relative to it."""
-    if len(errors) < 2:
-        return 0.0
-    return float(errors.std(ddof=1) / np.sqrt(len(errors)) / max(errors.mean(), 1e-12))
 
 
 def _errors(model: FittedTS, u: FloatArray, y: FloatArray, window: int) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -26,13 +27,14 @@ from flysid.model.hidden.local import (
 )
 from flysid.model.hidden.model import FittedTSStateSpace
 from flysid.model.hidden.problem import StateError
+from flysid.model.hidden.rivals import Advantage, advantage
 from flysid.model.hidden.start import coordinates, realised
 from flysid.model.hidden.systems import System, linear_systems, realised_states
 from flysid.model.hidden.uncertainty import StateUncertainty, uncertainty
 from flysid.model.oe import OE
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
-from flysid.model.ts_best import advantage, hints_at_hidden_state
+from flysid.model.ts_best import BestTS, contest, hints_at_hidden_state
 from flysid.model.ts_state_space import MODEL, TSStateSpace
 from flysid.validate.trials import free_run
 from tests.bench.hidden_plants import LINEAR, PLANTS
@@ -243,14 +245,30 @@ def test_an_advantage_must_exceed_its_spread() -> None:
     level = [np.full(16, size) for size in (1.0, 1.2, 0.9, 1.1)]
     half = [0.5 * e for e in level]
     luck = [e * f for e, f in zip(level, (0.1, 1.5, 1.6, 1.2), strict=True)]
-    noisy = [rng.exponential(1.0, 16)]
-    gain, clear = advantage(level, half)
-    assert clear
-    assert gain == pytest.approx(np.log(0.5))
-    assert not advantage(level, luck)[1]
-    assert not advantage(level, level)[1]
-    assert not advantage(noisy, [0.75 * noisy[0][::-1]])[1]
-    assert advantage([], []) == (0.0, False)
+    noisy = rng.exponential(1.0, 16)
+    found = advantage(zip(level, half, strict=True))
+    assert found.clear
+    assert found.gain == pytest.approx(np.log(0.5))
+    assert not advantage(zip(level, luck, strict=True)).clear
+    assert not advantage(zip(level, level, strict=True)).clear
+    assert not advantage([(noisy, 0.75 * noisy[::-1])]).clear
+    assert advantage([]) == Advantage()
+
+
+def test_blocks_that_err_alike_in_a_row_are_no_independent_voices() -> None:
+    """The same errors, in order or shuffled: what is correlated from block to block says less."""
+    slow = np.repeat([1.0, 0.2, 0.9, 0.3], 4) + 0.01 * np.arange(16)
+    shuffled = np.random.default_rng(3).permutation(slow)
+    assert advantage([(np.ones(16), slow)]).error > 1.5 * advantage([(np.ones(16), shuffled)]).error
+
+
+def test_one_lucky_part_is_no_advantage() -> None:
+    """A hundredth of the error on one part, a tenth more on three: the mean alone would be taken in."""
+    level = [np.ones(16)] * 4
+    one = [0.01 * level[0], *([1.1 * level[0]] * 3)]
+    found = advantage(zip(level, one, strict=True))
+    assert found.gain < -1.0
+    assert not found.clear
 
 
 @cache
@@ -373,3 +391,16 @@ def test_a_dead_time_that_the_log_shows_is_tried() -> None:
     settings = TSStateSpace(states=2, nk_hint=(4,))
     found = linear_systems(settings, vehicle(), None, scaling(vehicle()))
     assert {system.real.input_lags for system in found} == {((1,),), ((4,),)}
+
+
+def test_the_contest_takes_the_hidden_state_of_two_tanks() -> None:
+    """An overflow behind a hidden level: rules over lags cannot say it, and the contest is sure."""
+    tanks, _ = TANKS.dataset((33,), 1024, 0.02)
+    test, truth = TANKS.dataset((1033,), 1024, 0.02)
+    found = contest(BestTS(most_rules=2), tanks)
+    assert found.clear
+    assert found.advantage.share == 1.0
+    assert "A hidden state explains" in found.winner.notes[0]
+    assert found.hidden is not None
+    assert free_run_gap(found.hidden, test, truth) < 0.1
+    assert replace(found, fits=False).winner.notes[-1].endswith("but more in training.")

@@ -14,8 +14,9 @@ from flysid.model.fuzzy.choice import INTEGRATES, hold_out
 from flysid.model.fuzzy.layout import scaling
 from flysid.model.hidden.bench import SPARE_ROWS, Bench
 from flysid.model.hidden.choice import Family, fewest_rules
-from flysid.model.hidden.grow import StateStage, ordered
+from flysid.model.hidden.grow import StateStage, on_other_runs, ordered, refine
 from flysid.model.hidden.judge import ends_of_travel, is_bounded
+from flysid.model.hidden.layout import runs_of
 from flysid.model.hidden.search import searched
 from flysid.model.hidden.systems import System, linear_systems
 
@@ -49,15 +50,22 @@ class Learned:
 
     Attributes
     ----------
-    folds : the block errors of models of these settings on every judging part, before they saw it, in
-        variances of the outputs.
     intervals : the stage stands at a minimum of the simulation error, which intervals presume.
+    bench, system : what it was made with, and from.
     """
 
     stage: StateStage
     notes: tuple[str, ...]
-    folds: tuple[FloatArray, ...]
+    bench: Bench
+    system: System
     intervals: bool = True
+
+    def again(self, data: Dataset, iterations: int) -> StateStage:
+        """The stage refined from where it is on a part of the data, by the method that found it."""
+        if not self.intervals:
+            return self.bench.single(self.system, data)[0]
+        runs = runs_of(self.stage.layout, data.segments, self.bench.least)
+        return refine(on_other_runs(self.stage, runs), iterations, 1e-4)
 
 
 def check(settings: Settings) -> None:
@@ -97,7 +105,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     refined = final.rules > 1 or family.start.system.again is None
     if not is_bounded(final):
         notes.append(INTEGRATES)
-    return Learned(final, tuple(notes), tuple(fold[at].errors for fold in family.folds), refined)
+    return Learned(final, tuple(notes), bench, family.start.system, refined)
 
 
 def _least(systems: Sequence[System], train: Dataset) -> int:

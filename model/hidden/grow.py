@@ -161,12 +161,16 @@ def in_windows(stage: StateStage, rows: int) -> StateStage:
 
 def on_runs_of(stage: StateStage, other: StateStage) -> StateStage:
     """A stage's model on the runs of another, from the most likely states."""
-    problem = replace(stage.problem, runs=other.problem.runs)
-    par, prior = problem.parameters(stage.body), stage.prior()
-    initial = initial_states(stage.layout, problem.runs, par, prior, 100)
-    moved = replace(stage, problem=problem, initial=initial)
-    kept = replace(stage, problem=problem, initial=other.initial)
+    moved = on_other_runs(stage, other.problem.runs)
+    kept = replace(moved, initial=other.initial)
     return min((moved, kept), key=lambda s: s.mean_square())
+
+
+def on_other_runs(stage: StateStage, runs: tuple[FloatArray, ...]) -> StateStage:
+    """A stage's model on other runs, from the most likely states."""
+    problem = replace(stage.problem, runs=runs)
+    initial = initial_states(stage.layout, runs, problem.parameters(stage.body), stage.prior(), 100)
+    return replace(stage, problem=problem, initial=initial)
 
 
 def with_ridge(stage: StateStage, ridge: float) -> StateStage:
