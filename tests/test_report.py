@@ -6,7 +6,7 @@ import base64
 import hashlib
 import json
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,11 +16,13 @@ import pytest
 
 from flysid.dataset import Dataset, Signal
 from flysid.errors import StoreError
+from flysid.model.base import Rule
 from flysid.validate.cautions import MOST, cautions
 from flysid.validate.compare import Comparison, compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.report import ReportContext, Sweep, render, write_report
 from flysid.validate.report.decimate import decimate, rounded
+from flysid.validate.report.figures import sweep_figure
 from flysid.validate.report.rulefigures import antecedent_range
 from flysid.validate.report.svg import log_ticks, ticks
 from tests.fakes import FirstOrder, flown
@@ -105,6 +107,46 @@ def test_every_script_and_style_is_in_the_policy_by_hash() -> None:
         assert f"'sha256-{digest}'" in policy
     assert "unsafe" not in policy
     assert policy.startswith("default-src 'none'")
+
+
+def test_a_stranger_learns_who_is_who_and_in_what_unit() -> None:
+    words = Page(rendered()).words
+    assert "Fuzzy model (TS) against linear model (ARX) on 6 held-out segments" in words
+    assert "steady gain m/s per deg" in words
+    assert words.count("R1 R2 R3") == 3  # below the strip, above both pictures of rules along time
+    assert "where each model settles, ARX dashed, TS solid" in words
+    assert "dashed: ARX; solid: R1, R2, R3, coloured as in the table of rules" in words
+
+
+def test_rules_in_the_key_have_the_one_word_of_their_condition() -> None:
+    @dataclass(frozen=True, eq=False)
+    class Said(FirstOrder):
+        def rules(self) -> tuple[Rule, ...]:
+            conditions = ("v is A1 'slow <b>' (about 1)", "v is A2 'fast' (about 2) and u is A2 'low' (0)")
+            return tuple(replace(r, condition=c) for r, c in zip(super().rules(), conditions, strict=True))
+
+    said = Said(a=0.9, b=0.1, structure="ts", labels=("R1", "R2"))
+    page = render(ReportContext({"roll": compare([ARX, said], flown(said, [400] * 6, noise=0.02))}))
+    assert "R1 slow &lt;b&gt;</span>" in page
+    assert "</span>R2</span>" in page
+
+
+def test_long_facts_are_folded_and_nothing_is_told_twice() -> None:
+    long = "; ".join(f"flight {i}: 1 segments, 0 gaps, 0 short segments dropped" for i in range(12))
+    facts = {"alignment": long, "held-out sha256": compared().test_hash, "version of numpy": "2.4"}
+    page = render(replace(context(), provenance=facts | {"version of flysid": "9.9"}))
+    assert "<summary>flight 0: 1 segments, 0 gaps, 0 short segments dropped</summary>" in page
+    assert page.count(compared().test_hash) == 1
+    assert "<dt>versions</dt><dd>numpy 2.4, flysid 9.9</dd>" in page
+
+
+def test_the_label_of_the_chosen_count_stands_away_from_the_line() -> None:
+    for errors, below in (((0.5, 0.2, 0.4), True), ((0.1, 0.2, 0.15), False), ((0.5, 0.2, 0.19), True)):
+        picture = sweep_figure(Sweep((1, 2, 3), errors, (0.0,) * 3, 2), "m")
+        (y,) = re.findall(r'y="([\d.]+)"[^>]*>chosen: 2', picture)
+        (ring,) = re.findall(r'd="M[\d.]+ ([\d.]+)h0" class="ring"', picture)
+        assert (float(y) > float(ring)) is below
+    assert "chosen: 1" in sweep_figure(Sweep((1,), (0.5,), (0.0,), 1), "m")
 
 
 def test_every_panel_is_drawn_and_anchors_exist() -> None:

@@ -132,6 +132,42 @@ def test_segments_can_be_chosen_and_zoom_is_shared(browser: Any, page: Path) -> 
     assert chosen == 3
 
 
+def test_pictures_that_scroll_can_be_reached_by_the_keyboard_and_others_need_no_stop(
+    browser: Any, page: Path
+) -> None:
+    for width, stops in ((390, 2), (1280, 0)):
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        opened(browser, page)
+        found = browser.execute_script(
+            "return document.querySelectorAll('.channel:not([hidden]) .wide[tabindex]').length"
+        )
+        assert found == stops
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_small_charts_have_numbers_on_their_axes(browser: Any, page: Path) -> None:
+    """At least two values on every vertical axis: one alone has no scale."""
+    opened(browser, page)
+    scroll_to_charts(browser)
+    counts = browser.execute_script(
+        """const wide = document.querySelector('.channel:not([hidden]) .live'), seen = [];
+           const fill = CanvasRenderingContext2D.prototype.fillText;
+           CanvasRenderingContext2D.prototype.fillText = function (text, ...rest) {
+             if (this.textAlign === 'right') { seen.push([this.canvas, text]); }
+             return fill.call(this, text, ...rest); };
+           document.getElementById('theme').click();
+           return new Promise(done => setTimeout(() => {
+             CanvasRenderingContext2D.prototype.fillText = fill;
+             document.getElementById('theme').click();
+             done([...wide.querySelectorAll('.uplot canvas')].map(c =>
+               new Set(seen.filter(s => s[0] === c && /^[\u2212\\d.]+$/.test(s[1])).map(s => s[1])).size));
+           }, 300));"""
+    )
+    assert len(counts) == 3
+    assert min(counts) >= 2
+
+
 def test_opens_fast(browser: Any, page: Path) -> None:
     """Half a second on an idle machine; the limit leaves room for a busy one, the best of three counts."""
     times: list[float] = []

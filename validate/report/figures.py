@@ -215,7 +215,9 @@ def sweep_figure(sweep: Sweep, unit: str) -> Markup:
     limits = [error - spread, error + spread]
     if sweep.linear is not None:
         limits.append(np.array([sweep.linear[0] - sweep.linear[1], sweep.linear[0] + sweep.linear[1]]))
-    axes = Axes((float(x.min()) - 0.5, float(x.max()) + 0.5), span(*limits), width=HALF - 60, height=120)
+    axes = Axes(
+        (float(x.min()) - 0.5, float(x.max()) + 0.5), span(*limits, pad=0.22), width=HALF - 60, height=120
+    )
     parts = [frame(axes, f"RMSE, {sweep.unit or unit}", "number of rules")]
     if sweep.linear is not None:
         mean, sd = sweep.linear
@@ -228,12 +230,15 @@ def sweep_figure(sweep: Sweep, unit: str) -> Markup:
     for xi, e, s in zip(x[known], error[known], spread[known], strict=True):
         parts.append(line(axes, np.array([xi, xi]), np.array([e - s, e + s]), "whisker"))
     parts += [line(axes, x, error, "ts"), dots(axes, x, error, "bead")]
-    chosen = np.array([float(sweep.chosen)])
-    at = error[list(sweep.rules).index(sweep.chosen)] if sweep.chosen in sweep.rules else np.nan
-    parts.append(dots(axes, chosen, np.array([at]), "ring"))
-    above = float(axes.py(at)) - 12
-    where = above if above > axes.top + 8 else float(axes.py(at)) + 20
-    parts.append(text(float(axes.px(chosen[0])), where, f"chosen: {sweep.chosen}", anchor="middle"))
+    if sweep.chosen in sweep.rules:
+        i = sweep.rules.index(sweep.chosen)
+        parts.append(dots(axes, x[i : i + 1], error[i : i + 1], "ring"))
+        beside = np.delete(error[max(0, i - 1) : i + 2], min(i, 1))
+        drop = (
+            20.0 if beside.sum() > len(beside) * error[i] else -12.0
+        )  # away from the lines to its neighbours
+        place = float(axes.px(x[i])), float(axes.py(error[i])) + drop
+        parts.append(text(*place, f"chosen: {sweep.chosen}", anchor="middle"))
     return picture(HALF, 186, parts, f"Error over the number of rules; {sweep.chosen} chosen")
 
 

@@ -190,10 +190,12 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
     seconds = max(sum(len(s) for s in c.test.segments) * c.dt_s for c in comparisons.values())
     rates = sorted({round(1.0 / c.dt_s, 3) for c in comparisons.values()})
     bases = dict.fromkeys(one_line(c.baseline).upper() for c in comparisons.values())
-    against = " or ".join(bases)
+    against = _introduced(base_words(pairs) if pairs else called(first.baseline), " or ".join(bases))
     if first.contender:
-        against = f"{one_line(first.contender).upper()} against {against}"
-    words = f"{against} on {segments} held-out segment{'s' if segments != 1 else ''} ({duration(seconds)})"
+        model = _introduced(called(first.contender), one_line(first.contender).upper())
+        against = f"{model} against {against}"
+    held = f"{segments} held-out segment{'s' if segments != 1 else ''} ({duration(seconds)})"
+    words = f"{against[0].upper()}{against[1:]} on {held}"
     if train_s:
         words += f" after training on {duration(train_s)}"
     words += ", " + " and ".join(f"{r:g}" for r in rates) + " Hz."
@@ -203,6 +205,11 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
         words += f" Judged on free-run error with a paired bootstrap over {units} {one_line(unit)}"
         words += ", corrected for several channels (Holm)." if len(pairs) > 1 else "."
     return f"{words} {start_words(comparisons)}"
+
+
+def _introduced(name: str, label: str) -> str:
+    """ "fuzzy model (TS)"; the label alone where it is all there is to say."""
+    return label if name.upper() == label else f"{name} ({label})"
 
 
 def start_words(comparisons: Mapping[str, Comparison]) -> str:

@@ -44,6 +44,8 @@ from flysid.validate.words import (
 )
 
 NUMBERS_ON_PAGE = 90_000
+VERSION = "version of "
+LONG = 400  # characters of a fact that are read in passing
 
 
 @cache
@@ -284,11 +286,21 @@ def _models(context: ReportContext) -> list[dict[str, Any]]:
     return rows
 
 
-def _provenance(context: ReportContext) -> dict[str, str]:
-    """Given labels first, then what the comparisons themselves know."""
+def _provenance(context: ReportContext) -> list[tuple[str, str, list[str]]]:
+    """(label, value, what is folded away): given labels first, then what the comparisons themselves know."""
     known = {one_line(k): one_line(str(v)) for k, v in context.provenance.items()}
+    versions = {k: v for k, v in known.items() if k.startswith(VERSION)}
+    known = {k: v for k, v in known.items() if k not in versions}
     for name, c in context.comparisons.items():
-        label = f"held-out data of {one_line(name)}" if name else "held-out data"
-        known.setdefault(label, f"sha256 {c.test_hash}")
-    known.setdefault("flysid", flysid.__version__)
-    return known
+        if c.test_hash not in known.values():
+            label = f"held-out data of {one_line(name)}" if name else "held-out data"
+            known.setdefault(label, f"sha256 {c.test_hash}")
+    versions = versions or {f"{VERSION}flysid": flysid.__version__}
+    known["versions"] = ", ".join(f"{k.removeprefix(VERSION)} {v}" for k, v in versions.items())
+    return [(label, *_folded(value)) for label, value in known.items()]
+
+
+def _folded(value: str) -> tuple[str, list[str]]:
+    """The first sentence and the others of what is too long to be read in passing."""
+    first, *rest = value.split("; ")
+    return (first, rest) if len(value) > LONG and rest else (value, [])

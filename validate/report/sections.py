@@ -23,6 +23,8 @@ from flysid.validate.responses import steady_outputs
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.words import number, one_line
 
+UNKNOWN = "not pinned down"
+STROKES = {"arx": "dashed", "ts": "solid"}
 SIGN = re.compile(r"(?<![\w)])-(?=[ \d])")
 
 
@@ -71,6 +73,8 @@ class Section:
     checks: tuple[CheckRow, ...]
     coefficients: tuple[tuple[str, str, str, str], ...]
     simpler: str
+    gain_unit: str
+    key: tuple[tuple[str, str], ...]
     data: Mapping[str, Any]
 
 
@@ -111,6 +115,8 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         checks=check_rows(c, source.diagnosis, j),
         coefficients=coefficient_rows(c, source.diagnosis, j),
         simpler=_simpler(source),
+        gain_unit=_gain_unit(c, j, signal),
+        key=_key(c),
         data={
             "segments": [overlay.as_json(p, label) for p, label in zip(pieces, labels, strict=True)],
             "shown": longest,
@@ -176,10 +182,10 @@ def _residuals(source: Source, j: int) -> tuple[Panel, ...]:
 def _dependence(correlation: Correlation, c: Comparison, model: str, css: str, i: int) -> Panel:
     lag, rho = correlation.peak
     verdict = "some dynamics missing" if correlation.fails else "nothing left that the input explains"
-    name = one_line(c.test.inputs[i].name)
+    name, peak = one_line(c.test.inputs[i].name), f"{rho:+.2f}".replace("-", "−")
     return Panel(
         f"{one_line(model).upper()}: cross-correlation of free-run error with {name}",
-        f"peak {rho:+.2f} at {lag * c.dt_s:.2f} s; {correlation.outside} of {correlation.tested} causal lags "
+        f"peak {peak} at {lag * c.dt_s:.2f} s; {correlation.outside} of {correlation.tested} causal lags "
         f"outside Bartlett's 99 % band: {verdict}",
         figures.correlogram(correlation, c.dt_s, css, f"Free-run error of {model} against {name}"),
     )
@@ -208,19 +214,42 @@ def _bode(source: Source, j: int, signal: int) -> Panel:
     total = max(len(s) for s in c.test.segments) * c.dt_s
     hz = np.geomspace(max(2.0 / total, 1e-4), 0.5 / c.dt_s, 160)
     known = {m: curves(c.fitted[m], hz, (j, signal), source.sure(m)) for m, _ in overlay.drawn(c)}
-    unit = f"{c.test.outputs[j].unit or '1'} per {c.test.inputs[signal].unit or '1'}"
+    unit = _gain_unit(c, j, signal)
+    rules = ", ".join(one_line(r.label) for r in _rules_of(c))
+    solid = f"solid: {rules}, coloured as in the table of rules; " if rules else ""
     return Panel(
         "Local models against the linear baseline",
-        "dots: measured, with 95 % whiskers, faint where the coherence is below 0.5; dashed: linear; one "
-        "colour per rule; shaded: 95 % bands from the training data",
+        "dots: measured, with 95 % whiskers, faint where the coherence is below 0.5; dashed: "
+        f"{one_line(c.baseline).upper()}; {solid}shaded: 95 % bands from the training data",
         figures.bode(
             empirical,
             {css: known[m] for m, css in overlay.drawn(c)},
             hz,
-            one_line(unit),
+            unit,
             "Frequency response of the rules and the linear model",
         ),
     )
+
+
+def _gain_unit(c: Comparison, j: int, signal: int) -> str:
+    """ "m/s per deg"."""
+    return one_line(f"{c.test.outputs[j].unit or '1'} per {c.test.inputs[signal].unit or '1'}")
+
+
+def _rules_of(c: Comparison) -> tuple[Rule, ...]:
+    """The contender's rules where it has several."""
+    rules = c.fitted[c.contender].rules() if c.contender else ()
+    return tuple(rules) if len(rules) > 1 else ()
+
+
+def _key(c: Comparison) -> tuple[tuple[str, str], ...]:
+    """(CSS class, "R1 forward") of every rule; the word where its condition has only one."""
+    found = []
+    for i, rule in enumerate(_rules_of(c)):
+        words = re.findall(r" is A\d+ '([^']*)'", rule.condition)
+        name = f"{rule.label} {words[0]}" if len(words) == 1 else rule.label
+        found.append((f"r{i % 8 + 1}", one_line(name)))
+    return tuple(found)
 
 
 def _static(source: Source, j: int, signal: int) -> Panel:
@@ -234,7 +263,8 @@ def _static(source: Source, j: int, signal: int) -> Panel:
     x, name = _with_unit(c.test.inputs[signal].name, c.test.inputs[signal].unit), c.test.outputs[j].name
     return Panel(
         "Static map",
-        f"dots: {'training' if source.train else 'held-out'} samples; lines: where each model settles",
+        f"dots: {'training' if source.train else 'held-out'} samples; lines: where each model settles, "
+        + ", ".join(f"{one_line(m).upper()} {STROKES[css]}" for m, css in overlay.drawn(c)),
         figures.static_map(
             u, y, levels, steady, (x, _with_unit(name, c.test.outputs[j].unit), f"Static map of {name}")
         ),
@@ -254,7 +284,8 @@ def _rule_rows(source: Source, name: str, css: str, place: tuple[int, int]) -> t
     return tuple(
         replace(
             row,
-            gain_interval=interval_text(sure.gain[:, r, j, signal]),
+            gain_interval=interval_text(sure.gain[:, r, j, signal])
+            or (UNKNOWN if row.gain[-1:].isdigit() else ""),
             time_interval=interval_text(None if slow is None else slow[:, r], " s"),
         )
         for r, row in enumerate(rows)

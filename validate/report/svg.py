@@ -127,7 +127,7 @@ def frame(
 
 def _spaced_ticks(axes: Axes) -> list[float]:
     """As many ticks of the x axis as their labels leave room for."""
-    for count in range(max(2, int(axes.width / 70)), 1, -1):
+    for count in range(max(2, int(axes.width / 50)), 1, -1):
         found = ticks(*axes.x, count=count)
         longest = max((len(tick_text(t)) for t in found), default=1)
         if len(found) * (6.5 * longest + 12) <= axes.width:

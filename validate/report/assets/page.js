@@ -21,12 +21,12 @@
     return { label: label, stroke: function () { return colour(css); }, width: width, dash: dash, points: { show: false } };
   }
 
-  function axes(showTime) {
+  function axes(showTime, low) {
     var ink = function () { return colour("dim"); };
     var grid = { stroke: function () { return colour("grid"); }, width: 1 };
     return [
       { stroke: ink, grid: grid, ticks: { show: false }, size: showTime ? 40 : 8, values: showTime ? undefined : function (u, v) { return v.map(function () { return ""; }); }, label: showTime ? "time, s" : undefined, labelSize: 16, font: "11px system-ui", labelFont: "11px system-ui" },
-      { stroke: ink, grid: grid, ticks: { show: false }, size: 56, font: "11px system-ui", values: function (u, v) { return v.map(plain); } }
+      { stroke: ink, grid: grid, ticks: { show: false }, size: 56, space: low ? 16 : 30, font: "11px system-ui", values: function (u, v) { return v.map(plain); } }
     ];
   }
 
@@ -73,7 +73,7 @@
       legend: { show: false },
       cursor: { sync: { key: key }, drag: { x: true, y: false } },
       scales: { x: { time: false }, y: { range: function () { return range(); } } },
-      axes: axes(showTime),
+      axes: axes(showTime, height < 150),
       series: [{}].concat(lines)
     };
     var plot = new uPlot(options, [[0], [0]].slice(0, 1).concat(lines.map(function () { return [0]; })), parent);
@@ -170,7 +170,14 @@
     });
   }
 
+  function reachable() { // a picture that scrolls can be reached by the keyboard, others need no stop
+    document.querySelectorAll(".channel:not([hidden]) .wide").forEach(function (figure) {
+      if (figure.scrollWidth > figure.clientWidth) { figure.tabIndex = 0; } else { figure.removeAttribute("tabindex"); }
+    });
+  }
+
   function resize() {
+    reachable();
     charts.forEach(function (c) {
       if (c.plot && c.parent.clientWidth > 0) { c.plot.setSize({ width: Math.max(260, c.parent.clientWidth), height: c.height }); }
       if (c.paint) { c.paint(); }
