@@ -307,8 +307,3 @@ class McapReader:
             return None
         head = chunk_head(self.view, body, end)
         return head if head is not None and head.data_end == end else None
-
-
-def is_mcap(head: bytes) -> bool:
-    """Whether bytes start as an MCAP file does."""
-    return head.startswith(MAGIC)

@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from flysid.dataset import FloatArray, Signal
-from flysid.model.base import MODEL_FORMAT, MODEL_VERSION
+from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Fitted
 
 
-class _Headed(Protocol):
-    """What the head of a model file tells of a model."""
-
-    @property
-    def structure(self) -> str: ...
-    @property
-    def dt_s(self) -> float: ...
-    @property
-    def inputs(self) -> tuple[Signal, ...]: ...
-    @property
-    def outputs(self) -> tuple[Signal, ...]: ...
-
-
-def head_of(model: _Headed) -> dict[str, Any]:
+def head_of(model: Fitted) -> dict[str, Any]:
     """What a model file begins with: format, version, structure, sample time and signals."""
     return {
         "format": MODEL_FORMAT,

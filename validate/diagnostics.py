@@ -89,7 +89,6 @@ class Diagnosis:
     changes: tuple[float, ...]
     checks: Mapping[str, Checks]
     free_runs: tuple[Trial, ...]
-    one_steps: tuple[Trial, ...]
     loops: tuple[Feedback, ...] = ()
 
 
@@ -109,7 +108,6 @@ def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
         checks={n: check(models[n], test, train) for n in (comparison.baseline, comparison.contender) if n},
         changes=tuple(_changes(test, i) for i in range(len(test.inputs))),
         free_runs=free,
-        one_steps=one,
         loops=() if train is None else feedback(models[comparison.baseline], train),
     )
 

@@ -75,9 +75,6 @@ def named(models: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)
 
 
-ONE_RULE = "one rule: a linear model; the gain comes from its order or refinement, not from fuzziness"
-
-
 def interval_words(pair: Pair) -> str:
     """ "[−38, −24]", or "" where there is none or it would say nothing."""
     if pair.ci95 is None or change_words(pair) in ("< resolution", "diverged") or pair.ci95[0] > 1000.0:

@@ -16,6 +16,7 @@ from flysid.model.frequency.rational import is_determined
 from flysid.model.frequency.sampling import sampled
 from flysid.model.linear.data import Parts, records
 from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.runner import free_runner
 from flysid.model.linear.start import start_gains
 from flysid.model.noise import coloured_covariance, noise_model
 
@@ -90,22 +91,7 @@ def runner(parts: Parts, fits: Sequence[OneTransfer], n_init: int | None) -> Fit
     """A model good for free runs only: its noise is white, its covariance unknown."""
     system = _system(fits, len(parts.train.inputs))
     starts = start_gains(system, parts, n_init) if _stable(system) else None
-    free = _free(fits, system)
-    return FittedLinear(
-        structure="tf",
-        dt_s=parts.train.dt_s,
-        inputs=parts.train.inputs,
-        outputs=parts.train.outputs,
-        n_init=max(system.depth, 1) if starts is None else starts.shape[2],
-        output_limits=parts.limits,
-        system=parts.scaling.physical(system),
-        u_origin=parts.scaling.u_origin,
-        y_origin=parts.scaling.y_origin,
-        noise=np.ones((1, len(fits))),
-        starts=starts,
-        free=free,
-        covariance=np.full((len(free), len(free)), np.nan),
-    )
+    return free_runner("tf", parts, system, starts, _free(fits, system))
 
 
 def assembled(

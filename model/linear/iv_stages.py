@@ -18,6 +18,7 @@ from flysid.model.freerun import Difference
 from flysid.model.gram import lagged_gram
 from flysid.model.linear.data import SEARCH_ROWS, Parts, as_tuple, shortened
 from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.runner import free_runner
 from flysid.model.linear.start import start_gains
 from flysid.model.noise import noise_models
 from flysid.model.polynomials import stabilised
@@ -330,23 +331,8 @@ def _started(
     roots = [np.roots(system.a[:, i, i]) for i in range(len(system.c))]
     stable = max((float(np.abs(r).max(initial=0.0)) for r in roots), default=0.0) < 1.0
     starts = start_gains(system, parts, n_init) if stable else None
-    scaling = parts.scaling
-    model = FittedLinear(
-        structure="iv",
-        dt_s=parts.train.dt_s,
-        inputs=parts.train.inputs,
-        outputs=parts.train.outputs,
-        n_init=max(system.depth, 1) if starts is None else starts.shape[2],
-        output_limits=parts.limits,
-        system=scaling.physical(system),
-        u_origin=scaling.u_origin,
-        y_origin=scaling.y_origin,
-        noise=np.ones((1, len(system.c))) if stable else None,
-        starts=starts,
-        free=tuple(free),
-        covariance=covariance,
-    )
-    return _with_noise(model, parts) if stable else model
+    model = replace(free_runner("iv", parts, system, starts, tuple(free)), covariance=covariance)
+    return _with_noise(model, parts) if stable else replace(model, noise=None)
 
 
 def _with_noise(model: FittedLinear, parts: Parts) -> FittedLinear:

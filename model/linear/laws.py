@@ -7,23 +7,15 @@ from typing import Protocol
 
 import numpy as np
 
-from flysid.dataset import FloatArray, Signal
+from flysid.dataset import FloatArray
 from flysid.model.arguments import as_record
-from flysid.model.base import Rule
+from flysid.model.base import Fitted, Rule
 from flysid.model.polynomials import ComplexArray
 
 
-class Linear(Protocol):
-    """A fitted linear model, as far as it matters here."""
+class Linear(Fitted, Protocol):
+    """A fitted linear model."""
 
-    @property
-    def dt_s(self) -> float: ...
-    @property
-    def inputs(self) -> tuple[Signal, ...]: ...
-    @property
-    def outputs(self) -> tuple[Signal, ...]: ...
-    @property
-    def n_init(self) -> int: ...
     @property
     def poles(self) -> ComplexArray: ...
     @property

@@ -17,6 +17,7 @@ from flysid.errors import DataError, FitError
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import EXACT, FOLDED_ROWS, SEARCH_ROWS, Parts, records, shortened
 from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.runner import free_runner
 from flysid.model.linear.start import start_gains
 from flysid.model.noise import coloured_covariance, noise_model
 from flysid.model.polynomials import free_basis, monic_basis
@@ -149,22 +150,7 @@ def runner(structure: str, parts: Parts, fits: Sequence[OneOutput], n_init: int 
     """A model good for free runs only: its noise is white, its covariance unknown."""
     system = _joined([f.transfer for f in fits], len(parts.whole.inputs))
     starts = start_gains(system, parts, n_init)
-    free = _free(system, fits)
-    return FittedLinear(
-        structure=structure,
-        dt_s=parts.train.dt_s,
-        inputs=parts.train.inputs,
-        outputs=parts.train.outputs,
-        n_init=starts.shape[2],
-        output_limits=parts.limits,
-        system=parts.scaling.physical(system),
-        u_origin=parts.scaling.u_origin,
-        y_origin=parts.scaling.y_origin,
-        noise=np.ones((1, len(fits))),
-        starts=starts,
-        free=free,
-        covariance=np.full((len(free), len(free)), np.nan),
-    )
+    return free_runner(structure, parts, system, starts, _free(system, fits))
 
 
 def _joined(transfers: Sequence[Transfer], n_u: int) -> Difference:
