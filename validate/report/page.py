@@ -273,7 +273,7 @@ def _models(context: ReportContext) -> list[dict[str, Any]]:
                         "worst_rmse": score.worst_segment.scores.rmse,
                         "rules": "" if info.reference else info.n_rules,
                         "parameters": info.n_parameters,
-                        "notes": [one_line(n) for n in info.notes],
+                        "notes": [one_line(n).removesuffix(".") for n in info.notes],
                         "seconds": seconds.get(name),
                         "change": change_words(pair) if pair else "",
                         "interval": interval_words(pair) if pair else "",

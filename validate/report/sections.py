@@ -23,6 +23,7 @@ from flysid.validate.responses import steady_outputs
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.words import number, one_line
 
+UNSTABLE = "unstable"
 UNKNOWN = "not pinned down"
 STROKES = {"arx": "dashed", "ts": "solid"}
 SIGN = re.compile(r"(?<![\w)])-(?=[ \d])")
@@ -243,13 +244,12 @@ def _rules_of(c: Comparison) -> tuple[Rule, ...]:
 
 
 def _key(c: Comparison) -> tuple[tuple[str, str], ...]:
-    """(CSS class, "R1 forward") of every rule; the word where its condition has only one."""
-    found = []
-    for i, rule in enumerate(_rules_of(c)):
-        words = re.findall(r" is A\d+ '([^']*)'", rule.condition)
-        name = f"{rule.label} {words[0]}" if len(words) == 1 else rule.label
-        found.append((f"r{i % 8 + 1}", one_line(name)))
-    return tuple(found)
+    """(CSS class, "R1 forward") of every rule; the words where one antecedent tells all rules apart."""
+    rules = _rules_of(c)
+    words = [re.findall(r" is A\d+ '([^']*)'", rule.condition) for rule in rules]
+    alone = all(len(said) == 1 for said in words) and len({said[0] for said in words}) == len(rules)
+    names = [f"{r.label} {said[0]}" if alone else r.label for r, said in zip(rules, words, strict=True)]
+    return tuple((f"r{i % 8 + 1}", one_line(name)) for i, name in enumerate(names))
 
 
 def _static(source: Source, j: int, signal: int) -> Panel:
@@ -286,7 +286,9 @@ def _rule_rows(source: Source, name: str, css: str, place: tuple[int, int]) -> t
             row,
             gain_interval=interval_text(sure.gain[:, r, j, signal])
             or (UNKNOWN if row.gain[-1:].isdigit() else ""),
-            time_interval=interval_text(None if slow is None else slow[:, r], " s"),
+            time_interval=""
+            if slow is None or row.time_constant == UNSTABLE
+            else interval_text(slow[:, r], " s"),
         )
         for r, row in enumerate(rows)
     )
@@ -295,7 +297,7 @@ def _rule_rows(source: Source, name: str, css: str, place: tuple[int, int]) -> t
 def _rule_row(rule: Rule, css: str, j: int, signal: int) -> RuleRow:
     gain = float(np.asarray(rule.dc_gain)[j, signal])
     tau = rule.time_constant_s
-    without = "unstable" if rule.pole_radius > 1.0 + 1e-6 else ""
+    without = UNSTABLE if rule.pole_radius > 1.0 + 1e-6 else ""
     return RuleRow(
         label=one_line(rule.label),
         css=css,
