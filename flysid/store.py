@@ -19,7 +19,14 @@ import pyarrow.parquet as pq
 
 from flysid.errors import StoreError, UsageError, WriteError
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Flight, Source
-from flysid.flightwriter import FlightWriter, in_order, put_in_place, slug, write_atomically, writing_to
+from flysid.flightwriter import (
+    FlightWriter,
+    in_order,
+    put_in_place,
+    slug,
+    write_atomically,
+    writing_to,
+)
 from flysid.manifest import (
     DATA_FILE,
     DATA_FORMAT,
@@ -35,6 +42,7 @@ from flysid.manifest import (
     read_manifest,
     to_json,
 )
+from flysid.parts import exhausted
 from flysid.version import __version__
 
 __all__ = [
@@ -205,13 +213,7 @@ def _write_streams(
 ) -> Manifest:
     writer = FlightWriter(folder)
     try:
-        while True:
-            try:
-                part = next(parts)
-            except StopIteration as stop:
-                outcome: Outcome = stop.value
-                break
-            writer.add(part.stream, part.table)
+        outcome = exhausted(parts, lambda part: writer.add(part.stream, part.table))
         entries = writer.finish()
     finally:
         writer.close()

@@ -21,6 +21,7 @@ import pyarrow as pa
 
 from flysid.errors import FormatError, UsageError
 from flysid.flight import ClockMap, Damage, Flight, Source
+from flysid.parts import exhausted
 
 HEAD_BYTES = 65536
 CERTAIN = 0.95
@@ -212,13 +213,7 @@ def collect(view: memoryview, name: str, fmt: Format, limits: Limits) -> Flight:
     """Run a format's reader to its end and join the parts of each stream."""
     parts: dict[str, list[pa.Table]] = {}
     reader = fmt.read(view, name, limits)
-    while True:
-        try:
-            part = next(reader)
-        except StopIteration as stop:
-            summary: Summary = stop.value
-            break
-        parts.setdefault(part.stream, []).append(part.table)
+    summary = exhausted(reader, lambda part: parts.setdefault(part.stream, []).append(part.table))
     tables = {stream: _joined(pa.concat_tables(parts.pop(stream))) for stream in sorted(parts)}
     return Flight(source_of(view, name, fmt), tables, summary.damage, summary.clocks, summary.info)
 

@@ -14,7 +14,8 @@ import pyarrow as pa
 
 from flysid.errors import FlysidError
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Source, field_scale, field_unit
-from flysid.ingest.base import HEAD_BYTES, Limits, Summary, detect, open_log, source_of
+from flysid.ingest.base import HEAD_BYTES, Limits, detect, open_log, source_of
+from flysid.parts import exhausted
 
 ROLES: Mapping[str, tuple[str, ...]] = {
     "attitude": (
@@ -128,13 +129,9 @@ def survey(path: Path, limits: Limits | None = None) -> Survey:
         fmt = detect(bytes(view[:HEAD_BYTES]), path.name)
         streams: dict[str, StreamCount] = {}
         reader = fmt.read(view, path.name, limits or Limits())
-        while True:
-            try:
-                part = next(reader)
-            except StopIteration as stop:
-                summary: Summary = stop.value
-                break
-            _count(streams.setdefault(part.stream, StreamCount()), part.table)
+        summary = exhausted(
+            reader, lambda part: _count(streams.setdefault(part.stream, StreamCount()), part.table)
+        )
         source = source_of(view, path.name, fmt)
     return Survey(source, dict(sorted(streams.items())), summary.damage, summary.clocks, summary.info)
 

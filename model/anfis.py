@@ -16,7 +16,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.fuzzy.cluster import cluster, project
 from flysid.model.fuzzy.finish import finished
-from flysid.model.fuzzy.grow import best_started, first_basis, ordered, regressors
+from flysid.model.fuzzy.grow import best_started, first_basis, ordered
 from flysid.model.fuzzy.layout import Layout, Orders, parse_antecedent, scaling
 from flysid.model.fuzzy.model import FittedTS
 from flysid.model.fuzzy.problem import Body, Problem, antecedent_range, runs_of
@@ -214,6 +214,6 @@ def _problem(layout: Layout, runs: tuple[FloatArray, ...]) -> Problem:
 
 def _rows(problem: Problem) -> tuple[FloatArray, FloatArray, FloatArray]:
     layout, d = problem.layout, problem.layout.depth
-    E = np.vstack([regressors(layout, W) for W in problem.runs]) @ problem.basis.T
+    E = np.vstack([layout.regressor_values(W) for W in problem.runs]) @ problem.basis.T
     z = np.vstack([layout.antecedent_values(W) for W in problem.runs])
     return E, z, np.vstack([W[d:, : layout.n_y] for W in problem.runs])

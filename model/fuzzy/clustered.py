@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from flysid.model.fuzzy.cluster import cluster, project
-from flysid.model.fuzzy.grow import Stage, regressors, unrefined
+from flysid.model.fuzzy.grow import Stage, unrefined
 from flysid.model.fuzzy.layout import Antecedent
 from flysid.model.fuzzy.memberships import Partition
 from flysid.model.fuzzy.problem import Body
@@ -35,7 +35,7 @@ def clustered_stage(linear: Stage, antecedents: tuple[Antecedent, ...], rules: i
     centre, width, _ = project(cluster(np.hstack([z, Y]), rules), z.shape[1], two_sided=False)
     low, high = problem.z_range
     phi = Partition(centre, width, width, low, high).firing(z)
-    E = np.vstack([regressors(layout, W) for W in problem.runs]) @ problem.basis.T
+    E = np.vstack([layout.regressor_values(W) for W in problem.runs]) @ problem.basis.T
     design = (phi[:, :, None] * E[:, None, :]).reshape(len(E), -1)
     solution = np.linalg.lstsq(design, Y, rcond=1e-10)[0].reshape(rules, E.shape[1], n_y)
     a = np.ascontiguousarray(solution.transpose(0, 2, 1))

@@ -38,13 +38,7 @@ def refit_consequents(model: FittedTS, data: Source) -> FittedTS:
     UsageError : other signals or sample time than the model's.
     DataError : no segment is longer than the model's lags.
     """
-    names = [s.name for s in (*data.outputs, *data.inputs)]
-    own = [s.name for s in model.layout.signals]
-    if names != own or abs(data.dt_s - model.dt_s) > 1e-9 * model.dt_s:
-        raise UsageError(
-            f"the data hold {names} every {data.dt_s:g} s; the model knows {own} every {model.dt_s:g} s",
-            hint="resample, or fit a new model",
-        )
+    refuse_other_data(model, data)
     pieces = _lagged_pieces(model, data)
     if next(pieces(), None) is None:
         raise DataError(f"no segment is longer than {model.n_init} samples", hint="record longer")
@@ -57,6 +51,17 @@ def refit_consequents(model: FittedTS, data: Source) -> FittedTS:
         noise=None,
         gain_interval=None,
     )
+
+
+def refuse_other_data(model: FittedTS, data: Source) -> None:
+    """Raises UsageError where the data have other signals or another sample time than the model's."""
+    names = [s.name for s in (*data.outputs, *data.inputs)]
+    own = [s.name for s in model.layout.signals]
+    if names != own or abs(data.dt_s - model.dt_s) > 1e-9 * model.dt_s:
+        raise UsageError(
+            f"the data hold {names} every {data.dt_s:g} s; the model knows {own} every {model.dt_s:g} s",
+            hint="resample, or fit a new model",
+        )
 
 
 def least_squares(pieces: Weighted, rules: int) -> tuple[FloatArray, int]:
@@ -83,8 +88,6 @@ def _lagged_pieces(model: FittedTS, data: Source) -> Weighted:
                 part = window[:, begin : begin + CHUNK_ROWS + d]
                 W = layout.stack(part[n_y:].T, part[:n_y].T)
                 phi = firing(W, d, layout.lags, model.parameters)[d:]
-                n = len(W)
-                lags = [np.ones(n - d) if c < 0 else W[d - lag : n - lag, c] for c, lag in layout.regressors]
-                yield weighted(phi, np.stack(lags, axis=1)), W[d:, :n_y]
+                yield weighted(phi, layout.regressor_values(W)), W[d:, :n_y]
 
     return read

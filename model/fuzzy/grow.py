@@ -58,7 +58,7 @@ def first_basis(layout: Layout, runs: tuple[FloatArray, ...], *, integrating: bo
     integrates its level is left out (n_b = n_x - 1): only its differences are free.
     """
     differences = _difference_matrix(layout)[1 if integrating else 0 :]
-    X = np.vstack([regressors(layout, W) for W in runs]) @ differences.T
+    X = np.vstack([layout.regressor_values(W) for W in runs]) @ differences.T
     size = np.sqrt((X * X).mean(axis=0))
     size[size == 0] = 1.0
     _, s, vt = np.linalg.svd(np.linalg.qr(X / size, mode="r") / np.sqrt(len(X)))
@@ -77,14 +77,6 @@ def _difference_matrix(layout: Layout) -> FloatArray:
             D[m, at[: len(row)]] = row
             row = np.convolve(row, [1.0, -1.0])
     return D
-
-
-def regressors(layout: Layout, W: FloatArray) -> FloatArray:
-    """(N - depth, n_x) regressors of W."""
-    d, n = layout.depth, len(W)
-    return np.stack(
-        [np.ones(n - d) if c < 0 else W[d - lag : n - lag, c] for c, lag in layout.regressors], axis=1
-    )
 
 
 def linear_stage(problem: Problem, iterations: int, more: tuple[Stage, ...] = ()) -> Stage:
@@ -146,7 +138,7 @@ def _free(body: Body) -> FloatArray:
 
 def _linear_starts(problem: Problem) -> Iterator[Body]:
     """Least squares, then instrumental-variable estimates that start from it."""
-    X = np.vstack([regressors(problem.layout, W) for W in problem.runs])
+    X = np.vstack([problem.layout.regressor_values(W) for W in problem.runs])
     E = X @ problem.basis.T
     d, n_y, n_z = problem.layout.depth, problem.layout.n_y, problem.z_range.shape[1]
     Y = np.vstack([W[d:, :n_y] for W in problem.runs]) - X @ problem.offset.T
@@ -158,7 +150,7 @@ def _linear_starts(problem: Problem) -> Iterator[Body]:
         body = Body(np.ascontiguousarray(a.T[None]), problem.z_range.mean(axis=0)[None], np.ones((1, n_z)))
         yield body
         runs = simulate_runs(problem, body, problem.measured_initial())
-        Z = np.vstack([regressors(problem.layout, W) for W in runs]) @ problem.basis.T
+        Z = np.vstack([problem.layout.regressor_values(W) for W in runs]) @ problem.basis.T
         a = np.asarray(np.linalg.lstsq(Z.T @ E, Z.T @ Y, rcond=1e-12)[0], dtype=np.float64)
 
 

@@ -157,6 +157,12 @@ class Layout:
         """(N - depth, n_z) antecedent variables of normalised W."""
         return antecedent_values(self.antecedents, W, self.depth)
 
+    def regressor_values(self, W: FloatArray) -> FloatArray:
+        """(N - depth, n_x) regressors along normalised W, from row `depth` on."""
+        d, n = self.depth, len(W)
+        columns = [np.ones(max(n - d, 0)) if c < 0 else W[d - lag : n - lag, c] for c, lag in self.regressors]
+        return np.stack(columns, axis=1)
+
     def antecedent_scaling(self) -> tuple[FloatArray, FloatArray]:
         """Shift and scale (n_z,) that turn normalised antecedents into physical ones."""
         shift = np.array([0.0 if a.minus >= 0 else self.shift[a.column] for a in self.antecedents])

@@ -136,11 +136,7 @@ class FittedTS(Ruled):
         """(N, R, n_y) what every rule concludes along measured data; NaN in the first n_init rows."""
         W, d, n_y = self._stack(u, y), self.n_init, self.layout.n_y
         result = np.full((len(W), len(self.parameters.theta), n_y), np.nan)
-        X = [
-            np.ones(max(0, len(W) - d)) if c < 0 else W[d - lag : len(W) - lag, c]
-            for c, lag in self.layout.regressors
-        ]
-        part = np.einsum("rim,mn->nri", self.parameters.theta, np.stack(X))
+        part = np.einsum("rim,nm->nri", self.parameters.theta, self.layout.regressor_values(W))
         result[d:] = part * self.layout.scale[:n_y] + self.layout.shift[:n_y]
         return result
 

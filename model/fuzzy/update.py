@@ -13,6 +13,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
+from flysid.model.fuzzy.consequents import refuse_other_data, weighted
 from flysid.model.fuzzy.kernel import Parameters, firing
 from flysid.model.fuzzy.layout import Layout
 from flysid.model.fuzzy.model import FittedTS
@@ -62,24 +63,14 @@ def _check(model: FittedTS, data: Dataset, forgetting: float, trust_samples: flo
         raise UsageError(
             f"forgetting={forgetting!r}, trust_samples={trust_samples!r}", hint="0 < forgetting <= 1"
         )
-    names = [s.name for s in (*data.outputs, *data.inputs)]
-    own = [s.name for s in model.layout.signals]
-    if names != own or abs(data.dt_s - model.dt_s) > 1e-9 * model.dt_s:
-        raise UsageError(
-            f"the data hold {names} every {data.dt_s:g} s; the model knows {own} every {model.dt_s:g} s",
-            hint="resample, or fit a new model",
-        )
+    refuse_other_data(model, data)
 
 
 def _design(layout: Layout, par: Parameters, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Regressors weighted by firing strengths (M, R n_x) and outputs (M, n_y), normalised units."""
     W, d = layout.stack(u, y), layout.depth
     phi = firing(W, d, layout.lags, par)[d:]
-    X = np.stack(
-        [np.ones(len(W) - d) if c < 0 else W[d - lag : len(W) - lag, c] for c, lag in layout.regressors],
-        axis=1,
-    )
-    return (phi[:, :, None] * X[:, None, :]).reshape(len(X), -1), W[d:, : layout.n_y]
+    return weighted(phi, layout.regressor_values(W)), W[d:, : layout.n_y]
 
 
 def _follow(
