@@ -102,6 +102,7 @@ class _Learner:
 
     @classmethod
     def of(cls, layout: Layout, train: Dataset, rules: int) -> _Learner:
+        """From clusters of the training data; DataError where there are fewer samples than unknowns."""
         runs = runs_of(layout, train.segments, layout.depth + 2)
         unknowns = rules * len(layout.regressors)
         if sum(len(W) - layout.depth for W in runs) <= unknowns:

@@ -62,6 +62,7 @@ class Lags:
 
 
 def lagged_name(name: str, lag: int) -> str:
+    """ "v_x(k-1)"; "v_x(k)" for lag 0."""
     return f"{name}(k-{lag})" if lag else f"{name}(k)"
 
 

@@ -48,6 +48,7 @@ def block_means(squares: Sequence[FloatArray]) -> FloatArray:
 
 
 def standard_error(gap: FloatArray) -> float:
+    """Of the mean of block differences (n,); 0 for a single block."""
     return float(gap.std(ddof=1) / np.sqrt(len(gap))) if len(gap) > 1 else 0.0
 
 

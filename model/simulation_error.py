@@ -54,10 +54,12 @@ class Orders:
 
     @property
     def input_depth(self) -> int:
+        """Deepest lag of an input."""
         return max((k + n - 1 for n, k in zip(self.nb, self.nk, strict=True) if n), default=0)
 
     @property
     def count(self) -> int:
+        """Number of parameters."""
         return self.na + sum(self.nb) + self.offset
 
 
@@ -82,6 +84,7 @@ class Transfer:
 
     @property
     def is_stable(self) -> bool:
+        """Every pole lies inside the unit circle."""
         return bool(np.abs(np.roots(self.a)).max(initial=0.0) < 1.0)
 
 
@@ -125,6 +128,7 @@ def differences(signal: FloatArray, count: int, lag: int, rows: slice, *, monic:
 
 
 def delayed(signal: FloatArray, lag: int) -> FloatArray:
+    """(N,) the signal `lag` samples later, zero before."""
     if lag == 0:
         return signal
     return np.concatenate([np.zeros(min(lag, len(signal))), signal[: max(len(signal) - lag, 0)]])
@@ -166,9 +170,11 @@ class OutputError:
     orders: Orders
 
     def start_row(self) -> int:
+        """First row of a record whose error counts."""
         return self.orders.input_depth
 
     def usable(self) -> Iterator[Record]:
+        """Records long enough to tell more than their own start."""
         need = self.start_row() + 2 * self.orders.na + 1
         return (r for r in self.records if len(r.y) >= need)
 

@@ -232,6 +232,7 @@ class _Survey:
 
     @classmethod
     def of(cls, data: Source) -> _Survey:
+        """One pass; DataError where there is nothing to learn from."""
         every = max(1, -(-len(data) // MOST_SAMPLES))
         at, kept, lows, highs = 0, list[FloatArray](), list[FloatArray](), list[FloatArray]()
         for u, y in _samples(data):

@@ -71,14 +71,17 @@ class Late:
 
     @property
     def dt_s(self) -> float:
+        """Sample time."""
         return self.source.dt_s
 
     @property
     def inputs(self) -> tuple[Signal, ...]:
+        """Of the source."""
         return self.source.inputs
 
     @property
     def outputs(self) -> tuple[Signal, ...]:
+        """Of the source."""
         return self.source.outputs
 
     def __len__(self) -> int:
@@ -86,6 +89,7 @@ class Late:
         return len(self.source)
 
     def blocks(self) -> Iterator[tuple[int, FloatArray, FloatArray]]:
+        """(segment, u, y) with every input as it enters; what the first rows of a segment lack is cut off."""
         most, current = max(self.late), -1
         held = np.zeros((0, len(self.late)))
         for number, u, y in self.source.blocks():
@@ -97,6 +101,7 @@ class Late:
             held = both[max(len(both) - most, 0) :]
 
     def head(self, rows: int) -> Dataset:
+        """About the first rows, inputs as they enter."""
         return delayed_inputs(self.source.head(rows + max(self.late)), self.late)
 
 

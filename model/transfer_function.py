@@ -57,6 +57,7 @@ class FittedTF(FittedLinear):
 
     @property
     def n_parameters(self) -> int:
+        """Estimated parameters of all outputs."""
         return sum(self.counts)
 
     def transfer(self, output: int = 0, source: int = 0) -> ContinuousTransfer:

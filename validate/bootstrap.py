@@ -55,6 +55,7 @@ class Units:
 
     @property
     def enough(self) -> bool:
+        """Whether there are as many as an interval needs."""
         return len(self.a) >= (MIN_FLIGHTS if self.kind == "flights" else MIN_BLOCKS)
 
 

@@ -25,6 +25,7 @@ Diagnoses = Mapping[str, Diagnosis]
 
 
 def join(parts: Iterable[str]) -> str:
+    """The parts on one line, each once."""
     return one_line(", ".join(dict.fromkeys(parts)))
 
 

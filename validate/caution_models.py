@@ -96,6 +96,7 @@ def contested(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
 
 
 def one_rule(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    """A better fuzzy model that is a linear one."""
     del diagnoses
     said = [
         output

@@ -35,10 +35,12 @@ class ModelScore:
 
     @property
     def diverged(self) -> tuple[SegmentScore, ...]:
+        """Segments in which the free run ran into its limits."""
         return tuple(s for s in self.segments if s.diverged_s is not None)
 
     @property
     def worst_segment(self) -> SegmentScore:
+        """That of the largest RMSE."""
         return max(self.segments, key=lambda s: s.scores.rmse)
 
 
@@ -154,6 +156,7 @@ class Comparison:
 
     @property
     def horizons(self) -> tuple[str, ...]:
+        """In the order of the table."""
         return tuple(dict.fromkeys(e.horizon for e in self.entries))
 
     @property

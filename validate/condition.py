@@ -112,6 +112,7 @@ class _Parser:
         self._depth = 0
 
     def run(self) -> bool:
+        """Whether the condition holds; UsageError where something stands behind its end."""
         result = self._or()
         if self._at < len(self._tokens):
             raise UsageError(f"condition goes on with {self._tokens[self._at].text!r}", hint=EXAMPLE)

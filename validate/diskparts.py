@@ -40,14 +40,17 @@ class FilePart:
 
     @property
     def dt_s(self) -> float:
+        """Sample time."""
         return self.file.dt_s
 
     @property
     def inputs(self) -> tuple[Signal, ...]:
+        """Of the file."""
         return self.file.inputs
 
     @property
     def outputs(self) -> tuple[Signal, ...]:
+        """Of the file."""
         return self.file.outputs
 
     def __len__(self) -> int:

@@ -41,10 +41,12 @@ class Correlation:
 
     @property
     def tested(self) -> int:
+        """Lags that count."""
         return int(np.count_nonzero(self.causal))
 
     @property
     def outside(self) -> int:
+        """Lags that count and lie outside the band."""
         return int(np.count_nonzero((np.abs(self.rho) > self.band) & (self.causal > 0)))
 
     @property

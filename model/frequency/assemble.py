@@ -39,10 +39,12 @@ class OneTransfer:
 
     @property
     def poles(self) -> int:
+        """Number of poles."""
         return self.problem.coordinates.form.poles
 
     @property
     def count(self) -> int:
+        """Number of estimated parameters."""
         return self.problem.count
 
     @property

@@ -48,6 +48,7 @@ class ContinuousError:
 
     @property
     def count(self) -> int:
+        """Number of unknowns."""
         return self.coordinates.form.count + self.has_offset
 
     def usable(self) -> Iterator[Record]:
@@ -57,6 +58,7 @@ class ContinuousError:
 
     @property
     def samples(self) -> int:
+        """Number of errors that count."""
         return sum(len(r.y) - self.skip for r in self.usable())
 
     def rational(self, theta: FloatArray) -> Rational:

@@ -107,6 +107,7 @@ class _Problem:
 
     @property
     def coordinates(self) -> Coordinates:
+        """What the unknowns stand for."""
         return Coordinates(self.form, self.omega_0)
 
     def residuals(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -34,6 +34,7 @@ class Form:
 
     @property
     def count(self) -> int:
+        """Number of free coefficients and dead times."""
         return self.poles + sum(m + 1 for m in self.zeros) + sum(t is None for t in self.dead_time_s)
 
     def __str__(self) -> str:
@@ -62,6 +63,7 @@ class Rational:
 
     @property
     def is_stable(self) -> bool:
+        """Every pole lies in the left half plane."""
         return bool((np.roots(self.denominator).real < 0.0).all())
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.fuzzy.kernel import Lags
+from flysid.model.regressors import lagged_name
 
 
 @dataclass(frozen=True)
@@ -32,13 +33,8 @@ class Antecedent:
 
     def name(self, signals: Sequence[Signal]) -> str:
         """ "v_x(k-1)", "theta_in(k)" or "v_x(k-1)-v_x(k-2)"."""
-        first = at(signals[self.column].name, self.lag)
-        return first if self.minus < 0 else f"{first}-{at(signals[self.column].name, self.minus)}"
-
-
-def at(name: str, lag: int) -> str:
-    """ "v_x(k-1)"; "v_x(k)" for lag 0."""
-    return f"{name}(k-{lag})" if lag else f"{name}(k)"
+        first = lagged_name(signals[self.column].name, self.lag)
+        return first if self.minus < 0 else f"{first}-{lagged_name(signals[self.column].name, self.minus)}"
 
 
 @dataclass(frozen=True)
@@ -65,7 +61,7 @@ class Orders:
 
 def regressor_names(regressors: Sequence[tuple[int, int]], signals: Sequence[Signal]) -> tuple[str, ...]:
     """What people call regressors (column of `signals`, lag); "1" for the constant."""
-    return tuple("1" if c < 0 else at(signals[c].name, lag) for c, lag in regressors)
+    return tuple("1" if c < 0 else lagged_name(signals[c].name, lag) for c, lag in regressors)
 
 
 def lags_of(regressors: Sequence[tuple[int, int]], antecedents: Sequence[Antecedent]) -> Lags:

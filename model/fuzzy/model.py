@@ -21,10 +21,11 @@ from flysid.model.documents import array_or_none, head_of, signals_of, with_null
 from flysid.model.fuzzy.check import check
 from flysid.model.fuzzy.choice import estimated_initial
 from flysid.model.fuzzy.kernel import Parameters, firing, free_run, predict
-from flysid.model.fuzzy.layout import Antecedent, Layout, Orders, at
+from flysid.model.fuzzy.layout import Antecedent, Layout, Orders
 from flysid.model.fuzzy.ruled import Ruled
 from flysid.model.fuzzy.words import condition_in_words, equation, in_words
 from flysid.model.noise import output_error_ahead
+from flysid.model.regressors import lagged_name
 from flysid.model.start import estimate_start, full_window
 
 if TYPE_CHECKING:
@@ -166,7 +167,7 @@ class FittedTS(Ruled):
     def _rule(self, r: int, A: FloatArray, B: FloatArray, c: FloatArray) -> Rule:
         units = [self.layout.signals[a.column].unit for a in self.layout.antecedents]
         text = ", ".join(
-            equation(at(s.name, 0), self.consequents[r, i, :-1], self.regressor_names[:-1], c[i])
+            equation(lagged_name(s.name, 0), self.consequents[r, i, :-1], self.regressor_names[:-1], c[i])
             for i, s in enumerate(self.outputs)
         )
         radius = pole_radius(A)

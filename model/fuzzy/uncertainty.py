@@ -18,6 +18,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
+from flysid.model.covariance import root_of
 from flysid.model.fuzzy.kernel import Parameters, sensitivities
 from flysid.model.fuzzy.model import FittedTS, dc_gain, pole_radius, time_constant
 from flysid.model.fuzzy.problem import Body, Problem, SimulationError, runs_of, swept
@@ -96,10 +97,9 @@ class Uncertainty(Generic[M]):
 
     def draws(self, count: int = 200, seed: int = 0) -> list[M]:
         """Models whose numbers are drawn from the distribution; the same ones for the same seed."""
-        values, vectors = np.linalg.eigh((self.covariance + self.covariance.T) / 2)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
         centre = self.body.vector()
-        steps = np.random.default_rng(seed).standard_normal((count, len(centre))) @ root.T
+        normal = np.random.default_rng(seed).standard_normal((count, len(centre)))
+        steps = normal @ root_of(self.covariance).T
         return [self._at(centre + step) for step in steps]
 
     def _at(self, vector: FloatArray) -> M:

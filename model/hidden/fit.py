@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -13,35 +13,20 @@ from flysid.errors import DataError, UsageError
 from flysid.model.fuzzy.choice import INTEGRATES, hold_out
 from flysid.model.fuzzy.layout import scaling
 from flysid.model.hidden.bench import SPARE_ROWS, Bench
+from flysid.model.hidden.bench import Settings as GrowthSettings
 from flysid.model.hidden.choice import Family, fewest_rules
 from flysid.model.hidden.grow import StateStage, on_other_runs, ordered, refine
 from flysid.model.hidden.judge import ends_of_travel, is_bounded
 from flysid.model.hidden.layout import runs_of
 from flysid.model.hidden.search import searched
+from flysid.model.hidden.systems import Settings as SystemSettings
 from flysid.model.hidden.systems import System, linear_systems
 
 _SMALL = 4000  # samples below which every quarter is held out in turn
 
 
-class Settings(Protocol):
+class Settings(SystemSettings, GrowthSettings, Protocol):
     """What `learn` needs to know; `TSStateSpace` is one."""
-
-    @property
-    def states(self) -> int | Literal["auto"]: ...
-    @property
-    def rules(self) -> int | Literal["auto"]: ...
-    @property
-    def antecedents(self) -> Sequence[str] | Literal["auto"]: ...
-    @property
-    def nk(self) -> int | Sequence[int] | Literal["auto"]: ...
-    @property
-    def most_rules(self) -> int: ...
-    @property
-    def iterations(self) -> int: ...
-    @property
-    def ridge(self) -> float | Literal["auto"]: ...
-    @property
-    def nk_hint(self) -> Sequence[int]: ...
 
 
 @dataclass(frozen=True, eq=False)

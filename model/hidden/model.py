@@ -15,13 +15,14 @@ from flysid.model.base import Rule
 from flysid.model.documents import array_or_none, head_of, signals_of, with_null
 from flysid.model.fuzzy.check import check_states
 from flysid.model.fuzzy.kernel import Parameters, firing
-from flysid.model.fuzzy.layout import Antecedent, at
+from flysid.model.fuzzy.layout import Antecedent
 from flysid.model.fuzzy.model import time_constant, values_at
 from flysid.model.fuzzy.ruled import Ruled
 from flysid.model.fuzzy.words import condition_in_words, equation, in_words
 from flysid.model.hidden.layout import StateLayout
 from flysid.model.hidden.start import Prior, initial_states, simulated
 from flysid.model.noise import output_error_ahead
+from flysid.model.regressors import lagged_name
 from flysid.model.start import full_window, start_window
 
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ class FittedTSStateSpace(Ruled):
         layout, n, n_y = self.layout, self.layout.n, self.layout.n_y
         theta, names = self.consequents[r], layout.regressor_names[:-1]
         text = ", ".join(
-            equation(at(s.name, 0), theta[i, :-1], names, theta[i, -1])
+            equation(lagged_name(s.name, 0), theta[i, :-1], names, theta[i, -1])
             for i, s in enumerate(layout.signals[:n])
         )
         radius = float(np.abs(self.local_poles()[r]).max())

@@ -57,6 +57,7 @@ class Orders:
 
     @property
     def depth(self) -> int:
+        """Samples that must be known before the first one can be computed."""
         return max(self.na, *(n + k - 1 for n, k in zip(self.nb, self.nk, strict=True)), 1)
 
     def columns(self, step: int, own: int, first_input: int, shift: int = 0) -> list[int]:
@@ -179,6 +180,7 @@ class _Memory:
         self.states = {row: np.zeros(order) for row in path.numerators}
 
     def run(self, block: FloatArray) -> FloatArray:
+        """(n,) filtered sum over the rows of a block (signals, n), going on from the block before."""
         from scipy.signal import lfilter
 
         total = np.zeros(block.shape[1])

@@ -70,6 +70,7 @@ class FittedLinear:
 
     @property
     def n_parameters(self) -> int:
+        """Estimated coefficients, of the noise model's those that are its own."""
         return len(self.free) + self.noise_parameters
 
     @property
@@ -159,6 +160,7 @@ class FittedLinear:
     # -- storage -----------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
+        """Everything needed to rebuild the model, as JSON types only."""
         return {
             **head_of(self),
             "n_init": self.n_init,

@@ -26,6 +26,7 @@ class Choice:
     nk: tuple[int, ...]
 
     def lags(self, n_y: int) -> Lags:
+        """The lags of every output's equation."""
         return Lags.arx((self.na,) * n_y, self.nb, self.nk)
 
     def __str__(self) -> str:

@@ -53,6 +53,7 @@ class OneOutput:
 
     @property
     def transfer(self) -> Transfer:
+        """The transfer at the parameters reached."""
         return to_transfer(self.theta, self.problem.orders)
 
 

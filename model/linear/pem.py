@@ -55,9 +55,11 @@ class PredictionError:
     nd: int
 
     def start_row(self) -> int:
+        """First row of a record whose error counts."""
         return self.orders.depth if self.kind == "armax" else self.orders.input_depth
 
     def usable(self) -> list[Record]:
+        """Records long enough to tell more than their own start."""
         need = self.start_row() + 2 * (self.orders.na + self.nc + self.nd) + 1
         return [r for r in self.records if len(r.y) >= need]
 

@@ -34,6 +34,7 @@ class NoisyFit:
 
     @property
     def rows(self) -> int:
+        """Number of errors that count."""
         return sum(len(r.y) - self.problem.start_row() for r in self.problem.usable())
 
     @property

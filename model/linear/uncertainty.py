@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
+from flysid.model.covariance import root_of, spread_of
 from flysid.model.freerun import Difference
 from flysid.model.linear.model import FittedLinear
 
@@ -87,11 +88,6 @@ def _slopes(model: FittedLinear, delay: ComplexArray, inverse: ComplexArray, g: 
     return out
 
 
-def spread_of(slopes: FloatArray, covariance: FloatArray) -> FloatArray:
-    variance = np.einsum("...p,pq,...q->...", slopes, covariance, slopes)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-
 def simulation_band(
     model: FittedLinear, u: FloatArray, y0: FloatArray | None = None, *, draws: int = 200, seed: int = 0
 ) -> tuple[FloatArray, FloatArray]:
@@ -158,9 +154,3 @@ def _moved(model: FittedLinear, step: FloatArray) -> FittedLinear:
     a = np.concatenate([s.a[:1], flat[:a_size].reshape(s.a[1:].shape)])
     b = flat[a_size : a_size + s.b.size].reshape(s.b.shape)
     return replace(model, system=Difference(a, b, flat[a_size + s.b.size :]))
-
-
-def root_of(covariance: FloatArray) -> FloatArray:
-    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
-    root: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))
-    return root

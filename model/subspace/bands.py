@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.model.linear.uncertainty import FrequencyResponse, below_nyquist, drawn, spread_of
+from flysid.model.covariance import spread_of
+from flysid.model.linear.uncertainty import FrequencyResponse, below_nyquist, drawn
 
 if TYPE_CHECKING:
     from flysid.model.subspace.model import FittedStateSpace

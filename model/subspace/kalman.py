@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.model.covariance import root_of
 from flysid.model.subspace.triangle import Realisation
 
 QUIET = 1e-8
@@ -55,7 +56,7 @@ def _recursion(system: Realisation, noise: FloatArray, most: int) -> tuple[Float
     ----------
     noise : (n_y, n_y) root of the innovation's covariance.
     """
-    parts = (system.a, system.c, _half(system.state), noise.T, (system.k @ noise).T)
+    parts = (system.a, system.c, root_of(system.state), noise.T, (system.k @ noise).T)
     gains, roots, count = _gains_kernel()(*(np.ascontiguousarray(p) for p in parts), most)
     return gains, list(roots[:count])
 
@@ -74,14 +75,7 @@ def _noise_root(system: Realisation) -> FloatArray:
     """(n_y, n_y) root of the innovation's covariance, never singular: see `QUIET`."""
     size = np.sqrt(np.diag(system.c @ system.state @ system.c.T))
     floor = np.diag(np.maximum(QUIET * size, np.finfo(float).tiny) ** 2)
-    return _half(system.innovation + floor)
-
-
-def _half(covariance: FloatArray) -> FloatArray:
-    """H with H Hᵀ the covariance."""
-    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
-    half: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))
-    return half
+    return root_of(system.innovation + floor)
 
 
 def free_states(system: Realisation, u: FloatArray, x: FloatArray) -> FloatArray:

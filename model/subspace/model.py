@@ -70,10 +70,12 @@ class FittedStateSpace:
 
     @property
     def n_init(self) -> int:
+        """Measured samples that start a simulation."""
         return len(self.gains)
 
     @property
     def n_parameters(self) -> int:
+        """Entries that are not merely a choice of coordinates."""
         return self.free
 
     @property
@@ -220,6 +222,7 @@ class FittedStateSpace:
     # -- storage -----------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
+        """Everything needed to rebuild the model, as JSON types only."""
         return {
             **head_of(self),
             "output_limits": self.output_limits.tolist(),

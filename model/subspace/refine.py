@@ -42,6 +42,7 @@ class SimulationError:
 
     @property
     def theta0(self) -> FloatArray:
+        """(p,) the start as unknowns: A, B, C, drift, level and, where it is free, D, row by row."""
         s = self.start
         parts = [s.a, s.b, s.c, s.drift, s.level, *([s.d] if self.feedthrough else [])]
         return np.concatenate([p.ravel() for p in parts])

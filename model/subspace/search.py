@@ -163,6 +163,7 @@ def _tried(
 
 
 def mean_of(errors: FloatArray) -> float:
+    """Mean of block errors; inf where there are none."""
     return float(errors.mean()) if len(errors) else np.inf
 
 

@@ -59,6 +59,7 @@ class Realisation:
 
     @property
     def order(self) -> int:
+        """Number of states."""
         return len(self.a)
 
     def in_units(self, scaling: Scaling) -> Realisation:
@@ -174,14 +175,17 @@ class Columns:
 
     @property
     def before_next(self) -> FloatArray:
+        """The `past` samples of outputs and inputs before the next one."""
         return self._at(range(self.n_y + self.n_u), range(self.now, self.now + self.past))
 
     @property
     def outputs(self) -> FloatArray:
+        """Outputs of the present sample."""
         return self._at(range(self.n_y), [self.now])
 
     @property
     def inputs(self) -> FloatArray:
+        """Inputs of the present sample."""
         return self._at(range(self.n_y, self.n_y + self.n_u), [self.now])
 
     @property
@@ -191,14 +195,17 @@ class Columns:
 
     @property
     def future_outputs(self) -> FloatArray:
+        """Outputs from the present sample on."""
         return self._at(range(self.n_y), range(self.now, -1, -1))
 
     @property
     def future_inputs(self) -> FloatArray:
+        """Inputs from the present sample on."""
         return self._at(range(self.n_y, self.n_y + self.n_u), range(self.now, -1, -1))
 
     @property
     def one(self) -> FloatArray:
+        """The constant."""
         return self.r[:, -1:]
 
 

@@ -35,6 +35,7 @@ class Axes:
     log_x: bool = False
 
     def px(self, x: FloatArray | float) -> FloatArray:
+        """Places in pixels from the left of values of x."""
         low, high = self.x
         values = np.asarray(x, dtype=np.float64)
         if self.log_x:
@@ -42,16 +43,19 @@ class Axes:
         return self.left + self.width * (values - low) / (high - low)
 
     def py(self, y: FloatArray | float) -> FloatArray:
+        """Places in pixels from the top of values of y, held inside the axes."""
         low, high = self.y
         share = (np.asarray(y, dtype=np.float64) - low) / (high - low)
         return self.top + self.height * (1.0 - np.clip(share, 0.0, 1.0))
 
     @property
     def bottom(self) -> float:
+        """In pixels from the top."""
         return self.top + self.height
 
     @property
     def right(self) -> float:
+        """In pixels from the left."""
         return self.left + self.width
 
 
