@@ -36,7 +36,7 @@ class _Signals(Protocol):
     def outputs(self) -> tuple[Signal, ...]: ...
 
 
-def as_record(model: _Signals, u: FloatArray, y: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
+def as_record(model: _Signals, u: FloatArray, y: FloatArray, k: int = 1) -> tuple[FloatArray, FloatArray]:
     """u (N, n_u) and y (N, n_y) that a model predicts k steps ahead on.
 
     Raises

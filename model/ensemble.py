@@ -16,6 +16,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import DataError, FitError, UsageError
+from flysid.model.arguments import as_columns
 from flysid.model.base import (
     MODEL_FORMAT,
     MODEL_VERSION,
@@ -167,14 +168,17 @@ class FittedEnsemble:
         return np.asarray(self.runs(u, y0).std(axis=0))
 
     def runs(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
-        """(M, N, n_y) free run of every member."""
-        u = np.asarray(u, dtype=np.float64)
-        u = u[:, None] if u.ndim == 1 else u
+        """(M, N, n_y) free run of every member.
+
+        Raises
+        ------
+        UsageError : shapes do not fit, or fewer than n_init outputs are given.
+        """
+        u = as_columns(u, len(self.inputs), "u")
         if y0 is None:
             return np.stack([m.simulate(u) for m in self.members])
         n = self.n_init
-        start = np.asarray(y0, dtype=np.float64)
-        start = start[:, None] if start.ndim == 1 else start
+        start = as_columns(y0, len(self.outputs), "y0")
         if len(start) < n:
             raise UsageError(f"{len(start)} measured samples; the model starts from {n}")
         start = start[: min(n, len(u))]

@@ -54,6 +54,10 @@ def estimators(
     """The models of a run, by label: references, linear ones, the paper's static TS, dynamic TS.
 
     `nk_hint`: delays per input that the training data speak for, tried besides the models' own choices.
+
+    Raises
+    ------
+    UsageError : `settings.models` names one that is not there.
     """
     from flysid.model.fir import FIR
     from flysid.model.iv import IV

@@ -68,7 +68,12 @@ class Judgement:
         return ["\n".join(map(one_line, lines))] if lines else []
 
     def text(self, form: str = "table") -> str:
-        """The comparison as "table", "json", "markdown" or "csv", without a line break at the end."""
+        """The comparison as "table", "json", "markdown" or "csv", without a line break at the end.
+
+        Raises
+        ------
+        UsageError : another form.
+        """
         forms: dict[str, Callable[[], str]] = {
             "table": lambda: self.table,
             "json": lambda: json.dumps(self.document, indent=1, allow_nan=False),

@@ -82,7 +82,13 @@ def _delay(model: FittedLinear, output: int, source: int) -> int:
 
 
 def inverse_hold(b: FloatArray, a: FloatArray, delay: int, dt_s: float) -> tuple[FloatArray, FloatArray]:
-    """Numerator and monic denominator in s whose step-invariant samples are b / a (delay taken out)."""
+    """Numerator and monic denominator in s whose step-invariant samples are b / a (delay taken out).
+
+    Raises
+    ------
+    UsageError : more coefficients in b than a transfer function of this order has samples.
+    FitError : a pole is faster than the sampling can show.
+    """
     from scipy.linalg import logm
 
     a = np.trim_zeros(a, "b")

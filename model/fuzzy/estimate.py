@@ -42,7 +42,14 @@ class Learned:
 
 
 def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Learned:
-    """Choose orders, then rules, by the validation free run; see the module's parts for the methods."""
+    """Choose orders, then rules, by the validation free run; see the module's parts for the methods.
+
+    Raises
+    ------
+    UsageError : settings that cannot be; antecedents that are not there.
+    DataError : no or too few samples, a signal that never moves.
+    FitError : no stable model was found.
+    """
     check(settings)
     check_hint(settings.nk_hint, len(train.inputs))
     choices = order_choices(settings, len(train.inputs))
@@ -158,7 +165,12 @@ def _per_input(value: int | Sequence[int], inputs: int, name: str) -> tuple[int,
 
 
 def order_choices(settings: Settings, inputs: int) -> list[Orders]:
-    """Orders to try, simplest first: n outputs and n + 1 inputs from the present one on, n = 1..4."""
+    """Orders to try, simplest first: n outputs and n + 1 inputs from the present one on, n = 1..4.
+
+    Raises
+    ------
+    UsageError : orders that leave nothing to learn, or another number of them than of inputs.
+    """
     choices: list[Orders] = []
     for n in range(1, _HIGHEST_ORDER + 1):
         na = n if settings.na == "auto" else settings.na

@@ -15,7 +15,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.model.arguments import as_columns
+from flysid.model.arguments import as_columns, as_record
 from flysid.model.base import Rule
 from flysid.model.documents import array_or_none, head_of, signals_of, with_null
 from flysid.model.fuzzy.check import check
@@ -75,16 +75,18 @@ class FittedTS(Ruled):
 
         A model refined on the simulation error adds to its free run what its noise model foresees, once it
         has seen enough to start that run; lags as they were measured carry their noise into every step.
+
+        Raises
+        ------
+        UsageError : shapes do not fit, or k < 1.
         """
-        if k < 1:
-            raise UsageError(f"a prediction {k} steps ahead", hint="k counts from 1")
-        W = self._stack(u, y)
+        u, y = as_record(self, u, y, k)
+        W = self.layout.stack(u, y)
         measured = predict(W, self.n_init, int(k), self.layout.lags, self.parameters)
         ahead = self.layout.outputs_of(measured)
         window = full_window(self.n_init, self.dt_s)
         later = window + k - 1
         if self.noise is not None and len(W) > later:
-            u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
             free = self.simulate(u, estimate_start(self, u[:window], y[:window]))
             ahead[later:] = output_error_ahead(free, y, self.noise, k)[later:]
         return ahead
@@ -98,6 +100,10 @@ class FittedTS(Ruled):
         """(N, n_y) free run from the first n_init measured outputs.
 
         When None: from rest, that is with inputs and outputs at zero before the first sample.
+
+        Raises
+        ------
+        UsageError : shapes do not fit, or fewer than n_init outputs are given.
         """
         result = self._run(self.started(u, y0))
         if y0 is None:
@@ -108,7 +114,7 @@ class FittedTS(Ruled):
     def started(self, u: FloatArray, y0: FloatArray | None) -> FloatArray:
         """W that a run computes, from row n_init on: those before are its start.
 
-        Rows of zeros before the inputs where it starts from rest.
+        Rows of zeros before the inputs where it starts from rest; raises as `simulate`.
         """
         d, n_y = self.n_init, self.layout.n_y
         u = as_columns(u, len(self.inputs), "u")
@@ -189,10 +195,7 @@ class FittedTS(Ruled):
         return in_words(f"{title}, {self.n_parameters} parameters", self.rules(), self.notes)
 
     def _stack(self, u: FloatArray, y: FloatArray) -> FloatArray:
-        u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
-        if len(u) != len(y):
-            raise UsageError(f"u has {len(u)} samples and y has {len(y)}")
-        return self.layout.stack(u, y)
+        return self.layout.stack(*as_record(self, u, y))
 
     def to_dict(self) -> dict[str, Any]:
         """Everything needed to rebuild the model, as JSON types only."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.model.arguments import as_columns
+from flysid.model.arguments import as_columns, as_record
 from flysid.model.base import Rule
 from flysid.model.documents import array_or_none, head_of, signals_of, with_null
 from flysid.model.fuzzy.check import check_states
@@ -67,6 +67,10 @@ class FittedTSStateSpace(Ruled):
         """(N, n_y) free run from the most likely state given the first n_init measured outputs.
 
         When None: from rest, that is with inputs and outputs at zero before the first sample.
+
+        Raises
+        ------
+        UsageError : shapes do not fit, or fewer than n_init outputs are given.
         """
         u = as_columns(u, len(self.inputs), "u")
         if y0 is None:
@@ -88,12 +92,12 @@ class FittedTSStateSpace(Ruled):
 
         The free run, and what the noise model foresees of its error; once a second (or five times the
         start) has been measured, the run's state is estimated from all of it.
+
+        Raises
+        ------
+        UsageError : shapes do not fit, or k < 1.
         """
-        if k < 1:
-            raise UsageError(f"a prediction {k} steps ahead", hint="k counts from 1")
-        u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
-        if len(u) != len(y):
-            raise UsageError(f"u has {len(u)} samples and y has {len(y)}")
+        u, y = as_record(self, u, y, k)
         first, out = self.n_init + k - 1, np.full(y.shape, np.nan)
         for rows in (self.n_init, full_window(self.n_init, self.dt_s)):
             begin = rows + k - 1
@@ -258,9 +262,7 @@ class FittedTSStateSpace(Ruled):
 
     def seen(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """W with measured outputs and the free run's hidden states."""
-        u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
-        if len(u) != len(y):
-            raise UsageError(f"u has {len(u)} samples and y has {len(y)}")
+        u, y = as_record(self, u, y)
         W, n, n_y = self.layout.stack(u, y), self.layout.n, self.layout.n_y
         states = self.states(u, y)
         W[:, n_y:n] = (states[:, n_y:] - self.layout.shift[n_y:n]) / self.layout.scale[n_y:n]

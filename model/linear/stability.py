@@ -49,7 +49,12 @@ def unstable_words(radius: float, dt_s: float) -> str:
 
 
 def made_stable(model: FittedLinear, data: Dataset) -> FittedLinear:
-    """The model with its poles inside the circle and B and c fitted again."""
+    """The model with its poles inside the circle and B and c fitted again.
+
+    Raises
+    ------
+    FitError : no segment is long enough.
+    """
     radius = float(np.abs(model.poles).max())
     system = _inside(model.system)
     refit = _Refit(model, Difference(system.a, model.system.b, model.system.c))

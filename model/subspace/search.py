@@ -105,7 +105,12 @@ def _pasts(settings: SubspaceSettings, data: Dataset) -> list[int]:
 
 
 def searched(settings: SubspaceSettings, parts: Parts) -> tuple[Choice, str, float]:
-    """The best of methods, horizons and orders by the validation free run."""
+    """The best of methods, horizons and orders by the validation free run.
+
+    Raises
+    ------
+    FitError : none could be fitted.
+    """
     methods = TRIED_METHODS if settings.method == "auto" else (settings.method,)
     pasts = _pasts(settings, parts.fit)
     orders = range(1, HIGHEST_ORDER + 1) if settings.order == "auto" else [settings.order]
