@@ -185,9 +185,19 @@ def test_what_is_asked_for_must_exist(data: Path, tmp_path: Path) -> None:
         fit_run(open_lake(data), "ardrone-synthetic", tmp_path / "run", FitSettings(channels=("yaw",)))
     with pytest.raises(UsageError, match="no such run folder"):
         open_run(tmp_path / "absent")
-    with pytest.raises(StoreError, match="not a run"):
-        open_run(data)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_not_a_run_says_what_was_meant(copied: Path, data: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    for folder, hint in (
+        (data, "this is an ingested folder"),
+        (tmp_path, f"did you mean '{copied}'?"),
+        (tmp_path / "empty", "make one with 'flysid fit"),
+    ):
+        with pytest.raises(StoreError, match=r"not a run: it has no run\.json") as caught:
+            open_run(folder)
+        assert hint in caught.value.hint
 
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 from flysid.dataset import Signal
 from flysid.validate.compare import Comparison, compare
 from flysid.validate.tables import to_csv, to_html, to_markdown
+from flysid.validate.words import change_words, interval_words, percent, percentage
 from tests.fakes import FirstOrder, flown
 
 EVIL = "=cmd|' /C calc'!A1\n<b>|`x`"
@@ -58,6 +59,21 @@ def test_notebook_table_escapes() -> None:
     assert "<b>" not in html
     assert html.count("<tr>") == 7
     assert compared()._repr_html_().startswith("<ul><li><strong>roll</strong>: TS better")
+
+
+def test_zero_has_no_sign() -> None:
+    assert percentage(-0.04) == "0.0"
+    assert percentage(-0.06) == "−0.1"
+
+
+def test_a_large_change_below_the_resolution_is_not_quoted() -> None:
+    (pair,) = compared().verdict.values()
+    assert pair.change_pct is not None
+    assert abs(pair.change_pct) > 10.0
+    blurred = replace(pair, evidence=replace(pair.evidence, resolution=1e9))
+    assert (change_words(blurred), interval_words(blurred)) == ("< resolution", "")
+    assert change_words(replace(blurred, change_pct=-0.4)) == "−0.4 %"
+    assert change_words(pair) == percent(pair.change_pct, 1)
 
 
 def test_percentages_of_hopeless_models_stay_short() -> None:

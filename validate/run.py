@@ -30,6 +30,7 @@ from flysid.ingest.doubts import Doubt
 from flysid.ingest.lake import Lake
 from flysid.ingest.lake import open as open_lake
 from flysid.ingest.recipe import Recipe, load_recipe
+from flysid.manifest import DATA_FILE
 from flysid.model.base import Fitted, load
 from flysid.split import By, Split
 from flysid.validate.diskparts import LOOK_ROWS, parts_of
@@ -180,6 +181,8 @@ def open_run(folder: str | Path) -> Run:
             "no such run folder", path=folder, hint="make one with 'flysid fit DATA --recipe R -o RUN'"
         )
     path = folder / RUN_FILE
+    if not path.exists():
+        raise StoreError(f"not a run: it has no {RUN_FILE}", path=folder, hint=_meant_by(folder))
     try:
         body = json.loads(path.read_text("utf-8"))
     except OSError as error:
@@ -195,6 +198,16 @@ def open_run(folder: str | Path) -> Run:
         return _run_from(folder, body)
     except (KeyError, TypeError, AttributeError) as error:
         raise StoreError(f"the run is damaged: {error}", path=path, hint="fit it again") from error
+
+
+def _meant_by(folder: Path) -> str:
+    """What to do with a folder that is not a run: an ingested folder, or one that holds runs."""
+    if (folder / DATA_FILE).is_file():
+        return f"this is an ingested folder: 'flysid fit {folder} --recipe R -o RUN' makes a run of it"
+    below = sorted(str(p.parent) for p in folder.glob(f"*/{RUN_FILE}"))[:3]
+    if below:
+        return f"did you mean {' or '.join(map(repr, below))}?"
+    return "make one with 'flysid fit DATA --recipe R -o RUN'"
 
 
 def _run_from(folder: Path, body: Mapping[str, Any]) -> Run:

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 
 from flysid.validate.compare import Pair
 from flysid.validate.trials import FREE_RUN
-from flysid.validate.verdict import Verdict
+from flysid.validate.verdict import LARGE_PCT, Verdict
+
+BELOW = "< resolution"
 
 
 def one_line(text: str) -> str:
@@ -41,7 +43,7 @@ def percentage(value: float | None) -> str:
     """One decimal and a true minus, without the sign of per cent; "-" for None, "< −999" below that."""
     if value is None or not math.isfinite(value):
         return "-"
-    return "< −999" if value < -999.0 else f"{value:.1f}".replace("-", "−")
+    return "< −999" if value < -999.0 else f"{round(value, 1) + 0.0:.1f}".replace("-", "−")
 
 
 def change_words(pair: Pair) -> str:
@@ -51,7 +53,8 @@ def change_words(pair: Pair) -> str:
     if pair.change_pct is None:
         return "-"
     if abs(pair.evidence.rmse_model - pair.evidence.rmse_baseline) < pair.evidence.resolution:
-        return percent(pair.change_pct, 1) if abs(pair.change_pct) < 100.0 else "< resolution"
+        # a ratio of two errors that are both too small to tell apart says nothing, however large it is
+        return percent(pair.change_pct, 1) if abs(pair.change_pct) < LARGE_PCT else BELOW
     return percent(pair.change_pct, 1)
 
 
@@ -77,7 +80,7 @@ def named(models: Sequence[str]) -> str:
 
 def interval_words(pair: Pair) -> str:
     """ "[−38, −24]", or "" where there is none or it would say nothing."""
-    if pair.ci95 is None or change_words(pair) in ("< resolution", "diverged") or pair.ci95[0] > 1000.0:
+    if pair.ci95 is None or change_words(pair) in (BELOW, "diverged") or pair.ci95[0] > 1000.0:
         return ""
     low, high = (percent(v, 1).removesuffix(" %") for v in pair.ci95)
     return f"[{low}, {high}]"

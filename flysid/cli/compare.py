@@ -48,8 +48,9 @@ def command(
     from flysid.validate.run import open_run
 
     a, b = RunSource(open_run(run_a), data_a), RunSource(open_run(run_b), data_b)
+    expected = expected_of_runs(a.run, b.run, label)  # a label that a run lacks is told here
     if condition is not None:
-        check_condition(condition, expected_of_runs(a.run, b.run, label))
+        check_condition(condition, expected)
     with status(quiet) as progress:
         judgement = judge_runs(a, b, label=label, progress=progress)
         page = None if output is None else write_judgement(judgement, output)

@@ -83,7 +83,10 @@ def _written(words: Words, lake: Lake) -> str:
     from flysid.ingest.quick import quick_recipe
 
     if not (words.inputs or words.outputs) and (served := lake.recipes()):
-        raise UsageError("nothing says what to identify", hint=f"--recipe {', or --recipe '.join(served)}")
+        raise UsageError(
+            "nothing says what to identify",
+            hint=f"--recipe {', or --recipe '.join(served)}; 'flysid ls DATA --suggest' says how well",
+        )
     return quick_recipe(lake.logs, words.inputs, words.outputs, words.dt)
 
 
