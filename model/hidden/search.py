@@ -33,6 +33,7 @@ _MOST_STATES = 8  # of a system that rules are grown from
 _LEVEL = 1.02  # times the least error: as good, if it has fewer states
 _RAN_AWAY = 1e2  # error of a single rule, in standard deviations of the output
 _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
+_FEWER_TRIES = 1  # insertions less that are tried out on long records, whose promises can be trusted
 _SCREEN = Training(ridge=0.1, tries=2, iterations=12, tolerance=1e-3)
 _AS_MUCH = 0.7  # of the first part's gain in logarithms, that another part must see from the same place
 _IDLE = 2  # rules in a row that may bring nothing,
@@ -116,18 +117,24 @@ def _tolerant(found: Judged) -> Judged:
 def _screened(bench: Bench, linear: Sequence[_Linear], parts: Parts) -> list[tuple[Start, _Linear]]:
     """Starts by what two rules do on the first part, best first."""
     check = _sampled(parts[0][1], _SCREEN_ROWS)
+    how = _searching(_SCREEN, parts)
     tried: list[tuple[bool, float, Start, _Linear]] = []
     for x in linear:
         first = thinned(x.stages[0], _SCREEN_ROWS)
         for name in coordinates(Realisation.of(first.layout, first.body.a[0]), len(check.outputs)):
             stage, _ = bench.in_coordinates(first, name)
-            found, _ = best_insertion(stage, bench.candidates(stage.layout), _SCREEN)
+            found, _ = best_insertion(stage, bench.candidates(stage.layout), how)
             judged = bench.judge(found, check)
             score = float(np.log(np.maximum((judged.mean, found.mean_square()), _EXACT)).sum())
             runs_away = x.family.folds[0][0].bounded and not judged.bounded
             tried.append((runs_away, score, Start(x.system, name), x))
     tried.sort(key=lambda t: t[:2])
     return [(start, x) for _, _, start, x in tried]
+
+
+def _searching(how: Training, parts: Parts) -> Training:
+    """How places are searched for: on long records fewer of them are tried out."""
+    return replace(how, tries=how.tries - _FEWER_TRIES) if len(parts[0][0]) > LARGE else how
 
 
 def grown(bench: Bench, start: Start, linear: Sequence[StateStage], parts: Parts, ridge: float) -> Family:
@@ -142,7 +149,7 @@ def grown(bench: Bench, start: Start, linear: Sequence[StateStage], parts: Parts
     )
     drifts = not all(f[0].bounded for f in family.folds)  # the process integrates: linear models of it drift
     family = tolerant(family) if drifts else family
-    how = Training(ridge=ridge, iterations=bench.settings.iterations)
+    how = _searching(Training(ridge=ridge, iterations=bench.settings.iterations), parts)
     while len(family.rmse) < bench.most and bench.room(stages[0]) and not _idle(bench, family, stages):
         first, where = best_insertion(stages[0], bench.candidates(stages[0].layout), how)
         if where is None:
