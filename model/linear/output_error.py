@@ -268,12 +268,18 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
     if len(tried) == 1:
         return tried[0][0], ""
     index = simplest([errors for _, errors in tried], ORDER_LOSS)
+    return tried[index][0], _said(tried, _order(tried[index][0]), left_out)
+
+
+def _said(
+    tried: Sequence[tuple[Sequence[OneOutput], FloatArray]], chosen: int, left_out: Sequence[int]
+) -> str:
+    """How an order was chosen, in words; `tried` holds fits and their (B,) validation block errors."""
     table = ", ".join(
         f"order {_order(fits)}: {np.sqrt(e.mean()) if len(e) else np.nan:.3g}" for fits, e in tried
     )
-    chosen = _order(tried[index][0])
     worse = f"; {', '.join(map(str, left_out))} free-ran the fitting part worse" if left_out else ""
-    return tried[index][0], (
+    return (
         f"order {chosen} is the simplest within one standard error of the best validation free run "
         f"(RMSE in standard deviations of the output: {table}{worse})"
     )
