@@ -339,3 +339,21 @@ def test_ticks_are_round_and_inside() -> None:
     assert ticks(-1.0, 1.0, 4) == [-1.0, -0.5, 0.0, 0.5, 1.0]
     assert log_ticks(0.09, 11.0)[:3] == [pytest.approx(0.1), pytest.approx(0.2), pytest.approx(0.5)]
     assert ticks(1.0, 1.0, 4) == []
+
+
+def test_one_caution_speaks_of_all_channels_and_tells_equal_names_apart() -> None:
+    """Six cautions are shown: one kind must not take the room of another."""
+    found = diagnose(compared(), flown(TS, [500], noise=0.02, seed=9))
+    wild = replace(
+        found, pole_radius={"ts": 1.2}, outside=tuple(replace(o, share=0.05) for o in found.outside)
+    )
+    said = [c.text for c in cautions({"roll": compared(), "yaw": compared()}, {"roll": wild, "yaw": wild})]
+    (unstable,) = [t for t in said if "unit circle" in t]
+    assert "on roll (TS, largest pole radius 1.2000), yaw (TS" in unstable
+    (outside,) = [t for t in said if "training range" in t]
+    assert "u of roll (5.0 %)" in outside
+    assert "u of yaw (5.0 %)" in outside
+    (alone,) = [
+        t for t in (c.text for c in cautions({"r": compared()}, {"r": wild})) if "training range" in t
+    ]
+    assert "on u (5.0 %)" in alone

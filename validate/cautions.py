@@ -80,25 +80,33 @@ def _diverged(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
 
 
 def _unstable(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
-    for channel, d in diagnoses.items():
-        worst = {
-            n: r for n, r in d.pole_radius.items() if r > 1.0 + 1e-6 and n in comparisons[channel].models
-        }
-        if worst:
-            said = join(f"{n.upper()} (largest pole radius {r:.4f})" for n, r in worst.items())
-            yield Caution(
-                "warning",
-                f"Local models with a pole outside the unit circle on {one_line(channel)}: {said}.",
-                "watch long simulations: an unstable rule may be held by its neighbours, or may not.",
-                5.0,
-            )
+    worst = [
+        f"{channel} ({name.upper()}, largest pole radius {radius:.4f})"
+        for channel, d in diagnoses.items()
+        for name, radius in d.pole_radius.items()
+        if radius > 1.0 + 1e-6 and name in comparisons[channel].models
+    ]
+    if worst:
+        yield Caution(
+            "warning",
+            f"A local model is unstable by itself (a pole outside the unit circle) on {join(worst)}.",
+            "watch long simulations: an unstable rule may be held by its neighbours, or may not.",
+            5.0,
+        )
 
 
 def _extrapolates(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
     del comparisons
-    outside: list[Outside] = [o for d in diagnoses.values() for o in d.outside if o.share > 0.01]
-    if outside:
-        said = join(f"{o.signal.name} ({100 * o.share:.1f} %)" for o in outside)
+    of: list[tuple[str, Outside]] = [
+        (n, o) for n, d in diagnoses.items() for o in d.outside if o.share > 0.01
+    ]
+    if of:
+        outside = [o for _, o in of]
+        shared = {o.signal.name for n, o in of for m, p in of if n != m and o.signal.name == p.signal.name}
+        said = join(
+            f"{o.signal.name}{f' of {n}' if o.signal.name in shared else ''} ({100 * o.share:.1f} %)"
+            for n, o in of
+        )
         worst = max(outside, key=lambda o: o.share)
         yield Caution(
             "warning",
