@@ -92,6 +92,23 @@ def test_from_a_table_to_a_verdict(tmp_path: Path) -> None:
     assert CliRunner().invoke(root, ["tf", log, "--from", "u", "--to", "y", "-q"]).exit_code == 0
 
 
+def test_a_log_that_was_read_with_losses_is_fitted_and_said_so(tmp_path: Path) -> None:
+    log = tmp_path / "steps.csv"
+    table(log, "time,u,y")
+    log.write_bytes(log.read_bytes() + b"too,many,cells,in,this\n")
+
+    def told(*words: str) -> tuple[object, str]:
+        done = CliRunner().invoke(root, [*words, "--from", "u", "--to", "y", "-q"], standalone_mode=False)
+        return done.return_value, done.stderr
+
+    code, words = told("fit", str(log), "-m", "arx", "-o", str(tmp_path / "run"))
+    assert code == 3
+    assert "lost: " in words
+    assert (tmp_path / "run" / "run.json").is_file()
+    assert told("tf", str(log))[0] == 3
+    assert told("tf", str(tmp_path / "run.data"))[0] == 0  # what it lost was told when it was ingested
+
+
 def test_a_failed_fit_leaves_nothing_behind(tmp_path: Path) -> None:
     table(tmp_path / "steps.csv", "time,u,y")
     words = ["fit", str(tmp_path / "steps.csv"), "--from", "x", "--to", "y", "-o", str(tmp_path / "run")]

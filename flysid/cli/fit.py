@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.output import check_target, cores, say, status
-from flysid.cli.source import Words, opened, words_options
+from flysid.cli.source import Words, lost_on_the_way, opened, words_options
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -84,7 +84,8 @@ def command(
     DATA is an ingested folder; or a single log or table (.csv), which is ingested into RUN.data; or a dataset
     file that Python wrote (.parquet), which is one channel already.
     A part of the data is held out before anything is learned; 'flysid validate RUN' judges the models on it.
-    Channels that the data cannot serve are named and left out (exit code 3 where --channel asked for them).
+    Channels that the data cannot serve are named and left out. Exit code 3: --channel asked for one of them,
+    or a log was read with losses.
     """
     check_target(output, force)
     is_dataset = data.suffix == DATASET and data.is_file()
@@ -98,12 +99,14 @@ def command(
 
     labels = tuple(label for label in models.replace(" ", "").lower().split(",") if label)
     settings = FitSettings(holdout, by, seed, rules, antecedents, channels, labels, memory)
+    lost = False
     if is_dataset:
         with status(quiet) as progress:
             run = fit_file(data, output, settings, progress=progress)
     else:
         with opened(data, asked, place, quiet) as (lake, chosen), status(quiet) as progress:
             run = fit_run(lake, chosen, output, settings, jobs=jobs or cores(), progress=progress)
+            lost = lost_on_the_way(data, lake)
     if as_json:
         click.echo((output / "run.json").read_text("utf-8"), nl=False)
     else:
@@ -123,7 +126,7 @@ def command(
     for name, why in run.skipped.items():
         say(f"channel {name} skipped: {why}")
     say(f"next: flysid validate {output}", quiet)
-    return 3 if set(channels) & set(run.skipped) else 0
+    return 3 if lost or set(channels) & set(run.skipped) else 0
 
 
 def check_no_words(data: Path, asked: Words) -> None:

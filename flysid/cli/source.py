@@ -78,6 +78,11 @@ def opened(data: Path, words: Words, place: Path | None, quiet: bool) -> Iterato
             raise
 
 
+def lost_on_the_way(data: Path, lake: Lake) -> bool:
+    """Whether `data` is a log that was read with losses; those of an ingested folder were told before."""
+    return data.is_file() and any(flight.damage.lossy for flight in lake.flights)
+
+
 def _written(words: Words, lake: Lake) -> str:
     """A recipe for the fields that are asked for; without any, the error names what there is."""
     from flysid.ingest.quick import quick_recipe

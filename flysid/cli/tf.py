@@ -10,7 +10,7 @@ import click
 
 from flysid.cli.ls import aligned
 from flysid.cli.output import check_target, say, status
-from flysid.cli.source import Words, opened, words_options
+from flysid.cli.source import Words, lost_on_the_way, opened, words_options
 
 if TYPE_CHECKING:
     from flysid.validate.transfers import ChannelTransfers
@@ -106,6 +106,7 @@ def command(
     words = Words(recipe, inputs, outputs, dt)
     with opened(data, words, None, quiet) as (lake, chosen), status(quiet) as progress:
         found, skipped = identify(lake, chosen, estimator, channels=channels, progress=progress)
+        lost = lost_on_the_way(data, lake)
     if as_json:
         body = {
             "recipe": recipe or "quick",
@@ -122,7 +123,7 @@ def command(
         say(f"Bode plot: {plot}", quiet)
     for name, why in skipped.items():
         say(f"channel {name} skipped: {why}")
-    return 3 if set(channels) & set(skipped) else 0
+    return 3 if lost or set(channels) & set(skipped) else 0
 
 
 def text_of(channel: ChannelTransfers, table: bool) -> str:
