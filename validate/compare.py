@@ -43,8 +43,8 @@ __all__ = [
 ]  # fmt: skip
 
 HORIZONS: tuple[str | int, ...] = (FREE_RUN, 10, 1)
-FUZZY = ("ts", "ts_ss", "static_ts", "static-ts")
-CONTENDERS = ("ts", "ts_best", "ts_ss")
+FUZZY = ("ts", "ts_lags", "ts_ss", "static_ts", "static-ts")
+CONTENDERS = ("ts", "ts_lags", "ts_ss")
 """Labels that the headline speaks of, the first that is there."""
 
 

@@ -81,9 +81,9 @@ def estimators(
         "iv": IV(nk_hint=nk_hint),
         "tf": TF(nk_hint=nk_hint),
         "static_ts": StaticTS(seed=settings.seed),
-        "ts": TS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
+        "ts": BestTS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
+        "ts_lags": TS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
         "ts_ss": TSStateSpace(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
-        "ts_best": BestTS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
     }
     for label in settings.models:
         if label not in known:

@@ -38,7 +38,7 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
     default="",
     metavar="A,B",
     help="Models besides the references, ARX, OE and the baseline: armax, bj, fir, iv, line, statespace, "
-    "static_ts, tf, ts, ts_ss (hidden states), ts_best (ts or ts_ss).  [default: line,static_ts,ts]",
+    "static_ts, tf, ts (ts_lags, or ts_ss where a hidden state explains more).  [default: line,static_ts,ts]",
 )
 @click.option("--rules", default="auto", callback=_rules, show_default=True, help="Rules of the TS model.")
 @click.option("--antecedent", "-a", "antecedents", multiple=True, help="Variable that chooses between rules.")

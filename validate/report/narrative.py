@@ -11,6 +11,7 @@ from flysid.validate.words import named, one_line
 
 NAMES = {
     "ts": "fuzzy model",
+    "ts_lags": "fuzzy model over lags",
     "ts_ss": "fuzzy state-space model",
     "static-ts": "static fuzzy model",
     "static_ts": "static fuzzy model",
