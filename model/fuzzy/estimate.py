@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flysid.dataset import Dataset, FloatArray
+from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.fuzzy.choice import INTEGRATES, Candidate, choose, hold_out
 from flysid.model.fuzzy.fewer import fewer_words
@@ -31,14 +31,10 @@ _SMALL_GAIN = 0.2  # and a rule must win more: the choice itself overfits
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A chosen stage and how it was chosen, in words.
-
-    `folds`: the block errors of models of these settings on every judging part, before they saw it.
-    """
+    """A chosen stage and how it was chosen, in words."""
 
     stage: Stage
     notes: tuple[str, ...]
-    folds: tuple[FloatArray, ...] = ()
 
 
 def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Learned:
@@ -88,10 +84,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         notes.append("The model was refined once more on the held-out part together with the rest.")
     if stage.problem.integrates and workshop.must_be_bounded:
         notes.append(INTEGRATES)
-    verdict = rule_verdict(settings, models, at)
-    counted = folds if len(models) > 1 else ()
-    errors = tuple(np.array_split(chosen.errors, 1 + len(counted)))
-    return Learned(stage, (*notes, *verdict, _method(settings)), errors)
+    return Learned(stage, (*notes, *rule_verdict(settings, models, at), _method(settings)))
 
 
 def _deepest(train: Dataset) -> int:
