@@ -19,7 +19,7 @@ import numpy as np
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.ingest.plants import LOOPS
 from flysid.model.base import Fitted
-from flysid.model.ts import TS
+from flysid.model.ts_best import BestTS
 from flysid.validate.baseline import choose_baseline, confirmed, linear_estimators
 from flysid.validate.compare import compare
 from flysid.validate.trials import FREE_RUN
@@ -50,7 +50,7 @@ def judged(share: float, column: int, *, alone: bool) -> str:
     choice = choose_baseline(train, linear)
     models: dict[str, Fitted] = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
     base = confirmed(choice, models, train).label
-    models["ts"] = TS().fit(train)
+    models["ts"] = BestTS().fit(train)
     c = compare(models, test, horizons=[FREE_RUN], baseline=base)
     (pair,) = c.verdict.values()
     low, high = pair.ci95 or (np.nan, np.nan)
