@@ -49,8 +49,12 @@ def test_the_best_by_validation_is_the_baseline() -> None:
 
 
 def test_arx_stays_where_nothing_is_clearly_better() -> None:
-    close = Gives(FirstOrder(a=0.9, b=0.1001))
-    assert choose_baseline(TRAIN, {"arx": close, "oe": Gives(TRUTH)}).label == "arx"
+    near, nearer = Gives(FirstOrder(a=0.9, b=0.1004)), Gives(FirstOrder(a=0.9, b=0.0999))
+    for arx, other in ((near, nearer), (nearer, near)):
+        choice = choose_baseline(TRAIN, {"arx": arx, "oe": other})
+        assert choice.label == "arx"
+        beaten = choice.rmse["oe"] < choice.rmse["arx"]
+        assert choice.words.endswith("none is clearly better than ARX") is beaten
     with pytest.raises(FitError, match="no linear model"):
         choose_baseline(TRAIN, {"arx": Gives(None)})
     assert set(linear_estimators()) >= {"arx", "oe", "armax", "bj", "statespace"}

@@ -78,6 +78,8 @@ def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Choi
             label = name
     rmse = {name: float(np.sqrt(e.mean())) for name, e in errors.items()}
     said = ", ".join(f"{name.upper()} {value:.3g}" for name, value in rmse.items())
+    if rmse[label] > min(rmse.values()):
+        said += f"; none is clearly better than {label.upper()}"
     return Choice(label, rmse, f"validation free-run RMSE, in standard deviations of the output: {said}")
 
 
