@@ -51,3 +51,14 @@ def test_a_slow_plant_is_given_the_length_of_its_record() -> None:
     layout, parameters = two_rules((0.9998, 0.0), (0.9998, 0.0))
     assert not forgets_start(runs(500), SEEN, layout.depth, layout.lags, parameters)
     assert forgets_start(runs(12_000), SEEN, layout.depth, layout.lags, parameters)
+
+
+def test_an_oscillation_that_does_not_decay_remembers_its_start() -> None:
+    """Poles on the unit circle, but for rounding: inside all limits, and never where the plant is."""
+    layout = Layout((Signal("y"),), (Signal("u"),), Orders(2, (1,), (1,)), (), np.zeros(2), np.ones(2))
+    far = np.array([[-3.0], [3.0]])
+    for radius, forgets in ((0.9999999, False), (0.99, True)):
+        theta = np.array([[[2.0 * radius * np.cos(0.3), -(radius**2), 0.01, 0.0]]])
+        none = np.zeros((1, 0))
+        parameters = Parameters(theta, none, none, np.zeros((2, 0)), far)
+        assert forgets_start(runs(), SEEN, layout.depth, layout.lags, parameters) is forgets

@@ -191,9 +191,9 @@ def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
 
     First random steps over the whole range of the training inputs, which may push any plant far out; then
     blocks of the training inputs in random order. In that second part no more than one sample in fifty
-    may lie on an output limit (the range of training, widened by itself on each side), and models of several
-    rules must forget how they were started (`forgets_start`). Of a model that holds an integrator the changes
-    of the output are asked instead (the range widened tenfold), as its output may go anywhere.
+    may lie on an output limit (the range of training, widened by itself on each side), and the model
+    must forget how it was started (`forgets_start`). Of a model that holds an integrator the changes of the
+    output are asked instead (the range widened tenfold), as its output may go anywhere.
     """
     problem, n_y = stage.problem, stage.problem.layout.n_y
     W = stress_run(problem.runs, n_y, steps, seed)
@@ -208,7 +208,7 @@ def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
     at_limit = (y <= limits[0]) | (y >= limits[1])
     if not at_limit.any(axis=1).mean() < 0.02:
         return False
-    return problem.integrates or stage.rules == 1 or _forgets_start(stage)
+    return problem.integrates or _forgets_start(stage)
 
 
 def _forgets_start(stage: Stage) -> bool:

@@ -133,6 +133,7 @@ def cross_validated(
             check_part=check_part,
             shift=shift,
             scale=scale,
+            folds=(),
             integrates=models[at].stage.problem.integrates,
             known=models[0].linear,
         )

@@ -23,11 +23,13 @@ from flysid.model.fuzzy.integrator import looks_integrating, with_integrator
 from flysid.model.fuzzy.layout import Layout, Orders
 from flysid.model.fuzzy.linear_side import LinearModel, arx_start, as_stage, linear_models
 from flysid.model.fuzzy.problem import Problem, runs_of
+from flysid.model.fuzzy.refit import refit
 from flysid.model.fuzzy.stress import stress_run
 
 SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
 _ORDER_GAIN, _ORDER_LOSS = 0.01, 0.05  # of the mean square: never, and at most, worth an order
 _ORDER_MISFIT = 0.1  # of the training mean square, which more lags always lower a little
+_STEPS = 8  # of a linear model's refinement on other parts of the data
 _WORSE_FIT = 1.5  # of the training mean square: one good validation does not make up for it
 _LOOSE = 100.0  # ranges within which the search for a linear model may move
 _FAR = 10.0  # ranges that a plant which integrates may leave its training range by
@@ -130,7 +132,8 @@ class Workshop:
             loose += variants
         candidates += self._linear_side(len(choices))
         candidates = plausible(sorted(candidates, key=lambda c: c.stage.body.size))
-        at = choose(candidates, least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS, most_misfit=_ORDER_MISFIT)
+        judged_all = self._on_every_part(candidates)
+        at = choose(judged_all, least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS, most_misfit=_ORDER_MISFIT)
         orders = candidates[at].stage.problem.layout.orders
         how = (
             "as given" if len(choices) == 1 else "the simplest within one standard error of the best, and 5 %"
@@ -152,6 +155,20 @@ class Workshop:
         return [
             c for model in found if model.orders.depth + SPARE_ROWS <= self.least for c in self._both(model)
         ]
+
+    def _on_every_part(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """The candidates with their errors on the parts that other folds hold out, refitted without them.
+
+        One quarter of little data says too little to choose orders by.
+        """
+        errors = [[c.errors] for c in candidates]
+        for fit_part, check_part in self.folds if len(candidates) > 1 else ():
+            for known, candidate in zip(errors, candidates, strict=True):
+                layout = candidate.stage.problem.layout
+                again = refit(candidate, fit_part, runs_of(layout, fit_part.segments, self.least), _STEPS)
+                runs = runs_of(layout, check_part.segments, self.least)
+                known.append(judged(again, runs, self.least - SPARE_ROWS, must_be_bounded=False).errors)
+        return [replace(c, errors=np.concatenate(e)) for c, e in zip(candidates, errors, strict=True)]
 
     def _both(self, model: LinearModel) -> list[Candidate]:
         plain = as_stage(model, self.problem(model.orders))
