@@ -156,7 +156,7 @@ def found_antecedents(layout: Layout) -> tuple[Antecedent, ...]:
     inputs = [
         Antecedent(n_y + j, lag)
         for j, (nb, nk) in enumerate(zip(orders.nb, orders.nk, strict=True))
-        for lag in range(nk, nk + min(nb, 2))
+        for lag in range(nk, nk + min(max(nb, 1), 2))
     ]
     change = [Antecedent(i, 1, 2) for i in range(n_y)] if orders.na >= 2 else []
     return (*newest, *inputs, *change)

@@ -116,6 +116,29 @@ class Workshop:
 
     def linear(self, choices: Sequence[Orders]) -> tuple[list[Candidate], list[str]]:
         """Linear models, each refined from the one before, up to the best orders."""
+        candidates = self._of_orders(choices)
+        notes: list[str] = []
+        needless = self._needless(candidates) if len(choices) > 1 else ()
+        if needless:
+            candidates += self._of_orders(
+                list(dict.fromkeys(_without(orders, needless) for orders in choices))
+            )
+            names = ", ".join(self.fit_part.inputs[j].name for j in needless)
+            notes = [f"A linear model simulates held-out parts as well without past values of {names}."]
+        candidates += self._linear_side(len(choices))
+        candidates = plausible(sorted(candidates, key=lambda c: c.stage.body.size))
+        judged_all = self._on_every_part(candidates) if len(candidates) > 1 else candidates
+        at = choose(judged_all, least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS, most_misfit=_ORDER_MISFIT)
+        orders = candidates[at].stage.problem.layout.orders
+        how = (
+            "as given" if len(choices) == 1 else "the simplest within one standard error of the best, and 5 %"
+        )
+        notes = [f"Orders {orders}: {how} (validation free run of the linear model).", *notes]
+        others = [c for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
+        return [candidates[at], *others], notes
+
+    def _of_orders(self, choices: Sequence[Orders]) -> list[Candidate]:
+        """One linear model of each, or two where one holds an integrator; each starts from those before."""
         candidates: list[Candidate] = []
         loose: list[Stage] = []
         for orders in choices:
@@ -130,17 +153,36 @@ class Workshop:
             variants = self._settled(stage, loose)
             candidates += [self.judge(self.ready(s)) for s in variants]
             loose += variants
-        candidates += self._linear_side(len(choices))
-        candidates = plausible(sorted(candidates, key=lambda c: c.stage.body.size))
-        judged_all = self._on_every_part(candidates)
-        at = choose(judged_all, least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS, most_misfit=_ORDER_MISFIT)
-        orders = candidates[at].stage.problem.layout.orders
-        how = (
-            "as given" if len(choices) == 1 else "the simplest within one standard error of the best, and 5 %"
-        )
-        note = f"Orders {orders}: {how} (validation free run of the linear model)."
-        others = [c for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
-        return [candidates[at], *others], [note]
+        return candidates
+
+    def _needless(self, candidates: Sequence[Candidate]) -> tuple[int, ...]:
+        """Inputs whose past values a linear model of the best of these orders does as well without.
+
+        Left out one after the other, the least missed one first, while the loss stays within what simpler
+        orders may cost. Every rule would weigh their lags anew, and few rules could be afforded.
+        """
+        if not self.settings.refine or self.settings.nb != "auto" or len(self.fit_part.inputs) < 2:
+            return ()
+        best = min(candidates, key=lambda c: (not c.stable, c.mean))
+        orders = best.stage.problem.layout.orders
+        (whole,) = self._on_every_part([best])
+        alone = {j: self._left_out(orders, (j,)) for j, lags in enumerate(orders.nb) if lags}
+        needless: tuple[int, ...] = ()
+        for j in sorted(alone, key=lambda j: alone[j].mean):
+            tried = (*needless, j)
+            if len(tried) == len(alone):
+                break
+            rest = alone[j] if len(tried) == 1 else self._left_out(orders, tried)
+            if choose(
+                [rest, whole], least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS, most_misfit=_ORDER_MISFIT
+            ):
+                break
+            needless = tried
+        return tuple(sorted(needless))
+
+    def _left_out(self, orders: Orders, inputs: Sequence[int]) -> Candidate:
+        (found, *_) = self._on_every_part(self._of_orders([_without(orders, inputs)]))
+        return found
 
     def _linear_side(self, choices: int) -> list[Candidate]:
         """What the linear side chooses by itself, with its delays, as it is and refined."""
@@ -162,7 +204,7 @@ class Workshop:
         One quarter of little data says too little to choose orders by.
         """
         errors = [[c.errors] for c in candidates]
-        for fit_part, check_part in self.folds if len(candidates) > 1 else ():
+        for fit_part, check_part in self.folds:
             for known, candidate in zip(errors, candidates, strict=True):
                 layout = candidate.stage.problem.layout
                 again = refit(candidate, fit_part, runs_of(layout, fit_part.segments, self.least), _STEPS)
@@ -186,6 +228,11 @@ class Workshop:
             return (stage,)
         stages = with_integrator(stage, self.settings.iterations, known)
         return stages if self.integrates is None else stages[:1]
+
+
+def _without(orders: Orders, inputs: Sequence[int]) -> Orders:
+    """The orders with no past values of these inputs."""
+    return replace(orders, nb=tuple(0 if j in inputs else lags for j, lags in enumerate(orders.nb)))
 
 
 def plausible(candidates: Sequence[Candidate]) -> list[Candidate]:
