@@ -9,9 +9,15 @@ import pytest
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError
+from flysid.model.fuzzy.fewer import fewer_words
+from flysid.model.fuzzy.grow import unrefined
 from flysid.model.fuzzy.layout import Antecedent
 from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.problem import runs_of
+from flysid.model.fuzzy.refit import restated
 from flysid.model.fuzzy.simplify import simplifications, simplify
+from flysid.model.fuzzy.workshop import Workshop
+from flysid.model.ts import TS
 from tests.bench.ts_intervals import experiment, known_model
 
 
@@ -59,6 +65,19 @@ def test_a_condition_that_says_nothing_is_left_out(truth: FittedTS) -> None:
     simpler, steps = simplify(chatty, experiment(truth, 1), experiment(truth, 2))
     assert simpler.antecedents == truth.antecedents
     assert [s.what for s in steps] == ["conditions on y(k-1) left out"]
+
+
+def test_words_are_left_out_by_what_they_cost_on_the_same_data(truth: FittedTS) -> None:
+    """A model that was also judged on harder parts of the data keeps the rules that it needs."""
+    train, check = experiment(truth, 1), experiment(truth, 2)
+    layout, least = truth.layout, truth.n_init + 10
+    workshop = Workshop(TS(), train, check, layout.shift, layout.scale, least)
+    stage = unrefined(*restated(layout, truth.parameters, runs_of(layout, train.segments, least)))
+    here = workshop.judge(stage)
+    harder = replace(here, errors=np.concatenate([here.errors, 100.0 * here.errors]))
+    kept, said = fewer_words(workshop, harder)
+    assert kept.stage.rules == 2
+    assert said == []
 
 
 def test_one_rule_has_nothing_to_simplify(truth: FittedTS) -> None:

@@ -20,7 +20,8 @@ _RIDGE = 0.01  # of the mean square error, as in growth
 
 def fewer_words(workshop: Workshop, chosen: Candidate) -> tuple[Candidate, list[str]]:
     """The chosen model without what validation does not miss, and a sentence about every edit."""
-    limit, said = chosen.mean, list[str]()
+    # `chosen` may have been judged on other parts too, harder or easier ones; the edits are not
+    limit, said = workshop.judge(chosen.stage).mean, list[str]()
     while chosen.stage.rules > 1:
         offers = [(what, workshop.judge(stage)) for what, stage in _refined(workshop, chosen.stage)]
         good = [(what, c) for what, c in offers if c.stable and c.mean <= limit]
