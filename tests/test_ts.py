@@ -12,6 +12,7 @@ import pytest
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.base import load
+from flysid.model.fuzzy import estimate
 from flysid.model.ts import TS, FittedTS
 
 DT = 0.05
@@ -119,6 +120,17 @@ def test_rules_speak(bent: FittedTS) -> None:
         assert rule.dc_gain.shape == (1, 1)
         assert 0 <= rule.support <= 1
     assert sum(r.support for r in bent.rules()) == pytest.approx(1.0)
+
+
+def test_a_last_refinement_that_was_not_taken_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = Dataset.from_arrays(*second_order(600, 0), DT)
+    settings = TS(rules=1, na=2, nb=1, nk=1)
+    claim = "refined once more on the held-out part"
+    assert any(claim in note for note in settings.fit(data).notes)
+    monkeypatch.setattr(estimate, "refit", lambda chosen, *_: chosen.stage)
+    notes = settings.fit(data).notes
+    assert not any(claim in note for note in notes)
+    assert any("it was no longer stable" in note for note in notes)
 
 
 def test_named_antecedents_are_used() -> None:

@@ -27,6 +27,10 @@ _LATE = 2  # samples of delay from which a dead time is tried as such
 _RULE_GAIN = 0.05  # of the mean square: what a rule must win, about 2.5 % of the error
 _SMALL = 4000  # samples below which every quarter is held out in turn,
 _SMALL_GAIN = 0.2  # and a rule must win more: the choice itself overfits
+_ON_ALL = "The model was refined once more on the held-out part together with the rest."
+_AS_IT_WAS = (
+    "The held-out part only chose the model: refined once more on all the data, it was no longer stable."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +80,12 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     if settings.refine and settings.rules == "auto" and settings.antecedents == "auto":
         chosen, simpler = fewer_words(workshop, chosen)
         notes += simpler
-    stage = ordered(chosen.stage)
+    stage = known = ordered(chosen.stage)
     if settings.refine:
         runs = runs_of(stage.problem.layout, (train if own else fit_part).segments, least)
         stage = refit(replace(chosen, stage=stage), train if own else fit_part, runs, settings.iterations)
     if own and settings.refine:
-        notes.append("The model was refined once more on the held-out part together with the rest.")
+        notes.append(_AS_IT_WAS if stage is known else _ON_ALL)
     if stage.problem.integrates and workshop.must_be_bounded:
         notes.append(INTEGRATES)
     return Learned(stage, (*notes, *rule_verdict(settings, models, at), _method(settings)))
