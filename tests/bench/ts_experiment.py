@@ -52,8 +52,16 @@ def steps(n: int, hold: tuple[int, int], rng: np.random.Generator) -> FloatArray
 
 
 def _set(parts: list[tuple[FloatArray, FloatArray]], dt: float) -> Dataset:
-    segments = tuple(Segment(u[:, None], y[:, None], flight=str(i)) for i, (u, y) in enumerate(parts))
-    return Dataset(dt, (Signal("u"),), (Signal("y"),), segments, name="y")
+    segments = tuple(
+        Segment(u.reshape(len(u), -1), y.reshape(len(y), -1), flight=str(i)) for i, (u, y) in enumerate(parts)
+    )
+    return Dataset(
+        dt, _signals("u", segments[0].u.shape[1]), _signals("y", segments[0].y.shape[1]), segments, name="y"
+    )
+
+
+def _signals(name: str, count: int) -> tuple[Signal, ...]:
+    return (Signal(name),) if count == 1 else tuple(Signal(f"{name}{i + 1}") for i in range(count))
 
 
 def experiment(
@@ -63,11 +71,14 @@ def experiment(
     share: float,
     rng: np.random.Generator,
 ) -> Experiment:
-    """White noise of `share` times the training output's spread on the training outputs."""
-    level = share * float(np.concatenate([y for _, y in train]).std())
-    noisy = [(u, y + level * rng.normal(size=len(y))) for u, y in train]
-    spread = float(np.concatenate([y for _, y in test]).std())
-    return Experiment(_set(noisy, dt), _set(test, dt), level / spread)
+    """White noise of `share` times the training output's spread on the training outputs.
+
+    Records are (u, y), each (N,), or (N, n_u) and (N, n_y) where there are several signals.
+    """
+    level = share * np.concatenate([y for _, y in train]).std(axis=0)
+    noisy = [(u, y + level * rng.normal(size=y.shape)) for u, y in train]
+    spread = np.concatenate([y for _, y in test]).std(axis=0)
+    return Experiment(_set(noisy, dt), _set(test, dt), float(np.mean(level / spread)))
 
 
 def off(model: Fitted, test: Dataset) -> float:
@@ -77,5 +88,5 @@ def off(model: Fitted, test: Dataset) -> float:
         skip = start_window(max(model.n_init, 4), len(s), test.dt_s)
         start = estimate_start(model, s.u[:skip], s.y[:skip])
         gaps.append((model.simulate(s.u, start) - s.y)[skip:])
-    spread = np.concatenate([s.y for s in test.segments]).std()
-    return float(100 * np.sqrt(np.mean(np.concatenate(gaps) ** 2)) / spread)
+    spread = np.concatenate([s.y for s in test.segments]).std(axis=0)
+    return float(100 * np.sqrt(np.mean((np.concatenate(gaps) / spread) ** 2)))
