@@ -18,12 +18,15 @@ from flysid.model.fuzzy.choice import Candidate, choose
 from flysid.model.fuzzy.clustered import clustered_stage
 from flysid.model.fuzzy.grow import Stage, one_rule_more, refine, thinned, with_ridge
 from flysid.model.fuzzy.layout import Antecedent, Layout, Orders, scaling
+from flysid.model.fuzzy.problem import runs_of
+from flysid.model.fuzzy.refit import refit
 from flysid.model.fuzzy.workshop import Workshop
 
 _MOST_ROWS = 12000  # of training data while searching; the chosen model is refined on all
 _LANES = 2  # go on from two rules to three, and so forth
 _RIDGES = (1.0, 1e3)  # where freedom made a model unstable; the last one leaves the rules equal
 _HOPELESS = 4.0  # times the mean square of the best linear model: such orders are not grown
+_ASTRAY = 1.5  # times the training mean square of a fit from elsewhere: the search on a fold has failed
 _EQUAL = 0.1  # of the mean square: what fewer parameters may cost among equal numbers of rules
 _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
 _ROWS_PER_NUMBER = 4
@@ -140,13 +143,27 @@ def cross_validated(
         linear, _ = other.linear([orders])
         if linear[0].mean > _HOPELESS * max(models[0].mean, _EXACT):
             continue  # the linear refit went astray: rules that mend it would look useful
-        for known, model in zip(errors, search(other, linear, named), strict=False):
-            known.append(model.errors)
+        for known, model, grown in zip(errors, models, search(other, linear, named), strict=False):
+            known.append(not_astray(other, model, grown).errors)
     return [
         replace(m, errors=np.concatenate(e))
         for m, e in zip(models, errors, strict=True)
         if len(e) == len(errors[0])
     ]
+
+
+def not_astray(fold: Workshop, model: Candidate, grown: Candidate) -> Candidate:
+    """The rules grown on a fold, or `model` refitted to it where growth ended in a far worse minimum.
+
+    Only the fit to the fold's own training part decides. A search that fails on one part says nothing about
+    rules, and its errors on the held-out part would outweigh those of all others.
+    """
+    if grown.stage.cost <= _ASTRAY * model.stage.cost:
+        return grown
+    layout = model.stage.problem.layout
+    runs = runs_of(layout, fold.fit_part.segments, fold.least)
+    again = refit(model, fold.fit_part, runs, fold.settings.iterations)
+    return fold.judge(again) if _ASTRAY * again.cost < grown.stage.cost else grown
 
 
 def found_antecedents(layout: Layout) -> tuple[Antecedent, ...]:

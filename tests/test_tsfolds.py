@@ -1,0 +1,59 @@
+"""Rules judged on several parts of little data: a search that fails on one part must not decide."""
+
+from __future__ import annotations
+
+import pytest
+
+from flysid.model.fuzzy.choice import Candidate
+from flysid.model.fuzzy.grow import unrefined
+from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.problem import runs_of
+from flysid.model.fuzzy.refit import restated
+from flysid.model.fuzzy.search import not_astray
+from flysid.model.fuzzy.workshop import Workshop
+from flysid.model.ts import TS
+from tests.bench.ts_intervals import experiment, known_model
+
+
+@pytest.fixture(scope="module")
+def truth() -> FittedTS:
+    return known_model()
+
+
+@pytest.fixture(scope="module")
+def fold(truth: FittedTS) -> Workshop:
+    layout = truth.layout
+    return Workshop(
+        TS(), experiment(truth, 1), experiment(truth, 2), layout.shift, layout.scale, truth.n_init + 10
+    )
+
+
+def candidate(fold: Workshop, model: FittedTS, share: float) -> Candidate:
+    """The model's rules, `share` of the way to being all equal, unrefined."""
+    theta = (1.0 - share) * model.parameters.theta + share * model.parameters.theta.mean(axis=0)
+    runs = runs_of(model.layout, fold.fit_part.segments, fold.least)
+    return fold.judge(unrefined(*restated(model.layout, model.parameters._replace(theta=theta), runs)))
+
+
+def test_a_search_that_went_astray_is_replaced_by_a_refit(truth: FittedTS, fold: Workshop) -> None:
+    model, astray = candidate(fold, truth, 0.0), candidate(fold, truth, 1.0)
+    assert astray.stage.cost > 1.5 * model.stage.cost
+    found = not_astray(fold, model, astray)
+    assert found.stage.cost < 1.05 * model.stage.cost
+    assert found.mean < 0.7 * astray.mean
+
+
+def test_rules_that_were_found_are_kept(truth: FittedTS, fold: Workshop) -> None:
+    model, found = candidate(fold, truth, 0.0), candidate(fold, truth, 0.02)
+    assert not_astray(fold, model, found) is found
+
+
+def test_a_model_that_is_no_better_replaces_nothing(truth: FittedTS, fold: Workshop) -> None:
+    """The cost elsewhere was low, but a refit to this part is not: the part is hard."""
+    poor = candidate(fold, truth, 1.0)
+    flattered = Candidate(
+        stage=type(poor.stage)(poor.stage.problem, poor.stage.body, poor.stage.initial, 1e-9),
+        errors=poor.errors,
+    )
+    grown = candidate(fold, truth, 0.0)
+    assert not_astray(fold, flattered, grown) is grown
