@@ -12,7 +12,7 @@ import pytest
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.base import load
-from flysid.model.fuzzy import estimate, looser
+from flysid.model.fuzzy import estimate
 from flysid.model.ts import TS, FittedTS
 
 DT = 0.05
@@ -165,15 +165,3 @@ def test_a_model_reads_as_text(bent: FittedTS) -> None:
     assert "R1. If" in text
     assert "time constant" in text
     assert "rules" in text.splitlines()[0]
-
-
-def test_rules_are_let_go_once_grown(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What holds rules together while they grow must not bind them in the end: noise-free truth."""
-    u, clean = second_order(2000, 1, bend=0.1)
-    noise = np.random.default_rng(2).normal(size=len(clean))
-    data = Dataset.from_arrays(u, clean + 0.01 * clean.std() * noise, DT)
-    freed = TS(rules=2).fit(data)
-    monkeypatch.setattr(looser, "_RIDGES", ())
-    held = TS(rules=2).fit(data)
-    fresh = second_order(1500, 7, bend=0.1)
-    assert free_run_rmse(freed, *fresh) < 0.8 * free_run_rmse(held, *fresh)

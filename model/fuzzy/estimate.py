@@ -13,7 +13,6 @@ from flysid.model.fuzzy.choice import INTEGRATES, Candidate, choose, hold_out
 from flysid.model.fuzzy.fewer import fewer_words
 from flysid.model.fuzzy.grow import Stage, ordered
 from flysid.model.fuzzy.layout import Antecedent, Orders, parse_antecedent, scaling
-from flysid.model.fuzzy.looser import let_go
 from flysid.model.fuzzy.problem import runs_of
 from flysid.model.fuzzy.refit import refit
 from flysid.model.fuzzy.search import cross_validated, search
@@ -81,7 +80,6 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     if settings.refine and settings.rules == "auto" and settings.antecedents == "auto":
         chosen, simpler = fewer_words(workshop, chosen)
         notes += simpler
-    chosen = let_go(workshop, chosen) if settings.refine else chosen
     stage = known = ordered(chosen.stage)
     if settings.refine:
         runs = runs_of(stage.problem.layout, (train if own else fit_part).segments, least)

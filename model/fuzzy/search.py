@@ -143,8 +143,10 @@ def cross_validated(
         linear, _ = other.linear([orders])
         if linear[0].mean > _HOPELESS * max(models[0].mean, _EXACT):
             continue  # the linear refit went astray: rules that mend it would look useful
-        for known, model, grown in zip(errors, models, search(other, linear, named), strict=False):
-            known.append(not_astray(other, model, grown).errors)
+        for known, model in zip(
+            errors, not_astray(other, models, search(other, linear, named)), strict=False
+        ):
+            known.append(model.errors)
     return [
         replace(m, errors=np.concatenate(e))
         for m, e in zip(models, errors, strict=True)
@@ -152,18 +154,23 @@ def cross_validated(
     ]
 
 
-def not_astray(fold: Workshop, model: Candidate, grown: Candidate) -> Candidate:
-    """The rules grown on a fold, or `model` refitted to it where growth ended in a far worse minimum.
+def not_astray(fold: Workshop, models: Sequence[Candidate], grown: Sequence[Candidate]) -> list[Candidate]:
+    """What was grown on a fold; or all `models` refitted to it, where growth ended in a far worse minimum.
 
     Only the fit to the fold's own training part decides. A search that fails on one part says nothing about
-    rules, and its errors on the held-out part would outweigh those of all others.
+    rules, and its errors on the held-out part would outweigh those of all others. A refit starts from
+    numbers that have seen the held-out part, so one rule must be allowed the same.
     """
-    if grown.stage.cost <= _ASTRAY * model.stage.cost:
-        return grown
-    layout = model.stage.problem.layout
-    runs = runs_of(layout, fold.fit_part.segments, fold.least)
-    again = refit(model, fold.fit_part, runs, fold.settings.iterations)
-    return fold.judge(again) if _ASTRAY * again.cost < grown.stage.cost else grown
+    pairs = list(zip(models, grown, strict=False))
+    poor = [(model, found) for model, found in pairs if found.stage.cost > _ASTRAY * model.stage.cost]
+    if any(_ASTRAY * _refitted(fold, model).stage.cost < found.stage.cost for model, found in poor):
+        return [_refitted(fold, model) for model, _ in pairs]
+    return list(grown)
+
+
+def _refitted(fold: Workshop, model: Candidate) -> Candidate:
+    runs = runs_of(model.stage.problem.layout, fold.fit_part.segments, fold.least)
+    return fold.judge(refit(model, fold.fit_part, runs, fold.settings.iterations))
 
 
 def found_antecedents(layout: Layout) -> tuple[Antecedent, ...]:
