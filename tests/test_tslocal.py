@@ -12,7 +12,6 @@ from flysid.errors import UsageError
 from flysid.model.fuzzy.explain import explain, outside_share
 from flysid.model.fuzzy.interop import to_nonlinear_system, to_state_space
 from flysid.model.fuzzy.local import certificate, linearise, polytope
-from flysid.model.fuzzy.update import update
 from flysid.model.ts import TS, FittedTS
 
 DT = 0.05
@@ -100,27 +99,6 @@ def test_an_explanation_adds_up(model: FittedTS) -> None:
     assert outside_share(model, u, y + 100) == 1.0
     with pytest.raises(UsageError, match="cannot be explained"):
         explain(model, u, y, 0)
-
-
-def test_an_update_follows_a_changed_gain(model: FittedTS) -> None:
-    u, y = flight(1500, 5, gain=0.15)
-    newer = update(model, Dataset.from_arrays(u, y, DT), forgetting=0.999)
-    fresh_u, fresh_y = flight(400, 6, gain=0.15)
-
-    def error(m: FittedTS) -> float:
-        return float(np.nanstd(m.one_step(fresh_u, fresh_y)[:, 0] - fresh_y))
-
-    assert error(newer) < 0.3 * error(model)
-    assert np.array_equal(newer.parameters.centre, model.parameters.centre)
-    assert "recursive least squares" in newer.notes[-1]
-
-
-def test_an_update_refuses_other_signals(model: FittedTS) -> None:
-    u, y = flight(100, 5)
-    with pytest.raises(UsageError, match="the model knows"):
-        update(model, Dataset.from_arrays(u, y, 2 * DT))
-    with pytest.raises(UsageError, match="forgetting"):
-        update(model, Dataset.from_arrays(u, y, DT), forgetting=2.0)
 
 
 def test_python_control_follows_the_free_run(model: FittedTS) -> None:

@@ -26,7 +26,7 @@ def finished(stage: Stage, train: Dataset, notes: tuple[str, ...], *, intervals:
         support=rule_support(stage),
         notes=notes,
     )
-    fitted = _with_noise_model(fitted, train)
+    fitted = with_noise_model(fitted, train)
     return _with_intervals(fitted, train) if intervals else fitted
 
 
@@ -40,7 +40,7 @@ def _free_run_error(fitted: FittedTS, u: FloatArray, y: FloatArray) -> FloatArra
     return y[window:] - fitted.simulate(u, estimate_start(fitted, u[:window], y[:window]))[window:]
 
 
-def _with_noise_model(fitted: FittedTS, train: Dataset) -> FittedTS:
+def with_noise_model(fitted: FittedTS, train: Dataset) -> FittedTS:
     """The model with a noise model, where that predicts the training data better one step ahead."""
     n = fitted.n_init
     pieces = [s for s in train.segments if len(s) > n + 1]

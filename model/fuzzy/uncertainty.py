@@ -196,6 +196,24 @@ def _sensitivities(
     problem: Problem, body: Body, W: FloatArray, initial: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(N, n_y, P) sensitivities of a free run, its own first outputs projected out, and (N, n_y) errors."""
+    J, error = run_sensitivities(problem, body, W, initial)
+    flat = J.reshape(-1, J.shape[2])
+    own = np.linalg.qr(flat[:, body.size :])[0]
+    rest = flat[:, : body.size]
+    rest = rest - own @ (own.T @ rest)
+    return rest.reshape(*error.shape, -1), error
+
+
+def run_sensitivities(
+    problem: Problem, body: Body, W: FloatArray, initial: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(N, n_y, P + depth n_y) sensitivities of a free run, those to its first outputs last, and errors.
+
+    Parameters
+    ----------
+    W : (N, n_y + n_u) measured run, normalised.
+    initial : (depth, n_y) first outputs.
+    """
     depth, n_y = initial.shape
     run = W.copy()
     run[:depth, :n_y] = initial
@@ -204,11 +222,7 @@ def _sensitivities(
         J[k, :, body.size + k * n_y :][:, :n_y] = np.eye(n_y)
     basis = np.ascontiguousarray(problem.basis)
     sensitivities(run, (depth, len(W), 0), problem.layout.lags, problem.parameters(body), basis, J)
-    flat = J.reshape(-1, J.shape[2])
-    own = np.linalg.qr(flat[:, body.size :])[0]
-    rest = flat[:, : body.size]
-    rest = rest - own @ (own.T @ rest)
-    return rest.reshape(len(W), n_y, -1), W[:, :n_y] - run[:, :n_y]
+    return J, W[:, :n_y] - run[:, :n_y]
 
 
 def covariance_of(body: Body, jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> FloatArray:
@@ -226,7 +240,7 @@ def _covariance(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -
     """
     n = jacobians[0].shape[2]
     gram = sum((J.reshape(-1, n).T @ J.reshape(-1, n) for J in jacobians), np.zeros((n, n)))
-    root = _steep(gram)
+    root = steep(gram)
     middle = np.zeros((root.shape[1], root.shape[1]))
     for i in range(errors[0].shape[1]):
         noise, variance = noise_model([e[:, i] for e in errors])
@@ -234,7 +248,7 @@ def _covariance(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -
     return np.asarray(root @ middle @ root.T)
 
 
-def _steep(gram: FloatArray) -> FloatArray:
+def steep(gram: FloatArray) -> FloatArray:
     """(P, keep) coordinates in which the Gram matrix is the identity, without its flat directions."""
     size = np.sqrt(np.maximum(gram.diagonal(), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(gram / np.outer(size, size))
