@@ -1,9 +1,11 @@
 """Local linear views of a TS model: linearisation, the polytope of its rules, and stability certificates.
 
 A TS model is a polytopic (LPV) system: its one-step map is a convex combination of the rules' affine maps,
-weighted by the firing strengths. A common quadratic Lyapunov function of all rules proves that the free run
-forgets its start under any sequence of firing strengths (Tanaka and Sugeno 1992); its absence proves
-nothing.
+weighted by the firing strengths. A common quadratic Lyapunov function of all rules (Tanaka and Sugeno 1992)
+proves that outputs stay bounded under bounded inputs whatever fires, and that a run forgets its start under
+any one sequence of firing strengths. Where conditions speak of outputs, two runs on the same inputs fire
+differently: that these come together too is asked of runs (`flysid.model.fuzzy.forgetting`). Its absence
+proves nothing.
 """
 
 from __future__ import annotations
@@ -14,9 +16,8 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
+from flysid.model.fuzzy.lyapunov import common_lyapunov
 from flysid.model.fuzzy.model import FittedTS
-
-_ROUNDS = 4000
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +112,7 @@ class Certificate:
     ----------
     proved : a common quadratic Lyapunov function was found, and checked.
     P : (n, n) its matrix, symmetric positive definite; zeros where none was found.
-    decay : the worst factor by which x'Px shrinks per step; at least 1 where nothing is proved.
+    decay : the worst factor by which sqrt(x'Px) shrinks per step; at least 1 where nothing is proved.
     reason : in words.
     """
 
@@ -128,12 +129,7 @@ def certificate(model: FittedTS) -> Certificate:
 
 
 def certificate_of(rules: list[FloatArray]) -> Certificate:
-    """Search a P > 0 with A_r' P A_r - P < 0 for the (n, n) matrices of all rules.
-
-    The gradient method of Liberzon and Tempo (2004): the worst rule's most violated direction is pushed
-    down, the result projected on the positive definite matrices. The answer is verified by Cholesky
-    factors, so that "proved" does not rest on the search.
-    """
+    """A P > 0 with A_r' P A_r - P < 0 for the (n, n) matrices of all rules; see `lyapunov`."""
     n = len(rules[0])
     if n == 0:
         return Certificate(True, np.zeros((0, 0)), 0.0, "The model has no memory of its outputs.")
@@ -147,54 +143,14 @@ def certificate_of(rules: list[FloatArray]) -> Certificate:
             f"R{worst + 1} by itself is not stable (pole radius {radii[worst]:.4f}), so no common quadratic "
             "Lyapunov function of all rules exists; the blend may still be stable.",
         )
-    T = _balancing(rules)
-    balanced = [np.asarray(np.linalg.solve(T, A @ T), dtype=np.float64) for A in rules]
-    P, decay = _search(balanced)
-    if decay >= 1.0:
+    found = common_lyapunov(rules)
+    if found is None:
         reason = "Every rule is stable, but no common quadratic Lyapunov function was found."
-        return Certificate(False, np.zeros((n, n)), decay, reason)
-    back = np.linalg.inv(T)
+        return Certificate(False, np.zeros((n, n)), 1.0, reason)
+    P, decay = found
+    shown = np.ceil(decay * 1e5) / 1e5
     reason = (
-        f"A common quadratic Lyapunov function shrinks by {decay:.5f} or faster per step, whatever fires."
+        f"A common quadratic Lyapunov function proves it: the state's length falls to {shown:.5f} of itself "
+        "or less per step, whatever fires; bounded inputs leave the outputs bounded."
     )
-    return Certificate(True, back.T @ P @ back, decay, reason)
-
-
-def _balancing(rules: list[FloatArray]) -> FloatArray:
-    """(n, n) coordinates in which the mean rule is close to normal: x = T z."""
-    from scipy.linalg import solve_discrete_lyapunov
-
-    mean = np.mean(rules, axis=0)
-    radius = float(np.abs(np.linalg.eigvals(mean)).max())
-    shrunk = mean if radius < 0.9999 else mean * (0.9999 / radius)
-    P = solve_discrete_lyapunov(shrunk.T, np.eye(len(mean)))
-    values, vectors = np.linalg.eigh(0.5 * (P + P.T))
-    return np.asarray(vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])))
-
-
-def _search(rules: list[FloatArray]) -> tuple[FloatArray, float]:
-    """P > 0 that makes the largest eigenvalue of A' P A - P over the rules smallest, and the decay."""
-    n = len(rules[0])
-    P, best, best_decay = np.eye(n), np.eye(n), np.inf
-    for k in range(_ROUNDS):
-        decay = max(_decay(A, P) for A in rules)
-        if decay < best_decay:
-            best, best_decay = P, decay
-        if best_decay < 1.0 - 1e-9 and k > 50:
-            break
-        gaps = [np.linalg.eigh(A.T @ P @ A - P) for A in rules]
-        worst = int(np.argmax([values[-1] for values, _ in gaps]))
-        x = gaps[worst][1][:, -1]
-        gradient = np.outer(rules[worst] @ x, rules[worst] @ x) - np.outer(x, x)
-        size = float(np.sum(gradient * gradient))
-        step = (max(float(gaps[worst][0][-1]), 0.0) + 1e-3 / np.sqrt(k + 1.0)) / max(size, 1e-300)
-        values, vectors = np.linalg.eigh(P - step * gradient)
-        P = (vectors * np.maximum(values, 1e-3)) @ vectors.T
-    return best, float(np.sqrt(best_decay)) if best_decay > 0 else 0.0
-
-
-def _decay(A: FloatArray, P: FloatArray) -> float:
-    """Largest x'A'PAx / x'Px: below 1, P is a Lyapunov function of A."""
-    L = np.linalg.cholesky(P)
-    M = np.linalg.solve(L, np.linalg.solve(L, A.T @ P @ A).T)
-    return float(np.linalg.eigvalsh(0.5 * (M + M.T))[-1])
+    return Certificate(True, P, decay, reason)

@@ -1,0 +1,71 @@
+"""Common quadratic Lyapunov functions: found where one exists, proved, and refused where none can be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flysid.dataset import FloatArray
+from flysid.model.fuzzy.local import certificate_of
+from flysid.model.fuzzy.lyapunov import common_lyapunov
+
+
+def with_common_function(n: int, condition: float, rho: float, seed: int) -> list[FloatArray]:
+    """Three rules that are rho times a rotation in common coordinates: there x'x shrinks by rho^2."""
+    rng = np.random.default_rng(seed)
+
+    def rotation() -> FloatArray:
+        return np.asarray(np.linalg.qr(rng.standard_normal((n, n)))[0])
+
+    T = rotation() * np.geomspace(1.0, np.sqrt(condition), n) @ rotation()
+    return [np.asarray(rho * np.linalg.solve(T, rotation() @ T), dtype=np.float64) for _ in range(3)]
+
+
+def companion(poles: FloatArray) -> FloatArray:
+    A = np.zeros((len(poles), len(poles)))
+    A[0], A[1:, :-1] = -np.poly(poles)[1:], np.eye(len(poles) - 1)
+    return A
+
+
+@pytest.mark.parametrize("n", [1, 2, 4, 6])
+@pytest.mark.parametrize("condition", [10.0, 1e3, 1e5, 1e7])
+@pytest.mark.parametrize("rho", [0.9, 0.999])
+def test_one_that_exists_is_found_and_is_a_proof(n: int, condition: float, rho: float) -> None:
+    for seed in range(3):
+        rules = with_common_function(n, condition, rho, seed)
+        found = common_lyapunov(rules)
+        assert found is not None
+        P, decay = found
+        size = np.linalg.eigvalsh(P).max()
+        assert np.linalg.eigvalsh(P).min() > 0.0
+        for A in rules:
+            assert np.linalg.eigvalsh(A.T @ P @ A - decay**2 * P).max() < 1e-9 * size
+            assert np.linalg.eigvalsh(A.T @ P @ A - P).max() < 0.0
+        assert decay < 0.2 + 0.8 * rho
+
+
+def test_slow_rules_of_high_order_at_a_fast_clock() -> None:
+    """Four poles of 0.1 to 0.5 s at 100 Hz, other ones in every rule: the lags are nearly equal."""
+    rng = np.random.default_rng(0)
+    slow = np.exp(-0.01 / np.array([0.5, 0.3, 0.2, 0.1]))
+    for _ in range(5):
+        found = certificate_of([companion(slow ** rng.uniform(0.5, 2.0, 4)) for _ in range(3)])
+        assert found.proved
+        assert found.decay < 1.0
+
+
+def test_stable_rules_that_can_be_switched_to_run_away_have_none() -> None:
+    """Each shrinks by itself; one after the other they grow, which no common function allows."""
+    A = np.array([[0.5, 2.0], [0.0, 0.5]])
+    assert np.abs(np.linalg.eigvals(A @ A.T)).max() > 1.0
+    found = certificate_of([A, A.T])
+    assert not found.proved
+    assert found.decay >= 1.0
+    assert "no common quadratic Lyapunov function was found" in found.reason
+
+
+def test_the_length_that_is_told_is_not_rounded_in_our_favour() -> None:
+    found = certificate_of([np.array([[0.9123451]]), np.array([[0.3]])])
+    told = float(found.reason.split("falls to ")[1].split(" ")[0])
+    assert found.decay <= told < found.decay + 1e-4
+    assert found.decay >= 0.9123451
