@@ -15,9 +15,12 @@ def as_columns(values: FloatArray, count: int, name: str) -> FloatArray:
 
     Raises
     ------
-    UsageError : another number of columns, or not finite.
+    UsageError : no numbers, another number of columns, or not finite.
     """
-    array = np.asarray(values, dtype=np.float64)
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"{name} is no array of numbers") from error
     if array.ndim == 1:
         array = array[:, None]
     if array.ndim != 2 or array.shape[1] != count:
@@ -43,7 +46,7 @@ def as_record(model: _Signals, u: FloatArray, y: FloatArray, k: int = 1) -> tupl
     ------
     UsageError : shapes do not fit, not finite, or k < 1.
     """
-    if k < 1:
+    if not k >= 1:
         raise UsageError(f"a prediction looks at least one step ahead, not {k}")
     u, y = as_columns(u, len(model.inputs), "u"), as_columns(y, len(model.outputs), "y")
     if len(u) != len(y):

@@ -27,6 +27,7 @@ from flysid.model.base import (
     all_structures,
     write_document,
 )
+from flysid.model.fuzzy.explain import Explanation, refuse_row
 from flysid.model.fuzzy.words import in_words
 from flysid.model.ts import TS
 
@@ -51,10 +52,12 @@ class Ensemble:
 
         Raises
         ------
-        UsageError : fewer than two members.
+        UsageError : fewer than two members; no settings of a model.
         DataError : no samples; the data are too short to leave a block out.
         FitError : fewer than two members could be fitted.
         """
+        if isinstance(self.of, type) or not callable(getattr(self.of, "fit", None)):
+            raise UsageError(f"of={self.of!r}", hint="give settings of a model, such as TS() or TS(rules=2)")
         if isinstance(self.members, bool) or not isinstance(self.members, int) or self.members < 2:
             raise UsageError(f"members={self.members!r}", hint="an ensemble has at least 2 members")
         fitted: list[Fitted] = []
@@ -63,7 +66,7 @@ class Ensemble:
             try:
                 fitted.append(self.of.fit(without_block(train, block, self.members), validation))
             except (FitError, DataError) as error:
-                reasons.append(str(error))
+                reasons.append(error.message)
         if len(fitted) < 2:
             raise FitError(
                 f"{len(fitted)} of {self.members} members could be fitted: {reasons[0]}",
@@ -181,10 +184,12 @@ class FittedEnsemble:
         start = as_columns(y0, len(self.outputs), "y0")
         if len(start) < n:
             raise UsageError(f"{len(start)} measured samples; the model starts from {n}")
-        start = start[: min(n, len(u))]
+        start = start[:n]
+        if len(u) <= n:
+            return np.stack([start[: len(u)]] * len(self.members))
         found = []
         for m in self.members:
-            first = max(0, len(start) - m.n_init)
+            first = n - m.n_init
             found.append(np.vstack([start[:first], m.simulate(u[first:], start[first:])]))
         return np.stack(found)
 
@@ -200,6 +205,31 @@ class FittedEnsemble:
     def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, R) normalised firing strengths of all members' rules; rows sum to 1."""
         return np.hstack([m.firing(u, y) for m in self.members]) / len(self.members)
+
+    def explain(self, u: FloatArray, y: FloatArray, row: int) -> Explanation:
+        """Which members' rules spoke at a sample, how loudly and why; each member has the same say.
+
+        Raises
+        ------
+        UsageError : the row has no full history, or is not there; members that have no rules.
+        """
+        for i, m in enumerate(self.members):
+            if not hasattr(m, "explain"):
+                raise UsageError(f"member {i + 1} is a {m.structure} model: it has nothing to explain")
+        refuse_row(self, row, len(y))
+        told: list[Explanation] = [m.explain(u, y, row) for m in self.members]  # type: ignore[attr-defined]
+        voices = [
+            replace(voice, label=f"M{i + 1}.{voice.label}", share=voice.share / len(told))
+            for i, one in enumerate(told)
+            for voice in one.voices
+        ]
+        return Explanation(
+            row,
+            {name: value for one in told for name, value in one.antecedents.items()},
+            tuple(dict.fromkeys(name for one in told for name in one.outside)),
+            tuple(sorted(voices, key=lambda voice: -voice.share)),
+            tuple(np.mean([one.output for one in told], axis=0).tolist()),
+        )
 
     def __str__(self) -> str:
         """All members' rules."""

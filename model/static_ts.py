@@ -21,11 +21,12 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
-from flysid.model.arguments import as_columns
+from flysid.model.arguments import as_columns, as_record
 from flysid.model.base import Rule, Structure, write_document
 from flysid.model.documents import head_of, signals_of
 from flysid.model.fuzzy.cluster import MOST_SAMPLES, Method, cluster, project
 from flysid.model.fuzzy.consequents import least_squares, weighted
+from flysid.model.fuzzy.explain import Explanation, refuse_row, taken_apart
 from flysid.model.fuzzy.memberships import Conjunction, Partition, Shape
 from flysid.model.fuzzy.tongue import number
 from flysid.model.fuzzy.words import condition_in_words, equation, in_words
@@ -129,8 +130,13 @@ class FittedStaticTS:
         return tuple(f"{s.name}(k)" for s in self.inputs)
 
     def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
-        """(N, n_y) the static map of u; the first k - 1 rows are NaN, as for every model."""
-        del y
+        """(N, n_y) the static map of u; the first k - 1 rows are NaN, as for every model.
+
+        Raises
+        ------
+        UsageError : shapes do not fit, or k < 1.
+        """
+        u, y = as_record(self, u, y, k)
         result = self.simulate(u)
         result[: k - 1] = np.nan
         return result
@@ -157,6 +163,24 @@ class FittedStaticTS:
     def memberships(self, variable: int, x: FloatArray) -> FloatArray:
         """(len(x), R) grade of membership of the values x of one input in every rule's set."""
         return self.partition.grades(variable, x)
+
+    @property
+    def trained_range(self) -> FloatArray:
+        """(2, n_u) smallest and largest inputs of the training data."""
+        return np.stack([self.partition.low, self.partition.high])
+
+    def explain(self, u: FloatArray, y: FloatArray, row: int) -> Explanation:
+        """Which rules spoke at a sample, how loudly and why.
+
+        Raises
+        ------
+        UsageError : shapes do not fit, or the row is not there.
+        """
+        u, y = as_record(self, u, y)
+        refuse_row(self, row, len(u))
+        at = u[row : row + 1]
+        said = self.firing(at, at)[0], self.rule_outputs(at, at)[0]
+        return taken_apart(self, row, at[0], said, self.simulate(at)[0])
 
     def rules(self) -> tuple[Rule, ...]:
         """Every rule in words."""

@@ -13,6 +13,7 @@ from flysid.errors import DataError, FitError, UsageError
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.ensemble import Ensemble, without_block
+from flysid.model.static_ts import StaticTS
 
 B, A = [0.0, 0.2], [1.0, -0.8]
 SMALL = ARX(na=1, nb=1, nk=1, refine=False)
@@ -51,6 +52,32 @@ def test_too_few_members_and_too_short_data_are_refused() -> None:
         Ensemble(SMALL, members=2).fit(Dataset.from_arrays(u[:40], y[:40], 0.1))
 
 
+def test_a_run_no_longer_than_its_start_is_its_start() -> None:
+    u, y = experiment(1)
+    model = Ensemble(ARX(na=3, nb=1, nk=1, refine=False), members=2).fit(Dataset.from_arrays(u, y, 0.1))
+    for n in (0, 1, 3):
+        assert model.simulate(u[:n], y[:3]).ravel().tolist() == y[:n].tolist()
+
+
+def test_what_is_no_setting_of_a_model_is_named() -> None:
+    u, y = experiment(2)
+    for of in (ARX, None):
+        with pytest.raises(UsageError, match="of="):
+            Ensemble(of).fit(Dataset.from_arrays(u, y, 0.1))  # type: ignore[arg-type]
+
+
+def test_an_explanation_is_of_all_members_alike() -> None:
+    u, y = experiment(1)
+    data = Dataset.from_arrays(u, y, 0.1)
+    model = Ensemble(StaticTS(rules=2), members=3).fit(data)
+    told = model.explain(u, y, 50)
+    assert sum(v.share for v in told.voices) == pytest.approx(1.0)
+    assert told.output == pytest.approx(model.simulate(u)[50])
+    assert {v.label for v in told.voices} == {f"M{i}.R{r}" for i in (1, 2, 3) for r in (1, 2)}
+    with pytest.raises(UsageError, match="nothing to explain"):
+        Ensemble(SMALL, members=2).fit(data).explain(u, y, 50)
+
+
 @dataclass(frozen=True)
 class Sometimes:
     """An estimator that fails where the first sample of the data is missing."""
@@ -68,3 +95,10 @@ def test_members_that_fail_are_counted() -> None:
     model = Ensemble(Sometimes(float(y[0])), members=3).fit(Dataset.from_arrays(u, y, 0.1))
     assert len(model.members) == 2
     assert any("1 more could not be fitted: not this time" in note for note in model.notes)
+
+
+def test_a_reason_comes_with_one_hint() -> None:
+    data = Dataset.from_arrays(np.ones(300), np.arange(300.0), 0.1)
+    with pytest.raises(FitError, match="never moves") as caught:
+        Ensemble(StaticTS(rules=2), members=2).fit(data)
+    assert str(caught.value).count("Try:") == 1

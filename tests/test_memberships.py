@@ -73,7 +73,6 @@ def test_where_nothing_fires_the_nearest_rule_speaks() -> None:
 def test_outside_the_training_range_the_nearest_end_is_read() -> None:
     p = partition(low=-1.0, high=2.0)
     assert np.array_equal(p.firing(np.array([[50.0, 0.0]])), p.firing(np.array([[2.0, 0.0]])))
-    assert p.outside(np.array([[50.0, 0.0], [0.0, 0.0]])).tolist() == [1.0, 0.0]
 
 
 def test_round_trip_and_bad_settings() -> None:

@@ -92,3 +92,28 @@ def test_bad_input_is_named() -> None:
         StaticTS(rules=0).fit(Dataset.from_arrays(u, y, 0.1))
     with pytest.raises(DataError, match="distinct"):
         StaticTS(rules=7).fit(Dataset.from_arrays(u[:4], y[:4], 0.1))
+
+
+def test_an_explanation_adds_up() -> None:
+    u, y = bent()
+    model = StaticTS(rules=3).fit(Dataset.from_arrays(u, np.c_[y, -2 * y], 0.1))
+    told = model.explain(u, np.c_[y, -2 * y], 7)
+    assert told.antecedents == {"u(k)": u[7]}
+    assert sum(v.share for v in told.voices) == pytest.approx(1.0)
+    assert told.output == pytest.approx(model.simulate(u)[7])
+    assert sum(v.share * v.output[1] for v in told.voices) == pytest.approx(told.output[1])
+    assert told.outside == ()
+    assert model.explain(np.full(3, 9.0), np.zeros((3, 2)), 0).outside == ("u(k)",)
+    with pytest.raises(UsageError, match="cannot be explained"):
+        model.explain(u, np.c_[y, y], len(u))
+
+
+def test_records_that_do_not_fit_are_refused() -> None:
+    u, y = bent()
+    model = StaticTS(rules=3).fit(Dataset.from_arrays(u, y, 0.1))
+    with pytest.raises(UsageError, match="20 samples and y has 19"):
+        model.predict(np.zeros(20), np.zeros(19))
+    with pytest.raises(UsageError, match="at least one step"):
+        model.predict(np.zeros(20), np.zeros(20), k=0)
+    with pytest.raises(UsageError, match="u is no array of numbers"):
+        model.simulate("far")  # type: ignore[arg-type]

@@ -97,8 +97,22 @@ def test_an_explanation_adds_up(model: FittedTS) -> None:
     far = explain(model, u, y + 100, 40)
     assert far.outside == ("y(k-1)",)
     assert outside_share(model, u, y + 100) == 1.0
-    with pytest.raises(UsageError, match="cannot be explained"):
-        explain(model, u, y, 0)
+    for row in (0, 60, "last"):
+        with pytest.raises(UsageError, match="cannot be explained"):
+            explain(model, u, y, row)  # type: ignore[arg-type]
+
+
+def test_what_lies_outside_the_training_range_is_said_from_its_end_on(model: FittedTS) -> None:
+    """The memberships go on a quarter beyond; that is no reason to call those samples seen."""
+    u, y = flight(1200, 1)
+    assert model.trained_range[:, 0] == pytest.approx([y[1:-1].min(), y[1:-1].max()])
+    assert outside_share(model, u, y) == 0.0
+    top = int(y[1:-1].argmax()) + 2
+    assert explain(model, u, y, top).outside == ()
+    beyond = y.copy()
+    beyond[top - 1] += 0.02 * np.ptp(y)
+    assert explain(model, u, beyond, top).outside == ("y(k-1)",)
+    assert outside_share(model, u, beyond) > 0.0
 
 
 def test_python_control_follows_the_free_run(model: FittedTS) -> None:

@@ -6,13 +6,15 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.base import Rule
-from flysid.model.fuzzy.memberships import Partition
 from flysid.model.fuzzy.model import FittedTS
 from flysid.model.fuzzy.tongue import number
+
+_ROUNDING = 1e-9  # of the range: its ends are inside
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,8 @@ class Explanation:
     ----------
     row : sample explained.
     antecedents : name -> value that the memberships saw.
-    outside : names of antecedents outside the range seen in training (read as the range's nearest end).
+    outside : names of antecedents outside the range seen in training; farther out than a quarter of it the
+        memberships stay as they are there.
     voices : rules by share, loudest first.
     output : (n_y,) their weighted mean, the prediction.
     """
@@ -66,15 +69,20 @@ class Explanation:
         return "\n".join(lines)
 
 
-class Explained(Protocol):
-    """A model of rules, as far as it is explained alike over lags and over states."""
+class Started(Protocol):
+    """A model that needs so many samples before the first that it speaks of."""
 
     @property
     def n_init(self) -> int: ...
+
+
+class Explained(Started, Protocol):
+    """A model of rules, as far as it is explained alike over lags and over states."""
+
     @property
     def antecedents(self) -> tuple[str, ...]: ...
     @property
-    def partition(self) -> Partition: ...
+    def trained_range(self) -> FloatArray: ...
     def rules(self) -> tuple[Rule, ...]: ...
 
 
@@ -95,11 +103,11 @@ def explain(model: FittedTS, u: FloatArray, y: FloatArray, row: int) -> Explanat
     return taken_apart(model, row, z, (shares, alone), model.one_step(part_u, part_y)[-1])
 
 
-def refuse_row(model: Explained, row: int, samples: int) -> None:
+def refuse_row(model: Started, row: int, samples: int) -> None:
     """Raises UsageError where a row of so many samples has no full history, or is not there."""
-    if not model.n_init <= row < samples:
+    if not isinstance(row, int | np.integer) or not model.n_init <= row < samples:
         raise UsageError(
-            f"sample {row} cannot be explained", hint=f"choose one from {model.n_init} to {samples - 1}"
+            f"sample {row!r} cannot be explained", hint=f"choose one from {model.n_init} to {samples - 1}"
         )
 
 
@@ -116,11 +124,11 @@ def taken_apart(
     """
     shares, alone = said
     rules = model.rules()
-    low, high = model.partition.low, model.partition.high
+    beyond = is_outside(model, z[None])[0]
     return Explanation(
         row,
         {name: float(v) for name, v in zip(model.antecedents, z, strict=True)},
-        tuple(n for n, v, a, b in zip(model.antecedents, z, low, high, strict=True) if not a <= v <= b),
+        tuple(name for name, out in zip(model.antecedents, beyond, strict=True) if out),
         tuple(
             Voice(rules[r].label, rules[r].condition, float(shares[r]), tuple(float(v) for v in alone[r]))
             for r in np.argsort(-shares, kind="stable")
@@ -140,4 +148,11 @@ def antecedent_values(model: FittedTS, u: FloatArray, y: FloatArray) -> FloatArr
 def outside_share(model: FittedTS, u: FloatArray, y: FloatArray) -> float:
     """Share of samples, 0 to 1, in which an antecedent lies outside the range seen in training."""
     z = antecedent_values(model, u, y)
-    return float(model.partition.outside(z).mean()) if len(z) and z.shape[1] else 0.0
+    return float(is_outside(model, z).any(axis=1).mean()) if len(z) and z.shape[1] else 0.0
+
+
+def is_outside(model: Explained, z: FloatArray) -> npt.NDArray[np.bool_]:
+    """(N, n_z) which antecedents z (N, n_z) lie outside the range seen in training."""
+    low, high = model.trained_range
+    rounding = _ROUNDING * (high - low)
+    return np.asarray((z < low - rounding) | (z > high + rounding))

@@ -116,10 +116,6 @@ class Partition:
                 far = far + d * d
         return normalised(total, far)
 
-    def outside(self, z: FloatArray) -> FloatArray:
-        """(N,) 1.0 where any antecedent lies outside the range seen in training, else 0.0."""
-        return np.asarray(((z < self.low) | (z > self.high)).any(axis=1), dtype=np.float64)
-
     def to_dict(self) -> dict[str, Any]:
         """JSON types only."""
         arrays = {name: getattr(self, name).tolist() for name in ("centre", "left", "right", "low", "high")}

@@ -22,6 +22,7 @@ from flysid.model.fuzzy.check import check
 from flysid.model.fuzzy.choice import estimated_initial
 from flysid.model.fuzzy.kernel import Parameters, firing, free_run, predict
 from flysid.model.fuzzy.layout import Antecedent, Layout, Orders
+from flysid.model.fuzzy.problem import REACH, widened
 from flysid.model.fuzzy.ruled import Ruled
 from flysid.model.fuzzy.words import condition_in_words, equation, in_words
 from flysid.model.noise import output_error_ahead
@@ -69,6 +70,14 @@ class FittedTS(Ruled):
         """(2, n_y) range of the training outputs, widened by itself on each side."""
         n = self.layout.n_y
         return np.asarray(self.parameters.limits * self.layout.scale[:n] + self.layout.shift[:n])
+
+    @property
+    def trained_range(self) -> FloatArray:
+        """(2, n_z) smallest and largest antecedents of the training data, physical units.
+
+        The memberships go on beyond, a quarter of this range on either side, before they stay as they are.
+        """
+        return widened(super().trained_range, -REACH / (1.0 + 2.0 * REACH))
 
     def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
         """(N, n_y) predictions from outputs at least k steps old; the first n_init + k - 1 rows are NaN.

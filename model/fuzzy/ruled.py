@@ -6,6 +6,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from flysid.dataset import FloatArray, Signal
 from flysid.model.base import write_document
 from flysid.model.fuzzy.kernel import Parameters
@@ -79,6 +81,11 @@ class Ruled:
     def partition(self) -> Partition:
         """Memberships in physical units."""
         return physical_partition(self.layout, self.parameters)
+
+    @property
+    def trained_range(self) -> FloatArray:
+        """(2, n_z) smallest and largest antecedents of the training data, physical units."""
+        return np.stack([self.partition.low, self.partition.high])
 
     @property
     def centres(self) -> FloatArray:
