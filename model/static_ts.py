@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from flysid.model.arguments import as_columns, as_record
 from flysid.model.base import Rule, Structure, write_document
 from flysid.model.documents import head_of, signals_of
 from flysid.model.fuzzy.cluster import MOST_SAMPLES, Method, cluster, project
-from flysid.model.fuzzy.consequents import least_squares, weighted
+from flysid.model.fuzzy.consequents import Consequents, Criterion, check_criterion, fit_consequents
 from flysid.model.fuzzy.explain import Explanation, refuse_row, taken_apart
 from flysid.model.fuzzy.memberships import Conjunction, Partition, Shape
 from flysid.model.fuzzy.tongue import number
@@ -46,6 +46,10 @@ class StaticTS:
     conjunction : "product" or "minimum" (differs with several inputs only).
     two_sided : each membership has a left and a right width ("unsymmetrical" in the paper).
     seed : of the clusters' starts.
+    consequents : "global", eq. (4); "local": every rule by itself, which can be read by itself; or "mixed",
+        see flysid.model.fuzzy.consequents.
+    ridge : weight that draws the rules to the one straight line of the data, or "auto": by generalised
+        cross-validation.
     """
 
     rules: int = 7
@@ -54,39 +58,61 @@ class StaticTS:
     conjunction: Conjunction = "product"
     two_sided: bool = True
     seed: int = 0
+    consequents: Criterion = "global"
+    ridge: float | Literal["auto"] = 0.0
 
     @on_one_thread
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedStaticTS:
-        """Cluster the training samples, then solve eq. (4). `validation` is not needed: nothing is chosen.
+        """Cluster the training samples, then solve eq. (4). `validation` is not needed.
 
         Data on disk are read in blocks: memory does not grow with them, and the numbers are the same.
 
         Raises
         ------
-        UsageError : fewer than one rule, an unknown method or shape.
-        DataError : no samples, an input that never moves, fewer distinct samples than rules.
+        UsageError : fewer than one rule, an unknown method or shape, other settings that cannot be.
+        DataError : no samples, an input that never moves, fewer distinct samples than rules, no more samples
+            than the rules have numbers.
         """
         del validation
-        if isinstance(self.rules, bool) or not isinstance(self.rules, int) or self.rules < 1:
-            raise UsageError(f"rules={self.rules!r}", hint="give a whole number of rules, at least 1")
+        self._check()
         n_u, survey = len(train.inputs), _Survey.of(train)
         partition = self._partition(survey, n_u)
-        consequents, _ = least_squares(lambda: _weighted_pieces(partition, train), len(partition))
+        if survey.rows <= self.rules * (n_u + 1):
+            raise DataError(
+                f"{self.rules} rules of {n_u + 1} numbers need more than the {survey.rows} samples there are",
+                hint="ask for fewer rules, or record longer",
+            )
+        found = fit_consequents(lambda: _pieces(partition, train), self.consequents, self.ridge)
         y_low, y_high = survey.low[n_u:], survey.high[n_u:]
         return FittedStaticTS(
             dt_s=train.dt_s,
             inputs=train.inputs,
             outputs=train.outputs,
             partition=partition,
-            consequents=consequents,
+            consequents=found.theta,
             support=_support(partition, train),
             output_limits=np.array([2.0 * y_low - y_high, 2.0 * y_high - y_low]),
             notes=(
                 f"{len(partition)} rules were asked for, from {self.method} clusters of inputs and outputs "
                 f"in {survey.rows} samples.",
+                *self._on_consequents(found),
                 "The model has no memory: whatever depends on the past of the input is not in it.",
             ),
         )
+
+    def _on_consequents(self, found: Consequents) -> list[str]:
+        if self.consequents == "global" and not found.ridge:
+            return []
+        return [f"Consequents by {found.told(self.consequents)}."]
+
+    def _check(self) -> None:
+        for name, least in (("rules", 1), ("seed", 0)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < least:
+                raise UsageError(f"{name}={value!r}", hint=f"give a whole number, at least {least}")
+        if not isinstance(self.two_sided, bool):
+            raise UsageError(f"two_sided={self.two_sided!r}", hint="give True or False")
+        check_criterion(self.consequents, self.ridge)
 
     def _partition(self, survey: _Survey, n_u: int) -> Partition:
         clusters = cluster(survey.thinned, self.rules, self.method, seed=self.seed)
@@ -283,10 +309,10 @@ def _samples(data: Source) -> Iterator[tuple[FloatArray, FloatArray]]:
     return ((block[n_y:].T, block[:n_y].T) for _, block in blocks_of(data)())
 
 
-def _weighted_pieces(partition: Partition, data: Source) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """[phi_r u, phi_r] (n, R (n_u + 1)) and y (n, n_y) of eq. (4), in pieces."""
+def _pieces(partition: Partition, data: Source) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Firing strengths (n, R), regressors [u, 1] (n, n_u + 1) and y (n, n_y), in pieces."""
     for u, y in _samples(data):
-        yield weighted(partition.firing(u), np.hstack([u, np.ones((len(u), 1))])), y
+        yield partition.firing(u), np.hstack([u, np.ones((len(u), 1))]), y
 
 
 def _support(partition: Partition, data: Source) -> FloatArray:
