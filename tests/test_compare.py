@@ -57,6 +57,21 @@ def test_change_is_of_the_rmse_and_scores_are_pooled() -> None:
     assert [s.scores.n for s in entry.models["ts"].segments] == [280, 480]
 
 
+def test_the_headline_is_the_free_run_in_whatever_order_the_horizons_are_asked_for() -> None:
+    test = flown(TRUTH, [300] * 5, noise=0.05)
+    usual, turned = (compare([WRONG, TS], test, horizons=h) for h in (("free_run", 1), (1, "free_run")))
+    assert turned.head == "free_run"
+    assert summary({"roll": turned}) == summary({"roll": usual})
+    assert "free run: RMSE" in summary({"roll": turned})
+    free, ahead = (
+        next(r for r in table({"roll": turned}).splitlines() if h in r).split()
+        for h in ("free run", "1 step")
+    )
+    assert free[-4:-2] == ["2", "3"]  # rules and parameters stand in the lines of the headline only
+    assert ahead[-3].endswith("]")
+    assert "10 steps (0.5 s): RMSE" in summary({"roll": compare([WRONG, TS], test, horizons=(10, 1))})
+
+
 def test_the_same_samples_start_every_model_and_none_is_scored() -> None:
     test = flown(TRUTH, [100], noise=0.05)
     slow = replace(WRONG, n_init=7)

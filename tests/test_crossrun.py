@@ -16,6 +16,7 @@ from flysid.ingest.batch import find_logs, ingest_logs
 from flysid.ingest.lake import open as open_lake
 from flysid.ingest.synth import WRITERS, Order, flights
 from flysid.split import plan_split
+from flysid.validate import crossrun
 from flysid.validate.crossrun import RunSource, expected_of_runs, judge_runs, unseen
 from flysid.validate.fitting import fit_run
 from flysid.validate.report.narrative import called
@@ -102,6 +103,18 @@ def test_two_runs_are_compared_like_with_like(runs: tuple[Run, Run]) -> None:
     assert fields_of(expected["channels"]) == fields_of(judgement.document["channels"])
     with pytest.raises(UsageError, match="model 'bj'"):
         expected_of_runs(a.run, a.run, "bj")
+
+
+def test_channels_of_one_run_only_are_named(runs: tuple[Run, Run], monkeypatch: pytest.MonkeyPatch) -> None:
+    def more(run: Run, data: Path | None = None) -> list[HeldOut]:
+        (one,) = held_out(run, data)
+        return [one, replace(one, channel=replace(one.channel, name="yaw"))] if run == runs[1] else [one]
+
+    monkeypatch.setattr(crossrun, "held_out", more)
+    judgement = judge_runs(*map(RunSource, runs))
+    assert judgement.skipped == {"yaw": "fitted by run B only"}
+    assert judgement.unjudged == ()
+    assert judge_runs(*map(RunSource, runs[::-1])).skipped == {"yaw": "fitted by run A only"}
 
 
 def test_only_flights_held_out_by_both_are_used(runs: tuple[Run, Run]) -> None:

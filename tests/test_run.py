@@ -7,23 +7,26 @@ import json
 import shutil
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from flysid.cli.fit import transfer_lines
+from flysid.cli.output import finish
 from flysid.errors import DataError, StoreError, UsageError
 from flysid.flightwriter import write_atomically
 from flysid.ingest.batch import find_logs, ingest_logs
 from flysid.ingest.lake import open as open_lake
 from flysid.ingest.synth import WRITERS, Order, flights
 from flysid.model.base import Estimator
-from flysid.validate import fitting
+from flysid.validate import fitting, judge
 from flysid.validate.baseline import linear_estimators
+from flysid.validate.comparison import Comparison
 from flysid.validate.expected import expected_of_run
 from flysid.validate.fitting import fit_run
 from flysid.validate.judge import judge_run, write_judgement
-from flysid.validate.run import FitSettings, Run, held_out, open_run, replacing_folder
+from flysid.validate.run import FitSettings, HeldOut, Run, held_out, open_run, replacing_folder
 from flysid.validate.words import number
 from tests.fakes import fields_of
 
@@ -109,6 +112,39 @@ def test_other_forms_of_the_judgement_tell_the_same_numbers(run: Run) -> None:
     assert f"| arx | {number(rmse)} m/s |" in judgement.text("markdown")
     with pytest.raises(UsageError, match="no form 'docx'"):
         judgement.text("docx")
+
+
+def test_channels_that_are_not_judged_are_named_everywhere(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    skipped = replace(run, skipped={"yaw": "no <yaw> command"})
+    judgement = judge_run(skipped)
+    page = write_judgement(judgement, tmp_path / "report").read_text("utf-8")
+    assert "<b>Not judged: yaw</b>: no &lt;yaw&gt; command" in page
+    assert "- **yaw**: not judged: no \\<yaw\\> command" in judgement.text("markdown")
+    assert finish(judgement, None, None, quiet=True) == 0  # the data did not serve it, which the fit has said
+    assert "channel yaw not judged: no <yaw> command" in capsys.readouterr().err
+
+    def short(*_: object, **__: object) -> Comparison:
+        raise DataError("too short")
+
+    other = judgement.comparisons[CHANNEL]
+    monkeypatch.setattr(judge, "held_out", lambda *_: [*held_out(run), *_renamed(run, "yaw")])
+    monkeypatch.setattr(judge, "compare", lambda _, test, **__: other if test.name else short())
+    lost = judge_run(run)
+    assert (lost.unjudged, lost.skipped) == (("yaw",), {"yaw": "too short"})
+    assert finish(lost, None, None, quiet=True) == 3
+    assert finish(lost, "free_run.models.arx.rmse > 0", None, quiet=True) == 4
+    monkeypatch.setattr(judge, "compare", short)
+    with pytest.raises(DataError, match=f"no channel can be judged: {CHANNEL}, yaw: too short$"):
+        judge_run(run)
+
+
+def _renamed(run: Run, name: str) -> list[HeldOut]:
+    return [
+        replace(h, channel=replace(h.channel, name=name), test=replace(h.test, name=""))
+        for h in held_out(run)
+    ]
 
 
 def test_figures_without_matplotlib_name_the_extra_and_leave_nothing(

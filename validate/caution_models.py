@@ -73,10 +73,9 @@ def contested(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
     del diagnoses
     said = []
     for c in comparisons.values():
-        head = FREE_RUN if FREE_RUN in c.horizons else c.horizons[0]
         for output, pair in c.verdict.items():
             if pair.contested:
-                entry = c.entry(output, head)
+                entry = c.entry(output, c.head)
                 rmse = {n: entry.models[n].scores.rmse for n in pair.short_of}
                 best = min(rmse, key=lambda n: rmse[n])
                 figures = ", ".join(
@@ -137,10 +136,10 @@ def spare_words(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caut
 def runs_away(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
     """Models that reach their limits in a long run although they did not on the held-out part."""
     for channel, d in diagnoses.items():
-        free = comparisons[channel].horizons[0]
+        head = comparisons[channel].head
         for name, checks in d.checks.items():
             at = checks.robustness.limits_s
-            lost = comparisons[channel].entry(horizon=free).models[name].diverged
+            lost = comparisons[channel].entry(horizon=head).models[name].diverged
             if at is not None and not lost:
                 yield Caution(
                     "warning",

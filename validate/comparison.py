@@ -160,12 +160,16 @@ class Comparison:
         return tuple(dict.fromkeys(e.horizon for e in self.entries))
 
     @property
+    def head(self) -> str:
+        """The horizon the headline speaks of: the free run, the first where there is none."""
+        return FREE_RUN if FREE_RUN in self.horizons else self.horizons[0]
+
+    @property
     def verdict(self) -> dict[str, Pair]:
         """The headline pair in free run (or the first horizon), by output name."""
         if self.contender is None:
             return {}
-        head = self.horizons[0] if FREE_RUN not in self.horizons else FREE_RUN
-        return {e.output.name: e.pairs[self.contender] for e in self.entries if e.horizon == head}
+        return {e.output.name: e.pairs[self.contender] for e in self.entries if e.horizon == self.head}
 
     def entry(self, output: str | None = None, horizon: str | int = FREE_RUN) -> Entry:
         """The entry of an output (the first when None) at a horizon.

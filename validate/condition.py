@@ -52,18 +52,13 @@ Value = float | str | None
 Channels = Mapping[str, Mapping[str, Any]]
 
 
-def evaluate_condition(expression: str, document: Mapping[str, Any]) -> bool:
-    """Whether the condition holds on any channel of a `to_json` document.
+def matching_channels(expression: str, document: Mapping[str, Any]) -> tuple[str, ...]:
+    """The channels of a `to_json` document on which the condition holds; all where it names its channels.
 
     Raises
     ------
     UsageError : the expression is not understood, or names what the document does not hold.
     """
-    return bool(matching_channels(expression, document))
-
-
-def matching_channels(expression: str, document: Mapping[str, Any]) -> tuple[str, ...]:
-    """The channels on which the condition holds; errors as `evaluate_condition`."""
     tokens, channels = _tokens(expression), document["channels"]
     skipped = document.get("skipped", {})
     return tuple(name for name in channels if _Parser(tokens, channels, name, skipped).run())
@@ -166,11 +161,17 @@ class _Parser:
         if sign.text not in _COMPARE:
             raise UsageError(f"condition needs a comparison, not {sign.text!r}", hint=EXAMPLE)
         right = self._operand()
-        self._check_sides(self._tokens[begin], self._tokens[self._at - 1])
+        end = self._at - 1
+        self._check_sides(self._tokens[begin], self._tokens[end])
         if left is None or right is None:
             return False
         if isinstance(left, str) != isinstance(right, str):
-            raise UsageError(f"condition compares {left!r} with {right!r}", hint=EXAMPLE)
+            word, other = (begin, end) if isinstance(left, str) else (end, begin)
+            raise UsageError(
+                f"condition compares {self._tokens[other].text!r}, a number, with "
+                f"{self._tokens[word].text!r}, a word",
+                hint=EXAMPLE,
+            )
         if isinstance(left, str) and sign.text not in ("==", "!="):
             raise UsageError(f"words are equal or not, {sign.text!r} does not order them", hint=EXAMPLE)
         return _COMPARE[sign.text](left, right)

@@ -19,7 +19,7 @@ from flysid.split import Piece, Split, refuse_copies
 from flysid.validate.baseline import REFERENCES
 from flysid.validate.compare import Comparison, across_channels, compare, sides_of
 from flysid.validate.expected import expected_document
-from flysid.validate.judge import Judgement
+from flysid.validate.judge import Judgement, by_reason
 from flysid.validate.report.context import ReportContext
 from flysid.validate.run import HeldOut, Progress, Run, held_out, models_of
 
@@ -55,19 +55,22 @@ def judge_runs(
     if not shared:
         raise DataError(f"the runs share no channel: {_names(theirs)} and {_names(ours)}")
     found: dict[str, Comparison] = {}
-    skipped: dict[str, str] = {}
+    failed: dict[str, str] = {}
     for name in shared:
         progress(f"{name}: comparing")
         try:
             found[name] = _compare(theirs[name], ours[name], label, b.run.settings.seed)
         except DataError as error:
-            skipped[name] = str(error)
+            failed[name] = str(error)
     if not found:
-        raise DataError("no channel can be compared: " + "; ".join(f"{n}: {w}" for n, w in skipped.items()))
+        raise DataError(f"no channel can be compared: {by_reason(failed)}")
     corrected = across_channels(found)
     context = _context(a.run, b.run, corrected, [ours[n] for n in found])
     seconds = {n: _seconds("a", theirs[n]) | _seconds("b", ours[n]) for n in found}
-    return Judgement(b.run, corrected, skipped, replace(context, fit_seconds=seconds))
+    skipped = {name: "fitted by run B only" for name in ours if name not in theirs}
+    skipped |= {name: "fitted by run A only" for name in theirs if name not in ours} | failed
+    context = replace(context, fit_seconds=seconds, skipped=skipped)
+    return Judgement(b.run, corrected, skipped, context, tuple(failed))
 
 
 def expected_of_runs(a: Run, b: Run, label: str | None = None) -> dict[str, Any]:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from flysid.errors import DataError, UsageError
 from flysid.flightwriter import write_atomically
+from flysid.validate.caution import Caution
+from flysid.validate.cautions import cautions
 from flysid.validate.compare import Comparison, across_channels, compare
-from flysid.validate.condition import evaluate_condition
+from flysid.validate.condition import matching_channels
 from flysid.validate.document import to_json
 from flysid.validate.paperfigures import write_figures
 from flysid.validate.report.context import ReportContext
@@ -33,14 +35,16 @@ class Judgement:
     Attributes
     ----------
     comparisons : by channel, corrected over channels.
-    skipped : channels that could not be judged, with the reason.
+    skipped : channels that are not in `comparisons`, with the reason.
     context : all that the page is drawn from.
+    unjudged : those of `skipped` that were fitted, and should have been judged.
     """
 
     run: Run
     comparisons: Mapping[str, Comparison]
     skipped: Mapping[str, str]
     context: ReportContext
+    unjudged: tuple[str, ...] = ()
 
     @property
     def document(self) -> dict[str, Any]:
@@ -77,16 +81,24 @@ class Judgement:
         forms: dict[str, Callable[[], str]] = {
             "table": lambda: self.table,
             "json": lambda: json.dumps(self.document, indent=1, allow_nan=False),
-            "markdown": lambda: to_markdown(self.comparisons, self.context.fit_seconds),
+            "markdown": self._markdown,
             "csv": lambda: to_csv(self.comparisons),
         }
         if form not in forms:
             raise UsageError(f"no form {form!r} of a comparison", hint=f"one of {', '.join(forms)}")
         return forms[form]().rstrip("\n")
 
-    def violates(self, condition: str) -> bool:
-        """Whether a `--fail-if` condition holds; raises UsageError where it is not understood."""
-        return evaluate_condition(condition, self.document)
+    def _markdown(self) -> str:
+        return to_markdown(self.comparisons, self.context.fit_seconds, self.cautions, self.skipped)
+
+    @property
+    def cautions(self) -> tuple[Caution, ...]:
+        """What to beware of, worst first; as on the page."""
+        return cautions(self.comparisons, self.context.diagnoses, self.context.doubts)
+
+    def violations(self, condition: str) -> tuple[str, ...]:
+        """The channels on which a `--fail-if` condition holds; UsageError where it is not understood."""
+        return matching_channels(condition, self.document)
 
 
 def judge_run(
@@ -107,7 +119,7 @@ def judge_run(
     """
     held = held_out(run, data)
     comparisons: dict[str, Comparison] = {}
-    skipped: dict[str, str] = dict(run.skipped)
+    failed: dict[str, str] = {}
     for item in held:
         progress(f"{item.channel.name}: comparing {', '.join(item.models)} on held-out segments")
         try:
@@ -115,11 +127,21 @@ def judge_run(
                 item.models, item.test, baseline=item.channel.baseline, seed=run.settings.seed
             )
         except DataError as error:
-            skipped[item.channel.name] = str(error)
+            failed[item.channel.name] = str(error)
     if not comparisons:
-        raise DataError("no channel can be judged: " + "; ".join(f"{n}: {w}" for n, w in skipped.items()))
+        raise DataError(f"no channel can be judged: {by_reason(failed)}")
     corrected = across_channels(comparisons)
-    return Judgement(run, corrected, skipped, _context(run, corrected, held, remark))
+    skipped = {**run.skipped, **failed}
+    context = replace(_context(run, corrected, held, remark), skipped=skipped)
+    return Judgement(run, corrected, skipped, context, tuple(failed))
+
+
+def by_reason(skipped: Mapping[str, str]) -> str:
+    """ "roll, pitch: too short; yaw: not excited": every reason once."""
+    names: dict[str, list[str]] = {}
+    for name, why in skipped.items():
+        names.setdefault(why, []).append(name)
+    return "; ".join(f"{', '.join(those)}: {why}" for why, those in names.items())
 
 
 def write_judgement(judgement: Judgement, folder: Path, figures: str | None = None) -> Path:

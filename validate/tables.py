@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from flysid.validate.caution import Caution
 from flysid.validate.comparison import Comparison, Entry, Pair
 from flysid.validate.metrics import Scores
 from flysid.validate.terminal import Seconds, shown_models, standing, summary_cells
@@ -50,8 +51,8 @@ class _Row:
 
     @property
     def sized(self) -> bool:
-        """Size and fit time stand in the lines of the first horizon only."""
-        return self.entry.horizon == self.comparison.horizons[0]
+        """Size and fit time stand in the lines of the headline's horizon only."""
+        return self.entry.horizon == self.comparison.head
 
 
 HEADINGS = (
@@ -74,21 +75,31 @@ def _ranked(
                 yield _Row(label, entry, model, entry.pairs.get(model), c, times.get(model))
 
 
-def to_markdown(comparisons: Mapping[str, Comparison], seconds: Seconds | None = None) -> str:
-    """The verdict in free run, line by line, and the table; GitHub's dialect, ends with a line break.
+def to_markdown(
+    comparisons: Mapping[str, Comparison],
+    seconds: Seconds | None = None,
+    cautions: Sequence[Caution] = (),
+    skipped: Mapping[str, str] | None = None,
+) -> str:
+    """Verdicts line by line, what to beware of, and the table; GitHub's dialect, ends with a line break.
 
-    All models stand in free run, the best first, and the headline's two at the other horizons.
+    All models stand in free run, the best first, and the headline's two at the other horizons. `skipped` are
+    channels that no verdict is about, with the reason.
     """
     said = [
         f"- **{_escape(name)}**: {_sentence(cells, _escape)}" for name, *cells in summary_cells(comparisons)
     ]
+    said += [f"- **{_escape(name)}**: not judged: {_escape(why)}" for name, why in (skipped or {}).items()]
+    if cautions:
+        said += ["", "Before you rely on this:", ""]
+        said += [f"- {c.level}: {_escape(f'{c.text} {c.todo}'.strip())}" for c in cautions]
     lines = [f"| {' | '.join(HEADINGS)} |", "|---|---|---|---:|---:|---:|---:|---|---:|---:|---:|---|"]
     lines += [f"| {' | '.join(_cells(row, _escape))} |" for row in _ranked(comparisons, seconds)]
     return "\n".join([*said, "", *lines] if said else lines) + "\n"
 
 
 def _sentence(cells: Sequence[str], escape: Callable[[str], str]) -> str:
-    """ "TS better; RMSE 0.16 → 0.04 m/s, −78 % [−86, −60]"."""
+    """ "TS better; free run: RMSE 0.16 → 0.04 m/s, −78 % [−86, −60]"."""
     verdict, rmse, *change = (escape(c.replace("->", "→")) for c in cells)
     return f"{verdict}; {rmse}, {' '.join(change)}".rstrip(", ")
 

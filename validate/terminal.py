@@ -41,7 +41,7 @@ def table(comparisons: Mapping[str, Comparison], fit_seconds: Seconds | None = N
 
 
 def summary(comparisons: Mapping[str, Comparison]) -> str:
-    """One line per channel and output: the verdict in free run, RMSE from and to, change and interval."""
+    """One line per channel and output: the verdict, RMSE from and to and its horizon, change and interval."""
     rows = summary_cells(comparisons)
     if not rows:
         return ""
@@ -50,18 +50,19 @@ def summary(comparisons: Mapping[str, Comparison]) -> str:
 
 
 def summary_cells(comparisons: Mapping[str, Comparison]) -> list[Sequence[str]]:
-    """Output, verdict, RMSE from and to, change and interval, as text, per channel and output."""
+    """Output, verdict, RMSE from and to at its horizon, change and interval, per channel and output."""
     rows: list[Sequence[str]] = []
     outputs = [output for c in comparisons.values() for output in c.verdict]
     for channel, comparison in comparisons.items():
         for output, pair in comparison.verdict.items():
-            entry = comparison.entry(output, comparison.horizons[0])
+            entry = comparison.entry(output, comparison.head)
+            horizon = horizon_words(entry.horizon, comparison.dt_s)
             from_, to = (number(entry.models[m].scores.rmse) for m in (pair.baseline, pair.model))
             rows.append(
                 (
                     one_line(output if outputs.count(output) == 1 else f"{channel}/{output}"),
                     verdict_words(pair),
-                    f"RMSE {from_} -> {to} {one_line(entry.output.unit)}".rstrip(),
+                    f"{horizon}: RMSE {from_} -> {to} {one_line(entry.output.unit)}".rstrip(),
                     change_words(pair),
                     interval_words(pair),
                 )
@@ -72,7 +73,7 @@ def summary_cells(comparisons: Mapping[str, Comparison]) -> list[Sequence[str]]:
 def shown_models(entry: Entry, comparison: Comparison) -> list[str]:
     """Models worth a line in a table for people, the best first: all in free run, else the headline's two."""
     ranked = sorted(entry.models, key=lambda m: entry.models[m].scores.rmse)
-    if entry.horizon == comparison.horizons[0] or comparison.contender is None:
+    if entry.horizon == comparison.head or comparison.contender is None:
         return ranked
     return [m for m in ranked if m in (comparison.baseline, comparison.contender)]
 
@@ -95,7 +96,7 @@ def _rows(
         score, pair, info = entry.models[name], entry.pairs.get(name), comparison.models[name]
         s = score.scores
         verdict = standing(name, entry, comparison)
-        first_horizon = entry.horizon == comparison.horizons[0]
+        headline = entry.horizon == comparison.head
         if score.diverged and entry.horizon == FREE_RUN:
             first = score.diverged[0]
             verdict += f" (diverged at t = {first.diverged_s:.1f} s, segment H{first.segment + 1})"
@@ -110,9 +111,9 @@ def _rows(
                 percentage(s.vaf_pct),
                 "" if pair is None else change_words(pair),
                 "" if pair is None else interval_words(pair),
-                str(info.n_rules) if first_horizon and not info.reference else "",
-                str(info.n_parameters) if first_horizon else "",
-                f"{seconds[name]:.1f}" if first_horizon and name in seconds else "",
+                str(info.n_rules) if headline and not info.reference else "",
+                str(info.n_parameters) if headline else "",
+                f"{seconds[name]:.1f}" if headline and name in seconds else "",
                 verdict,
             )
         )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from flysid.cli.output import check_target, chosen_form, comparison_forms, say, status
+from flysid.cli.output import check_target, chosen_form, comparison_forms, finish, status
 
 FOLDER = click.Path(path_type=Path)
 
@@ -37,7 +37,8 @@ def command(
     """Compare the models of two runs on flights that neither has trained on.
 
     The data are what RUN_B held out, without the flights that RUN_A was trained on. Changes are of RUN_B's
-    models against RUN_A's; below 0 % RUN_B is better.
+    models against RUN_A's; below 0 % RUN_B is better. Exit code 3: a channel of both runs could not be
+    compared; 4: --fail-if holds.
     """
     form = chosen_form(forms)
     if output is not None:
@@ -55,11 +56,4 @@ def command(
         judgement = judge_runs(a, b, label=label, progress=progress)
         page = None if output is None else write_judgement(judgement, output)
     click.echo(judgement.text(form))
-    for name, why in judgement.skipped.items():
-        say(f"channel {name} skipped: {why}")
-    if page is not None:
-        say(f"report: {page}", quiet)
-    if condition is not None and judgement.violates(condition):
-        say(f"check failed: {condition}")
-        return 4
-    return 0
+    return finish(judgement, condition, page, quiet)

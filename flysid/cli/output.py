@@ -6,11 +6,14 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from flysid.errors import UsageError
+
+if TYPE_CHECKING:
+    from flysid.validate.judge import Judgement
 
 F = TypeVar("F", bound=Callable[..., Any])
 REASONS_SHOWN = 5
@@ -59,6 +62,20 @@ def chosen_form(flags: Mapping[str, bool]) -> str:
             hint="run it twice with different -o, or read report.json",
         )
     return asked[0] if asked else "table"
+
+
+def finish(judgement: Judgement, condition: str | None, report: Path | None, quiet: bool) -> int:
+    """The words that end a comparison, and the exit code: 4 a check failed, 3 a channel was not judged."""
+    for name, why in judgement.skipped.items():
+        say(f"channel {name} not judged: {why}")
+    if report is not None:
+        say(f"report: {report}", quiet)
+    failed = judgement.violations(condition) if condition is not None else ()
+    if failed:
+        where = f" on {', '.join(failed)}" if len(failed) < len(judgement.document["channels"]) else ""
+        say(f"check failed{where}: {condition}")
+        return 4
+    return 3 if judgement.unjudged else 0
 
 
 @contextlib.contextmanager

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from flysid.cli.output import check_target, chosen_form, comparison_forms, say, status
+from flysid.cli.output import check_target, chosen_form, comparison_forms, finish, status
 
 
 @click.command("validate")
@@ -38,7 +38,8 @@ def command(
 ) -> int:
     """Compare the models of a run on its held-out segments; write report.html and report.json.
 
-    Free run is the headline: models see the inputs and a window at the start, nothing else.
+    Free run is the headline: models see the inputs and a window at the start, nothing else. Exit code 3: a
+    channel that was fitted could not be judged; 4: --fail-if holds.
     """
     form = chosen_form(forms)
     target = output if output is not None else run / "report"
@@ -59,11 +60,7 @@ def command(
         progress("writing the report")
         page = write_judgement(judgement, target, figures)
     click.echo(judgement.text(form))
-    say(f"report: {page}", quiet)
-    if condition is not None and judgement.violates(condition):
-        say(f"check failed: {condition}")
-        return 4
-    return 0
+    return finish(judgement, condition, page, quiet)
 
 
 def is_own_report(target: Path, run: Path) -> bool:

@@ -68,6 +68,7 @@ class ReportContext:
     remark : a short remark above the title, such as "simulated flights".
     fit_seconds : wall time of every fit, by channel and model, where known.
     doubts : reasons in the training data not to trust any model, by channel name.
+    skipped : channels that are not on the page, with the reason.
     """
 
     comparisons: Mapping[str, Comparison]
@@ -78,6 +79,7 @@ class ReportContext:
     remark: str = ""
     fit_seconds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     doubts: Mapping[str, Sequence[Doubt]] = field(default_factory=dict)
+    skipped: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def diagnoses(self) -> dict[str, Diagnosis]:

@@ -32,7 +32,6 @@ from flysid.validate.report.figures import interval_bar
 from flysid.validate.report.sections import Section, sections
 from flysid.validate.report.source import Source
 from flysid.validate.terminal import standing
-from flysid.validate.trials import FREE_RUN
 from flysid.validate.words import (
     change_words,
     horizon_words,
@@ -104,6 +103,7 @@ def render(context: ReportContext) -> str:
             title=narrative.title(pairs),
             subtitle=narrative.subtitle(pairs),
             basis=narrative.basis(comparisons, _seconds_of_training(context)),
+            skipped=[(one_line(name), one_line(why)) for name, why in context.skipped.items()],
             cards=_cards(comparisons),
             cautions=cautions(comparisons, diagnoses, context.doubts),
             rows=_rows(comparisons),
@@ -184,7 +184,7 @@ def _cards(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
     cards = []
     for channel, c in comparisons.items():
         for output, pair in c.verdict.items():
-            entry = c.entry(output, FREE_RUN if FREE_RUN in c.horizons else c.horizons[0])
+            entry = c.entry(output, c.head)
             base, model = (entry.models[m].scores for m in (pair.baseline, pair.model))
             sizes = [c.models[m] for m in (pair.baseline, pair.model)]
             cards.append(
@@ -237,7 +237,7 @@ def _rows(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
                         "name": one_line(channel or output.name),
                         "signals": one_line(f"{output.name}, {output.unit}" if output.unit else output.name),
                         "horizon": horizon_words(entry.horizon, c.dt_s),
-                        "headline": entry.horizon == FREE_RUN,
+                        "headline": entry.horizon == c.head,
                         "base": base,
                         "other": other,
                         "bar": interval_bar(pair, reach, narrative.css(pair), 190.0) if pair else "",
@@ -255,7 +255,7 @@ def _models(context: ReportContext) -> list[dict[str, Any]]:
     for channel, c in context.comparisons.items():
         seconds = context.fit_seconds.get(channel, {})
         for output in c.test.outputs:
-            entry = c.entry(output.name, c.horizons[0])
+            entry = c.entry(output.name, c.head)
             ranked = sorted(entry.models.items(), key=lambda item: item[1].scores.rmse)
             for i, (name, score) in enumerate(ranked):
                 info, pair = c.models[name], entry.pairs.get(name)
