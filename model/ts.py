@@ -15,6 +15,7 @@ from flysid.model.base import Structure
 from flysid.model.fuzzy.estimate import learn
 from flysid.model.fuzzy.finish import finished
 from flysid.model.fuzzy.model import FittedTS, from_dict
+from flysid.model.fuzzy.stable import with_stable_rules
 from flysid.model.threads import on_one_thread
 
 __all__ = ["MODEL", "TS", "FittedTS"]
@@ -36,6 +37,8 @@ class TS:
     iterations : Levenberg-Marquardt steps per stage.
     nk_hint : delays that "auto" tries as well, one per input: the dead time that the log shows
         (`flysid.ingest.deadtime`).
+    stable : no rule keeps a pole outside the unit circle (flysid.model.fuzzy.stable); without it a rule may,
+        as long as the blend comes back from random inputs. A pole at one, of a process that integrates, stays.
     """
 
     rules: int | Literal["auto"] = "auto"
@@ -47,6 +50,7 @@ class TS:
     most_rules: int = 5
     iterations: int = 30
     nk_hint: Sequence[int] = ()
+    stable: bool = False
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:
@@ -59,7 +63,10 @@ class TS:
         FitError : no stable model was found.
         """
         learned = learn(self, train, validation)
-        return finished(learned.stage, train, learned.notes, intervals=self.refine)
+        model = finished(learned.stage, train, learned.notes, intervals=self.refine)
+        if not self.stable or learned.stage.problem.integrates:
+            return model
+        return with_stable_rules(model, train)
 
 
 MODEL = Structure("ts", from_dict)
