@@ -38,7 +38,7 @@ class TS:
     nk_hint : delays that "auto" tries as well, one per input: the dead time that the log shows
         (`flysid.ingest.deadtime`).
     stable : no rule keeps a pole outside the unit circle (flysid.model.fuzzy.stable); without it a rule may,
-        as long as the blend comes back from random inputs. A pole at one, of a process that integrates, stays.
+        as long as the blend comes back from random inputs. The pole at one of an integrating process stays.
     """
 
     rules: int | Literal["auto"] = "auto"
