@@ -105,6 +105,22 @@ def test_two_runs_are_compared_like_with_like(runs: tuple[Run, Run]) -> None:
         expected_of_runs(a.run, a.run, "bj")
 
 
+def test_the_page_of_two_runs_says_how_to_make_both_again(runs: tuple[Run, Run]) -> None:
+    a, b = runs
+    context = judge_runs(RunSource(a), RunSource(b), label="arx").context
+    assert context.command.endswith("-o RUN_B && flysid compare RUN_A RUN_B --model arx")
+    assert "--seed 7 --rules 1" in context.command.split("RUN_A")[0]
+    told = context.provenance
+    assert told["bootstrap"] == "seed 13"
+    assert told[f"{CHANNEL}: split (run A)"].endswith("held out, seed 7")
+    assert told[f"{CHANNEL}: split (run B)"].endswith("held out, seed 13")
+    assert told[f"{CHANNEL}: data sha256"] == a.channels[0].split["data_sha256"]  # the same data: said once
+    assert told["version of flysid"] == a.versions["flysid"]
+    newer = replace(b, versions={**b.versions, "numpy": "9.9"})
+    told = judge_runs(RunSource(a), RunSource(newer)).context.provenance
+    assert told["version of numpy (run B)"] == "9.9"
+
+
 def test_channels_of_one_run_only_are_named(runs: tuple[Run, Run], monkeypatch: pytest.MonkeyPatch) -> None:
     def more(run: Run, data: Path | None = None) -> list[HeldOut]:
         (one,) = held_out(run, data)

@@ -16,15 +16,20 @@ import pytest
 
 from flysid.dataset import Dataset, Signal
 from flysid.errors import StoreError
+from flysid.ingest.doubts import Doubt
 from flysid.model.base import Rule
+from flysid.validate.bands import Curve
+from flysid.validate.caution_data import WEIGHTS
 from flysid.validate.cautions import MOST, cautions
 from flysid.validate.compare import Comparison, compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.report import ReportContext, Sweep, render, write_report
 from flysid.validate.report.decimate import decimate, rounded
-from flysid.validate.report.figures import sweep_figure
+from flysid.validate.report.figures import bode, sweep_figure
 from flysid.validate.report.rulefigures import antecedent_range
 from flysid.validate.report.svg import log_ticks, ticks
+from flysid.validate.verdict import Verdict
+from flysid.validate.words import verdict_words
 from tests.fakes import FirstOrder, flown
 
 ARX = FirstOrder(a=0.9, b=0.07)
@@ -277,14 +282,60 @@ def test_cautions_are_at_most_six_worst_first() -> None:
     test = flown(TS, [300] * 2, noise=0.02, flights=1)
     wild = replace(TS, a=1.4, limit=30.0)
     comparisons = {f"c{i}": compare([ARX, wild], test) for i in range(8)}
-    found = cautions(comparisons, {n: diagnose(c) for n, c in comparisons.items()})
+    diagnoses = {n: diagnose(c) for n, c in comparisons.items()}
+    doubts = [Doubt(kind, f"{kind} told", "fly.") for kind in WEIGHTS]
+    found = cautions(comparisons, diagnoses, dict.fromkeys(comparisons, doubts))
     assert len(found) == MOST
-    assert found[0].level == "danger"
-    assert "counted as a loss" in found[0].text
+    assert [c.level for c in found].count("danger") == 1  # one model diverged, on however many channels
+    assert found[0].text.startswith(
+        "TS diverged in free run on c0, in 2 of 2 held-out segments, first at t = "
+    )
+    assert "; c2, in" in found[0].text
+    assert found[0].text.endswith("; and on 5 more. It is counted as a loss.")
+    beside = {"c": compare({"arx": ARX, "ts": TS, "bj": replace(wild, structure="bj")}, test)}
+    (told,) = [c for c in cautions(beside, {"c": diagnose(beside["c"])}) if "diverged in" in c.text]
+    assert told.level == "warning"
+    assert "loss" not in told.text
     calm = {"c": compared()}
     levels = [c.level for c in cautions(calm, {"c": diagnose(compared())})]
     assert levels == sorted(levels, key=["danger", "warning", "note", "good"].index)
     assert levels[-1] == "good"
+    one = compare([ARX], test)
+    static = {**diagnose(one).pole_radius, "line": 0.0}
+    said = cautions({"c": one}, {"c": replace(diagnose(one), pole_radius=static)})[-1].text
+    assert said.startswith("The model is stable")  # a line has no poles, and no merit of being stable
+
+
+def test_a_difference_that_is_shown_and_small_is_called_small() -> None:
+    (pair,) = compared().verdict.values()
+    same = replace(pair, verdict=Verdict.SAME, ci95=(-2.8, -0.2))
+    assert verdict_words(same) == "same within 5 %"
+    assert verdict_words(replace(same, ci95=(-2.8, 0.2))) == "no difference shown"
+    assert verdict_words(replace(same, ci95=(0.2, 7.0))) == "no difference shown"  # Holm took it back
+    below = replace(pair.evidence, resolution=1.0)
+    assert verdict_words(replace(same, evidence=below)) == "no difference shown"
+
+
+def test_a_test_that_chance_alone_passes_says_so() -> None:
+    few = compare([ARX, replace(TS, b=0.11)], flown(TS, [50], noise=0.02))
+    page = Page(render(ReportContext.of({"x": few}))).words
+    assert "too little data to tell" in page
+    assert "nothing left that the input explains" not in page
+
+
+def test_rules_of_two_fuzzy_models_are_told_apart() -> None:
+    two = {"a:ts": replace(TS, b=0.09), "b:ts": TS}
+    test = flown(TS, [300] * 5, noise=0.02)
+    page = Page(render(ReportContext.of({"x": compare(two, test, baseline="a:ts")})))
+    assert "B:TS R1" in page.words
+    assert "A:TS R2" in page.words
+    assert "Local models against the baseline" in page.words
+    hz = np.geomspace(0.1, 1.0, 5)
+    two_rules = [Curve((1.0 / (1.0 + 1j * hz)).astype(np.complex128), None)] * 2
+    drawn = bode(None, {"arx": two_rules, "ts": two_rules}, hz, "m/s", "both")
+    assert drawn.count('"rule r1 dashed"') == drawn.count('"rule r1"') == 2  # gain and phase
+    alone = Page(render(context())).words
+    assert "TS R1" not in alone
 
 
 def test_low_coherence_is_no_warning_where_a_free_run_follows_the_output() -> None:

@@ -25,6 +25,8 @@ from flysid.validate.verdict import Verdict
 from flysid.validate.words import one_line, percent
 
 MOST = 6
+LISTED = 3
+"""Channels that a caution describes one by one."""
 _ORDER = ("danger", "warning", "note", "good")
 
 
@@ -60,23 +62,29 @@ def _who(said: Mapping[str, set[str]]) -> str:
 
 
 def _diverged(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    """One caution per model: the verdict is about those of the headline, so these come first."""
     del diagnoses
+    said: dict[tuple[bool, str], list[str]] = {}
     for channel, c in comparisons.items():
         if FREE_RUN not in c.horizons:
             continue
         entry = c.entry(horizon=FREE_RUN)
         for name, score in entry.models.items():
-            if not score.diverged:
-                continue
-            first = min(score.diverged, key=lambda s: s.diverged_s or 0.0)
-            yield Caution(
-                "danger",
-                f"{one_line(name)} diverged in free run on {one_line(channel)}, in {len(score.diverged)} of "
-                f"{len(score.segments)} held-out segments, first at t = {first.diverged_s:.1f} s "
-                f"(segment H{first.segment + 1}). It is counted as a loss.",
-                "do not simulate with it; lower its order, or train on flights that cover this range.",
-                10.0,
-            )
+            if score.diverged:
+                first = min(score.diverged, key=lambda s: s.diverged_s or 0.0)
+                said.setdefault((name in heads(c), name), []).append(
+                    f"{channel}, in {len(score.diverged)} of {len(score.segments)} held-out segments, "
+                    f"first at t = {first.diverged_s:.1f} s (segment H{first.segment + 1})"
+                )
+    for (headline, name), where in said.items():
+        more = f"; and on {len(where) - LISTED} more" if len(where) > LISTED else ""
+        yield Caution(
+            "danger" if headline else "warning",
+            one_line(f"{name.upper()} diverged in free run on {'; '.join(where[:LISTED])}{more}.")
+            + (" It is counted as a loss." if headline else ""),
+            "do not simulate with it; lower its order, or train on flights that cover this range.",
+            10.0 if headline else 0.5,
+        )
 
 
 def _unstable(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
@@ -302,15 +310,15 @@ def _unused(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]
 
 
 def _all_stable(comparisons: Comparisons, diagnoses: Diagnoses) -> Sequence[Caution]:
-    radii = [r for d in diagnoses.values() for r in d.pole_radius.values()]
-    rules = sum(i.n_rules for c in comparisons.values() for i in c.models.values() if not i.reference)
-    if not radii or max(radii) > 1.0:
+    """Only of models that have poles: a static one is stable without merit."""
+    dynamic = {
+        (channel, m): r for channel, d in diagnoses.items() for m, r in d.pole_radius.items() if r > 0.0
+    }
+    rules = sum(comparisons[channel].models[m].n_rules for channel, m in dynamic)
+    if not dynamic or max(dynamic.values()) > 1.0:
         return ()
+    models = f"All {rules} local models are" if rules > 1 else "The model is"
+    radius = max(dynamic.values())
     return (
-        Caution(
-            "good",
-            f"All {rules} local models are stable (largest pole radius {max(radii):.3f}); "
-            "no free run diverged.",
-            "",
-        ),
+        Caution("good", f"{models} stable (largest pole radius {radius:.3f}); no free run diverged.", ""),
     )

@@ -7,7 +7,7 @@ cannot be done, nothing is compared: a verdict on training data is worth nothing
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from flysid.split import Piece, Split, refuse_copies
 from flysid.validate.baseline import REFERENCES
 from flysid.validate.compare import Comparison, across_channels, compare, sides_of
 from flysid.validate.expected import expected_document
-from flysid.validate.judge import Judgement, by_reason
+from flysid.validate.judge import Judgement, by_reason, fit_command, split_words
 from flysid.validate.report.context import ReportContext
 from flysid.validate.run import HeldOut, Progress, Run, held_out, models_of
 
@@ -65,7 +65,7 @@ def judge_runs(
     if not found:
         raise DataError(f"no channel can be compared: {by_reason(failed)}")
     corrected = across_channels(found)
-    context = _context(a.run, b.run, corrected, [ours[n] for n in found])
+    context = _context(a.run, b.run, corrected, {n: (theirs[n], ours[n]) for n in found})
     seconds = {n: _seconds("a", theirs[n]) | _seconds("b", ours[n]) for n in found}
     skipped = {name: "fitted by run B only" for name in ours if name not in theirs}
     skipped |= {name: "fitted by run A only" for name in theirs if name not in ours} | failed
@@ -161,21 +161,43 @@ def _headline(a: Mapping[str, Fitted], b: Mapping[str, Fitted], label: str | Non
     return label or next((name for name in PREFERRED if name in shared), shared[0])
 
 
-def _context(a: Run, b: Run, comparisons: Mapping[str, Comparison], held: Sequence[HeldOut]) -> ReportContext:
-    provenance = {"run A": str(a.folder), "run B": str(b.folder), "recipe": f"A {a.recipe}, B {b.recipe}"}
-    for item in held:
-        c = comparisons[item.channel.name]
-        provenance[f"{item.channel.name}: flights"] = ", ".join(c.test.flights)
-        provenance[f"{item.channel.name}: held-out sha256"] = c.test_hash
-    provenance |= {f"version of {k} (run A)": v for k, v in a.versions.items()}
-    provenance |= {f"version of {k} (run B)": v for k, v in b.versions.items()}
+def _context(
+    a: Run, b: Run, comparisons: Mapping[str, Comparison], sides: Mapping[str, tuple[HeldOut, HeldOut]]
+) -> ReportContext:
+    label = next(iter(comparisons.values())).baseline.removeprefix("a:")
     return ReportContext(
         comparisons=comparisons,
-        train={h.channel.name: h.train for h in held},
-        command="flysid compare RUN_A RUN_B",
-        provenance=provenance,
+        train={name: ours.train for name, (_, ours) in sides.items()},
+        command=f"{fit_command(a)} -o RUN_A && {fit_command(b)} -o RUN_B && "
+        f"flysid compare RUN_A RUN_B --model {label}",
+        provenance=_provenance(a, b, comparisons, sides),
         remark="two runs, on flights held out by run B that run A has not trained on",
     )
+
+
+def _provenance(
+    a: Run, b: Run, comparisons: Mapping[str, Comparison], sides: Mapping[str, tuple[HeldOut, HeldOut]]
+) -> dict[str, str]:
+    """Where both runs are from; what they share is said once."""
+    found = {"run A": str(a.folder), "run B": str(b.folder)}
+    found |= _both_say("recipe", a.recipe, b.recipe)
+    found["bootstrap"] = f"seed {b.settings.seed}"
+    for name, (theirs, ours) in sides.items():
+        c = comparisons[name]
+        one, other = theirs.channel.split, ours.channel.split
+        found |= _both_say(f"{name}: split", split_words(one), split_words(other))
+        found |= _both_say(f"{name}: data sha256", str(one["data_sha256"]), str(other["data_sha256"]))
+        found[f"{name}: flights compared on"] = ", ".join(c.test.flights)
+        found[f"{name}: held-out sha256"] = c.test_hash
+    for library in dict.fromkeys((*a.versions, *b.versions)):
+        versions = [run.versions.get(library, "none") for run in (a, b)]
+        found |= _both_say(f"version of {library}", *versions)
+    return found
+
+
+def _both_say(label: str, a: str, b: str) -> dict[str, str]:
+    """One fact of both runs, or one of each where they differ."""
+    return {label: a} if a == b else {f"{label} (run A)": a, f"{label} (run B)": b}
 
 
 def _seconds(run: str, item: HeldOut) -> dict[str, float]:

@@ -170,7 +170,7 @@ def _context(
     return ReportContext(
         comparisons=comparisons,
         train={h.channel.name: h.train for h in held},
-        command=_command(run),
+        command=f"{fit_command(run)} -o RUN && flysid validate RUN",
         provenance=_provenance(run, held),
         remark=remark,
         fit_seconds={h.channel.name: dict(h.channel.fit_seconds) for h in held},
@@ -178,7 +178,8 @@ def _context(
     )
 
 
-def _command(run: Run) -> str:
+def fit_command(run: Run) -> str:
+    """The command line that fits the run again, without its folder."""
     settings = run.settings
     words = [
         "flysid fit DATA",
@@ -191,7 +192,12 @@ def _command(run: Run) -> str:
     words += [f"--channel '{c}'" for c in settings.channels]
     words += [f"--models {','.join(settings.models)}"] if settings.models else []
     words += [f"--memory {settings.memory_mb:g}"] if settings.memory_mb != FitSettings.memory_mb else []
-    return " ".join([*words, "-o RUN"]) + " && flysid validate RUN"
+    return " ".join(words)
+
+
+def split_words(split: Mapping[str, Any]) -> str:
+    """ "by flight, 30% held out, seed 7"."""
+    return f"by {split['by']}, {split['holdout']:.0%} held out, seed {split['seed']}"
 
 
 def _provenance(run: Run, held: list[HeldOut]) -> dict[str, str]:
@@ -199,7 +205,7 @@ def _provenance(run: Run, held: list[HeldOut]) -> dict[str, str]:
     for item in held:
         split = item.channel.split
         name = item.channel.name
-        found[f"{name}: split"] = f"by {split['by']}, {split['holdout']:.0%} held out, seed {split['seed']}"
+        found[f"{name}: split"] = split_words(split)
         found[f"{name}: data sha256"] = str(split["data_sha256"])
         found[f"{name}: held-out sha256"] = str(split["test_sha256"])
         found[f"{name}: alignment"] = "; ".join(line.strip() for line in item.channel.aligned)

@@ -19,6 +19,8 @@ import numpy.typing as npt
 from flysid.dataset import FloatArray
 
 Z99 = 2.5758293035489004
+BLIND = 0.5
+"""Band of a correlation, beyond which a quarter of the error's power could follow the input unseen."""
 OVERLAP = 1.0 + 2.0 / 36.0
 """Windows that overlap by half are correlated: 1 + 2 rho^2 with rho = 1/6 for Hann (Welch 1967)."""
 
@@ -48,6 +50,11 @@ class Correlation:
     def outside(self) -> int:
         """Lags that count and lie outside the band."""
         return int(np.count_nonzero((np.abs(self.rho) > self.band) & (self.causal > 0)))
+
+    @property
+    def blind(self) -> bool:
+        """Chance alone explains so much that passing the test says nothing."""
+        return self.band > BLIND
 
     @property
     def fails(self) -> bool:

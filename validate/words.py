@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from flysid.validate.compare import Pair
 from flysid.validate.trials import FREE_RUN
-from flysid.validate.verdict import LARGE_PCT, Verdict
+from flysid.validate.verdict import LARGE_PCT, MARGIN_PCT, Verdict
 
 BELOW = "< resolution"
 
@@ -59,7 +59,10 @@ def change_words(pair: Pair) -> str:
 
 
 def verdict_words(pair: Pair) -> str:
-    """ "TS better", "TS worse", "no difference shown", "not enough data"; who diverged where one did."""
+    """ "TS better", "no difference shown", "same within 5 %", "not enough data"; who diverged where one did.
+
+    "Same within 5 %" is a difference that was shown and does not matter.
+    """
     model, base = one_line(pair.model).upper(), one_line(pair.baseline).upper()
     if pair.evidence.diverged_baseline:
         return "both diverged" if pair.evidence.diverged_model else f"{model} better: {base} diverged"
@@ -69,7 +72,18 @@ def verdict_words(pair: Pair) -> str:
         return f"{model} better than {base}, not shown against {named(pair.short_of)}"
     if pair.verdict in (Verdict.BETTER, Verdict.WORSE):
         return f"{model} {pair.verdict}" + (" (one rule: linear)" if pair.one_rule else "")
-    return "no difference shown" if pair.verdict is Verdict.SAME else str(pair.verdict)
+    if pair.verdict is Verdict.SAME:
+        small = pair.ci95 is not None and max(map(abs, pair.ci95)) < MARGIN_PCT
+        return f"same within {MARGIN_PCT:g} %" if small and _shown(pair) else "no difference shown"
+    return str(pair.verdict)
+
+
+def _shown(pair: Pair) -> bool:
+    """Whether the interval excludes no difference, of errors that the data can tell apart."""
+    e = pair.evidence
+    if pair.ci95 is None or abs(e.rmse_model - e.rmse_baseline) < e.resolution:
+        return False
+    return not pair.ci95[0] <= 0.0 <= pair.ci95[1]
 
 
 def named(models: Sequence[str]) -> str:

@@ -101,7 +101,8 @@ def bode(
     for css, own in models.items():
         for i, curve in enumerate(own):
             stem = css if len(own) == 1 else f"r{i % 8 + 1}"
-            parts += _curve(curve, hz, (gain, phase), stem, css if len(own) == 1 else f"rule {stem}")
+            rule = f"rule {stem} dashed" if css == "arx" else f"rule {stem}"  # the baseline is dashed
+            parts += _curve(curve, hz, (gain, phase), stem, css if len(own) == 1 else rule)
     return picture(HALF, 424, parts, label)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from markupsafe import Markup
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Rule
 from flysid.validate.bands import curves
-from flysid.validate.compare import Comparison
+from flysid.validate.compare import FUZZY, Comparison
 from flysid.validate.report import figures, overlay, rulefigures
 from flysid.validate.report.checktable import CheckRow, check_rows, coefficient_rows, interval_text
 from flysid.validate.report.context import Sweep
@@ -92,7 +92,7 @@ def _section(source: Source, j: int, anchor: str) -> Section:
     longest = max(range(len(pieces)), key=lambda i: pieces[i].t[-1] - pieces[i].t[0])
     titles = (
         _with_unit(c.test.outputs[j].name, c.test.outputs[j].unit),
-        f"error (measured − simulated), {one_line(c.test.outputs[j].unit) or '-'}",
+        _with_unit("error (measured − simulated)", c.test.outputs[j].unit),
         "input " + _with_unit(c.test.inputs[signal].name, c.test.inputs[signal].unit),
     )
     labels = [f"H{p.index + 1}" for p in pieces]
@@ -109,7 +109,9 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         buttons=_buttons(source, j, labels),
         residuals=_residuals(source, j),
         dynamics=_dynamics(source, j, signal),
-        rules=tuple((m, _rule_rows(source, m, css, (j, signal))) for m, css in reversed(overlay.drawn(c))),
+        rules=_named_rules(
+            [(m, _rule_rows(source, m, css, (j, signal))) for m, css in reversed(overlay.drawn(c))]
+        ),
         sets=_sets(source, j, signal),
         wide=_wide(source, j, pieces[longest].index, labels[longest]),
         models=tuple(one_line(m).upper() for m, _ in overlay.drawn(c)),
@@ -183,6 +185,8 @@ def _residuals(source: Source, j: int) -> tuple[Panel, ...]:
 def _dependence(correlation: Correlation, c: Comparison, model: str, css: str, i: int) -> Panel:
     lag, rho = correlation.peak
     verdict = "some dynamics missing" if correlation.fails else "nothing left that the input explains"
+    if correlation.blind and not correlation.fails:
+        verdict = "too little data to tell"
     name, peak = one_line(c.test.inputs[i].name), f"{rho:+.2f}".replace("-", "−")
     return Panel(
         f"{one_line(model).upper()}: cross-correlation of free-run error with {name}",
@@ -218,10 +222,12 @@ def _bode(source: Source, j: int, signal: int) -> Panel:
     unit = _gain_unit(c, j, signal)
     rules = ", ".join(one_line(r.label) for r in _rules_of(c))
     solid = f"solid: {rules}, coloured as in the table of rules; " if rules else ""
+    seen = "dots: measured, with 95 % whiskers, faint where the coherence is below 0.5"
+    if empirical is None:
+        seen = "the record is too short to measure a response"
     return Panel(
-        "Local models against the linear baseline",
-        "dots: measured, with 95 % whiskers, faint where the coherence is below 0.5; dashed: "
-        f"{one_line(c.baseline).upper()}; {solid}shaded: 95 % bands from the training data",
+        f"Local models against the {'' if c.models[c.baseline].structure in FUZZY else 'linear '}baseline",
+        f"{seen}; dashed: {one_line(c.baseline).upper()}; {solid}shaded: 95 % bands from the training data",
         figures.bode(
             empirical,
             {css: known[m] for m, css in overlay.drawn(c)},
@@ -269,6 +275,20 @@ def _static(source: Source, j: int, signal: int) -> Panel:
             u, y, levels, steady, (x, _with_unit(name, c.test.outputs[j].unit), f"Static map of {name}")
         ),
     )
+
+
+def _named_rules(
+    tables: Sequence[tuple[str, tuple[RuleRow, ...]]],
+) -> tuple[tuple[str, tuple[RuleRow, ...]], ...]:
+    """The rules of every model: a single one is called by its model, "R1" by model and rule where several
+    models have rules."""
+    several = sum(len(rows) > 1 for _, rows in tables) > 1
+    found = []
+    for model, rows in tables:
+        name = one_line(model).upper()
+        labels = [f"{name} {r.label}" if several else r.label for r in rows] if len(rows) > 1 else [name]
+        found.append((model, tuple(replace(r, label=label) for r, label in zip(rows, labels, strict=True))))
+    return tuple(found)
 
 
 def _rule_rows(source: Source, name: str, css: str, place: tuple[int, int]) -> tuple[RuleRow, ...]:
