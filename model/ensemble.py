@@ -234,7 +234,7 @@ class FittedEnsemble:
     def __str__(self) -> str:
         """All members' rules."""
         title = f"Ensemble of {len(self.members)} models, {self.n_parameters} parameters"
-        return in_words(title, self.rules(), self.notes)
+        return in_words(title, self.rules(), self.notes, (self.outputs, self.inputs))
 
     def to_dict(self) -> dict[str, Any]:
         """Everything needed to rebuild the model, as JSON types only."""

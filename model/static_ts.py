@@ -233,7 +233,7 @@ class FittedStaticTS:
     def __str__(self) -> str:
         """The rules in words."""
         title = f"Static Takagi-Sugeno model, {len(self.partition)} rules, {self.n_parameters} parameters"
-        return in_words(title, self.rules(), self.notes)
+        return in_words(title, self.rules(), self.notes, (self.outputs, self.inputs))
 
     @cached_property
     def table(self) -> tuple[tuple[str, str, str, str], ...]:

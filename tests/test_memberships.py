@@ -84,3 +84,9 @@ def test_round_trip_and_bad_settings() -> None:
         partition("round")  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="positive"):
         Partition(p.centre, 0 * p.left, p.right, p.low, p.high)
+
+
+def test_a_variable_that_is_not_there_is_named() -> None:
+    for j in (2, -1):
+        with pytest.raises(UsageError, match="no antecedent variable"):
+            partition().grades(j, np.zeros(3))

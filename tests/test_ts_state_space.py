@@ -349,6 +349,10 @@ def test_a_linearisation_predicts_small_steps() -> None:
     assert pytest.approx(named.A) == beside.A
     with pytest.raises(UsageError, match="z"):
         model.linearise({"z": 1.0})
+    with pytest.raises(UsageError, match="no place to linearise"):
+        model.linearise({"y": float("nan")})
+    with pytest.raises(UsageError, match="at its limit"):
+        model.linearise({"y": 2.0 * float(model.output_limits[1, 0])})
     with pytest.raises(UsageError, match="shape"):
         linearise(model, np.zeros(2))
 

@@ -63,6 +63,11 @@ def test_linearise_takes_signals_by_name_and_means_for_the_rest(model: FittedTS)
         assert np.array_equal(model.linearise(at).A, expected.A)
     with pytest.raises(UsageError, match="no signal 'speed'"):
         model.linearise({"speed": 1.0})
+    for value in ("fast", np.nan, None):
+        with pytest.raises(UsageError, match="no place to linearise"):
+            model.linearise({y: value})  # type: ignore[dict-item]
+    with pytest.raises(UsageError, match="at its limit"):
+        model.linearise({y: 1e3})
 
 
 def test_a_certificate_is_a_proof(model: FittedTS) -> None:

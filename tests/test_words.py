@@ -10,12 +10,13 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from flysid.dataset import Signal
 from flysid.errors import StoreError
-from flysid.model.base import write_document
+from flysid.model.base import Rule, write_document
 from flysid.model.fuzzy.labels import labels, pieces
 from flysid.model.fuzzy.memberships import Partition
 from flysid.model.fuzzy.tongue import Axis, number
-from flysid.model.fuzzy.words import condition_in_words, equation
+from flysid.model.fuzzy.words import condition_in_words, equation, gains, in_words
 
 V_X = Axis("v_x(k-1)", "m/s", -2.0, 2.1)
 SIZES = {"slow": 1, "moderately fast": 2, "fast": 3, "": 2, "very slow": 0, "very fast": 4}
@@ -235,3 +236,30 @@ def test_write_says_where_it_failed(tmp_path: Path) -> None:
         write_document({}, tmp_path / "nowhere" / "m.json")
     write_document({"a": 1.5}, tmp_path / "m.json")
     assert [p.name for p in tmp_path.iterdir()] == ["m.json"]
+
+
+def rule(gain: list[list[float]], radius: float = 0.9) -> Rule:
+    return Rule("R1", "always", "y(k) = u(k)", np.array(gain), 2.0, radius, 1.0)
+
+
+def test_gains_have_units_and_of_several_names() -> None:
+    vx, vy = Signal("v_x", "m/s"), Signal("v_y", "m/s")
+    tilt, climb = Signal("theta_in", "deg"), Signal("vz_in", "m/s")
+    assert gains(rule([[0.3]]), ([vx], [tilt])) == ["0.3 m/s per deg"]
+    assert gains(rule([[0.3]]), ([vx], [climb])) == ["0.3"]
+    assert gains(rule([[0.3]])) == ["0.3"]
+    assert gains(rule([[np.nan]]), ([vx], [tilt])) == ["integrates"]
+    many = gains(rule([[0.3, 0.0], [0.1, 1.0]]), ([vx, vy], [tilt, climb]))
+    assert many == [
+        "theta_in -> v_x 0.3 m/s per deg",
+        "vz_in -> v_x 0",
+        "theta_in -> v_y 0.1 m/s per deg",
+        "vz_in -> v_y 1",
+    ]
+
+
+def test_a_star_is_explained() -> None:
+    starred = in_words("t", [rule([[1.0]], 0.9995)], [])
+    assert "time constant 2 s*" in starred
+    assert "* nearly integrates" in starred
+    assert "*" not in in_words("t", [rule([[1.0]])], [])

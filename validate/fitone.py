@@ -46,4 +46,4 @@ def in_words(model: Fitted) -> str:
     rules = model.rules()
     count = f"{len(rules)} rule{'s' if len(rules) > 1 else ''}"
     title = f"{model.structure}, {count}, {model.n_parameters} parameters"
-    return words.in_words(title, rules, model.notes) + "\n"
+    return words.in_words(title, rules, model.notes, (model.outputs, model.inputs)) + "\n"

@@ -66,7 +66,7 @@ def linearise(model: FittedTS, u: FloatArray, y: FloatArray) -> StateSpace:
 
     Raises
     ------
-    UsageError : u or y has another length than the model's signals.
+    UsageError : u or y has another length than the model's signals; the model's output is at its limit there.
     """
     u, y = np.atleast_1d(np.asarray(u, dtype=float)), np.atleast_1d(np.asarray(y, dtype=float))
     if u.shape != (len(model.inputs),) or y.shape != (len(model.outputs),):
@@ -76,6 +76,7 @@ def linearise(model: FittedTS, u: FloatArray, y: FloatArray) -> StateSpace:
         )
     d, n_y = model.n_init, len(y)
     U, Y = np.tile(u, (d + 1, 1)), np.tile(y, (d + 1, 1))
+    refuse_limit(model.one_step(U, Y)[d], model.output_limits)
 
     def next_output(k: int, column: int, size: float) -> FloatArray:
         moved_u, moved_y = U.copy(), Y.copy()
@@ -102,6 +103,17 @@ def linearise(model: FittedTS, u: FloatArray, y: FloatArray) -> StateSpace:
                 B[k, :, column - n_y] = slope
     offset = model.one_step(U, Y)[d] - A.sum(axis=0) @ y - B.sum(axis=0) @ u
     return _companion(model, A, B, offset)
+
+
+def refuse_limit(y: FloatArray, limits: FloatArray) -> None:
+    """Raise UsageError where an output (n_y,) stands at its limits (2, n_y): nothing moves it there."""
+    for value, low, high in zip(y, *limits, strict=True):
+        rounding = 1e-9 * (high - low)
+        if not low + rounding < value < high - rounding:
+            raise UsageError(
+                f"the model's output is at its limit there, {value:.4g}: it has no linear model",
+                hint="choose a place inside the training range",
+            )
 
 
 @dataclass(frozen=True, eq=False)

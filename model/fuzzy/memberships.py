@@ -96,8 +96,15 @@ class Partition:
         return len(self.centre)
 
     def grades(self, variable: int, x: FloatArray) -> FloatArray:
-        """(len(x), R) membership of each value of one antecedent variable in every rule's set."""
-        j = variable
+        """(len(x), R) membership of each value of one antecedent variable in every rule's set.
+
+        Raises
+        ------
+        UsageError : no such variable.
+        """
+        j, count = variable, self.centre.shape[1]
+        if not 0 <= j < count:
+            raise UsageError(f"no antecedent variable {j!r}", hint=f"there are {count}, counted from 0")
         distance = standardised(
             np.asarray(x, dtype=np.float64), self.centre[:, j], self.left[:, j], self.right[:, j]
         )

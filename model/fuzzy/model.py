@@ -201,7 +201,9 @@ class FittedTS(Ruled):
         """The rules and how they were chosen, in words."""
         count = len(self.parameters.theta)
         title = f"Takagi-Sugeno model, {count} rule{'s' if count > 1 else ''}, {self.layout.orders}"
-        return in_words(f"{title}, {self.n_parameters} parameters", self.rules(), self.notes)
+        return in_words(
+            f"{title}, {self.n_parameters} parameters", self.rules(), self.notes, (self.outputs, self.inputs)
+        )
 
     def _stack(self, u: FloatArray, y: FloatArray) -> FloatArray:
         return self.layout.stack(*as_record(self, u, y))
@@ -240,7 +242,8 @@ class FittedTS(Ruled):
 
         Raises
         ------
-        UsageError : a name that is no signal of the model.
+        UsageError : a name that is no signal of the model, a value that is no number, a place at which the
+            model's output is at its limit.
         """
         from flysid.model.fuzzy.local import linearise
 
@@ -250,10 +253,17 @@ class FittedTS(Ruled):
 
 
 def values_at(names: Sequence[str], means: FloatArray, at: Mapping[str, float]) -> FloatArray:
-    """The mean of every signal, or what `at` says of it; UsageError for a name that is none of them."""
-    for name in at:
+    """The mean of every signal, or what `at` says of it.
+
+    Raises
+    ------
+    UsageError : a name that is none of them, a value that is no finite number.
+    """
+    for name, value in at.items():
         if name not in names:
             raise UsageError(f"the model has no signal {name!r}", hint=f"one of {', '.join(names)}")
+        if not isinstance(value, int | float | np.number) or not np.isfinite(value):
+            raise UsageError(f"{name}={value!r} is no place to linearise at", hint="give a finite number")
     return np.array([at.get(name, mean) for name, mean in zip(names, means, strict=True)], dtype=float)
 
 

@@ -6,13 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flysid.dataset import FloatArray
+from flysid.dataset import FloatArray, Signal
 from flysid.model.base import Rule
 from flysid.model.fuzzy.labels import Piece, words_of_one, words_of_several
 from flysid.model.fuzzy.memberships import Partition
 from flysid.model.fuzzy.tongue import Axis, number
 
 ELSEWHERE = "always, most where no other rule does"
+Signals = tuple[Sequence[Signal], Sequence[Signal]]
+"""Outputs and inputs."""
+_INTEGRATES = "integrates"
+_NEARLY_ONE = 0.999  # a pole so near to one nearly integrates
 _ON_CIRCLE = 1e-6  # a pole so near to one that it integrates, but for rounding
 
 
@@ -79,38 +83,72 @@ def _between(piece: Piece, axis: Axis) -> str:
     return f"from {number(piece.low)} to {number(piece.high)}"
 
 
-def in_words(title: str, rules: Sequence[Rule], notes: Sequence[str]) -> str:
-    """A whole model as text: title, rules with what they mean, notes."""
+def in_words(title: str, rules: Sequence[Rule], notes: Sequence[str], signals: Signals = ((), ())) -> str:
+    """A whole model as text: title, rules with what they mean, notes.
+
+    Parameters
+    ----------
+    signals : outputs and inputs, for the names and units of gains.
+    """
     lines = [title]
     for rule in rules:
         always = rule.condition.startswith("always")
         then = f"{rule.condition.capitalize()}:" if always else f"If {rule.condition}, then"
-        lines.append(f"  {rule.label}. {then} {rule.conclusion}  [{meaning(rule)}]")
+        lines.append(f"  {rule.label}. {then} {rule.conclusion}  [{meaning(rule, signals)}]")
+    if any(_nearly_integrates(rule) for rule in rules):
+        lines.append(
+            "  * nearly integrates: gain and time constant hang on the last digits of the lags' weights"
+        )
     return "\n".join([*lines, *(f"  - {note}" for note in notes)])
 
 
-def meaning(rule: Rule) -> str:
-    """ "gain 0.11, time constant 0.48 s, strongest for 32 % of the samples"; * where nearly integrating."""
-    parts = [f"gain {', '.join(gains(rule))}"]
+def meaning(rule: Rule, signals: Signals = ((), ())) -> str:
+    """ "gain 0.11 m/s per deg, time constant 0.48 s, strongest for 32 % of the samples"; * where nearly
+    integrating."""
+    parts = [f"gain {', '.join(gains(rule, signals))}"]
     if rule.pole_radius > 0:
-        star = "*" if rule.pole_radius > 0.999 else ""
+        star = "*" if _nearly_integrates(rule) else ""
         parts.append(f"time constant {number(rule.time_constant_s)} s{star}")
     if rule.pole_radius >= 1.0 + _ON_CIRCLE:
         parts.append("unstable by itself")
     return ", ".join([*parts, f"strongest for {100 * rule.support:.0f} % of the samples"])
 
 
-def gains(rule: Rule) -> list[str]:
-    """Every steady gain with its 95 % interval where that is known: "0.29 [0.27, 0.31]"."""
+def _nearly_integrates(rule: Rule) -> bool:
+    return rule.pole_radius > _NEARLY_ONE
+
+
+def gains(rule: Rule, signals: Signals = ((), ())) -> list[str]:
+    """Every steady gain with its 95 % interval where that is known: "0.29 [0.27, 0.31] m/s per deg".
+
+    Of several, each with its names: "theta_in -> v_x 0.29".
+    """
     intervals = (
         np.full((2, *rule.dc_gain.shape), np.nan) if rule.gain_interval is None else rule.gain_interval
     )
     low, high = intervals.reshape(2, -1)
-    return [_gain(*values) for values in zip(rule.dc_gain.ravel(), low, high, strict=True)]
+    said = [_gain(*values) for values in zip(rule.dc_gain.ravel(), low, high, strict=True)]
+    pairs = [(i, o) for o in signals[0] for i in signals[1]]
+    if len(pairs) != len(said):
+        return said
+    texts = [
+        text if text == _INTEGRATES else f"{text} {_per(i, o)}".rstrip()
+        for text, (i, o) in zip(said, pairs, strict=True)
+    ]
+    if len(pairs) == 1:
+        return texts
+    return [f"{i.name} -> {o.name} {text}" for text, (i, o) in zip(texts, pairs, strict=True)]
+
+
+def _per(given: Signal, answer: Signal) -> str:
+    """ "m/s per deg"; "" where a unit is not known, or both are one."""
+    if not (given.unit and answer.unit) or given.unit == answer.unit:
+        return ""
+    return f"{answer.unit} per {given.unit}"
 
 
 def _gain(value: float, low: float, high: float) -> str:
     if not np.isfinite(value):
-        return "integrates"
+        return _INTEGRATES
     known = low <= value <= high
     return f"{number(value)} [{number(low)}, {number(high)}]" if known else number(value)

@@ -14,7 +14,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.fuzzy.kernel import free_run
-from flysid.model.fuzzy.local import Certificate, StateSpace, certificate_of
+from flysid.model.fuzzy.local import Certificate, StateSpace, certificate_of, refuse_limit
 from flysid.model.hidden.model import FittedTSStateSpace
 
 _NEWTON = 40  # steps
@@ -58,7 +58,8 @@ def linearise(model: FittedTSStateSpace, u: FloatArray, y: FloatArray | None = N
 
     Raises
     ------
-    UsageError : u or y has another length than the model's signals, or the states come to no rest there.
+    UsageError : u or y has another length than the model's signals, the states come to no rest there, or an
+        output is at its limit.
     """
     u = np.atleast_1d(np.asarray(u, dtype=float))
     held = None if y is None else np.atleast_1d(np.asarray(y, dtype=float))
@@ -69,6 +70,7 @@ def linearise(model: FittedTSStateSpace, u: FloatArray, y: FloatArray | None = N
             hint=f"give {len(model.inputs)} inputs and {n_y} outputs",
         )
     s = np.concatenate([resting_states(model, u, held), np.tile(u, layout.depth)])
+    refuse_limit(next_states(model, s, u)[:n_y], model.output_limits)
     scale = layout.scale
     sizes = 1e-5 * np.concatenate([scale[:n], np.tile(scale[n:], layout.depth)])
     A, B = np.zeros((len(s), len(s))), np.zeros((len(s), len(u)))

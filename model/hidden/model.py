@@ -181,7 +181,7 @@ class FittedTSStateSpace(Ruled):
         count, layout = len(self.parameters.theta), self.layout
         title = f"Takagi-Sugeno state-space model, {count} rule{'s' if count > 1 else ''}, {layout.n} states"
         title += f" ({layout.hidden} hidden), {self.n_parameters} parameters"
-        return in_words(title, self.rules(), self.notes)
+        return in_words(title, self.rules(), self.notes, (self.outputs, self.inputs))
 
     def explain(self, u: FloatArray, y: FloatArray, row: int) -> Explanation:
         """Which rules spoke at a sample of measured data, how loudly and why; see `explain.explain`."""
@@ -200,7 +200,8 @@ class FittedTSStateSpace(Ruled):
 
         Raises
         ------
-        UsageError : a name that is no signal of the model, or hidden states that come to no rest.
+        UsageError : a name that is no signal of the model, or hidden states that come to no rest,
+            a value that is no number, a place at which an output is at its limit.
         """
         from flysid.model.hidden.local import linearise
 
