@@ -106,12 +106,12 @@ def linearise(model: FittedTS, u: FloatArray, y: FloatArray) -> StateSpace:
 
 
 def refuse_limit(y: FloatArray, limits: FloatArray) -> None:
-    """Raise UsageError where an output (n_y,) stands at its limits (2, n_y): nothing moves it there."""
+    """Raise UsageError where an output or state (n,) stands at its limits (2, n): nothing moves it there."""
     for value, low, high in zip(y, *limits, strict=True):
         rounding = 1e-9 * (high - low)
         if not low + rounding < value < high - rounding:
             raise UsageError(
-                f"the model's output is at its limit there, {value:.4g}: it has no linear model",
+                f"the model is at its limit there, {value:.4g}: nothing moves it, and it has no linear model",
                 hint="choose a place inside the training range",
             )
 

@@ -70,7 +70,8 @@ def linearise(model: FittedTSStateSpace, u: FloatArray, y: FloatArray | None = N
             hint=f"give {len(model.inputs)} inputs and {n_y} outputs",
         )
     s = np.concatenate([resting_states(model, u, held), np.tile(u, layout.depth)])
-    refuse_limit(next_states(model, s, u)[:n_y], model.output_limits)
+    limits = model.parameters.limits * layout.scale[:n] + layout.shift[:n]
+    refuse_limit(next_states(model, s, u)[:n], limits)
     scale = layout.scale
     sizes = 1e-5 * np.concatenate([scale[:n], np.tile(scale[n:], layout.depth)])
     A, B = np.zeros((len(s), len(s))), np.zeros((len(s), len(u)))
