@@ -261,6 +261,9 @@ def test_written_whole_and_equal_every_time(tmp_path: Path) -> None:
     two = compared().report(tmp_path / "b.html")
     assert one.read_text("utf-8") == rendered()
     assert two.stat().st_size < 1_500_000
+    (tmp_path / "plain").touch()
+    assert two.stat().st_mode == (tmp_path / "plain").stat().st_mode  # as readable as any other file
+    (tmp_path / "plain").unlink()
     assert [p.name for p in tmp_path.iterdir()] == ["b.html", "deep"] or len(list(tmp_path.iterdir())) == 2
     blocked = tmp_path / "file"
     blocked.write_text("x")

@@ -12,8 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from flysid.cli.demo import meaning
 from flysid.cli.fit import transfer_lines
 from flysid.cli.output import finish
+from flysid.dataset import Signal
 from flysid.errors import DataError, StoreError, UsageError
 from flysid.flightwriter import write_atomically
 from flysid.ingest.batch import find_logs, ingest_logs
@@ -22,13 +24,14 @@ from flysid.ingest.synth import WRITERS, Order, flights
 from flysid.model.base import Estimator
 from flysid.validate import fitting, judge
 from flysid.validate.baseline import linear_estimators
-from flysid.validate.comparison import Comparison
+from flysid.validate.compare import compare, sides_of
+from flysid.validate.comparison import Comparison, Entry
 from flysid.validate.expected import expected_of_run
 from flysid.validate.fitting import fit_run
 from flysid.validate.judge import judge_run, write_judgement
-from flysid.validate.run import FitSettings, HeldOut, Run, held_out, open_run, replacing_folder
+from flysid.validate.run import FitSettings, HeldOut, Run, asked_for, held_out, open_run, replacing_folder
 from flysid.validate.words import number
-from tests.fakes import fields_of
+from tests.fakes import FirstOrder, fields_of, flown
 
 CHANNEL = "longitudinal"
 
@@ -138,6 +141,53 @@ def test_channels_that_are_not_judged_are_named_everywhere(
     monkeypatch.setattr(judge, "compare", short)
     with pytest.raises(DataError, match=f"no channel can be judged: {CHANNEL}, yaw: too short$"):
         judge_run(run)
+
+
+def test_data_that_moved_and_models_that_are_gone_say_what_to_do(copied: Path, tmp_path: Path) -> None:
+    moved = replace(open_run(copied), data=str(tmp_path / "gone"))
+    with pytest.raises(UsageError, match="fitted on is not there any more") as caught:
+        judge_run(moved)
+    assert "--data" in caught.value.hint
+    (copied / CHANNEL / "ts.json").unlink()
+    with pytest.raises(StoreError, match="a model of the run is missing") as lost:
+        judge_run(open_run(copied))
+    assert lost.value.hint == "fit it again"
+
+
+def test_the_headline_is_about_the_model_that_was_asked_for(run: Run) -> None:
+    (held,) = held_out(run)
+    linear = {label: m for label, m in held.models.items() if label != "ts"}
+    assert asked_for(("line", "oe"), held.models, "arx") is None  # ts is there
+    assert asked_for(("line", "oe"), linear, "arx") == "oe"
+    assert asked_for(("line", "oe"), linear, "oe") is None
+    assert sides_of(linear, "arx").contender in ("oe", "static_ts")  # never the line
+    assert sides_of({n: linear[n] for n in ("arx", "line")}, "arx").contender == "line"
+
+
+def test_the_demo_says_what_a_loss_means(run: Run) -> None:
+    arx, ts = FirstOrder(), FirstOrder(b=0.07, structure="ts", labels=("R1", "R2"))
+    lost = compare([arx, ts], flown(arx, [300] * 6, noise=0.02))
+    won = compare(
+        [replace(ts, structure="arx"), replace(arx, structure="ts", labels=("R1", "R2"))], lost.test
+    )
+    judgement = judge_run(run)
+    assert lost.verdict["y"].verdict == "worse"
+    assert meaning(replace(judgement, comparisons={"a": lost})).startswith("One linear model")
+    both = {"a": lost, "b": replace(won, entries=tuple(_of_z(e) for e in won.entries))}
+    told = meaning(replace(judgement, comparisons=both))
+    assert told.startswith("Rules help on z; on y a linear model is enough.")
+
+
+def test_alignment_is_told_line_by_line(run: Run) -> None:
+    (channel,) = run.channels
+    told = replace(run, channels=(replace(channel, aligned=("two flights", "the band; trust no other")),))
+    assert (
+        judge_run(told).context.provenance[f"{CHANNEL}: alignment"] == "two flights; the band, trust no other"
+    )
+
+
+def _of_z(entry: Entry) -> Entry:
+    return replace(entry, output=Signal("z", "m/s"))
 
 
 def _renamed(run: Run, name: str) -> list[HeldOut]:

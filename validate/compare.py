@@ -66,7 +66,8 @@ def compare(
     test : the held-out part; nothing is fitted to it.
     horizons : "free_run" and numbers of steps.
     baseline : the model the others are compared with; the first one where there is no "arx" or it is None.
-    contender : the model the headline speaks of; when None, the first of CONTENDERS, else the first model.
+    contender : the model the headline speaks of; when None, the first of CONTENDERS, else the first model
+        that is no reference, a line last.
     train : training data; with it the mean and persistence stand beside the models, as lines to stay below.
     seed : of the bootstrap.
 
@@ -198,7 +199,8 @@ def _baseline(models: Mapping[str, Fitted], wanted: str | None) -> str:
 
 def _contender(models: Mapping[str, Fitted], base: str) -> str | None:
     others = [n for n, m in models.items() if n != base and m.structure not in REFERENCES]
-    first = next(iter(others), None)
+    dynamic = [n for n in others if models[n].structure != "line"]  # whose loss would tell nobody anything
+    first = next(iter([*dynamic, *others]), None)
     return next((label for label in CONTENDERS if label in others), first)
 
 

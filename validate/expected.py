@@ -16,7 +16,7 @@ from flysid.validate.compare import HORIZONS, Sides, sides_of
 from flysid.validate.comparison import Entry, ModelScore, Pair
 from flysid.validate.document import channel_documents
 from flysid.validate.metrics import Scores
-from flysid.validate.run import Run, models_of
+from flysid.validate.run import Run, asked_for, models_of
 from flysid.validate.trials import FREE_RUN, horizon_name
 from flysid.validate.verdict import Evidence, Verdict
 
@@ -33,7 +33,8 @@ def expected_of_run(run: Run) -> dict[str, Any]:
     channels = {}
     for channel in run.channels:
         models = models_of(run, channel)
-        channels[channel.name] = models, sides_of(models, channel.baseline)
+        contender = asked_for(run.settings.models, models, channel.baseline)
+        channels[channel.name] = models, sides_of(models, channel.baseline, contender)
     return expected_document(channels, run.skipped)
 
 

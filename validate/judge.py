@@ -18,7 +18,7 @@ from flysid.validate.document import to_json
 from flysid.validate.paperfigures import write_figures
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.page import render
-from flysid.validate.run import FitSettings, HeldOut, Progress, Run, held_out, replacing_folder
+from flysid.validate.run import FitSettings, HeldOut, Progress, Run, asked_for, held_out, replacing_folder
 from flysid.validate.tables import to_csv, to_markdown
 from flysid.validate.terminal import summary, table
 from flysid.validate.words import one_line
@@ -124,7 +124,11 @@ def judge_run(
         progress(f"{item.channel.name}: comparing {', '.join(item.models)} on held-out segments")
         try:
             comparisons[item.channel.name] = compare(
-                item.models, item.test, baseline=item.channel.baseline, seed=run.settings.seed
+                item.models,
+                item.test,
+                baseline=item.channel.baseline,
+                contender=asked_for(run.settings.models, item.models, item.channel.baseline),
+                seed=run.settings.seed,
             )
         except DataError as error:
             failed[item.channel.name] = str(error)
@@ -208,7 +212,8 @@ def _provenance(run: Run, held: list[HeldOut]) -> dict[str, str]:
         found[f"{name}: split"] = split_words(split)
         found[f"{name}: data sha256"] = str(split["data_sha256"])
         found[f"{name}: held-out sha256"] = str(split["test_sha256"])
-        found[f"{name}: alignment"] = "; ".join(line.strip() for line in item.channel.aligned)
+        aligned = (line.strip().replace("; ", ", ") for line in item.channel.aligned)  # folded line by line
+        found[f"{name}: alignment"] = "; ".join(aligned)
         found[f"{name}: baseline"] = f"{item.channel.baseline}; {item.channel.chosen}".removesuffix("; ")
         found[name + FIT_TIME] = ", ".join(f"{k} {v:.2f} s" for k, v in item.channel.fit_seconds.items())
         if item.channel.dead_times:

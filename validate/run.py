@@ -15,7 +15,7 @@ import json
 import platform
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from importlib import metadata
@@ -33,6 +33,7 @@ from flysid.ingest.recipe import Recipe, load_recipe
 from flysid.manifest import DATA_FILE
 from flysid.model.base import Fitted, load
 from flysid.split import By, Split
+from flysid.validate.compare import CONTENDERS
 from flysid.validate.diskparts import LOOK_ROWS, parts_of
 from flysid.version import __version__, check_version
 
@@ -243,9 +244,16 @@ def held_out(run: Run, data: str | Path | None = None) -> list[HeldOut]:
 
     Raises
     ------
-    StoreError : a model file is damaged. DataError : the data differs from what was fitted.
+    UsageError : the data is not where it was. StoreError : a model file is missing or damaged.
+    DataError : the data differs from what was fitted.
     """
     place = run.data if data is None else data
+    if data is None and not Path(place).exists():
+        raise UsageError(
+            "the data that this run was fitted on is not there any more",
+            path=place,
+            hint="if it moved, name its place with --data (of 'flysid compare': --data-a, --data-b)",
+        )
     if not run.recipe:
         file = open_dataset(place)
         return [_held_out_channel(run, c, file if c.on_disk else file.read()) for c in run.channels]
@@ -274,8 +282,25 @@ def _held_out_channel(run: Run, channel: ChannelRun, data: Dataset | DatasetFile
 
 
 def models_of(run: Run, channel: ChannelRun) -> dict[str, Fitted]:
-    """The fitted models of a channel by label; StoreError where a file is damaged."""
-    return {label: load(_inside(run.folder, file)) for label, file in channel.models.items()}
+    """The fitted models of a channel by label; StoreError where a file is missing or damaged."""
+    return {label: _load(run.folder, file) for label, file in channel.models.items()}
+
+
+def asked_for(labels: Sequence[str], models: Mapping[str, Fitted], baseline: str) -> str | None:
+    """Label of the model that the headline speaks of, where no fuzzy one was fitted: the first dynamic one
+    that the user asked for and that is not the baseline. None leaves the choice to `compare`.
+    """
+    if any(label in models for label in CONTENDERS):
+        return None
+    asked = (label for label in labels if label in models and label != baseline)
+    return next((label for label in asked if models[label].structure != "line"), None)
+
+
+def _load(folder: Path, file: str) -> Fitted:
+    path = _inside(folder, file)
+    if not path.is_file():
+        raise StoreError("a model of the run is missing", path=path, hint="fit it again")
+    return load(path)
 
 
 def _inside(folder: Path, file: str) -> Path:

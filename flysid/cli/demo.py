@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -78,8 +78,9 @@ def command(output: Path, plant: str, seed: int, force: bool, quiet: bool) -> No
     with status(quiet) as progress:
         say(f"  synthesise  {fly(stages, plant, seed, progress)}", quiet)
         say(f"  ingest      {take_in(stages)}", quiet)
+        before = time.perf_counter()
         run = fit(stages, seed, progress)
-        say(f"  fit         {describe_run(run)}", quiet)
+        say(f"  fit         {describe_run(run, time.perf_counter() - before)}", quiet)
         judgement = judge(stages, progress)
     say(f"  validate    {describe_judgement(judgement)}", quiet)
     from flysid.validate.terminal import summary
@@ -146,10 +147,9 @@ def fit(stages: Stages, seed: int, progress: Callable[[str], None]) -> Run:
     return fit_run(open_lake(stages.data), RECIPE, stages.run, settings, jobs=cores(), progress=progress)
 
 
-def describe_run(run: Run) -> str:
-    """Channels, models and time."""
-    seconds = sum(sum(c.fit_seconds.values()) for c in run.channels)
-    models: Mapping[str, str] = run.channels[0].models
+def describe_run(run: Run, seconds: float) -> str:
+    """Models of any channel, channels and wall time; channels are fitted side by side."""
+    models = dict.fromkeys(label for channel in run.channels for label in channel.models)
     return f"{', '.join(models)} on {len(run.channels)} channels ({seconds:.0f} s)"
 
 
@@ -176,11 +176,11 @@ def meaning(judgement: Judgement) -> str:
     """What the verdicts say, in one line."""
     pairs = {name: pair for c in judgement.comparisons.values() for name, pair in c.verdict.items()}
     better = [name for name, pair in pairs.items() if pair.earned]
-    if not better and all(pair.verdict == "same" or pair.one_rule for pair in pairs.values()):
+    if not better and all(pair.verdict in ("same", "worse") or pair.one_rule for pair in pairs.values()):
         return "One linear model per channel is enough here."
     if not better:
         return "These flights do not show that rules help. Read the report's first lines for why."
-    enough = [name for name, pair in pairs.items() if pair.verdict == "same" or pair.one_rule]
+    enough = [name for name, pair in pairs.items() if pair.verdict in ("same", "worse") or pair.one_rule]
     open_ = [name for name in pairs if name not in (*better, *enough)]
     rest = f"; on {', '.join(enough)} a linear model is enough" if enough else ""
     rest += f"; on {', '.join(open_)} these flights do not tell" if open_ else ""

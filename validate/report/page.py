@@ -9,8 +9,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
@@ -22,6 +20,7 @@ from markupsafe import Markup
 
 import flysid
 from flysid.errors import StoreError
+from flysid.flightwriter import write_atomically
 from flysid.validate.cautions import cautions
 from flysid.validate.compare import FUZZY
 from flysid.validate.comparison import Comparison, ModelInfo, Pair
@@ -61,20 +60,10 @@ def write_report(path: str | Path, context: ReportContext) -> Path:
     """
     path = Path(path)
     text = render(context)
-    temporary = ""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(
-            "w", encoding="utf-8", dir=path.parent, prefix=f".{path.name}.", delete=False
-        ) as file:
-            temporary = file.name
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        write_atomically(path, text.encode())
     except OSError as error:
-        if temporary:
-            Path(temporary).unlink(missing_ok=True)
         raise StoreError(
             f"the report cannot be written: {error.strerror}",
             path=path,
