@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,7 +27,7 @@ from flysid.model.fuzzy.cluster import MOST_SAMPLES, Method, cluster, project
 from flysid.model.fuzzy.consequents import Consequents, Criterion, check_criterion, fit_consequents
 from flysid.model.fuzzy.explain import Explanation, refuse_row, taken_apart
 from flysid.model.fuzzy.memberships import Conjunction, Partition, Shape
-from flysid.model.fuzzy.tongue import number
+from flysid.model.fuzzy.papertables import Row, if_then, parameters
 from flysid.model.fuzzy.words import condition_in_words, equation, in_words
 from flysid.model.stream import Source, blocks_of
 from flysid.model.threads import on_one_thread
@@ -235,18 +234,22 @@ class FittedStaticTS:
         title = f"Static Takagi-Sugeno model, {len(self.partition)} rules, {self.n_parameters} parameters"
         return in_words(title, self.rules(), self.notes, (self.outputs, self.inputs))
 
-    @cached_property
-    def table(self) -> tuple[tuple[str, str, str, str], ...]:
-        """The paper's tables 2, 4, 6: rule, consequent (gains), offset, centre of the cluster."""
+    def table(self, output: int = 0) -> tuple[Row, ...]:
+        """Rows of the paper's tables for one output: gains, offset, centre of the cluster."""
+        theta, centre = self.consequents[:, output], self.partition.centre
         return tuple(
-            (
-                f"{r + 1}.",
-                ", ".join(number(g) for g in self.consequents[r, :, :-1].ravel()),
-                ", ".join(number(b) for b in self.consequents[r, :, -1]),
-                ", ".join(number(c) for c in self.partition.centre[r]),
-            )
-            for r in range(len(self.partition))
+            Row(tuple(row[:-1].tolist()), float(row[-1]), tuple(c.tolist()))
+            for row, c in zip(theta, centre, strict=True)
         )
+
+    def tables(self) -> str:
+        """The rules in the form of the paper's tables 1 to 6: two tables for every output."""
+        names, parts = [s.name for s in self.inputs], list[str]()
+        for i, signal in enumerate(self.outputs):
+            rows = self.table(i)
+            parts += [f"Fuzzy If-Then rules of {signal.name}", *if_then(rows, names, signal.name), ""]
+            parts += [f"Parameters of the membership functions of {signal.name}", *parameters(rows), ""]
+        return "\n".join(parts[:-1])
 
     def to_dict(self) -> dict[str, Any]:
         """Everything needed to rebuild the model, as JSON types only."""

@@ -73,7 +73,11 @@ def test_on_a_linear_loop_no_verdict_calls_the_rules_better(dynamic: tuple[str, 
     assert loop_named(name).equation in text
     assert text.count("R7:") == 1
     if name == "lateral":
-        assert text.count("centre lost in print") == 5
+        assert text.count("lost in print") == 5
+    tables = {"longitudinal": "12", "lateral": "34", "vertical": "56"}[name]
+    for who in ("the paper's", "flysid's"):
+        assert all(f"{who} table {number}" in text for number in tables)
+    assert text.count("Rule#  Consequent  Offset") == 2
 
 
 @pytest.mark.parametrize("name", NAMES)

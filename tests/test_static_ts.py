@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flysid.dataset import Dataset, FloatArray
+from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.base import load
 from flysid.model.static_ts import StaticTS
@@ -80,7 +80,7 @@ def test_json_round_trip_and_table(tmp_path: Path) -> None:
     model.save(tmp_path / "m.json")
     again = load(tmp_path / "m.json")
     assert np.array_equal(again.simulate(u[:, None]), model.simulate(u))
-    assert [row[0] for row in model.table] == ["1.", "2.", "3.", "4.", "5."]
+    assert again.table() == model.table()  # type: ignore[attr-defined]
     assert np.allclose(model.firing(u, y).sum(axis=1), 1.0)
 
 
@@ -117,3 +117,21 @@ def test_records_that_do_not_fit_are_refused() -> None:
         model.predict(np.zeros(20), np.zeros(20), k=0)
     with pytest.raises(UsageError, match="u is no array of numbers"):
         model.simulate("far")  # type: ignore[arg-type]
+
+
+def test_tables_are_those_of_the_paper() -> None:
+    u = np.random.default_rng(0).uniform(-1, 1, (400, 2))
+    y = np.c_[np.abs(u[:, 0]) + 0.3 * u[:, 1], u[:, 0]]
+    names = [Signal("theta_in", "deg"), Signal("phi_in", "deg")]
+    data = Dataset.from_arrays(u, y, 0.1, inputs=names, outputs=[Signal("v_x"), Signal("v_y")])
+    model = StaticTS(rules=3).fit(data)
+    lines = model.tables().splitlines()
+    assert lines[0] == "Fuzzy If-Then rules of v_x"
+    assert lines[2].startswith("2. If theta_in is A2 and phi_in is A2 then v_x = ")
+    assert lines[6].split() == ["Rule#", "Consequent", "Offset", "Centre", "of", "cluster"]
+    row = model.table(1)[2]
+    gain, offset, centre = model.consequents[2, 1, :2], model.consequents[2, 1, 2], model.partition.centre[2]
+    assert np.array_equal([*row.gains, row.offset, *(row.centre or ())], [*gain, offset, *centre])
+    assert lines[-1].split()[0] == "3."
+    printed = [float(word.strip(",")) for word in lines[-1].split()[1:]]
+    assert printed == pytest.approx([*gain, offset, *centre], rel=0.06, abs=1e-12)

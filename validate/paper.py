@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from flysid.model.fuzzy.papertables import Row
+
 
 @dataclass(frozen=True)
 class PaperRule:
@@ -40,6 +42,11 @@ class PaperLoop:
     rules: tuple[PaperRule, ...]
     tables: str
     vaf_claim_pct: float = 95.0
+
+    @property
+    def table(self) -> tuple[Row, ...]:
+        """The rules as rows of the tables."""
+        return tuple(Row((r.gain,), r.offset, None if r.centre is None else (r.centre,)) for r in self.rules)
 
 
 def _rules(*rows: tuple[float, float, float | None]) -> tuple[PaperRule, ...]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import textwrap
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 import click
@@ -78,15 +80,32 @@ def loop_text(result: LoopResult) -> str:
 
 
 def _rule_tables(result: LoopResult) -> list[str]:
-    loop = result.paper
-    lines = [f"  the paper's rules ({loop.tables})" + " " * 20 + "flysid's static TS, 7 rules"]
-    ours = result.models["static_ts_7"].rules()
-    for i, (theirs, rule) in enumerate(zip(loop.rules, ours, strict=False), start=1):
-        centre = "(centre lost in print)" if theirs.centre is None else f"u about {theirs.centre:g}"
-        left = f"{i}. {centre}: y = {theirs.gain:g} u {theirs.offset:+g}"
-        lines.append(f"    {left:52}{rule.label}: if {rule.condition} then {rule.conclusion}")
+    """The paper's two tables of this loop beside flysid's of the same form, then the dynamic rules."""
+    from flysid.model.fuzzy.papertables import if_then, parameters
+    from flysid.model.static_ts import FittedStaticTS
+
+    static = result.models["static_ts_7"]
+    assert isinstance(static, FittedStaticTS)
+    theirs, ours = result.paper.table, static.table()
+    first, second = re.findall(r"\d", result.paper.tables)
+    lines = _beside(
+        [f"the paper's table {first}", *if_then(theirs)], [f"flysid's table {first}", *if_then(ours)], 52
+    )
+    lines += _beside(
+        [f"the paper's table {second}", *parameters(theirs)],
+        [f"flysid's table {second}", *parameters(ours)],
+        52,
+    )
+    lines.append("  where flysid's sets lie")
+    lines += [f"    {rule.label}: {rule.condition}" for rule in static.rules()]
     lines.append("  flysid's dynamic TS, 3 rules")
     lines += [
         f"    {r.label}: if {r.condition} then {r.conclusion}" for r in result.models["dynamic_ts_3"].rules()
     ]
     return lines
+
+
+def _beside(left: list[str], right: list[str], width: int) -> list[str]:
+    """Two tables side by side, each under its head."""
+    rows = zip_longest(left, right, fillvalue="")
+    return [f"{'  ' if i == 0 else '    '}{a:{width - 2 * (i > 0)}}{b}" for i, (a, b) in enumerate(rows)]
