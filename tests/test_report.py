@@ -23,13 +23,13 @@ from flysid.validate.caution_data import WEIGHTS
 from flysid.validate.cautions import MOST, cautions
 from flysid.validate.compare import Comparison, compare
 from flysid.validate.diagnostics import diagnose
-from flysid.validate.report import ReportContext, Sweep, render, write_report
+from flysid.validate.report import ReportContext, Sweep, narrative, render, write_report
 from flysid.validate.report.decimate import decimate, rounded
 from flysid.validate.report.figures import bode, sweep_figure
 from flysid.validate.report.rulefigures import antecedent_range
 from flysid.validate.report.svg import log_ticks, ticks
 from flysid.validate.verdict import Verdict
-from flysid.validate.words import verdict_words
+from flysid.validate.words import number, verdict_words
 from tests.fakes import FirstOrder, flown
 
 ARX = FirstOrder(a=0.9, b=0.07)
@@ -201,6 +201,7 @@ def test_one_model_alone_and_a_diverging_one() -> None:
     swapped = {"arx": replace(wild, structure="arx"), "ts": TS}
     words = Page(render(ReportContext.of({"x": compare(swapped, test)}))).words
     assert "On x the linear model diverged in free run, so there is no error to compare with." in words
+    assert "diverged diverged" not in words
     words = Page(render(ReportContext.of({"x": compare({"arx": wild, "ts": wild}, test)}))).words
     assert "Neither the fuzzy model nor the linear model is usable on x." in words
     assert "is enough" not in words
@@ -324,6 +325,33 @@ def test_a_test_that_chance_alone_passes_says_so() -> None:
     page = Page(render(ReportContext.of({"x": few}))).words
     assert "too little data to tell" in page
     assert "nothing left that the input explains" not in page
+
+
+def test_the_first_screen_of_one_model_says_its_error_and_no_interval() -> None:
+    c = compare([ARX], flown(TS, [300] * 2, noise=0.02))
+    page = Page(render(ReportContext.of({"roll": c}))).words
+    rmse = number(c.entry().models["arx"].scores.rmse)
+    assert f"One model, nothing to compare it with. RMSE in free run: roll {rmse} m/s (fit " in page
+    assert "intervals come from blocks" not in page
+
+
+def test_units_of_all_channels_are_told() -> None:
+    (pair,) = compared().verdict.values()
+    blocks = [replace(pair, units=n, unit=f"blocks of {s} s") for n, s in ((14, 8.5), (20, 5.9))]
+    for pairs, words in (
+        ([pair], "6 flights"),
+        (blocks[:1], "14 blocks of 8.5 s"),
+        (blocks, "14 to 20 blocks of time"),
+        ([pair, pair, *blocks], "6 flights or 14 to 20 blocks of time"),
+    ):
+        assert narrative._units([("x", p) for p in pairs]) == words
+
+
+def test_the_verdict_stands_beside_its_channel_and_not_in_the_tab() -> None:
+    found = re.search(r'<div class="channel-head"><h2[^>]*>(.*?)</h2>(.*?)</div>', rendered())
+    assert found is not None
+    assert "TS better" not in found[1]
+    assert "TS better" in found[2]
 
 
 def test_rules_of_two_fuzzy_models_are_told_apart() -> None:

@@ -132,6 +132,38 @@ def test_segments_can_be_chosen_and_zoom_is_shared(browser: Any, page: Path) -> 
     assert chosen == 3
 
 
+def test_charts_zoom_and_move_by_the_keyboard(browser: Any, page: Path) -> None:
+    opened(browser, page)
+    scroll_to_charts(browser)
+    start, near, moved, wide, back = browser.execute_async_script(
+        """const done = arguments[0], figure = document.querySelector('.channel:not([hidden]) .overlay');
+           const canvas = figure.querySelector('.live .uplot canvas'), seen = [];
+           figure.focus();
+           const press = key => new Promise(next => {
+             document.activeElement.dispatchEvent(new KeyboardEvent('keydown', {key: key, bubbles: true}));
+             setTimeout(() => { seen.push(canvas.toDataURL()); next(); }, 60); });
+           press('a').then(() => press('+')).then(() => press('ArrowRight')).then(() => press('-'))
+             .then(() => press('0')).then(() => done(seen));"""
+    )
+    assert len({start, near, moved, wide}) == 4
+    assert back == start
+    assert browser.execute_script("return document.activeElement.classList.contains('overlay')")
+
+
+def test_paper_starts_the_numbers_and_every_channel_on_a_page(browser: Any, page: Path) -> None:
+    """A heading and the head of a table were left alone at the foot of the first page."""
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    try:
+        opened(browser, page)
+        breaks = browser.execute_script(
+            """return [...document.querySelectorAll('#numbers, .channel')]
+                 .map(e => getComputedStyle(e).breakBefore)"""
+        )
+    finally:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    assert breaks == ["page"] * 4
+
+
 def test_pictures_that_scroll_can_be_reached_by_the_keyboard_and_others_need_no_stop(
     browser: Any, page: Path
 ) -> None:

@@ -217,7 +217,11 @@ def _undecided(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cauti
 
 def _few(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
     del diagnoses
-    few = {name: len(c.test.flights) for name, c in comparisons.items() if len(c.test.flights) < MIN_FLIGHTS}
+    few = {
+        name: len(c.test.flights)
+        for name, c in comparisons.items()
+        if c.contender and len(c.test.flights) < MIN_FLIGHTS
+    }
     if few:
         counts = sorted(set(few.values()))
         number = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else str(counts[0])

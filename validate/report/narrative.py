@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from flysid.validate.compare import FUZZY
 from flysid.validate.comparison import Comparison, Pair
 from flysid.validate.verdict import Verdict
-from flysid.validate.words import named, one_line
+from flysid.validate.words import horizon_words, named, number, one_line, percentage, verdict_words
 
 NAMES = {
     "ts": "fuzzy model",
@@ -44,6 +44,12 @@ def symbol(pair: Pair) -> str:
 def css(pair: Pair) -> str:
     """CSS class of the verdict."""
     return CONTESTED[1] if pair.contested else CSS[pair.verdict]
+
+
+def badge(pair: Pair) -> dict[str, str]:
+    """Symbol, words and CSS class of a verdict: never colour alone."""
+    words = verdict_words(pair)
+    return {"symbol": symbol(pair), "words": words, "css": css(pair)}
 
 
 def heads(comparisons: Mapping[str, Comparison]) -> list[tuple[str, Pair]]:
@@ -103,6 +109,19 @@ def title(pairs: Heads) -> str:
     if count[Verdict.SAME] == total:
         return f"{'A' if one_rule else 'The'} {base} is enough {on_all}."
     return f"No difference shown on {count[Verdict.SAME]} of {total} channels; not enough data on the others."
+
+
+def alone(comparisons: Mapping[str, Comparison]) -> str:
+    """What there is to say where a channel has one model only: its error."""
+    said = []
+    for channel, c in comparisons.items():
+        for output in () if c.contender else c.test.outputs:
+            s = c.entry(output.name, c.head).models[c.baseline].scores
+            name = output.name if len(c.test.outputs) > 1 or not channel else channel
+            unit = f" {output.unit}" if output.unit else ""
+            said.append(f"{one_line(name)} {number(s.rmse)}{one_line(unit)} (fit {percentage(s.fit_pct)} %)")
+    first = next(iter(comparisons.values()))
+    return f"RMSE in {horizon_words(first.head, first.dt_s)}: {_listed(said)}." if said else ""
 
 
 def subtitle(pairs: Heads) -> str:
@@ -201,11 +220,21 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
         words += f" after training on {duration(train_s)}"
     words += ", " + " and ".join(f"{r:g}" for r in rates) + " Hz."
     if pairs:
-        units = pairs[0][1].units
-        unit = pairs[0][1].unit
-        words += f" Judged on free-run error with a paired bootstrap over {units} {one_line(unit)}"
+        words += f" Judged on free-run error with a paired bootstrap over {_units(pairs)}"
         words += ", corrected for several channels (Holm)." if len(pairs) > 1 else "."
     return f"{words} {start_words(comparisons)}"
+
+
+def _units(pairs: Heads) -> str:
+    """ "30 flights", "16 blocks of 7.18 s", or where channels differ "14 to 20 blocks of time"."""
+    said = []
+    for kind in dict.fromkeys(p.unit.partition(" ")[0] for _, p in pairs):
+        alike = dict.fromkeys((p.units, p.unit) for _, p in pairs if p.unit.startswith(kind))
+        few, many = min(units for units, _ in alike), max(units for units, _ in alike)
+        number_of = f"{few}" if few == many else f"{few} to {many}"
+        unit = next(iter(alike))[1] if len(alike) == 1 else {"blocks": "blocks of time"}.get(kind, kind)
+        said.append(f"{number_of} {one_line(unit)}")
+    return " or ".join(said)
 
 
 def _introduced(name: str, label: str) -> str:

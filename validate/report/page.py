@@ -38,7 +38,6 @@ from flysid.validate.words import (
     number,
     one_line,
     percentage,
-    verdict_words,
 )
 
 NUMBERS_ON_PAGE = 90_000
@@ -90,7 +89,7 @@ def render(context: ReportContext) -> str:
             data=Markup(_json([s.data for s in parts])),
             remark=one_line(context.remark),
             title=narrative.title(pairs),
-            subtitle=narrative.subtitle(pairs),
+            subtitle=narrative.subtitle(pairs) if pairs else narrative.alone(comparisons),
             basis=narrative.basis(comparisons, _seconds_of_training(context)),
             skipped=[(one_line(name), one_line(why)) for name, why in context.skipped.items()],
             cards=_cards(comparisons),
@@ -180,7 +179,7 @@ def _cards(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
                 {
                     "name": one_line(channel or output),
                     "signals": f"{', '.join(one_line(s.name) for s in c.test.inputs)} → {one_line(output)}",
-                    "badge": badge(pair),
+                    "badge": narrative.badge(pair),
                     "change": change_words(pair),
                     "horizon": "RMSE in " + horizon_words(entry.horizon, c.dt_s),
                     "bar": interval_bar(pair, reach, narrative.css(pair)),
@@ -198,12 +197,6 @@ def _cards(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
 def _size(info: ModelInfo) -> str:
     many = f"{info.n_rules} rules, " if info.n_rules > 1 else "one rule, " if info.structure in FUZZY else ""
     return f"{one_line(info.name).upper()} {many}{info.n_parameters} parameters"
-
-
-def badge(pair: Pair) -> dict[str, str]:
-    """Symbol, words and CSS class of a verdict: never colour alone."""
-    words = verdict_words(pair)
-    return {"symbol": narrative.symbol(pair), "words": words, "css": narrative.css(pair)}
 
 
 def _rows(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
@@ -232,7 +225,7 @@ def _rows(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
                         "bar": interval_bar(pair, reach, narrative.css(pair), 190.0) if pair else "",
                         "change": change_words(pair) if pair else "",
                         "interval": interval_words(pair) if pair else "",
-                        "badge": badge(pair) if pair else None,
+                        "badge": narrative.badge(pair) if pair else None,
                     }
                 )
     return rows
@@ -267,7 +260,7 @@ def _models(context: ReportContext) -> list[dict[str, Any]]:
                         "change": change_words(pair) if pair else "",
                         "interval": interval_words(pair) if pair else "",
                         "words": words,
-                        "badge": badge(pair) if pair and words != "reference" else None,
+                        "badge": narrative.badge(pair) if pair and words != "reference" else None,
                         "diverged": len(score.diverged),
                         "diverged_s": first,
                     }

@@ -17,6 +17,7 @@ from flysid.validate.compare import FUZZY, Comparison
 from flysid.validate.report import figures, overlay, rulefigures
 from flysid.validate.report.checktable import CheckRow, check_rows, coefficient_rows, interval_text
 from flysid.validate.report.context import Sweep
+from flysid.validate.report.narrative import badge
 from flysid.validate.report.source import Source
 from flysid.validate.residuals import Correlation
 from flysid.validate.responses import steady_outputs
@@ -63,6 +64,7 @@ class Section:
     signals: str
     comparison: Comparison
     output: int
+    badge: Mapping[str, str] | None
     still: Markup
     buttons: tuple[tuple[str, str], ...]
     residuals: tuple[Panel, ...]
@@ -103,6 +105,7 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         signals=f"{', '.join(one_line(s.name) for s in c.test.inputs)} → {one_line(c.test.outputs[j].name)}",
         comparison=c,
         output=j,
+        badge=badge(c.verdict[c.test.outputs[j].name]) if c.verdict else None,
         still=overlay.still(
             pieces[longest], titles, f"Measured and simulated {titles[0]}, {labels[longest]}"
         ),

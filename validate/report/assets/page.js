@@ -141,6 +141,19 @@
       zooming = false;
       paintStrip();
     }
+    var moves = { ArrowLeft: [-0.2, -0.2], ArrowRight: [0.2, 0.2], "+": [0.25, -0.25], "=": [0.25, -0.25], "-": [-0.5, 0.5], "0": null };
+    figure.tabIndex = 0;
+    figure.addEventListener("keydown", function (event) { // what the mouse does by dragging
+      var move = moves[event.key], x = top.scales.x, t = current.t;
+      if (move === undefined || event.ctrlKey || event.metaKey || event.altKey) { return; }
+      event.preventDefault();
+      var first = t[0], last = t[t.length - 1], span = x.max - x.min;
+      var low = move ? x.min + move[0] * span : first, high = move ? x.max + move[1] * span : last;
+      if (move && move[0] === move[1]) { low = Math.max(first, Math.min(low, last - span)); high = low + span; }
+      low = Math.max(low, first);
+      high = Math.min(high, last);
+      if (high - low > 3 * (t[1] - t[0])) { top.setScale("x", { min: low, max: high }); }
+    });
     top.hooks.drawAxes = [function (plot) { shade(current, plot); }];
     [[top, 0], [middle, 1], [bottom, 2]].forEach(function (item) {
       item[0].hooks.setScale = (item[0].hooks.setScale || []).concat([follow(function () { return item[0]; })]);
@@ -154,7 +167,6 @@
   function start(figure) {
     if (figure.dataset.started) { return; }
     figure.dataset.started = "yes";
-    figure.removeAttribute("tabindex"); // only the still picture of a narrow page scrolls
     var index = +figure.dataset.index, channel = data(index);
     var show = draw(figure, channel, index);
     figure.querySelectorAll(".scripted").forEach(function (e) { e.hidden = false; });
