@@ -17,7 +17,7 @@ from flysid.errors import DataError, UsageError
 from flysid.model.fuzzy.cluster import cluster, project
 from flysid.model.fuzzy.finish import finished
 from flysid.model.fuzzy.grow import best_started, first_basis, ordered
-from flysid.model.fuzzy.layout import Layout, Orders, parse_antecedent, scaling
+from flysid.model.fuzzy.layout import Layout, Orders, parse_antecedents, scaling
 from flysid.model.fuzzy.model import FittedTS
 from flysid.model.fuzzy.problem import Body, Problem, antecedent_range, runs_of
 from flysid.model.threads import on_one_thread
@@ -79,12 +79,15 @@ class ANFIS:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
                 raise UsageError(f"{name}={value!r}", hint=f"give a whole number from {least} on")
-        if not 0.0 < self.step < 1.0:
+        number = isinstance(self.step, int | float)
+        if not number or not 0.0 < self.step < 1.0:
             raise UsageError(f"step={self.step!r}", hint="give a number between 0 and 1")
+        if isinstance(self.antecedents, str):
+            raise UsageError(f"antecedents={self.antecedents!r}", hint="give a list of names, or none")
 
     def _layout(self, train: Dataset) -> Layout:
         names = self.antecedents or (train.outputs[0].name, f"{train.inputs[0].name}(k-{self.nk})")
-        antecedents = tuple(parse_antecedent(n, train.outputs, train.inputs) for n in names)
+        antecedents = parse_antecedents(names, train.outputs, train.inputs)
         n_u = len(train.inputs)
         orders = Orders(self.na, (self.nb,) * n_u, (self.nk,) * n_u)
         return Layout(train.outputs, train.inputs, orders, antecedents, *scaling(train))

@@ -1,4 +1,4 @@
-"""What the methods of models take: signals in columns, finite, as many as the model has."""
+"""What the methods of models take: signals in columns, finite, as many as the model has; and counts."""
 
 from __future__ import annotations
 
@@ -52,3 +52,8 @@ def as_record(model: _Signals, u: FloatArray, y: FloatArray, k: int = 1) -> tupl
     if len(u) != len(y):
         raise UsageError(f"u has {len(u)} samples and y has {len(y)}")
     return u, y
+
+
+def is_count(value: object, least: int) -> bool:
+    """A whole number from `least` on, of Python or of NumPy."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= least

@@ -57,9 +57,19 @@ def test_the_best_epoch_is_chosen_on_validation_data(data: Dataset) -> None:
     assert np.isfinite(model.simulate(validation.segments[0].u)).all()
 
 
-@pytest.mark.parametrize("settings", [ANFIS(rules=0), ANFIS(na=-1), ANFIS(step=2.0), ANFIS(nb=0)])
-def test_settings_that_cannot_be(settings: ANFIS, data: Dataset) -> None:
-    with pytest.raises(UsageError):
+@pytest.mark.parametrize(
+    ("settings", "word"),
+    [
+        (ANFIS(rules=0), "rules=0"),
+        (ANFIS(na=-1), "na=-1"),
+        (ANFIS(step=2.0), "step=2"),
+        (ANFIS(step="short"), "step='short'"),  # type: ignore[arg-type]
+        (ANFIS(nb=0), "nb=0"),
+        (ANFIS(antecedents="y(k-1)"), "antecedents='y"),
+    ],
+)
+def test_settings_that_cannot_be(settings: ANFIS, word: str, data: Dataset) -> None:
+    with pytest.raises(UsageError, match=word):
         settings.fit(data)
 
 

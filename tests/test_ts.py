@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -149,6 +150,33 @@ def test_bad_input_is_named() -> None:
         TS().fit(Dataset.from_arrays(u[:8], y[:8], DT))
     with pytest.raises(UsageError, match="rules"):
         TS(rules=0).fit(Dataset.from_arrays(u, y, DT))
+
+
+@pytest.mark.parametrize(
+    ("settings", "word"),
+    [
+        ({"nb": None}, "nb=None"),
+        ({"nb": (1.5,)}, "nb="),
+        ({"nk": -1}, "nk=-1"),
+        ({"na": "two"}, "na='two'"),
+        ({"most_rules": "few"}, "most_rules='few'"),
+        ({"iterations": 2.5}, "iterations=2.5"),
+        ({"refine": "no"}, "refine='no'"),
+        ({"antecedents": [3]}, "3 is no name"),
+        ({"antecedents": ["y(k-1)", "y"]}, "'y' is named twice"),
+    ],
+)
+def test_settings_that_cannot_be_are_named(settings: dict[str, Any], word: str) -> None:
+    u, y = second_order(400, 1)
+    with pytest.raises(UsageError, match=word):
+        TS(**settings).fit(Dataset.from_arrays(u, y, DT))
+
+
+def test_numbers_of_numpy_will_do(tmp_path: Path) -> None:
+    u, y = second_order(400, 1)
+    settings = TS(rules=1, na=np.int64(2), nb=np.int64(1), nk=np.array([1]), refine=False)  # type: ignore[arg-type]
+    settings.fit(Dataset.from_arrays(u, y, DT)).save(tmp_path / "m.json")
+    assert load(tmp_path / "m.json").n_init == 2
 
 
 def test_without_refinement_the_free_run_is_worse(bent: FittedTS) -> None:

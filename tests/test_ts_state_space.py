@@ -190,6 +190,8 @@ def test_far_outside_the_training_range_it_stays_finite() -> None:
         (TSStateSpace(states=0), "states"),
         (TSStateSpace(rules=0), "rules"),
         (TSStateSpace(ridge=-1.0), "ridge"),
+        (TSStateSpace(ridge="much"), "ridge='much'"),  # type: ignore[arg-type]
+        (TSStateSpace(iterations=2.5), "iterations"),  # type: ignore[arg-type]
         (TSStateSpace(antecedents="y(k-1)"), "antecedents"),
         (TSStateSpace(states=2, nk=1, antecedents=("z(k-1)",)), "not understood"),
     ],

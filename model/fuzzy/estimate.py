@@ -9,10 +9,11 @@ import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError, UsageError
+from flysid.model.arguments import is_count
 from flysid.model.fuzzy.choice import INTEGRATES, Candidate, choose, hold_out
 from flysid.model.fuzzy.fewer import fewer_words
 from flysid.model.fuzzy.grow import Stage, ordered
-from flysid.model.fuzzy.layout import Antecedent, Orders, parse_antecedent, scaling
+from flysid.model.fuzzy.layout import Antecedent, Orders, parse_antecedents, scaling
 from flysid.model.fuzzy.problem import runs_of
 from flysid.model.fuzzy.refit import refit
 from flysid.model.fuzzy.search import cross_validated, search
@@ -143,19 +144,22 @@ def check(settings: Settings) -> None:
     for name in ("rules", "na"):
         value = getattr(settings, name)
         low = 1 if name == "rules" else 0
-        if value != "auto" and (isinstance(value, bool) or not isinstance(value, int) or value < low):
+        if value != "auto" and not is_count(value, low):
             raise UsageError(f"{name}={value!r}", hint=f'give "auto" or a whole number from {low} on')
     for name in ("nb", "nk"):
         value = getattr(settings, name)
-        numbers = [value] if isinstance(value, int) else value
-        if value != "auto" and any(isinstance(v, str) or int(v) != v or v < 0 for v in numbers):
+        numbers = list(value) if isinstance(value, Sequence | np.ndarray) else [value]
+        if value != "auto" and not all(is_count(v, 0) for v in numbers):
             raise UsageError(f"{name}={value!r}", hint='give "auto", a whole number, or one per input')
-    if settings.most_rules < 1 or settings.iterations < 1:
-        raise UsageError("most_rules and iterations must be at least 1")
+    for name in ("most_rules", "iterations"):
+        if not is_count(getattr(settings, name), 1):
+            raise UsageError(f"{name}={getattr(settings, name)!r}", hint="give a whole number, at least 1")
+    if not isinstance(settings.refine, bool):
+        raise UsageError(f"refine={settings.refine!r}", hint="give True or False")
 
 
 def _per_input(value: int | Sequence[int], inputs: int, name: str) -> tuple[int, ...]:
-    numbers = (int(value),) * inputs if isinstance(value, int) else tuple(int(v) for v in value)
+    numbers = (int(value),) * inputs if isinstance(value, int | np.integer) else tuple(map(int, value))
     if len(numbers) != inputs:
         raise UsageError(f"{name} has {len(numbers)} numbers for {inputs} inputs")
     return numbers
@@ -170,7 +174,7 @@ def order_choices(settings: Settings, inputs: int) -> list[Orders]:
     """
     choices: list[Orders] = []
     for n in range(1, _HIGHEST_ORDER + 1):
-        na = n if settings.na == "auto" else settings.na
+        na = n if settings.na == "auto" else int(settings.na)
         nk = 0 if settings.nk == "auto" else settings.nk
         more = 1 if settings.nk == "auto" else 0
         nb = (n if settings.na == "auto" else na) + more if settings.nb == "auto" else settings.nb
@@ -196,7 +200,7 @@ def _named(settings: Settings, train: Dataset) -> tuple[Antecedent, ...]:
         return ()
     if isinstance(settings.antecedents, str) or not settings.antecedents:
         raise UsageError(f"antecedents={settings.antecedents!r}", hint='give "auto" or a list of names')
-    return tuple(parse_antecedent(a, train.outputs, train.inputs) for a in settings.antecedents)
+    return parse_antecedents(settings.antecedents, train.outputs, train.inputs)
 
 
 def _parts(train: Dataset, validation: Dataset | None, least: int) -> tuple[Dataset, Dataset, bool]:

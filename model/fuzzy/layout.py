@@ -196,6 +196,8 @@ def parse_antecedent(text: str, outputs: Sequence[Signal], inputs: Sequence[Sign
     UsageError : no such signal, not understood, or an output at the present sample.
     """
     signals = [s.name for s in (*outputs, *inputs)]
+    if not isinstance(text, str):
+        raise UsageError(f"the antecedent {text!r} is no name", hint=f"write e.g. {signals[0]}(k-1)")
     if text in signals:
         column = signals.index(text)
         return Antecedent(column, 1 if column < len(outputs) else 0)
@@ -215,3 +217,19 @@ def parse_antecedent(text: str, outputs: Sequence[Signal], inputs: Sequence[Sign
     if column < len(outputs) and min(delays) < 1:
         raise UsageError(f"{text!r} needs an output before it is known", hint="outputs start at (k-1)")
     return Antecedent(column, delays[0], delays[1] if minus else -1)
+
+
+def parse_antecedents(
+    names: Sequence[str], outputs: Sequence[Signal], inputs: Sequence[Signal]
+) -> tuple[Antecedent, ...]:
+    """Several antecedents that a person wrote.
+
+    Raises
+    ------
+    UsageError : one is not understood, or named twice.
+    """
+    found = tuple(parse_antecedent(name, outputs, inputs) for name in names)
+    for at, antecedent in enumerate(found):
+        if antecedent in found[:at]:
+            raise UsageError(f"the antecedent {names[at]!r} is named twice", hint="name each one once")
+    return found

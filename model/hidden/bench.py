@@ -9,7 +9,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.fuzzy.layout import Antecedent, parse_antecedent
+from flysid.model.fuzzy.layout import Antecedent, parse_antecedents
 from flysid.model.hidden.choice import Family
 from flysid.model.hidden.grow import (
     StateStage,
@@ -94,7 +94,7 @@ class Bench:
         if self.settings.antecedents == "auto":
             return layout.candidates()
         states = layout.signals[: layout.n]
-        return tuple(parse_antecedent(a, states, layout.inputs) for a in self.settings.antecedents)
+        return parse_antecedents(self.settings.antecedents, states, layout.inputs)
 
     @property
     def most(self) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
+from flysid.model.arguments import is_count
 from flysid.model.fuzzy.choice import INTEGRATES, hold_out
 from flysid.model.fuzzy.layout import scaling
 from flysid.model.hidden.bench import SPARE_ROWS, Bench
@@ -57,11 +58,13 @@ def check(settings: Settings) -> None:
     """Raise UsageError for settings that cannot be."""
     for name in ("states", "rules"):
         value = getattr(settings, name)
-        if value != "auto" and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
+        if value != "auto" and not is_count(value, 1):
             raise UsageError(f"{name}={value!r}", hint='give "auto" or a whole number from 1 on')
-    if settings.most_rules < 1 or settings.iterations < 1:
-        raise UsageError("most_rules and iterations must be at least 1")
-    if settings.ridge != "auto" and not settings.ridge >= 0:
+    for name in ("most_rules", "iterations"):
+        if not is_count(getattr(settings, name), 1):
+            raise UsageError(f"{name}={getattr(settings, name)!r}", hint="give a whole number, at least 1")
+    ridge = settings.ridge
+    if ridge != "auto" and not (isinstance(ridge, int | float) and 0 <= ridge < np.inf):
         raise UsageError(f"ridge={settings.ridge!r}", hint='give "auto", or 0 or more; 0.01 is usual')
     if settings.antecedents != "auto" and (isinstance(settings.antecedents, str) or not settings.antecedents):
         raise UsageError(f"antecedents={settings.antecedents!r}", hint='give "auto" or a list of names')
