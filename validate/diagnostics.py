@@ -68,6 +68,12 @@ class OutputDiagnosis:
     dependence: Mapping[str, tuple[Correlation, ...]]
     responses: tuple[Spectrum | None, ...]
 
+    @property
+    def main_input(self) -> int:
+        """The input with the highest mean coherence: the one worth drawing."""
+        means = [0.0 if s is None else float(np.mean(s.coherence)) for s in self.responses]
+        return int(np.argmax(means))
+
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:

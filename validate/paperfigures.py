@@ -38,6 +38,10 @@ STYLES: dict[str, dict[str, Any]] = {
     "ts": {"color": "#1d5fd6", "linewidth": 1.0},
 }
 
+RULES = ("#5e2b97", "#0e8f85", "#6aa31b", "#dd9a10", "#c2334f", "#2d6cdf", "#8b5a2b", "#6b7280")
+"""As on the page, where it is light; sets carry their names, because colour alone says nothing in print."""
+BESIDE: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom"}
+
 
 def write_figures(folder: str | Path, context: ReportContext, kind: str = "pdf") -> list[Path]:
     """One figure per channel and output; returns the paths.
@@ -130,11 +134,11 @@ def _time_panels(panels: tuple[Axes, Axes, Axes], context: ReportContext, channe
         top.plot(t, yh, label=f"{_literal(name).upper()}, free run", **STYLES[css])
         middle.plot(t, y - yh, **STYLES[css])
     top.set_ylim(float(y.min()) - 0.3 * reach, float(y.max()) + 0.3 * reach)
-    segment = c.test.segments[trial.segment]
-    low.plot(t, segment.u[trial.first :, 0], color="0.35", linewidth=0.8)
+    segment, signal = c.test.segments[trial.segment], context.diagnoses[channel].outputs[j].main_input
+    low.plot(t, segment.u[trial.first :, signal], color="0.35", linewidth=0.8)
     top.set_ylabel(_label(c.test.outputs[j].name, c.test.outputs[j].unit))
     middle.set_ylabel(_label("error", c.test.outputs[j].unit))
-    low.set_ylabel(_label(c.test.inputs[0].name, c.test.inputs[0].unit))
+    low.set_ylabel(_label(c.test.inputs[signal].name, c.test.inputs[signal].unit))
     low.set_xlabel("time, s")
     top.set_title(f"{_literal(channel)}: held-out segment H{trial.segment + 1}")
     top.tick_params(labelbottom=False)
@@ -145,14 +149,15 @@ def _time_panels(panels: tuple[Axes, Axes, Axes], context: ReportContext, channe
 def _static_panel(panel: Axes, context: ReportContext, channel: str, j: int) -> None:
     c = context.comparisons[channel]
     data = context.train.get(channel, c.test)
+    signal = context.diagnoses[channel].outputs[j].main_input
     u = np.concatenate([s.u for s in data.segments])
     y = np.concatenate([s.y[:, j] for s in data.segments])
     step = max(1, len(u) // 800)
-    panel.plot(u[::step, 0], y[::step], ".", color="0.75", markersize=2)
-    levels = np.linspace(float(u[:, 0].min()), float(u[:, 0].max()), 25)
+    panel.plot(u[::step, signal], y[::step], ".", color="0.75", markersize=2)
+    levels = np.linspace(float(u[:, signal].min()), float(u[:, signal].max()), 25)
     for name, css in drawn(c):
-        panel.plot(levels, steady_outputs(c.fitted[name], levels, u.mean(axis=0), j, 0), **STYLES[css])
-    panel.set_xlabel(_label(c.test.inputs[0].name, c.test.inputs[0].unit))
+        panel.plot(levels, steady_outputs(c.fitted[name], levels, u.mean(axis=0), j, signal), **STYLES[css])
+    panel.set_xlabel(_label(c.test.inputs[signal].name, c.test.inputs[signal].unit))
     panel.set_ylabel(_label(f"settled {c.test.outputs[j].name}", c.test.outputs[j].unit))
     panel.set_ylim(float(y.min()) - 0.3 * float(np.ptp(y)), float(y.max()) + 0.3 * float(np.ptp(y)) + 1e-12)
 
@@ -167,15 +172,22 @@ def _last_panel(panel: Axes, context: ReportContext, channel: str, j: int) -> No
         limits = antecedent_range(name, data)
         if limits is not None:
             x = np.linspace(*limits, 200)
-            panel.plot(x, model.memberships(0, x), linewidth=1.0)
+            for r, grade in enumerate(model.memberships(0, x).T):
+                colour = RULES[r % len(RULES)]
+                panel.plot(x, grade, linewidth=1.0, color=colour)
+                peak = int(np.argmax(grade))
+                panel.annotate(f"A{r + 1}", (x[peak], grade[peak]), (0, 2), color=colour, **BESIDE)
+            panel.margins(y=0.12)
             units = {s.name: s.unit for s in (*c.test.inputs, *c.test.outputs)}
             panel.set_xlabel(_label(name, units.get(name.split("(")[0], "")))
             panel.set_ylabel("membership")
             return
+    signal = context.diagnoses[channel].outputs[j].main_input
     seconds = max(len(s) for s in c.test.segments) * c.dt_s
     hz = np.geomspace(2.0 / seconds, 0.5 / c.dt_s, 200)
     for name, css in drawn(c):
-        for response in responses(c.fitted[name], hz, j, 0):
+        for response in responses(c.fitted[name], hz, j, signal):
             panel.loglog(hz, np.abs(response), **STYLES[css])
     panel.set_xlabel("frequency, Hz")
-    panel.set_ylabel("gain")
+    units = (c.test.outputs[j].unit or "1", c.test.inputs[signal].unit or "1")
+    panel.set_ylabel(_label("gain", " per ".join(units)))

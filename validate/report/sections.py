@@ -89,7 +89,7 @@ def sections(source: Source, number_of: int) -> list[Section]:
 
 def _section(source: Source, j: int, anchor: str) -> Section:
     c = source.comparison
-    signal = _main_input(source, j)
+    signal = source.diagnosis.outputs[j].main_input
     pieces = overlay.strips(source, j, signal)
     longest = max(range(len(pieces)), key=lambda i: pieces[i].t[-1] - pieces[i].t[0])
     titles = (
@@ -140,12 +140,6 @@ def _simpler(source: Source) -> str:
         return ""
     edits = "; ".join(map(str, checks.simpler))
     return f"Fewer words, and what they cost in free-run RMSE on the training flights: {one_line(edits)}."
-
-
-def _main_input(source: Source, j: int) -> int:
-    """The input with the highest mean coherence: the one worth drawing."""
-    spectra = source.diagnosis.outputs[j].responses
-    return int(np.argmax([0.0 if s is None else float(np.mean(s.coherence)) for s in spectra]))
 
 
 def _with_unit(name: str, unit: str) -> str:
