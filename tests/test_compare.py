@@ -12,9 +12,11 @@ import flysid
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.start import estimate_start
+from flysid.validate.cautions import cautions
 from flysid.validate.compare import Comparison, across_channels, compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.document import to_json
+from flysid.validate.report import ReportContext, render
 from flysid.validate.tables import to_markdown
 from flysid.validate.terminal import summary, table
 from flysid.validate.trials import free_run, run_trials
@@ -128,6 +130,28 @@ def test_not_enough_data() -> None:
     assert document["channels"]["c"]["free_run"]["models"]["arx"]["fit_pct"] is None
 
 
+def test_an_input_that_never_moves_shows_nothing() -> None:
+    """Two models that both say zero were 'the same': 'the linear model is enough'."""
+    test = flown(TRUTH, [300] * 6, noise=0.05)
+    held = test.with_segments([replace(s, u=np.full_like(s.u, 0.5)) for s in test.segments])
+    c = compare([WRONG, TS], held)
+    assert (verdict_of(c), c.verdict["y"].reason) == (
+        "not enough data",
+        "no input moves on the held-out part",
+    )
+    text = [t.text for t in cautions({"roll": c}, {"roll": diagnose(c)})]
+    assert "No input of y moves on the held-out part: how the output answers one was not tried." in text
+    page = render(ReportContext.of({"roll": c}))
+    assert "nothing left that the input explains" not in page
+    assert "the input does not move" in page
+    stepped = [replace(s, u=np.full_like(s.u, i)) for i, s in enumerate(test.segments)]
+    assert not compare([WRONG, TS], test.with_segments(stepped)).verdict["y"].evidence.still
+    flat = test.with_segments([replace(s, y=np.full_like(s.y, 2.0)) for s in test.segments])
+    flat_c = compare([WRONG, TS], flat)
+    told = [t.text for t in cautions({"roll": flat_c}, {"roll": diagnose(flat_c)})]
+    assert "The held-out output of y does not vary, so no model can be judged on it." in told
+
+
 def test_a_segment_too_short_is_counted_and_none_long_enough_is_an_error() -> None:
     c = compare([WRONG, TS], flown(TRUTH, [300, 8, 300], noise=0.05))
     assert (c.scored_segments, c.unused_segments) == (2, 1)
@@ -233,6 +257,7 @@ def test_hostile_names_stay_on_their_line() -> None:
         (Evidence(1.0, 0.7, 1e-3), "not enough data"),
         (Evidence(1.0, 0.7, 1e-3, diverged_model=True), "worse"),
         (Evidence(1.0, 0.7, 1e-3, constant=True), "not enough data"),
+        (Evidence(1.0, 1.0, 1e-3, still=True), "not enough data"),
     ],
 )
 def test_rule_of_the_verdict(evidence: Evidence, expected: str) -> None:

@@ -27,6 +27,20 @@ from flysid.validate.words import one_line, percent
 MOST = 6
 LISTED = 3
 """Channels that a caution describes one by one."""
+UNDECIDED: Mapping[str, tuple[str, str]] = {
+    "units": (
+        "Not enough held-out data for a verdict in free run on {}.",
+        "fly more, or hold out a larger share.",
+    ),
+    "output": (
+        "The held-out output of {} does not vary, so no model can be judged on it.",
+        "hold out flights that move it, or check the recipe's signals.",
+    ),
+    "input": (
+        "No input of {} moves on the held-out part: how the output answers one was not tried.",
+        "hold out flights with manoeuvres, or check the recipe's signals.",
+    ),
+}
 _ORDER = ("danger", "warning", "note", "good")
 
 
@@ -199,20 +213,20 @@ def _noisy_start(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cau
 
 
 def _undecided(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    """Why there is no verdict, one caution per reason."""
     del diagnoses
-    said = [
-        f"{output} ({pair.units} {pair.unit})"
-        for c in comparisons.values()
-        for output, pair in c.verdict.items()
-        if pair.verdict is Verdict.NOT_ENOUGH
-    ]
-    if said:
-        yield Caution(
-            "warning",
-            f"Not enough held-out data for a verdict in free run on {join(said)}.",
-            "fly more, or hold out a larger share.",
-            3.0,
-        )
+    said: dict[str, list[str]] = {}
+    for c in comparisons.values():
+        for output, pair in c.verdict.items():
+            if pair.verdict is Verdict.NOT_ENOUGH:
+                e = pair.evidence
+                kind = "output" if e.constant else "input" if e.still else "units"
+                said.setdefault(kind, []).append(
+                    f"{output} ({pair.units} {pair.unit})" if kind == "units" else output
+                )
+    for kind, where in said.items():
+        words, todo = UNDECIDED[kind]
+        yield Caution("warning", words.format(join(where)), todo, 3.0 if kind == "units" else 6.5)
 
 
 def _few(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:

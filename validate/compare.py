@@ -219,6 +219,7 @@ class _Panel:
     flights: Sequence[str]
     resolution: float
     dt_s: float
+    still: bool
 
 
 @dataclass(frozen=True)
@@ -256,6 +257,7 @@ def _panel(trials: Sequence[Trial], test: Dataset, j: int) -> _Panel:
         flights=flights,
         resolution=resolution_of([t.y[:, j] for t in trials], test.outputs[j].resolution),
         dt_s=test.dt_s,
+        still=not np.ptp(np.concatenate([test.segments[t.segment].u for t in trials]), axis=0).any(),
     )
 
 
@@ -274,7 +276,7 @@ def _pair(panel: _Panel, sides: Sides, name: str) -> Pair:
     lost = bool(a.diverged or b.diverged)
     units = make_units(ea, eb, panel.flights)
     interval = None if lost else change_interval(units, sides.seed)
-    evidence = _evidence(a, b, panel.resolution, interval)
+    evidence = replace(_evidence(a, b, panel.resolution, interval), still=panel.still)
     verdict, reason = decide(evidence)
     change = None
     if a.scores.rmse > 0.0 and not lost:

@@ -53,8 +53,8 @@ class Correlation:
 
     @property
     def blind(self) -> bool:
-        """Chance alone explains so much that passing the test says nothing."""
-        return self.band > BLIND
+        """Passing the test says nothing: chance alone explains so much, or one side does not vary."""
+        return self.band > BLIND or not self.rho.any()
 
     @property
     def fails(self) -> bool:

@@ -3,8 +3,10 @@
 | verdict | when (first that holds) |
 |---|---|
 | worse / better | only the model / only the baseline diverged in free run |
-| same | both diverged, or the RMSEs differ by less than the data can resolve |
-| not enough data | fewer than 5 flights and fewer than 8 blocks, or nothing scored, or a constant output |
+| same | both diverged |
+| not enough data | the measured output, or every input, does not vary |
+| same | the RMSEs differ by less than the data can resolve |
+| not enough data | fewer than 5 flights and fewer than 8 blocks, or nothing scored |
 | same | the 95 % interval of the change lies inside +-5 % |
 | better / worse | the interval excludes 0 and so does the test after Holm's correction over channels |
 | same | no difference shown, and the interval lies inside +-10 %: a large one is excluded |
@@ -42,6 +44,7 @@ class Evidence:
     low_pct, high_pct : interval of the change; None where it could not be computed.
     p : two-sided p-value after correction.
     constant : the measured output does not vary.
+    still : no input varies, so nothing is shown of how the output answers one.
     """
 
     rmse_baseline: float
@@ -53,6 +56,7 @@ class Evidence:
     high_pct: float | None = None
     p: float | None = None
     constant: bool = False
+    still: bool = False
 
 
 def decide(e: Evidence) -> tuple[Verdict, str]:
@@ -65,6 +69,8 @@ def decide(e: Evidence) -> tuple[Verdict, str]:
         return Verdict.SAME, "both diverged in free run: neither is usable"
     if e.constant:
         return Verdict.NOT_ENOUGH, "the measured output does not vary"
+    if e.still:
+        return Verdict.NOT_ENOUGH, "no input moves on the held-out part"
     if abs(e.rmse_model - e.rmse_baseline) < e.resolution:
         return Verdict.SAME, "the difference is below what the data can resolve"
     if e.low_pct is None or e.high_pct is None or e.p is None:

@@ -155,7 +155,7 @@ def _data_rows(c: Comparison, d: Diagnosis, j: int) -> Iterator[CheckRow]:
     said = []
     for signal, s in spectra:
         if s is None:
-            said.append(f"{one_line(signal.name)}: too short to tell")
+            said.append(f"{one_line(signal.name)}: not measured: it hardly moves, or the record is too short")
         elif s.explained_to_hz is None:
             said.append(f"{one_line(signal.name)}: below one half everywhere")
         else:

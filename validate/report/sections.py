@@ -183,7 +183,7 @@ def _dependence(correlation: Correlation, c: Comparison, model: str, css: str, i
     lag, rho = correlation.peak
     verdict = "some dynamics missing" if correlation.fails else "nothing left that the input explains"
     if correlation.blind and not correlation.fails:
-        verdict = "too little data to tell"
+        verdict = "too little data to tell" if correlation.rho.any() else "the input does not move"
     name, peak = one_line(c.test.inputs[i].name), f"{rho:+.2f}".replace("-", "−")
     return Panel(
         f"{one_line(model).upper()}: cross-correlation of free-run error with {name}",
@@ -221,7 +221,7 @@ def _bode(source: Source, j: int, signal: int) -> Panel:
     solid = f"solid: {rules}, coloured as in the table of rules; " if rules else ""
     seen = "dots: measured, with 95 % whiskers, faint where the coherence is below 0.5"
     if empirical is None:
-        seen = "the record is too short to measure a response"
+        seen = "no response could be measured: the input hardly moves, or the record is too short"
     return Panel(
         f"Local models against the {'' if c.models[c.baseline].structure in FUZZY else 'linear '}baseline",
         f"{seen}; dashed: {one_line(c.baseline).upper()}; {solid}shaded: 95 % bands from the training data",
