@@ -18,6 +18,8 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 
+_FAR = 100.0  # ranges between limits
+
 
 @dataclass(frozen=True, eq=False)
 class Difference:
@@ -123,6 +125,12 @@ def _coupled_kernel() -> Any:
         return out
 
     return coupled
+
+
+def far(limits: FloatArray) -> FloatArray:
+    """Limits (2, n_y) so far off that only what grows without end, or an absurd start, gets there."""
+    margin = _FAR * (limits[1] - limits[0])
+    return np.stack([limits[0] - margin, limits[1] + margin])
 
 
 def saturated(y: FloatArray, limits: FloatArray) -> FloatArray:

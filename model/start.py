@@ -9,7 +9,7 @@ differences: exact in one step for a linear model). All structures are treated a
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -42,6 +42,13 @@ class Runs(Protocol):
     def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray: ...
 
 
+@runtime_checkable
+class Limited(Protocol):
+    """A model that can also run without its output limits."""
+
+    def unlimited(self) -> Runs: ...
+
+
 def estimate_start(model: Runs, u: FloatArray, y: FloatArray) -> FloatArray:
     """(n_init, n_y) first outputs from which the model follows a measured window best.
 
@@ -52,8 +59,10 @@ def estimate_start(model: Runs, u: FloatArray, y: FloatArray) -> FloatArray:
     Returns
     -------
     The measured lags themselves where W gives no more equations than unknowns, or where no better start
-    was found.
+    was found. Models that can are asked without their output limits, where no derivative shows the way back.
     """
+    if isinstance(model, Limited):
+        model = model.unlimited()
     measured = np.array(y[: model.n_init], dtype=np.float64)
     if len(y) <= 2 * model.n_init or measured.size == 0:
         return measured

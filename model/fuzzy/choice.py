@@ -9,7 +9,7 @@ is never offered.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from flysid.model.fuzzy.forgetting import forgets_start
 from flysid.model.fuzzy.grow import Stage
 from flysid.model.fuzzy.kernel import free_run
 from flysid.model.fuzzy.linear_side import LinearModel
+from flysid.model.fuzzy.poles import unheld
 from flysid.model.fuzzy.problem import simulate_runs, widened
 from flysid.model.fuzzy.stress import stress_run
 from flysid.model.start import MAX_SHARE, estimate_start
@@ -105,12 +106,18 @@ class _Runner:
     def n_init(self) -> int:
         return self.stage.problem.layout.depth
 
+    def unlimited(self) -> _Runner:
+        problem = self.stage.problem
+        limits = unheld(problem.layout.lags, problem.parameters(self.stage.body)).limits
+        return _Runner(replace(self.stage, problem=replace(problem, limits=limits)))
+
     def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray:
         problem = self.stage.problem
         W = np.hstack([np.zeros((len(u), problem.layout.n_y)), u])
         W[: self.n_init, : problem.layout.n_y] = y0
-        free_run(W, self.n_init, problem.layout.lags, problem.parameters(self.stage.body))
-        return W[:, : problem.layout.n_y]
+        lags = problem.layout.lags
+        free_run(W, self.n_init, lags, unheld(lags, problem.parameters(self.stage.body)))
+        return np.asarray(np.clip(W[:, : problem.layout.n_y], *problem.limits))
 
 
 def free_run_errors(stage: Stage, runs: Sequence[FloatArray], window: int) -> list[FloatArray]:
@@ -200,7 +207,8 @@ def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
     """
     problem, n_y = stage.problem, stage.problem.layout.n_y
     W = stress_run(problem.runs, n_y, steps, seed)
-    free_run(W, problem.layout.depth, problem.layout.lags, problem.parameters(stage.body))
+    lags = problem.layout.lags
+    free_run(W, problem.layout.depth, lags, unheld(lags, problem.parameters(stage.body)))
     y, limits = W[steps + steps // 4 :, :n_y], problem.limits
     if problem.integrates:
         if not _rules_settle(stage):

@@ -8,7 +8,7 @@ with the firing strengths and the weighted mean of the paper's eq. (1)-(3) (Taka
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from flysid.model.fuzzy.check import check
 from flysid.model.fuzzy.choice import estimated_initial
 from flysid.model.fuzzy.kernel import Parameters, firing, free_run, predict
 from flysid.model.fuzzy.layout import Antecedent, Layout, Orders
+from flysid.model.fuzzy.poles import pole_radius, unheld
 from flysid.model.fuzzy.problem import REACH, widened
 from flysid.model.fuzzy.ruled import Ruled
 from flysid.model.fuzzy.words import condition_in_words, equation, in_words
@@ -120,6 +121,10 @@ class FittedTS(Ruled):
         result[: self.n_init] = as_columns(y0, self.layout.n_y, "y0")[: min(self.n_init, len(result))]
         return result
 
+    def unlimited(self) -> FittedTS:
+        """The model without its output limits, if it needs none to be bounded: one rule, and stable."""
+        return replace(self, parameters=unheld(self.layout.lags, self.parameters))
+
     def started(self, u: FloatArray, y0: FloatArray | None) -> FloatArray:
         """W that a run computes, from row n_init on: those before are its start.
 
@@ -141,7 +146,7 @@ class FittedTS(Ruled):
     def _run(self, W: FloatArray) -> FloatArray:
         """(N, n_y) outputs of a free run of W, whose first n_init rows are the start."""
         if len(W) > self.n_init:
-            free_run(W, self.n_init, self.layout.lags, self.parameters)
+            free_run(W, self.n_init, self.layout.lags, unheld(self.layout.lags, self.parameters))
         return np.asarray(np.clip(self.layout.outputs_of(W), *self.output_limits))
 
     def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -265,17 +270,6 @@ def values_at(names: Sequence[str], means: FloatArray, at: Mapping[str, float]) 
         if not isinstance(value, int | float | np.number) or not np.isfinite(value):
             raise UsageError(f"{name}={value!r} is no place to linearise at", hint="give a finite number")
     return np.array([at.get(name, mean) for name, mean in zip(names, means, strict=True)], dtype=float)
-
-
-def pole_radius(A: FloatArray) -> float:
-    """Largest pole modulus of y(k) = sum A[j-1] y(k-j), A (na, n_y, n_y)."""
-    na, n_y, _ = A.shape
-    if na == 0:
-        return 0.0
-    companion = np.zeros((na * n_y, na * n_y))
-    companion[:n_y] = np.hstack(list(A))
-    companion[n_y:, :-n_y] = np.eye((na - 1) * n_y)
-    return float(np.abs(np.linalg.eigvals(companion)).max())
 
 
 def dc_gain(A: FloatArray, B: FloatArray) -> FloatArray:

@@ -20,7 +20,8 @@ from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.covariance import root_of
 from flysid.model.fuzzy.kernel import Parameters, sensitivities
-from flysid.model.fuzzy.model import FittedTS, dc_gain, pole_radius, time_constant
+from flysid.model.fuzzy.model import FittedTS, dc_gain, time_constant
+from flysid.model.fuzzy.poles import pole_radius
 from flysid.model.fuzzy.problem import Body, Problem, SimulationError, runs_of, swept
 from flysid.model.fuzzy.refit import restated
 from flysid.model.noise import coloured_gram, noise_model

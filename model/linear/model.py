@@ -10,7 +10,7 @@ regresses on measured lags), or added to the free run as an autoregression of it
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from flysid.errors import UsageError
 from flysid.model.arguments import as_columns
 from flysid.model.base import Rule, write_document
 from flysid.model.documents import array_of, head_of, monic, signals_of, with_null
-from flysid.model.freerun import Difference, saturated
+from flysid.model.freerun import Difference, far, saturated
 from flysid.model.linear.laws import always, is_stable, predicted
 from flysid.model.linear.text import conclusion, describe
 from flysid.model.noise import k_step_ahead
@@ -108,6 +108,10 @@ class FittedLinear:
         tail = self._after(du, dy) if self.starts is None else self._estimated(du, dy, self.starts)
         tail = saturated(tail + self.y_origin, self.output_limits)
         return np.concatenate([y0[:n], tail])
+
+    def unlimited(self) -> FittedLinear:
+        """The model without its output limits, for the search of a start."""
+        return replace(self, output_limits=far(self.output_limits))
 
     def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
         """(N, n_y) prediction from outputs at least k steps old; the first n_init + k - 1 rows are NaN.

@@ -10,7 +10,7 @@ free run leaves over as an autoregression (`noise`), as output-error models do.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from flysid.errors import UsageError
 from flysid.model.arguments import as_columns
 from flysid.model.base import Rule, write_document
 from flysid.model.documents import array_of, head_of, monic, signals_of
-from flysid.model.freerun import saturated
+from flysid.model.freerun import far, saturated
 from flysid.model.linear.laws import always, is_stable, predicted
 from flysid.model.linear.text import gains_text
 from flysid.model.noise import output_error_ahead
@@ -146,6 +146,10 @@ class FittedStateSpace:
             return np.full(s.d.shape, np.nan)
         gain: FloatArray = s.c @ np.linalg.solve(np.eye(s.order) - s.a, s.b) + s.d
         return gain
+
+    def unlimited(self) -> FittedStateSpace:
+        """The model without its output limits, for the search of a start."""
+        return replace(self, output_limits=far(self.output_limits))
 
     def states(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, n) the state before every sample, predicted from the samples before it.
