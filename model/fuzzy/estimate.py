@@ -11,6 +11,7 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.arguments import is_count
 from flysid.model.fuzzy.choice import INTEGRATES, Candidate, choose, hold_out
+from flysid.model.fuzzy.exchange import exchanged
 from flysid.model.fuzzy.fewer import fewer_words
 from flysid.model.fuzzy.grow import Stage, ordered
 from flysid.model.fuzzy.layout import Antecedent, Orders, parse_antecedents, scaling
@@ -79,7 +80,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         )
     notes += _changed_orders(models, at) + _unstable(models)
     if settings.refine and settings.rules == "auto" and settings.antecedents == "auto":
-        chosen, simpler = fewer_words(workshop, chosen)
+        chosen, simpler = fewer_words(workshop, exchanged(workshop, models, at, named))
         notes += simpler
     stage = known = ordered(chosen.stage)
     if settings.refine:

@@ -23,7 +23,7 @@ def fewer_words(workshop: Workshop, chosen: Candidate) -> tuple[Candidate, list[
     # `chosen` may have been judged on other parts too, harder or easier ones; the edits are not
     limit, said = workshop.judge(chosen.stage).mean, list[str]()
     while chosen.stage.rules > 1:
-        offers = [(what, workshop.judge(stage)) for what, stage in _refined(workshop, chosen.stage)]
+        offers = [(what, workshop.judge(stage)) for what, stage in refined_edits(workshop, chosen.stage)]
         good = [(what, c) for what, c in offers if c.stable and c.mean <= limit]
         if not good:
             break
@@ -32,13 +32,16 @@ def fewer_words(workshop: Workshop, chosen: Candidate) -> tuple[Candidate, list[
     return chosen, said
 
 
-def _refined(workshop: Workshop, stage: Stage) -> Iterator[tuple[str, Stage]]:
-    """The most promising edits, refined on the training part."""
+def refined_edits(
+    workshop: Workshop, stage: Stage, *, fewer_rules: bool = False
+) -> Iterator[tuple[str, Stage]]:
+    """The most promising edits, or only those that leave fewer rules, refined on the training part."""
     stage = ordered(stage)
     problem = stage.problem
     tried = [
         (what, replace(s, problem=replace(s.problem, stress=problem.stress)))
         for what, layout, p in edits(problem.layout, problem.parameters(stage.body), rule_support(stage))
+        if len(p.theta) < stage.rules or not fewer_rules
         for s in staged(layout, p, problem.runs)
     ]
     tried.sort(key=lambda edit: edit[1].cost)

@@ -98,6 +98,11 @@ def _grown(workshop: Workshop, lane: Candidate, named: tuple[Antecedent, ...], k
     return kids
 
 
+def one_more(workshop: Workshop, known: Candidate, named: tuple[Antecedent, ...]) -> list[Candidate]:
+    """A model with one rule more than the known one, as far as data and growth go."""
+    return _grown(workshop, known, named, 1) if _affords(known, known.stage.rules + 1) else []
+
+
 def _rank(candidate: Candidate) -> tuple[bool, float]:
     return not candidate.stable, candidate.mean
 
