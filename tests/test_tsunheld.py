@@ -51,7 +51,7 @@ def flight() -> tuple[FloatArray, FloatArray, FloatArray]:
 def test_a_stable_rule_comes_back_from_any_start(
     fitted: FittedTS, flight: tuple[FloatArray, FloatArray, FloatArray], shove: float
 ) -> None:
-    """Raw noisy lags, shoved sample by sample: metres per second off, and forgotten like the linear model's."""
+    """Raw noisy lags, shoved sample by sample: metres per second off, and forgotten all the same."""
     u, truth, measured = flight
     zigzag = shove * (-1.0) ** np.arange(fitted.n_init)[:, None]
     run = fitted.simulate(u, measured[: fitted.n_init] + zigzag)

@@ -23,7 +23,8 @@ from flysid.model.fuzzy.integrator import holds_integrator
 from flysid.model.fuzzy.kernel import IntArray
 from flysid.model.fuzzy.layout import Layout
 from flysid.model.fuzzy.local import certificate_of
-from flysid.model.fuzzy.model import FittedTS, pole_radius
+from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.poles import pole_radius
 from flysid.model.fuzzy.problem import REACH, Body, Problem, runs_of, widened
 from flysid.model.fuzzy.tongue import number
 from flysid.model.threads import on_one_thread
