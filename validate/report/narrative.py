@@ -55,10 +55,26 @@ def badge(pair: Pair) -> dict[str, str]:
 def heads(comparisons: Mapping[str, Comparison]) -> list[tuple[str, Pair]]:
     """(label, free-run pair) of every channel and output."""
     return [
-        (one_line(output if len(c.test.outputs) > 1 or not channel else channel), pair)
+        (_label(channel, output, c), pair)
         for channel, c in comparisons.items()
         for output, pair in c.verdict.items()
     ]
+
+
+def _label(channel: str, output: str, c: Comparison) -> str:
+    return one_line(output if len(c.test.outputs) > 1 or not channel else channel)
+
+
+def as_good_as_constant(comparisons: Mapping[str, Comparison]) -> list[str]:
+    """Labels of `heads` on which the mean or the held start does as well as both models of the headline."""
+    found = []
+    for channel, c in comparisons.items():
+        for output, pair in c.verdict.items():
+            rmse = {name: score.scores.rmse for name, score in c.entry(output, c.head).models.items()}
+            constants = [rmse[name] for name, info in c.models.items() if info.reference]
+            if constants and min(constants) <= min(rmse[pair.baseline], rmse[pair.model]):
+                found.append(_label(channel, output, c))
+    return found
 
 
 def called(model: str) -> str:
@@ -75,14 +91,15 @@ def base_words(pairs: Heads) -> str:
     return "linear model" if pair.model in FUZZY else called(pair.baseline)
 
 
-def title(pairs: Heads) -> str:
-    """The verdict in one sentence."""
+def title(pairs: Heads, idle: Sequence[str] = ()) -> str:
+    """The verdict in one sentence; `idle` is `as_good_as_constant`."""
     if not pairs:
         return "One model, nothing to compare it with."
     model, base = called(pairs[0][1].model), base_words(pairs)
-    count = {v: sum(p.verdict is v for _, p in pairs) for v in Verdict}
-    one_rule = sum(p.verdict is Verdict.BETTER and p.one_rule for _, p in pairs)
-    contested = [p for _, p in pairs if p.contested]
+    worth = [(n, p) for n, p in pairs if n not in idle]
+    count = {v: sum(p.verdict is v for _, p in worth) for v in Verdict}
+    one_rule = sum(p.verdict is Verdict.BETTER and p.one_rule for _, p in worth)
+    contested = [p for _, p in worth if p.contested]
     count[Verdict.BETTER] -= one_rule + len(contested)
     count[Verdict.SAME] += one_rule
     total = len(pairs)
@@ -90,6 +107,8 @@ def title(pairs: Heads) -> str:
     on_all = f"on {every} channels" if total > 1 else f"on {pairs[0][0]}"
     if all(map(_both_diverged, pairs)):
         return f"Neither the {model} nor the {base} is usable {on_all}."
+    if len(idle) == total:
+        return f"Neither the {model} nor the {base} is better than a constant {on_all}."
     if count[Verdict.NOT_ENOUGH] == total:
         return "Not enough held-out data for a verdict."
     if count[Verdict.BETTER] == total:
@@ -108,7 +127,10 @@ def title(pairs: Heads) -> str:
         return f"The two runs show no difference {on_all}."
     if count[Verdict.SAME] == total:
         return f"{'A' if one_rule else 'The'} {base} is enough {on_all}."
-    return f"No difference shown on {count[Verdict.SAME]} of {total} channels; not enough data on the others."
+    left = total - count[Verdict.SAME]
+    rest = f"on {'the other' if left == 1 else 'the others'}"
+    rest = f"not enough data {rest}" if not idle else f"{rest} see below"
+    return f"No difference shown on {count[Verdict.SAME]} of {total} channels; {rest}."
 
 
 def alone(comparisons: Mapping[str, Comparison]) -> str:
@@ -117,15 +139,19 @@ def alone(comparisons: Mapping[str, Comparison]) -> str:
     for channel, c in comparisons.items():
         for output in () if c.contender else c.test.outputs:
             s = c.entry(output.name, c.head).models[c.baseline].scores
-            name = output.name if len(c.test.outputs) > 1 or not channel else channel
             unit = f" {output.unit}" if output.unit else ""
-            said.append(f"{one_line(name)} {number(s.rmse)}{one_line(unit)} (fit {percentage(s.fit_pct)} %)")
+            error = f"{number(s.rmse)}{one_line(unit)} (fit {percentage(s.fit_pct)} %)"
+            said.append(f"{_label(channel, output.name, c)} {error}")
     first = next(iter(comparisons.values()))
     return f"RMSE in {horizon_words(first.head, first.dt_s)}: {_listed(said)}." if said else ""
 
 
-def subtitle(pairs: Heads) -> str:
-    """What the title leaves open, and what to do."""
+def subtitle(pairs: Heads, idle: Sequence[str] = ()) -> str:
+    """What the title leaves open, and what to do; `idle` is `as_good_as_constant`."""
+    if idle:
+        rest = subtitle([(name, pair) for name, pair in pairs if name not in idle])
+        who = f"On {_listed(idle)} a" if len(idle) < len(pairs) else "A"
+        return f"{who} constant does as well in free run as either model: see the cautions. {rest}".rstrip()
     lost = [name for name, pair in pairs if _both_diverged((name, pair))]
     if lost:
         rest = subtitle([(name, pair) for name, pair in pairs if name not in lost])

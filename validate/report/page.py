@@ -76,7 +76,7 @@ def render(context: ReportContext) -> str:
     comparisons = context.comparisons
     diagnoses = context.diagnoses
     parts = _sections(context, diagnoses)
-    pairs = narrative.heads(comparisons)
+    pairs, idle = narrative.heads(comparisons), narrative.as_good_as_constant(comparisons)
     styles = _asset("uPlot.min.css") + "\n" + _asset("page.css")
     scripts = [_asset("uPlot.iife.min.js"), _asset("page.js")]
     return (
@@ -88,8 +88,8 @@ def render(context: ReportContext) -> str:
             scripts=[Markup(s) for s in scripts],
             data=Markup(_json([s.data for s in parts])),
             remark=one_line(context.remark),
-            title=narrative.title(pairs),
-            subtitle=narrative.subtitle(pairs) if pairs else narrative.alone(comparisons),
+            title=narrative.title(pairs, idle),
+            subtitle=narrative.subtitle(pairs, idle) if pairs else narrative.alone(comparisons),
             basis=narrative.basis(comparisons, _seconds_of_training(context)),
             skipped=[(one_line(name), one_line(why)) for name, why in context.skipped.items()],
             cards=_cards(comparisons),
