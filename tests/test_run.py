@@ -21,7 +21,10 @@ from flysid.flightwriter import write_atomically
 from flysid.ingest.batch import find_logs, ingest_logs
 from flysid.ingest.lake import open as open_lake
 from flysid.ingest.synth import WRITERS, Order, flights
+from flysid.model.anfis import ANFIS
 from flysid.model.base import Estimator
+from flysid.model.ensemble import Ensemble
+from flysid.model.ts import TS
 from flysid.validate import fitting, judge
 from flysid.validate.baseline import linear_estimators
 from flysid.validate.compare import compare, sides_of
@@ -321,3 +324,15 @@ def test_other_models_are_fitted_on_request(data: Path, tmp_path: Path) -> None:
     free = judgement.document["channels"][CHANNEL]["free_run"]
     assert free["models"]["tf"]["rmse"] < 1.1 * free["models"]["arx"]["rmse"]
     write_judgement(judgement, tmp_path / "report")
+
+
+def test_every_label_makes_an_estimator_that_knows_what_was_asked_for() -> None:
+    settings = FitSettings(rules=2, antecedents=("v_x(k-1)",), models=("anfis", "ensemble"))
+    found = fitting.estimators(settings, "arx", (4,))
+    anfis, ensemble = found["anfis"], found["ensemble"]
+    assert isinstance(anfis, ANFIS)
+    assert isinstance(ensemble, Ensemble)
+    assert (anfis.rules, anfis.nk, anfis.antecedents) == (2, 4, ("v_x(k-1)",))
+    assert ensemble.of == TS(rules=2, antecedents=("v_x(k-1)",), nk_hint=(4,))
+    free = fitting.estimators(FitSettings(models=("anfis",)), "arx", ())["anfis"]
+    assert free == ANFIS()

@@ -172,6 +172,17 @@ def test_settings_that_cannot_be_are_named(settings: dict[str, Any], word: str) 
         TS(**settings).fit(Dataset.from_arrays(u, y, DT))
 
 
+def test_more_rules_than_data_are_refused_before_they_are_grown(monkeypatch: pytest.MonkeyPatch) -> None:
+    u, y = second_order(400, 1)
+
+    def never(*_: object) -> None:
+        raise AssertionError("growing hundreds of rules takes hours")
+
+    monkeypatch.setattr(estimate, "search", never)
+    with pytest.raises(DataError, match="90 rules of 3 numbers need more than the"):
+        TS(rules=90, na=1, nb=1, nk=1).fit(Dataset.from_arrays(u, y, DT))
+
+
 def test_numbers_of_numpy_will_do(tmp_path: Path) -> None:
     u, y = second_order(400, 1)
     settings = TS(rules=1, na=np.int64(2), nb=np.int64(1), nk=np.array([1]), refine=False)  # type: ignore[arg-type]

@@ -59,6 +59,8 @@ def estimators(
     ------
     UsageError : `settings.models` names one that is not there.
     """
+    from flysid.model.anfis import ANFIS
+    from flysid.model.ensemble import Ensemble
     from flysid.model.fir import FIR
     from flysid.model.iv import IV
     from flysid.model.line import Line
@@ -84,6 +86,12 @@ def estimators(
         "ts": BestTS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
         "ts_lags": TS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
         "ts_ss": TSStateSpace(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
+        "anfis": ANFIS(
+            rules=ANFIS.rules if rules == "auto" else rules,
+            nk=max([ANFIS.nk, *nk_hint]),
+            antecedents=settings.antecedents or (),
+        ),
+        "ensemble": Ensemble(of=TS(rules=rules, antecedents=antecedents, nk_hint=nk_hint)),
     }
     for label in settings.models:
         if label not in known:

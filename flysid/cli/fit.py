@@ -37,8 +37,9 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
     "-m",
     default="",
     metavar="A,B",
-    help="Models besides the references, ARX, OE and the baseline: armax, bj, fir, iv, line, statespace, "
-    "static_ts, tf, ts (ts_lags, or ts_ss where a hidden state explains more).  [default: line,static_ts,ts]",
+    help="Models besides the references, ARX, OE and the baseline: anfis, armax, bj, ensemble (of ts_lags), "
+    "fir, iv, line, statespace, static_ts, tf, ts (ts_lags, or ts_ss where a hidden state explains more).  "
+    "[default: line,static_ts,ts]",
 )
 @click.option("--rules", default="auto", callback=_rules, show_default=True, help="Rules of the TS model.")
 @click.option("--antecedent", "-a", "antecedents", multiple=True, help="Variable that chooses between rules.")

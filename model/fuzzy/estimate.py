@@ -17,7 +17,7 @@ from flysid.model.fuzzy.grow import Stage, ordered
 from flysid.model.fuzzy.layout import Antecedent, Orders, parse_antecedents, scaling
 from flysid.model.fuzzy.problem import runs_of
 from flysid.model.fuzzy.refit import refit
-from flysid.model.fuzzy.search import cross_validated, search
+from flysid.model.fuzzy.search import affords, cross_validated, search
 from flysid.model.fuzzy.workshop import SPARE_ROWS, Settings, Workshop
 from flysid.model.linear.settings import check_hint
 
@@ -105,23 +105,25 @@ def _chosen(
     """Models by number of rules, and which of them is offered."""
     settings = workshop.settings
     gain = _SMALL_GAIN if workshop.folds else _RULE_GAIN
+    if settings.rules != "auto" and not any(affords(c, settings.rules) for c in linear):
+        raise _too_many(settings.rules, linear)  # before an hour of growing
     models = search(workshop, linear, named)
     if settings.rules != "auto":
-        _check_count(settings.rules, models)
+        if len(models) < settings.rules:
+            raise _too_many(settings.rules, models)
         return models, len(models) - 1
     if workshop.folds and len(models) > 1:
         models = cross_validated(workshop, models, named, max(1, choose(models, least_gain=gain)))
     return models, choose(models, least_gain=gain)
 
 
-def _check_count(rules: int, models: Sequence[Candidate]) -> None:
+def _too_many(rules: int, models: Sequence[Candidate]) -> DataError:
     stage = models[0].stage
-    if len(models) < rules:
-        raise DataError(
-            f"{rules} rules of {stage.body.a.size} numbers need more than the "
-            f"{stage.problem.samples} samples there are",
-            hint="ask for fewer rules or lower orders, or record longer",
-        )
+    return DataError(
+        f"{rules} rules of {stage.body.a[0].size} numbers need more than the "
+        f"{stage.problem.samples} samples there are",
+        hint="ask for fewer rules or lower orders, or record longer",
+    )
 
 
 def _changed_orders(models: Sequence[Candidate], at: int) -> list[str]:

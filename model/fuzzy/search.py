@@ -47,7 +47,7 @@ def search(workshop: Workshop, linear: Sequence[Candidate], named: tuple[Anteced
     while len(models) < most:
         rules = len(models) + 1
         keep = 1 if rules == 2 else 2
-        kids = [kid for lane in lanes if _affords(lane, rules) for kid in _grown(workshop, lane, named, keep)]
+        kids = [kid for lane in lanes if affords(lane, rules) for kid in _grown(workshop, lane, named, keep)]
         if not kids:
             break
         models.append(representative(kids))
@@ -76,7 +76,8 @@ def _unstressed(stage: Stage) -> Stage:
     return replace(stage, problem=replace(stage.problem, stress=None))
 
 
-def _affords(lane: Candidate, rules: int) -> bool:
+def affords(lane: Candidate, rules: int) -> bool:
+    """Whether a model's data could pay for so many rules."""
     stage = lane.stage
     return bool(stage.body.a[0].size * rules * _ROWS_PER_NUMBER < stage.problem.samples)
 
@@ -100,7 +101,7 @@ def _grown(workshop: Workshop, lane: Candidate, named: tuple[Antecedent, ...], k
 
 def one_more(workshop: Workshop, known: Candidate, named: tuple[Antecedent, ...]) -> list[Candidate]:
     """A model with one rule more than the known one, as far as data and growth go."""
-    return _grown(workshop, known, named, 1) if _affords(known, known.stage.rules + 1) else []
+    return _grown(workshop, known, named, 1) if affords(known, known.stage.rules + 1) else []
 
 
 def _rank(candidate: Candidate) -> tuple[bool, float]:

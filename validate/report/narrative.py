@@ -13,6 +13,8 @@ NAMES = {
     "ts": "fuzzy model",
     "ts_lags": "fuzzy model over lags",
     "ts_ss": "fuzzy state-space model",
+    "anfis": "ANFIS model",
+    "ensemble": "ensemble of fuzzy models",
     "static-ts": "static fuzzy model",
     "static_ts": "static fuzzy model",
     "arx": "linear model",
