@@ -14,17 +14,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flysid.dataset import Dataset, Signal
+from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import StoreError
 from flysid.model.base import Rule
 from flysid.validate.bands import Curve
 from flysid.validate.compare import Comparison, compare
-from flysid.validate.report import ReportContext, Sweep, narrative, render, write_report
+from flysid.validate.report import ReportContext, Sweep, render, write_report
 from flysid.validate.report.decimate import decimate, rounded
 from flysid.validate.report.figures import bode, sweep_figure
-from flysid.validate.report.rulefigures import antecedent_range
+from flysid.validate.report.rulefigures import antecedent_range, membership_figures
 from flysid.validate.report.svg import log_ticks, ticks
-from flysid.validate.words import number
 from tests.fakes import FirstOrder, flown
 
 ARX = FirstOrder(a=0.9, b=0.07)
@@ -154,6 +153,12 @@ def test_the_label_of_the_chosen_count_stands_away_from_the_line() -> None:
     assert "chosen: 1" in sweep_figure(Sweep((1,), (0.5,), (0.0,), 1), "m")
 
 
+def test_rules_are_counted_in_whole_numbers() -> None:
+    drawn = sweep_figure(Sweep((1, 2, 3), (0.4, 0.3, 0.35), (0.0,) * 3, 2), "m/s")
+    at = re.findall(r'y="[\d.]+" class="t" text-anchor="middle">([\d.]+)<', drawn)
+    assert at == ["1", "2", "3"]
+
+
 def test_every_panel_is_drawn_and_anchors_exist() -> None:
     page = Page(rendered())
     for title in (
@@ -239,6 +244,21 @@ def test_a_name_that_begins_with_a_sign_has_its_membership_picture(name: str) ->
     assert antecedent_range("", data) is None
 
 
+def test_a_set_over_a_hidden_state_has_its_picture() -> None:
+    """No record holds that state: the model itself knows where it was."""
+
+    class Hidden:
+        antecedents = ("hidden 1(k-1)",)
+        trained_range = np.array([[-2.0], [3.0]])
+
+        def memberships(self, variable: int, x: FloatArray) -> FloatArray:
+            del variable
+            return np.stack([np.exp(-(x**2))], axis=1)
+
+    (drawn,) = membership_figures(Hidden(), flown(TS, [50], noise=0.0), {})
+    assert "hidden 1(k-1)" in drawn
+
+
 def test_hostile_names_are_shown_literally() -> None:
     text = render(hostile_context())
     page = Page(text)
@@ -282,43 +302,6 @@ def test_a_test_that_chance_alone_passes_says_so() -> None:
     page = Page(render(ReportContext.of({"x": few}))).words
     assert "too little data to tell" in page
     assert "nothing left that the input explains" not in page
-
-
-def test_the_first_screen_of_one_model_says_its_error_and_no_interval() -> None:
-    c = compare([ARX], flown(TS, [300] * 2, noise=0.02))
-    page = Page(render(ReportContext.of({"roll": c}))).words
-    rmse = number(c.entry().models["arx"].scores.rmse)
-    assert f"One model, nothing to compare it with. RMSE in free run: roll {rmse} m/s (fit " in page
-    assert "intervals come from blocks" not in page
-
-
-def test_models_that_a_constant_equals_are_not_called_better() -> None:
-    test, train = flown(TS, [300] * 6, noise=0.02), flown(TS, [300], noise=0.02, seed=5)
-    away, far = replace(ARX, c=0.9), replace(TS, c=0.5)
-    lost = compare([away, far], test, train=train)
-    assert lost.verdict["y"].verdict == "better"
-    page = Page(render(ReportContext.of({"roll": lost}))).words
-    assert "Neither the fuzzy model nor the linear model is better than a constant on roll." in page
-    assert "A constant does as well in free run as either model" in page
-    assert "smaller on roll" not in page
-    both = {"roll": lost, "yaw": compare([ARX, TS], test, train=train)}
-    page = Page(render(ReportContext.of(both))).words
-    assert "On roll a constant does as well in free run as either model: see the cautions." in page
-    assert "smaller on yaw" in page
-    assert "The fuzzy model is better on 1 of 2 channels." in page
-    assert narrative.as_good_as_constant({"": both["yaw"]}) == []
-
-
-def test_units_of_all_channels_are_told() -> None:
-    (pair,) = compared().verdict.values()
-    blocks = [replace(pair, units=n, unit=f"blocks of {s} s") for n, s in ((14, 8.5), (20, 5.9))]
-    for pairs, words in (
-        ([pair], "6 flights"),
-        (blocks[:1], "14 blocks of 8.5 s"),
-        (blocks, "14 to 20 blocks of time"),
-        ([pair, pair, *blocks], "6 flights or 14 to 20 blocks of time"),
-    ):
-        assert narrative._units([("x", p) for p in pairs]) == words
 
 
 def test_the_verdict_stands_beside_its_channel_and_not_in_the_tab() -> None:

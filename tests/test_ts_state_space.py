@@ -335,6 +335,19 @@ def test_an_explanation_adds_up() -> None:
         model.explain(segment.u, segment.y, len(segment))
 
 
+def test_rules_by_themselves_are_those_of_the_explanation() -> None:
+    model, segment = flown(), vehicle().segments[0]
+    alone = model.rule_outputs(segment.u, segment.y)
+    assert alone.shape == (len(segment), 2, 1)
+    assert np.isnan(alone[: model.n_init]).all()
+    assert np.isfinite(alone[model.n_init :]).all()
+    for row in (300, len(segment) - 1):
+        for voice in model.explain(segment.u, segment.y, row).voices:
+            rule = int(voice.label.removeprefix("R")) - 1
+            assert alone[row, rule, 0] == pytest.approx(voice.output[0], abs=1e-9)
+    assert np.isnan(model.rule_outputs(segment.u[:2], segment.y[:2])).all()
+
+
 def test_a_linearisation_predicts_small_steps() -> None:
     """Around the rest at an input, the linear model follows the fuzzy one to second order."""
     model, u = flown(), np.array([0.15])

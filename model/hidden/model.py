@@ -116,6 +116,21 @@ class FittedTSStateSpace(Ruled):
         W = self.seen(u, y)
         return np.asarray(firing(W, self.layout.depth, self.layout.lags, self.parameters))
 
+    def rule_outputs(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, R, n_y) what every rule concludes along measured data, hidden states from the free run; NaN in
+        the first n_init rows."""
+        W, theta, n_y = self.seen(u, y), self.parameters.theta, self.layout.n_y
+        d, rows = max(self.n_init, self.layout.depth), len(W)
+        result = np.full((rows, len(theta), n_y), np.nan)
+        if rows > d:
+            x = [
+                np.ones(rows - d) if c < 0 else W[d - lag : rows - lag, c]
+                for c, lag in self.layout.regressors
+            ]
+            part = np.einsum("rim,mn->nri", theta[:, :n_y], np.stack(x))
+            result[d:] = part * self.layout.scale[:n_y] + self.layout.shift[:n_y]
+        return result
+
     def states(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, n) states of the free run along measured data, physical units (hidden ones in spreads)."""
         u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")

@@ -219,7 +219,7 @@ def sweep_figure(sweep: Sweep, unit: str) -> Markup:
     axes = Axes(
         (float(x.min()) - 0.5, float(x.max()) + 0.5), span(*limits, pad=0.22), width=HALF - 60, height=120
     )
-    parts = [frame(axes, f"RMSE, {sweep.unit or unit}", "number of rules")]
+    parts = [frame(axes, f"RMSE, {sweep.unit or unit}", "number of rules", whole=True)]
     if sweep.linear is not None:
         mean, sd = sweep.linear
         parts.append(

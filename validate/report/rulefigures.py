@@ -47,6 +47,23 @@ class HasRuleOutputs(Protocol):
         ...
 
 
+@runtime_checkable
+class HasTrainedRange(Protocol):
+    """A model that knows where its antecedents were in training; hidden states are in no record."""
+
+    @property
+    def trained_range(self) -> FloatArray:
+        """(2, n_z) smallest and largest values."""
+        ...
+
+
+def _trained_range(model: object, variable: int) -> tuple[float, float] | None:
+    if not isinstance(model, HasTrainedRange):
+        return None
+    low, high = (float(v) for v in model.trained_range[:, variable])
+    return (low, high) if low < high else None
+
+
 def antecedent_range(name: str, data: Dataset) -> tuple[float, float] | None:
     """(low, high) of an antecedent variable along `data`; None where its name is not understood."""
     signals = [*data.outputs, *data.inputs]
@@ -102,7 +119,7 @@ def membership_figures(model: HasMemberships, data: Dataset, unit_of: dict[str, 
     """One picture per antecedent variable over the range seen in `data`."""
     figures = []
     for i, name in enumerate(model.antecedents):
-        limits = antecedent_range(name, data)
+        limits = antecedent_range(name, data) or _trained_range(model, i)
         if limits is None:
             continue
         x = np.linspace(*limits, 120)

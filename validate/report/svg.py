@@ -109,15 +109,22 @@ def text(x: float, y: float, content: str, *, css: str = "t", anchor: str = "sta
 
 
 def frame(
-    axes: Axes, title: str = "", x_label: str = "", *, x_ticks: bool = True, y_count: int = 4
+    axes: Axes,
+    title: str = "",
+    x_label: str = "",
+    *,
+    x_ticks: bool = True,
+    y_count: int = 4,
+    whole: bool = False,
 ) -> Markup:
-    """Grid, tick labels, the y title above the axis at left and the x title below it."""
+    """Grid, tick labels, the y title above the axis at left and the x title below it; `whole` counts in x."""
     parts: list[Markup] = []
     for value in ticks(*axes.y, count=y_count):
         y = float(axes.py(value))
         parts.append(segment(axes.left, y, axes.right, y, "grid"))
         parts.append(text(axes.left - 6, y + 3.5, tick_text(value), anchor="end"))
-    for value in log_ticks(*axes.x) if axes.log_x else _spaced_ticks(axes):
+    at = log_ticks(*axes.x) if axes.log_x else _spaced_ticks(axes)
+    for value in [v for v in at if v == round(v)] if whole else at:
         x = float(axes.px(value))
         parts.append(segment(x, axes.top, x, axes.bottom, "grid"))
         if x_ticks:
