@@ -44,10 +44,15 @@ def to_control(model: FittedLinear | FittedStateSpace, form: Literal["auto", "tf
 
     Raises
     ------
-    UsageError : a transfer matrix was asked for of coupled outputs.
+    UsageError : a transfer matrix was asked for of coupled outputs; a model that is not linear.
     """
     import control
 
+    if not hasattr(model, "system"):
+        raise UsageError(
+            f"a {model.structure} model has no transfer function",
+            hint="rules: model.to_control(), which is nonlinear",
+        )
     names = {"inputs": [s.name for s in model.inputs], "outputs": [s.name for s in model.outputs]}
     if isinstance(model, FittedStateSpace):
         space = control.ss(*_with_registers(model), model.dt_s, **names)

@@ -9,6 +9,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.arx import ARX
 from flysid.model.interop import from_control, to_control
+from flysid.model.static_ts import StaticTS
 from tests import model_examples
 
 control = pytest.importorskip("control")
@@ -53,3 +54,8 @@ def test_several_denominators_are_brought_to_one() -> None:
     assert from_control(both).simulate(u) == pytest.approx(
         forced(fast, u[:, :1]) + forced(slow, u[:, 1:]), abs=1e-9
     )
+
+
+def test_a_model_of_rules_is_told_where_its_own_is() -> None:
+    with pytest.raises(UsageError, match="static-ts model has no transfer function"):
+        to_control(StaticTS(rules=2).fit(model_examples.data()))  # type: ignore[arg-type]

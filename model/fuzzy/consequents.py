@@ -24,7 +24,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.fuzzy.kernel import firing
-from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.model import FittedTS, refuse_other_models
 from flysid.model.gram import Triangle, reduce_data
 from flysid.model.regressors import CHUNK_ROWS
 from flysid.model.stream import Source, blocks_of, windows
@@ -99,7 +99,8 @@ def refit_consequents(
 
 
 def refuse_other_data(model: FittedTS, data: Source) -> None:
-    """Raises UsageError where the data have other signals or another sample time than the model's."""
+    """Raises UsageError where the model has no rules over lags, or the data have other signals or clocks."""
+    refuse_other_models(model)
     names = [s.name for s in (*data.outputs, *data.inputs)]
     own = [s.name for s in model.layout.signals]
     if names != own or abs(data.dt_s - model.dt_s) > 1e-9 * model.dt_s:

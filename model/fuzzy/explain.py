@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
+from flysid.model.arguments import as_record
 from flysid.model.base import Rule
-from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.model import FittedTS, refuse_other_models
 from flysid.model.fuzzy.tongue import number
 
 _ROUNDING = 1e-9  # of the range: its ends are inside
@@ -146,8 +147,14 @@ def antecedent_values(model: FittedTS, u: FloatArray, y: FloatArray) -> FloatArr
 
 
 def outside_share(model: FittedTS, u: FloatArray, y: FloatArray) -> float:
-    """Share of samples, 0 to 1, in which an antecedent lies outside the range seen in training."""
-    z = antecedent_values(model, u, y)
+    """Share of samples, 0 to 1, in which an antecedent lies outside the range seen in training.
+
+    Raises
+    ------
+    UsageError : not a model of rules over lags; shapes do not fit.
+    """
+    refuse_other_models(model)
+    z = antecedent_values(model, *as_record(model, u, y))
     return float(is_outside(model, z).any(axis=1).mean()) if len(z) and z.shape[1] else 0.0
 
 

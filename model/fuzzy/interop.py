@@ -8,7 +8,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.fuzzy.local import StateSpace, linearise
-from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.model import FittedTS, refuse_other_models
 
 
 def to_nonlinear_system(model: FittedTS) -> Any:
@@ -19,18 +19,22 @@ def to_nonlinear_system(model: FittedTS) -> Any:
     """
     import control
 
+    refuse_other_models(model)
     n, n_y, n_u = model.n_init, len(model.outputs), len(model.inputs)
+    free = model.unlimited()  # a linear model runs on beyond the limits at which its output is cut off
 
-    def output(_t: float, x: FloatArray, u: FloatArray, _params: Any) -> FloatArray:
+    def newest(x: FloatArray, u: FloatArray) -> FloatArray:
         past_y = np.asarray(x[: n * n_y]).reshape(n, n_y)[::-1]
         past_u = np.asarray(x[n * n_y :]).reshape(n, n_u)[::-1]
         U = np.vstack([past_u, np.atleast_1d(u)])
         Y = np.vstack([past_y, np.zeros((1, n_y))])
-        return np.asarray(model.one_step(U, Y)[n])
+        return np.asarray(free.one_step(U, Y)[n])
 
-    def step(t: float, x: FloatArray, u: FloatArray, params: Any) -> FloatArray:
-        y = output(t, x, u, params)
-        past_y = np.concatenate([y, x[: (n - 1) * n_y]])
+    def output(_t: float, x: FloatArray, u: FloatArray, _params: Any) -> FloatArray:
+        return np.asarray(np.clip(newest(x, u), *model.output_limits))
+
+    def step(_t: float, x: FloatArray, u: FloatArray, _params: Any) -> FloatArray:
+        past_y = np.concatenate([newest(x, u), x[: (n - 1) * n_y]])
         return np.concatenate([past_y, np.atleast_1d(u), x[n * n_y : n * n_y + (n - 1) * n_u]])
 
     return control.NonlinearIOSystem(

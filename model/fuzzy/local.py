@@ -17,7 +17,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.fuzzy.lyapunov import common_lyapunov
-from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.model import FittedTS, refuse_other_models
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,13 @@ class StateSpace:
 
 
 def polytope(model: FittedTS) -> tuple[StateSpace, ...]:
-    """The rules as local state spaces over one common state, ready for parallel distributed compensation."""
+    """The rules as local state spaces over one common state, ready for parallel distributed compensation.
+
+    Raises
+    ------
+    UsageError : not a model of rules over lags.
+    """
+    refuse_other_models(model)
     return tuple(_companion(model, A, B, c) for A, B, c in model.local_polynomials())
 
 
@@ -68,6 +74,7 @@ def linearise(model: FittedTS, u: FloatArray, y: FloatArray) -> StateSpace:
     ------
     UsageError : u or y has another length than the model's signals; the model's output is at its limit there.
     """
+    refuse_other_models(model)
     u, y = np.atleast_1d(np.asarray(u, dtype=float)), np.atleast_1d(np.asarray(y, dtype=float))
     if u.shape != (len(model.inputs),) or y.shape != (len(model.outputs),):
         raise UsageError(
@@ -76,6 +83,7 @@ def linearise(model: FittedTS, u: FloatArray, y: FloatArray) -> StateSpace:
         )
     d, n_y = model.n_init, len(y)
     U, Y = np.tile(u, (d + 1, 1)), np.tile(y, (d + 1, 1))
+    model = model.unlimited()
     refuse_limit(model.one_step(U, Y)[d], model.output_limits)
 
     def next_output(k: int, column: int, size: float) -> FloatArray:
@@ -135,7 +143,13 @@ class Certificate:
 
 
 def certificate(model: FittedTS) -> Certificate:
-    """A P > 0 with A_r' P A_r - P < 0 for the output dynamics of every rule, where one is found."""
+    """A P > 0 with A_r' P A_r - P < 0 for the output dynamics of every rule, where one is found.
+
+    Raises
+    ------
+    UsageError : not a model of rules over lags.
+    """
+    refuse_other_models(model)
     n = model.layout.orders.na * len(model.outputs)
     return certificate_of([s.A[:n, :n] for s in polytope(model)])
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flysid.dataset import FloatArray
+from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
 from flysid.model.arguments import as_columns, as_record
 from flysid.model.base import Rule
@@ -32,7 +32,8 @@ from flysid.model.start import estimate_start, full_window
 
 if TYPE_CHECKING:
     from flysid.model.fuzzy.explain import Explanation
-    from flysid.model.fuzzy.local import StateSpace
+    from flysid.model.fuzzy.local import Certificate, StateSpace
+    from flysid.model.fuzzy.uncertainty import RuleUncertainty
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,6 +256,47 @@ class FittedTS(Ruled):
         values = values_at([s.name for s in self.layout.signals], self.layout.shift, at)
         n_y = self.layout.n_y
         return linearise(self, values[n_y:], values[:n_y])
+
+    def outside_share(self, u: FloatArray, y: FloatArray) -> float:
+        """Share of samples, 0 to 1, in which an antecedent lies outside the range seen in training."""
+        from flysid.model.fuzzy.explain import outside_share
+
+        return outside_share(self, u, y)
+
+    def polytope(self) -> tuple[StateSpace, ...]:
+        """The rules as local state spaces over one common state; see `local.polytope`."""
+        from flysid.model.fuzzy.local import polytope
+
+        return polytope(self)
+
+    def certificate(self) -> Certificate:
+        """What can be proved about the stability of any blend of the rules; see `local.certificate`."""
+        from flysid.model.fuzzy.local import certificate
+
+        return certificate(self)
+
+    def uncertainty(self, train: Dataset) -> RuleUncertainty:
+        """How sure the model is of its numbers, from the data that it was fitted to; see `uncertainty`."""
+        from flysid.model.fuzzy.uncertainty import uncertainty
+
+        return uncertainty(self, train)
+
+    def to_control(self) -> Any:
+        """The model as a `control.NonlinearIOSystem`, which follows `simulate` sample by sample."""
+        from flysid.model.fuzzy.interop import to_nonlinear_system
+
+        return to_nonlinear_system(self)
+
+
+def refuse_other_models(model: object) -> None:
+    """Raises UsageError where a model is not one of rules over lags."""
+    if not isinstance(model, FittedTS):
+        kind = getattr(model, "structure", type(model).__name__)
+        hint = "rules over hidden states have methods of the same names, see flysid.model.hidden"
+        raise UsageError(
+            f"this is for rules over lags, and the model is {kind!r}",
+            hint=hint if kind == "ts_ss" else "fit flysid.TS()",
+        )
 
 
 def values_at(names: Sequence[str], means: FloatArray, at: Mapping[str, float]) -> FloatArray:

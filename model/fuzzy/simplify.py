@@ -17,7 +17,7 @@ from flysid.model.fuzzy.choice import is_bounded
 from flysid.model.fuzzy.edits import edits, staged
 from flysid.model.fuzzy.finish import finished, free_run_errors
 from flysid.model.fuzzy.grow import ordered, refine, with_ridge
-from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.model import FittedTS, refuse_other_models
 from flysid.model.fuzzy.problem import runs_of
 from flysid.model.fuzzy.tongue import number
 from flysid.model.threads import on_one_thread
@@ -71,8 +71,10 @@ def simplifications(
 
     Raises
     ------
+    UsageError : not a model of rules over lags.
     DataError : no segment is long enough to simulate.
     """
+    refuse_other_models(model)
     judge = train if validation is None else validation
     before = _rmse(model, judge)
     runs = runs_of(model.layout, train.segments, model.n_init + 2)
@@ -100,8 +102,10 @@ def simplify(
 
     Raises
     ------
+    UsageError : not a model of rules over lags.
     DataError : no segment is long enough to simulate.
     """
+    refuse_other_models(model)
     steps: list[Simplification] = []
     first: FloatArray | None = None
     while len(model.parameters.theta) > 1:

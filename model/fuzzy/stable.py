@@ -23,7 +23,7 @@ from flysid.model.fuzzy.integrator import holds_integrator
 from flysid.model.fuzzy.kernel import IntArray
 from flysid.model.fuzzy.layout import Layout
 from flysid.model.fuzzy.local import certificate_of
-from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.model import FittedTS, refuse_other_models
 from flysid.model.fuzzy.poles import pole_radius
 from flysid.model.fuzzy.problem import REACH, Body, Problem, runs_of, widened
 from flysid.model.fuzzy.tongue import number
@@ -53,6 +53,7 @@ def with_stable_rules(
     DataError : no segment is long enough.
     FitError : the mean of all rules is itself beyond that radius: nothing is there to draw them to.
     """
+    refuse_other_models(model)
     if not 0.0 < largest < 1.0:
         raise UsageError(f"largest={largest!r}", hint="give a pole radius between 0 and 1")
     theta, layout = model.parameters.theta, model.layout

@@ -20,7 +20,7 @@ from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.covariance import root_of
 from flysid.model.fuzzy.kernel import Parameters, sensitivities
-from flysid.model.fuzzy.model import FittedTS, dc_gain, time_constant
+from flysid.model.fuzzy.model import FittedTS, dc_gain, refuse_other_models, time_constant
 from flysid.model.fuzzy.poles import pole_radius
 from flysid.model.fuzzy.problem import Body, Problem, SimulationError, runs_of, swept
 from flysid.model.fuzzy.refit import restated
@@ -141,6 +141,7 @@ def uncertainty(model: FittedTS, train: Dataset) -> RuleUncertainty:
     UsageError : the data hold other signals than the model.
     DataError : fewer samples than numbers in the model.
     """
+    refuse_other_models(model)
     check_signals(model.layout.signals, train)
     runs = shortened(runs_of(model.layout, train.segments, model.n_init + 2))
     if sum(len(W) - model.n_init for W in runs) * model.layout.n_y <= model.n_parameters:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.fuzzy.explain import Explanation, refuse_row, taken_apart
+from flysid.model.arguments import as_record
+from flysid.model.fuzzy.explain import Explanation, is_outside, refuse_row, taken_apart
 from flysid.model.fuzzy.kernel import firing
 from flysid.model.hidden.model import FittedTSStateSpace
 
@@ -29,3 +30,13 @@ def explain(model: FittedTSStateSpace, u: FloatArray, y: FloatArray, row: int) -
     shift, scale = layout.antecedent_scaling()
     z = layout.antecedent_values(W)[-1] * scale + shift
     return taken_apart(model, row, z, (shares, alone), np.clip(shares @ alone, *model.output_limits))
+
+
+def outside_share(model: FittedTSStateSpace, u: FloatArray, y: FloatArray) -> float:
+    """Share of samples, 0 to 1, in which an antecedent lies outside the range seen in training.
+
+    Outputs are as measured, hidden states as the free run has them.
+    """
+    shift, scale = model.layout.antecedent_scaling()
+    z = model.layout.antecedent_values(model.seen(*as_record(model, u, y))) * scale + shift
+    return float(is_outside(model, z).any(axis=1).mean()) if z.size else 0.0

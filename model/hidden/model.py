@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flysid.dataset import FloatArray
+from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
 from flysid.model.arguments import as_columns, as_record
 from flysid.model.base import Rule
@@ -27,7 +27,8 @@ from flysid.model.start import full_window, start_window
 
 if TYPE_CHECKING:
     from flysid.model.fuzzy.explain import Explanation
-    from flysid.model.fuzzy.local import StateSpace
+    from flysid.model.fuzzy.local import Certificate, StateSpace
+    from flysid.model.hidden.uncertainty import StateUncertainty
 
 _REST = 20  # rows of zeros that put a model to rest
 
@@ -224,6 +225,36 @@ class FittedTSStateSpace(Ruled):
         known = np.concatenate([shift[:n_y], shift[n:]])
         values = values_at([s.name for s in (*self.outputs, *self.inputs)], known, at)
         return linearise(self, values[n_y:], values[:n_y])
+
+    def outside_share(self, u: FloatArray, y: FloatArray) -> float:
+        """Share of samples, 0 to 1, in which an antecedent lies outside the range seen in training."""
+        from flysid.model.hidden.explain import outside_share
+
+        return outside_share(self, u, y)
+
+    def polytope(self) -> tuple[StateSpace, ...]:
+        """The rules as local state spaces over one common state; see `local.polytope`."""
+        from flysid.model.hidden.local import polytope
+
+        return polytope(self)
+
+    def certificate(self) -> Certificate:
+        """What can be proved about the stability of any blend of the rules; see `local.certificate`."""
+        from flysid.model.hidden.local import certificate
+
+        return certificate(self)
+
+    def uncertainty(self, train: Dataset) -> StateUncertainty:
+        """How sure the model is of its numbers, from the data that it was fitted to; see `uncertainty`."""
+        from flysid.model.hidden.uncertainty import uncertainty
+
+        return uncertainty(self, train)
+
+    def to_control(self) -> Any:
+        """The model as a `control.NonlinearIOSystem`, which follows `simulate` sample by sample."""
+        from flysid.model.hidden.local import to_nonlinear_system
+
+        return to_nonlinear_system(self)
 
     # -- storage -----------------------------------------------------------------------------------------
 

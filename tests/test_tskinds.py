@@ -1,0 +1,96 @@
+"""Rules over lags and over hidden states tell alike; models of other kinds are refused in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flysid.dataset import Dataset
+from flysid.errors import UsageError
+from flysid.model.arx import ARX
+from flysid.model.fuzzy.consequents import refit_consequents
+from flysid.model.fuzzy.interop import to_nonlinear_system
+from flysid.model.fuzzy.local import certificate, linearise, polytope
+from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.simplify import simplifications, simplify
+from flysid.model.fuzzy.stable import with_stable_rules
+from flysid.model.fuzzy.uncertainty import uncertainty
+from flysid.model.fuzzy.update import update
+from flysid.model.hidden.model import FittedTSStateSpace
+from flysid.model.static_ts import StaticTS
+from flysid.model.ts import TS
+from flysid.model.ts_state_space import TSStateSpace
+from tests import model_examples
+
+DATA = model_examples.data()
+Kind = FittedTS | FittedTSStateSpace
+
+
+@pytest.fixture(scope="module", params=["ts", "ts_ss"])
+def model(request: pytest.FixtureRequest) -> Kind:
+    if request.param == "ts":
+        return TS(rules=2, na=2, nb=2, nk=1, iterations=5).fit(DATA)
+    return TSStateSpace(states=2, rules=2, nk=1, iterations=5).fit(DATA)
+
+
+def test_both_kinds_have_the_same_methods(model: Kind) -> None:
+    corners = model.polytope()
+    assert len(corners) == 2
+    assert corners[0].A.shape == corners[1].A.shape
+    found = model.certificate()
+    assert found.reason
+    u, y = DATA.segments[0].u, DATA.segments[0].y
+    low, high = model.uncertainty(DATA).simulation_band(u, y[: model.n_init])
+    assert (low <= high).all()
+    assert model.outside_share(u, y) < 0.05  # of changes, the simulated ones are what was seen
+    assert model.outside_share(u + 100.0, y + 100.0) > 0.9
+    local = model.linearise(at={"u": 0.2})
+    assert local.A.shape == local.A.T.shape
+
+
+def test_python_control_follows_either(model: Kind) -> None:
+    control = pytest.importorskip("control")
+    system = model.to_control()
+    assert isinstance(system, control.NonlinearIOSystem)
+    assert system.dt == model.dt_s
+
+
+def test_python_control_follows_one_rule_beyond_its_limits() -> None:
+    control = pytest.importorskip("control")
+    model = TS(rules=1, na=2, nb=1, nk=1, iterations=5).fit(DATA)
+    u = np.concatenate([np.full(60, 30.0), np.full(60, -1.0)])[:, None]
+    run, d = model.simulate(u), model.n_init
+    assert (run == model.output_limits[1]).any()
+    assert pytest.approx(model.polytope()[0].A, abs=1e-6) == model.linearise(at={"y": 100.0}).A
+    answer = control.input_output_response(
+        model.to_control(), model.dt_s * np.arange(len(u)), u.T, np.zeros(2 * d)
+    )
+    assert np.ravel(answer.outputs) == pytest.approx(run[:, 0], abs=1e-9)
+
+
+OF_LAGS: list[Callable[[Any, Dataset], object]] = [
+    lambda m, _: polytope(m),
+    lambda m, _: certificate(m),
+    lambda m, _: linearise(m, np.zeros(1), np.zeros(1)),
+    simplifications,
+    simplify,
+    uncertainty,
+    update,
+    refit_consequents,
+    lambda m, _: to_nonlinear_system(m),
+    with_stable_rules,
+]
+
+
+@pytest.mark.parametrize("function", OF_LAGS)
+def test_other_models_are_refused(function: Callable[[Any, Dataset], object]) -> None:
+    states = TSStateSpace(states=2, rules=1, nk=1, iterations=2).fit(DATA)
+    with pytest.raises(UsageError, match="the model is 'ts_ss'") as caught:
+        function(states, DATA)
+    assert "methods of the same names" in str(caught.value)
+    for other in (StaticTS(rules=2).fit(DATA), ARX(na=1, nb=1, nk=1, refine=False).fit(DATA)):
+        with pytest.raises(UsageError, match="this is for rules over lags"):
+            function(other, DATA)
