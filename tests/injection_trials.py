@@ -11,6 +11,7 @@ import csv
 import io
 import json
 import random
+import re
 import shutil
 import subprocess
 from collections.abc import Iterator, Mapping
@@ -22,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from flysid.dataset import Dataset, Segment
+from flysid.validate.cautions import cautions
 from flysid.validate.compare import compare
 from flysid.validate.document import to_json
 from flysid.validate.report import ReportContext, render
@@ -74,6 +76,8 @@ FIELDS = (
     "command",
     "remark",
     "label",
+    "skipped",
+    "reason",
 )
 LOADING = {"src", "srcdoc", "href", "action", "formaction", "data", "poster", "background"}
 
@@ -128,9 +132,12 @@ def page_with(given: Mapping[str, str]) -> tuple[str, list[str]]:
         command=pick["command"],
         remark=pick["remark"],
         provenance={pick["label"]: pick["label"]},
+        skipped={pick["skipped"]: pick["reason"]},
     )
+    beware = cautions({name: c}, context.diagnoses)
+    markdown = to_markdown({name: c}, None, beware, context.skipped)
     document = json.dumps(to_json({name: c}, context.diagnoses), allow_nan=False)
-    forms = [document, table({name: c}), summary({name: c}), to_csv({name: c}), to_markdown({name: c})]
+    forms = [document, table({name: c}), summary({name: c}), to_csv({name: c}), markdown]
     return render(context), forms
 
 
@@ -185,6 +192,8 @@ def _faults(page: str, forms: list[str], plain: list[tuple[str, ...]], given: se
     yield from found.live
     if any(not (c == "\n" or c.isprintable()) for form in forms[1:] for c in form):
         yield "control characters in text"
+    if re.search(r"(?<!\\)(?:\\\\)*[<\[`]", re.sub(r"\| \[[−+0-9][^|]*\] \|", "", forms[4])):
+        yield "Markdown that is not text"
     for row in csv.reader(io.StringIO(forms[3])):
         if any(
             (cell[:1] in "=@\t\r" and cell) or (cell[:2] in ("+1", "-2") and cell in given) for cell in row
