@@ -24,6 +24,7 @@ from flysid.validate.report.decimate import decimate, rounded
 from flysid.validate.report.figures import bode, sweep_figure
 from flysid.validate.report.rulefigures import antecedent_range, membership_figures
 from flysid.validate.report.svg import log_ticks, ticks
+from flysid.validate.words import number
 from tests.fakes import FirstOrder, flown
 
 ARX = FirstOrder(a=0.9, b=0.07)
@@ -151,6 +152,22 @@ def test_the_label_of_the_chosen_count_stands_away_from_the_line() -> None:
         (ring,) = re.findall(r'd="M[\d.]+ ([\d.]+)h0" class="ring"', picture)
         assert (float(y) > float(ring)) is below
     assert "chosen: 1" in sweep_figure(Sweep((1,), (0.5,), (0.0,), 1), "m")
+
+
+def test_of_many_segments_the_worst_are_among_those_drawn() -> None:
+    quiet = flown(TS, [60] * 70, noise=0.01)
+    odd = [replace(s, y=s.y + (2.0 if i in (65, 69) else 0.0)) for i, s in enumerate(quiet.segments)]
+    c = compare([ARX, TS], quiet.with_segments(odd))
+    page = Page(render(ReportContext.of({"x": c})))
+    (shown,) = json.loads(page.inside["script"][0])
+    labels = [s["label"] for s in shown["segments"]]
+    assert len(labels) == 60
+    assert {"H66", "H70"} <= set(labels)
+    assert labels == sorted(labels, key=lambda label: int(label[1:]))
+    assert "60 of 70 segments are drawn: the 20 of the largest error" in page.words
+    rmse = [c.entry().models[m].segments[65].scores.rmse for m in ("arx", "ts")]
+    assert f"H66 {number(rmse[0])} → {number(rmse[1])}" in page.words
+    assert "segments are drawn" not in Page(rendered()).words
 
 
 def test_rules_are_counted_in_whole_numbers() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,11 +16,12 @@ from flysid.validate.report.decimate import decimate, rounded
 from flysid.validate.report.rulefigures import firing_along, strongest_runs
 from flysid.validate.report.source import Source
 from flysid.validate.report.svg import Axes, area, box, frame, line, picture, span
-from flysid.validate.trials import Trial
-from flysid.validate.words import one_line
+from flysid.validate.trials import FREE_RUN, Trial
+from flysid.validate.words import number, one_line
 
 WIDE = 960.0
 MOST_SEGMENTS = 60
+WORST_DRAWN = 20
 MOST_BANDED = 24
 THIN = 4
 """Bands are smooth: every fourth sample drawn will do."""
@@ -32,6 +33,7 @@ class Strip:
 
     Attributes
     ----------
+    trial : place among the scored segments.
     index : segment in the test dataset.
     t : (P,) seconds from the segment's start.
     y, u : (P,) measured output, and the input drawn below.
@@ -40,6 +42,7 @@ class Strip:
     bands : (CSS class, lower, upper), (P / THIN,) each, of the free runs that have one.
     """
 
+    trial: int
     index: int
     t: FloatArray
     y: FloatArray
@@ -51,13 +54,26 @@ class Strip:
 
 
 def strips(source: Source, output: int, signal: int) -> list[Strip]:
-    """A Strip for every trial, at most 60 (the first ones), the first 24 of them with bands."""
-    trials = source.diagnosis.free_runs[:MOST_SEGMENTS]
-    return [_strip(source, t, (output, signal), i < MOST_BANDED) for i, t in enumerate(trials)]
+    """A Strip for every trial that `worth_drawing` names, the first 24 of them with bands."""
+    chosen = worth_drawing(source.comparison, source.diagnosis.free_runs, output)
+    return [_strip(source, i, (output, signal), n < MOST_BANDED) for n, i in enumerate(chosen)]
 
 
-def _strip(source: Source, trial: Trial, place: tuple[int, int], banded: bool) -> Strip:
-    """`place` is (output, input)."""
+def worth_drawing(comparison: Comparison, trials: Sequence[Trial], output: int) -> list[int]:
+    """Places of at most 60 trials: the 20 of the largest error of a model drawn, the others evenly spread."""
+    if len(trials) <= MOST_SEGMENTS:
+        return list(range(len(trials)))
+    names = [name for name, _ in drawn(comparison)]
+    worst = [max(float(np.mean((t.y - t.yh[n])[:, output] ** 2)) for n in names) for t in trials]
+    chosen = set(np.argsort(worst)[-WORST_DRAWN:].tolist())
+    others = [i for i in range(len(trials)) if i not in chosen]
+    spread = np.linspace(0, len(others) - 1, MOST_SEGMENTS - WORST_DRAWN).round().astype(int)
+    return sorted(chosen | {others[i] for i in spread})
+
+
+def _strip(source: Source, at: int, place: tuple[int, int], banded: bool) -> Strip:
+    """`at` is the place of the trial, `place` is (output, input)."""
+    trial = source.diagnosis.free_runs[at]
     comparison, (output, signal) = source.comparison, place
     segment = comparison.test.segments[trial.segment]
     t = comparison.dt_s * np.arange(trial.first, len(segment), dtype=np.float64)
@@ -73,6 +89,7 @@ def _strip(source: Source, trial: Trial, place: tuple[int, int], banded: bool) -
         if strength is not None:
             runs = strongest_runs(strength[trial.first :], t, float(t[-1] - t[0]) / 150)
     return Strip(
+        at,
         trial.segment,
         times,
         few["y"],
@@ -105,6 +122,30 @@ def drawn(comparison: Comparison) -> list[tuple[str, str]]:
     if comparison.contender:
         found.append((comparison.contender, "ts"))
     return found
+
+
+def buttons(comparison: Comparison, pieces: Sequence[Strip], output: int) -> tuple[tuple[str, str], ...]:
+    """(label, "0.31 → 0.32") of each drawn segment."""
+    c = comparison
+    labels = [f"H{p.index + 1}" for p in pieces]
+    if FREE_RUN not in c.horizons:
+        return tuple((label, "") for label in labels)
+    entry = c.entry(c.test.outputs[output].name, FREE_RUN)
+    per_model = [entry.models[m].segments for m, _ in drawn(c)]
+    return tuple(
+        (label, " → ".join(number(segments[p.trial].scores.rmse) for segments in per_model))
+        for p, label in zip(pieces, labels, strict=True)
+    )
+
+
+def left_out(every: int, shown: int) -> str:
+    """Which segments are drawn, where that is not all of them."""
+    if shown == every:
+        return ""
+    return (
+        f"{shown} of {every} segments are drawn: the {WORST_DRAWN} of the largest error, and others "
+        "evenly spread. Every number is of all of them."
+    )
 
 
 def vertical(strip: Strip) -> tuple[float, float]:

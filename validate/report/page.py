@@ -28,6 +28,7 @@ from flysid.validate.diagnostics import Diagnosis
 from flysid.validate.report import narrative
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.figures import interval_bar
+from flysid.validate.report.overlay import MOST_SEGMENTS
 from flysid.validate.report.sections import Section, sections
 from flysid.validate.report.source import Source
 from flysid.validate.terminal import standing
@@ -140,7 +141,8 @@ def _json(value: Any) -> str:
 
 def _sections(context: ReportContext, diagnoses: Mapping[str, Diagnosis]) -> list[Section]:
     drawn = sum(
-        len(d.free_runs[:60]) * len(context.comparisons[n].test.outputs) * 8 for n, d in diagnoses.items()
+        min(len(d.free_runs), MOST_SEGMENTS) * len(context.comparisons[n].test.outputs) * 8
+        for n, d in diagnoses.items()
     )
     points = max(60, min(800, NUMBERS_ON_PAGE // max(1, drawn)))
     parts: list[Section] = []

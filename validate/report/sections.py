@@ -21,7 +21,6 @@ from flysid.validate.report.narrative import badge
 from flysid.validate.report.source import Source
 from flysid.validate.residuals import Correlation
 from flysid.validate.responses import steady_outputs
-from flysid.validate.trials import FREE_RUN
 from flysid.validate.words import number, one_line
 
 UNSTABLE = "unstable"
@@ -67,6 +66,7 @@ class Section:
     badge: Mapping[str, str] | None
     still: Markup
     buttons: tuple[tuple[str, str], ...]
+    left_out: str
     residuals: tuple[Panel, ...]
     dynamics: tuple[Panel, ...]
     rules: tuple[tuple[str, tuple[RuleRow, ...]], ...]
@@ -109,7 +109,8 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         still=overlay.still(
             pieces[longest], titles, f"Measured and simulated {titles[0]}, {labels[longest]}"
         ),
-        buttons=_buttons(source, j, labels),
+        buttons=overlay.buttons(c, pieces, j),
+        left_out=overlay.left_out(len(source.diagnosis.free_runs), len(pieces)),
         residuals=_residuals(source, j),
         dynamics=_dynamics(source, j, signal),
         rules=_named_rules(
@@ -144,19 +145,6 @@ def _simpler(source: Source) -> str:
 
 def _with_unit(name: str, unit: str) -> str:
     return one_line(f"{name}, {unit}" if unit else name)
-
-
-def _buttons(source: Source, j: int, labels: list[str]) -> tuple[tuple[str, str], ...]:
-    """(label, "0.31 → 0.32") of each drawn segment."""
-    c = source.comparison
-    if FREE_RUN not in c.horizons:
-        return tuple((label, "") for label in labels)
-    entry = c.entry(c.test.outputs[j].name, FREE_RUN)
-    per_model = [entry.models[m].segments for m, _ in overlay.drawn(c)]
-    return tuple(
-        (label, " → ".join(number(segments[i].scores.rmse) for segments in per_model))
-        for i, label in enumerate(labels)
-    )
 
 
 def _residuals(source: Source, j: int) -> tuple[Panel, ...]:
