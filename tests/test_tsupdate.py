@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -104,6 +105,32 @@ def test_rules_that_come_out_unstable_are_named(model: FittedTS) -> None:
 def test_long_flights_are_taken_in_pieces(model: FittedTS) -> None:
     newer = update(model, data(9000, 5, 0.15), trust_samples=10.0)
     assert free_run_error(newer, 0.15) < 0.1 * free_run_error(model, 0.15)
+
+
+def quiet(n: int) -> tuple[FloatArray, FloatArray]:
+    return np.zeros(n), 1e-4 * np.random.default_rng(0).standard_normal(n)
+
+
+@pytest.mark.parametrize("error", ["free run", "one step"])
+@pytest.mark.parametrize(
+    "flown",
+    [quiet(300), (np.zeros(300), np.zeros(300)), flight(5, 1)],
+    ids=["quiet", "still", "five samples"],
+)
+def test_flights_that_show_nothing_do_no_harm(
+    model: FittedTS, flown: tuple[FloatArray, FloatArray], error: Literal["free run", "one step"]
+) -> None:
+    newer = update(model, Dataset.from_arrays(*flown, DT), error=error)
+    assert max(rule.pole_radius for rule in newer.rules()) < 1.0
+    assert free_run_error(newer, 0.1) < 2.0 * free_run_error(model, 0.1) + 0.02
+
+
+def test_flights_that_the_memberships_were_not_made_for_are_told(model: FittedTS) -> None:
+    u, y = flight(300, 5)
+    newer = update(model, Dataset.from_arrays(100.0 * u, 100.0 * y, DT))
+    assert any("outside the range that the memberships" in note for note in newer.notes)
+    assert max(rule.pole_radius for rule in newer.rules()) < 1.0
+    assert not any("outside the range" in note for note in update(model, data(300, 5)).notes)
 
 
 def test_bad_requests_are_named(model: FittedTS) -> None:

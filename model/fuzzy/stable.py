@@ -61,7 +61,7 @@ def with_stable_rules(
         raise UsageError("the process integrates: every rule has a pole at one, and none can be stable")
 
     def holds(candidate: FloatArray) -> bool:
-        lags = [_output_lags(layout, rule) for rule in candidate]
+        lags = [output_lags(layout, rule) for rule in candidate]
         return all(pole_radius(A) <= largest for A in lags) and (
             not certified or certificate_of([_companion(A) for A in lags]).proved
         )
@@ -92,7 +92,7 @@ def _told(model: FittedTS, found: FittedTS, train: Dataset, *, certified: bool) 
     )
 
 
-def _output_lags(layout: Layout, rule: FloatArray) -> FloatArray:
+def output_lags(layout: Layout, rule: FloatArray) -> FloatArray:
     """(na, n_y, n_y) of one rule's consequents (n_y, n_x): what past outputs weigh, normalised."""
     A = np.zeros((layout.orders.na, layout.n_y, layout.n_y))
     for m, (column, lag) in enumerate(layout.regressors):
@@ -129,7 +129,7 @@ def _drawn(
             hint="fit fewer rules, lower orders, or a linear model with stable=True",
         )
     alone = np.stack(
-        [_nearest(rule, mean, lambda r: pole_radius(_output_lags(layout, r)) <= largest) for rule in theta]
+        [_nearest(rule, mean, lambda r: pole_radius(output_lags(layout, r)) <= largest) for rule in theta]
     )
     return alone if holds(alone) else _nearest(alone, mean, holds)
 

@@ -26,8 +26,10 @@ from flysid.model.fuzzy.grow import Stage, best_started
 from flysid.model.fuzzy.kernel import Parameters, firing
 from flysid.model.fuzzy.layout import Layout
 from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.poles import pole_radius
 from flysid.model.fuzzy.problem import runs_of
 from flysid.model.fuzzy.refit import restated
+from flysid.model.fuzzy.stable import output_lags
 from flysid.model.fuzzy.tongue import number
 from flysid.model.fuzzy.uncertainty import run_sensitivities, steep
 from flysid.model.threads import on_one_thread
@@ -37,7 +39,10 @@ Error = Literal["free run", "one step"]
 _PIECE = 4000  # rows of a free run: what forgets its start needs no longer ones, and memory stays bounded
 _STEPS = 3  # Gauss-Newton steps: the free run bends with the consequents
 _SHARES = (1.0, 0.5, 0.25, 0.1)  # of a step that are tried
-_FLOOR = 1e-6  # of the average information: what new flights do not excite stays where it was
+_USUAL = 2000  # rows of random steps that say what a sample is worth
+_FLOOR = 1e-6  # of a sample in which a regressor stands at 1: what nothing excites stays where it was
+_OUTSIDE = 0.1  # of the new samples
+_ON_CIRCLE = 1e-6  # a pole so near to one integrates, but for rounding
 
 
 @on_one_thread
@@ -55,7 +60,7 @@ def update(
     ----------
     forgetting : weight that a sample loses with every newer one; 1 forgets nothing, 0.999 remembers about a
         thousand samples.
-    trust_samples : how many samples the present consequents count for.
+    trust_samples : how many samples the present consequents count for, of random steps in their range.
     error : what is lowered: "free run", or "one step" for models that are used one step ahead.
 
     Raises
@@ -72,7 +77,12 @@ def update(
     else:
         theta = _one_step_ahead(model, data, forgetting, trust_samples)
     moved = replace(model, parameters=model.parameters._replace(theta=theta), noise=None, gain_interval=None)
-    notes = (*model.notes, _told(error, forgetting, data, before, _errors(moved, data)), *_unstable(moved))
+    notes = (
+        *model.notes,
+        *_far_away(model, data),
+        _told(error, forgetting, data, before, _errors(moved, data)),
+        *_unstable(moved),
+    )
     return with_noise_model(replace(moved, notes=notes), data)
 
 
@@ -116,8 +126,19 @@ def _told(
     )
 
 
+def _far_away(model: FittedTS, data: Dataset) -> list[str]:
+    parts = [s for s in data.segments if len(s) > model.n_init]
+    share = sum(len(s) * model.outside_share(s.u, s.y) for s in parts) / sum(len(s) for s in parts)
+    if share < _OUTSIDE:
+        return []
+    return [
+        f"{100 * share:.0f} % of the new samples lie outside the range that the memberships were made for: "
+        "fit a new model rather than update this one."
+    ]
+
+
 def _unstable(model: FittedTS) -> list[str]:
-    labels = [rule.label for rule in model.rules() if rule.pole_radius >= 1.0 + 1e-6]
+    labels = [rule.label for rule in model.rules() if rule.pole_radius >= 1.0 + _ON_CIRCLE]
     if not labels:
         return []
     return [
@@ -131,7 +152,8 @@ def _unstable(model: FittedTS) -> list[str]:
 def _in_free_run(model: FittedTS, data: Dataset, forgetting: float, trust: float) -> FloatArray:
     """(R, n_y, n_x) consequents that lower the free run's error."""
     runs = _pieces(runs_of(model.layout, data.segments, model.n_init + 2), model.n_init)
-    problem, body = restated(model.layout, model.parameters, runs)
+    problem, body = restated(model.layout, model.parameters, (_wandering(model.layout),))
+    problem = replace(problem, runs=runs)
     stage = best_started(problem, body)
     asked = is_bounded(stage)
     known = _Known.of(stage, forgetting, trust)
@@ -141,6 +163,16 @@ def _in_free_run(model: FittedTS, data: Dataset, forgetting: float, trust: float
             break
         stage = better
     return problem.parameters(stage.body).theta
+
+
+def _wandering(layout: Layout) -> FloatArray:
+    """W of signals that move a little from sample to sample: coordinates in it suit any data.
+
+    New flights may show next to nothing, and coordinates made of them would magnify that beyond measure.
+    """
+    steps = np.random.default_rng(0).standard_normal((500, len(layout.signals)))
+    W = np.cumsum(steps, axis=0)
+    return np.ascontiguousarray((W - W.mean(axis=0)) / W.std(axis=0))
 
 
 def _pieces(runs: Sequence[FloatArray], depth: int) -> tuple[FloatArray, ...]:
@@ -166,13 +198,17 @@ class _Known:
 
     @classmethod
     def of(cls, stage: Stage, forgetting: float, trust: float) -> _Known:
-        """As sure as `trust` samples like the new ones would make them."""
+        """As sure as `trust` samples of random steps in the training range would make them.
+
+        Not as samples like the new ones would: those may show next to nothing.
+        """
         lengths = [len(W) for W in stage.problem.runs]
         total = sum(lengths)
         ages = np.split(np.arange(total)[::-1], np.cumsum(lengths)[:-1])
-        gram, _ = _normal(stage, [np.ones(n) for n in lengths])
-        floor = _FLOOR * np.diag(np.maximum(gram.diagonal(), 1e-12 * gram.diagonal().max()))
-        information = trust * forgetting**total / total * gram + floor
+        gram, _ = _normal(_random_steps(stage), [np.ones(_USUAL)])
+        basis = stage.problem.basis
+        floor = np.kron(np.eye(stage.body.a.size // len(basis)), _FLOOR * trust * basis @ basis.T)
+        information = trust * (forgetting**total / _USUAL * gram) + floor
         weights = tuple(np.asarray(forgetting**age, dtype=np.float64) for age in ages)
         return cls(stage.body.a.ravel(), information, weights)
 
@@ -182,6 +218,17 @@ class _Known:
         gaps = [_run(stage, i)[1] for i in range(len(self.weights))]
         squares = (float(w @ (e * e).sum(axis=1)) for w, e in zip(self.weights, gaps, strict=True))
         return sum(squares) + float(away @ self.information @ away)
+
+
+def _random_steps(stage: Stage) -> Stage:
+    """The model under random steps of all lengths, from rest: what a flight usually shows."""
+    layout, rng = stage.problem.layout, np.random.default_rng(0)
+    W = np.zeros((_USUAL, len(layout.signals)))
+    for column in range(layout.n_y, len(layout.signals)):
+        lengths = np.exp(rng.uniform(0.0, np.log(0.1 * _USUAL), _USUAL)).astype(int) + 1
+        W[:, column] = np.repeat(rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), _USUAL), lengths)[:_USUAL]
+    initial = np.zeros((1, layout.depth, layout.n_y))
+    return replace(stage, problem=replace(stage.problem, runs=(W,)), initial=initial)
 
 
 def _stepped(stage: Stage, known: _Known, *, bounded: bool) -> Stage | None:
@@ -194,9 +241,23 @@ def _stepped(stage: Stage, known: _Known, *, bounded: bool) -> Stage | None:
     for share in _SHARES:
         a = (stage.body.a.ravel() + share * step).reshape(stage.body.a.shape)
         trial = best_started(stage.problem, replace(stage.body, a=a))
-        if known.cost(trial) < limit and (not bounded or is_bounded(trial)):
+        if known.cost(trial) < limit and _as_stable(trial, known) and (not bounded or is_bounded(trial)):
             return trial
     return None
+
+
+def _as_stable(stage: Stage, known: _Known) -> bool:
+    """Whether no rule has become unstable by itself: new flights may be too short or too quiet to show it."""
+    now = _radii(stage, stage.body.a)
+    before = _radii(stage, known.a.reshape(stage.body.a.shape))
+    return bool((now <= np.maximum(before, 1.0) + _ON_CIRCLE).all())
+
+
+def _radii(stage: Stage, a: FloatArray) -> FloatArray:
+    """(R,) pole radius of every rule at consequent coordinates a."""
+    layout = stage.problem.layout
+    theta = stage.problem.parameters(replace(stage.body, a=a)).theta
+    return np.array([pole_radius(output_lags(layout, rule)) for rule in theta])
 
 
 def _normal(stage: Stage, weights: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
