@@ -90,7 +90,7 @@ def test_other_models_are_refused(function: Callable[[Any, Dataset], object]) ->
     states = TSStateSpace(states=2, rules=1, nk=1, iterations=2).fit(DATA)
     with pytest.raises(UsageError, match="the model is 'ts_ss'") as caught:
         function(states, DATA)
-    assert "methods of the same names" in str(caught.value)
+    assert "methods of the model" in str(caught.value)
     for other in (StaticTS(rules=2).fit(DATA), ARX(na=1, nb=1, nk=1, refine=False).fit(DATA)):
         with pytest.raises(UsageError, match="this is for rules over lags"):
             function(other, DATA)

@@ -90,3 +90,5 @@ def test_segments_too_short_to_simulate_are_refused(truth: FittedTS) -> None:
     short = Dataset.from_arrays(np.zeros((1, 1)), np.zeros(1), truth.dt_s)
     with pytest.raises(DataError, match="no segment"):
         simplifications(truth, short)
+    with pytest.raises(DataError, match="too few"):
+        simplifications(truth, Dataset.from_arrays(np.zeros((6, 1)), np.zeros(6), truth.dt_s))

@@ -99,6 +99,10 @@ def test_what_cannot_be_is_named(model: FittedTS, data: Dataset) -> None:
         with_stable_rules(model, data, largest=1.0)
     with pytest.raises(DataError, match="no segment"):
         with_stable_rules(model, data.with_segments([data.segments[0].slice(0, 1, DT)]))
+    with pytest.raises(DataError, match="too few"):
+        with_stable_rules(model, data.with_segments([data.segments[0].slice(0, 8, DT)]))
+    with pytest.raises(UsageError, match="the model knows"):
+        with_stable_rules(model, Dataset.from_arrays(np.zeros((50, 2)), np.zeros(50), DT))
     theta = model.parameters.theta.copy()
     theta[:, 0, 0] = 1.2
     wild = replace(model, parameters=model.parameters._replace(theta=theta))

@@ -63,3 +63,5 @@ def test_other_signals_and_short_segments_are_refused(model: FittedTS) -> None:
         refit_consequents(model, Dataset.from_arrays(np.zeros((9, 2)), np.zeros(9), model.dt_s))
     with pytest.raises(DataError, match="no segment"):
         refit_consequents(model, Dataset.from_arrays(np.zeros((1, 1)), np.zeros(1), model.dt_s))
+    with pytest.raises(DataError, match="6 samples are too few for 6 numbers"):
+        refit_consequents(model, Dataset.from_arrays(np.zeros((7, 1)), np.zeros(7), model.dt_s))

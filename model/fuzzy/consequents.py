@@ -77,7 +77,7 @@ def refit_consequents(
     Raises
     ------
     UsageError : other signals or sample time than the model's; an unknown criterion, a ridge below zero.
-    DataError : no segment is longer than the model's lags.
+    DataError : no segment is longer than the model's lags; no more samples than numbers.
     """
     refuse_other_data(model, data)
     check_criterion(criterion, ridge)
@@ -85,6 +85,7 @@ def refit_consequents(
     if next(pieces(), None) is None:
         raise DataError(f"no segment is longer than {model.n_init} samples", hint="record longer")
     found = fit_consequents(pieces, criterion, ridge)
+    refuse_few(found.rows, found.theta[:, 0].size)
     note = (
         f"Consequents were fitted again, one step ahead, to {found.rows} samples by {found.told(criterion)}; "
         "memberships are as before."
@@ -96,6 +97,14 @@ def refit_consequents(
         noise=None,
         gain_interval=None,
     )
+
+
+def refuse_few(samples: int, numbers: int) -> None:
+    """Raises DataError where there are no more samples than numbers that are fitted to them."""
+    if samples <= numbers:
+        raise DataError(
+            f"{samples} samples are too few for {numbers} numbers", hint="record longer, or fit fewer rules"
+        )
 
 
 def refuse_other_data(model: FittedTS, data: Source) -> None:

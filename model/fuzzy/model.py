@@ -292,7 +292,7 @@ def refuse_other_models(model: object) -> None:
     """Raises UsageError where a model is not one of rules over lags."""
     if not isinstance(model, FittedTS):
         kind = getattr(model, "structure", type(model).__name__)
-        hint = "rules over hidden states have methods of the same names, see flysid.model.hidden"
+        hint = "what rules over hidden states tell are methods of the model; the rest is for TS()"
         raise UsageError(
             f"this is for rules over lags, and the model is {kind!r}",
             hint=hint if kind == "ts_ss" else "fit flysid.TS()",

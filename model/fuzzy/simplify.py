@@ -14,6 +14,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
 from flysid.model.fuzzy.choice import is_bounded
+from flysid.model.fuzzy.consequents import refuse_few, refuse_other_data
 from flysid.model.fuzzy.edits import edits, staged
 from flysid.model.fuzzy.finish import finished, free_run_errors
 from flysid.model.fuzzy.grow import ordered, refine, with_ridge
@@ -71,13 +72,14 @@ def simplifications(
 
     Raises
     ------
-    UsageError : not a model of rules over lags.
-    DataError : no segment is long enough to simulate.
+    UsageError : not a model of rules over lags, or data with other signals.
+    DataError : no segment is long enough to simulate; no more samples than the model has numbers.
     """
-    refuse_other_models(model)
+    refuse_other_data(model, train)
     judge = train if validation is None else validation
     before = _rmse(model, judge)
     runs = runs_of(model.layout, train.segments, model.n_init + 2)
+    refuse_few(sum(len(W) - model.n_init for W in runs), model.parameters.theta[:, 0].size)
     tried = [
         (what, stage)
         for what, layout, p in edits(model.layout, model.parameters, model.support)

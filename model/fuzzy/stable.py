@@ -17,13 +17,14 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.fuzzy.choice import is_bounded
+from flysid.model.fuzzy.consequents import refuse_few, refuse_other_data
 from flysid.model.fuzzy.finish import finished, free_run_errors
 from flysid.model.fuzzy.grow import Stage, best_started, ordered, refined
 from flysid.model.fuzzy.integrator import holds_integrator
 from flysid.model.fuzzy.kernel import IntArray
 from flysid.model.fuzzy.layout import Layout
 from flysid.model.fuzzy.local import certificate_of
-from flysid.model.fuzzy.model import FittedTS, refuse_other_models
+from flysid.model.fuzzy.model import FittedTS
 from flysid.model.fuzzy.poles import pole_radius
 from flysid.model.fuzzy.problem import REACH, Body, Problem, runs_of, widened
 from flysid.model.fuzzy.tongue import number
@@ -49,11 +50,11 @@ def with_stable_rules(
 
     Raises
     ------
-    UsageError : a radius outside (0, 1); rules that hold an integrator.
-    DataError : no segment is long enough.
+    UsageError : a radius outside (0, 1); rules that hold an integrator; data with other signals.
+    DataError : no segment is long enough; no more samples than the model has numbers.
     FitError : the mean of all rules is itself beyond that radius: nothing is there to draw them to.
     """
-    refuse_other_models(model)
+    refuse_other_data(model, train)
     if not 0.0 < largest < 1.0:
         raise UsageError(f"largest={largest!r}", hint="give a pole radius between 0 and 1")
     theta, layout = model.parameters.theta, model.layout
@@ -71,6 +72,7 @@ def with_stable_rules(
     runs = runs_of(layout, train.segments, model.n_init + 2)
     if not runs:
         raise DataError(f"no segment is longer than {model.n_init + 1} samples", hint="record longer")
+    refuse_few(sum(len(W) - model.n_init for W in runs), theta[:, 0].size)
     drawn = _drawn(theta, model.support, holds, layout, largest)
     stage = _refined(model, drawn, runs)
     found = finished(ordered(stage), train, (), intervals=False)
@@ -125,7 +127,7 @@ def _drawn(
     mean = np.tensordot(share / share.sum(), theta, axes=1)
     if not holds(mean[None]):
         raise FitError(
-            "the mean of all rules is not stable: nothing is there to draw them to",
+            f"the mean of all rules has poles beyond {largest:g} itself: nothing is there to draw them to",
             hint="fit fewer rules, lower orders, or a linear model with stable=True",
         )
     alone = np.stack(
