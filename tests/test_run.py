@@ -116,6 +116,15 @@ def test_other_forms_of_the_judgement_tell_the_same_numbers(run: Run) -> None:
     assert [float(r["rmse"]) for r in arx] == [rmse]
     assert json.loads(judgement.text("json")) == judgement.document
     assert f"| arx | {number(rmse)} m/s |" in judgement.text("markdown")
+    grave = [c.text for c in judgement.cautions if c.level in ("danger", "warning")]
+    assert [line for line in judgement.table.splitlines() if line.startswith("beware: ")] == [
+        f"beware: {c.text} Try: {c.todo}" for c in judgement.cautions if c.text in grave
+    ]
+    assert all(text in judgement.text("markdown").replace("\\", "") for text in grave)
+    held = judgement.comparisons[CHANNEL]
+    still = replace(held.test, segments=tuple(replace(s, u=0.0 * s.u) for s in held.test.segments))
+    quiet = replace(judgement, comparisons={CHANNEL: compare(held.fitted, still, baseline=held.baseline)})
+    assert "beware: No input of" in quiet.table
     with pytest.raises(UsageError, match="no form 'docx'"):
         judgement.text("docx")
 

@@ -158,7 +158,7 @@ def _missing_dynamics(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterato
             "warning",
             f"The free-run error still follows the input on {_who(said)}; peak {span} after the input. "
             "Some dynamics are missing.",
-            "try more input lags, a higher order or another antecedent variable.",
+            "more input lags, a higher order or another antecedent variable.",
             1.0 + 0.01 * len(said),
         )
 

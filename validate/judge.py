@@ -57,10 +57,16 @@ class Judgement:
 
     @property
     def table(self) -> str:
-        """The comparison for a terminal: every model, channel and horizon, then the verdicts in words."""
+        """The comparison for a terminal: every model, channel and horizon, verdicts in words, warnings."""
         times = self.context.fit_seconds
-        parts = [table(self.comparisons, times), summary(self.comparisons), *self._simpler()]
+        parts = [table(self.comparisons, times), summary(self.comparisons), *self._beware(), *self._simpler()]
         return "\n\n".join(part for part in parts if part)
+
+    def _beware(self) -> list[str]:
+        """Dangers and warnings; notes are on the page."""
+        grave = [c for c in self.cautions if c.level in ("danger", "warning")]
+        lines = [f"beware: {c.text} Try: {c.todo}" for c in grave]
+        return ["\n".join(map(one_line, lines))] if lines else []
 
     def _simpler(self) -> list[str]:
         """The cheapest way to fewer words of every channel with several rules."""
