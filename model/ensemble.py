@@ -29,6 +29,7 @@ from flysid.model.base import (
 )
 from flysid.model.fuzzy.explain import Explanation, refuse_row
 from flysid.model.fuzzy.words import in_words
+from flysid.model.threads import on_one_thread
 from flysid.model.ts import TS
 
 _LEAST_ROWS = 30  # of a piece of a segment that is left when a block is taken out
@@ -47,6 +48,7 @@ class Ensemble:
     of: Estimator = field(default_factory=TS)
     members: int = 5
 
+    @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedEnsemble:
         """Fit every member; those that cannot be fitted are left out, and counted.
 

@@ -15,6 +15,7 @@ from flysid.model.gram import reduce_data, solve
 from flysid.model.linear.data import Parts
 from flysid.model.linear.model import FittedLinear, from_dict
 from flysid.model.regressors import Lags, chunks
+from flysid.model.threads import on_one_thread
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class Line:
 
     offset: bool = True
 
+    @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002
         """Least squares over all samples.
 

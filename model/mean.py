@@ -15,12 +15,14 @@ from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts
 from flysid.model.linear.model import FittedLinear, from_dict
 from flysid.model.stream import Source
+from flysid.model.threads import on_one_thread
 
 
 @dataclass(frozen=True)
 class Mean:
     """A reference without settings."""
 
+    @on_one_thread
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002
         """The mean of every output over all samples.
 

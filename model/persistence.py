@@ -17,12 +17,14 @@ from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts
 from flysid.model.linear.model import FittedLinear, from_dict
 from flysid.model.stream import Source
+from flysid.model.threads import on_one_thread
 
 
 @dataclass(frozen=True)
 class Persistence:
     """A reference without settings."""
 
+    @on_one_thread
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002
         """Takes only the signals and their range from the data.
 

@@ -1,4 +1,4 @@
-"""What holds while a model is fitted: one BLAS thread, and numerical failures as FitError.
+"""What holds while a model is fitted: a dataset, one BLAS thread, and numerical failures as FitError.
 
 Sums of a threaded BLAS depend on the number of threads in their last bits, and a choice between orders or
 rule counts can hang on those bits: fits would differ between machines. The matrices here are small, too; on
@@ -8,12 +8,13 @@ them threads cost time instead of saving it.
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-from flysid.errors import FitError
+from flysid.errors import FitError, UsageError
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -22,13 +23,23 @@ R = TypeVar("R")
 def on_one_thread(fit: Callable[P, R]) -> Callable[P, R]:
     """`fit`, run with BLAS limited to one thread; the caller's limits are restored.
 
+    What it calls `train` or `data` must be a dataset: arrays are what people try first, and UsageError says
+    how to make one of them.
+
     Where linear algebra fails for good it raises FitError: a caller never meets NumPy's own error. Trial
     models that diverge overflow on the way; the optimisers see that and step back, so it is no news.
     """
 
+    named = list(inspect.signature(fit).parameters)
+    of_data = [(at, name) for at, name in enumerate(named) if name in ("train", "data")]
+
     @functools.wraps(fit)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:
         from threadpoolctl import threadpool_limits
+
+        for at, name in of_data:
+            if name in kwargs or at < len(args):
+                _refuse_arrays(kwargs[name] if name in kwargs else args[at])
 
         with threadpool_limits(limits=1, user_api="blas"), np.errstate(over="ignore", invalid="ignore"):
             try:
@@ -40,3 +51,12 @@ def on_one_thread(fit: Callable[P, R]) -> Callable[P, R]:
                 ) from error
 
     return limited
+
+
+def _refuse_arrays(data: object) -> None:
+    if not (hasattr(data, "inputs") and hasattr(data, "outputs")):
+        raise UsageError(
+            f"a model is fitted to a dataset, not to {type(data).__name__}",
+            hint="flysid.Dataset.from_arrays(u, y, dt_s) makes one of arrays, "
+            "flysid.dataset_from(FILE, INPUT, OUTPUT) of a log or table",
+        )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.dataset import FloatArray
+from flysid.errors import UsageError
 from flysid.model.base import Fitted, all_structures, load
 from tests.model_examples import EXAMPLES, SCALING_TOLERANCE, scaled
 
@@ -40,6 +42,15 @@ seeds = st.integers(0, 2**31)
 def test_every_structure_has_an_example() -> None:
     tried = {fitted(name).structure for name in EXAMPLES}
     assert set(all_structures()) <= tried
+
+
+@every_model
+@pytest.mark.parametrize("arrays", [np.zeros((50, 1)), None, [1.0, 2.0]])
+def test_what_is_no_dataset_is_refused_in_words(name: str, arrays: object) -> None:
+    build: Any = EXAMPLES[name][0]
+    with pytest.raises(UsageError, match="fitted to a dataset, not to") as caught:
+        build(arrays)
+    assert "from_arrays" in str(caught.value)
 
 
 @every_model
