@@ -203,12 +203,12 @@ def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
     may lie on an output limit (the range of training, widened by itself on each side), and the model
     must forget how it was started (`forgets_start`); rules must also stay off the limits most of the time
     where random inputs are held for long. Of a model that holds an integrator the changes of the
-    output are asked instead (the range widened tenfold), as its output may go anywhere.
+    output are asked instead (the range widened tenfold), as its output may go anywhere. Lags are held at
+    the limits here, those of a single rule too (`unheld`): one that stays there is too near to instability.
     """
     problem, n_y = stage.problem, stage.problem.layout.n_y
     W = stress_run(problem.runs, n_y, steps, seed)
-    lags = problem.layout.lags
-    free_run(W, problem.layout.depth, lags, unheld(lags, problem.parameters(stage.body)))
+    free_run(W, problem.layout.depth, problem.layout.lags, problem.parameters(stage.body))
     y, limits = W[steps + steps // 4 :, :n_y], problem.limits
     if problem.integrates:
         if not _rules_settle(stage):
