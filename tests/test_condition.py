@@ -58,6 +58,15 @@ def test_conditions(expression: str, channels: tuple[str, ...]) -> None:
     assert matching_channels(expression, DOCUMENT) == channels
 
 
+def test_models_of_two_runs_need_no_quotes() -> None:
+    two = {**entry(-30.0, "better"), "models": {"a:ts": {"rmse": 0.4}, "b:ts": {"rmse": 0.3}}}
+    document = {"channels": {"roll": {"free_run": two}}}
+    assert matching_channels("free_run.b:ts.rmse < 0.35 and free_run.models.a:ts.rmse > 0.35", document) == (
+        "roll",
+    )
+    assert matching_channels('free_run."b:ts".rmse < 0.2', document) == ()
+
+
 @pytest.mark.parametrize(
     ("expression", "message"),
     [
