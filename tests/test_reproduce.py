@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -13,7 +16,7 @@ from flysid.model.static_ts import StaticTS
 from flysid.model.ts import TS
 from flysid.validate.compare import compare
 from flysid.validate.paper import CANNOT_REPRODUCE, LOOPS, PaperLoop
-from flysid.validate.reproduce import LoopResult, experiment, from_rest, to_document
+from flysid.validate.reproduce import LoopResult, draw_figures, experiment, from_rest, to_document
 
 NAMES = [loop.name for loop in LOOPS]
 STATIC_CEILING = {"longitudinal": 0.0256, "lateral": 0.1225, "vertical": 0.0690}  # m/s
@@ -51,7 +54,9 @@ def test_three_dynamic_rules_follow_a_noise_free_loop(dynamic: tuple[str, Fitted
     assert found["rmse"] <= 1e-5 * np.ptp(truth)
 
 
-def test_on_a_linear_loop_no_verdict_calls_the_rules_better(dynamic: tuple[str, Fitted]) -> None:
+def test_on_a_linear_loop_no_verdict_calls_the_rules_better(
+    dynamic: tuple[str, Fitted], tmp_path: Path
+) -> None:
     name, model = dynamic
     train, _ = experiment(loop_named(name), "training")
     test, _ = experiment(loop_named(name), "validation")
@@ -69,6 +74,10 @@ def test_on_a_linear_loop_no_verdict_calls_the_rules_better(dynamic: tuple[str, 
         noisy_rmse={"arx_one_step": 0.1, "arx": 0.01, "dynamic_ts_3": 0.02},
     )
     assert to_document([result])["loops"][name]["verdict"] == result.verdict
+    if importlib.util.find_spec("matplotlib"):
+        [drawn] = draw_figures([result], tmp_path)
+        assert drawn.name == f"figure-4-{name}.pdf"
+        assert drawn.read_bytes().startswith(b"%PDF")
     text = loop_text(result)
     assert loop_named(name).equation in text
     assert text.count("R7:") == 1

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from flysid.dataset import Dataset, FloatArray, Signal
@@ -77,6 +78,26 @@ def _estimators() -> dict[str, Estimator]:
         "arx": ARX(),
         "dynamic_ts_3": TS(rules=3),
     }
+
+
+def draw_figures(results: list[LoopResult], folder: Path) -> list[Path]:
+    """The paper's figures 4, 5 and 6, panels a to h, of the static model with seven rules, on signal (14).
+
+    Raises
+    ------
+    UsageError : matplotlib is not installed.
+    StoreError : a file cannot be written.
+    """
+    from flysid.model.static_ts import FittedStaticTS
+    from flysid.validate.rulesfigure import write_rules_figure
+
+    paths = []
+    for number, result in enumerate(results, start=4):
+        model, (test, _) = result.models["static_ts_7"], experiment(result.paper, "validation")
+        assert isinstance(model, FittedStaticTS)
+        path = folder / f"figure-{number}-{result.paper.name}.pdf"
+        paths.append(write_rules_figure(path, model, test.segments[0]))
+    return paths
 
 
 def experiment(loop: PaperLoop, signal: str, noise: float = 0.0) -> tuple[Dataset, FloatArray]:

@@ -6,6 +6,7 @@ import json
 import re
 import textwrap
 from itertools import zip_longest
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -37,18 +38,29 @@ VERDICTS = {
 
 @click.command("reproduce")
 @click.argument("paper", type=click.Choice(["ardrone-ts"]))
-@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the figures of merit as JSON.")
+@click.option(
+    "--figures",
+    type=click.Path(path_type=Path),
+    metavar="FOLDER",
+    help="Also draw the paper's figures 4 to 6 as PDF (needs matplotlib: flysid[plot]).",
+)
 @click.option("--quiet", "-q", is_flag=True)
-def command(paper: str, as_json: bool, quiet: bool) -> None:  # noqa: ARG001
+def command(paper: str, as_json: bool, figures: Path | None, quiet: bool) -> None:  # noqa: ARG001
     """Print a paper's figures and rule tables beside what can, and what cannot, be reproduced.
 
     ardrone-ts: Takagi-Sugeno identification of the AR.Drone's longitudinal, lateral and vertical loops.
     """
     from flysid.validate.paper import CANNOT_REPRODUCE
-    from flysid.validate.reproduce import reproduce_ardrone_ts, to_document
+    from flysid.validate.paperfigures import require_matplotlib
+    from flysid.validate.reproduce import draw_figures, reproduce_ardrone_ts, to_document
 
+    if figures is not None:
+        require_matplotlib()
     with status(quiet) as progress:
         results = reproduce_ardrone_ts(progress)
+    if figures is not None:
+        draw_figures(results, figures)
     if as_json:
         click.echo(json.dumps(to_document(results), indent=1, allow_nan=False))
         return
