@@ -363,12 +363,16 @@ def test_sweep_is_read_from_the_notes_of_a_model() -> None:
     notes = (
         "Orders na = 3.",
         "Validation free-run error by number of rules, in standard deviations of the output: "
-        "1: 0.134, 2: 5e-02.",
+        "1: 0.134 +- 0.012, 2: 5e-02. +- is one standard error of the distance to the best.",
         "2 rules: the fewest within one standard error of the best.",
     )
     sweep = Sweep.from_notes(notes, 2)
     assert sweep is not None
     assert (sweep.rules, sweep.error, sweep.chosen) == ((1, 2), (0.134, 0.05), 2)
+    assert sweep.spread == (0.012, 0.0)
+    older = Sweep.from_notes((notes[1].replace(" +- 0.012", ""),), 2)
+    assert older is not None
+    assert (older.error, older.spread) == ((0.134, 0.05), (0.0, 0.0))
     assert sweep.unit == "standard deviations of the output"
     assert sweep.words.startswith("2 rules")
     assert Sweep.from_notes(("made by hand",), 1) is None

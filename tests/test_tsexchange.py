@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from flysid.model.fuzzy.choice import Candidate
+from flysid.model.fuzzy.estimate import rule_verdict
 from flysid.model.fuzzy.exchange import exchanged
 from flysid.model.fuzzy.grow import Stage, inserted, unrefined
 from flysid.model.fuzzy.model import FittedTS
@@ -59,6 +61,16 @@ def test_a_good_model_stays(truth: FittedTS, workshop: Workshop) -> None:
     larger = workshop.judge(one_more_than(poor.stage))
     settled = replace(good, stage=replace(good.stage, cost=0.9 * good.stage.cost))
     assert exchanged(workshop, [poor, settled, larger], 1, ()) is settled
+
+
+def test_the_sweep_tells_how_sure_its_distances_are(truth: FittedTS, workshop: Workshop) -> None:
+    good, poor = (workshop.judge(stage_of(workshop, truth, share)) for share in (0.0, 0.8))
+    models = [replace(poor, errors=np.array([0.04, 0.08])), replace(good, errors=np.array([0.01, 0.03]))]
+    note, _ = rule_verdict(TS(), models, 1)
+    root = np.sqrt(0.06)  # the gaps 0.03 and 0.05 have a standard error of 0.01
+    assert f"2: {root:.3g} +- {0.01 / (2 * root):.2g}, 2: {np.sqrt(0.02):.3g}. +-" in note
+    alone, _ = rule_verdict(TS(), models[:1], 0)
+    assert "+-" not in alone
 
 
 def test_little_data_and_single_rules_are_left_alone(truth: FittedTS, workshop: Workshop) -> None:

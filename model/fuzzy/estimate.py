@@ -223,11 +223,23 @@ def rule_verdict(settings: Settings, models: Sequence[Candidate], at: int) -> li
     """The rule count in words."""
     if settings.rules != "auto":
         return [f"{settings.rules} rules, as asked."]
-    tried = ", ".join(f"{len(m.stage.body.a)}: {np.sqrt(m.mean):.3g}" for m in models)
+    tried = ", ".join(f"{len(m.stage.body.a)}: {with_spread(m, models)}" for m in models)
     sweep = f"Validation free-run error by number of rules, in standard deviations of the output: {tried}."
+    if "+-" in tried:
+        sweep += " +- is one standard error of the distance to the best."
     if at == 0:
         return [sweep, "One rule is enough: more rules do not lower the validation error beyond its spread."]
     return [sweep, f"{at + 1} rules: the fewest within one standard error of the best."]
+
+
+def with_spread(model: Candidate, models: Sequence[Candidate]) -> str:
+    """ "0.134 +- 0.012": the error, and one standard error of its distance to the best stable model's."""
+    best = min((m for m in models if m.stable), key=lambda m: m.mean, default=model)
+    error, gap = float(np.sqrt(model.mean)), model.errors - best.errors
+    if model is best or len(gap) < 2 or not error > 0.0:
+        return f"{error:.3g}"
+    # of the root of the mean square, to first order
+    return f"{error:.3g} +- {float(gap.std(ddof=1) / np.sqrt(len(gap))) / (2.0 * error):.2g}"
 
 
 def _method(settings: Settings) -> str:

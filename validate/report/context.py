@@ -12,6 +12,9 @@ from flysid.ingest.doubts import Doubt
 from flysid.validate.compare import Comparison
 from flysid.validate.diagnostics import Diagnosis, diagnose
 
+_NUMBER = r"\d+(?:\.\d+)?(?:e[+-]?\d+)?"
+_TRIED = rf"\d+: {_NUMBER}(?: \+- {_NUMBER})?"
+
 
 @dataclass(frozen=True)
 class Sweep:
@@ -19,7 +22,8 @@ class Sweep:
 
     Attributes
     ----------
-    rules, error, spread : per count, the error and its standard error (0 where not known).
+    rules, error, spread : per count, the error and its standard error (0 where not known, and of what the
+        others are compared with).
     chosen : the count taken.
     linear : error and spread of the linear model on the same data, or None.
     words : how the choice was made, one sentence.
@@ -38,19 +42,25 @@ class Sweep:
     def from_notes(cls, notes: Sequence[str], chosen: int) -> Sweep | None:
         """The sweep that TS tells of in its notes, or None.
 
-        It reads "... by number of rules, in UNIT: 1: 0.13, 2: 0.15, ..."; the next note says why. Notes are
-        what a saved model keeps of how it was chosen.
+        It reads "... by number of rules, in UNIT: 1: 0.13 +- 0.01, 2: 0.15, ..."; the next note says why.
+        Notes are what a saved model keeps of how it was chosen.
         """
         for i, note in enumerate(notes):
-            match = re.search(r"by number of rules, in ([^:]+): ((?:\d+: [\d.e+-]+(?:, )?)+)", note)
+            match = re.search(rf"by number of rules, in ([^:]+): ({_TRIED}(?:, {_TRIED})*)", note)
             if match is None:
                 continue
-            pairs = re.findall(r"(\d+): (\d+(?:\.\d+)?(?:e[+-]?\d+)?)", match[2])
-            if len(pairs) < 2:
+            tried = re.findall(rf"(\d+): ({_NUMBER})(?: \+- ({_NUMBER}))?", match[2])
+            if len(tried) < 2:
                 return None
-            rules, errors = tuple(int(r) for r, _ in pairs), tuple(float(e) for _, e in pairs)
             words = notes[i + 1] if i + 1 < len(notes) else ""
-            return cls(rules, errors, (0.0,) * len(rules), chosen, words=words, unit=match[1])
+            return cls(
+                tuple(int(rules) for rules, _, _ in tried),
+                tuple(float(error) for _, error, _ in tried),
+                tuple(float(spread or 0.0) for _, _, spread in tried),
+                chosen,
+                words=words,
+                unit=match[1],
+            )
         return None
 
 
