@@ -62,6 +62,17 @@ def test_a_copy_is_found(case: str) -> None:
     assert (found.held_out, found.training) == ("b", "a")
 
 
+@pytest.mark.parametrize("unit", [1e-152, 1e150])
+def test_a_copy_is_found_in_any_unit(unit: float) -> None:
+    def scaled(flight: tuple[FloatArray, FloatArray], name: str, every: int = 1) -> Segment:
+        return recorded((flight[0], unit * flight[1]), name, every)
+
+    train = [scaled(FLIGHT, "a"), scaled(flown(3, 3), "other")]
+    found = find_copy(train, [scaled(FLIGHT, "b", every=2)], DT_S)
+    assert found is not None
+    assert (found.held_out, found.training) == ("b", "a")
+
+
 def test_a_flight_recorded_twice_without_noise_is_a_copy_on_any_grid() -> None:
     quiet = flown(1, 1, white=0.0, gusts=0.0)
     found = find_copy([recorded(quiet, "a"), OTHERS[0]], [recorded(quiet, "b", every=2, phase_ms=11)], DT_S)
