@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -140,6 +141,18 @@ def test_named_antecedents_are_used() -> None:
     assert model.antecedents == ("u(k-1)",)
     with pytest.raises(UsageError, match="not understood"):
         TS(antecedents=["nothing(k-1)"]).fit(Dataset.from_arrays(u, y, DT))
+
+
+@pytest.mark.parametrize("name", ["u(k)-u(k-1)", "y(k-1)-y(k-1)"])
+def test_an_antecedent_that_stands_still_is_named(name: str) -> None:
+    """A ramp: its change is the same but for rounding, and sets along it were of no width."""
+    ramp = 1e3 + 0.01 * np.arange(600)
+    y = np.random.default_rng(0).normal(size=600)
+    with pytest.raises(DataError, match=re.escape(f"the antecedent {name} stays at")):
+        TS(rules=2, antecedents=[name]).fit(Dataset.from_arrays(ramp, y, DT))
+    slow = ramp + 1e-3 * np.sin(0.05 * np.arange(600))
+    model = TS(rules=2, antecedents=["u(k)-u(k-1)"]).fit(Dataset.from_arrays(slow, y, DT))
+    assert model.antecedents == ("u(k)-u(k-1)",)
 
 
 def test_bad_input_is_named() -> None:

@@ -14,7 +14,7 @@ from flysid.model.fuzzy.choice import INTEGRATES, Candidate, choose, hold_out
 from flysid.model.fuzzy.exchange import exchanged
 from flysid.model.fuzzy.fewer import fewer_words
 from flysid.model.fuzzy.grow import Stage, ordered
-from flysid.model.fuzzy.layout import Antecedent, Orders, parse_antecedents, scaling
+from flysid.model.fuzzy.layout import Antecedent, Orders, check_they_move, parse_antecedents, scaling
 from flysid.model.fuzzy.problem import runs_of
 from flysid.model.fuzzy.refit import refit
 from flysid.model.fuzzy.search import affords, cross_validated, search
@@ -203,7 +203,9 @@ def _named(settings: Settings, train: Dataset) -> tuple[Antecedent, ...]:
         return ()
     if isinstance(settings.antecedents, str) or not settings.antecedents:
         raise UsageError(f"antecedents={settings.antecedents!r}", hint='give "auto" or a list of names')
-    return parse_antecedents(settings.antecedents, train.outputs, train.inputs)
+    named = parse_antecedents(settings.antecedents, train.outputs, train.inputs)
+    check_they_move(named, train)
+    return named
 
 
 def _parts(train: Dataset, validation: Dataset | None, least: int) -> tuple[Dataset, Dataset, bool]:

@@ -19,6 +19,8 @@ from flysid.errors import DataError, UsageError
 from flysid.model.fuzzy.kernel import Lags
 from flysid.model.regressors import lagged_name
 
+_STILL = 1e-9  # of the signal: what a sum of rounding errors may move an antecedent by
+
 
 @dataclass(frozen=True)
 class Antecedent:
@@ -233,3 +235,29 @@ def parse_antecedents(
         if antecedent in found[:at]:
             raise UsageError(f"the antecedent {names[at]!r} is named twice", hint="name each one once")
     return found
+
+
+def check_they_move(antecedents: Sequence[Antecedent], train: Dataset) -> None:
+    """Raise DataError for an antecedent by which no rule can be told from another.
+
+    A difference of lags that only carries rounding counts as one that stands still.
+    """
+    signals = (*train.outputs, *train.inputs)
+    for antecedent in antecedents:
+        columns = [np.hstack([s.y, s.u])[:, antecedent.column] for s in train.segments]
+        values = np.concatenate([_lagged(antecedent, w) for w in columns])
+        size = max(float(np.abs(w).max(initial=0.0)) for w in columns)
+        if len(values) and np.ptp(values) <= _STILL * size:
+            raise DataError(
+                f"the antecedent {antecedent.name(signals)} stays at {values[0]:g} in the training data",
+                hint="no rule can be told from another by it: leave it out, or name a variable that moves",
+            )
+
+
+def _lagged(antecedent: Antecedent, w: FloatArray) -> FloatArray:
+    """What an antecedent is along one record (N,) of its signal, from where all its lags are known."""
+    deepest = max(antecedent.lag, antecedent.minus)
+    first = w[deepest - antecedent.lag : len(w) - antecedent.lag]
+    if antecedent.minus < 0:
+        return first
+    return first - w[deepest - antecedent.minus : len(w) - antecedent.minus]
