@@ -48,7 +48,7 @@ def to_control(model: FittedLinear | FittedStateSpace, form: Literal["auto", "tf
     """
     import control
 
-    if not hasattr(model, "system"):
+    if not isinstance(model, FittedLinear | FittedStateSpace):
         raise UsageError(
             f"a {model.structure} model has no transfer function",
             hint="rules: model.to_control(), which is nonlinear",
