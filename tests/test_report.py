@@ -379,6 +379,7 @@ def test_sweep_is_read_from_the_notes_of_a_model() -> None:
     ts = replace(TS, notes=notes)
     page = Page(render(ReportContext.of({"x": compare([ARX, ts], flown(TS, [300], noise=0.02))})))
     assert "Rule count" in page.words
+    assert "Bars: one standard error of the distance to the best." in page.words
     assert "RMSE, standard deviations of the output" in page.words
 
 

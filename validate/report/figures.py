@@ -235,10 +235,11 @@ def sweep_figure(sweep: Sweep, unit: str) -> Markup:
         i = sweep.rules.index(sweep.chosen)
         parts.append(dots(axes, x[i : i + 1], error[i : i + 1], "ring"))
         beside = np.delete(error[max(0, i - 1) : i + 2], min(i, 1))
-        drop = (
-            20.0 if beside.sum() > len(beside) * error[i] else -12.0
-        )  # away from the lines to its neighbours
-        place = float(axes.px(x[i])), float(axes.py(error[i])) + drop
+        below = (
+            beside.sum() > len(beside) * error[i]
+        )  # away from the lines to its neighbours, past the whisker
+        dot, low, high = (float(axes.py(e)) for e in (error[i], error[i] - spread[i], error[i] + spread[i]))
+        place = float(axes.px(x[i])), max(dot + 20.0, low + 12.0) if below else min(dot - 12.0, high - 5.0)
         parts.append(text(*place, f"chosen: {sweep.chosen}", anchor="middle"))
     return picture(HALF, 186, parts, f"Error over the number of rules; {sweep.chosen} chosen")
 

@@ -186,7 +186,8 @@ def _dynamics(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
     sweep = source.sweep or _noted_sweep(source.comparison)
     if sweep is not None:
         unit = one_line(source.comparison.test.outputs[j].unit)
-        panels.append(Panel("Rule count", one_line(sweep.words), figures.sweep_figure(sweep, unit)))
+        bars = " Bars: one standard error of the distance to the best." if any(sweep.spread) else ""
+        panels.append(Panel("Rule count", one_line(sweep.words + bars), figures.sweep_figure(sweep, unit)))
     panels.append(_static(source, j, signal))
     return tuple(panels)
 
