@@ -6,6 +6,8 @@ memberships where the model has them. Sizes fit a double column (170 mm); fonts 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,20 +53,38 @@ def write_figures(folder: str | Path, context: ReportContext, kind: str = "pdf")
     UsageError : an unknown kind, or matplotlib is not installed.
     StoreError : a file cannot be written.
     """
-    if kind not in KINDS:
-        raise UsageError(f"figures of kind {kind!r} are not known", hint=f"use one of {', '.join(KINDS)}")
+    _refuse_unknown(kind)
     paths = []
     folder = Path(folder)
     for number, name in enumerate(context.comparisons):
         for j in range(len(context.comparisons[name].test.outputs)):
             path = folder / f"channel-{number + 1}-{j + 1}.{kind}"
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-                write_atomically(path, _rendered(context, name, j, kind))
-            except OSError as error:
-                raise StoreError(f"the figure cannot be written: {error.strerror}", path=path) from error
-            paths.append(path)
+            paths.append(write_figure(path, partial(draw, context, name, j)))
     return paths
+
+
+def write_figure(path: Path, drawing: Callable[[], Figure]) -> Path:
+    """A figure as a file of the kind that its name ends with; equal input gives equal bytes.
+
+    Raises
+    ------
+    UsageError : an unknown kind, or matplotlib is not installed; as `drawing`.
+    StoreError : the file cannot be written.
+    """
+    kind = path.suffix.removeprefix(".")
+    _refuse_unknown(kind)
+    content = _rendered(drawing, kind)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, content)
+    except OSError as error:
+        raise StoreError(f"the figure cannot be written: {error.strerror}", path=path) from error
+    return path
+
+
+def _refuse_unknown(kind: str) -> None:
+    if kind not in KINDS:
+        raise UsageError(f"figures of kind {kind!r} are not known", hint=f"use one of {', '.join(KINDS)}")
 
 
 def require_matplotlib() -> None:
@@ -90,7 +110,7 @@ def draw(context: ReportContext, channel: str, output: int = 0) -> Figure:
     return figure
 
 
-def _rendered(context: ReportContext, channel: str, output: int, kind: str) -> bytes:
+def _rendered(drawing: Callable[[], Figure], kind: str) -> bytes:
     """The file's bytes; equal input gives equal bytes (no dates, no random ids)."""
     import io
 
@@ -104,7 +124,7 @@ def _rendered(context: ReportContext, channel: str, output: int, kind: str) -> b
     }
     buffer = io.BytesIO()
     with rc_context(SETTINGS):
-        draw(context, channel, output).savefig(buffer, format=kind, metadata=metadata[kind], dpi=200)
+        drawing().savefig(buffer, format=kind, metadata=metadata[kind], dpi=200)
     return buffer.getvalue()
 
 
@@ -113,7 +133,8 @@ def _literal(text: str) -> str:
     return one_line(text).replace("$", r"\$")
 
 
-def _label(name: str, unit: str) -> str:
+def axis_label(name: str, unit: str = "") -> str:
+    """ "v_x, m/s" for an axis, taken literally."""
     return _literal(f"{name}, {unit}" if unit else name)
 
 
@@ -136,9 +157,9 @@ def _time_panels(panels: tuple[Axes, Axes, Axes], context: ReportContext, channe
     top.set_ylim(float(y.min()) - 0.3 * reach, float(y.max()) + 0.3 * reach)
     segment, signal = c.test.segments[trial.segment], context.diagnoses[channel].outputs[j].main_input
     low.plot(t, segment.u[trial.first :, signal], color="0.35", linewidth=0.8)
-    top.set_ylabel(_label(c.test.outputs[j].name, c.test.outputs[j].unit))
-    middle.set_ylabel(_label("error", c.test.outputs[j].unit))
-    low.set_ylabel(_label(c.test.inputs[signal].name, c.test.inputs[signal].unit))
+    top.set_ylabel(axis_label(c.test.outputs[j].name, c.test.outputs[j].unit))
+    middle.set_ylabel(axis_label("error", c.test.outputs[j].unit))
+    low.set_ylabel(axis_label(c.test.inputs[signal].name, c.test.inputs[signal].unit))
     low.set_xlabel("time, s")
     top.set_title(f"{_literal(channel)}: held-out segment H{trial.segment + 1}")
     top.tick_params(labelbottom=False)
@@ -157,8 +178,8 @@ def _static_panel(panel: Axes, context: ReportContext, channel: str, j: int) -> 
     levels = np.linspace(float(u[:, signal].min()), float(u[:, signal].max()), 25)
     for name, css in drawn(c):
         panel.plot(levels, steady_outputs(c.fitted[name], levels, u.mean(axis=0), j, signal), **STYLES[css])
-    panel.set_xlabel(_label(c.test.inputs[signal].name, c.test.inputs[signal].unit))
-    panel.set_ylabel(_label(f"settled {c.test.outputs[j].name}", c.test.outputs[j].unit))
+    panel.set_xlabel(axis_label(c.test.inputs[signal].name, c.test.inputs[signal].unit))
+    panel.set_ylabel(axis_label(f"settled {c.test.outputs[j].name}", c.test.outputs[j].unit))
     panel.set_ylim(float(y.min()) - 0.3 * float(np.ptp(y)), float(y.max()) + 0.3 * float(np.ptp(y)) + 1e-12)
 
 
@@ -179,7 +200,7 @@ def _last_panel(panel: Axes, context: ReportContext, channel: str, j: int) -> No
                 panel.annotate(f"A{r + 1}", (x[peak], grade[peak]), (0, 2), color=colour, **BESIDE)
             panel.margins(y=0.12)
             units = {s.name: s.unit for s in (*c.test.inputs, *c.test.outputs)}
-            panel.set_xlabel(_label(name, units.get(name.split("(")[0], "")))
+            panel.set_xlabel(axis_label(name, units.get(name.split("(")[0], "")))
             panel.set_ylabel("membership")
             return
     signal = context.diagnoses[channel].outputs[j].main_input
@@ -190,4 +211,4 @@ def _last_panel(panel: Axes, context: ReportContext, channel: str, j: int) -> No
             panel.loglog(hz, np.abs(response), **STYLES[css])
     panel.set_xlabel("frequency, Hz")
     units = (c.test.outputs[j].unit or "1", c.test.inputs[signal].unit or "1")
-    panel.set_ylabel(_label("gain", " per ".join(units)))
+    panel.set_ylabel(axis_label("gain", " per ".join(units)))

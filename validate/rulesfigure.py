@@ -7,18 +7,17 @@ over time, (e) the static characteristic over the data, (f) what every rule conc
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from flysid.dataset import FloatArray, Segment
-from flysid.errors import StoreError, UsageError
-from flysid.flightwriter import write_atomically
+from flysid.errors import UsageError
 from flysid.model.base import Fitted
-from flysid.validate.paperfigures import KINDS, RULES, SETTINGS, require_matplotlib
+from flysid.validate.paperfigures import RULES, axis_label, require_matplotlib, write_figure
 from flysid.validate.responses import steady_outputs
-from flysid.validate.words import one_line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,30 +74,7 @@ def write_rules_figure(path: str | Path, model: OfRules, segment: Segment) -> Pa
     UsageError : another kind than pdf, svg, png; as `draw_rules`.
     StoreError : the file cannot be written.
     """
-    import io
-
-    path = Path(path)
-    kind = path.suffix.removeprefix(".")
-    if kind not in KINDS:
-        raise UsageError(f"figures of kind {kind!r} are not known", hint=f"use one of {', '.join(KINDS)}")
-    require_matplotlib()
-    from matplotlib import rc_context
-
-    undated: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
-    buffer = io.BytesIO()
-    with rc_context(SETTINGS):
-        draw_rules(model, segment).savefig(buffer, format=kind, metadata=undated[kind], dpi=200)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, buffer.getvalue())
-    except OSError as error:
-        raise StoreError(f"the figure cannot be written: {error.strerror}", path=path) from error
-    return path
-
-
-def _literal(name: str, unit: str = "") -> str:
-    """Names come from logs; matplotlib reads $...$ as mathematics."""
-    return one_line(f"{name}, {unit}" if unit else name).replace("$", r"\$")
+    return write_figure(Path(path), partial(draw_rules, model, segment))
 
 
 def _sets(panel: Axes, model: OfRules) -> None:
@@ -109,7 +85,7 @@ def _sets(panel: Axes, model: OfRules) -> None:
     x = np.linspace(low, high, 300)
     for r, grade in enumerate(model.memberships(0, x).T):
         panel.plot(x, grade, color=RULES[r % len(RULES)], linewidth=1.0, label=f"A{r + 1}")
-    panel.set_xlabel(_literal(model.antecedents[0]))
+    panel.set_xlabel(axis_label(model.antecedents[0]))
     panel.set_ylabel("membership")
     panel.legend(ncols=2, frameon=False, fontsize=6)
 
@@ -119,12 +95,12 @@ def _over_time(panels: Any, model: OfRules, segment: Segment, at: tuple[int, int
     t = model.dt_s * np.arange(len(segment))
     y = segment.y[:, j]
     run = model.simulate(segment.u, segment.y[: model.n_init])[:, j]
-    name = _literal(model.outputs[j].name, model.outputs[j].unit)
+    name = axis_label(model.outputs[j].name, model.outputs[j].unit)
     panels[0].plot(t, y, color="black", linewidth=0.8, label="measured")
     panels[0].plot(t, run, color="#1d5fd6", linewidth=0.8, linestyle="--", label="model, free run")
     panels[1].plot(t, y - run, color="#1d5fd6", linewidth=0.8)
-    panels[2].plot(t, segment.u[:, i], color="0.5", linewidth=0.8, label=_literal(model.inputs[i].name))
-    panels[2].plot(t, y, color="black", linewidth=0.8, label=_literal(model.outputs[j].name))
+    panels[2].plot(t, segment.u[:, i], color="0.5", linewidth=0.8, label=axis_label(model.inputs[i].name))
+    panels[2].plot(t, y, color="black", linewidth=0.8, label=axis_label(model.outputs[j].name))
     for panel, label in zip(panels, (name, f"error, {name}", "input and output"), strict=True):
         panel.set_xlabel("time, s")
         panel.set_ylabel(label)
@@ -139,8 +115,8 @@ def _characteristic(panel: Axes, model: OfRules, segment: Segment, at: tuple[int
     panel.plot(u[::every], segment.y[::every, j], ".", color="0.7", markersize=2)
     levels = np.linspace(float(u.min()), float(u.max()), 40)
     panel.plot(levels, steady_outputs(model, levels, segment.u.mean(axis=0), j, i), color="#c2334f")
-    panel.set_xlabel(_literal(model.inputs[i].name, model.inputs[i].unit))
-    panel.set_ylabel(_literal(model.outputs[j].name, model.outputs[j].unit))
+    panel.set_xlabel(axis_label(model.inputs[i].name, model.inputs[i].unit))
+    panel.set_ylabel(axis_label(model.outputs[j].name, model.outputs[j].unit))
 
 
 def _rules(panels: Any, model: OfRules, segment: Segment, j: int) -> None:
