@@ -12,11 +12,10 @@ from flysid.model.fuzzy.estimate import rule_verdict
 from flysid.model.fuzzy.exchange import exchanged
 from flysid.model.fuzzy.grow import Stage, inserted, unrefined
 from flysid.model.fuzzy.model import FittedTS
-from flysid.model.fuzzy.problem import runs_of
-from flysid.model.fuzzy.refit import restated
 from flysid.model.fuzzy.workshop import Workshop
 from flysid.model.ts import TS
-from tests.bench.ts_intervals import experiment, known_model
+from tests.bench.ts_intervals import known_model
+from tests.known_rules import stage_of, workshop_of
 
 
 @pytest.fixture(scope="module")
@@ -26,17 +25,7 @@ def truth() -> FittedTS:
 
 @pytest.fixture(scope="module")
 def workshop(truth: FittedTS) -> Workshop:
-    layout = truth.layout
-    return Workshop(
-        TS(), experiment(truth, 1), experiment(truth, 2), layout.shift, layout.scale, truth.n_init + 10
-    )
-
-
-def stage_of(workshop: Workshop, truth: FittedTS, share: float) -> Stage:
-    """The true rules, `share` of the way to being equal, unrefined."""
-    theta = (1.0 - share) * truth.parameters.theta + share * truth.parameters.theta.mean(axis=0)
-    runs = runs_of(truth.layout, workshop.fit_part.segments, workshop.least)
-    return unrefined(*restated(truth.layout, truth.parameters._replace(theta=theta), runs))
+    return workshop_of(truth)
 
 
 def one_more_than(stage: Stage) -> Stage:

@@ -7,14 +7,11 @@ from dataclasses import replace
 import pytest
 
 from flysid.model.fuzzy.choice import Candidate
-from flysid.model.fuzzy.grow import unrefined
 from flysid.model.fuzzy.model import FittedTS
-from flysid.model.fuzzy.problem import runs_of
-from flysid.model.fuzzy.refit import restated
 from flysid.model.fuzzy.search import not_astray
 from flysid.model.fuzzy.workshop import Workshop
-from flysid.model.ts import TS
-from tests.bench.ts_intervals import experiment, known_model
+from tests.bench.ts_intervals import known_model
+from tests.known_rules import stage_of, workshop_of
 
 
 @pytest.fixture(scope="module")
@@ -24,17 +21,11 @@ def truth() -> FittedTS:
 
 @pytest.fixture(scope="module")
 def fold(truth: FittedTS) -> Workshop:
-    layout = truth.layout
-    return Workshop(
-        TS(), experiment(truth, 1), experiment(truth, 2), layout.shift, layout.scale, truth.n_init + 10
-    )
+    return workshop_of(truth)
 
 
 def candidate(fold: Workshop, model: FittedTS, share: float) -> Candidate:
-    """The model's rules, `share` of the way to being all equal, unrefined."""
-    theta = (1.0 - share) * model.parameters.theta + share * model.parameters.theta.mean(axis=0)
-    runs = runs_of(model.layout, fold.fit_part.segments, fold.least)
-    return fold.judge(unrefined(*restated(model.layout, model.parameters._replace(theta=theta), runs)))
+    return fold.judge(stage_of(fold, model, share))
 
 
 def test_a_search_that_went_astray_is_replaced_by_refits(truth: FittedTS, fold: Workshop) -> None:

@@ -7,23 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flysid.dataset import Dataset, FloatArray
+from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.fuzzy.explain import explain, outside_share
 from flysid.model.fuzzy.interop import to_nonlinear_system, to_state_space
 from flysid.model.fuzzy.local import certificate, linearise, polytope
 from flysid.model.ts import TS, FittedTS
+from tests.bent_plant import flight
 
 DT = 0.05
-
-
-def flight(n: int, seed: int, gain: float = 0.1, bend: float = 0.08) -> tuple[FloatArray, FloatArray]:
-    rng = np.random.default_rng(seed)
-    u = np.repeat(rng.uniform(-1, 1, n // 10 + 1), 10)[:n]
-    y = np.zeros(n)
-    for k in range(2, n):
-        y[k] = 1.5 * y[k - 1] - 0.6 * y[k - 2] + gain * u[k - 1] - bend * y[k - 1] * abs(y[k - 1])
-    return u, y
 
 
 @pytest.fixture(scope="module")

@@ -12,17 +12,9 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.fuzzy.update import update
 from flysid.model.ts import TS, FittedTS
+from tests.bent_plant import flight
 
 DT = 0.05
-
-
-def flight(n: int, seed: int, gain: float = 0.1, noise: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    rng = np.random.default_rng(seed)
-    u = np.repeat(rng.uniform(-1, 1, n // 10 + 1), 10)[:n]
-    y = np.zeros(n)
-    for k in range(2, n):
-        y[k] = 1.5 * y[k - 1] - 0.6 * y[k - 2] + gain * u[k - 1] - 0.08 * y[k - 1] * abs(y[k - 1])
-    return u, y + noise * rng.standard_normal(n)
 
 
 def data(n: int, seed: int, gain: float = 0.1, noise: float = 0.0) -> Dataset:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import argparse
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,3 +91,16 @@ def off(model: Fitted, test: Dataset) -> float:
         gaps.append((model.simulate(s.u, start) - s.y)[skip:])
     spread = np.concatenate([s.y for s in test.segments]).std(axis=0)
     return float(100 * np.sqrt(np.mean((np.concatenate(gaps) / spread) ** 2)))
+
+
+def print_lines(
+    description: str | None, names: Iterable[str], line: Callable[[str, int], str], seeds: int
+) -> None:
+    """The command of a bench: what `line` says of every plant, or of those named, and of every seed."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("names", nargs="*", default=list(names))
+    parser.add_argument("--seeds", type=int, default=seeds)
+    options = parser.parse_args()
+    for name in options.names or names:
+        for seed in range(options.seeds):
+            print(line(name, seed), flush=True)

@@ -7,7 +7,6 @@ noise in the training records. A perfect model reads near 0, the mean reads 100.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 
@@ -19,7 +18,7 @@ from flysid.model.base import Estimator
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
 from tests.bench import ts_more_plants as more
-from tests.bench.ts_experiment import Experiment, experiment, integrate, multisine, off, steps
+from tests.bench.ts_experiment import Experiment, experiment, integrate, multisine, off, print_lines, steps
 
 
 def duffing(rng: np.random.Generator, hardening: float = 0.06) -> Experiment:
@@ -185,26 +184,25 @@ PLANTS: dict[str, Callable[[np.random.Generator], Experiment]] = {
 }
 
 
+def line(name: str, seed: int) -> str:
+    """What the defaults of linear and fuzzy models make of one plant."""
+    plant = PLANTS[name](np.random.default_rng(seed))
+    cells = [f"{name:12s} {seed} noise {100 * plant.noise:5.2f}"]
+    estimators: list[tuple[str, Estimator]] = [("ARX", ARX()), ("SS", StateSpace()), ("TS", TS())]
+    for title, estimator in estimators:
+        begin = time.process_time()
+        model = estimator.fit(plant.train)
+        seconds = time.process_time() - begin
+        cells.append(
+            f"{title} {off(model, plant.test):7.3f} ({len(model.rules())} rules, "
+            f"{model.n_parameters:3d} par, {seconds:5.1f} s)"
+        )
+    return "  ".join(cells)
+
+
 def main() -> None:
     """Print a line per plant and seed."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", default=list(PLANTS))
-    parser.add_argument("--seeds", type=int, default=2)
-    options = parser.parse_args()
-    for name in options.names or PLANTS:
-        for seed in range(options.seeds):
-            plant = PLANTS[name](np.random.default_rng(seed))
-            cells = [f"{name:12s} {seed} noise {100 * plant.noise:5.2f}"]
-            estimators: list[tuple[str, Estimator]] = [("ARX", ARX()), ("SS", StateSpace()), ("TS", TS())]
-            for title, estimator in estimators:
-                begin = time.process_time()
-                model = estimator.fit(plant.train)
-                seconds = time.process_time() - begin
-                cells.append(
-                    f"{title} {off(model, plant.test):7.3f} ({len(model.rules())} rules, "
-                    f"{model.n_parameters:3d} par, {seconds:5.1f} s)"
-                )
-            print("  ".join(cells), flush=True)
+    print_lines(__doc__, PLANTS, line, 2)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ the noise-free output of fresh records, in per cent of its spread, beside the no
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ from flysid.ingest.deadtime import dead_times, delays_to_try
 from flysid.model.base import Fitted
 from flysid.model.ts_best import BestTS
 from flysid.validate.baseline import choose_baseline, confirmed, linear_estimators
-from tests.bench.ts_experiment import Experiment, experiment, integrate, multisine, off, steps
+from tests.bench.ts_experiment import Experiment, experiment, integrate, multisine, off, print_lines, steps
 
 Record = tuple[FloatArray, FloatArray]
 Recorder = Callable[[], Record]
@@ -376,13 +375,7 @@ def line(name: str, seed: int) -> str:
 
 def main() -> None:
     """Print a line per plant and seed."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", default=list(PLANTS))
-    parser.add_argument("--seeds", type=int, default=1)
-    options = parser.parse_args()
-    for name in options.names or PLANTS:
-        for seed in range(options.seeds):
-            print(line(name, seed), flush=True)
+    print_lines(__doc__, PLANTS, line, 1)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,26 @@
+"""The rules of a known model, whole or nearly equal, as the search for rules sees them."""
+
+from __future__ import annotations
+
+from flysid.model.fuzzy.grow import Stage, unrefined
+from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.problem import runs_of
+from flysid.model.fuzzy.refit import restated
+from flysid.model.fuzzy.workshop import Workshop
+from flysid.model.ts import TS
+from tests.bench.ts_intervals import experiment
+
+
+def workshop_of(truth: FittedTS) -> Workshop:
+    """One record of the model to fit and another to check."""
+    layout = truth.layout
+    return Workshop(
+        TS(), experiment(truth, 1), experiment(truth, 2), layout.shift, layout.scale, truth.n_init + 10
+    )
+
+
+def stage_of(workshop: Workshop, truth: FittedTS, share: float) -> Stage:
+    """The true rules, `share` of the way to being equal, unrefined."""
+    theta = (1.0 - share) * truth.parameters.theta + share * truth.parameters.theta.mean(axis=0)
+    runs = runs_of(truth.layout, workshop.fit_part.segments, workshop.least)
+    return unrefined(*restated(truth.layout, truth.parameters._replace(theta=theta), runs))
