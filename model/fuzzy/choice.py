@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.model.fuzzy.forgetting import forgets_start
 from flysid.model.fuzzy.grow import Stage
-from flysid.model.fuzzy.kernel import free_run
+from flysid.model.fuzzy.kernel import Parameters, free_run
 from flysid.model.fuzzy.linear_side import LinearModel
 from flysid.model.fuzzy.poles import unheld
 from flysid.model.fuzzy.problem import simulate_runs, widened
@@ -106,17 +107,20 @@ class _Runner:
     def n_init(self) -> int:
         return self.stage.problem.layout.depth
 
-    def unlimited(self) -> _Runner:
+    @cached_property
+    def _free(self) -> Parameters:
         problem = self.stage.problem
-        limits = unheld(problem.layout.lags, problem.parameters(self.stage.body)).limits
-        return _Runner(replace(self.stage, problem=replace(problem, limits=limits)))
+        return unheld(problem.layout.lags, problem.parameters(self.stage.body))
+
+    def unlimited(self) -> _Runner:
+        problem = replace(self.stage.problem, limits=self._free.limits)
+        return _Runner(replace(self.stage, problem=problem))
 
     def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray:
         problem = self.stage.problem
         W = np.hstack([np.zeros((len(u), problem.layout.n_y)), u])
         W[: self.n_init, : problem.layout.n_y] = y0
-        lags = problem.layout.lags
-        free_run(W, self.n_init, lags, unheld(lags, problem.parameters(self.stage.body)))
+        free_run(W, self.n_init, problem.layout.lags, self._free)
         return np.asarray(np.clip(W[:, : problem.layout.n_y], *problem.limits))
 
 
@@ -207,17 +211,14 @@ def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
     the limits here, those of a single rule too (`unheld`): one that stays there is too near to instability.
     """
     problem, n_y = stage.problem, stage.problem.layout.n_y
-    W = stress_run(problem.runs, n_y, steps, seed)
-    free_run(W, problem.layout.depth, problem.layout.lags, problem.parameters(stage.body))
-    y, limits = W[steps + steps // 4 :, :n_y], problem.limits
+    y, limits = _pushed(stage, steps, seed)[steps + steps // 4 :], problem.limits
     if problem.integrates:
         if not _rules_settle(stage):
             return False
         runs = simulate_runs(problem, stage.body, stage.initial)
         usual = np.concatenate([np.diff(run[:, :n_y], axis=0) for run in runs])
         y, limits = np.diff(y, axis=0), widened(np.stack([usual.min(axis=0), usual.max(axis=0)]), _FAR)
-    at_limit = (y <= limits[0]) | (y >= limits[1])
-    if not at_limit.any(axis=1).mean() < 0.02:
+    if not _share_at(y, limits) < 0.02:
         return False
     return problem.integrates or (_returns(stage, steps) and _forgets_start(stage))
 
@@ -230,11 +231,21 @@ def _returns(stage: Stage, steps: int) -> bool:
     """
     if stage.rules == 1:
         return True
+    y = _pushed(stage, steps, _LONG_SEED, _LONG_HOLD)[:steps]
+    return _share_at(y, stage.problem.limits) < _MOST_AWAY
+
+
+def _pushed(stage: Stage, steps: int, seed: int, longest: int | None = None) -> FloatArray:
+    """(2 steps, n_y) outputs under the inputs of `stress_run`, held at the limits."""
     problem, n_y = stage.problem, stage.problem.layout.n_y
-    W = stress_run(problem.runs, n_y, steps, _LONG_SEED, _LONG_HOLD)[:steps]
+    W = stress_run(problem.runs, n_y, steps, seed, longest)
     free_run(W, problem.layout.depth, problem.layout.lags, problem.parameters(stage.body))
-    y, limits = W[:, :n_y], problem.limits
-    return bool(((y <= limits[0]) | (y >= limits[1])).any(axis=1).mean() < _MOST_AWAY)
+    return W[:, :n_y]
+
+
+def _share_at(y: FloatArray, limits: FloatArray) -> float:
+    """Share of the rows of y (N, n_y) in which an output is at a limit."""
+    return float(((y <= limits[0]) | (y >= limits[1])).any(axis=1).mean())
 
 
 def _forgets_start(stage: Stage) -> bool:

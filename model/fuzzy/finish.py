@@ -35,6 +35,20 @@ def free_run_errors(model: FittedTS, data: Dataset) -> list[FloatArray]:
     return [_free_run_error(model, s.u, s.y) for s in data.segments if len(s) > model.n_init + 1]
 
 
+def free_run_rmse(model: FittedTS, data: Dataset) -> FloatArray:
+    """(n_y,) RMSE of the free run over all segments, physical units.
+
+    Raises
+    ------
+    DataError : no segment is long enough to simulate.
+    """
+    errors = free_run_errors(model, data)
+    if not errors:
+        raise DataError(f"no segment is longer than {model.n_init} samples", hint="record longer")
+    gaps = np.vstack(errors)
+    return np.asarray(np.sqrt((gaps * gaps).mean(axis=0)))
+
+
 def _free_run_error(fitted: FittedTS, u: FloatArray, y: FloatArray) -> FloatArray:
     window = start_window(fitted.n_init, len(y), fitted.dt_s)
     return y[window:] - fitted.simulate(u, estimate_start(fitted, u[:window], y[:window]))[window:]

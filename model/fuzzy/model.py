@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -122,9 +123,14 @@ class FittedTS(Ruled):
         result[: self.n_init] = as_columns(y0, self.layout.n_y, "y0")[: min(self.n_init, len(result))]
         return result
 
+    @cached_property
+    def _free(self) -> Parameters:
+        """Parameters of a free run, found once: a search for a start runs many."""
+        return unheld(self.layout.lags, self.parameters)
+
     def unlimited(self) -> FittedTS:
         """The model without its output limits, if it needs none to be bounded: one rule, and stable."""
-        return replace(self, parameters=unheld(self.layout.lags, self.parameters))
+        return replace(self, parameters=self._free)
 
     def started(self, u: FloatArray, y0: FloatArray | None) -> FloatArray:
         """W that a run computes, from row n_init on: those before are its start.
@@ -147,7 +153,7 @@ class FittedTS(Ruled):
     def _run(self, W: FloatArray) -> FloatArray:
         """(N, n_y) outputs of a free run of W, whose first n_init rows are the start."""
         if len(W) > self.n_init:
-            free_run(W, self.n_init, self.layout.lags, unheld(self.layout.lags, self.parameters))
+            free_run(W, self.n_init, self.layout.lags, self._free)
         return np.asarray(np.clip(self.layout.outputs_of(W), *self.output_limits))
 
     def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:

@@ -11,13 +11,27 @@ from flysid.model.fuzzy.kernel import Lags, Parameters
 
 def pole_radius(A: FloatArray) -> float:
     """Largest pole modulus of y(k) = sum A[j-1] y(k-j), A (na, n_y, n_y)."""
-    na, n_y, _ = A.shape
-    if na == 0:
+    if len(A) == 0:
         return 0.0
-    companion = np.zeros((na * n_y, na * n_y))
-    companion[:n_y] = np.hstack(list(A))
-    companion[n_y:, :-n_y] = np.eye((na - 1) * n_y)
-    return float(np.abs(np.linalg.eigvals(companion)).max())
+    return float(np.abs(np.linalg.eigvals(companion(A))).max())
+
+
+def companion(A: FloatArray) -> FloatArray:
+    """(na n_y, na n_y) one-step matrix of the lags of y(k) = sum A[j-1] y(k-j), A (na, n_y, n_y)."""
+    na, n_y, _ = A.shape
+    matrix = np.eye(na * n_y, k=-n_y)
+    matrix[:n_y] = np.hstack(list(A)) if na else np.zeros((0, 0))
+    return matrix
+
+
+def output_lags(lags: Lags, rule: FloatArray) -> FloatArray:
+    """(na, n_y, n_y) of one rule's consequents (n_y, n_x): what past outputs weigh, normalised."""
+    n_y = len(rule)
+    own = [m for m, column in enumerate(lags.column) if 0 <= column < n_y]
+    A = np.zeros((max((int(lags.lag[m]) for m in own), default=0), n_y, n_y))
+    for m in own:
+        A[lags.lag[m] - 1, :, lags.column[m]] = rule[:, m]
+    return A
 
 
 def unheld(lags: Lags, par: Parameters) -> Parameters:
@@ -28,16 +42,6 @@ def unheld(lags: Lags, par: Parameters) -> Parameters:
     its free run. What is linear and stable comes back by itself. Several rules, or a rule that integrates or
     grows, are held.
     """
-    if len(par.theta) > 1 or pole_radius(_coefficients(lags, par.theta[0])) >= 1.0:
+    if len(par.theta) > 1 or pole_radius(output_lags(lags, par.theta[0])) >= 1.0:
         return par
     return par._replace(limits=far(par.limits))
-
-
-def _coefficients(lags: Lags, theta: FloatArray) -> FloatArray:
-    """(na, n_y, n_y) weights of the outputs' lags in one rule's consequents, theta (n_y, n_x)."""
-    n_y = len(theta)
-    own = [m for m, column in enumerate(lags.column) if 0 <= column < n_y]
-    A = np.zeros((max((int(lags.lag[m]) for m in own), default=0), n_y, n_y))
-    for m in own:
-        A[lags.lag[m] - 1, :, lags.column[m]] = theta[:, m]
-    return A

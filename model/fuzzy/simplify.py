@@ -12,15 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.errors import DataError
 from flysid.model.fuzzy.choice import is_bounded
 from flysid.model.fuzzy.consequents import refuse_few, refuse_other_data
 from flysid.model.fuzzy.edits import edits, staged
-from flysid.model.fuzzy.finish import finished, free_run_errors
+from flysid.model.fuzzy.finish import finished, free_run_rmse
 from flysid.model.fuzzy.grow import ordered, refine, with_ridge
 from flysid.model.fuzzy.model import FittedTS, refuse_other_models
 from flysid.model.fuzzy.problem import runs_of
-from flysid.model.fuzzy.tongue import number
+from flysid.model.fuzzy.words import from_to
 from flysid.model.threads import on_one_thread
 
 _TRIED = 3  # of all edits, ranked by what they cost before refinement
@@ -51,10 +50,7 @@ class Simplification:
 
     def __str__(self) -> str:
         """ "R2 and R3 merged: free run 0.036 -> 0.037 m/s (+2.1 %)"."""
-        steps = ", ".join(
-            f"{number(float(a))} -> {number(float(b))} {s.unit}".rstrip()
-            for a, b, s in zip(self.before, self.after, self.model.outputs, strict=True)
-        )
+        steps = from_to(self.before, self.after, self.model.outputs)
         return f"{self.what}: free run {steps} ({self.loss_pct:+.1f} %)"
 
 
@@ -77,7 +73,7 @@ def simplifications(
     """
     refuse_other_data(model, train)
     judge = train if validation is None else validation
-    before = _rmse(model, judge)
+    before = free_run_rmse(model, judge)
     runs = runs_of(model.layout, train.segments, model.n_init + 2)
     refuse_few(sum(len(W) - model.n_init for W in runs), model.parameters.theta[:, 0].size)
     tried = [
@@ -91,7 +87,7 @@ def simplifications(
         refined = refine(with_ridge(stage, _RIDGE * stage.cost), iterations, 1e-5)
         if np.isfinite(refined.cost) and is_bounded(refined):
             edited = finished(ordered(refined), train, (*model.notes, f"Simplified by hand: {what}."))
-            found.append(Simplification(what, edited, before, _rmse(edited, judge)))
+            found.append(Simplification(what, edited, before, free_run_rmse(edited, judge)))
     return sorted(found, key=lambda s: s.loss_pct)
 
 
@@ -121,11 +117,3 @@ def simplify(
         steps.append(best)
         model = best.model
     return model, tuple(steps)
-
-
-def _rmse(model: FittedTS, data: Dataset) -> FloatArray:
-    errors = free_run_errors(model, data)
-    if not errors:
-        raise DataError(f"no segment is longer than {model.n_init} samples", hint="record longer")
-    gaps = np.vstack(errors)
-    return np.asarray(np.sqrt((gaps * gaps).mean(axis=0)))

@@ -18,16 +18,16 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.fuzzy.choice import is_bounded
 from flysid.model.fuzzy.consequents import refuse_few, refuse_other_data
-from flysid.model.fuzzy.finish import finished, free_run_errors
+from flysid.model.fuzzy.finish import finished, free_run_rmse
 from flysid.model.fuzzy.grow import Stage, best_started, ordered, refined
 from flysid.model.fuzzy.integrator import holds_integrator
 from flysid.model.fuzzy.kernel import IntArray
 from flysid.model.fuzzy.layout import Layout
 from flysid.model.fuzzy.local import certificate_of
 from flysid.model.fuzzy.model import FittedTS
-from flysid.model.fuzzy.poles import pole_radius
+from flysid.model.fuzzy.poles import companion, output_lags, pole_radius
 from flysid.model.fuzzy.problem import REACH, Body, Problem, runs_of, widened
-from flysid.model.fuzzy.tongue import number
+from flysid.model.fuzzy.words import from_to
 from flysid.model.threads import on_one_thread
 
 LARGEST = 0.999
@@ -62,9 +62,9 @@ def with_stable_rules(
         raise UsageError("the process integrates: every rule has a pole at one, and none can be stable")
 
     def holds(candidate: FloatArray) -> bool:
-        lags = [output_lags(layout, rule) for rule in candidate]
+        lags = [output_lags(layout.lags, rule) for rule in candidate]
         return all(pole_radius(A) <= largest for A in lags) and (
-            not certified or certificate_of([_companion(A) for A in lags]).proved
+            not certified or certificate_of([companion(A) for A in lags]).proved
         )
 
     if holds(theta):
@@ -81,34 +81,13 @@ def with_stable_rules(
 
 def _told(model: FittedTS, found: FittedTS, train: Dataset, *, certified: bool) -> str:
     before, after = (max(rule.pole_radius for rule in m.rules()) for m in (model, found))
-    errors = [np.vstack(free_run_errors(m, train)) for m in (model, found)]
-    old, new = (np.sqrt(np.mean(e * e, axis=0)) for e in errors)
-    steps = ", ".join(
-        f"{number(float(a))} -> {number(float(b))} {s.unit}".rstrip()
-        for a, b, s in zip(old, new, model.outputs, strict=True)
-    )
+    old, new = (free_run_rmse(m, train) for m in (model, found))
+    steps = from_to(old, new, model.outputs)
     how = "Made stable, provably whatever fires" if certified else "Made stable"
     return (
         f"{how}: the largest pole radius of a rule was {before:.5f} and is {after:.5f}; the rest was refined "
         f"again, free run on the training data {steps}."
     )
-
-
-def output_lags(layout: Layout, rule: FloatArray) -> FloatArray:
-    """(na, n_y, n_y) of one rule's consequents (n_y, n_x): what past outputs weigh, normalised."""
-    A = np.zeros((layout.orders.na, layout.n_y, layout.n_y))
-    for m, (column, lag) in enumerate(layout.regressors):
-        if 0 <= column < layout.n_y:
-            A[lag - 1, :, column] = rule[:, m]
-    return A
-
-
-def _companion(A: FloatArray) -> FloatArray:
-    """(na n_y, na n_y) of A (na, n_y, n_y)."""
-    na, n_y, _ = A.shape
-    matrix = np.eye(na * n_y, k=-n_y)
-    matrix[:n_y] = np.hstack(list(A)) if na else np.zeros((0, 0))
-    return matrix
 
 
 def _drawn(
@@ -131,7 +110,10 @@ def _drawn(
             hint="fit fewer rules, lower orders, or a linear model with stable=True",
         )
     alone = np.stack(
-        [_nearest(rule, mean, lambda r: pole_radius(output_lags(layout, r)) <= largest) for rule in theta]
+        [
+            _nearest(rule, mean, lambda r: pole_radius(output_lags(layout.lags, r)) <= largest)
+            for rule in theta
+        ]
     )
     return alone if holds(alone) else _nearest(alone, mean, holds)
 

@@ -21,17 +21,16 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.fuzzy.choice import is_bounded
 from flysid.model.fuzzy.consequents import refuse_other_data, weighted
-from flysid.model.fuzzy.finish import free_run_errors, with_noise_model
+from flysid.model.fuzzy.finish import free_run_rmse, with_noise_model
 from flysid.model.fuzzy.grow import Stage, best_started
 from flysid.model.fuzzy.kernel import Parameters, firing
 from flysid.model.fuzzy.layout import Layout
 from flysid.model.fuzzy.model import FittedTS
-from flysid.model.fuzzy.poles import pole_radius
+from flysid.model.fuzzy.poles import output_lags, pole_radius
 from flysid.model.fuzzy.problem import runs_of
 from flysid.model.fuzzy.refit import restated
-from flysid.model.fuzzy.stable import output_lags
-from flysid.model.fuzzy.tongue import number
 from flysid.model.fuzzy.uncertainty import run_sensitivities, steep
+from flysid.model.fuzzy.words import from_to
 from flysid.model.threads import on_one_thread
 
 Error = Literal["free run", "one step"]
@@ -99,9 +98,8 @@ def _check(model: FittedTS, data: Dataset, forgetting: float, trust_samples: flo
 
 def _errors(model: FittedTS, data: Dataset) -> tuple[FloatArray, FloatArray]:
     """(n_y,) RMSE of the free run and one step ahead, physical units."""
-    free = np.vstack(free_run_errors(model, data))
     one = np.vstack([(model.one_step(s.u, s.y) - s.y)[model.n_init :] for s in data.segments])
-    return np.sqrt((free * free).mean(axis=0)), np.sqrt((one * one).mean(axis=0))
+    return free_run_rmse(model, data), np.sqrt((one * one).mean(axis=0))
 
 
 def _told(
@@ -112,13 +110,7 @@ def _told(
     after: tuple[FloatArray, FloatArray],
 ) -> str:
     """What was done and what it did to both errors."""
-    steps = [
-        ", ".join(
-            f"{number(float(a))} -> {number(float(b))} {s.unit}".rstrip()
-            for a, b, s in zip(old, new, data.outputs, strict=True)
-        )
-        for old, new in zip(before, after, strict=True)
-    ]
+    steps = [from_to(old, new, data.outputs) for old, new in zip(before, after, strict=True)]
     return (
         f"Consequents were updated by recursive least squares on the {error} error over {len(data)} new "
         f"samples (forgetting {forgetting:g}); on them, free run {steps[0]}, one step ahead {steps[1]}. "
@@ -257,7 +249,7 @@ def _radii(stage: Stage, a: FloatArray) -> FloatArray:
     """(R,) pole radius of every rule at consequent coordinates a."""
     layout = stage.problem.layout
     theta = stage.problem.parameters(replace(stage.body, a=a)).theta
-    return np.array([pole_radius(output_lags(layout, rule)) for rule in theta])
+    return np.array([pole_radius(output_lags(layout.lags, rule)) for rule in theta])
 
 
 def _normal(stage: Stage, weights: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:

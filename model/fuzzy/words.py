@@ -20,6 +20,14 @@ _NEARLY_ONE = 0.999  # a pole so near to one nearly integrates
 _ON_CIRCLE = 1e-6  # a pole so near to one that it integrates, but for rounding
 
 
+def from_to(before: FloatArray, after: FloatArray, signals: Sequence[Signal]) -> str:
+    """ "0.036 -> 0.037 m/s", one of every signal: what a figure (n,) was and is."""
+    return ", ".join(
+        f"{number(float(a))} -> {number(float(b))} {s.unit}".rstrip()
+        for a, b, s in zip(before, after, signals, strict=True)
+    )
+
+
 def equation(left: str, gains: FloatArray | Sequence[float], terms: Sequence[str], offset: float) -> str:
     """ "v(k) = 0.97 v(k-1) - 0.003 u(k-1) + 0.01"; terms with gain 0 are left out."""
     parts = [(float(g), f" {t}") for g, t in zip(gains, terms, strict=True) if g != 0] + [(float(offset), "")]
