@@ -40,9 +40,9 @@ _HOME = {
     "DataError": "flysid.errors",
     "StoreError": "flysid.errors",
     "FitError": "flysid.errors",
-    "read": "flysid.ingest.base",
-    "open": "flysid.ingest.lake",
-    "dataset_from": "flysid.ingest.quick",
+    "read": "flysid.ingest.formats.registry",
+    "open": "flysid.ingest.lake.lake",
+    "dataset_from": "flysid.ingest.align.quick",
     "load": "flysid.model.base",
     "compare": "flysid.validate.compare",
 }
@@ -97,9 +97,9 @@ if TYPE_CHECKING:
         UsageError,
     )
     from flysid.flight import Damage, Flight
-    from flysid.ingest.base import read
-    from flysid.ingest.lake import open  # noqa: A004
-    from flysid.ingest.quick import dataset_from
+    from flysid.ingest.align.quick import dataset_from
+    from flysid.ingest.formats.registry import read
+    from flysid.ingest.lake.lake import open  # noqa: A004
     from flysid.model.anfis import ANFIS
     from flysid.model.armax import ARMAX
     from flysid.model.arx import ARX

@@ -36,7 +36,7 @@ class TS:
     most_rules : where "auto" stops.
     iterations : Levenberg-Marquardt steps per stage.
     nk_hint : delays that "auto" tries as well, one per input: the dead time that the log shows
-        (`flysid.ingest.deadtime`).
+        (`flysid.ingest.excitation.dead_time`).
     stable : no rule keeps a pole outside the unit circle (flysid.model.fuzzy.stable); without it a rule may,
         as long as the blend comes back from random inputs. The pole at one of an integrating process stays.
     """

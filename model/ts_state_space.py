@@ -35,7 +35,7 @@ class TSStateSpace:
     iterations : Levenberg-Marquardt steps per rule.
     ridge : weight on the difference of the rules, in shares of the error that is left, or "auto".
     nk_hint : delays that "auto" tries as well, one per input: the dead time that the log shows
-        (`flysid.ingest.deadtime`).
+        (`flysid.ingest.excitation.dead_time`).
     """
 
     states: int | Literal["auto"] = "auto"

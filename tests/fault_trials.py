@@ -293,7 +293,7 @@ def _refused(
 
 def small_data(folder: Path) -> Path:
     """Four flights of 12 s of the linear plants, ingested."""
-    from flysid.ingest.synth import WRITERS, Order, flights
+    from flysid.ingest.synth.synth import WRITERS, Order, flights
 
     (folder / "logs").mkdir(parents=True)
     for i, recording in enumerate(flights(Order(duration_s=12.0))):

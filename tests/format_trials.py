@@ -14,7 +14,8 @@ from types import ModuleType
 
 from flysid.errors import FormatError
 from flysid.flight import Flight
-from flysid.ingest.base import Limits, all_formats, collect
+from flysid.ingest.formats.base import Limits, collect
+from flysid.ingest.formats.registry import all_formats
 from tests.samplelogs import Record, record_at, sample_modules
 from tests.soak import Outcome
 

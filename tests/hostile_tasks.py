@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 
 from flysid.errors import WriteError
-from flysid.ingest.base import Limits
-from flysid.ingest.batch import Job, Result, ingest_one
+from flysid.ingest.formats.base import Limits
+from flysid.ingest.lake.batch import Job, Result, ingest_one
 
 
 def act(kind: str) -> str:

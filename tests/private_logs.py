@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from mcap.writer import CompressionType
 
-from flysid.ingest.write_bag import BagWriter
+from flysid.ingest.formats.rosbag1.writer import BagWriter
 from tests.samplelogs import dataflash, dataflash_text, mcap, navdata, rosbag2, tlog, ulog
 
 STEPS = 60
@@ -271,7 +271,7 @@ def robot() -> Private:
 
 
 def ardrone() -> Private:
-    from flysid.ingest.navdata_options import OPTIONS
+    from flysid.ingest.formats.ardrone.layouts import OPTIONS
 
     kind = OPTIONS[27].dtype()
     out = []

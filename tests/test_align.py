@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from flysid.errors import DataError, RecipeError
 from flysid.flight import Flight, Source, field_metadata
-from flysid.ingest import frames
-from flysid.ingest.align import align, dataset
-from flysid.ingest.recipe import Recipe, load_recipe, parse_recipe
-from flysid.ingest.resample import period_ns
-from flysid.ingest.signals import autopilot_system, find_stream
+from flysid.ingest.align import frames
+from flysid.ingest.align.align import align, dataset
+from flysid.ingest.align.recipe import Recipe, load_recipe, parse_recipe
+from flysid.ingest.align.resample import period_ns
+from flysid.ingest.align.signals import autopilot_system, find_stream
 
 MS = 1_000_000
 

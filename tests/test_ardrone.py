@@ -8,10 +8,10 @@ import pytest
 
 import flysid
 from flysid.flight import Flight
-from flysid.ingest import frames
-from flysid.ingest.align import align
-from flysid.ingest.signals import FlightLog
-from flysid.ingest.suggest import suggest
+from flysid.ingest.align import frames
+from flysid.ingest.align.align import align
+from flysid.ingest.align.signals import FlightLog
+from flysid.ingest.excitation.suggest import suggest
 from tests.samplelogs.ardrone import bag, read_flight
 
 SHARED = Path(__file__).parents[1] / ".." / "shared" / "logs"
@@ -89,8 +89,8 @@ def test_truth_comes_back_from_two_clocks_jitter_and_drop_outs(tmp_path: Path) -
 
 
 def test_the_clock_of_motion_capture_is_found(tmp_path: Path) -> None:
-    from flysid.ingest.clocks import align_clocks
-    from flysid.ingest.recipe import load_recipe
+    from flysid.ingest.align.clocks import align_clocks
+    from flysid.ingest.align.recipe import load_recipe
 
     nav, pose = simulated()
     flight = as_flight(tmp_path, bag(nav, pose, pose_clock_late_s=0.083, pose_drift_ppm=200.0))

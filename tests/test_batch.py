@@ -15,9 +15,10 @@ import pytest
 
 from flysid import store
 from flysid.errors import UsageError, WriteError
-from flysid.ingest import base, batch
-from flysid.ingest.batch import Result, find_logs, ingest_logs
-from flysid.ingest.workers import Bounds
+from flysid.ingest.formats import registry
+from flysid.ingest.lake import batch
+from flysid.ingest.lake.batch import Result, find_logs, ingest_logs
+from flysid.ingest.lake.workers import Bounds
 from tests.samplelogs import dataflash, tlog
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -138,8 +139,8 @@ def test_a_reader_that_breaks_costs_only_its_log(tmp_path: Path, monkeypatch: py
             raise ZeroDivisionError("a bug")
         return original(head, name)
 
-    original = base.detect
-    monkeypatch.setattr("flysid.ingest.batch.detect", detect)
+    original = registry.detect
+    monkeypatch.setattr("flysid.ingest.lake.batch.detect", detect)
     results = run(*logs, data=tmp_path / "data")
     assert [r.reason for r in results if r.skipped] == [
         "internal error, please report: ZeroDivisionError: a bug"

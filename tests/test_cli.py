@@ -148,7 +148,7 @@ def test_from_synth_to_verdict_on_one_channel(tmp_path: Path) -> None:
 
 
 def test_an_unknown_key_in_a_recipe_names_the_nearest(tmp_path: Path) -> None:
-    recipe = (ROOT / "ingest/recipes/ardrone-synthetic.toml").read_text()
+    recipe = (ROOT / "ingest/align/recipes/ardrone-synthetic.toml").read_text()
     (tmp_path / "mine.toml").write_text(recipe.replace("inputs =", "inpts =", 1))
     call("synth", "-o", "logs", "--duration", "5", "--plan", "pilot", "-q", cwd=tmp_path)
     call("ingest", "logs", "-o", "data", "-q", cwd=tmp_path)
@@ -160,7 +160,7 @@ def test_an_unknown_key_in_a_recipe_names_the_nearest(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("stream", ["ATTITUDE_TARGT", "NOTHING"])
 def test_a_recipe_naming_a_stream_that_is_not_there(stream: str, tmp_path: Path) -> None:
-    recipe = (ROOT / "ingest/recipes/ardrone-synthetic.toml").read_text()
+    recipe = (ROOT / "ingest/align/recipes/ardrone-synthetic.toml").read_text()
     for name in ("ATTITUDE_TARGET", "/ardrone/command", "SET_POSITION_TARGET_LOCAL_NED"):
         recipe = recipe.replace(f'"{name}"', f'"{stream}"')
     (tmp_path / "mine.toml").write_text(recipe)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flysid.ingest.clock import (
+from flysid.ingest.formats.common.clock import (
     MAX_KNOTS,
     SECOND_NS,
     UtcFit,

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from flysid.errors import DataError
-from flysid.ingest.clockpair import ClockFit, fit_clock
-from flysid.ingest.resample import Series
+from flysid.ingest.align.clock_pair import ClockFit, fit_clock
+from flysid.ingest.align.resample import Series
 
 
 def motion(duration_s: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

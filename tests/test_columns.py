@@ -7,7 +7,16 @@ import pyarrow as pa
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flysid.ingest.columns import Field, Layout, decode, gather, message_schema, numbers, strings, texts
+from flysid.ingest.formats.common.columns import (
+    Field,
+    Layout,
+    decode,
+    gather,
+    message_schema,
+    numbers,
+    strings,
+    texts,
+)
 
 
 def matrix_of(rows: list[bytes], width: int) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:

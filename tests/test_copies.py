@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 from flysid.copies import find_copy
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import DataError
-from flysid.ingest.resample import Series, decimate, hold, linear
+from flysid.ingest.align.resample import Series, decimate, hold, linear
 
 BASE_S, DT_S, SAMPLES = 0.01, 0.04, 8000
 

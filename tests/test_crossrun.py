@@ -12,9 +12,9 @@ import pytest
 from flysid.dataset import Dataset, Signal
 from flysid.errors import DataError, UsageError
 from flysid.flightwriter import write_atomically
-from flysid.ingest.batch import find_logs, ingest_logs
-from flysid.ingest.lake import open as open_lake
-from flysid.ingest.synth import WRITERS, Order, flights
+from flysid.ingest.lake.batch import find_logs, ingest_logs
+from flysid.ingest.lake.lake import open as open_lake
+from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.split import plan_split
 from flysid.validate import crossrun
 from flysid.validate.crossrun import RunSource, expected_of_runs, judge_runs, unseen

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from flysid.errors import FormatError
 from flysid.flight import Flight, field_unit
-from flysid.ingest.base import Limits, all_formats, collect, detect
+from flysid.ingest.formats.base import Limits, collect
+from flysid.ingest.formats.registry import all_formats, detect
 
 
 def read(text: str | bytes, **limits: int) -> Flight:

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 import flysid
 from flysid.flight import Flight, field_scale, field_unit
-from flysid.ingest import dataflash, dataflash_text
-from flysid.ingest.base import Limits, collect
-from flysid.ingest.clock import SECOND_NS
-from flysid.ingest.dfformats import CHARACTERS, make_layout
+from flysid.ingest.formats.base import Limits, collect
+from flysid.ingest.formats.common.clock import SECOND_NS
+from flysid.ingest.formats.dataflash.layouts import CHARACTERS, make_layout
+from flysid.ingest.formats.registry import FORMATS
 from tests.samplelogs import dataflash_text as text_sample
 from tests.samplelogs.dataflash import CODES, TYPES, build, fmt, pack
 
@@ -26,8 +26,11 @@ needs_logs = pytest.mark.skipif(not LOGS.is_dir(), reason="../shared/logs is not
 SCALED = {"c": 0.01, "C": 0.01, "e": 0.01, "E": 0.01, "L": 1e-7}
 
 
+TEXT = FORMATS["dataflash_text"]
+
+
 def read(blob: bytes, **limits: int) -> Flight:
-    return collect(memoryview(blob), "x.bin", dataflash.FORMAT, Limits(**limits))
+    return collect(memoryview(blob), "x.bin", FORMATS["dataflash"], Limits(**limits))
 
 
 def define(number: int, name: str, form: str, labels: str, length: int | None = None) -> bytes:
@@ -185,10 +188,9 @@ def test_damage_anywhere_never_raises_and_small_batches_agree(edits: list[tuple[
 
 
 def test_the_text_of_a_log_gives_the_same_physical_values() -> None:
-    from flysid.ingest import dataflash_text
     from tests.samplelogs.dataflash_text import build as build_text
 
-    text = collect(memoryview(build_text()), "x.log", dataflash_text.FORMAT, Limits())
+    text = collect(memoryview(build_text()), "x.log", TEXT, Limits())
     binary = read(build())
     for stream in ("ATT", "IMU", "GPS"):
         for name in binary[stream].column_names[2:]:
@@ -202,13 +204,10 @@ def test_the_text_of_a_log_gives_the_same_physical_values() -> None:
 
 
 def test_windows_line_ends_are_line_ends() -> None:
-    from flysid.ingest import dataflash_text
     from tests.samplelogs.dataflash_text import build as build_text
 
-    flight = collect(
-        memoryview(build_text().replace(b"\n", b"\r\n")), "x.log", dataflash_text.FORMAT, Limits()
-    )
-    assert flight.rows == collect(memoryview(build_text()), "x.log", dataflash_text.FORMAT, Limits()).rows
+    flight = collect(memoryview(build_text().replace(b"\n", b"\r\n")), "x.log", TEXT, Limits())
+    assert flight.rows == collect(memoryview(build_text()), "x.log", TEXT, Limits()).rows
     assert not flight.damage.lossy
 
 
@@ -218,8 +217,8 @@ def test_windows_line_ends_are_line_ends() -> None:
 def test_line_ends_beside_damage_are_part_of_it(garbage: bytes) -> None:
     blob = text_sample.build()
     at = blob.index(b"ATT, 10")
-    flight = collect(memoryview(blob[:at] + garbage + blob[at:]), "a.log", dataflash_text.FORMAT, Limits())
-    assert flight.rows == collect(memoryview(blob), "a.log", dataflash_text.FORMAT, Limits()).rows
+    flight = collect(memoryview(blob[:at] + garbage + blob[at:]), "a.log", TEXT, Limits())
+    assert flight.rows == collect(memoryview(blob), "a.log", TEXT, Limits()).rows
     assert [(r.start, r.end) for r in flight.damage.regions] == [(at, at + len(garbage))]
     assert flight.damage.bytes_skipped == len(garbage)
 
@@ -238,9 +237,7 @@ def test_a_fmt_whose_length_and_name_are_damaged_costs_its_own_messages_only() -
 
 def test_empty_lines_between_whole_ones_mean_nothing() -> None:
     blob = text_sample.build()
-    flight = collect(
-        memoryview(blob.replace(b"\n", b"\r\n\r\n\n") + b"\n\n"), "a.log", dataflash_text.FORMAT, Limits()
-    )
+    flight = collect(memoryview(blob.replace(b"\n", b"\r\n\r\n\n") + b"\n\n"), "a.log", TEXT, Limits())
     assert not flight.damage.lossy
 
 
@@ -248,8 +245,8 @@ def test_empty_lines_between_whole_ones_mean_nothing() -> None:
 def test_a_fmt_behind_what_lost_its_end_still_defines(garbage: bytes) -> None:
     blob = text_sample.build()
     at = blob.index(b"FMT, 13")
-    flight = collect(memoryview(blob[:at] + garbage + blob[at:]), "a.log", dataflash_text.FORMAT, Limits())
-    assert flight.rows == collect(memoryview(blob), "a.log", dataflash_text.FORMAT, Limits()).rows
+    flight = collect(memoryview(blob[:at] + garbage + blob[at:]), "a.log", TEXT, Limits())
+    assert flight.rows == collect(memoryview(blob), "a.log", TEXT, Limits()).rows
     assert [(r.start, r.end) for r in flight.damage.regions] == [(at, at + len(garbage))]
 
 
@@ -258,8 +255,8 @@ def test_a_text_that_holds_the_next_line_is_damage_and_another_is_not(letter: by
     blob = text_sample.build()
     head = b"" if len(letter) > 1 else b"ATT"
     joined = blob.replace(b"(0123abcd)\nATT", b"(0123abcd)" + letter + head)
-    whole, flight = (collect(memoryview(b), "a.log", dataflash_text.FORMAT, Limits()) for b in (blob, joined))
+    whole, flight = (collect(memoryview(b), "a.log", TEXT, Limits()) for b in (blob, joined))
     assert flight.rows == whole.rows - 2
     assert [r.reason for r in flight.damage.regions] == ["two lines run into one"]
     talk = blob + b"MSG, 9, EKF3 IMU0, ATT bad, 3, 4\nMSG, 10, XATT, 5, 6\nMSG, 11, 5\xb0, 6, 7\n"
-    assert not collect(memoryview(talk), "a.log", dataflash_text.FORMAT, Limits()).damage.lossy
+    assert not collect(memoryview(talk), "a.log", TEXT, Limits()).damage.lossy

@@ -3,7 +3,7 @@ import pytest
 
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import UsageError
-from flysid.ingest.deadtime import dead_times, delays_to_try
+from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.model.arx import ARX
 from flysid.model.ts import TS
 

@@ -3,7 +3,7 @@ import pytest
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError
-from flysid.ingest.delay import cross_correlation, estimate_delay, impulse_response
+from flysid.ingest.excitation.delay import cross_correlation, estimate_delay, impulse_response
 
 DT = 0.02
 

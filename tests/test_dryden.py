@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flysid.errors import UsageError
-from flysid.ingest.dryden import Gust, Wind, gust_m_s, low_altitude, spectrum, turbulence, wind_field
+from flysid.ingest.synth.dryden import Gust, Wind, gust_m_s, low_altitude, spectrum, turbulence, wind_field
 
 
 def test_intensities_at_a_worked_height() -> None:

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 import flysid
 from flysid.cli import root
 from flysid.dataset import Dataset
-from flysid.ingest.align import dataset
+from flysid.ingest.align.align import dataset
 
 FORMATS = ("tlog", "mcap", "dataflash", "ulog", "navdata", "pcap", "mcap-ros1", "mcap-ros2")
 # suffix of the log -> recipe and, for (tilt forwards, velocity forwards), channel and sign of its input

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from flysid.dataset import Dataset, Signal
-from flysid.ingest.excitation import excitation, spectrum
+from flysid.ingest.excitation.excitation import excitation, spectrum
 
 DT = 0.02
 

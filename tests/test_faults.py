@@ -13,8 +13,8 @@ import pytest
 
 from flysid.dataset import Dataset
 from flysid.flightwriter import exchange, put_in_place
-from flysid.ingest.lake import Lake
-from flysid.ingest.lake import open as open_lake
+from flysid.ingest.lake.lake import Lake
+from flysid.ingest.lake.lake import open as open_lake
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.validate.diskparts import FilePart

@@ -1,7 +1,7 @@
 """What every log format keeps, tried on all of them: see `tests/samplelogs`.
 
-Nothing here names a format: a module in `ingest/` that ends with `FORMAT = Format(...)` is picked up, and a
-format without a sample log fails the first test.
+Nothing here names a format: every row of `registry.FORMATS` is tried, and a format without a sample log fails
+the first test.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import pytest
 
 from flysid.errors import FormatError
 from flysid.flight import BOOT, TIME
-from flysid.ingest.base import HEAD_BYTES, all_formats, detect
+from flysid.ingest.formats.base import HEAD_BYTES
+from flysid.ingest.formats.registry import all_formats, detect
 from tests.format_trials import (
     FORMATS,
     SAMPLES,

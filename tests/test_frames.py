@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flysid.ingest import frames
+from flysid.ingest.align import frames
 
 angle = st.floats(-3.1, 3.1)
 steep = st.floats(-1.5, 1.5)

@@ -9,7 +9,7 @@ import flysid
 from flysid.datasetfile import open_dataset
 from flysid.errors import DataError, RecipeError, UsageError
 from flysid.flight import Source, field_metadata
-from flysid.ingest.base import StreamPart, Summary
+from flysid.ingest.formats.base import StreamPart, Summary
 from flysid.store import create_data_folder, write_flight
 
 T = np.arange(1000, dtype=np.int64) * 250_000_000

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.errors import UsageError
-from flysid.ingest import manoeuvres as ex
+from flysid.ingest.synth import manoeuvres as ex
 
 T = 0.02 * np.arange(3000)
 

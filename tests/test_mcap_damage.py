@@ -18,9 +18,9 @@ from mcap.writer import CompressionType
 
 from flysid.errors import FormatError
 from flysid.flight import Flight
-from flysid.ingest.base import Limits, collect
-from flysid.ingest.mcap_records import MAGIC
-from flysid.ingest.mcaplog import FORMAT
+from flysid.ingest.formats.base import Limits, collect
+from flysid.ingest.formats.mcap.records import MAGIC
+from flysid.ingest.formats.registry import FORMATS
 from tests.samplelogs.mcap import Topic, json_topic, mcap_file, prefixed, record, records, ros1_topic
 
 SCHEMA = {"type": "object", "properties": {"k": {"type": "integer"}, "x": {"type": "number"}}}
@@ -43,7 +43,7 @@ KINDS = ["zstd", "lz4", "none", "plain"]
 def read(raw: bytes, limits: Limits | None = None) -> Flight | None:
     """The flight; None where there is nothing at all to read."""
     try:
-        return collect(memoryview(raw), "test.mcap", FORMAT, limits or Limits())
+        return collect(memoryview(raw), "test.mcap", FORMATS["mcap"], limits or Limits())
     except FormatError:
         return None
 
@@ -300,7 +300,7 @@ def test_the_ratio_can_be_raised() -> None:
 
 
 def test_a_great_many_topics_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flysid.ingest.topics.MAX_TOPICS", 100)
+    monkeypatch.setattr("flysid.ingest.formats.messages.topics.MAX_TOPICS", 100)
     topics = []
     for k in range(3000):
         body = struct.pack("<HH", k, 1) + prefixed(f"/t{k}") + prefixed("json") + prefixed("")
@@ -312,7 +312,7 @@ def test_a_great_many_topics_are_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_channels_by_the_ten_thousand_do_not_slow_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flysid.ingest.topics.MAX_TOPICS", 10)
+    monkeypatch.setattr("flysid.ingest.formats.messages.topics.MAX_TOPICS", 10)
     topics = []
     for k in range(20_000):
         body = struct.pack("<HH", k, 1) + prefixed(f"/t{k}") + prefixed("json") + prefixed("")

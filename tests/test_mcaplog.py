@@ -16,14 +16,14 @@ from mcap.writer import CompressionType
 
 import flysid
 from flysid.flight import Flight, field_unit
-from flysid.ingest.base import Limits, collect
-from flysid.ingest.mcaplog import FORMAT
+from flysid.ingest.formats.base import Limits, collect
+from flysid.ingest.formats.registry import FORMATS
 from tests.samplelogs import ros
 from tests.samplelogs.mcap import Topic, json_topic, mcap_file, ros1_topic, ros2_topic
 
 
 def read(raw: bytes, limits: Limits | None = None) -> Flight:
-    return collect(memoryview(raw), "test.mcap", FORMAT, limits or Limits())
+    return collect(memoryview(raw), "test.mcap", FORMATS["mcap"], limits or Limits())
 
 
 def rows_of(table: pa.Table) -> list[dict[str, Any]]:

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 import flysid
 from flysid.errors import FormatError
 from flysid.flight import Flight, field_scale, field_unit
-from flysid.ingest.base import Limits, collect, detect
-from flysid.ingest.navdata import FORMAT
-from flysid.ingest.navdata_options import OPTIONS
+from flysid.ingest.formats.ardrone.layouts import OPTIONS
+from flysid.ingest.formats.base import Limits, collect
+from flysid.ingest.formats.registry import FORMATS, detect
 from tests.samplelogs import navdata as sample
 
 PACKETS = Path(__file__).resolve().parents[2] / "shared" / "logs" / "navdata"
@@ -25,7 +25,7 @@ SECOND = 10**9
 
 
 def read(raw: bytes, limits: Limits | None = None) -> Flight:
-    return collect(memoryview(raw), "x.navdata", FORMAT, limits or Limits())
+    return collect(memoryview(raw), "x.navdata", FORMATS["navdata"], limits or Limits())
 
 
 @needs_packets

@@ -5,7 +5,7 @@ from click.testing import CliRunner
 
 from flysid.cli import root
 from flysid.errors import UsageError
-from flysid.ingest.picture import draw
+from flysid.ingest.align.picture import draw
 from tests.test_lake import folder  # noqa: F401
 from tests.test_tabular import data
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.errors import UsageError
-from flysid.ingest.plants import LOOPS, PLANTS, Loop, fly, paper_experiment
+from flysid.ingest.synth.plants import LOOPS, PLANTS, Loop, fly, paper_experiment
 
 NAMES = sorted(LOOPS)
 

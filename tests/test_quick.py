@@ -13,10 +13,10 @@ import flysid
 from flysid.cli import root
 from flysid.errors import RecipeError
 from flysid.flight import Flight
-from flysid.ingest.align import align
-from flysid.ingest.quick import quick_recipe
-from flysid.ingest.recipe import Recipe, parse_recipe
-from flysid.ingest.signals import FlightLog
+from flysid.ingest.align.align import align
+from flysid.ingest.align.quick import quick_recipe
+from flysid.ingest.align.recipe import Recipe, parse_recipe
+from flysid.ingest.align.signals import FlightLog
 
 
 def table(path: Path, header: str, timed: bool = True) -> Flight:

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 import flysid
-from flysid.ingest.signals import FlightLog
-from flysid.ingest.suggest import Suggestion, suggest
+from flysid.ingest.align.signals import FlightLog
+from flysid.ingest.excitation.suggest import Suggestion, suggest
 
 LOGS = Path(__file__).parents[1] / ".." / "shared" / "logs"
 pytestmark = pytest.mark.skipif(not LOGS.is_dir(), reason="needs ../shared/logs")

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.errors import RecipeError
-from flysid.ingest.recipe import load_recipe, parse_recipe, shipped_recipes
-from flysid.ingest.units import factor
+from flysid.ingest.align.recipe import load_recipe, parse_recipe, shipped_recipes
+from flysid.ingest.align.units import factor
 
 
 def document(**changes: Any) -> dict[str, Any]:

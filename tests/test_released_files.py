@@ -12,7 +12,7 @@ import pytest
 from flysid import manifest, tabular
 from flysid.datasetfile import open_dataset
 from flysid.errors import StoreError
-from flysid.ingest.lake import open as open_lake
+from flysid.ingest.lake.lake import open as open_lake
 from flysid.model.base import MODEL_VERSION, all_structures, load
 from flysid.validate.judge import judge_run
 from flysid.validate.run import RUN_VERSION, open_run

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flysid.ingest import resample
-from flysid.ingest.resample import Series
+from flysid.ingest.align import resample
+from flysid.ingest.align.resample import Series
 
 MS = 1_000_000
 

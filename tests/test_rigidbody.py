@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.ingest.quadkernel import INPUTS
-from flysid.ingest.rigidbody import (
+from flysid.ingest.synth.quadrotor import INPUTS
+from flysid.ingest.synth.rigid_body import (
     ALL,
     PAPER,
     STEP_S,

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from flysid.errors import FormatError
-from flysid.ingest.base import Limits, collect, detect, read
-from flysid.ingest.rosbag import FORMAT
+from flysid.ingest.formats.base import Limits, collect
+from flysid.ingest.formats.registry import FORMATS, detect, read
 from tests.samplelogs import rosbag as sample
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="the rosbags library is not installed")
@@ -58,7 +58,7 @@ def _write(path: Path, compression: str) -> Any:
 def test_a_bag_that_was_never_closed_is_read_from_the_connections_in_its_chunks() -> None:
     blob = sample.build()
     cut = blob.index(sample.message(0, 100))  # in the third chunk
-    flight = collect(memoryview(blob[:cut]), "a.bag", FORMAT, Limits())
+    flight = collect(memoryview(blob[:cut]), "a.bag", FORMATS["rosbag"], Limits())
     assert flight.rows == 100
     assert set(flight.tables) == {"/imu", "/pair"}
 
@@ -67,7 +67,7 @@ def test_a_chunk_that_would_fill_the_memory_is_refused_and_counted() -> None:
     bomb = sample.chunk(bytes(50_000_000), b"bz2")
     at = len(sample.MAGIC)
     blob = sample.build()
-    flight = collect(memoryview(blob[:at] + bomb + blob[at:]), "a.bag", FORMAT, Limits())
+    flight = collect(memoryview(blob[:at] + bomb + blob[at:]), "a.bag", FORMATS["rosbag"], Limits())
     assert flight.rows == 160
     assert [(r.start, r.end) for r in flight.damage.regions] == [(at, at + len(bomb))]
     assert "beyond the limits" in flight.damage.regions[0].reason
@@ -75,7 +75,7 @@ def test_a_chunk_that_would_fill_the_memory_is_refused_and_counted() -> None:
 
 def test_no_record_at_all_is_an_error_that_names_the_file() -> None:
     with pytest.raises(FormatError, match="no record") as caught:
-        collect(memoryview(sample.MAGIC + bytes(99)), "a.bag", FORMAT, Limits())
+        collect(memoryview(sample.MAGIC + bytes(99)), "a.bag", FORMATS["rosbag"], Limits())
     assert caught.value.path == "a.bag"
 
 
@@ -86,9 +86,9 @@ def test_it_is_found_by_its_magic_whatever_its_name() -> None:
 def test_a_cut_between_two_records_is_seen_by_the_index_that_is_missing() -> None:
     blob = sample.build()
     for record in sample.records(blob)[2:-1]:
-        flight = collect(memoryview(blob[: record.end]), "a.bag", FORMAT, Limits())
+        flight = collect(memoryview(blob[: record.end]), "a.bag", FORMATS["rosbag"], Limits())
         assert flight.damage.truncated, record
-    assert not collect(memoryview(blob), "a.bag", FORMAT, Limits()).damage.truncated
+    assert not collect(memoryview(blob), "a.bag", FORMATS["rosbag"], Limits()).damage.truncated
 
 
 def test_a_chunk_refused_for_its_size_is_no_bad_checksum() -> None:
@@ -96,13 +96,13 @@ def test_a_chunk_refused_for_its_size_is_no_bad_checksum() -> None:
     bomb, damaged = sample.chunk(bytes(50_000_000), b"bz2"), bytearray(sample.chunk(bytes(5000), b"bz2"))
     damaged[-8] ^= 1
     for inserted, bad in ((bomb, 0), (bytes(damaged), 1)):
-        flight = collect(memoryview(blob[:at] + inserted + blob[at:]), "a.bag", FORMAT, Limits())
+        flight = collect(memoryview(blob[:at] + inserted + blob[at:]), "a.bag", FORMATS["rosbag"], Limits())
         assert flight.damage.bad_checksums == bad
         assert flight.rows == 160
 
 
 def test_topics_without_a_stamp_are_named_with_the_distance_of_their_clock() -> None:
-    note = collect(memoryview(sample.build()), "a.bag", FORMAT, Limits()).info["clock_note"]
+    note = collect(memoryview(sample.build()), "a.bag", FORMATS["rosbag"], Limits()).info["clock_note"]
     assert note.startswith("/pair: no stamp, on the time of recording, 0.003 s ahead")
 
 
@@ -113,6 +113,6 @@ def test_a_connection_whose_length_takes_in_messages_is_counted() -> None:
     )  # where the length of its data stands
     taken = len(sample.message(0, 0)) + len(sample.message(1, 1))
     raw[at : at + 4] = struct.pack("<I", int.from_bytes(raw[at : at + 4], "little") + taken)
-    flight = collect(memoryview(raw), "a.bag", FORMAT, Limits())
+    flight = collect(memoryview(raw), "a.bag", FORMATS["rosbag"], Limits())
     assert flight.rows == 158
     assert flight.damage.undecoded == {"(connections)": 1}

@@ -16,10 +16,12 @@ from click.testing import CliRunner, Result
 from flysid.cli import root
 from flysid.errors import FormatError
 from flysid.flight import Flight
-from flysid.ingest import rostypes, sqlite_pages, zstd_file
-from flysid.ingest.base import Limits, collect, detect, read
-from flysid.ingest.rosbag2 import FORMAT
-from flysid.ingest.sqlite_pages import PageError, columns
+from flysid.ingest.formats.base import Limits, collect
+from flysid.ingest.formats.common import compression
+from flysid.ingest.formats.registry import FORMATS, detect, read
+from flysid.ingest.formats.rosbag2 import ros_types as rostypes
+from flysid.ingest.formats.rosbag2 import sqlite_pages
+from flysid.ingest.formats.rosbag2.sqlite_pages import PageError, columns
 from tests.samplelogs import ros
 from tests.samplelogs import rosbag2 as sample
 
@@ -33,7 +35,7 @@ POINT = struct.pack("<4x3d", 1.5, -2.0, 3.25).replace(bytes(4), b"\0\1\0\0", 1)
 
 
 def parse(blob: bytes, limits: Limits | None = None) -> Flight:
-    return collect(memoryview(blob), "bag.db3", FORMAT, limits or Limits())
+    return collect(memoryview(blob), "bag.db3", FORMATS["rosbag2"], limits or Limits())
 
 
 def flysid(*words: str | Path) -> Result:
@@ -296,7 +298,7 @@ def test_values_of_every_type_are_those_of_sqlite(tmp_path: Path) -> None:
     link.execute("INSERT INTO t VALUES (" + ", ".join("?" * len(values)) + ")", values)
     link.commit()
     link.close()
-    from flysid.ingest.sqlite_tables import Tables
+    from flysid.ingest.formats.rosbag2.sqlite_tables import Tables
 
     tables = Tables(memoryview((tmp_path / "a.db3").read_bytes()))
     (row,) = tables.rows("t", lambda _: True)
@@ -306,4 +308,4 @@ def test_values_of_every_type_are_those_of_sqlite(tmp_path: Path) -> None:
 
 def test_what_one_step_of_expanding_a_file_gives_is_bounded() -> None:
     packed = zstandard.compress(bytes(1 << 27))
-    assert max(len(piece) for piece in zstd_file.pieces(memoryview(packed))) < 20 << 20
+    assert max(len(piece) for piece in compression.pieces(memoryview(packed))) < 20 << 20

@@ -18,9 +18,9 @@ from flysid.cli.output import finish
 from flysid.dataset import Signal
 from flysid.errors import DataError, StoreError, UsageError
 from flysid.flightwriter import write_atomically
-from flysid.ingest.batch import find_logs, ingest_logs
-from flysid.ingest.lake import open as open_lake
-from flysid.ingest.synth import WRITERS, Order, flights
+from flysid.ingest.lake.batch import find_logs, ingest_logs
+from flysid.ingest.lake.lake import open as open_lake
+from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.model.anfis import ANFIS
 from flysid.model.base import Estimator
 from flysid.model.ensemble import Ensemble
@@ -311,7 +311,7 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
 
 def test_segments_too_short_for_the_grid_are_named_and_nothing_is_left(data: Path, tmp_path: Path) -> None:
     recipe = tmp_path / "tiny.toml"
-    text = (Path(__file__).parents[1] / "ingest/recipes/ardrone-synthetic.toml").read_text()
+    text = (Path(__file__).parents[1] / "ingest/align/recipes/ardrone-synthetic.toml").read_text()
     recipe.write_text("rate_hz = 0.5\n" + text)
     with pytest.raises(DataError, match=r"longitudinal: .*no segment of 20 samples"):
         fit_run(open_lake(data), str(recipe), tmp_path / "run", FitSettings(channels=(CHANNEL,)))

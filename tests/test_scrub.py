@@ -23,9 +23,17 @@ import zstandard
 import flysid
 from flysid.errors import UsageError
 from flysid.flight import Flight, field_scale
-from flysid.ingest.scrub import Scrubbed, scrub_log, scrubbers
-from flysid.ingest.scrub_rules import Column, Fix, Gps, Scrubber, is_private_parameter, places, redacted
-from flysid.ingest.write_bag import BagWriter
+from flysid.ingest.formats.common.scrub_rules import (
+    Column,
+    Fix,
+    Gps,
+    Scrubber,
+    is_private_parameter,
+    places,
+    redacted,
+)
+from flysid.ingest.formats.rosbag1.writer import BagWriter
+from flysid.ingest.formats.scrubbing import Scrubbed, scrub_log, scrubbers
 from tests.private_logs import ALT, PRIVATE, SERIAL, STEPS, Private
 from tests.samplelogs import tlog
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.errors import UsageError
-from flysid.ingest.sensors import SENSORS, Sensor, observe, sample_times_ns
-from flysid.ingest.telemetry import Series
+from flysid.ingest.synth.sensors import SENSORS, Sensor, observe, sample_times_ns
+from flysid.ingest.synth.telemetry import Series
 
 TIME_NS = 12_000_000_000 + 5_000_000 * np.arange(4001, dtype=np.int64)
 RAMP = Series(TIME_NS, {"vx": (TIME_NS - TIME_NS[0]) * 1e-9, "z": np.zeros(4001)})

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from flysid import flightwriter, store
 from flysid.errors import StoreError, UsageError, WriteError
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Region, Source, field_metadata
-from flysid.ingest.base import StreamPart, Summary
+from flysid.ingest.formats.base import StreamPart, Summary
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = Source("flight 7.tlog", "tlog", 3, "ab" * 32)

@@ -9,9 +9,9 @@ from click.testing import CliRunner
 from flysid.cli import root
 from flysid.cli.suggest import advice, short_names
 from flysid.flight import Flight, Source
-from flysid.ingest.recipe import parse_recipe
-from flysid.ingest.signals import FlightLog
-from flysid.ingest.suggest import Suggestion, suggest
+from flysid.ingest.align.recipe import parse_recipe
+from flysid.ingest.align.signals import FlightLog
+from flysid.ingest.excitation.suggest import Suggestion, suggest
 from tests.test_align import T50, table
 from tests.test_lake import folder  # noqa: F401
 

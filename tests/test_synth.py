@@ -17,9 +17,9 @@ import flysid
 from flysid.cli.synth import command
 from flysid.errors import UsageError
 from flysid.flight import RECEIVED, TIME
-from flysid.ingest.plans import PLANS
-from flysid.ingest.synth import EPOCH_NS, WRITERS, Order, flights, fly_one
-from flysid.ingest.telemetry import Recording
+from flysid.ingest.synth.plans import PLANS
+from flysid.ingest.synth.synth import EPOCH_NS, WRITERS, Order, flights, fly_one
+from flysid.ingest.synth.telemetry import Recording
 
 ROOT = Path(__file__).resolve().parents[1]
 SHORT = Order(plan="steps", duration_s=4.0, noise=0.02, seed=3)
@@ -211,7 +211,7 @@ def test_flying_and_writing_do_not_import_slow_libraries() -> None:
     import subprocess
 
     code = (
-        "from flysid.ingest.synth import Order, fly_one, WRITERS; import sys;"
+        "from flysid.ingest.synth.synth import Order, fly_one, WRITERS; import sys;"
         "r = fly_one(Order(plan='steps', duration_s=2.0), 0); [w(r) for _, w in WRITERS.values()];"
         "print(sorted({'control', 'scipy.signal', 'pandas', 'matplotlib'} & set(sys.modules)))"
     )

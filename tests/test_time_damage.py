@@ -13,7 +13,7 @@ import pytest
 from flysid.dataset import Dataset
 from flysid.errors import DataError
 from flysid.flight import Flight
-from flysid.ingest.align import Aligned, align
+from flysid.ingest.align.align import Aligned, align
 from tests.test_align import MS, flight_of, recipe, table
 
 IntArray = npt.NDArray[np.int64]
@@ -148,7 +148,7 @@ def test_a_clock_that_jumps_is_a_gap_or_ends_the_flight(jump_s: float) -> None:
 
 @pytest.mark.parametrize("bits", [32])
 def test_a_counter_of_microseconds_that_wraps_is_unrolled_by_the_reader(bits: int) -> None:
-    from flysid.ingest.clock import wrap_points
+    from flysid.ingest.formats.common.clock import wrap_points
 
     period = (1 << bits) * 1000
     for seed in range(20):

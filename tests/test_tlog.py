@@ -17,11 +17,12 @@ from hypothesis import strategies as st
 
 import flysid
 from flysid.flight import Flight, field_scale, field_unit
-from flysid.ingest import tlog
-from flysid.ingest.base import Limits, collect
-from flysid.ingest.columns import as_array
-from flysid.ingest.mavdialect import load_dialect
-from flysid.ingest.mavframes import Scanner, plain_chain
+from flysid.ingest.formats.base import Limits, collect
+from flysid.ingest.formats.common.columns import as_array
+from flysid.ingest.formats.mavlink import reader as tlog
+from flysid.ingest.formats.mavlink.dialect import load_dialect
+from flysid.ingest.formats.mavlink.frames import Scanner, plain_chain
+from flysid.ingest.formats.registry import FORMATS
 from tests.samplelogs.tlog import EPOCH_US, frame, sender, stamped
 
 LOGS = Path(__file__).resolve().parents[2] / "shared" / "logs" / "tlog"
@@ -30,7 +31,7 @@ needs_logs = pytest.mark.skipif(not LOGS.is_dir(), reason="../shared/logs is not
 
 
 def read(blob: bytes, **limits: int) -> Flight:
-    return collect(memoryview(blob), "x.tlog", tlog.FORMAT, Limits(**limits))
+    return collect(memoryview(blob), "x.tlog", FORMATS["tlog"], Limits(**limits))
 
 
 def log_of(frames: list[bytes], step_us: int = 1000) -> bytes:
@@ -295,7 +296,7 @@ def test_a_bad_checksum_is_counted_and_located() -> None:
 @given(st.data())
 @settings(max_examples=25, deadline=None)
 def test_the_compiled_walk_stops_where_the_plain_one_does(data: st.DataObject) -> None:
-    from flysid.ingest.mavkernel import compiled_chain
+    from flysid.ingest.formats.mavlink.kernel import compiled_chain
 
     vehicle = sender()
     blob = bytearray(log_of(flying(vehicle, 20)))

@@ -13,13 +13,13 @@ from flysid.cli.tf import command
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.flightwriter import write_atomically
-from flysid.ingest.align import dataset
-from flysid.ingest.base import read
-from flysid.ingest.batch import find_logs, ingest_logs
-from flysid.ingest.plants import LOOPS
-from flysid.ingest.rigidbody import Vehicle
-from flysid.ingest.synth import WRITERS, Order, flights
-from flysid.ingest.tuning import linearise
+from flysid.ingest.align.align import dataset
+from flysid.ingest.formats.registry import read
+from flysid.ingest.lake.batch import find_logs, ingest_logs
+from flysid.ingest.synth.plants import LOOPS
+from flysid.ingest.synth.rigid_body import Vehicle
+from flysid.ingest.synth.synth import WRITERS, Order, flights
+from flysid.ingest.synth.tuning import linearise
 from flysid.model.frequency.rational import hold_response
 from flysid.model.frequency.response import measure_response
 from flysid.model.transfer_function import TF

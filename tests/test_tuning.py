@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flysid.ingest.innerloop import InnerLoop
-from flysid.ingest.plants import LOOPS, fly
-from flysid.ingest.rigidbody import ALL, Vehicle, fly_vehicle
-from flysid.ingest.tuning import compare_loop, linearise, tune
+from flysid.ingest.synth.inner_loop import InnerLoop
+from flysid.ingest.synth.plants import LOOPS, fly
+from flysid.ingest.synth.rigid_body import ALL, Vehicle, fly_vehicle
+from flysid.ingest.synth.tuning import compare_loop, linearise, tune
 
 DRONE = Vehicle()
 # What docs/vehicle.md promises from 0.1 rad/s to the loop's bandwidth: decibels, degrees.

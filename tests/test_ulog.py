@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 import flysid
 from flysid.errors import FormatError
 from flysid.flight import Flight
-from flysid.ingest.base import Limits, collect
-from flysid.ingest.ulog import FORMAT
-from flysid.ingest.ulog_data import far_ahead
+from flysid.ingest.formats.base import Limits, collect
+from flysid.ingest.formats.registry import FORMATS
+from flysid.ingest.formats.ulog.data import far_ahead
 from tests.samplelogs import ulog as sample
 
 LOGS = Path(__file__).resolve().parents[2] / "shared" / "logs" / "ulog"
@@ -28,7 +28,7 @@ needs_logs = pytest.mark.skipif(not REAL, reason="no ../shared/logs/ulog here")
 
 
 def read(raw: bytes, limits: Limits | None = None) -> Flight:
-    return collect(memoryview(raw), "x.ulg", FORMAT, limits or Limits())
+    return collect(memoryview(raw), "x.ulg", FORMATS["ulog"], limits or Limits())
 
 
 def pyulog(source: str | bytes) -> Any:

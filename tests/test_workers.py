@@ -7,7 +7,6 @@ import struct
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -16,10 +15,10 @@ import pytest
 from flysid import store
 from flysid.cli.bounds import MEMORY, TIME, quantity
 from flysid.errors import WriteError
-from flysid.ingest import batch
-from flysid.ingest import tlog as reader
-from flysid.ingest.base import Limits, Parts
-from flysid.ingest.workers import Bounds, Lost, anonymous_bytes, run_bounded
+from flysid.ingest.formats.base import Limits, Parts
+from flysid.ingest.formats.mavlink import reader
+from flysid.ingest.lake import batch
+from flysid.ingest.lake.workers import Bounds, Lost, anonymous_bytes, run_bounded
 from tests.hostile_tasks import act, read_or_act
 from tests.samplelogs import mcap, tlog
 
@@ -83,15 +82,17 @@ def test_one_hostile_log_does_not_take_the_batch_down(tmp_path: Path) -> None:
 def test_a_log_that_memory_is_too_small_for_is_named_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: bool
 ) -> None:
+    read = reader.read
+
     def starved(*_: object) -> Parts:
         if begun:
-            yield from reader.read(memoryview(tlog.build()), "a.tlog", Limits())
+            yield from read(memoryview(tlog.build()), "a.tlog", Limits())
         raise MemoryError
 
     (tmp_path / "a.tlog").write_bytes(tlog.build())
     job = batch._prepare(tmp_path / "a.tlog")
     assert isinstance(job, batch.Job)
-    monkeypatch.setattr(batch, "detect", lambda *_: replace(reader.FORMAT, read=starved))
+    monkeypatch.setattr(reader, "read", starved)
     data = store.create_data_folder(tmp_path / "data")
     result = batch.ingest_one(job, data, Limits(), replace=False)
     assert (result.manifest, result.reason) == (None, batch.NO_MEMORY)
@@ -102,7 +103,7 @@ def test_a_log_that_memory_is_too_small_for_is_named_and_leaves_nothing(
 def test_workers_do_not_outlive_their_parent() -> None:
     code = (
         "import multiprocessing as m\n"
-        "from flysid.ingest.workers import *\n"
+        "from flysid.ingest.lake.workers import *\n"
         "from tests.hostile_tasks import act\n"
         "if __name__ == '__main__':\n"
         "    run = run_bounded(act, ['first', 'endless'], 1, Bounds())\n"

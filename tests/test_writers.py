@@ -18,16 +18,16 @@ from flysid.cli.synth import command
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.flight import TIME
-from flysid.ingest.base import all_formats
-from flysid.ingest.dryden import Gust
-from flysid.ingest.live import Pace, fly_live
-from flysid.ingest.rigidbody import Effects
-from flysid.ingest.synth import WRITERS, Order, flight_names, fly_one
-from flysid.ingest.telemetry import Recording, Series, as_bytes
-from flysid.ingest.truth import truth_bytes
-from flysid.ingest.vehicles import EFFECTS
-from flysid.ingest.write_navdata import _wrapped_time
-from flysid.ingest.write_ros import ROS1, ROS2, layout
+from flysid.ingest.formats.registry import all_formats
+from flysid.ingest.synth.dryden import Gust
+from flysid.ingest.synth.live import Pace, fly_live
+from flysid.ingest.synth.rigid_body import Effects
+from flysid.ingest.synth.synth import WRITERS, Order, flight_names, fly_one
+from flysid.ingest.synth.telemetry import Recording, Series, as_bytes
+from flysid.ingest.synth.truth import truth_bytes
+from flysid.ingest.synth.vehicles import EFFECTS
+from flysid.ingest.synth.writers.ardrone import _wrapped_time
+from flysid.ingest.synth.writers.ros_messages import ROS1, ROS2, layout
 
 BOLD = Order(plant="ardrone", plan="demo", duration_s=6.0, noise=0.02, seed=4)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile
-from flysid.ingest.deadtime import dead_times, delays_to_try
+from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.model.base import Fitted
 from flysid.model.selection import clearly_better
 from flysid.validate.baseline import Choice, free_run_errors

@@ -18,11 +18,11 @@ from flysid.dataset import Dataset
 from flysid.datasetfile import open_dataset
 from flysid.errors import DataError, UsageError
 from flysid.flightwriter import slug, write_atomically
-from flysid.ingest.deadtime import dead_times, delays_to_try
-from flysid.ingest.doubts import doubts
-from flysid.ingest.lake import Lake
-from flysid.ingest.recipe import Recipe, load_recipe, recipe_text
-from flysid.ingest.workers import Bounds, Lost, run_bounded
+from flysid.ingest.align.recipe import Recipe, load_recipe, recipe_text
+from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
+from flysid.ingest.excitation.doubts import doubts
+from flysid.ingest.lake.lake import Lake
+from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.base import Estimator
 from flysid.split import plan_split
 from flysid.validate.baseline import REFERENCES, choose_baseline, confirmed, linear_estimators

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from flysid.dataset import Dataset, FloatArray, Signal
-from flysid.ingest.plants import LOOPS as PLANT_LOOPS
-from flysid.ingest.plants import paper_experiment
+from flysid.ingest.synth.plants import LOOPS as PLANT_LOOPS
+from flysid.ingest.synth.plants import paper_experiment
 from flysid.model.base import Estimator, Fitted
 from flysid.validate.compare import Comparison, compare
 from flysid.validate.metrics import scores

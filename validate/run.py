@@ -26,10 +26,10 @@ from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile, open_dataset
 from flysid.errors import StoreError, UsageError
 from flysid.flightwriter import put_in_place, writing_to
-from flysid.ingest.doubts import Doubt
-from flysid.ingest.lake import Lake
-from flysid.ingest.lake import open as open_lake
-from flysid.ingest.recipe import Recipe, load_recipe
+from flysid.ingest.align.recipe import Recipe, load_recipe
+from flysid.ingest.excitation.doubts import Doubt
+from flysid.ingest.lake.lake import Lake
+from flysid.ingest.lake.lake import open as open_lake
 from flysid.manifest import DATA_FILE
 from flysid.model.base import Fitted, load
 from flysid.split import By, Split

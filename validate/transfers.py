@@ -14,8 +14,8 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
-from flysid.ingest.lake import Lake
-from flysid.ingest.recipe import load_recipe
+from flysid.ingest.align.recipe import load_recipe
+from flysid.ingest.lake.lake import Lake
 from flysid.model.detrend import Trend
 from flysid.model.feedback import Feedback, feedback
 from flysid.model.frequency.response import MeasuredResponse, measure_response

@@ -110,8 +110,8 @@ def fly(stages: Stages, plant: str, seed: int, progress: Callable[[str], None]) 
     """Fly the plant's plan; half of the flights are logged as tlog, the others as MCAP."""
     from flysid.cli.synth import make_folder
     from flysid.flightwriter import write_atomically
-    from flysid.ingest.plans import plan_named
-    from flysid.ingest.synth import WRITERS, Order, flights
+    from flysid.ingest.synth.plans import plan_named
+    from flysid.ingest.synth.synth import WRITERS, Order, flights
 
     order = Order(plant=plant, plan=PLANS[plant], duration_s=DURATION_S, seed=seed)
     progress(f"flying {len(plan_named(order.plan))} flights")
@@ -129,7 +129,7 @@ def fly(stages: Stages, plant: str, seed: int, progress: Callable[[str], None]) 
 
 def take_in(stages: Stages) -> str:
     """Ingest the logs."""
-    from flysid.ingest.batch import find_logs, ingest_logs
+    from flysid.ingest.lake.batch import find_logs, ingest_logs
 
     results = list(ingest_logs(find_logs([stages.logs]), stages.data, bounds=None))
     manifests = [r.manifest for r in results if r.manifest is not None]
@@ -139,7 +139,7 @@ def take_in(stages: Stages) -> str:
 
 def fit(stages: Stages, seed: int, progress: Callable[[str], None]) -> Run:
     """Fit all models to all channels."""
-    from flysid.ingest.lake import open as open_lake
+    from flysid.ingest.lake.lake import open as open_lake
     from flysid.validate.fitting import fit_run
     from flysid.validate.run import FitSettings
 

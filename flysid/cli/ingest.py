@@ -14,7 +14,7 @@ from flysid.cli.output import REASONS_SHOWN, printable, say
 
 if TYPE_CHECKING:
     from flysid.flight import Damage
-    from flysid.ingest.batch import Result
+    from flysid.ingest.lake.batch import Result
 
 REGIONS_SHOWN = 12
 
@@ -44,8 +44,8 @@ def command(
     Ends with 3 when something was lost or skipped, and says what and where. A log that needs more
     memory or time than it may have is skipped and named; the others are read.
     """
-    from flysid.ingest.batch import find_logs, ingest_logs
-    from flysid.ingest.workers import Bounds
+    from flysid.ingest.lake.batch import find_logs, ingest_logs
+    from flysid.ingest.lake.workers import Bounds
 
     found = find_logs(logs)
     results = []

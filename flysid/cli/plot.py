@@ -16,9 +16,9 @@ def plot_flight(data: str, flight: str | None, recipe: str | None, path: str, fo
     """
     from flysid.cli.output import check_target
     from flysid.errors import UsageError
-    from flysid.ingest.lake import Lake
-    from flysid.ingest.lake import open as open_lake
-    from flysid.ingest.picture import draw
+    from flysid.ingest.align.picture import draw
+    from flysid.ingest.lake.lake import Lake
+    from flysid.ingest.lake.lake import open as open_lake
     from flysid.manifest import find_flight
 
     check_target(Path(path), force)

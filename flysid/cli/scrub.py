@@ -11,8 +11,8 @@ import click
 from flysid.cli.output import printable, say
 
 if TYPE_CHECKING:
-    from flysid.ingest.scrub import Scrubbed
-    from flysid.ingest.scrub_rules import Gps
+    from flysid.ingest.formats.common.scrub_rules import Gps
+    from flysid.ingest.formats.scrubbing import Scrubbed
 
 
 @click.command("scrub")
@@ -35,8 +35,8 @@ def command(log: Path, output: Path, gps: Gps, force: bool, as_json: bool, quiet
     embedded files are taken out; bytes that cannot be read are left out. Says what was removed, and where.
     Ends with 3 when something could not be read.
     """
-    from flysid.ingest.scrub import KEPT, scrub_log
-    from flysid.ingest.scrub_rules import UNREADABLE
+    from flysid.ingest.formats.common.scrub_rules import UNREADABLE
+    from flysid.ingest.formats.scrubbing import KEPT, scrub_log
 
     done = scrub_log(log, output, gps=gps, force=force)
     click.echo(as_json_text(done, output) if as_json else table(done))

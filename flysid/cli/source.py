@@ -15,7 +15,7 @@ import click
 from flysid.errors import FormatError, UsageError
 
 if TYPE_CHECKING:
-    from flysid.ingest.lake import Lake
+    from flysid.ingest.lake.lake import Lake
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -62,7 +62,7 @@ def opened(data: Path, words: Words, place: Path | None, quiet: bool) -> Iterato
     """
     if words.recipe and (words.inputs or words.outputs or words.dt is not None):
         raise UsageError("--recipe says what --from, --to and --dt would", hint="leave out one or the other")
-    from flysid.ingest.lake import open as open_lake
+    from flysid.ingest.lake.lake import open as open_lake
 
     with TemporaryDirectory() as folder:
         target = place or Path(folder) / "data"
@@ -85,7 +85,7 @@ def lost_on_the_way(data: Path, lake: Lake) -> bool:
 
 def _written(words: Words, lake: Lake) -> str:
     """A recipe for the fields that are asked for; without any, the error names what there is."""
-    from flysid.ingest.quick import quick_recipe
+    from flysid.ingest.align.quick import quick_recipe
 
     if not (words.inputs or words.outputs) and (served := lake.recipes()):
         raise UsageError(
@@ -98,7 +98,7 @@ def _written(words: Words, lake: Lake) -> str:
 def _taken_in(log: Path, place: Path, quiet: bool) -> Path:
     """Ingest one log; raises FormatError where nothing of it can be read."""
     from flysid.cli.ingest import report
-    from flysid.ingest.batch import find_logs, ingest_logs
+    from flysid.ingest.lake.batch import find_logs, ingest_logs
 
     results = list(ingest_logs(find_logs([log]), place, jobs=1))
     report(results, quiet)

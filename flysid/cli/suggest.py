@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from flysid.ingest.suggest import Suggestion
+    from flysid.ingest.excitation.suggest import Suggestion
 
 HEADINGS = (
     "FLIGHT",
@@ -33,7 +33,7 @@ def print_suggestions(data: str, as_json: bool) -> None:
     """A table on stdout with the advice below it, or JSON."""
     from flysid.cli.ls import aligned
     from flysid.cli.output import printable, say
-    from flysid.ingest.lake import open as open_lake
+    from flysid.ingest.lake.lake import open as open_lake
 
     found = open_lake(data).suggest()
     if as_json:
@@ -82,7 +82,7 @@ def row(found: Suggestion, flight: str) -> tuple[str, ...]:
 
 def _delay(found: Suggestion) -> str:
     """Dead time with what cannot be told from it."""
-    from flysid.ingest.suggest import unbounded
+    from flysid.ingest.excitation.suggest import unbounded
 
     if found.delay_s is None:
         return "-"

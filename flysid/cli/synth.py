@@ -12,9 +12,9 @@ from flysid.cli.output import check_target, say
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
-    from flysid.ingest.dryden import Gust
-    from flysid.ingest.synth import Order
-    from flysid.ingest.telemetry import Recording
+    from flysid.ingest.synth.dryden import Gust
+    from flysid.ingest.synth.synth import Order
+    from flysid.ingest.synth.telemetry import Recording
 
 TRUTH = ".truth.parquet"
 Writer = tuple[str, Callable[["Recording"], bytes]]
@@ -24,10 +24,10 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     """Print plants, plans, sensors and formats, one `kind name` per line, and end."""
     if not wanted:
         return
-    from flysid.ingest.plans import PLANS
-    from flysid.ingest.sensors import SENSORS
-    from flysid.ingest.synth import WRITERS
-    from flysid.ingest.vehicles import VEHICLES
+    from flysid.ingest.synth.plans import PLANS
+    from flysid.ingest.synth.sensors import SENSORS
+    from flysid.ingest.synth.synth import WRITERS
+    from flysid.ingest.synth.vehicles import VEHICLES
 
     for kind, names in (("plant", VEHICLES), ("plan", PLANS), ("sensor", SENSORS), ("format", WRITERS)):
         for name in names:
@@ -94,7 +94,7 @@ def command(
     """Fly simulated vehicles and write the logs that they would have written; prints their paths."""
     order = ordered(**options)
     if live is not None:
-        from flysid.ingest.live import Pace, fly_live
+        from flysid.ingest.synth.live import Pace, fly_live
 
         say(f"flying to {live}; interrupt to end", quiet)
         sent = fly_live(order, live, Pace(options["speed"]))
@@ -104,7 +104,7 @@ def command(
         raise UsageError("no folder for the logs", hint="-o DIR, or --live udp:HOST:PORT")
     writers = writers_named(formats or ("tlog",))
     if options["truth"]:
-        from flysid.ingest.truth import truth_bytes
+        from flysid.ingest.synth.truth import truth_bytes
 
         writers.append((TRUTH, truth_bytes))
     check_paths(order, output, writers, force)
@@ -119,7 +119,7 @@ def command(
 
 def ordered(*, dropouts: tuple[str, ...], **options: Any) -> Order:
     """The order that the options describe."""
-    from flysid.ingest.synth import Order
+    from flysid.ingest.synth.synth import Order
 
     return Order(
         plant=options["plant"],
@@ -140,7 +140,7 @@ def ordered(*, dropouts: tuple[str, ...], **options: Any) -> Order:
 
 def check_paths(order: Order, folder: Path, writers: Sequence[Writer], force: bool) -> None:
     """Raise UsageError where a log would replace another; before anything flies."""
-    from flysid.ingest.synth import flight_names
+    from flysid.ingest.synth.synth import flight_names
 
     for name in flight_names(order):
         for suffix, _ in writers:
@@ -151,7 +151,7 @@ def fly_all(order: Order, folder: Path, suffixes: tuple[str, ...], jobs: int) ->
     """Fly and write every flight, in `jobs` processes; paths in the order of the flights."""
     import os
 
-    from flysid.ingest.synth import flight_names
+    from flysid.ingest.synth.synth import flight_names
 
     tasks = [(order, index, folder, suffixes) for index in range(len(flight_names(order)))]
     jobs = min(jobs or os.cpu_count() or 1, len(tasks))
@@ -170,8 +170,8 @@ def fly_all(order: Order, folder: Path, suffixes: tuple[str, ...], jobs: int) ->
 def fly_and_write(order: Order, index: int, folder: Path, suffixes: Sequence[str]) -> list[Path]:
     """Fly one flight and write it in every format; each log appears whole."""
     from flysid.flightwriter import write_atomically, writing_to
-    from flysid.ingest.synth import WRITERS, fly_one
-    from flysid.ingest.truth import truth_bytes
+    from flysid.ingest.synth.synth import WRITERS, fly_one
+    from flysid.ingest.synth.truth import truth_bytes
 
     encoders = {**dict(WRITERS.values()), TRUTH: truth_bytes}
     recording = fly_one(order, index)
@@ -184,7 +184,7 @@ def fly_and_write(order: Order, index: int, folder: Path, suffixes: Sequence[str
 
 def writers_named(names: Sequence[str]) -> list[Writer]:
     """The writers of these formats, each once."""
-    from flysid.ingest.synth import WRITERS
+    from flysid.ingest.synth.synth import WRITERS
 
     for name in names:
         if name not in WRITERS:
@@ -203,7 +203,7 @@ def parse_dropout(text: str) -> tuple[float, float]:
 
 def parse_gust(text: str) -> Gust:
     """START:RISE:X:Y:Z in seconds and m/s."""
-    from flysid.ingest.dryden import Gust
+    from flysid.ingest.synth.dryden import Gust
 
     try:
         start, rise, x, y, z = (float(part) for part in text.split(":"))

@@ -29,7 +29,7 @@ class PolynomialSettings:
     offset : estimate a constant.
     n_init : measured samples that start a simulation; None chooses.
     nk_hint : delays that "auto" tries besides its own, one per input: the dead time the log shows
-        (`flysid.ingest.deadtime`).
+        (`flysid.ingest.excitation.dead_time`).
     trend : "remove" takes a straight line out of every segment's signals first; see `detrend`.
     stable : poles outside the unit circle are mirrored into it and B is fitted again; see `stability`.
     """

@@ -18,9 +18,9 @@ def build_tlog(path: Path) -> None:
     """A real flight over and over; arrival, time_boot_ms and time_usec go on rising, CRCs are made anew."""
     import fastcrc
 
-    from flysid.ingest.columns import as_array
-    from flysid.ingest.mavdialect import load_dialect
-    from flysid.ingest.mavframes import Scanner, plain_chain
+    from flysid.ingest.formats.common.columns import as_array
+    from flysid.ingest.formats.mavlink.dialect import load_dialect
+    from flysid.ingest.formats.mavlink.frames import Scanner, plain_chain
 
     dialect = load_dialect()
     source = (LOGS / "tlog" / "sitl_copter_500s.tlog").read_bytes()
@@ -61,7 +61,7 @@ def _time_at(dialect: Any, message: int) -> tuple[int, int, int]:
 
 def build_dataflash(path: Path) -> None:
     """A real log once whole, then its messages over and over without the formats, TimeUS rising."""
-    from flysid.ingest.dfframes import Walker
+    from flysid.ingest.formats.dataflash.frames import Walker
 
     source = (LOGS / "dataflash" / "sitl_copter_49s.BIN").read_bytes()
     walker = Walker()

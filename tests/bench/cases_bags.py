@@ -141,7 +141,7 @@ def ros_payload(ros: int, definition: str, kind: str, k: int) -> bytes:
 
 def build_db3(path: Path) -> None:
     """60 MB of the same ROS 2 messages with strings and sequences, as a bag in SQLite."""
-    from flysid.ingest.scrub_rosbag2 import TABLES
+    from flysid.ingest.formats.rosbag2.scrub import TABLES
 
     text, kind, templates, places = ros_messages(2, True)
     few = itertools.islice(patched(templates, places), DB3_BYTES // len(templates[0]))
@@ -200,7 +200,7 @@ def build_protobuf(path: Path) -> None:
 
 def build_ulog(path: Path) -> None:
     """A real log's definitions once, then its data over and over with rising times."""
-    from flysid.ingest.ulog_records import FILE_HEAD_BYTES
+    from flysid.ingest.formats.ulog.records import FILE_HEAD_BYTES
 
     raw = (LOGS / ULOG).read_bytes()
     first: list[bytes] = []

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
-from flysid.ingest.deadtime import dead_times, delays_to_try
+from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.ts import TS

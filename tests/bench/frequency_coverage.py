@@ -17,8 +17,8 @@ from scipy.signal import lfilter
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FlysidError
-from flysid.ingest.manoeuvres import chirp
-from flysid.ingest.plants import LOOPS
+from flysid.ingest.synth.manoeuvres import chirp
+from flysid.ingest.synth.plants import LOOPS
 from flysid.model.frequency.fit import fit_response
 from flysid.model.frequency.rational import Form, Rational, hold_response
 from flysid.model.frequency.response import measure_response

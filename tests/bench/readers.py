@@ -18,7 +18,8 @@ def flysid_tables(path: Path) -> Any:
 def flysid_parquet(path: Path) -> Any:
     """The log as parquet on disk, in bounded memory."""
     from flysid import store
-    from flysid.ingest.base import Limits, detect, open_log, source_of
+    from flysid.ingest.formats.base import Limits, open_log, source_of
+    from flysid.ingest.formats.registry import detect
 
     folder = Path(tempfile.mkdtemp(dir=path.parent))
     try:
@@ -36,8 +37,8 @@ def _prepare_flysid() -> None:
     import pyarrow.parquet
 
     import flysid.store
-    from flysid.ingest.base import all_formats
-    from flysid.ingest.mavdialect import load_dialect
+    from flysid.ingest.formats.mavlink.dialect import load_dialect
+    from flysid.ingest.formats.registry import all_formats
 
     del pyarrow, flysid
     all_formats()

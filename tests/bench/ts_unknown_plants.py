@@ -16,7 +16,7 @@ from scipy.signal import cheby1, cheby2, lfilter
 
 from flysid.dataset import FloatArray
 from flysid.errors import FlysidError
-from flysid.ingest.deadtime import dead_times, delays_to_try
+from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.model.base import Fitted
 from flysid.model.ts_best import BestTS
 from flysid.validate.baseline import choose_baseline, confirmed, linear_estimators

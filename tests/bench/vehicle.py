@@ -16,11 +16,11 @@ import numpy as np
 
 import flysid
 from flysid.dataset import Dataset, FloatArray
-from flysid.ingest.plans import MULTISINE, PILOT, STEPS
-from flysid.ingest.plants import LOOPS
-from flysid.ingest.quadkernel import INPUTS
-from flysid.ingest.rigidbody import ALL, Vehicle, closed_loop_rates, fly_vehicle
-from flysid.ingest.tuning import BANDWIDTH_RAD_S, compare_loop
+from flysid.ingest.synth.plans import MULTISINE, PILOT, STEPS
+from flysid.ingest.synth.plants import LOOPS
+from flysid.ingest.synth.quadrotor import INPUTS
+from flysid.ingest.synth.rigid_body import ALL, Vehicle, closed_loop_rates, fly_vehicle
+from flysid.ingest.synth.tuning import BANDWIDTH_RAD_S, compare_loop
 
 PERIOD_S = 0.02
 STARTED = 50

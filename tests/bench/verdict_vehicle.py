@@ -17,7 +17,7 @@ import argparse
 import numpy as np
 
 from flysid.dataset import Dataset, Segment, Signal
-from flysid.ingest.plants import LOOPS
+from flysid.ingest.synth.plants import LOOPS
 from flysid.model.base import Fitted
 from flysid.model.ts_best import BestTS
 from flysid.validate.baseline import choose_baseline, confirmed, linear_estimators

@@ -11,9 +11,9 @@ import numpy as np
 
 from flysid.datasetfile import write_dataset
 from flysid.flightwriter import slug
-from flysid.ingest.batch import find_logs, ingest_logs
-from flysid.ingest.lake import open as open_lake
-from flysid.ingest.synth import WRITERS, Order, flights
+from flysid.ingest.lake.batch import find_logs, ingest_logs
+from flysid.ingest.lake.lake import open as open_lake
+from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.validate.fitting import fit_run
 from flysid.validate.judge import judge_run, write_judgement
 from flysid.validate.run import FitSettings

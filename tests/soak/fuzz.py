@@ -126,7 +126,7 @@ def repair_mavlink(blob: bytearray) -> None:
 
 @cache
 def _crc_extra() -> Any:
-    from flysid.ingest.mavdialect import load_dialect  # not before `instrument` can count
+    from flysid.ingest.formats.mavlink.dialect import load_dialect  # not before `instrument` can count
 
     return load_dialect().crc_extra
 

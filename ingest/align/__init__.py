@@ -1,0 +1,1 @@
+"""Flight to Dataset: recipes, units, clocks, grids, gaps and conditions."""

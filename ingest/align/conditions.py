@@ -1,0 +1,151 @@
+"""Where the conditions of a recipe hold: armed, airborne, in a mode; as spans of vehicle time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.errors import RecipeError
+from flysid.flight import BOOT, TIME
+from flysid.ingest.align import resample
+from flysid.ingest.align.labels import names_of, texts_of
+from flysid.ingest.align.recipe import Condition
+from flysid.ingest.align.resample import Span
+from flysid.ingest.align.signals import Log, column_values, find_source, load_source
+
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
+ALWAYS = -resample.FOREVER
+MOST_VALUES = 6
+Value = int | float | str
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """Spans per boot in which all conditions hold; a boot that is not named is not restricted.
+
+    `notes` are remarks for people, `never` says of each condition that never holds what the log has instead.
+    """
+
+    spans: Mapping[int, Sequence[Span]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    never: tuple[str, ...] = ()
+
+
+def condition_spans(conditions: Sequence[Condition], log: Log) -> Allowed:
+    """Where all conditions hold in a log. A value counts until the next one (zero-order hold).
+
+    Raises
+    ------
+    RecipeError : a required condition has no source in the log.
+    """
+    spans: dict[int, Sequence[Span]] = {}
+    notes: list[str] = []
+    never: list[str] = []
+    for name in dict.fromkeys(c.name for c in conditions):
+        alternatives = [c for c in conditions if c.name == name]
+        condition = next((c for c in alternatives if find_source(c.sources, log) is not None), None)
+        if condition is None:
+            if any(c.required for c in alternatives):
+                wanted = ", ".join(s.stream for c in alternatives for s in c.sources)
+                raise RecipeError(f"condition {name!r} needs {wanted}", path=log.name)
+            notes.append(f"condition {name!r} could not be checked: no source")
+            continue
+        found, seen = _spans(condition, log)
+        for boot, own in found.items():
+            spans[boot] = resample.intersect(spans[boot], own) if boot in spans else own
+        if not any(found.values()):
+            never.append(f"condition {name!r} never holds{seen}")
+    return Allowed(spans, tuple(notes), tuple(never))
+
+
+def _spans(condition: Condition, log: Log) -> tuple[dict[int, list[Span]], str]:
+    """Spans per boot in which one condition holds, and what the log has, for the case that there are none."""
+    found = find_source(condition.sources, log)
+    assert found is not None
+    source, stream = found
+    margin_ns = round(condition.margin_s * 1e9)
+    if condition.above is not None or condition.below is not None:
+        loaded = load_source(source, stream, condition.unit, log)
+        series = {b: resample.tidy(s.t_ns, s.x) for b, s in loaded.boots.items()}
+        spans = {b: _spans_true(s.t_ns, _in_bounds(s.x, condition), margin_ns) for b, s in series.items()}
+        ranges = [x for s in series.values() if len(s.x) for x in (s.x.min(), s.x.max())]
+        seen = f"{min(ranges):.3g} to {max(ranges):.3g} {condition.unit}".rstrip() if ranges else "empty"
+        return spans, f": {stream}.{loaded.field} is {seen}"
+    column = source.fields[0]
+    table = log.table(stream, [TIME, BOOT, column])
+    values, names = column_values(table, column), names_of(table, stream, column, log)
+    boots, t_ns = np.asarray(table[BOOT].to_numpy()), np.asarray(table[TIME].to_numpy())
+    spans = {}
+    for boot in np.unique(boots).tolist():
+        rows = np.flatnonzero(boots == boot)
+        rows = rows[np.argsort(t_ns[rows], kind="stable")]
+        spans[int(boot)] = _held(condition, t_ns[rows], values[rows], names)
+    texts = list(dict.fromkeys(texts_of(values, names)))
+    listed = ", ".join(texts[:MOST_VALUES]) + (", ..." if len(texts) > MOST_VALUES else "")
+    return spans, f"{_wanted(condition)}: {stream}.{column} is {listed} in this log"
+
+
+def _held(
+    condition: Condition, t_ns: IntArray, values: npt.NDArray[np.generic], names: Mapping[str, str]
+) -> list[Span]:
+    """Spans of one boot in which a condition on values or events holds."""
+    margin_ns = round(condition.margin_s * 1e9)
+    if not (condition.set_by or condition.cleared_by):
+        return _spans_true(t_ns, _is_wanted(values, condition, names), margin_ns)
+    begins = is_one_of(values, condition.set_by, names)
+    told = begins | is_one_of(values, condition.cleared_by, names)
+    t_ns, holds = t_ns[told], begins[told]
+    if len(t_ns) == 0:  # nothing is known: nothing is cut
+        return [(ALWAYS, resample.FOREVER)]
+    return _spans_true(np.append(ALWAYS, t_ns), np.append(~holds[0], holds), margin_ns)
+
+
+def _in_bounds(x: npt.NDArray[np.float64], condition: Condition) -> BoolArray:
+    low = -np.inf if condition.above is None else condition.above
+    high = np.inf if condition.below is None else condition.below
+    return np.asarray((x > low) & (x < high))
+
+
+def _is_wanted(values: npt.NDArray[np.generic], condition: Condition, names: Mapping[str, str]) -> BoolArray:
+    if condition.has_bits:
+        bits = values.astype(np.int64) & condition.has_bits
+        return np.asarray(bits == condition.has_bits)
+    return is_one_of(values, condition.any_of, names)
+
+
+def is_one_of(
+    values: npt.NDArray[np.generic], wanted: Sequence[Value], names: Mapping[str, str]
+) -> BoolArray:
+    """(N,) whether each value is one of those wanted, which may be given by their names."""
+    if values.dtype.kind in "OUS":
+        texts = {str(w) for w in wanted}
+        return np.array([str(v) in texts for v in values], dtype=bool)
+    numbers = {name: float(number) for number, name in names.items()}
+    known = [numbers.get(w, np.nan) if isinstance(w, str) else float(w) for w in wanted]
+    return np.isin(values.astype(np.float64), [k for k in known if not np.isnan(k)])
+
+
+def _wanted(condition: Condition) -> str:
+    """What was asked for, in words."""
+    if condition.has_bits:
+        return f" (bits {condition.has_bits})"
+    return f" ({', '.join(str(v) for v in condition.any_of or condition.set_by)})"
+
+
+def _spans_true(t_ns: IntArray, holds: BoolArray, margin_ns: int) -> list[Span]:
+    """Spans in which a held truth value is true; the last value counts for ever."""
+    if len(t_ns) == 0:
+        return []
+    edges = np.flatnonzero(np.diff(holds.astype(np.int8)))
+    starts = [0, *(int(e) + 1 for e in edges)]
+    stops = [*(int(t_ns[e + 1]) for e in edges), resample.FOREVER]
+    spans = [
+        (int(t_ns[a]) + margin_ns, stop - margin_ns)
+        for a, stop in zip(starts, stops, strict=True)
+        if holds[a]
+    ]
+    return [span for span in spans if span[0] < span[1]]

@@ -1,0 +1,102 @@
+"""Labels of a recipe: the vehicle's state, e.g. its flight mode; they mark segments and may cut them."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from flysid.flight import BOOT, TIME
+from flysid.ingest.align.modes import mode_names
+from flysid.ingest.align.recipe import Label
+from flysid.ingest.align.resample import Span
+from flysid.ingest.align.signals import Log, column_values, find_source
+
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """A label in one boot: (K,) times, ns, from which each of K values holds until the next."""
+
+    name: str
+    t_ns: IntArray
+    values: tuple[str, ...]
+    cuts: bool
+
+    def at(self, time_ns: int) -> str:
+        """The value at a time; '' before the first."""
+        index = int(np.searchsorted(self.t_ns, time_ns, side="right")) - 1
+        return self.values[index] if index >= 0 else ""
+
+    def longest_in(self, span: Span) -> str:
+        """The value that holds longest in a span."""
+        edges = [span[0], *(int(t) for t in self.t_ns if span[0] < t < span[1]), span[1]]
+        held: dict[str, int] = {}
+        for start, stop in itertools.pairwise(edges):
+            value = self.at(start)
+            held[value] = held.get(value, 0) + stop - start
+        return max(held, key=lambda v: held[v])
+
+
+@dataclass(frozen=True)
+class Labels:
+    """The labels of one boot."""
+
+    steps: Sequence[Steps] = field(default_factory=tuple)
+
+    def cut(self, spans: Sequence[Span]) -> list[Span]:
+        """The spans, cut where a label that cuts changes its value."""
+        edges = sorted({int(t) for s in self.steps if s.cuts for t in s.t_ns})
+        out: list[Span] = []
+        for start, stop in spans:
+            inside = [t for t in edges if start < t < stop]
+            out += itertools.pairwise([start, *inside, stop])
+        return out
+
+    def marks(self, span: Span) -> dict[str, str | float]:
+        """Name and value of every label in a span, where it is known."""
+        found = {s.name: s.longest_in(span) for s in self.steps}
+        return {name: value for name, value in found.items() if value}
+
+
+def labels_of(labels: Sequence[Label], log: Log) -> Mapping[int, Labels]:
+    """The labels of a log, per boot; labels without a source are left out."""
+    found: dict[int, list[Steps]] = {}
+    for label in labels:
+        source = find_source(label.sources, log)
+        if source is None:
+            continue
+        name = source[0].fields[0]
+        table = log.table(source[1], [TIME, BOOT, name])
+        texts = texts_of(column_values(table, name), names_of(table, source[1], name, log))
+        boots = np.asarray(table[BOOT].to_numpy())
+        times = np.asarray(table[TIME].to_numpy(), dtype=np.int64)
+        for boot in np.unique(boots):
+            rows = np.flatnonzero(boots == boot)
+            rows = rows[np.argsort(times[rows], kind="stable")]
+            found.setdefault(int(boot), []).append(_steps(label, times[rows], [texts[i] for i in rows]))
+    return {boot: Labels(tuple(steps)) for boot, steps in found.items()}
+
+
+def _steps(label: Label, t_ns: IntArray, values: Sequence[str]) -> Steps:
+    """Only the times at which the value changes."""
+    changed = [0, *(i for i in range(1, len(values)) if values[i] != values[i - 1])]
+    return Steps(label.name, t_ns[changed], tuple(values[i] for i in changed), label.cut)
+
+
+def names_of(table: pa.Table, stream: str, column: str, log: Log) -> Mapping[str, str]:
+    """Number (as text) -> name of a column's values: the log's enumeration, else the known flight modes."""
+    metadata = table.schema.field(column).metadata or {}
+    logged: Mapping[str, str] = json.loads(metadata.get(b"enum", b"{}"))
+    return logged or {str(k): v for k, v in mode_names(stream, column, log.info).items()}
+
+
+def texts_of(values: npt.NDArray[np.generic], names: Mapping[str, str]) -> list[str]:
+    """Values as words, numbers where there is no word."""
+    return [names.get(str(v), str(v)) for v in values.tolist()]

@@ -1,0 +1,170 @@
+"""From these fields to those: recipes and datasets of logs that no shipped recipe speaks of."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from flysid.dataset import Dataset
+from flysid.errors import RecipeError
+from flysid.flight import BOOT, RECEIVED, TIME, Flight, field_unit, matching_streams
+from flysid.ingest.align.align import align
+from flysid.ingest.align.recipe import ChannelSpec, parse_recipe
+from flysid.ingest.align.signals import FlightLog, Log
+from flysid.ingest.align.units import is_known
+from flysid.ingest.formats.registry import read
+
+_ELEMENT = re.compile(r"^(.+?)(\[\d+\])?$")
+_PLAIN = re.compile(r"[^A-Za-z0-9_]+")
+_OWN = (TIME, BOOT, RECEIVED)
+SHOWN = 12
+
+
+@dataclass(frozen=True)
+class Place:
+    """A field of a stream, and what its values are in."""
+
+    stream: str
+    field: str
+    unit: str
+
+    @property
+    def name(self) -> str:
+        """As a signal's name."""
+        return _PLAIN.sub("_", self.field).strip("_") or "signal"
+
+
+def dataset_from(
+    source: str | Path | Flight | Sequence[str | Path | Flight],
+    inputs: str | Sequence[str],
+    outputs: str | Sequence[str],
+    *,
+    dt_s: float | None = None,
+) -> Dataset:
+    """The dataset of some fields of logs: one clock, cut at gaps, inputs held from sample to sample.
+
+    Parameters
+    ----------
+    source : a log or table (.csv), or several of them: paths, or flights in memory.
+    inputs, outputs : fields, as `FIELD` where one stream has it, else as `STREAM.FIELD`.
+    dt_s : seconds from row to row, for tables that have no time column.
+
+    Raises
+    ------
+    FormatError : a log cannot be read.
+    RecipeError : a field is nowhere, or in several streams; a table needs `dt_s`, or a log has its own time.
+    DataError : the logs are too short, or a signal never moves.
+    """
+    sources = [source] if isinstance(source, str | Path | Flight) else source
+    logs = [FlightLog(s if isinstance(s, Flight) else read(s)) for s in sources]
+    driving, driven = ([words] if isinstance(words, str) else list(words) for words in (inputs, outputs))
+    recipe = parse_recipe(tomllib.loads(quick_recipe(logs, driving, driven, dt_s)))
+    signals, count = list(recipe.signals), len(dict.fromkeys(driving))
+    both = ChannelSpec(tuple(signals[:count]), tuple(recipe.channels))
+    name = ", ".join(recipe.channels)
+    return align(logs, replace(recipe, channels={name: both}), name).dataset
+
+
+def quick_recipe(
+    logs: Sequence[Log], inputs: Sequence[str], outputs: Sequence[str], row_period_s: float | None = None
+) -> str:
+    """A recipe, in TOML: one channel per output, driven by all inputs.
+
+    Parameters
+    ----------
+    logs : where the fields are looked for; the first log that has a field tells its unit.
+    inputs, outputs : fields, as `FIELD` where one stream has it, else as `STREAM.FIELD`.
+    row_period_s : seconds from row to row, for tables that have no time column.
+
+    Raises
+    ------
+    RecipeError : no inputs or outputs; a field is nowhere, or in several streams.
+    """
+    if not inputs or not outputs:
+        raise RecipeError(
+            "nothing says what to identify",
+            hint=f"--from FIELD --to FIELD, or --recipe; fields: {_shown(_fields(logs))}",
+        )
+    words = [*inputs, *outputs]
+    places = {word: find_field(logs, word) for word in words}
+    names = _distinct([places[word] for word in words])
+    told = _quoted(f"{', '.join(inputs)} to {', '.join(outputs)}")
+    lines = ['name = "quick"', f"description = {told}"]
+    for word in dict.fromkeys(words):
+        hold = "zero" if word in inputs else "linear"
+        lines += _signal(names[places[word]], places[word], hold, row_period_s)
+    driven = ", ".join(f'"{names[places[word]]}"' for word in dict.fromkeys(inputs))
+    for word in dict.fromkeys(outputs):
+        name = names[places[word]]
+        lines += ["", f"[channels.{name}]", f"inputs = [{driven}]", f'outputs = ["{name}"]']
+    return "\n".join(lines) + "\n"
+
+
+def find_field(logs: Sequence[Log], word: str) -> Place:
+    """The field that a word names; raises RecipeError with what is near."""
+    for log in logs:
+        found = [place for stream in log.rows if (place := _place(log, stream, word)) is not None]
+        if len(found) > 1:
+            told = ", ".join(f"{p.stream}.{p.field}" for p in found[:SHOWN])
+            raise RecipeError(f"{word!r} is a field of {len(found)} streams", hint=f"one of {told}")
+        if found:
+            return found[0]
+    known = _fields(logs)
+    near = difflib.get_close_matches(word, [*known, *(k.rpartition(".")[2] for k in known)], n=3)
+    hint = ", ".join(dict.fromkeys(near)) or f"fields: {_shown(known)}"
+    raise RecipeError(f"no log has a field {word!r}", hint=hint)
+
+
+def _place(log: Log, stream: str, word: str) -> Place | None:
+    """Where `word` stands in a stream: as a field, or behind the stream's key or message name and a dot."""
+    columns = [c for c in log.columns(stream) if c not in _OWN]
+    for field in _readings(stream, word):
+        match = _ELEMENT.match(field)
+        column = field if field in columns else match[1] if match else ""
+        if column in columns:
+            unit = field_unit(log.table(stream, [column]).schema.field(column))
+            return Place(stream, field, unit if is_known(unit) else "")
+    return None
+
+
+def _readings(stream: str, word: str) -> list[str]:
+    """The fields of this stream that a word may mean."""
+    at = [i for i, c in enumerate(word) if c == "."]
+    behind = [word[i + 1 :] for i in at if matching_streams(word[:i], {stream: 0})]
+    return [word, *behind]
+
+
+def _fields(logs: Sequence[Log]) -> list[str]:
+    return [f"{s}.{c}" for log in logs[:1] for s in log.rows for c in log.columns(s) if c not in _OWN]
+
+
+def _shown(fields: Sequence[str]) -> str:
+    return ", ".join(fields[:SHOWN]) + (f" and {len(fields) - SHOWN} more" if len(fields) > SHOWN else "")
+
+
+def _distinct(places: Sequence[Place]) -> dict[Place, str]:
+    """A name for every place; where two share one, the stream's goes before it."""
+    names: dict[Place, str] = {}
+    for place in dict.fromkeys(places):
+        name = place.name
+        if name in names.values():
+            name = _PLAIN.sub("_", f"{place.stream}_{place.field}").strip("_")
+        names[place] = name if name not in names.values() else f"{name}_{len(names)}"
+    return names
+
+
+def _signal(name: str, place: Place, hold: str, row_period_s: float | None) -> list[str]:
+    period = "" if row_period_s is None else f", row_period_s = {row_period_s!r}"
+    source = f"{{ stream = {_quoted(place.stream)}, field = {_quoted(place.field)}{period} }}"
+    unit = "" if place.unit == "1" else place.unit
+    return ["", f"[signals.{name}]", f'unit = "{unit}"', f'hold = "{hold}"', f"sources = [{source}]"]
+
+
+def _quoted(text: str) -> str:
+    """A TOML basic string."""
+    plain = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in plain) + '"'

@@ -1,0 +1,398 @@
+"""Recipes: which fields of a log are the inputs and outputs of a channel, in which unit and sign.
+
+A recipe is a TOML file. `[signals.NAME]` says where a signal comes from and what a user wants to see;
+`[channels.NAME]` says which signals are inputs and which are outputs:
+
+    name = "my-copter"
+    rate_hz = "auto"                      # or a number; auto: the slowest source of the channel
+
+    [signals.theta_in]
+    unit = "deg"                          # converted from the unit the log states
+    hold = "zero"                         # a command: zero-order hold; "linear" (default): a state
+    sources = [                           # tried in order; the first that the log holds is taken
+      { stream = "ATTITUDE_TARGET", field = "q", transform = "pitch", scale = -1.0 },
+      { stream = "/ardrone/command", field = "theta_in" },
+    ]
+
+    [channels.longitudinal]
+    inputs = ["theta_in"]
+    outputs = ["v_x"]
+
+An unknown key is a RecipeError that names the nearest known one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import msgspec
+
+from flysid.errors import RecipeError
+from flysid.ingest.align.transforms import TRANSFORMS
+from flysid.ingest.align.units import is_known
+
+SUFFIX = ".toml"
+
+
+@dataclass(frozen=True)
+class Source:
+    """One place a signal may come from.
+
+    Attributes
+    ----------
+    stream : key of a stream, or its message name; of several the autopilot's is taken.
+    field : a column, or the columns that the transform needs, e.g. the parts of a quaternion.
+    transform : a name of `flysid.ingest.align.transforms.TRANSFORMS`.
+    unit : what the values are in where the log does not say.
+    scale, offset : signal = scale * value + offset, after conversion to the signal's unit.
+    yaw : source of the heading, for transforms into the heading frame.
+    where : rows are kept where these columns have these values, e.g. {"C": 0} for one estimator core.
+    time : a column that holds the sample's own time, e.g. `timestamp_sample`; `time_ns` when empty.
+    row_period_s : seconds from row to row, for a table without a time column, and for nothing else.
+    """
+
+    stream: str
+    field: str | tuple[str, ...]
+    transform: str = "none"
+    unit: str = ""
+    scale: float = 1.0
+    offset: float = 0.0
+    yaw: Source | None = None
+    where: dict[str, int | float | str] = dataclasses.field(default_factory=dict)
+    time: str = ""
+    row_period_s: float | None = None
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        return (self.field,) if isinstance(self.field, str) else self.field
+
+
+@dataclass(frozen=True)
+class SignalSpec:
+    """A signal: its unit, where it comes from, and how it is brought onto the grid.
+
+    Attributes
+    ----------
+    unit : physical unit wanted.
+    sources : alternatives, tried in order.
+    hold : "zero" for commands (the last value counts until the next), "linear" for states.
+    max_gap_s : a longer pause in the source cuts the segment; None: relative to its own period. Write
+        `inf` for commands that are only sent when they change.
+    max_rate : fastest change that is physically possible, in unit per second; samples that jump away from
+        their neighbours by more are dropped, which cuts where several follow one another.
+    limits : lowest and highest value the actuator or controller allows; segments are marked with the share
+        of samples that stand there.
+    description : what it is, for people.
+    """
+
+    unit: str
+    sources: tuple[Source, ...]
+    hold: Literal["zero", "linear"] = "linear"
+    max_gap_s: float | None = None
+    max_rate: float | None = None
+    limits: tuple[float, float] | None = None
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class ChannelSpec:
+    """Inputs and outputs of one channel, by the names of signals.
+
+    `min_rate_hz` is the rate below which the channel's dynamics cannot be seen, and `remedy` what to set on
+    the vehicle to log faster; both serve the suggestions.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    description: str = ""
+    min_rate_hz: float = 0.0
+    remedy: str = ""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Samples count only while a value is in bounds, e.g. while the vehicle is airborne.
+
+    Conditions of one name are alternatives: the first that the log has a source for counts. All names must
+    hold at once.
+
+    Attributes
+    ----------
+    name : what it means, e.g. "airborne".
+    sources : alternatives, tried in order.
+    unit : unit of `above` and `below`; "" compares the values as they are logged.
+    above, below : exclusive bounds.
+    any_of : the value (or its enumeration's name) must be one of these; for modes and flags.
+    has_bits : all of these bits must be set, for bit fields (128: armed in HEARTBEAT.base_mode).
+    set_by, cleared_by : for events that are logged once: it holds from one of these values to one of those;
+        others change nothing, and before the first it was the other way round.
+    margin_s : cut away this long at both ends of every interval in which the condition holds.
+    required : without a source the flight is refused; otherwise the condition is left out, and said so.
+    """
+
+    name: str
+    sources: tuple[Source, ...]
+    unit: str = ""
+    above: float | None = None
+    below: float | None = None
+    any_of: tuple[int | float | str, ...] = ()
+    has_bits: int = 0
+    set_by: tuple[int | float | str, ...] = ()
+    cleared_by: tuple[int | float | str, ...] = ()
+    margin_s: float = 0.0
+    required: bool = False
+
+
+@dataclass(frozen=True)
+class Label:
+    """A state of the vehicle that marks segments, e.g. its mode; where `cut`, its changes end a segment."""
+
+    name: str
+    sources: tuple[Source, ...]
+    cut: bool = True
+
+
+@dataclass(frozen=True)
+class ClockSpec:
+    """Streams that another recorder stamped with its own clock, e.g. motion capture.
+
+    Attributes
+    ----------
+    name : the recorder.
+    streams : the streams on its clock.
+    other, reference : one quantity as that recorder and as the vehicle measured it, in `unit`.
+    max_offset_s : largest offset to look for.
+    drift : estimate a drift as well as an offset.
+    enabled : false takes the stamps as they are.
+    """
+
+    name: str
+    streams: tuple[str, ...]
+    other: Source
+    reference: Source
+    unit: str = ""
+    max_offset_s: float = 5.0
+    drift: bool = True
+    enabled: bool = True
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Signals and channels, and how to cut and sample them.
+
+    Attributes
+    ----------
+    rate_hz : rate of the grid; "auto": that of the slowest source of each channel.
+    max_rate_hz : "auto" goes no higher.
+    min_segment_s : shorter segments are dropped; None: 20 samples.
+    max_segment_s : longer segments are cut.
+    antialias : filter (all signals of a channel alike) where a source is much faster than the grid.
+    """
+
+    name: str
+    signals: dict[str, SignalSpec]
+    channels: dict[str, ChannelSpec]
+    description: str = ""
+    rate_hz: float | Literal["auto"] = "auto"
+    max_rate_hz: float = float("inf")
+    min_segment_s: float | None = None
+    max_segment_s: float = float("inf")
+    antialias: bool = True
+    conditions: tuple[Condition, ...] = ()
+    clocks: tuple[ClockSpec, ...] = ()
+    labels: tuple[Label, ...] = ()
+
+    def channel(self, name: str) -> ChannelSpec:
+        """A channel by name; RecipeError names the nearest one otherwise."""
+        if name in self.channels:
+            return self.channels[name]
+        raise RecipeError(
+            f"recipe {self.name!r} has no channel {name!r}", hint=_nearest(name, list(self.channels))
+        )
+
+    def signals_of(self, channel: str) -> tuple[str, ...]:
+        """Names of the signals of a channel, inputs first."""
+        spec = self.channel(channel)
+        return (*spec.inputs, *spec.outputs)
+
+
+def shipped_recipes() -> tuple[str, ...]:
+    """Names of the recipes that come with flysid."""
+    folder = resources.files("flysid.ingest.align") / "recipes"
+    return tuple(sorted(p.name[: -len(SUFFIX)] for p in folder.iterdir() if p.name.endswith(SUFFIX)))
+
+
+def load_recipe(name: str | Path) -> Recipe:
+    """A shipped recipe by name, or a user's own by path (ends with .toml or holds a folder).
+
+    Raises
+    ------
+    RecipeError : no such recipe, not TOML, an unknown key, a wrong type, an inconsistent entry.
+    """
+    text, where = recipe_text(str(name))
+    try:
+        document = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise RecipeError(f"not TOML: {error}", path=where) from error
+    return parse_recipe(document, where)
+
+
+def parse_recipe(document: Mapping[str, Any], where: str = "") -> Recipe:
+    """A recipe from a TOML document; `where` names it in errors."""
+    _check_keys(document, Recipe, "", where)
+    try:
+        recipe = msgspec.convert(document, Recipe)
+    except msgspec.ValidationError as error:
+        raise RecipeError(f"wrong value: {error}", path=where) from error
+    _check_sense(recipe, where)
+    return recipe
+
+
+def recipe_text(name: str) -> tuple[str, str]:
+    """The text of a shipped recipe or of a file, and what to call it in errors; raises RecipeError."""
+    if name in shipped_recipes():
+        entry = resources.files("flysid.ingest.align") / "recipes" / f"{name}{SUFFIX}"
+        return entry.read_text("utf-8"), name
+    path = Path(name)
+    if path.suffix != SUFFIX and path.name == name:
+        raise RecipeError(
+            f"no recipe {name!r}", hint=_nearest(name, shipped_recipes()) + ", or the path of a .toml file"
+        )
+    try:
+        return path.read_text("utf-8"), name
+    except OSError as error:
+        raise RecipeError(f"cannot be read: {error.strerror}", path=name) from error
+    except UnicodeDecodeError as error:
+        raise RecipeError("not a text file in UTF-8", path=name, byte=error.start) from error
+
+
+def _nearest(name: str, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    return ", ".join(near) if near else "one of " + ", ".join(sorted(known))
+
+
+# What lies below a key: (kind of container, type of its entries).
+_BELOW: Mapping[type, Mapping[str, tuple[str, type]]] = {
+    Recipe: {
+        "signals": ("table", SignalSpec),
+        "channels": ("table", ChannelSpec),
+        "conditions": ("list", Condition),
+        "clocks": ("list", ClockSpec),
+        "labels": ("list", Label),
+    },
+    SignalSpec: {"sources": ("list", Source)},
+    Condition: {"sources": ("list", Source)},
+    Label: {"sources": ("list", Source)},
+    Source: {"yaw": ("one", Source)},
+    ClockSpec: {"other": ("one", Source), "reference": ("one", Source)},
+}
+
+
+def _check_keys(value: object, kind: type, place: str, where: str) -> None:
+    """Raise RecipeError for the first key that `kind` does not have, naming the nearest one it has."""
+    if not isinstance(value, Mapping):
+        return  # wrong types are msgspec's to report
+    known = [f.name for f in dataclasses.fields(kind)]
+    for key in value:
+        if key not in known:
+            at = f" in [{place}]" if place else ""
+            raise RecipeError(f"unknown key {key!r}{at}", path=where, hint=_nearest(key, known))
+    for key, (container, entry) in _BELOW.get(kind, {}).items():
+        for label, item in _entries(value.get(key), container):
+            _check_keys(item, entry, f"{place}.{key}{label}".lstrip("."), where)
+
+
+def _entries(value: object, container: str) -> list[tuple[str, object]]:
+    if container == "table" and isinstance(value, Mapping):
+        return [(f".{name}", item) for name, item in value.items()]
+    if container == "list" and isinstance(value, list):
+        return [(f"[{i}]", item) for i, item in enumerate(cast("list[object]", value))]
+    return [("", value)] if container == "one" else []
+
+
+def _check_sense(recipe: Recipe, where: str) -> None:
+    """What types cannot say: names refer to something, units are known, numbers are positive."""
+    if recipe.rate_hz != "auto" and not 0 < recipe.rate_hz < 1e6:
+        raise RecipeError(f"rate_hz must be positive, not {recipe.rate_hz}", path=where)
+    for key in ("max_rate_hz", "max_segment_s"):
+        if not getattr(recipe, key) > 0:
+            raise RecipeError(f"{key} must be positive, not {getattr(recipe, key)}", path=where)
+    if not recipe.channels:
+        raise RecipeError("a recipe needs at least one [channels.NAME]", path=where)
+    for name, channel in recipe.channels.items():
+        if not channel.inputs or not channel.outputs:
+            raise RecipeError(f"channel {name!r} needs inputs and outputs", path=where)
+        for signal in recipe.signals_of(name):
+            if signal not in recipe.signals:
+                raise RecipeError(
+                    f"channel {name!r} uses signal {signal!r}, which has no [signals.{signal}]",
+                    path=where,
+                    hint=_nearest(signal, list(recipe.signals)),
+                )
+    for clock in recipe.clocks:
+        _check_source(clock.other, clock.name, where)
+        _check_source(clock.reference, clock.name, where)
+    for label in recipe.labels:
+        for source in label.sources:
+            _check_source(source, label.name, where)
+    for condition in recipe.conditions:
+        _check_condition(condition, where)
+    named: list[tuple[str, SignalSpec | Condition]] = [*recipe.signals.items()]
+    for name, spec in [*named, *((c.name, c) for c in recipe.conditions)]:
+        if not is_known(spec.unit):
+            raise RecipeError(
+                f"unknown unit {spec.unit!r} of {name!r}", path=where, hint="e.g. deg, rad, m/s, m, deg/s"
+            )
+        if not spec.sources:
+            raise RecipeError(f"{name!r} has no sources", path=where)
+        for source in spec.sources:
+            _check_source(source, name, where)
+
+
+def _check_condition(condition: Condition, where: str) -> None:
+    kinds = {
+        "above, below": condition.above is not None or condition.below is not None,
+        "any_of": bool(condition.any_of),
+        "has_bits": bool(condition.has_bits),
+        "set_by, cleared_by": bool(condition.set_by or condition.cleared_by),
+    }
+    if sum(kinds.values()) != 1:
+        raise RecipeError(
+            f"condition {condition.name!r} must say one thing that holds, not {sum(kinds.values())}",
+            path=where,
+            hint="one of " + "; ".join(kinds),
+        )
+
+
+def _check_source(source: Source, name: str, where: str) -> None:
+    transform = TRANSFORMS.get(source.transform)
+    if transform is None:
+        raise RecipeError(
+            f"unknown transform {source.transform!r} of {name!r}",
+            path=where,
+            hint=_nearest(source.transform, list(TRANSFORMS)),
+        )
+    if len(source.fields) not in transform.field_counts:
+        raise RecipeError(
+            f"transform {source.transform!r} of {name!r} takes "
+            f"{' or '.join(map(str, transform.field_counts))} fields, not {len(source.fields)}",
+            path=where,
+        )
+    if transform.needs_yaw != (source.yaw is not None):
+        verb = "needs" if transform.needs_yaw else "has no use for"
+        raise RecipeError(f"transform {source.transform!r} of {name!r} {verb} a yaw source", path=where)
+    if not is_known(source.unit):
+        raise RecipeError(f"unknown unit {source.unit!r} of {name!r}", path=where)
+    if source.row_period_s is not None and not 0 < source.row_period_s < float("inf"):
+        raise RecipeError(f"row_period_s of {name!r} must be positive, not {source.row_period_s}", path=where)
+    if source.scale == 0.0:
+        raise RecipeError(f"scale of {name!r} must not be 0", path=where)
+    if source.yaw is not None:
+        _check_source(source.yaw, f"{name}.yaw", where)

@@ -1,0 +1,403 @@
+"""A recipe's source in a log -> times and values of one signal, in the unit the recipe wants.
+
+Streams are resolved per vehicle: of several streams with one message name, that of the autopilot
+(component 1 of the system that logs most) is taken. Units come from the log's own metadata; where it
+states none, the recipe must.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from flysid.errors import RecipeError
+from flysid.flight import BOOT, ROW_NUMBER, TIME, Flight, field_scale, field_unit, matching_streams
+from flysid.ingest.align.recipe import SignalSpec, Source
+from flysid.ingest.align.transforms import TRANSFORMS
+from flysid.ingest.align.units import factor, is_known
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+_ELEMENT = re.compile(r"^(.+)\[(\d+)\]$")
+_VEHICLE = re.compile(r"^(\d+)\.(\d+)/")
+
+
+class Log(Protocol):
+    """What alignment needs of a flight, in memory or stored."""
+
+    @property
+    def name(self) -> str:
+        """Identifies the flight."""
+        ...
+
+    @property
+    def rows(self) -> Mapping[str, int]:
+        """Number of rows of every stream, by key."""
+        ...
+
+    @property
+    def info(self) -> Mapping[str, str]:
+        """Facts about the vehicle."""
+        ...
+
+    def columns(self, stream: str) -> Sequence[str]:
+        """Names of a stream's columns."""
+        ...
+
+    def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
+        """Some columns of a stream; `stream` is a key."""
+        ...
+
+
+@dataclass(frozen=True)
+class FlightLog:
+    """A Flight in memory as a Log. `id` replaces the source's file name where it is given."""
+
+    flight: Flight
+    id: str = ""
+
+    @property
+    def name(self) -> str:
+        return self.id or self.flight.source.name
+
+    @property
+    def rows(self) -> Mapping[str, int]:
+        return {key: table.num_rows for key, table in self.flight.tables.items()}
+
+    @property
+    def info(self) -> Mapping[str, str]:
+        return self.flight.info
+
+    def columns(self, stream: str) -> Sequence[str]:
+        return list(self.flight.tables[stream].column_names)
+
+    def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
+        return self.flight.tables[stream].select(list(columns))
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Values of one signal in one boot, as recorded: (N,) times in ns and (N,) values."""
+
+    t_ns: IntArray
+    x: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """A signal of one flight.
+
+    Attributes
+    ----------
+    boots : boot number -> samples.
+    stream, field : where it was found.
+    resolution : smallest difference the source shows, in the signal's unit; 0 where it is not quantised.
+    notes : what a user should know, e.g. that a unit is not the log's own.
+    """
+
+    boots: Mapping[int, Samples]
+    stream: str
+    field: str
+    resolution: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+# ------------------------------------------------------------------------------------------- streams
+
+
+def autopilot_system(rows: Mapping[str, int]) -> str:
+    """The MAVLink system whose component 1 logs most rows; '' where streams carry no system."""
+    count: dict[str, int] = {}
+    for key, n in rows.items():
+        match = _VEHICLE.match(key)
+        if match and match[2] == "1":
+            count[match[1]] = count.get(match[1], 0) + n
+    return max(count, key=lambda system: (count[system], -int(system)), default="")
+
+
+def find_stream(name: str, rows: Mapping[str, int]) -> str | None:
+    """The key that `name` means: exact, else the autopilot's, else its system's, else the one with most rows.
+
+    None where the log has no such stream, or only empty ones.
+    """
+    found = [key for key in matching_streams(name, rows) if rows[key] > 0]
+    if len(found) <= 1:
+        return found[0] if found else None
+    system = autopilot_system(rows)
+
+    def preference(key: str) -> tuple[int, int]:
+        rank = 2 if key.startswith(f"{system}.1/") else 1 if key.startswith(f"{system}.") else 0
+        return rank, rows[key]
+
+    return max(found, key=preference)
+
+
+def find_source(spec: Sequence[Source], log: Log) -> tuple[Source, str] | None:
+    """The first of the alternatives that the log holds, and the key of its stream."""
+    rows = log.rows
+    for source in spec:
+        stream = find_stream(source.stream, rows)
+        if stream is None or not _has_fields(source, log.columns(stream)):
+            continue
+        if source.yaw is not None and find_source((source.yaw,), log) is None:
+            continue
+        return source, stream
+    return None
+
+
+def missing(signal: str, spec: Sequence[Source], logs: Sequence[Log]) -> RecipeError:
+    """The error that says which sources no log holds, and what is near."""
+    wanted = ", ".join(f"{s.stream}.{'/'.join(s.fields)}" for s in spec)
+    streams = sorted({key for log in logs for key in log.rows})
+    names = sorted({*streams, *(key.rpartition("/")[2] for key in streams)})
+    near = [n for s in spec for n in difflib.get_close_matches(s.stream, names, n=2, cutoff=0.5)]
+    flights = ", ".join(log.name for log in logs[:3]) + (", ..." if len(logs) > 3 else "")
+    hint = ", ".join(dict.fromkeys(near)) or "streams logged: " + ", ".join(streams[:8])
+    return RecipeError(f"signal {signal!r} needs {wanted}; not in {flights}", hint=hint)
+
+
+def _has_fields(source: Source, columns: Sequence[str]) -> bool:
+    names = set(columns)
+    needed = [*source.fields, *source.where, *([source.time] if source.time else [])]
+    return all(_column_of(name, names) is not None for name in needed)
+
+
+def _column_of(name: str, columns: set[str]) -> str | None:
+    """The column that holds `name`: itself, or the list that `name[i]` is an element of."""
+    if name in columns:
+        return name
+    match = _ELEMENT.match(name)
+    return match[1] if match and match[1] in columns else None
+
+
+# ------------------------------------------------------------------------------------------- values
+
+
+def load_signal(name: str, spec: SignalSpec, log: Log) -> Loaded:
+    """All samples of a signal in one log.
+
+    Raises
+    ------
+    RecipeError : no source is in the log; a unit is missing, unknown or of another kind.
+    """
+    found = find_source(spec.sources, log)
+    if found is None:
+        raise missing(name, spec.sources, [log])
+    try:
+        return load_source(found[0], found[1], spec.unit, log)
+    except RecipeError as error:
+        raise RecipeError(f"signal {name!r}: {error.message}", path=log.name, hint=error.hint) from error
+
+
+def load_source(source: Source, stream: str, unit: str, log: Log) -> Loaded:
+    """The samples of one source, converted to `unit`, sign and scale applied; boots kept apart."""
+    table = _in_order(source, _rows_where(source, _read(source, stream, log)))
+    boots, t_ns = _integers(table[BOOT]), _times(source, table)
+    columns = _matrix(source, table)
+    transform = TRANSFORMS[source.transform]
+    gain, notes = _gain(source, stream, unit, table)
+    yaw = _yaw_at(source.yaw, log, boots, t_ns) if source.yaw is not None else np.empty(0)
+    values = np.empty(len(t_ns))
+    for boot in np.unique(boots):
+        rows = boots == boot
+        seconds = (t_ns[rows] - t_ns[rows][0]) * 1e-9
+        values[rows] = gain * transform.apply(columns[rows], seconds, yaw[rows] if len(yaw) else yaw)
+        if transform.wraps:
+            values[rows] = np.unwrap(values[rows], period=2 * np.pi * factor("rad", unit))
+    values = source.scale * values + source.offset
+    return Loaded(
+        boots={int(b): Samples(t_ns[boots == b], values[boots == b]) for b in np.unique(boots)},
+        stream=stream,
+        field="/".join(source.fields),
+        resolution=quantum(values)
+        if transform.elementwise
+        else _column_quantum(columns, gain * source.scale),
+        notes=notes,
+    )
+
+
+def quantum(values: FloatArray) -> float:
+    """The step of a quantised signal: its smallest difference, if all others are multiples of it; else 0.
+
+    Steps below a millionth of the range are the number format's, not the sensor's.
+    """
+    levels = np.unique(values[np.isfinite(values)])
+    if len(levels) < 3:
+        return 0.0
+    steps = np.diff(levels)
+    steps = steps[steps > 1e-7 * (levels[-1] - levels[0])]
+    if len(steps) < 2 or (step := float(steps.min())) < 1e-6 * (levels[-1] - levels[0]):
+        return 0.0
+    multiples = steps / step
+    off = np.abs(multiples - np.round(multiples))
+    return float(np.median(steps / np.round(multiples))) if np.mean(off < 0.05) > 0.98 else 0.0
+
+
+def _column_quantum(columns: FloatArray, gain: float) -> float:
+    """Quantisation that a sum or rotation of columns inherits; 0 for quaternions and the like."""
+    return abs(gain) * max((quantum(c) for c in columns.T[:2]), default=0.0) if columns.shape[1] == 2 else 0.0
+
+
+def _read(source: Source, stream: str, log: Log) -> pa.Table:
+    known = set(log.columns(stream))
+    wanted = [*source.fields, *source.where, *([source.time] if source.time else [])]
+    columns = dict.fromkeys(c for name in wanted if (c := _column_of(name, known)) is not None)
+    return log.table(stream, [*dict.fromkeys([TIME, BOOT, *columns])])
+
+
+def _rows_where(source: Source, table: pa.Table) -> pa.Table:
+    """The rows whose columns have the wanted values; an enumeration's name stands for its number."""
+    if not source.where:
+        return table
+    keep = np.ones(table.num_rows, dtype=bool)
+    for name, wanted in source.where.items():
+        keep &= np.asarray(column_values(table, name)) == wanted
+    return table.filter(pa.array(keep))
+
+
+def column_values(table: pa.Table, name: str) -> npt.NDArray[np.generic]:
+    """(N,) or (N, k) raw values of a column, or of one element of a list column."""
+    element = None
+    if name not in table.column_names:
+        match = _ELEMENT.match(name)
+        assert match is not None  # _has_fields saw to it
+        name, element = match[1], int(match[2])
+    column = table[name].combine_chunks()
+    if isinstance(column, pa.ChunkedArray):
+        column = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
+    if pa.types.is_fixed_size_list(column.type):
+        matrix = column.flatten().to_numpy(zero_copy_only=False).reshape(-1, column.type.list_size)
+        if element is not None and element >= matrix.shape[1]:
+            raise RecipeError(f"{name!r} has {matrix.shape[1]} elements, no [{element}]")
+        return np.asarray(matrix if element is None else matrix[:, element])
+    if pa.types.is_list(column.type):
+        return _ragged(column, name, element)
+    return np.asarray(column.to_numpy(zero_copy_only=False))
+
+
+def _ragged(column: pa.Array, name: str, element: int | None) -> npt.NDArray[np.generic]:
+    """Lists of varying length: one element of each (NaN where it is too short), or all where equal."""
+    lengths = np.diff(column.offsets.to_numpy())
+    flat = column.values.to_numpy(zero_copy_only=False)
+    starts = column.offsets.to_numpy()[:-1]
+    if element is not None:
+        values = np.full(len(lengths), np.nan)
+        has = lengths > element
+        values[has] = flat[starts[has] + element]
+        return values
+    if len(lengths) and (lengths != lengths[0]).any():
+        raise RecipeError(f"{name!r} holds lists of different lengths", hint=f"name one element: {name}[0]")
+    return np.asarray(flat[starts[0] :].reshape(len(lengths), -1) if len(lengths) else flat.reshape(0, 1))
+
+
+def _matrix(source: Source, table: pa.Table) -> FloatArray:
+    """(N, k) columns of a source as physical values."""
+    parts = []
+    for name in source.fields:
+        values = column_values(table, name)
+        if values.dtype.kind not in "fiub":
+            raise RecipeError(f"{source.stream}.{name} does not hold numbers")
+        parts.append(values.astype(np.float64).reshape(len(values), -1) * field_scale(_schema(table, name)))
+    matrix = np.concatenate(parts, axis=1)
+    counts = TRANSFORMS[source.transform].field_counts
+    if matrix.shape[1] not in counts or (counts == (1, 4) and matrix.shape[1] != 4):
+        raise RecipeError(
+            f"{source.stream}.{'/'.join(source.fields)} gives {matrix.shape[1]} columns; "
+            f"transform {source.transform!r} takes {counts[-1]}",
+            hint="name one element, e.g. q[0]",
+        )
+    return matrix
+
+
+def _schema(table: pa.Table, name: str) -> pa.Field:
+    column = _column_of(name, set(table.column_names))
+    return table.schema.field(column)
+
+
+def _gain(source: Source, stream: str, unit: str, table: pa.Table) -> tuple[float, tuple[str, ...]]:
+    """Factor from the transform's result to `unit`, and notes about whose word the unit is."""
+    transform = TRANSFORMS[source.transform]
+    if transform.unit is not None:
+        return factor(transform.unit, unit), ()
+    stated = field_unit(_schema(table, source.fields[0]))
+    place = f"{stream}.{source.fields[0]}"
+    notes: tuple[str, ...] = ()
+    if stated and not is_known(stated):
+        notes = (f"{place}: unit {stated!r} of the log is not known, taken as {source.unit or 'a number'}",)
+        stated = ""
+    elif stated and source.unit and factor(stated, source.unit) != 1.0:
+        notes = (f"{place}: the log says {stated}, the recipe {source.unit}; the log's word counts",)
+    actual = stated or source.unit
+    if not actual and unit not in ("", "1"):
+        raise RecipeError(
+            f"{place} has no unit in the log", hint='state it in the recipe, e.g. unit = "deg" in its source'
+        )
+    rate = "/s" if transform.per_second else ""
+    return factor(actual + rate if actual else "", unit), notes
+
+
+def _in_order(source: Source, table: pa.Table) -> pa.Table:
+    """Rows by boot and time; rows of equal time keep their order."""
+    boots, times = _integers(table[BOOT]), _times(source, table)
+    order = np.lexsort((times, boots))
+    return table if (np.diff(order) == 1).all() else table.take(pa.array(order))
+
+
+def _integers(column: pa.ChunkedArray) -> IntArray:
+    return np.asarray(column.to_numpy(), dtype=np.int64)
+
+
+def _times(source: Source, table: pa.Table) -> IntArray:
+    """(N,) ns: the stream's own time, or that of a column with a time unit (us where none is stated)."""
+    if not source.time:
+        return _by_rows(source, table)
+    values = column_values(table, source.time)
+    unit = field_unit(_schema(table, source.time)) or "us"
+    return np.round(values.astype(np.float64) * factor(unit, "ns")).astype(np.int64)
+
+
+def _by_rows(source: Source, table: pa.Table) -> IntArray:
+    """(N,) ns: the stream's own time; for a table without one, its rows at the recipe's period."""
+    times = _integers(table[TIME])
+    numbered = (table.schema.metadata or {}).get(b"time_source") == ROW_NUMBER.encode()
+    if numbered and source.row_period_s is None:
+        raise RecipeError("the table has no time column", hint="--dt SECONDS, or row_period_s in the recipe")
+    if not numbered and source.row_period_s is not None:
+        raise RecipeError("the log tells the time", hint="leave out --dt, or row_period_s in the recipe")
+    return times if source.row_period_s is None else np.round(times * source.row_period_s).astype(np.int64)
+
+
+def _yaw_at(source: Source, log: Log, boots: IntArray, t_ns: IntArray) -> FloatArray:
+    """(N,) heading at the given times, rad: unwrapped, interpolated, NaN where it is not known."""
+    found = find_source((source,), log)
+    assert found is not None  # find_source checked it with the source it serves
+    loaded = load_source(found[0], found[1], "rad", log)
+    heading = np.full(len(t_ns), np.nan)
+    for boot, samples in loaded.boots.items():
+        rows = boots == boot
+        heading[rows] = _interpolated_angle(samples, t_ns[rows])
+    return heading
+
+
+def _interpolated_angle(samples: Samples, t_ns: IntArray) -> FloatArray:
+    """(N,) an angle at other times; NaN outside its samples and inside pauses of more than 4 periods."""
+    finite = np.isfinite(samples.x)
+    own = samples.t_ns[finite]
+    if len(own) < 2:
+        return np.full(len(t_ns), np.nan)
+    values = np.interp(
+        (t_ns - own[0]).astype(float), (own - own[0]).astype(float), np.unwrap(samples.x[finite])
+    )
+    after = np.clip(np.searchsorted(own, t_ns), 1, len(own) - 1)
+    period = float(np.median(np.diff(own)))
+    slack = period  # a heading older than one period still serves at the ends
+    outside = (t_ns < own[0] - slack) | (t_ns > own[-1] + slack)
+    paused = (own[after] - own[after - 1] > 4 * period) & ~np.isin(t_ns, own)
+    return np.where(outside | paused, np.nan, values)

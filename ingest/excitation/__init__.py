@@ -1,0 +1,1 @@
+"""What a flight can identify: excitation, coherence, dead time, doubts."""

@@ -1,0 +1,127 @@
+"""Reasons in the data themselves not to trust any model of them, each with what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from flysid.dataset import Dataset
+from flysid.ingest.align.recipe import ChannelSpec
+from flysid.ingest.excitation.excitation import (
+    GOOD_COHERENCE,
+    Spectrum,
+    excitation,
+    is_narrow,
+    share_explained,
+    spectrum,
+)
+
+MOST_NAMES = 4
+REMARKS = ("band",)
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """One reason.
+
+    Attributes
+    ----------
+    kind : "quiet", "slow", "unexplained", "narrow", "pooled" or "band"; REMARKS are no faults.
+    text : what is the matter, no full stop.
+    todo : what to log, to fly or to choose next time.
+    """
+
+    kind: str
+    text: str
+    todo: str
+
+    def __str__(self) -> str:
+        return f"{self.text}; {self.todo}" if self.todo else self.text
+
+
+def doubts(data: Dataset, spec: ChannelSpec) -> tuple[Doubt, ...]:
+    """All reasons to doubt models of a dataset, worst first; `spec` tells how fast its dynamics are."""
+    return (*_quiet(data), *_slow(data, spec), *_unexplained(data), *_pooled(data), *_band(data))
+
+
+def _quiet(data: Dataset) -> Iterator[Doubt]:
+    for i, signal in enumerate(data.inputs):
+        moves = excitation(data, i)
+        if moves.quiet:
+            yield Doubt(
+                "quiet",
+                f"input {signal.name} moves by {moves.rms:.2g} {signal.unit} rms only, less than sensors of "
+                "its unit are noisy: no model can be identified",
+                "fly steps, doublets or a sweep",
+            )
+
+
+def _slow(data: Dataset, spec: ChannelSpec) -> Iterator[Doubt]:
+    rate = 1.0 / data.dt_s
+    if rate < 0.99 * spec.min_rate_hz:
+        yield Doubt(
+            "slow",
+            f"{rate:.3g} Hz shows the dynamics up to {rate / 2:.2g} Hz only, this channel needs "
+            f"{spec.min_rate_hz:.3g} Hz",
+            spec.remedy or "log faster",
+        )
+
+
+def _unexplained(data: Dataset) -> Iterator[Doubt]:
+    for j, output in enumerate(data.outputs):
+        share, name, seen = _best_input(data, j)
+        band = seen.band_hz()
+        if band is None:
+            yield Doubt(
+                "unexplained",
+                f"{output.name} does not follow {name} at any frequency",
+                "excite this axis alone, in calm air; or look for a missing input",
+            )
+        elif share < GOOD_COHERENCE:
+            yield Doubt(
+                "unexplained",
+                f"only {share:.0%} of the power of {output.name} follows {name}",
+                "excite this axis alone, in calm air; or look for a missing input",
+            )
+        elif is_narrow(band):
+            yield Doubt(
+                "narrow",
+                f"{output.name} follows {name} from {band[0]:.2g} to {band[1]:.2g} Hz only, less than an "
+                "octave: an oscillation rather than a response",
+                "excite this axis alone, in calm air",
+            )
+
+
+def _pooled(data: Dataset) -> Iterator[Doubt]:
+    vehicles = sorted({str(s.marks["vehicle"]) for s in data.segments if s.marks.get("vehicle")})
+    if len(vehicles) > 1:
+        yield Doubt(
+            "pooled",
+            f"flights of {len(vehicles)} vehicles are pooled ({_few(vehicles)}): a model is their average",
+            "ingest each vehicle into a folder of its own and compare their runs",
+        )
+
+
+def _band(data: Dataset) -> Iterator[Doubt]:
+    for j, output in enumerate(data.outputs):
+        _, name, seen = _best_input(data, j)
+        band = seen.band_hz()
+        if band is not None and not is_narrow(band):
+            yield Doubt(
+                "band",
+                f"{output.name} follows {name} from {band[0]:.2g} to {band[1]:.2g} Hz",
+                "trust no model of these data outside",
+            )
+
+
+def _best_input(data: Dataset, output: int) -> tuple[float, str, Spectrum]:
+    """Share explained, name and spectrum of the input that explains most of an output."""
+    found = []
+    for i, signal in enumerate(data.inputs):
+        seen = spectrum(data, i, output)
+        found.append((share_explained(excitation(data, i), seen), signal.name, seen))
+    return max(found, key=lambda f: f[0])
+
+
+def _few(names: list[str]) -> str:
+    return ", ".join(names[:MOST_NAMES]) + (", ..." if len(names) > MOST_NAMES else "")

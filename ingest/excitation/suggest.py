@@ -1,0 +1,184 @@
+"""Which input and output pairs a log supports, how well, and what to log or to fly next time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from flysid.dataset import Dataset
+from flysid.errors import DataError, RecipeError
+from flysid.ingest.align.align import align
+from flysid.ingest.align.recipe import ChannelSpec, Recipe, load_recipe, shipped_recipes
+from flysid.ingest.align.signals import Log, find_source
+from flysid.ingest.excitation.dead_time import LONGEST_S
+from flysid.ingest.excitation.delay import Delay, estimate_delay
+from flysid.ingest.excitation.excitation import (
+    GOOD_COHERENCE,
+    Excitation,
+    Spectrum,
+    excitation,
+    is_narrow,
+    share_explained,
+    spectrum,
+)
+
+Verdict = Literal["good", "weak", "too slow", "too quiet", "too short", "excluded"]
+MIN_DURATION_S = 10.0
+ALONE = "fly steps or doublets on this axis alone, in calm air"
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """One output of a channel of one flight, with the input that explains most of it.
+
+    Attributes
+    ----------
+    rate_hz, duration_s : of the dataset it gives; 0 where it gives none.
+    input_rms : of the input about its mean, in `input_unit`.
+    coherence : mean over the band that holds 95 % of the input's power: the share of the output's power
+        that a linear model of this input can explain there at best.
+    band_hz : where the coherence counts: outside, a model must not be trusted.
+    delay_s, delay_low_s, delay_high_s : dead time and what cannot be told from it; None where unknown.
+    sign : +1 where the output follows the input, -1 where it goes against it, 0 where unknown (see `Delay`).
+    feedback : the input answers the output (a pilot or controller): open-loop methods are biased.
+    verdict, advice : in words.
+    """
+
+    flight: str
+    recipe: str
+    channel: str
+    input: str
+    output: str
+    verdict: Verdict
+    advice: str = ""
+    rate_hz: float = 0.0
+    duration_s: float = 0.0
+    input_rms: float = 0.0
+    input_unit: str = ""
+    coherence: float = 0.0
+    band_hz: tuple[float, float] | None = None
+    delay_s: float | None = None
+    delay_low_s: float | None = None
+    delay_high_s: float | None = None
+    sign: int = 0
+    feedback: bool = False
+    notes: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return asdict(self)
+
+
+def suggest(logs: Iterable[Log], recipes: Sequence[str | Recipe] | None = None) -> list[Suggestion]:
+    """Every channel of the recipes (all shipped ones by default) that each log has the streams for."""
+    chosen = [r if isinstance(r, Recipe) else load_recipe(r) for r in recipes or shipped_recipes()]
+    return [
+        suggestion
+        for log in logs
+        for recipe in chosen
+        for channel in recipe.channels
+        if all(find_source(recipe.signals[s].sources, log) for s in recipe.signals_of(channel))
+        for suggestion in _suggest_channel(log, recipe, channel)
+    ]
+
+
+def unbounded(found: Suggestion) -> bool:
+    """The dead time may be as long as was looked for."""
+    step = 1.0 / found.rate_hz if found.rate_hz else 0.0
+    return found.delay_high_s is not None and found.delay_high_s >= LONGEST_S - 0.5 * step
+
+
+def _suggest_channel(log: Log, recipe: Recipe, channel: str) -> list[Suggestion]:
+    spec = recipe.channel(channel)
+    try:
+        aligned = align([log], recipe, channel)
+    except (DataError, RecipeError) as error:
+        return [_refused(log, recipe, channel, error)]
+    notes = tuple(note for flight in aligned.report.flights for note in flight.notes)
+    data = aligned.dataset
+    found: list[Suggestion] = []
+    for j in range(len(spec.outputs)):
+        pairs = [_assess(data, spec, log.name, recipe.name, (i, j), notes) for i in range(len(spec.inputs))]
+        found.append(max(pairs, key=lambda s: s.coherence))
+    return found
+
+
+def _refused(log: Log, recipe: Recipe, channel: str, error: DataError | RecipeError) -> Suggestion:
+    """A channel that gives no dataset, and why."""
+    spec, text = recipe.channel(channel), error.message
+    words = text.removeprefix(f"channel {channel!r}").removeprefix(":").strip()
+    verdict: Verdict = "too short"
+    if "no excitation" in text:
+        verdict, words = "too quiet", "nothing moves: " + words.partition("no excitation: ")[2]
+    elif "never holds" in text:
+        verdict = "excluded"
+    hint = f"; {error.hint}" if error.hint and verdict != "excluded" else ""
+    names = ", ".join(spec.inputs), ", ".join(spec.outputs)
+    return Suggestion(log.name, recipe.name, channel, *names, verdict=verdict, advice=words + hint)
+
+
+def _assess(
+    data: Dataset, spec: ChannelSpec, flight: str, recipe: str, pair: tuple[int, int], notes: tuple[str, ...]
+) -> Suggestion:
+    column, output = pair
+    moves, seen = excitation(data, column), spectrum(data, column, output)
+    delay = _delay(data, column, output)
+    coherence = share_explained(moves, seen)
+    verdict, advice = _verdict(data, spec, column, moves, seen)
+    return Suggestion(
+        flight=flight,
+        recipe=recipe,
+        channel=data.name,
+        input=data.inputs[column].name,
+        output=data.outputs[output].name,
+        verdict=verdict,
+        advice=advice,
+        rate_hz=1.0 / data.dt_s,
+        duration_s=len(data) * data.dt_s,
+        input_rms=moves.rms,
+        input_unit=data.inputs[column].unit,
+        coherence=coherence,
+        band_hz=seen.band_hz(),
+        delay_s=None if delay is None else delay.delay_s,
+        delay_low_s=None if delay is None else delay.low_s,
+        delay_high_s=None if delay is None else delay.high_s,
+        sign=0 if delay is None else delay.sign,
+        feedback=delay is not None and delay.feedback,
+        notes=notes,
+    )
+
+
+def _delay(data: Dataset, column: int, output: int) -> Delay | None:
+    try:
+        return estimate_delay(data, column, output)
+    except DataError:
+        return None
+
+
+def _verdict(
+    data: Dataset, spec: ChannelSpec, column: int, moves: Excitation, seen: Spectrum
+) -> tuple[Verdict, str]:
+    """In this order: nothing moved, too short, too slow, not explained or in a narrow band, good."""
+    name, unit = data.inputs[column].name, data.inputs[column].unit
+    coherence = share_explained(moves, seen)
+    rate, duration = 1.0 / data.dt_s, len(data) * data.dt_s
+    if moves.quiet:
+        return "too quiet", f"{name} moves by {moves.rms:.2g} {unit} rms; fly steps, doublets or a sweep"
+    if duration < MIN_DURATION_S:
+        return (
+            "too short",
+            f"{duration:.0f} s in segments; fly at least {MIN_DURATION_S:.0f} s without pauses",
+        )
+    if rate < spec.min_rate_hz:
+        remedy = f"; {spec.remedy}" if spec.remedy else ""
+        slow = f"logged at {rate:.3g} Hz, seen up to {rate / 2:.2g} Hz; this needs {spec.min_rate_hz:.3g} Hz"
+        return "too slow", slow + remedy
+    band = seen.band_hz()
+    if band is None:
+        return "weak", f"the output does not follow {name} at any frequency; {ALONE}"
+    if coherence < GOOD_COHERENCE:
+        return "weak", f"only {coherence:.0%} of the output's power follows {name}; {ALONE}"
+    if is_narrow(band):
+        return "weak", f"the output follows {name} in a narrow band only; {ALONE}"
+    return "good", ""

@@ -1,0 +1,204 @@
+"""A log looked over without keeping it: rates, losses, whether anything moved, and what to log next time.
+
+Parts of streams are counted and dropped, so that a log of any size is surveyed in bounded memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from flysid.errors import FlysidError
+from flysid.flight import BOOT, TIME, ClockMap, Damage, Source, field_scale, field_unit
+from flysid.ingest.formats.base import HEAD_BYTES, Limits, open_log, source_of
+from flysid.ingest.formats.registry import detect
+from flysid.parts import exhausted
+
+ROLES: Mapping[str, tuple[str, ...]] = {
+    "attitude": (
+        "ATTITUDE",
+        "ATT",
+        "vehicle_attitude",
+        "navdata",
+        "demo",
+        "imu",
+        "odom",
+        "odometry",
+        "state",
+    ),
+    "command": (
+        "ATTITUDE_TARGET",
+        "NAV_CONTROLLER_OUTPUT",
+        "RATE",
+        "vehicle_attitude_setpoint",
+        "references",
+        "cmd_vel",
+        "command",
+    ),
+    "velocity": (
+        "LOCAL_POSITION_NED",
+        "GLOBAL_POSITION_INT",
+        "XKF1",
+        "NKF1",
+        "EKF1",
+        "vehicle_local_position",
+        "navdata",
+        "demo",
+        "odom",
+        "odometry",
+        "state",
+    ),
+}
+ANGLES = {"r": ("roll", "Roll", "rotX"), "p": ("pitch", "Pitch", "rotY"), "y": ("yaw", "Yaw", "rotZ")}
+RADIANS = {"rad": 1.0, "deg": np.pi / 180, "degheading": np.pi / 180}
+MOVED_RAD = np.radians(2.0)
+SLOW_ATTITUDE_HZ = 20.0
+SLOW_VELOCITY_HZ = 4.5
+SHORT_S = 30.0
+
+ADVICE = {
+    "dataflash": "set LOG_BITMASK bit 0 (fast attitude); LOG_FILE_RATEMAX 0",
+    "dataflash_text": "set LOG_BITMASK bit 0 (fast attitude)",
+    "tlog": "use the vehicle's own .bin log, or raise SR0_EXTRA1 and SR0_POSITION",
+    "ulog": "set SDLOG_PROFILE bits 0 and 2 (default and high rate)",
+    "csv": "say what its columns are: flysid fit FILE --from FIELD --to FIELD -o RUN",
+    "navdata": "set general:navdata_demo FALSE and general:navdata_options to all",
+}
+
+
+@dataclass
+class StreamCount:
+    """What is counted of one stream: rows, their span per boot, and the spread of angles."""
+
+    rows: int = 0
+    spans: dict[int, tuple[int, int, int]] = field(default_factory=dict)
+    angles: dict[str, tuple[int, float, float]] = field(
+        default_factory=dict
+    )  # axis -> n, sum, sum of squares
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate inside boots; 0 where time does not advance."""
+        seconds = sum(last - first for _, first, last in self.spans.values()) * 1e-9
+        return sum(n - 1 for n, _, _ in self.spans.values()) / seconds if seconds > 0 else 0.0
+
+    def spread_rad(self, axis: str) -> float:
+        """Standard deviation of an angle."""
+        count, total, squares = self.angles.get(axis, (0, 0.0, 0.0))
+        return float(np.sqrt(max(0.0, squares / count - (total / count) ** 2))) if count else 0.0
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What `flysid doctor` says about a log."""
+
+    source: Source
+    streams: Mapping[str, StreamCount]
+    damage: Damage
+    clocks: tuple[ClockMap, ...]
+    info: Mapping[str, str]
+
+    @property
+    def duration_s(self) -> float:
+        """Vehicle time, summed over boots."""
+        return sum(c.last_ns - c.first_ns for c in self.clocks) * 1e-9
+
+    def role(self, role: str) -> tuple[str, float]:
+        """(stream, rate) of the first stream that plays a role; ("", 0) where none does."""
+        by_message = {key.rpartition("/")[2].partition("#")[0]: key for key in reversed(list(self.streams))}
+        for name in ROLES[role]:
+            if name in by_message:
+                return by_message[name], self.streams[by_message[name]].rate_hz
+        return "", 0.0
+
+    def excited(self) -> str:
+        """The axes that moved, of "r p y"; "-" where none did, "?" where angles are not logged as such."""
+        stream, _ = self.role("attitude")
+        if not stream or not self.streams[stream].angles:
+            return "?"
+        count = self.streams[stream]
+        return " ".join(axis for axis in ANGLES if count.spread_rad(axis) > MOVED_RAD) or "-"
+
+
+def survey(path: Path, limits: Limits | None = None) -> Survey:
+    """Look a log over. Raises FormatError where nothing can be read."""
+    with open_log(path) as view:
+        fmt = detect(bytes(view[:HEAD_BYTES]), path.name)
+        streams: dict[str, StreamCount] = {}
+        reader = fmt.read(view, path.name, limits or Limits())
+        summary = exhausted(
+            reader, lambda part: _count(streams.setdefault(part.stream, StreamCount()), part.table)
+        )
+        source = source_of(view, path.name, fmt)
+    return Survey(source, dict(sorted(streams.items())), summary.damage, summary.clocks, summary.info)
+
+
+def survey_or_reason(path: Path) -> Survey | str:
+    """`survey`, or why it cannot be had: a task for a worker process."""
+    try:
+        return survey(path)
+    except FlysidError as error:
+        return error.message
+    except MemoryError:
+        return "needs more memory than there is"
+
+
+def _count(count: StreamCount, table: pa.Table) -> None:
+    if not table.num_rows:
+        return
+    count.rows += table.num_rows
+    times, boots = table[TIME].to_numpy(), table[BOOT].to_numpy()
+    for boot in np.unique(boots).tolist():
+        inside = times[boots == boot]
+        n, first, last = count.spans.get(boot, (0, int(inside.min()), int(inside.max())))
+        count.spans[boot] = (n + len(inside), min(first, int(inside.min())), max(last, int(inside.max())))
+    for axis, names in ANGLES.items():
+        name = next((n for n in names if n in table.column_names), None)
+        if name is None or not pa.types.is_primitive(table.schema.field(name).type):
+            continue
+        column = table.schema.field(name)
+        factor = field_scale(column) * RADIANS.get(field_unit(column) or _unit_of(column), np.pi / 180)
+        values = np.unwrap(table[name].to_numpy().astype(np.float64) * factor)
+        values = values[np.isfinite(values)]
+        n, total, squares = count.angles.get(axis, (0, 0.0, 0.0))
+        count.angles[axis] = (
+            n + len(values),
+            total + float(values.sum()),
+            squares + float((values**2).sum()),
+        )
+
+
+def _unit_of(column: pa.Field) -> str:
+    """ArduPilot logs without units hold degrees; MAVLink and ROS hold radians."""
+    return "deg" if column.name[0].isupper() or column.name.startswith("rot") else "rad"
+
+
+def verdict(found: Survey) -> tuple[str, str]:
+    """(verdict, advice) in a few words each, the worst first."""
+    advice = ADVICE.get(found.source.format, "log attitude, its setpoint and velocity at 20 Hz or more")
+    share = found.damage.bytes_skipped / max(1, found.source.size_bytes)
+    attitude, rate = found.role("attitude")
+    velocity, velocity_rate = found.role("velocity")
+    if share > 0.05:
+        return f"damaged: {share:.0%} of the bytes lost", "copy it from the vehicle again"
+    if found.source.format == "csv":
+        return (
+            "a table: its columns say nothing of their meaning",
+            "flysid fit FILE --from FIELD --to FIELD -o RUN",
+        )
+    if not attitude and not velocity:
+        return "holds no attitude and no velocity", advice
+    if found.duration_s < SHORT_S:
+        return f"short: {found.duration_s:.0f} s", "fly at least a minute of manoeuvres"
+    if attitude and rate < SLOW_ATTITUDE_HZ:
+        return (
+            "too slow for attitude, usable for velocity" if velocity_rate >= SLOW_VELOCITY_HZ else "too slow",
+            advice,
+        )
+    if found.excited() == "-":
+        return "nothing moved", "fly manoeuvres: doublets or sweeps on the axis of interest"
+    return "ok", ""

@@ -1,0 +1,1 @@
+"""Log formats: one folder each, and one row in `registry`."""

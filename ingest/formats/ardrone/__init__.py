@@ -1,0 +1,1 @@
+"""AR.Drone navdata: packets, pcap, AT commands."""

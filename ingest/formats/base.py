@@ -1,0 +1,156 @@
+"""What a log format provides, and how flysid reads a log of any format.
+
+A format is a folder here and a row of `registry.FORMATS`; third parties add theirs with an entry point of the
+group "flysid.formats". A reader is a generator: it yields tables (parts of streams, in any interleaving) and
+returns a Summary, so that a log of any size is read in bounded memory.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import mmap
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pyarrow as pa
+
+from flysid.errors import FormatError
+from flysid.flight import ClockMap, Damage, Flight, Source
+from flysid.parts import exhausted
+
+HEAD_BYTES = 65536
+_HASH_BYTES = 16 << 20
+WHOLE_BATCH_BYTES = 32 << 20  # to memory: few, large parts
+JOIN_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds that hold for hostile input. `max_chunk_bytes` bounds one decompressed chunk."""
+
+    max_chunk_bytes: int = 1 << 30
+    max_ratio: float = 200.0
+    batch_bytes: int = 8 << 20
+
+
+@dataclass(frozen=True)
+class StreamPart:
+    """Some rows of one stream. All parts of a stream have the same schema, `time_ns` and `boot` first."""
+
+    stream: str
+    table: pa.Table
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a reader knows once it has reached the end."""
+
+    damage: Damage = field(default_factory=Damage)
+    clocks: tuple[ClockMap, ...] = ()
+    info: Mapping[str, str] = field(default_factory=dict)
+
+
+Parts = Generator[StreamPart, None, Summary]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A log format: what can be known of it without importing its reader, which costs 0.2 s.
+
+    Attributes
+    ----------
+    name : short name, e.g. "tlog".
+    title : what a person calls it.
+    suffixes : usual file name endings, lower case; a hint for folders, never proof.
+    reader : module with `sniff(head, name)` and `read(view, name, limits)`.
+    scrubber : module with `scrub(view, scrubber, limits)`; None where the format cannot be scrubbed.
+    """
+
+    name: str
+    title: str
+    suffixes: tuple[str, ...]
+    reader: str
+    scrubber: str | None = None
+
+    def sniff(self, head: bytes, name: str) -> float:
+        """Confidence from 0 to 1 that a file with these first `HEAD_BYTES` bytes is of this format."""
+        confidence: float = importlib.import_module(self.reader).sniff(head, name)
+        return confidence
+
+    def read(self, view: memoryview, name: str, limits: Limits) -> Parts:
+        """The parts of a whole log.
+
+        Damage never raises: it is counted. FormatError is raised only where nothing at all can be read.
+        """
+        parts: Parts = importlib.import_module(self.reader).read(view, name, limits)
+        return parts
+
+
+@contextmanager
+def open_log(path: Path) -> Iterator[memoryview]:
+    """The bytes of a log, memory-mapped. Raises FormatError where it is not a readable regular file."""
+    try:
+        if not path.is_file():
+            raise FormatError("not a regular file", path=path, hint="give a log file")
+        with path.open("rb") as file:
+            if path.stat().st_size == 0:
+                raise FormatError(
+                    "the file is empty", path=path, byte=0, hint="check that the download or copy finished"
+                )
+            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+            view = memoryview(mapped)
+            try:
+                yield view
+            finally:
+                # A traceback or cycle may keep arrays that look at the map; it closes with the last of them.
+                with suppress(BufferError):
+                    view.release()
+                    mapped.close()
+    except OSError as error:
+        raise FormatError(f"cannot be read: {error.strerror}", path=path) from error
+
+
+def release(view: memoryview, start: int, stop: int) -> None:
+    """Tell the system that [start, stop) of a mapped log is not needed for now, so that memory stays flat.
+
+    Does nothing for bytes that are not mapped; the bytes stay readable either way.
+    """
+    mapped = view.obj
+    if isinstance(mapped, mmap.mmap) and hasattr(mapped, "madvise"):
+        first = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE
+        length = (stop - first) // mmap.PAGESIZE * mmap.PAGESIZE
+        if length > 0:
+            mapped.madvise(mmap.MADV_DONTNEED, first, length)
+
+
+def hash_log(view: memoryview) -> str:
+    """sha256 of a log, in hexadecimal, without keeping a mapped log in memory."""
+    digest = hashlib.sha256()
+    for start in range(0, len(view), _HASH_BYTES):
+        digest.update(view[start : start + _HASH_BYTES])
+        release(view, start, min(start + _HASH_BYTES, len(view)))
+    return digest.hexdigest()
+
+
+def source_of(view: memoryview, name: str, fmt: Format) -> Source:
+    """Name, size and sha256 of a log."""
+    return Source(name=name, format=fmt.name, size_bytes=len(view), sha256=hash_log(view))
+
+
+def collect(view: memoryview, name: str, fmt: Format, limits: Limits) -> Flight:
+    """Run a format's reader to its end and join the parts of each stream."""
+    parts: dict[str, list[pa.Table]] = {}
+    reader = fmt.read(view, name, limits)
+    summary = exhausted(reader, lambda part: parts.setdefault(part.stream, []).append(part.table))
+    tables = {stream: _joined(pa.concat_tables(parts.pop(stream))) for stream in sorted(parts)}
+    return Flight(source_of(view, name, fmt), tables, summary.damage, summary.clocks, summary.info)
+
+
+def _joined(table: pa.Table) -> pa.Table:
+    """One chunk per column where that is cheap; a large table keeps its few parts, which are not copied."""
+    if table.num_columns == 0 or table.column(0).num_chunks <= 1:
+        return table  # every column of a table has as many
+    return table.combine_chunks() if table.nbytes <= JOIN_BYTES else table

@@ -1,0 +1,1 @@
+"""What several formats share: bytes at many places, Arrow from buffers, losses counted, vehicle time."""

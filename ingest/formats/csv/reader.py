@@ -1,0 +1,230 @@
+"""Tables in text: CSV and its kin, as spreadsheets, PlotJuggler, MATLAB, pandas and ground stations export.
+
+One line a row, one stream called `table`; what its columns are says `csv_layout`. A column of numbers becomes
+float64, null where a cell is empty or says "nan", and null and counted where it is no number. A line with
+another number of cells, or without a time that fits its neighbours, is skipped and counted; so is a last line
+without its end, since nothing shows that it is whole. Quotes may enclose separators, not line ends.
+
+A batch of sound lines is parsed by Arrow at once; only where it balks are lines taken apart (`csv_cells`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.compute as pc
+from pyarrow.csv import ConvertOptions, ParseOptions, ReadOptions, read_csv
+
+from flysid.errors import FormatError
+from flysid.flight import BOOT, ROW_NUMBER, TIME, ClockMap, field_metadata
+from flysid.ingest.formats.base import HEAD_BYTES, Limits, Parts, StreamPart, Summary
+from flysid.ingest.formats.common.clock import IntArray, UtcFit, back_steps, is_outlier
+from flysid.ingest.formats.common.columns import numbers
+from flysid.ingest.formats.common.line_batches import whole_lines
+from flysid.ingest.formats.common.tally import Tally
+from flysid.ingest.formats.csv.cells import (
+    Lines,
+    as_int64,
+    column_of,
+    counted,
+    split_lines,
+    stamps,
+    stated_times,
+)
+from flysid.ingest.formats.csv.layouts import MISSING, Column, Layout, layout_of
+
+STREAM = "table"
+MAX_LINE_BYTES = 1 << 20
+UNIX_NS = 10**18  # a time beyond 2001 counts from 1970
+ROW_NS = 10**9
+
+
+def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
+    """Confidence that these bytes begin a table: less than any real log can claim."""
+    return 0.5 if b"\0" not in head[:4096] and layout_of(head) is not None else 0.0
+
+
+@dataclass
+class _Reader:
+    """What is remembered between batches."""
+
+    layout: Layout
+    schema: pa.Schema
+    tally: Tally = field(default_factory=Tally)
+    fit: UtcFit = field(default_factory=UtcFit)
+    rows: int = 0
+    boot: int = 0
+    last_ns: int | None = None
+
+
+def read(view: memoryview, name: str, limits: Limits) -> Parts:
+    """Parts of a table; see `Format.read`."""
+    layout = layout_of(bytes(view[:HEAD_BYTES]))
+    if layout is None:
+        raise FormatError(
+            "no table of numbers: too few lines have the same number of cells",
+            path=name,
+            byte=0,
+            hint="columns between commas, semicolons or tabs, one line a row, names in the first line",
+        )
+    reader = _Reader(layout, _schema(layout))
+    _preamble(reader, bytes(view[: layout.start]))
+    for lines in whole_lines(view, layout.start, limits.batch_bytes, MAX_LINE_BYTES):
+        if lines.data:
+            part = _part(reader, lines.data, lines.start)
+            if part.num_rows:
+                yield StreamPart(STREAM, part)
+        reader.tally.truncated |= lines.is_cut
+        reader.tally.skip(lines.end, lines.stop, lines.fault)
+    return _summary(reader)
+
+
+def _schema(layout: Layout) -> pa.Schema:
+    """time_ns, boot, then the columns with their units; a name that is taken gets an underscore."""
+    fields = [pa.field(TIME, pa.int64()), pa.field(BOOT, pa.int32())]
+    for column in layout.columns:
+        name = column.name + ("_" if column.name in (TIME, BOOT) else "")
+        fields.append(pa.field(name, _kind(column), metadata=field_metadata(column.unit)))
+    source = layout.time.source if layout.time is not None else ROW_NUMBER
+    return pa.schema(fields, metadata={"time_source": source, "message": STREAM})
+
+
+def _kind(column: Column) -> pa.DataType:
+    return pa.string() if column.is_text else pa.float64()
+
+
+def _trimmed(values: pa.Array) -> pa.Array:
+    if pa.types.is_string(values.type):
+        return pc.utf8_trim_whitespace(values)
+    return values.cast(pa.float64(), safe=False)
+
+
+def _preamble(reader: _Reader, before: bytes) -> None:
+    """Lines before the first row: comments, header and units are understood, others are counted."""
+    at, cells = 0, len(reader.layout.columns)
+    for raw in before.splitlines(keepends=True):
+        line = raw.removeprefix(b"\xef\xbb\xbf").strip()
+        is_plain = (
+            line.decode("utf-8", "replace").replace("\t", "").isprintable()
+        )  # else not read as a header
+        extra = line.count(reader.layout.separator) - (cells - 1)
+        quotes = line.count(b'"')
+        is_row = quotes % 2 == 0 and (extra == 0 or (extra > 0 and quotes > 0))
+        if line and not (is_plain and (is_row or line[:1] in b"#%")):
+            reader.tally.skip(at, at + len(raw), "a line above the table")
+        at += len(raw)
+
+
+def _part(reader: _Reader, data: bytes, base: int) -> pa.Table:
+    """The rows of a batch of whole lines: parsed at once, or cell by cell where something is wrong."""
+    sound = _sound(reader, data)
+    columns, time_ns = sound if sound is not None else _picked(reader, data, base)
+    heads = [numbers(time_ns), numbers(_boots(reader, time_ns))]
+    return pa.Table.from_arrays([*heads, *columns], schema=reader.schema)
+
+
+def _sound(reader: _Reader, data: bytes) -> tuple[list[pa.Array], IntArray] | None:
+    """Columns and times of a batch that holds nothing but rows of numbers and plain words; None otherwise."""
+    layout = reader.layout
+    if b'"' in data:
+        return None
+    names = [str(i) for i in range(len(layout.columns))]
+    kinds = {n: _kind(c) for n, c in zip(names, layout.columns, strict=True)}
+    if layout.time is not None and layout.time.unit_ns == 1:
+        kinds[names[layout.time.index]] = pa.int64()  # nanoseconds since 1970 do not fit a float
+    try:
+        table = read_csv(
+            pa.BufferReader(data),
+            read_options=ReadOptions(use_threads=False, column_names=names, block_size=len(data) + 1),
+            parse_options=ParseOptions(delimiter=layout.separator.decode(), quote_char=False),
+            convert_options=ConvertOptions(
+                column_types=kinds,
+                null_values=sorted(MISSING),
+                strings_can_be_null=False,
+                decimal_point="," if layout.decimal_comma else ".",
+            ),
+        )
+    except pa.ArrowInvalid:
+        return None
+    columns = [column.combine_chunks() for column in table.columns]
+    time_ns = _sound_times(reader, columns)
+    if time_ns is None or not all(_is_finite(c) for c in columns):
+        return None
+    reader.rows += len(time_ns)
+    return [_trimmed(c) for c in columns], time_ns
+
+
+def _sound_times(reader: _Reader, columns: list[pa.Array]) -> IntArray | None:
+    """(n,) times in ns; None where one is missing or fits no neighbour."""
+    stated = reader.layout.time
+    if stated is None:
+        return (reader.rows + np.arange(len(columns[0]), dtype=np.int64)) * ROW_NS
+    values = columns[stated.index]
+    if stated.unit_ns == 1:
+        time_ns, known = as_int64(values.fill_null(0)), ~np.asarray(values.is_null())
+    elif stated.unit_ns:
+        time_ns, known = counted(values, stated.unit_ns)
+    else:
+        time_ns, known = stamps(pc.utf8_trim_whitespace(values))
+    return time_ns if known.all() and not is_outlier(time_ns).any() else None
+
+
+def _is_finite(column: pa.Array) -> bool:
+    """Whether a column holds no infinity that the cell by cell reading would not take for a number."""
+    return pa.types.is_string(column.type) or bool(pc.all(pc.is_finite(column)).as_py() in (True, None))
+
+
+def _picked(reader: _Reader, data: bytes, base: int) -> tuple[list[pa.Array], IntArray]:
+    """Columns and times of the lines of a batch that are rows; everything else is counted."""
+    lines = split_lines(data, reader.layout)
+    rows = np.flatnonzero(lines.is_whole)
+    if reader.layout.time is None:
+        number = np.cumsum(~lines.is_blank) - 1
+        time_ns, fits = (reader.rows + number[rows]) * ROW_NS, np.ones(len(rows), dtype=bool)
+    else:
+        time_ns, fits = stated_times(lines, rows, reader.layout)
+        fits[fits] = ~is_outlier(time_ns[fits])
+    reader.rows += int((~lines.is_blank).sum())
+    untimely = set(rows[~fits].tolist())
+    rows, time_ns = rows[fits], time_ns[fits]
+    _count_skipped(reader, lines, untimely, base)
+    return [_counted_column(reader, lines, rows, i) for i in range(len(reader.layout.columns))], time_ns
+
+
+def _count_skipped(reader: _Reader, lines: Lines, untimely: set[int], base: int) -> None:
+    ragged = set(np.flatnonzero(~lines.is_whole & ~lines.is_blank).tolist())
+    for i in sorted(ragged | untimely):
+        why = "no time that fits its neighbours" if i in untimely else "not the cells that the table has"
+        reader.tally.skip(base + int(lines.start[i]), base + int(lines.end[i]), why)
+
+
+def _counted_column(reader: _Reader, lines: Lines, rows: IntArray, index: int) -> pa.Array:
+    found, name = column_of(lines, rows, reader.layout, index), reader.layout.columns[index].name
+    if found.wrong:
+        reader.tally.undecode(f"{STREAM}.{name}", found.wrong, f"{found.example[:40]!r} is not a number")
+    return found.values
+
+
+def _boots(reader: _Reader, time_ns: IntArray) -> npt.NDArray[np.int32]:
+    """(n,) the boot of every row: a time that steps back by more than a second begins another."""
+    if not len(time_ns):
+        return np.empty(0, dtype=np.int32)
+    begins = np.zeros(len(time_ns), dtype=np.int64)
+    begins[back_steps(time_ns)] = 1
+    if reader.last_ns is not None and len(back_steps(np.array([reader.last_ns, time_ns[0]]))):
+        begins[0] = 1
+    boots = reader.boot + np.cumsum(begins)
+    for boot in np.unique(boots).tolist():
+        own = time_ns[boots == boot]
+        reader.fit.add(int(boot), own, own if own.min() > UNIX_NS else None)
+    reader.boot, reader.last_ns = int(boots[-1]), int(time_ns[-1])
+    return boots.astype(np.int32)
+
+
+def _summary(reader: _Reader) -> Summary:
+    clocks = reader.fit.clocks() or (ClockMap(0, 0, 0),)
+    time = reader.schema.metadata[b"time_source"].decode()
+    return Summary(reader.tally.freeze(), clocks, {"time": time})

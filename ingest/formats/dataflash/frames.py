@@ -1,0 +1,288 @@
+"""Finding DataFlash messages in bytes.
+
+    message   A3 95, id u8, body whose length the id's FMT states
+
+There is no checksum. A message is accepted only where another header (or the end of the file) follows at
+its stated length, or where what follows is plainly the next message with its header damaged; a FMT also where
+it agrees with itself. Everything else is skipped up to the next message that can be accepted, and counted.
+Trailing 00 or FF is padding, not loss.
+
+Cost: headers are found by comparing whole batches; a clean stretch is one array comparison.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.flight import Damage, Region
+from flysid.ingest.formats.common.clock import IntArray
+from flysid.ingest.formats.dataflash.layouts import (
+    FMT_ID,
+    FMT_LENGTH,
+    HEADER_BYTES,
+    Definitions,
+    is_consistent,
+)
+
+HEAD = b"\xa3\x95"
+LOOK_AHEAD = 4096
+FIRST_STRETCH = 512
+HEAD_BLOCK = 1 << 18
+MIN_PADDING = 16
+CodeArray = npt.NDArray[np.uint16]
+
+
+@dataclass(frozen=True, eq=False)
+class Messages:
+    """Messages of a batch in file order: offsets in `buffer`, and the index of each one's definition."""
+
+    buffer: npt.NDArray[np.uint8]
+    start: IntArray
+    code: CodeArray
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+
+@dataclass(eq=False)
+class _Batch:
+    """The bytes of a batch and every place where a header could be."""
+
+    data: memoryview
+    raw: npt.NDArray[np.uint8]
+    heads: IntArray
+    ids: npt.NDArray[np.uint8]
+    limit: int
+    is_last: bool
+    end: int  # where the content ends: before trailing padding
+    doubtful: frozenset[int] = frozenset()  # ids whose FMT contradicts itself: their length may be wrong
+
+
+@dataclass
+class Walker:
+    """Walks messages batch by batch; keeps the definitions and the account of lost bytes."""
+
+    definitions: Definitions = field(default_factory=Definitions)
+    bytes_skipped: int = 0
+    region_count: int = 0
+    regions: list[Region] = field(default_factory=list)
+    truncated: bool = False
+    padding: int = 0
+    unknown: dict[int, int] = field(default_factory=dict)
+    _lost_at: int | None = None
+    _reason: str = ""
+
+    def walk(self, content: memoryview, base: int, limit: int) -> tuple[Messages, int]:
+        """Messages that start in content[:limit], and where in the file the next batch begins.
+
+        `content` must reach LOOK_AHEAD bytes beyond `limit`, except at the end, where limit == len(content).
+        """
+        batch, data = _prepare(content, limit), content
+        lengths, codes = self._learnt(batch)
+        starts: list[IntArray] = []
+        kinds: list[CodeArray] = []
+        position = self._search(batch, base, 0, lengths) if self._lost_at is not None else 0
+        while position < min(limit, batch.end) and self._lost_at is None:
+            found, position = _clean_stretch(batch, position, lengths)
+            starts.append(found)
+            kinds.append(codes[batch.raw[found + 2]])
+            if position >= min(limit, batch.end):
+                break
+            if self._accepts(batch, position, lengths):
+                starts.append(np.array([position], dtype=np.int64))
+                number = data[position + 2]
+                if number == FMT_ID and self._define(data, position):
+                    lengths, codes = self._learnt(batch)
+                kinds.append(codes[[number]])
+                position += int(lengths[number])
+            else:
+                self._note_reason(data, position, lengths)
+                self._lost_at = base + position
+                position = self._search(batch, base, position + 1, lengths)
+        if batch.is_last:
+            self.padding, position = len(data) - max(position, batch.end), len(data)
+        start = np.concatenate(starts) if starts else np.empty(0, np.int64)
+        code = np.concatenate(kinds) if kinds else np.empty(0, np.uint16)
+        return Messages(batch.raw, start, code), base + position
+
+    def _learnt(self, batch: _Batch) -> tuple[IntArray, CodeArray]:
+        """Length and index of the definition of every id, (256,); the batch learns which are doubtful."""
+        known = self.definitions
+        batch.doubtful = frozenset(n for n, k in known.current.items() if known.items[k].layout is None)
+        return known.lengths(), known.codes()
+
+    def damage(self) -> Damage:
+        """What was lost so far."""
+        return Damage(self.bytes_skipped, tuple(self.regions), self.region_count, truncated=self.truncated)
+
+    def _accepts(self, batch: _Batch, at: int, lengths: IntArray) -> bool:
+        """Is there a whole message at `at`, by what follows it?"""
+        data = batch.data
+        if data[at : at + 2] != HEAD or at + 2 >= len(data) or lengths[data[at + 2]] == 0:
+            return False
+        end = at + int(lengths[data[at + 2]])
+        if end > len(data):
+            return False
+        if data[at + 2] == FMT_ID and is_consistent(*_definition(data, at)):
+            return True
+        inside = int(np.searchsorted(batch.heads, at, side="right"))
+        if _holds_messages(batch, inside, end, lengths):
+            return False
+        return _is_followed(batch, end, lengths)
+
+    def _define(self, data: memoryview, at: int) -> bool:
+        return self.definitions.add(*_definition(data, at))
+
+    def _note_reason(self, data: memoryview, at: int, lengths: IntArray) -> None:
+        if data[at : at + 2] != HEAD or at + 2 >= len(data):
+            self._reason = "no message header"
+        elif lengths[data[at + 2]] == 0:
+            self._reason = f"no format known for message {data[at + 2]}"
+            self.unknown[data[at + 2]] = self.unknown.get(data[at + 2], 0) + 1
+        else:
+            self._reason = "message not followed by another"
+
+    def _search(self, batch: _Batch, base: int, begin: int, lengths: IntArray) -> int:
+        """Go on at the next acceptable message from `begin` on, or at the end of the batch."""
+        index = int(np.searchsorted(batch.heads, begin))
+        while index < len(batch.heads) and (at := int(batch.heads[index])) < batch.limit:
+            if self._accepts(batch, at, lengths):
+                self._close(base + at, self._reason)
+                return at
+            index += 1
+        if not batch.is_last:
+            return batch.limit
+        lost = (self._lost_at or 0) - base
+        self.truncated = _is_cut(batch, max(lost, 0), lengths)
+        end = len(batch.data) if self.truncated else batch.end
+        self._close(base + end, "cut off inside a message" if self.truncated else self._reason)
+        return end
+
+    def _close(self, end: int, reason: str) -> None:
+        start, self._lost_at = self._lost_at, None
+        if start is None or start >= end:
+            return
+        self.bytes_skipped += end - start
+        self.region_count += 1
+        if len(self.regions) < Damage.MAX_REGIONS:
+            self.regions.append(Region(start, end, reason))
+
+
+def _definition(data: memoryview, at: int) -> tuple[int, int, str, str, str]:
+    """Type, length, name, format and labels of the FMT at `at`."""
+    body = bytes(data[at + HEADER_BYTES : at + FMT_LENGTH]).ljust(FMT_LENGTH - HEADER_BYTES, b"\0")
+    name, form, labels = (_text(body[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
+    return body[0], body[1], name, form, labels
+
+
+def _text(raw: bytes) -> str:
+    return raw.split(b"\0", 1)[0].decode("ascii", "replace")
+
+
+def _prepare(data: memoryview, limit: int) -> _Batch:
+    raw = np.frombuffer(data, dtype=np.uint8)
+    is_last = limit >= len(data)
+    heads = find_heads(raw)
+    return _Batch(
+        data, raw, heads, raw[heads + 2], limit, is_last, _content_end(raw) if is_last else len(raw)
+    )
+
+
+def find_heads(raw: npt.NDArray[np.uint8]) -> IntArray:
+    """Offsets of A3 95 with an id behind it, found in blocks that stay in the processor's cache."""
+    found = []
+    for first in range(0, len(raw) - 2, HEAD_BLOCK):
+        last = min(first + HEAD_BLOCK, len(raw) - 2)
+        at = np.flatnonzero(raw[first:last] == HEAD[0])
+        found.append(at[raw[first + 1 + at] == HEAD[1]] + first)
+    return np.concatenate(found) if found else np.empty(0, np.int64)
+
+
+def _content_end(raw: npt.NDArray[np.uint8]) -> int:
+    """Where trailing padding (at least 16 bytes of 00 or of FF) begins."""
+    for byte in (0x00, 0xFF):
+        end = len(raw)
+        while end:
+            other = np.flatnonzero(raw[max(0, end - HEAD_BLOCK) : end] != byte)
+            if len(other):
+                end = max(0, end - HEAD_BLOCK) + int(other[-1]) + 1
+                break
+            end = max(0, end - HEAD_BLOCK)
+        if len(raw) - end >= MIN_PADDING:
+            return end
+    return len(raw)
+
+
+def _clean_stretch(batch: _Batch, position: int, lengths: IntArray) -> tuple[IntArray, int]:
+    """Messages from `position` on that follow each other exactly; stops at a FMT, at the limit, or at damage.
+
+    Headers inside a message (chance bytes) are passed over one at a time.
+    """
+    found: list[IntArray] = []
+    index, size = int(np.searchsorted(batch.heads, position)), FIRST_STRETCH
+    while index < len(batch.heads) and batch.heads[index] == position and position < batch.limit:
+        heads = batch.heads[index : index + size]
+        step = lengths[batch.ids[index : index + size]]
+        good = (heads[:-1] + step[:-1] == heads[1:]) & (step[:-1] > 0)
+        good &= (batch.ids[index : index + len(heads) - 1] != FMT_ID) & (heads[:-1] < batch.limit)
+        count = int(good.argmin()) if not good.all() else len(good)
+        found.append(heads[:count])
+        index += count
+        position = int(batch.heads[index])
+        size = min(size * 4, 1 << 20)
+        if count == len(good) and count:
+            continue
+        number = batch.ids[index]
+        end = position + int(lengths[number])
+        after = int(np.searchsorted(batch.heads, end))
+        inside = lengths[number] > 0 and number != FMT_ID and position < batch.limit
+        if not inside or after >= len(batch.heads) or batch.heads[after] != end:
+            break
+        if _holds_messages(batch, index + 1, end, lengths):
+            break
+        found.append(batch.heads[index : index + 1])
+        index, position, size = after, end, FIRST_STRETCH
+    return np.concatenate(found) if found else np.empty(0, np.int64), position
+
+
+def _holds_messages(batch: _Batch, index: int, end: int, lengths: IntArray) -> bool:
+    """Are messages inside the one before head `index` real? Then its own id, or its FMT's length, is damaged.
+
+    They are where they lead exactly to its end; where its length is doubtful, two in a row are enough.
+    """
+    doubtful = int(batch.ids[index - 1]) in batch.doubtful if index else False
+    while index < len(batch.heads) and batch.heads[index] < end:
+        at, count = int(batch.heads[index]), 0
+        while at < end and batch.data[at : at + 2] == HEAD and lengths[batch.data[at + 2]]:
+            at += int(lengths[batch.data[at + 2]])
+            count += 1
+        if at == end or (doubtful and count > 1):
+            return True
+        index += 1
+    return False
+
+
+def _is_followed(batch: _Batch, end: int, lengths: IntArray) -> bool:
+    """Does a message, the end, or a message with one damaged header byte begin at `end`?"""
+    data = batch.data
+    if end >= batch.end or data[end : end + 2] == HEAD:
+        return True
+    head = data[end : end + HEADER_BYTES]
+    if batch.is_last and HEAD.startswith(bytes(head[:2])):
+        return True
+    if len(head) == HEADER_BYTES and (head[0] == HEAD[0] or head[1] == HEAD[1]):
+        length = int(lengths[head[2]])
+        after = end + length
+        return length > 0 and (after >= batch.end or data[after : after + 2] == HEAD)
+    return False
+
+
+def _is_cut(batch: _Batch, at: int, lengths: IntArray) -> bool:
+    """Does the file end inside the message that begins at `at`?"""
+    head = batch.data[at : at + HEADER_BYTES]
+    if not head or not (HEAD + b"\xff").startswith(bytes(head[:2])):
+        return False
+    return len(head) < HEADER_BYTES or at + int(lengths[head[2]]) > len(batch.data)

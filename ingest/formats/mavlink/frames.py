@@ -1,0 +1,351 @@
+"""Finding MAVLink frames in bytes: every valid frame, and exactly which bytes are none.
+
+    tlog record   u64 big-endian microseconds (UTC, arrival at the ground), then a frame
+    v1 frame      FE len seq sys comp id payload[len] crc16
+    v2 frame      FD len incompat compat seq sys comp id[3] payload[len] crc16 [signature 13 if incompat & 1]
+
+The CRC (MCRF4XX) covers all between the marker and itself, then one seed byte of the message's layout.
+Clean stretches are walked by a `chain` function (plain, or compiled for large files); whatever stops it is
+judged here, in one place for both. Timestamps are outside the CRC and are not judged here.
+
+An unknown id cannot be checked: such a frame is accepted only where a checked one follows exactly.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.flight import Damage, Region
+from flysid.ingest.formats.mavlink.dialect import UNKNOWN
+
+MARKER = re.compile(rb"[\xfd\xfe]")
+V1, V2 = 0xFE, 0xFD
+SIGNED = 0x01
+SIGNATURE_BYTES = 13
+LOOK_AHEAD = 8192
+MAX_UNKNOWN_IN_A_ROW = 16
+STAMP_BYTES = 8
+LONGEST = 512
+PLAIN_STEP = 1 << 16
+HEADER_BLOCK = 1 << 14
+
+IntArray = npt.NDArray[np.int64]
+ByteArray = npt.NDArray[np.uint8]
+Chain = Callable[[ByteArray, int, int, int], tuple[IntArray, int]]
+Buffer = bytes | memoryview
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Valid frames of one batch in file order; offsets count within `buffer`.
+
+    Attributes
+    ----------
+    buffer : the batch's bytes.
+    start : (n,) offset of the marker.
+    message : (n,) message id.
+    payload, length : (n,) offset and size of the payload.
+    system, component, sequence : (n,) uint8, from the header.
+    stamp_us : (n,) arrival, microseconds UTC; None where the log has none; -1 where damage took
+        it; 0 where it is absurd.
+    """
+
+    buffer: ByteArray
+    start: IntArray
+    message: IntArray
+    payload: IntArray
+    length: IntArray
+    system: ByteArray
+    component: ByteArray
+    sequence: ByteArray
+    stamp_us: IntArray | None
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+
+@dataclass(frozen=True)
+class Header:
+    """A frame's header: where its CRC and its end are, and its message id."""
+
+    crc_at: int
+    end: int
+    message: int
+
+
+def plain_chain(crc_extra: npt.NDArray[np.int16]) -> Chain:
+    """A chain function in plain Python: no compilation, about 1 us a frame.
+
+    chain(raw, position, limit, stamp) walks valid records from `position`. It returns the
+    frames' offsets and where it stopped: at the first record that starts at or after `limit`, or is not a
+    complete valid frame of a known id.
+    """
+    import fastcrc
+
+    crc16 = fastcrc.crc16.mcrf4xx
+    seeds = {int(i): bytes([crc_extra[i]]) for i in np.flatnonzero(crc_extra != UNKNOWN)}
+
+    def chain(raw: ByteArray, position: int, limit: int, stamp: int) -> tuple[IntArray, int]:
+        size = len(raw)
+        # a few kilobytes at a time: after damage the chain is often entered only to stop again
+        starts: list[int] = []
+        first = position
+        while first < limit:
+            buffer = raw[first : min(first + PLAIN_STEP, size)].tobytes()
+            some, stopped = walk(buffer, 0, min(limit - first, PLAIN_STEP - LONGEST), stamp)
+            starts.extend([first + q for q in some])
+            first += stopped
+            if stopped < PLAIN_STEP - LONGEST:
+                break
+        return np.array(starts, dtype=np.int64), first
+
+    def walk(buffer: bytes, position: int, limit: int, stamp: int) -> tuple[list[int], int]:
+        size = len(buffer)
+        starts: list[int] = []
+        while position < limit:
+            q = position + stamp
+            if q + 8 > size:
+                break
+            marker = buffer[q]
+            if marker == V2:
+                flags = buffer[q + 2]
+                crc_at = q + 10 + buffer[q + 1]
+                end = crc_at + (2 if flags == 0 else 2 + SIGNATURE_BYTES)
+                if flags > SIGNED or end > size:
+                    break
+                seed = seeds.get(buffer[q + 7] | buffer[q + 8] << 8 | buffer[q + 9] << 16)
+            elif marker == V1:
+                crc_at = q + 6 + buffer[q + 1]
+                end = crc_at + 2
+                if end > size:
+                    break
+                seed = seeds.get(buffer[q + 5])
+            else:
+                break
+            if (
+                seed is None
+                or crc16(buffer[q + 1 : crc_at] + seed) != buffer[crc_at] | buffer[crc_at + 1] << 8
+            ):
+                break
+            starts.append(q)
+            position = end
+        return starts, position
+
+    return chain
+
+
+@dataclass
+class _Batch:
+    """One batch while it is scanned: its bytes, its offset in the file, and the frames found so far."""
+
+    buffer: Buffer
+    base: int
+    limit: int
+    found: list[IntArray] = field(default_factory=list)
+    bare: list[int] = field(default_factory=list)
+
+
+@dataclass
+class Scanner:
+    """Finds frames batch by batch and keeps account of every byte that belongs to none.
+
+    Parameters
+    ----------
+    crc_extra : seeds by message id (`Dialect.crc_extra`).
+    stamp : bytes before each frame: 8 in a tlog, 0 in raw MAVLink.
+    chain : walks clean stretches; `plain_chain(crc_extra)` or the compiled one.
+    """
+
+    crc_extra: npt.NDArray[np.int16]
+    stamp: int
+    chain: Chain
+    bytes_skipped: int = 0
+    region_count: int = 0
+    regions: list[Region] = field(default_factory=list)
+    bad_checksums: int = 0
+    truncated: bool = False
+    unstamped: int = 0
+    unknown: dict[tuple[int, int, int], int] = field(default_factory=dict)
+    _lost_at: int | None = None
+    _reason: str = ""
+    _expected: int = -1
+    _seen: set[int] = field(default_factory=set)
+
+    def scan(self, raw: ByteArray, base: int, limit: int) -> tuple[Frames, int]:
+        """Frames of the records that start in raw[:limit], and where in the file the next batch begins.
+
+        Parameters
+        ----------
+        raw : the batch's bytes: `LOOK_AHEAD` beyond `limit`, or up to it at the file's end.
+        base : offset of the batch in the file.
+        """
+        batch = _Batch(raw.data, base, limit)
+        position = 0 if self._lost_at is None else self._search(batch, self.stamp)
+        while position < limit and self._lost_at is None:
+            starts, position = self.chain(raw, position, limit, self.stamp)
+            if len(starts):
+                batch.found.append(starts)
+                self._seen.add(_sender(batch.buffer, int(starts[-1])))
+            if position < limit:
+                position = self._recover(batch, position)
+        starts = np.concatenate(batch.found) if batch.found else np.empty(0, np.int64)
+        self.unstamped += len(batch.bare)
+        return read_headers(raw, starts, self.stamp, batch.bare), base + position
+
+    def _recover(self, batch: _Batch, position: int) -> int:
+        """What stopped the chain at `position`? Returns where to go on."""
+        buffer, q = batch.buffer, position + self.stamp
+        head = read_header(buffer, q)
+        self._reason, self._expected = "no MAVLink frame", -1
+        if head is not None and self._is_known(head.message):
+            self.bad_checksums += 1
+            self._reason, self._expected = "bad checksum", batch.base + head.end
+        elif head is not None and self._is_confirmed(buffer, head.end):
+            key = (*divmod(_sender(buffer, q), 256), head.message)
+            self.unknown[key] = self.unknown.get(key, 0) + 1
+            return head.end
+        self._lost_at = batch.base + position
+        return self._search(batch, position)
+
+    def _search(self, batch: _Batch, begin: int) -> int:
+        """Go on at the next valid frame whose marker is at or after `begin`, or at the end of the batch.
+
+        A frame that follows a damaged one exactly and fails its CRC too is counted; other failures are
+        chance markers inside garbage.
+        """
+        assert self._lost_at is not None
+        buffer, base, limit = batch.buffer, batch.base, batch.limit
+        lost = self._lost_at - base
+        for match in MARKER.finditer(buffer, begin, min(limit + self.stamp, len(buffer))):
+            q = match.start()
+            head = None if q == lost + self.stamp else read_header(buffer, q)
+            if head is None or not self._is_known(head.message):
+                continue
+            if self._is_valid(buffer, q, head):
+                if self._is_plausible(buffer, q, head):
+                    start = q - self.stamp if q - self.stamp >= lost else q
+                    self._close(base + start, self._reason)
+                    batch.found.append(np.array([q], dtype=np.int64))
+                    batch.bare.extend([q] if start == q and self.stamp else [])
+                    return head.end
+            elif base + q == self._expected + self.stamp:
+                self.bad_checksums += 1
+                self._expected = base + head.end
+        if limit < len(buffer):
+            return limit - self.stamp
+        self.truncated = _is_cut(buffer, lost + self.stamp)
+        self._close(base + len(buffer), "cut off inside a record" if self.truncated else self._reason)
+        return len(buffer)
+
+    def _close(self, end: int, reason: str) -> None:
+        """The lost region ends at file offset `end`."""
+        start, self._lost_at = self._lost_at, None
+        if start is None or start == end:
+            return
+        self.bytes_skipped += end - start
+        self.region_count += 1
+        if len(self.regions) < Damage.MAX_REGIONS:
+            self.regions.append(Region(start, end, reason))
+
+    def _is_known(self, message: int) -> bool:
+        return message < len(self.crc_extra) and self.crc_extra[message] != UNKNOWN
+
+    def _is_valid(self, buffer: Buffer, q: int, head: Header) -> bool:
+        """True where the CRC of a known message holds."""
+        import fastcrc
+
+        seed = bytes([self.crc_extra[head.message]])
+        stated = int.from_bytes(buffer[head.crc_at : head.crc_at + 2], "little")
+        return bool(fastcrc.crc16.mcrf4xx(bytes(buffer[q + 1 : head.crc_at]) + seed) == stated)
+
+    def _is_confirmed(self, buffer: Buffer, position: int) -> bool:
+        """Does a checked frame follow exactly, perhaps after more unknown ones?"""
+        for _ in range(MAX_UNKNOWN_IN_A_ROW):
+            q = position + self.stamp
+            head = read_header(buffer, q)
+            if head is None:
+                return False
+            if self._is_known(head.message):
+                return self._is_valid(buffer, q, head)
+            position = head.end
+        return False
+
+    def _is_plausible(self, buffer: Buffer, q: int, head: Header) -> bool:
+        """A CRC of 16 bits holds by chance once in 65,536: ask for a known sender, or a neighbour."""
+        after = head.end + self.stamp
+        return (
+            head.end == len(buffer)
+            or (after < len(buffer) and buffer[after] in (V1, V2))
+            or _sender(buffer, q) in self._seen
+        )
+
+
+def read_header(buffer: Buffer, q: int) -> Header | None:
+    """The header at q; None where the buffer holds no complete frame there."""
+    size = len(buffer)
+    if q + 8 > size:
+        return None
+    if buffer[q] == V1:
+        crc_at = q + 6 + buffer[q + 1]
+        head = Header(crc_at, crc_at + 2, buffer[q + 5])
+    elif buffer[q] == V2 and buffer[q + 2] <= SIGNED and q + 12 <= size:
+        crc_at = q + 10 + buffer[q + 1]
+        end = crc_at + 2 + SIGNATURE_BYTES * buffer[q + 2]
+        head = Header(crc_at, end, int.from_bytes(buffer[q + 7 : q + 10], "little"))
+    else:
+        return None
+    return head if head.end <= size else None
+
+
+def _is_cut(buffer: Buffer, q: int) -> bool:
+    """Does the buffer end inside a record whose marker is (or would be) at q?"""
+    size = len(buffer)
+    if q >= size:
+        return True
+    if buffer[q] not in (V1, V2) or (buffer[q] == V2 and q + 2 < size and buffer[q + 2] > SIGNED):
+        return False
+    return read_header(buffer, q) is None
+
+
+def _sender(buffer: Buffer, q: int) -> int:
+    """system * 256 + component."""
+    at = q + (5 if buffer[q] == V2 else 3)
+    return buffer[at] * 256 + buffer[at + 1]
+
+
+def read_headers(raw: ByteArray, starts: IntArray, stamp: int, bare: list[int]) -> Frames:
+    """The header fields of frames that begin at `starts`; those in `bare` have no timestamp.
+
+    Done in blocks that stay in the processor's cache: each field is another pass over the same bytes.
+    """
+    count = len(starts)
+    message, payload, length = (np.empty(count, dtype=np.int64) for _ in range(3))
+    system, component, sequence = (np.empty(count, dtype=np.uint8) for _ in range(3))
+    stamps = np.empty(count, dtype=np.int64) if stamp else None
+    for first in range(0, count, HEADER_BLOCK):
+        block = slice(first, first + HEADER_BLOCK)
+        q = starts[block]
+        is_v2 = raw[q] == V2
+        at = q + np.where(is_v2, 4, 2)
+        wide = np.flatnonzero(is_v2)
+        number = raw[at + 3].astype(np.int64)
+        number[wide] |= (raw[at[wide] + 4].astype(np.int64) << 8) | (raw[at[wide] + 5].astype(np.int64) << 16)
+        message[block], payload[block], length[block] = number, q + np.where(is_v2, 10, 6), raw[q + 1]
+        sequence[block], system[block], component[block] = raw[at], raw[at + 1], raw[at + 2]
+        if stamps is not None:
+            stamps[block] = gather_stamps(raw, q)
+    if stamps is not None and bare:
+        stamps[np.isin(starts, bare)] = -1
+    return Frames(raw, starts, message, payload, length, system, component, sequence, stamps)
+
+
+def gather_stamps(raw: ByteArray, starts: IntArray) -> IntArray:
+    """The microseconds in the 8 bytes before each frame; 0 where they exceed 2^63 ns (year 2262)."""
+    before = np.lib.stride_tricks.sliding_window_view(raw, STAMP_BYTES)[np.maximum(starts - STAMP_BYTES, 0)]
+    micros = before.view(">u8").reshape(-1)
+    return np.where(micros < (1 << 63) // 1000, micros, np.uint64(0)).astype(np.int64)

@@ -1,0 +1,415 @@
+"""MAVLink telemetry logs (.tlog) and raw MAVLink -> one table per (system, component, message).
+
+Layout and framing: see `mavframes`. The file is read in batches: frames are found, sorted by stream, gathered
+into byte matrices and viewed as the message's packed dtype (`columns`); vehicle time comes from `mavclock`.
+Whether timestamps precede the frames is decided by which reading chains more valid frames at the start.
+
+Left out: signatures are not verified (a log has no key), and message ids that no dialect of pymavlink
+knows are counted as undecoded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from flysid.errors import FormatError
+from flysid.flight import ClockMap, Damage
+from flysid.ingest.formats.base import HEAD_BYTES, Limits, Parts, StreamPart, Summary, release
+from flysid.ingest.formats.common.clock import SECOND_NS, IntArray, is_outlier
+from flysid.ingest.formats.common.columns import (
+    ByteMatrix,
+    Layout,
+    as_array,
+    decode,
+    gather,
+    message_schema,
+    numbers,
+)
+from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
+from flysid.ingest.formats.mavlink.dialect import DEFAULT, OTHERS, Dialect, load_dialect
+from flysid.ingest.formats.mavlink.frames import (
+    LOOK_AHEAD,
+    MARKER,
+    STAMP_BYTES,
+    V1,
+    V2,
+    Chain,
+    Frames,
+    Scanner,
+    plain_chain,
+)
+
+PROBE_BYTES = 1 << 20
+COMPILE_ABOVE_BYTES = 32 << 20
+MAX_STREAMS = 2000
+HEARTBEAT = 0
+AUTOPILOT_VERSION = 148
+AUTOPILOT_INVALID = 8
+TIME_FIELDS = {"time_boot_ms": 1_000_000, "time_boot_us": 1000, "time_usec": 1000, "time_us": 1000}
+BOOT_FIELDS = ("time_boot_ms", "time_boot_us")
+MAX_NS = (1 << 63) - 1
+
+
+# ------------------------------------------------------------------------------------------ detection
+
+
+def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
+    """Confidence that these bytes begin a tlog or raw MAVLink: do checked frames chain?"""
+    if not any(_may_chain(head, stamp) for stamp in (STAMP_BYTES, 0)):
+        return 0.0
+    frames, _ = _count_frames(head, _stamp_bytes(head))
+    return 0.95 if frames >= 3 else 0.6 if frames else 0.0
+
+
+def _may_chain(head: bytes, stamp: int) -> bool:
+    """Cheap test before the dialect is imported: do three markers follow one another by their lengths?"""
+    for match in MARKER.finditer(head, stamp if stamp else 0, 16384):
+        at, hops = match.start(), 0
+        while hops < 3 and at + 8 <= len(head) and head[at] in (V1, V2):
+            is_v2 = head[at] == V2
+            if is_v2 and head[at + 2] > 1:
+                break
+            at += head[at + 1] + (12 + 13 * (head[at + 2] & 1) if is_v2 else 8)
+            hops += 1
+            if at == len(head) or hops == 3:
+                return True
+            at += stamp
+    return False
+
+
+def _stamp_bytes(head: bytes) -> int:
+    """8 where frames with timestamps chain better than frames without, else 0."""
+    frames, chained = _count_frames(head, STAMP_BYTES)
+    if frames >= 3 and chained >= 0.9 * frames:
+        return STAMP_BYTES
+    return STAMP_BYTES if chained >= _count_frames(head, 0)[1] else 0
+
+
+def _count_frames(head: bytes, stamp: int) -> tuple[int, int]:
+    """(valid frames, valid frames less lost regions) in `head` under one hypothesis."""
+    scanner = _scanner(DEFAULT, stamp)
+    frames, _ = scanner.scan(as_array(head), 0, len(head))
+    return len(frames), len(frames) - scanner.region_count - scanner.unstamped
+
+
+def _scanner(dialect: str, stamp: int, size: int = 0) -> Scanner:
+    """A scanner for a log of `size` bytes: large ones are walked by compiled code."""
+    chain = _compiled_chain(dialect) if size > COMPILE_ABOVE_BYTES else _plain_chain(dialect)
+    return Scanner(load_dialect(dialect).crc_extra, stamp, chain)
+
+
+@cache
+def _compiled_chain(dialect: str) -> Chain:
+    from flysid.ingest.formats.mavlink.kernel import compiled_chain
+
+    return compiled_chain(load_dialect(dialect).crc_extra)
+
+
+@cache
+def _plain_chain(dialect: str) -> Chain:
+    return plain_chain(load_dialect(dialect).crc_extra)
+
+
+def choose_dialect(sample: bytes, stamp: int) -> str:
+    """ardupilotmega unless another dialect fails on fewer frames (bad CRCs and unknown ids)."""
+    misses = {}
+    for name in (DEFAULT, *OTHERS):
+        scanner = _scanner(name, stamp)
+        scanner.scan(as_array(sample), 0, len(sample))
+        misses[name] = scanner.bad_checksums + sum(scanner.unknown.values())
+        if misses[name] == 0:
+            break
+    return min(misses, key=lambda name: misses[name])
+
+
+# -------------------------------------------------------------------------------------------- reading
+
+
+@dataclass
+class _Reader:
+    """What is remembered between batches."""
+
+    dialect: Dialect
+    scanner: Scanner
+    time: VehicleTime = field(default_factory=VehicleTime)
+    schemas: dict[Source, pa.Schema] = field(default_factory=dict)
+    admitted: set[Source] = field(default_factory=set)
+    surplus: int = 0
+    last_sequence: dict[int, int] = field(default_factory=dict)
+    gaps: dict[int, int] = field(default_factory=dict)
+    last_stamp: int = 0
+    bad_stamps: int = 0
+    row: int = 0
+    info: dict[str, str] = field(default_factory=dict)
+    arrival_span: tuple[int, int] | None = None
+
+
+def read(view: memoryview, name: str, limits: Limits) -> Parts:
+    """Parts of a tlog or raw MAVLink file; see `Format.read`."""
+    stamp = _stamp_bytes(bytes(view[:HEAD_BYTES]))
+    reader = _Reader(load_dialect(), _scanner(DEFAULT, stamp, len(view)))
+    position = 0
+    while position < len(view):
+        start = position
+        frames, position = _next_frames(reader.scanner, view, start, limits)
+        if start == 0 and (reader.scanner.bad_checksums or reader.scanner.unknown):
+            dialect = choose_dialect(bytes(view[:PROBE_BYTES]), stamp)
+            if dialect != DEFAULT:
+                reader = _Reader(load_dialect(dialect), _scanner(dialect, stamp, len(view)))
+                frames, position = _next_frames(reader.scanner, view, start, limits)
+        yield from _parts(reader, frames)
+        release(view, start, position)
+    if reader.row == 0 and not reader.scanner.unknown:
+        raise FormatError("no valid MAVLink frame", path=name, hint="check that this is a telemetry log")
+    return _summary(reader)
+
+
+def frame_batches(view: memoryview, limits: Limits) -> Iterator[tuple[Frames, Dialect, int]]:
+    """Valid frames batch by batch, the dialect that knows them, and where in the file the batch ends."""
+    stamp, name = _stamp_bytes(bytes(view[:HEAD_BYTES])), DEFAULT
+    scanner = _scanner(name, stamp, len(view))
+    frames, position = _next_frames(scanner, view, 0, limits)
+    if scanner.bad_checksums or scanner.unknown:
+        name = choose_dialect(bytes(view[:PROBE_BYTES]), stamp)
+        scanner = _scanner(name, stamp, len(view))
+        frames, position = _next_frames(scanner, view, 0, limits)
+    yield frames, load_dialect(name), position
+    while position < len(view):
+        frames, position = _next_frames(scanner, view, position, limits)
+        yield frames, load_dialect(name), position
+
+
+def _next_frames(scanner: Scanner, view: memoryview, start: int, limits: Limits) -> tuple[Frames, int]:
+    """Frames of the batch that begins at `start`, and where the next one begins."""
+    stop = start + limits.batch_bytes
+    if stop + LOOK_AHEAD >= len(view):
+        return scanner.scan(as_array(view[start:]), start, len(view) - start)
+    return scanner.scan(as_array(view[start : stop + LOOK_AHEAD]), start, limits.batch_bytes)
+
+
+def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
+    """The tables of one batch."""
+    if not len(frames):
+        return
+    arrival, has_utc = _arrival(reader, frames)
+    groups = _admitted(reader, dict(_streams(frames)))
+    _count_gaps(reader, frames)
+    clocked: dict[Source, Clocked] = {}
+    for source, rows in groups.items():
+        layout = reader.dialect.layout(source[2])
+        if source[2] == HEARTBEAT:
+            _note_vehicle(reader, source, _matrix(frames, rows, layout), layout)
+        elif source[2] == AUTOPILOT_VERSION:
+            _note_firmware(reader, _matrix(frames, rows, layout), layout)
+        if (name := _time_field(layout)) is not None:
+            clocked[source] = reader.time.unwrapped(_clocked(source, name, rows, frames, layout))
+    reader.time.begin(list(clocked.values()), arrival, utc=has_utc)
+    for source, rows in groups.items():
+        time_ns, boots = reader.time.times(source, rows, clocked.get(source))
+        matrix = _matrix(frames, rows, reader.dialect.layout(source[2]))
+        yield _table(reader, source, matrix, (time_ns, boots), arrival[rows] if has_utc else None)
+    reader.row += len(frames)
+
+
+def _admitted(reader: _Reader, groups: dict[Source, IntArray]) -> dict[Source, IntArray]:
+    """Streams within the bound on their number; messages of others are counted, not decoded.
+
+    Real traffic has some hundred streams. A forged log can name 65,536 senders, each with its own tables.
+    """
+    kept = {}
+    for source, rows in groups.items():
+        if source in reader.admitted or len(reader.admitted) < MAX_STREAMS:
+            reader.admitted.add(source)
+            kept[source] = rows
+        else:
+            reader.surplus += len(rows)
+    return kept
+
+
+def _matrix(frames: Frames, rows: IntArray, layout: Layout) -> ByteMatrix:
+    return gather(frames.buffer, frames.payload[rows], frames.length[rows], layout.size)
+
+
+def _arrival(reader: _Reader, frames: Frames) -> tuple[IntArray, bool]:
+    """Arrival in ns UTC, or the frames' positions where the log has no timestamps.
+
+    Frames whose timestamp damage took get their predecessor's; stamps that stand an hour apart from their
+    neighbours are kept as they are and counted.
+    """
+    if frames.stamp_us is None:
+        return np.arange(reader.row, reader.row + len(frames), dtype=np.int64), False
+    micros = frames.stamp_us
+    missing = micros < 0
+    if missing.any():
+        index = np.where(missing, -1, np.arange(len(micros)))
+        index = np.maximum.accumulate(index)
+        micros = np.where(index < 0, reader.last_stamp, micros[np.maximum(index, 0)])
+    reader.last_stamp = int(micros[-1])
+    arrival = micros * 1000
+    reader.bad_stamps += int(is_outlier(arrival, 3600 * SECOND_NS).sum()) + int(missing.sum())
+    low, high = reader.arrival_span or (int(arrival[0]), int(arrival[-1]))
+    reader.arrival_span = (min(low, int(arrival.min())), max(high, int(arrival.max())))
+    return arrival, True
+
+
+def _streams(frames: Frames) -> Iterator[tuple[Source, IntArray]]:
+    """(system, component, message id) and the rising row numbers of its frames."""
+    senders, who = _dense(_senders(frames))
+    messages, what = _dense(frames.message)
+    codes = who * len(messages) + what
+    order = np.argsort(codes.astype(np.uint16) if codes.max() < 1 << 16 else codes, kind="stable")
+    counts = np.bincount(codes)
+    present = np.flatnonzero(counts)
+    edges = np.concatenate([[0], np.cumsum(counts[present])])
+    for i, code in enumerate(present.tolist()):
+        sender, message = divmod(code, len(messages))
+        key = (*divmod(int(senders[sender]), 256), int(messages[message]))
+        yield key, order[edges[i] : edges[i + 1]]
+
+
+def _senders(frames: Frames) -> IntArray:
+    """(n,) system * 256 + component."""
+    return (frames.system.astype(np.int64) << 8) | frames.component
+
+
+def _dense(values: IntArray) -> tuple[IntArray, IntArray]:
+    """(distinct values rising, index of each value among them), for small non-negative integers."""
+    present = np.flatnonzero(np.bincount(values))
+    place = np.zeros(int(present[-1]) + 1, dtype=np.int64)
+    place[present] = np.arange(len(present))
+    return present, place[values]
+
+
+def _count_gaps(reader: _Reader, frames: Frames) -> None:
+    """Messages missing per sender by the 8-bit sequence number; repeats and late frames are no gap."""
+    senders = _senders(frames)
+    order = np.argsort(senders.astype(np.uint16), kind="stable")
+    who, sequence = senders[order], frames.sequence[order].astype(np.int64)
+    first = np.flatnonzero(np.diff(who, prepend=-1))
+    steps = np.diff(sequence, prepend=0) % 256
+    for i, sender in zip(first.tolist(), who[first].tolist(), strict=True):
+        steps[i] = (int(sequence[i]) - reader.last_sequence.get(sender, int(sequence[i]) - 1)) % 256
+    lost = np.add.reduceat(np.where((steps > 1) & (steps < 128), steps - 1, 0), first)
+    last = sequence[np.append(first[1:], len(who)) - 1]
+    for sender, count, number in zip(who[first].tolist(), lost.tolist(), last.tolist(), strict=True):
+        reader.last_sequence[sender] = number
+        if count:
+            reader.gaps[sender] = reader.gaps.get(sender, 0) + count
+
+
+def _time_field(layout: Layout) -> str | None:
+    """The field that carries the vehicle's clock, if the message has one."""
+    names = layout.dtype.names or ()
+    return next((f for f in TIME_FIELDS if f in names), None)
+
+
+def _clocked(source: Source, name: str, rows: IntArray, frames: Frames, layout: Layout) -> Clocked:
+    """The times that a stream states; only the bytes of that field are gathered."""
+    kind, at = layout.dtype.fields[name][:2]  # type: ignore[index]
+    width = kind.itemsize
+    left = np.clip(frames.length[rows] - at, 0, width)
+    bare = Layout(name, np.dtype([(name, kind)]), ())
+    matrix = gather(frames.buffer, frames.payload[rows] + at, left, width)
+    unit = TIME_FIELDS[name]
+    time_ns = np.minimum(_field_values(matrix, bare, name), MAX_NS // unit) * unit
+    return Clocked(source, name, rows, time_ns, name in BOOT_FIELDS, (1 << 32) * unit if width == 4 else 0)
+
+
+def _field_values(matrix: ByteMatrix, layout: Layout, name: str) -> IntArray:
+    values: npt.NDArray[np.uint64] = matrix.view(layout.dtype).reshape(len(matrix))[name]
+    return np.minimum(values, np.uint64((1 << 63) - 1)).astype(np.int64)
+
+
+def _note_vehicle(reader: _Reader, source: Source, matrix: ByteMatrix, layout: Layout) -> None:
+    autopilots = _field_values(matrix, layout, "autopilot")
+    real = autopilots[autopilots != AUTOPILOT_INVALID]
+    if not len(real):
+        return
+    reader.time.vehicles.add(source[0])
+    if "autopilot" not in reader.info:
+        kinds = _field_values(matrix, layout, "type")[autopilots != AUTOPILOT_INVALID]
+        reader.info["autopilot"] = _short(reader.dialect.enum_name("MAV_AUTOPILOT", int(real[0])))
+        reader.info["vehicle"] = _short(reader.dialect.enum_name("MAV_TYPE", int(kinds[0])))
+
+
+def _note_firmware(reader: _Reader, matrix: ByteMatrix, layout: Layout) -> None:
+    """flight_sw_version holds major, minor and patch in its upper bytes, the kind of release below."""
+    version = int(_field_values(matrix, layout, "flight_sw_version")[-1])
+    if version:
+        reader.info["firmware"] = ".".join(str(version >> shift & 255) for shift in (24, 16, 8))
+
+
+def _short(enum_name: str) -> str:
+    """MAV_AUTOPILOT_ARDUPILOTMEGA -> ardupilotmega."""
+    return enum_name.removeprefix("MAV_AUTOPILOT_").removeprefix("MAV_TYPE_").lower()
+
+
+def _table(
+    reader: _Reader,
+    source: Source,
+    matrix: ByteMatrix,
+    times: tuple[IntArray, IntArray],
+    received: IntArray | None,
+) -> StreamPart:
+    layout = reader.dialect.layout(source[2])
+    columns = decode(matrix, layout)
+    if source not in reader.schemas:
+        metadata = {
+            "time_source": reader.time.source_of(source),
+            "system": str(source[0]),
+            "component": str(source[1]),
+            "message": layout.name,
+        }
+        reader.schemas[source] = message_schema(layout, columns, metadata, received=received is not None)
+    heads = [numbers(times[0]), numbers(times[1].astype(np.int32))]
+    if received is not None:
+        heads.append(numbers(received))
+    table = pa.Table.from_arrays(heads + columns, schema=reader.schemas[source])
+    return StreamPart(f"{source[0]}.{source[1]}/{layout.name}", table)
+
+
+# -------------------------------------------------------------------------------------------- summary
+
+
+def _summary(reader: _Reader) -> Summary:
+    scanner = reader.scanner
+    outliers = {_key(reader, source): n for source, n in sorted(reader.time.outliers.items())}
+    if reader.bad_stamps:
+        outliers["recv_ns"] = reader.bad_stamps
+    undecoded = {_key(reader, source): n for source, n in sorted(scanner.unknown.items())}
+    if reader.surplus:
+        undecoded[f"streams beyond {MAX_STREAMS:,}"] = reader.surplus
+    damage = Damage(
+        bytes_skipped=scanner.bytes_skipped,
+        regions=tuple(scanner.regions),
+        region_count=scanner.region_count,
+        bad_checksums=scanner.bad_checksums,
+        truncated=scanner.truncated,
+        undecoded=undecoded,
+        time_outliers=outliers,
+        sequence_gaps={f"{who >> 8}.{who & 255}": n for who, n in sorted(reader.gaps.items())},
+    )
+    return Summary(damage, _clocks(reader), _info(reader))
+
+
+def _key(reader: _Reader, source: Source) -> str:
+    return f"{source[0]}.{source[1]}/{reader.dialect.message_name(source[2])}"
+
+
+def _clocks(reader: _Reader) -> tuple[ClockMap, ...]:
+    clocks = reader.time.fit().clocks()
+    if clocks or reader.arrival_span is None:
+        return clocks
+    return (ClockMap(0, *reader.arrival_span, utc_offset_ns=0),)
+
+
+def _info(reader: _Reader) -> Mapping[str, str]:
+    stamps = "arrival" if reader.scanner.stamp else "none"
+    main = "" if reader.time.main is None else str(reader.time.main)
+    return {"dialect": reader.dialect.name, "timestamps": stamps, "clock_system": main, **reader.info}

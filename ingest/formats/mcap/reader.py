@@ -1,0 +1,110 @@
+"""MCAP logs: ROS 1, ROS 2, protobuf and JSON topics, each a stream of its own.
+
+The stream key is the topic. `time_ns` is the message's own stamp where it has one (`header.stamp`, `stamp`,
+`timestamp`), else the log time; which of them is in the schema metadata as `time_source`. The log time is
+`recv_ns`.
+A topic whose layout changes goes on under `topic~2`. Topics without a known layout are named in the damage.
+Messages are gathered over chunks to batches, then decoded topic by topic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from flysid.errors import FormatError
+from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release
+from flysid.ingest.formats.common.gather import Bytes
+from flysid.ingest.formats.common.tally import Tally
+from flysid.ingest.formats.mcap.chunks import Block
+from flysid.ingest.formats.mcap.container import McapReader
+from flysid.ingest.formats.mcap.records import MAGIC, Registry
+from flysid.ingest.formats.messages.topic import ZERO_PAGE, Messages
+from flysid.ingest.formats.messages.topics import BATCH_BYTES, Topics
+
+
+@dataclass
+class _Batch:
+    """Blocks that wait to be decoded together."""
+
+    blocks: list[Block] = field(default_factory=list)
+    payload: int = 0
+
+    def add(self, block: Block) -> None:
+        if len(block.at):
+            self.blocks.append(block)
+            self.payload += len(block.data)
+
+    def by_channel(self) -> Iterator[tuple[int, Messages]]:
+        """Channel number and its messages, in file order, over all blocks."""
+        if not self.blocks:
+            return
+        data, bases = _joined([b.data for b in self.blocks])
+        at = np.concatenate([b.at + base for b, base in zip(self.blocks, bases, strict=True)])
+        size = np.concatenate([b.size for b in self.blocks])
+        log_ns = np.concatenate([b.log_ns for b in self.blocks])
+        channel = np.concatenate([b.channel for b in self.blocks])
+        order = np.argsort(channel.astype(np.int32), kind="stable")
+        cuts = np.flatnonzero(np.diff(channel[order])) + 1
+        for which in np.split(order, cuts):
+            yield int(channel[which[0]]), Messages(data, at[which], size[which], log_ns[which])
+
+
+def _joined(parts: list[Bytes]) -> tuple[Bytes, list[int]]:
+    """Buffers as one, with a page of zeros behind them, and where each begins in it."""
+    bases = np.concatenate([[0], np.cumsum([len(p) for p in parts])[:-1]]).tolist()
+    return np.concatenate([*parts, np.zeros(ZERO_PAGE, dtype=np.uint8)]), bases
+
+
+def read(view: memoryview, name: str, limits: Limits) -> Parts:
+    """Parts of all topics of an MCAP file.
+
+    Parameters
+    ----------
+    view : the file.
+    name : its name, for errors.
+    limits : bounds; see Limits.
+
+    Raises
+    ------
+    FormatError : there is not one message in the file, nor the end that an empty log would have.
+    """
+    tally = Tally()
+    reader, topics = McapReader(view, limits, tally), Topics(tally)
+    batch, released = _Batch(), 0
+    for block in reader.blocks():
+        batch.add(block)
+        if batch.payload >= min(limits.batch_bytes, BATCH_BYTES):
+            yield from _decode(batch, reader.registry, topics, tally)
+            batch = _Batch()
+            release(view, released, reader.place)
+            released = reader.place
+    yield from _decode(batch, reader.registry, topics, tally)
+    damage = tally.freeze()
+    if not topics and damage.lossy and not reader.registry.channels:
+        why = damage.regions[0] if damage.regions else None
+        raise FormatError(
+            "no message in this MCAP file can be read" + (f": {why.reason}" if why else ""),
+            path=name,
+            byte=why.start if why else 0,
+        )
+    return Summary(damage, topics.clocks(), {**reader.info, **topics.notes()})
+
+
+def _decode(batch: _Batch, registry: Registry, topics: Topics, tally: Tally) -> Iterator[StreamPart]:
+    """Parts of a batch."""
+    for number, messages in batch.by_channel():
+        if number < 0:
+            tally.undecode("(channel without definition)", len(messages.at))
+        else:
+            yield from topics.decode(number, registry.channels[number], messages)
+
+
+def sniff(head: bytes, name: str) -> float:
+    """1 for the magic; 0.5 for a file called .mcap whose magic is damaged in up to two bytes."""
+    if head.startswith(MAGIC):
+        return 1.0
+    same = sum(a == b for a, b in zip(head, MAGIC, strict=False))
+    return 0.5 if same >= len(MAGIC) - 2 and name.lower().endswith(".mcap") else 0.0

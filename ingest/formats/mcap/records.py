@@ -1,0 +1,261 @@
+"""MCAP records: what they look like, what a soundly built one is, where the next one starts.
+
+A file is MAGIC, records, MAGIC. A record is u8 opcode, u64 length, body (little-endian). Bodies used here:
+
+    0x01 header    str profile, str library
+    0x02 footer    u64 summary start, u64 summary offset start, u32 summary crc
+    0x03 schema    u16 id, str name, str encoding, u32 length, data
+    0x04 channel   u16 id, u16 schema id, str topic, str message encoding, map metadata
+    0x05 message   u16 channel id, u32 sequence, u64 log time, u64 publish time, payload
+    0x06 chunk     u64 start, u64 end, u64 uncompressed size, u32 crc, str compression, u64 length, records
+    0x07 index     u16 channel id, u32 length, (u64 log time, u64 offset in the chunk) ...
+    0x0F data end  u32 crc of everything before it
+
+where str is u32 length and UTF-8 and map is u32 length in bytes and pairs of str. The container has no
+sync marker: after damage a record is believed when its parts fill its length exactly and a plausible
+record, or the end of the file, follows it. Attachments are stepped over.
+Source: the MCAP specification, version 0.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flysid.ingest.formats.common.gather import Bytes, as_bytes
+from flysid.ingest.formats.messages.channel import Channel, Schema
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 2, 3, 4, 5, 6, 7
+ATTACHMENT, STATISTICS, METADATA, DATA_END, LAST_KNOWN, FIRST_PRIVATE = 9, 11, 12, 15, 15, 0x80
+HEAD_BYTES = 9
+MESSAGE_HEAD_BYTES = 31  # with the 9 bytes of the record's own head
+MAX_CHANNELS = 65536
+
+HEAD = struct.Struct("<BQ")
+U16 = struct.Struct("<H")
+U32 = struct.Struct("<I")
+U64 = struct.Struct("<Q")
+_CHUNK_FIXED = struct.Struct("<QQQI")
+_WINDOW = 1 << 20
+
+
+@dataclass(frozen=True)
+class ChunkHead:
+    """Where a chunk's data lie and what they should expand to."""
+
+    size: int
+    crc: int
+    compression: str
+    data_at: int
+    data_end: int
+
+
+class Registry:
+    """Channels seen so far. A channel id may be bound again; the channels themselves are kept for good."""
+
+    def __init__(self) -> None:
+        self.channels: list[Channel] = []
+        self.bound: NDArray[np.int32] = np.full(65536, -1, dtype=np.int32)
+        self._schemas: dict[int, Schema] = {}
+        self._index: dict[Channel, int] = {}
+
+    def define(self, op: int, body: bytes) -> None:
+        """Take in the body of a schema or channel record. Raises ValueError where it is malformed."""
+        (number,) = _unpack(U16, body, 0)
+        if op == SCHEMA:
+            name, at = _prefixed(body, 2)
+            encoding, at = _prefixed(body, at)
+            data, _ = _prefixed(body, at)
+            self._schemas[number] = Schema(_text(name), _text(encoding), data)
+            return
+        (schema,) = _unpack(U16, body, 2)
+        topic, at = _prefixed(body, 4)
+        encoding, at = _prefixed(body, at)
+        self._bind(number, Channel(_text(topic), _text(encoding), self._schemas.get(schema)))
+
+    def _bind(self, number: int, channel: Channel) -> None:
+        known = self._index.get(channel)
+        if known is None and len(self.channels) < MAX_CHANNELS:
+            known = self._index[channel] = len(self.channels)
+            self.channels.append(channel)
+        self.bound[number] = -1 if known is None else known
+
+
+def string_pairs(body: bytes) -> dict[str, str]:
+    """The pairs of a metadata record's map, with its name in front of each key; what is malformed ends it."""
+    pairs: dict[str, str] = {}
+    try:
+        name, at = _prefixed(body, 0)
+        at += 4
+        while at < len(body):
+            key, at = _prefixed(body, at)
+            value, at = _prefixed(body, at)
+            pairs[f"{_text(name)}.{_text(key)}" if name else _text(key)] = _text(value)
+    except ValueError:
+        pass
+    return pairs
+
+
+def chunk_head(view: memoryview, body: int, end: int) -> ChunkHead | None:
+    """The head of the chunk whose body is view[body:end]; None where its parts do not fill it."""
+    at = body + _CHUNK_FIXED.size
+    if at + 12 > end:
+        return None
+    _, _, size, crc = _CHUNK_FIXED.unpack_from(view, body)
+    (width,) = U32.unpack_from(view, at)
+    if width > 16 or at + 4 + width + 8 > end:
+        return None
+    compression = bytes(view[at + 4 : at + 4 + width]).decode("utf-8", "replace")
+    (length,) = U64.unpack_from(view, at + 4 + width)
+    data_at = at + 4 + width + 8
+    return ChunkHead(size, crc, compression, data_at, data_at + length)
+
+
+def record_end(view: memoryview, at: int, limit: int) -> int:
+    """Where the record at `at` ends if its parts fill its length exactly and it ends by `limit`; else -1.
+
+    The magic counts as a record: it opens and closes a file, and files may be concatenated.
+    """
+    if view[at : at + len(MAGIC)] == MAGIC:
+        return at + len(MAGIC)
+    if at + HEAD_BYTES > limit:
+        return -1
+    op, length = HEAD.unpack_from(view, at)
+    body, end = at + HEAD_BYTES, at + HEAD_BYTES + length
+    if end > limit or op == 0:
+        return -1
+    check = _SHAPES.get(op)
+    if check is None:  # a record this version does not know: believed if something sound follows
+        return end if op > LAST_KNOWN and (end == limit or _plausible_head(view, end, limit)) else -1
+    return end if check(view, body, end) else -1
+
+
+def next_record(view: memoryview, start: int, limit: int, registry: Registry) -> int:
+    """The first place at or after `start` where a sound record lies that another follows; else `limit`."""
+    data = as_bytes(view)
+    for window in range(start, limit, _WINDOW):
+        stop = min(window + _WINDOW, limit - HEAD_BYTES + 1)
+        for at in _candidates(data, window, stop):
+            if _convincing(view, at, limit, registry):
+                return at
+    tail = limit - len(MAGIC)
+    return tail if tail >= start and view[tail:limit] == MAGIC else limit
+
+
+def _candidates(data: Bytes, start: int, stop: int) -> list[int]:
+    """Places with a known opcode and a length below 2^40, or with the first byte of the magic."""
+    if stop <= start:
+        return []
+    op = data[start:stop]
+    high = data[start + 6 : stop + 6] | data[start + 7 : stop + 7] | data[start + 8 : stop + 8]
+    found = np.flatnonzero((op >= HEADER) & (op <= LAST_KNOWN) & (high == 0) | (op == MAGIC[0])) + start
+    return [int(p) for p in found]
+
+
+def _convincing(view: memoryview, at: int, limit: int, registry: Registry) -> bool:
+    end = record_end(view, at, limit)
+    if end < 0:
+        return False
+    if view[at] == MESSAGE and registry.bound[U16.unpack_from(view, at + HEAD_BYTES)[0]] < 0:
+        return False
+    return end == limit or record_end(view, end, limit) > 0 or is_cut_off(view, end, limit)
+
+
+def is_cut_off(view: memoryview, at: int, limit: int) -> bool:
+    """Whether a record starts at `at` that the end of the file cuts."""
+    if limit - at < len(MAGIC) and view[at:limit] == MAGIC[: limit - at]:
+        return limit > at
+    if not at < limit or not HEADER <= view[at] <= LAST_KNOWN:
+        return False
+    if at + HEAD_BYTES > limit:
+        return True
+    length = int(U64.unpack_from(view, at + 1)[0])
+    return at + HEAD_BYTES + length > limit and length < 1 << 40
+
+
+def _plausible_head(view: memoryview, at: int, limit: int) -> bool:
+    if at + HEAD_BYTES > limit:
+        return False
+    op, length = HEAD.unpack_from(view, at)
+    return bool(op) and at + HEAD_BYTES + length <= limit
+
+
+def _prefixed(body: bytes, at: int) -> tuple[bytes, int]:
+    (size,) = _unpack(U32, body, at)
+    if at + 4 + size > len(body):
+        raise ValueError("a string runs past the end of its record")
+    return body[at + 4 : at + 4 + size], at + 4 + size
+
+
+def _unpack(kind: struct.Struct, body: bytes, at: int) -> tuple[int, ...]:
+    if at + kind.size > len(body):
+        raise ValueError("a record is too short")
+    return kind.unpack_from(body, at)
+
+
+def _text(raw: bytes) -> str:
+    return raw.decode("utf-8", "replace")
+
+
+def _after_strings(view: memoryview, at: int, end: int, count: int) -> int:
+    """Where `count` prefixed strings from `at` on end; beyond `end` where they do not fit."""
+    for _ in range(count):
+        if at + 4 > end:
+            return end + 1
+        at += 4 + U32.unpack_from(view, at)[0]
+    return at
+
+
+def _ends_with_strings(skip: int, count: int) -> Callable[[memoryview, int, int], bool]:
+    """A shape: `skip` bytes, then `count` prefixed blobs that end with the record."""
+    return lambda view, body, end: _after_strings(view, body + skip, end, count) == end
+
+
+def _fixed(size: int) -> Callable[[memoryview, int, int], bool]:
+    return lambda _view, body, end: end - body == size
+
+
+def _at_least(size: int) -> Callable[[memoryview, int, int], bool]:
+    return lambda _view, body, end: end - body >= size
+
+
+def _is_chunk(view: memoryview, body: int, end: int) -> bool:
+    head = chunk_head(view, body, end)
+    return head is not None and head.data_end == end
+
+
+def _is_message_index(view: memoryview, body: int, end: int) -> bool:
+    if end - body < 6:
+        return False
+    (length,) = U32.unpack_from(view, body + 2)
+    return bool(length % 16 == 0 and body + 6 + length == end)
+
+
+def _is_chunk_index(view: memoryview, body: int, end: int) -> bool:
+    """u64 x 4, map (u16, u64), u64, str, u64 x 2."""
+    at = _after_strings(view, body + 32, end, 1) + 8
+    return at <= end and _after_strings(view, at, end, 1) + 16 == end
+
+
+_SHAPES: Mapping[int, Callable[[memoryview, int, int], bool]] = {
+    HEADER: _ends_with_strings(0, 2),
+    FOOTER: _fixed(20),
+    SCHEMA: _ends_with_strings(2, 3),
+    CHANNEL: _ends_with_strings(4, 3),
+    MESSAGE: _at_least(22),
+    CHUNK: _is_chunk,
+    MESSAGE_INDEX: _is_message_index,
+    8: _is_chunk_index,
+    ATTACHMENT: _at_least(36),
+    10: _ends_with_strings(40, 2),
+    STATISTICS: _ends_with_strings(42, 1),
+    METADATA: _ends_with_strings(0, 2),
+    13: _ends_with_strings(16, 1),
+    14: _fixed(17),
+    DATA_END: _fixed(4),
+}

@@ -1,0 +1,1 @@
+"""What containers carry: ROS, protobuf and JSON messages, their definitions and decoders."""

@@ -1,0 +1,210 @@
+"""JSON messages of one topic as columns, with types from the topic's JSON schema where it has one.
+
+The fast way: all messages of a batch, one a line, through Arrow's JSON reader with the schema's types. What
+that refuses (NaN literals, numbers of another type than declared, duplicate keys) goes message by message
+through the json module, with types inferred. Objects flatten to dotted names; arrays become
+lists.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from flysid.flight import field_metadata
+from flysid.ingest.formats.common.gather import Bytes, Index
+
+MAX_DEPTH = 32
+MAX_PROPERTIES = 20_000
+
+JSON_TYPES: Mapping[str, pa.DataType] = {
+    "number": pa.float64(),
+    "integer": pa.int64(),
+    "boolean": pa.bool_(),
+    "string": pa.string(),
+}
+
+
+@dataclass(frozen=True)
+class JsonLayout:
+    """Arrow types of a topic's messages (None: infer), units and descriptions by dotted path."""
+
+    schema: pa.Schema | None = None
+    notes: Mapping[str, dict[bytes, bytes]] = field(default_factory=dict)
+
+
+def parse_json_schema(raw: bytes) -> JsonLayout:
+    """Types and units from a JSON schema of an object; anything it does not pin down is inferred later.
+
+    A property may carry "unit" (or "units"), "scale", "description", and "enum" names are left to the reader.
+    """
+    try:
+        document = json.loads(raw) if raw.strip() else {}
+    except (ValueError, RecursionError):
+        return JsonLayout()
+    if not isinstance(document, dict) or not isinstance(document.get("properties"), dict):
+        return JsonLayout()
+    notes: dict[str, dict[bytes, bytes]] = {}
+    fields = list(_fields(document, "", notes, 0))
+    if len(fields) != len(document["properties"]):
+        return JsonLayout(None, notes)
+    return JsonLayout(pa.schema(fields), notes)
+
+
+def _fields(
+    node: Mapping[str, Any], path: str, notes: dict[str, dict[bytes, bytes]], depth: int
+) -> Iterator[pa.Field]:
+    """One field for every property whose type is certain."""
+    if depth > MAX_DEPTH or len(notes) > MAX_PROPERTIES:
+        return
+    properties = node.get("properties")
+    for name, inner in properties.items() if isinstance(properties, dict) else ():
+        if not isinstance(inner, dict):
+            continue
+        here = f"{path}.{name}" if path else str(name)
+        note = _note(inner)
+        if note:
+            notes[here] = note
+        kind = _type(inner, here, notes, depth)
+        if kind is not None:
+            yield pa.field(str(name), kind)
+
+
+def _note(node: Mapping[str, Any]) -> dict[bytes, bytes] | None:
+    unit = node.get("unit", node.get("units", ""))
+    scale = node.get("scale", 1.0)
+    description = node.get("description", "")
+    return field_metadata(
+        unit if isinstance(unit, str) else "",
+        float(scale) if isinstance(scale, int | float) and not isinstance(scale, bool) else 1.0,
+        None,
+        description if isinstance(description, str) else "",
+    )
+
+
+def _type(
+    node: Mapping[str, Any], path: str, notes: dict[str, dict[bytes, bytes]], depth: int
+) -> pa.DataType | None:
+    """The Arrow type of a schema node; None where the schema leaves it open."""
+    kind = node.get("type")
+    if isinstance(kind, list):  # ["number", "null"]
+        known = [k for k in kind if k != "null"]
+        kind = known[0] if len(known) == 1 else None
+    if isinstance(kind, str) and kind in JSON_TYPES:
+        return JSON_TYPES[kind]
+    if kind == "array" and isinstance(node.get("items"), dict):
+        inner = _type(node["items"], path, notes, depth + 1) if depth < MAX_DEPTH else None
+        return None if inner is None else pa.list_(inner)
+    if kind == "object" and isinstance(node.get("properties"), dict):
+        fields = list(_fields(node, path, notes, depth + 1))
+        if fields and len(fields) == len(node["properties"]):
+            return pa.struct(fields)
+    return None
+
+
+def decode_json(data: Bytes, at: Index, size: Index, layout: JsonLayout) -> tuple[pa.Table, Index]:
+    """Columns of the messages data[at : at + size] and the numbers of those that are JSON objects."""
+    table = _read_lines(data, at, size, layout)
+    if table is not None:
+        return _flatten(table), np.arange(len(at))
+    objects, kept = [], []
+    for number, (start, length) in enumerate(zip(at.tolist(), size.tolist(), strict=True)):
+        try:
+            value = json.loads(data[start : start + length].tobytes())
+        except (ValueError, RecursionError):
+            continue
+        if isinstance(value, dict):
+            objects.append(value)
+            kept.append(number)
+    return _from_objects(objects, layout), np.array(kept, dtype=np.int64)
+
+
+def _read_lines(data: Bytes, at: Index, size: Index, layout: JsonLayout) -> pa.Table | None:
+    """The messages through Arrow's reader; None where it does not take them all as they are."""
+    import pyarrow.json as arrow_json
+
+    window = data.data
+    lines = b"\n".join(
+        [
+            bytes(window[p : p + s]).replace(b"\n", b" ")
+            for p, s in zip(at.tolist(), size.tolist(), strict=True)
+        ]
+    )
+    options = arrow_json.ParseOptions(
+        explicit_schema=layout.schema, unexpected_field_behavior="infer" if layout.schema is None else "error"
+    )
+    block = arrow_json.ReadOptions(use_threads=False, block_size=min(len(lines) + 64, (1 << 31) - 1))
+    try:
+        table = arrow_json.read_json(io.BytesIO(lines), read_options=block, parse_options=options)
+    except (pa.ArrowInvalid, pa.ArrowNotImplementedError, pa.ArrowKeyError):
+        return None
+    if table.num_rows != len(at) or any(_has_times(f.type) for f in table.schema):
+        return None
+    return table
+
+
+def _has_times(kind: pa.DataType) -> bool:
+    """Whether inference turned strings into timestamps: they stay strings."""
+    if pa.types.is_timestamp(kind):
+        return True
+    return any(_has_times(kind.field(i).type) for i in range(kind.num_fields))
+
+
+def _flatten(table: pa.Table) -> pa.Table:
+    """Struct columns, however deep, as dotted columns."""
+    for _ in range(MAX_DEPTH + 2):
+        if not any(pa.types.is_struct(f.type) and f.type.num_fields for f in table.schema):
+            break
+        table = table.flatten()
+    return table.combine_chunks()
+
+
+def _from_objects(objects: list[dict[str, Any]], layout: JsonLayout) -> pa.Table:
+    """Dotted columns of decoded objects; a column whose values do not agree becomes JSON text."""
+    columns: dict[str, list[Any]] = {}
+    for number, item in enumerate(objects):
+        for path, value in _leaves(item, "", 0):
+            columns.setdefault(path, [None] * len(objects))[number] = value
+    declared = {} if layout.schema is None else _dotted(layout.schema)
+    arrays = {path: _array(values, declared.get(path)) for path, values in columns.items()}
+    missing = {path: pa.nulls(len(objects), kind) for path, kind in declared.items() if path not in arrays}
+    arrays.update(missing)
+    order = [*(p for p in declared if p in arrays), *(p for p in arrays if p not in declared)]
+    return pa.table([arrays[p] for p in order], names=order)
+
+
+def _leaves(item: Mapping[str, Any], path: str, depth: int) -> Iterator[tuple[str, Any]]:
+    for name, value in item.items():
+        here = f"{path}.{name}" if path else name
+        if isinstance(value, dict) and value and depth < MAX_DEPTH:
+            yield from _leaves(value, here, depth + 1)
+        else:
+            yield here, value
+
+
+def _dotted(schema: pa.Schema) -> dict[str, pa.DataType]:
+    flat = _flatten(schema.empty_table())
+    return dict(zip(flat.schema.names, flat.schema.types, strict=True))
+
+
+def _array(values: list[Any], declared: pa.DataType | None) -> pa.Array:
+    """Values under the declared type, else under one that fits them all, else as JSON text."""
+    for kind in (declared, None):
+        try:
+            return pa.array(values, kind) if kind is not None else _inferred(values)
+        except (pa.ArrowInvalid, pa.ArrowTypeError, OverflowError, pa.ArrowNotImplementedError):
+            continue
+    return pa.array([None if v is None else json.dumps(v) for v in values], pa.string())
+
+
+def _inferred(values: list[Any]) -> pa.Array:
+    kinds = {type(v) for v in values if v is not None}
+    if kinds == {int, float}:
+        return pa.array([None if v is None else float(v) for v in values], pa.float64())
+    return pa.array(values)

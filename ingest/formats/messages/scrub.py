@@ -1,0 +1,177 @@
+"""One ROS message (ROS 1 or CDR) scrubbed: its fields found by its type, and overwritten where they stand."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.ingest.formats.common import scrub_rules as rules
+from flysid.ingest.formats.common.scrub_rules import Column, Scrubber
+from flysid.ingest.formats.messages.cdr import ROS1_WIRE, Wire
+from flysid.ingest.formats.messages.channel import Channel
+from flysid.ingest.formats.messages.definitions import (
+    Array,
+    DefinitionError,
+    Number,
+    Record,
+    Text,
+    Type,
+    parse_definition,
+)
+from flysid.ingest.formats.messages.topic import CDR_WIRES
+
+Clean = Callable[[bytes], bytes]
+CORRECTIONS = "rtcm"
+FRAME_NAMES = frozenset({"frame_id", "child_frame_id"})
+MAX_STEPS = 1_000_000
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A number (`dtype`) or a text ("") at data[at : at + size]."""
+
+    path: str
+    dtype: str
+    at: int
+    size: int
+
+
+class MessageError(ValueError):
+    """A message that does not fit its type."""
+
+
+def may_hold(kind: Type, path: str = "") -> bool:
+    """Whether a type has texts other than frame names, identifiers or positions."""
+    return any(
+        (dtype == "" and name.rpartition(".")[2] not in FRAME_NAMES)
+        or rules.is_identity(name)
+        or "lat" in name.lower().rpartition(".")[2]
+        for name, dtype in _names(kind, path)
+    )
+
+
+def _names(kind: Type, path: str) -> Iterator[tuple[str, str]]:
+    if isinstance(kind, Record):
+        for name, inner in kind.fields:
+            yield from _names(inner, f"{path}.{name}" if path else name)
+    elif isinstance(kind, Array):
+        yield from _names(kind.element, path)
+    else:
+        yield path, kind.dtype if isinstance(kind, Number) else ""
+
+
+def scrub_message(kind: Record, data: bytes, wire: Wire, where: str, scrubber: Scrubber) -> bytes:
+    """The message with the same length. Raises MessageError where it does not fit its type."""
+    out = bytearray(data)
+    numbers: dict[str, Spot] = {}
+    for spot in _Walk(data, wire).spots(kind, ""):
+        name = spot.path.rpartition(".")[2].partition("[")[0]
+        if spot.dtype:
+            numbers[spot.path] = spot
+            if rules.is_identity(name) and any(out[spot.at : spot.at + spot.size]):
+                out[spot.at : spot.at + spot.size] = bytes(spot.size)
+                scrubber.note(rules.IDENTITY, f"{where}.{spot.path}", 1)
+        elif name not in FRAME_NAMES:
+            text = data[spot.at : spot.at + spot.size]
+            clean = b"x" * len(text) if rules.is_identity(name) else rules.redacted(text)
+            out[spot.at : spot.at + spot.size] = clean
+            scrubber.note(rules.TEXT, f"{where}.{name}", clean != text)
+    _move(out, numbers, wire, where, scrubber)
+    return bytes(out)
+
+
+def _move(out: bytearray, numbers: dict[str, Spot], wire: Wire, where: str, scrubber: Scrubber) -> None:
+    for place in rules.places([Column(path, path) for path in numbers]):
+        spots = [numbers[c.key] for c in (place.lat, place.lon, *place.altitudes)]
+        kinds = [np.dtype(wire.order + spot.dtype) for spot in spots]
+        values = tuple(
+            np.frombuffer(out, kind, 1, spot.at)[0] for kind, spot in zip(kinds, spots, strict=True)
+        )
+        rows = np.array([values], dtype=[(spot.path, kind) for spot, kind in zip(spots, kinds, strict=True)])
+        rules.scrub_place(rows, place, where, scrubber)
+        for spot in spots:
+            out[spot.at : spot.at + spot.size] = rows[spot.path].tobytes()
+
+
+def cleaner_for(channel: Channel, scrubber: Scrubber) -> Clean | None:
+    """What cleans one message of a ROS topic; None where its definition gives no layout.
+
+    Corrections for receivers are None too: they tell where the base is.
+    """
+    schema, where = channel.schema, channel.topic
+    if schema is None or channel.fault or CORRECTIONS in f"{where} {schema.name}".lower():
+        return None
+    wires = {("ros1", "ros1msg"): 1, ("cdr", "ros2msg"): 2}
+    ros = wires.get((channel.encoding, schema.encoding))
+    if ros is None:
+        return None
+    try:
+        kind = parse_definition(schema.name, schema.data.decode("utf-8", "replace"), ros)
+    except DefinitionError:
+        return None
+    if not may_hold(kind):
+        return bytes
+    if ros == 1:
+        return lambda raw: scrub_message(kind, raw, ROS1_WIRE, where, scrubber)
+    return lambda raw: _scrub_cdr(kind, raw, where, scrubber)
+
+
+def _scrub_cdr(kind: Record, raw: bytes, where: str, scrubber: Scrubber) -> bytes:
+    """A message behind its 4 bytes of encapsulation. Raises MessageError where these are not known."""
+    wire = CDR_WIRES.get(raw[1]) if len(raw) >= 4 else None
+    if wire is None:
+        raise MessageError("an encapsulation that is not known")
+    return raw[:4] + scrub_message(kind, raw[4:], wire, where, scrubber)
+
+
+class _Walk:
+    """A cursor over one message."""
+
+    def __init__(self, data: bytes, wire: Wire) -> None:
+        self._data, self._wire, self._at, self._steps = data, wire, 0, 0
+
+    def spots(self, kind: Type, path: str) -> Iterator[Spot]:
+        self._steps += 1
+        if self._steps > MAX_STEPS:
+            raise MessageError("too many elements")
+        if isinstance(kind, Record):
+            for name, inner in kind.fields:
+                yield from self.spots(inner, f"{path}.{name}" if path else name)
+        elif isinstance(kind, Array):
+            yield from self._array(kind, path)
+        elif isinstance(kind, Text):
+            size = self._count()
+            yield Spot(path, "", self._take(size), max(size - self._wire.nul, 0))
+        else:
+            size = np.dtype(kind.dtype).itemsize
+            self._align(size)
+            yield Spot(path, "u1" if kind.dtype == "b1" else kind.dtype, self._take(size), size)
+
+    def _array(self, kind: Array, path: str) -> Iterator[Spot]:
+        count = self._count() if kind.size is None else kind.size
+        if isinstance(kind.element, Number):
+            size = np.dtype(kind.element.dtype).itemsize
+            if count:
+                self._align(size)
+            at = self._take(size * count)
+            if rules.is_identity(path):
+                yield Spot(path, "u1", at, size * count)
+            return
+        for k in range(count):
+            yield from self.spots(kind.element, f"{path}[{k}]")
+
+    def _align(self, size: int) -> None:
+        self._at += -self._at % min(size, self._wire.align)
+
+    def _count(self) -> int:
+        self._align(4)
+        return int(struct.unpack_from(self._wire.order + "I", self._data, self._take(4))[0])
+
+    def _take(self, size: int) -> int:
+        at, self._at = self._at, self._at + size
+        if self._at > len(self._data):
+            raise MessageError("the message ends early")
+        return at

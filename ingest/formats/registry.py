@@ -1,0 +1,135 @@
+"""Every log format that flysid reads, and how a log's format is found.
+
+Third parties add a format with an entry point of the group "flysid.formats" that names a `Format`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from flysid.errors import FormatError, UsageError
+from flysid.flight import Flight
+from flysid.ingest.formats.base import HEAD_BYTES, WHOLE_BATCH_BYTES, Format, Limits, collect, open_log
+
+ENTRY_POINTS = "flysid.formats"
+CERTAIN = 0.95
+PLAUSIBLE = 0.3
+
+
+def _row(name: str, title: str, suffixes: str, reader: str, scrubber: str | None) -> Format:
+    home = "flysid.ingest.formats"
+    scrub = f"{home}.{scrubber}" if scrubber else None
+    return Format(name, title, tuple(suffixes.split()), f"{home}.{reader}", scrub)
+
+
+FORMATS: Mapping[str, Format] = {
+    row.name: row
+    for row in (
+        _row("csv", "table in text (.csv, .tsv)", ".csv .tsv", "csv.reader", None),
+        _row("dataflash", "ArduPilot DataFlash (.bin)", ".bin", "dataflash.reader", "dataflash.scrub"),
+        _row(
+            "dataflash_text",
+            "ArduPilot DataFlash as text (.log)",
+            ".log",
+            "dataflash.text_reader",
+            "dataflash.scrub_text",
+        ),
+        _row("mcap", "MCAP (ROS 1, ROS 2, protobuf, JSON)", ".mcap", "mcap.reader", "mcap.scrub"),
+        _row(
+            "navdata",
+            "AR.Drone navdata (packets or pcap)",
+            ".navdata .pcap .cap",
+            "ardrone.reader",
+            "ardrone.scrub",
+        ),
+        _row("rosbag", "ROS 1 bag", ".bag", "rosbag1.reader", "rosbag1.scrub"),
+        _row("rosbag2", "ROS 2 bag (SQLite)", ".db3 .db3.zstd", "rosbag2.reader", "rosbag2.scrub"),
+        _row(
+            "tlog",
+            "MAVLink telemetry (.tlog)",
+            ".tlog .rlog .mavlink .raw",
+            "mavlink.reader",
+            "mavlink.scrub",
+        ),
+        _row("ulog", "PX4 ULog", ".ulg", "ulog.reader", "ulog.scrub"),
+    )
+}
+
+
+@cache
+def all_formats() -> Mapping[str, Format]:
+    """Every format by name: flysid's own, then those of installed packages.
+
+    Raises
+    ------
+    UsageError : an installed package offers something that is no format, or a name that is taken.
+    """
+    found = dict(FORMATS)
+    for entry in entry_points(group=ENTRY_POINTS):
+        offered = entry.load()
+        if not isinstance(offered, Format) or offered.name in found:
+            raise UsageError(
+                f"the entry point {entry.name!r} of {ENTRY_POINTS} is not a new format",
+                hint=f"it must name a Format whose name is not one of {', '.join(found)}",
+            )
+        found[offered.name] = offered
+    return found
+
+
+def find_format(name: str) -> Format:
+    """The format of this name. Raises UsageError where there is none."""
+    try:
+        return all_formats()[name]
+    except KeyError:
+        raise UsageError(f"no format {name!r}", hint="one of " + ", ".join(all_formats())) from None
+
+
+def detect(head: bytes, name: str) -> Format:
+    """The format of a file by its first bytes; its name only breaks ties.
+
+    Raises FormatError when no format recognises it.
+    """
+    if not head:
+        raise FormatError(
+            "the file is empty", path=name, byte=0, hint="check that the download or copy finished"
+        )
+    lower = name.lower()
+    for likely in FORMATS.values():
+        if lower.endswith(likely.suffixes) and likely.sniff(head, name) >= CERTAIN:
+            return likely  # the usual case: no other reader is imported
+    scored = [
+        (f.sniff(head, name) + (0.05 if lower.endswith(f.suffixes) else 0.0), f)
+        for f in all_formats().values()
+    ]
+    confidence, best = max(scored, key=lambda pair: pair[0])
+    if confidence < PLAUSIBLE:
+        raise FormatError(
+            "not a flight log that flysid knows",
+            path=name,
+            byte=0,
+            hint="formats read: " + ", ".join(f.title for f in all_formats().values()),
+        )
+    return best
+
+
+def read(path: str | Path, *, format: str | None = None, limits: Limits | None = None) -> Flight:  # noqa: A002
+    """Read a whole log into memory.
+
+    Parameters
+    ----------
+    path : the log.
+    format : name of its format; found from its bytes when None.
+    limits : bounds for hostile input.
+
+    Raises
+    ------
+    FormatError : not a log, empty or unreadable.
+    UsageError : `format` is not a name that flysid knows.
+    """
+    path = Path(path)
+    with open_log(path) as view:
+        fmt = detect(bytes(view[:HEAD_BYTES]), path.name) if format is None else find_format(format)
+        return collect(view, path.name, fmt, limits or Limits(batch_bytes=WHOLE_BATCH_BYTES))

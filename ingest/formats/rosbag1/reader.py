@@ -1,0 +1,107 @@
+"""ROS 1 bags (format 2.0): every topic a stream of its own, decoded from the definitions in the bag.
+
+Stream keys, clocks and columns are those of an MCAP file with the same topics: `time_ns` is the message's own
+stamp where it has one, else the time of recording, which is `recv_ns`. No ROS and no library is needed. As a
+bag has no checksums outside bzip2 chunks, a damaged value inside a message is read as it is.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+
+from flysid.errors import FormatError
+from flysid.ingest.formats.base import Limits, Parts, Summary, release
+from flysid.ingest.formats.common.tally import Tally
+from flysid.ingest.formats.messages.channel import Channel, Schema
+from flysid.ingest.formats.messages.topics import Message, Topics, queued
+from flysid.ingest.formats.rosbag1.records import (
+    CONNECTION,
+    MAGIC,
+    MESSAGE,
+    BagReader,
+    BagRecord,
+    indexed_connections,
+    split_fields,
+)
+
+MAX_CONNECTIONS = 1 << 16
+_STAMP = struct.Struct("<II")
+
+
+class _Connections:
+    """Connection numbers and the channels they carry."""
+
+    def __init__(self) -> None:
+        self._of: dict[int, Channel] = {}
+
+    def define(self, record: BagRecord, data: bytes) -> bool:
+        """Learn a connection; the first definition of a number stands. False where it is damaged."""
+        fields = split_fields(data)
+        if record.connection in self._of or fields is None or len(self._of) >= MAX_CONNECTIONS:
+            return fields is not None
+        name = record.fields[b"topic"].decode("utf-8", "replace")
+        kind = fields.get(b"type", b"").decode("utf-8", "replace")
+        schema = Schema(kind, "ros1msg", fields.get(b"message_definition", b""))
+        self._of[record.connection] = Channel(name, "ros1", schema)
+        return True
+
+    def message(self, record: BagRecord, source: memoryview | bytes) -> Message:
+        """A message with its channel; publishers of one topic and type share it."""
+        seconds, fraction = _STAMP.unpack(record.fields[b"time"])
+        payload = bytes(source[record.data_at : record.end])
+        return Message(self._of.get(record.connection), payload, seconds * 10**9 + fraction)
+
+
+def read(view: memoryview, name: str, limits: Limits) -> Parts:
+    """Parts of all topics of a ROS 1 bag.
+
+    Parameters
+    ----------
+    view : the file.
+    name : its name, for errors.
+    limits : bounds; see Limits.
+
+    Raises
+    ------
+    FormatError : there is not one record in the file.
+    """
+    tally = Tally()
+    reader, topics = BagReader(view, limits, tally), Topics(tally)
+    released = 0
+
+    def passed() -> None:
+        nonlocal released
+        release(view, released, reader.place)
+        released = reader.place
+
+    yield from queued(_messages(view, reader, tally), topics, limits.batch_bytes, passed)
+    if not reader.seen:
+        raise FormatError(
+            "no record in this bag can be read", path=name, byte=0, hint="is the copy complete?"
+        )
+    return Summary(tally.freeze(), topics.clocks(), topics.notes())
+
+
+def _messages(view: memoryview, reader: BagReader, tally: Tally) -> Iterator[Message]:
+    """Every message of a bag in file order; those of no known connection are counted."""
+    connections = _Connections()
+    for known in indexed_connections(view):
+        connections.define(known, bytes(view[known.data_at : known.end]))
+    for source, record in reader.records():
+        if record.op == CONNECTION:
+            if not connections.define(record, bytes(source[record.data_at : record.end])):
+                tally.undecode("(connections)")  # its length may have taken in messages
+        elif record.op == MESSAGE:
+            message = connections.message(record, source)
+            if message.channel is None:
+                tally.undecode("(connection without definition)")
+            yield message
+
+
+def sniff(head: bytes, name: str) -> float:
+    """1 for the magic; 0.5 for a file called .bag whose magic is damaged in up to two bytes."""
+    if head.startswith(MAGIC):
+        return 1.0
+    same = sum(a == b for a, b in zip(head, MAGIC, strict=False))
+    return 0.5 if same >= len(MAGIC) - 2 and name.lower().endswith(".bag") else 0.0

@@ -1,0 +1,244 @@
+"""Records of a ROS 1 bag (format 2.0), front to back, through damage, with everything lost counted.
+
+A record is a u32 header length, header fields (u32 length, `name=value`), a u32 data length, data. The format
+is that of the ROS wiki, "Bags/Format/2.0". Nothing but a bzip2 chunk carries a checksum: a record counts as
+one where its header divides into fields, its op is known and the fields that this op needs have their sizes.
+A plain chunk is no more than the records in it, so its own lengths, which damage or a cut may falsify, are
+not needed; the index behind the data only serves to know connections before their first message.
+"""
+
+from __future__ import annotations
+
+import bz2
+import re
+import struct
+from collections.abc import Generator, Iterator, Mapping
+from dataclasses import dataclass
+
+from flysid.ingest.formats.base import Limits
+from flysid.ingest.formats.common.tally import Tally
+
+MAGIC = b"#ROSBAG V2.0\n"
+MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
+MAX_HEADER_BYTES = 1 << 16
+_U32 = struct.Struct("<I")
+_NEEDS: Mapping[int, Mapping[bytes, int]] = {  # size of each field; 0 for any
+    MESSAGE: {b"conn": 4, b"time": 8},
+    BAG: {b"index_pos": 8, b"conn_count": 4, b"chunk_count": 4},
+    INDEX: {b"ver": 4, b"conn": 4, b"count": 4},
+    CHUNK: {b"compression": 0, b"size": 4},
+    CHUNK_INFO: {b"ver": 4, b"chunk_pos": 8, b"start_time": 8, b"end_time": 8, b"count": 4},
+    CONNECTION: {b"conn": 4, b"topic": 0},
+}
+_START = re.compile(
+    rb"(?s)..\0\0..\0\0(?:op|conn|topic|time|ver|count|size|compression|index_pos|conn_count|chunk_count"
+    rb"|chunk_pos|start_time|end_time)="
+)
+Fields = Mapping[bytes, bytes]
+Found = tuple[memoryview | bytes, "BagRecord"]
+
+
+class ChunkError(ValueError):
+    """A chunk that cannot be expanded; the message says why."""
+
+
+class DamagedChunkError(ChunkError):
+    """The compressed data do not hold together, or fail their checksum."""
+
+
+@dataclass(frozen=True)
+class BagRecord:
+    """A record at [start, end), its data from `data_at`."""
+
+    op: int
+    fields: Fields
+    start: int
+    data_at: int
+    end: int
+
+    @property
+    def connection(self) -> int:
+        """The connection that a message or definition belongs to."""
+        return _U32.unpack(self.fields[b"conn"])[0]  # type: ignore[no-any-return]
+
+
+def split_fields(raw: bytes) -> dict[bytes, bytes] | None:
+    """Fields of a header; None where they do not fill it exactly."""
+    fields: dict[bytes, bytes] = {}
+    at = 0
+    while at + 4 <= len(raw):
+        (size,) = _U32.unpack_from(raw, at)
+        name, mark, value = raw[at + 4 : at + 4 + size].partition(b"=")
+        at += 4 + size
+        if not mark or at > len(raw):
+            return None
+        fields[name] = value
+    return fields if at == len(raw) else None
+
+
+def record_at(view: memoryview | bytes, at: int, limit: int) -> BagRecord | None:
+    """The record that begins at `at`; its end may be behind `limit`. None where there is none."""
+    if at + 8 > limit:
+        return None
+    (length,) = _U32.unpack_from(view, at)
+    data_at = at + 8 + length
+    if not 4 < length <= MAX_HEADER_BYTES or data_at > limit:
+        return None
+    fields = split_fields(bytes(view[at + 4 : at + 4 + length]))
+    op = fields.get(b"op", b"") if fields is not None else b""
+    needs = _NEEDS.get(op[0]) if len(op) == 1 else None
+    if fields is None or needs is None:
+        return None
+    if any(
+        len(fields.get(name, b"")) != size if size else name not in fields for name, size in needs.items()
+    ):
+        return None
+    (size,) = _U32.unpack_from(view, data_at - 4)
+    return BagRecord(op[0], fields, at, data_at, data_at + size)
+
+
+def next_record(view: memoryview | bytes, at: int, limit: int) -> int:
+    """Where the next whole record begins at or after `at`; `limit` where there is none."""
+    while (found := _START.search(view, at, limit)) is not None:
+        record = record_at(view, found.start(), limit)
+        if record is not None and (record.end <= limit or _is_plain_chunk(record)):
+            return found.start()
+        at = found.start() + 1
+    return limit
+
+
+def _is_plain_chunk(record: BagRecord) -> bool:
+    """Whether records follow the head of a chunk as they are; a misspelt "none" is harmless so."""
+    return record.op == CHUNK and record.fields[b"compression"] not in (b"bz2", b"lz4")
+
+
+class BagReader:
+    """Messages and connections of one bag; `place` and `seen` advance while `records` is consumed."""
+
+    def __init__(self, view: memoryview, limits: Limits, tally: Tally) -> None:
+        self.place = 0
+        self.seen = 0  # records of any kind
+        self._listed = 0  # connections and chunks in the index at the end
+        self._view = view
+        self._limits = limits
+        self._tally = tally
+
+    def records(self) -> Iterator[Found]:
+        """Every record and the bytes it lies in (the file, or an expanded chunk)."""
+        start = len(MAGIC) if self._view[: len(MAGIC)] == MAGIC else 0
+        at = start or next_record(self._view, 0, len(self._view))
+        self._tally.skip(0, 0 if start else min(at, len(MAGIC)), "not the magic of a bag")
+        self._tally.skip(len(MAGIC), 0 if start else at, "no record here")
+        while at < len(self._view):
+            self.place = at
+            record = record_at(self._view, at, len(self._view))
+            if record is None:
+                at = self._lost(at, at, "no record here")
+            elif _is_plain_chunk(record):
+                self.seen += 1
+                yield self._view, record
+                at = record.data_at
+            else:
+                at = yield from self._whole(record)
+        self._tally.truncated |= self._is_unfinished()
+
+    def _is_unfinished(self) -> bool:
+        """Whether nothing is damaged and yet the index that the bag's header tells of is not all there.
+
+        A recorder writes the index's place into the header when it closes the bag, 0 until then.
+        """
+        head = record_at(self._view, len(MAGIC), len(self._view))
+        if head is None or head.op != BAG or self._tally.freeze().lossy:
+            return False
+        counts = (int.from_bytes(head.fields[name], "little") for name in (b"conn_count", b"chunk_count"))
+        return not any(head.fields[b"index_pos"]) or self._listed < sum(counts)
+
+    def _count(self, record: BagRecord) -> None:
+        self.seen += 1
+        head = record_at(self._view, len(MAGIC), len(self._view)) if record.op == CONNECTION else None
+        index_pos = int.from_bytes(head.fields.get(b"index_pos", b""), "little") if head is not None else 0
+        self._listed += record.op == CHUNK_INFO or (record.op == CONNECTION and 0 < index_pos <= record.start)
+
+    def _whole(self, record: BagRecord) -> Generator[Found, None, int]:
+        """A record and what follows it; returns where to go on."""
+        limit = len(self._view)
+        if record.end < limit and record_at(self._view, record.end, limit) is None:
+            resume = next_record(self._view, record.start + 1, limit)
+            if resume < record.end:
+                self._tally.skip(record.start, resume, "record of a wrong length")
+                return resume
+        elif record.end > limit:
+            return self._lost(record.start, record.start, "the file ends inside this record")
+        self._count(record)
+        if record.op == CHUNK:
+            yield from self._expanded(record)
+        else:
+            yield self._view, record
+        return record.end
+
+    def _lost(self, start: int, at: int, reason: str) -> int:
+        """Nothing whole at `start`: skip to the next record; behind the last one, the file is cut."""
+        resume = next_record(self._view, at + 1, len(self._view))
+        self._tally.truncated |= resume == len(self._view)
+        self._tally.skip(start, resume, reason)
+        return resume
+
+    def _expanded(self, chunk: BagRecord) -> Iterator[Found]:
+        """The records of a compressed chunk; one that fails is skipped alone."""
+        try:
+            data = expand(self._view, chunk, self._limits)
+        except ChunkError as error:
+            self._tally.bad_checksums += isinstance(error, DamagedChunkError)
+            self._tally.skip(chunk.start, chunk.end, str(error))
+            return
+        at, bad = 0, False
+        while at < len(data):
+            record = record_at(data, at, len(data))
+            if record is None or record.end > len(data):
+                at, bad = next_record(data, at + 1, len(data)), True
+                continue
+            yield data, record
+            at = record.end
+        if bad:
+            self._tally.skip(chunk.data_at, chunk.end, "records in the chunk do not fit it")
+
+
+def expand(view: memoryview, chunk: BagRecord, limits: Limits) -> bytes:
+    """The data of a chunk compressed with bz2 or lz4. Raises ChunkError."""
+    packed = view[chunk.data_at : chunk.end]
+    (size,) = _U32.unpack(chunk.fields[b"size"])
+    if size > limits.max_chunk_bytes or size > limits.max_ratio * len(packed) + (1 << 20):
+        raise ChunkError(f"a chunk that expands to {size} bytes is beyond the limits")
+    kind = chunk.fields[b"compression"]
+    try:
+        data = _unpack(kind, packed, size)
+    except (OSError, RuntimeError, ValueError, EOFError) as error:
+        raise DamagedChunkError(f"chunk data are damaged: {error}") from error
+    if len(data) != size:
+        raise DamagedChunkError(f"chunk declares {size} bytes and holds {len(data)}")
+    return data
+
+
+def _unpack(kind: bytes, packed: memoryview, size: int) -> bytes:
+    if kind == b"bz2":
+        decoder = bz2.BZ2Decompressor()
+        data = decoder.decompress(packed, max_length=size + 1)
+        if not decoder.eof and len(data) == size:  # the end carries the checksum
+            data += decoder.decompress(b"", max_length=1)
+        return data
+    import lz4.frame
+
+    return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1))
+
+
+def indexed_connections(view: memoryview) -> Iterator[BagRecord]:
+    """The connections repeated behind the data, where the bag's own header can be believed."""
+    first = record_at(view, len(MAGIC), len(view))
+    if first is None or first.op != BAG:
+        return
+    at = int.from_bytes(first.fields[b"index_pos"], "little")
+    while (record := record_at(view, at, len(view))) is not None and record.op == CONNECTION:
+        if record.end > len(view):
+            return
+        yield record
+        at = record.end

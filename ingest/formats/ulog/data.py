@@ -1,0 +1,185 @@
+"""ULog data records as tables: their times, those that cannot be, and the columns of their fields.
+
+Old samples are common (a topic's last value when logging began), so a time in the past is kept. A record more
+than a minute ahead of the records on both sides is rejected and counted, unless it is the first of its topic:
+that one was kept by the vehicle from an earlier boot (missions are), and gets the time of its neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from flysid.flight import BOOT, TIME
+from flysid.ingest.formats.base import StreamPart
+from flysid.ingest.formats.common import arrow_arrays
+from flysid.ingest.formats.common.clock import UtcFit
+from flysid.ingest.formats.common.gather import Bytes, Index, Values, numbers, rows
+from flysid.ingest.formats.common.tally import Tally
+from flysid.ingest.formats.ulog.layouts import NUMBERS, UlogField, UlogLayout
+from flysid.ingest.formats.ulog.records import DataRun
+
+AHEAD_US = 60_000_000
+NEIGHBOURS = 16
+MAX_TIME_US = (1 << 63) // 1000 - 1
+MAX_RETAINED_US = 30 * 86_400 * 10**6
+FIRST_UTC_US = 10**15  # 2001
+
+
+@dataclass(frozen=True)
+class Subscription:
+    """A topic's instance with its layout, and the stream it goes to."""
+
+    stream: str
+    topic: str
+    instance: int
+    layout: UlogLayout
+
+
+@dataclass
+class DataDecoder:
+    """Turns runs of data records into tables; what is seen on the way stays in `tally` and `utc`.
+
+    Attributes
+    ----------
+    data : the whole file.
+    subscriptions : by the number that runs give; the reader adds to them.
+    """
+
+    data: Bytes
+    tally: Tally
+    subscriptions: list[Subscription] = field(default_factory=list)
+    utc: UtcFit = field(default_factory=UtcFit)
+    _previous_ns: dict[int, int] = field(default_factory=dict)
+    _schemas: dict[int, pa.Schema] = field(default_factory=dict)
+
+    def parts(self, runs: Sequence[DataRun], now_us: int) -> Iterator[StreamPart]:
+        """Tables of records that follow each other in the file; `now_us` is the time of the last of them."""
+        if not runs:
+            return
+        at = np.concatenate([run.at for run in runs]) + 5
+        number = np.concatenate([run.subscription for run in runs])
+        order = np.argsort(number.astype(np.uint16), kind="stable")
+        cuts = np.flatnonzero(np.diff(number[order])) + 1
+        groups = [(int(number[which[0]]), which) for which in np.split(order, cuts)]
+        time_us = self._times(at, groups)
+        ahead = far_ahead(time_us)
+        for index, which in groups:
+            kept = (
+                self._without_outliers(index, which, ahead, time_us, now_us) if ahead[which].any() else which
+            )
+            if len(kept):
+                yield self._part(index, at[kept], time_us[kept])
+
+    def _without_outliers(
+        self, index: int, which: Index, ahead: NDArray[np.bool_], time_us: Index, now_us: int
+    ) -> Index:
+        """The records whose time can be used; that of a retained first one is set to its neighbours'."""
+        stream, first = self.subscriptions[index].stream, int(which[0])
+        if ahead[first] and index not in self._previous_ns and time_us[first] < MAX_RETAINED_US:
+            near = np.flatnonzero(~ahead[first + 1 : first + NEIGHBOURS])
+            time_us[first] = time_us[first + 1 + near[0]] if len(near) else now_us
+            ahead[first] = False
+            self.tally.out_of_order[stream] += 1
+        rejected = ahead[which]
+        if rejected.any():
+            self.tally.time_outliers[stream] += int(rejected.sum())
+        return which[~rejected]
+
+    def _times(self, at: Index, groups: list[tuple[int, Index]]) -> Index:
+        """Times of all records in file order, in us; those of topics without any are the last one before."""
+        time_us = np.full(len(at), -1, dtype=np.int64)
+        for index, which in groups:
+            spec = self.subscriptions[index].layout.time
+            if spec is not None:
+                raw = numbers(self.data, at[which] + spec.offset, NUMBERS[spec.kind])
+                time_us[which] = np.where(raw > MAX_TIME_US, MAX_TIME_US, raw).astype(np.int64)
+        unknown = np.flatnonzero(time_us < 0)
+        if len(unknown):
+            known = np.maximum.accumulate(np.where(time_us >= 0, np.arange(len(at)), -1))
+            before = known[unknown]
+            time_us[unknown] = np.where(before >= 0, time_us[before], 0)
+        return time_us
+
+    def _part(self, index: int, at: Index, time_us: Index) -> StreamPart:
+        subscription = self.subscriptions[index]
+        layout = subscription.layout
+        table = rows(self.data, at, layout.size).view(layout.dtype())
+        time_ns = time_us * 1000
+        self._observe(index, table, time_ns)
+        arrays = [
+            arrow_arrays.numeric(time_ns),
+            arrow_arrays.numeric(np.zeros(len(time_ns), dtype=np.int32)),
+            *(_column(spec, table[str(k)]) for k, spec in enumerate(layout.fields)),
+        ]
+        if index not in self._schemas:
+            self._schemas[index] = _schema(subscription, arrays)
+        return StreamPart(subscription.stream, pa.Table.from_arrays(arrays, schema=self._schemas[index]))
+
+    def _observe(self, index: int, table: Values, time_ns: Index) -> None:
+        """Count steps back and collect pairs of vehicle time and UTC."""
+        subscription = self.subscriptions[index]
+        back = int((np.diff(time_ns) < 0).sum()) + int(time_ns[0] < self._previous_ns.get(index, 0))
+        self._previous_ns[index] = int(time_ns[-1])
+        if back:
+            self.tally.out_of_order[subscription.stream] += back
+        self.utc.add(0, time_ns, None)
+        for k, spec in enumerate(subscription.layout.fields):
+            if spec.name == "time_utc_usec" and not spec.count:
+                utc_us = table[str(k)].astype(np.int64)
+                good = (utc_us > FIRST_UTC_US) & (utc_us < MAX_TIME_US)
+                self.utc.add(0, time_ns[good], utc_us[good] * 1000)
+
+
+def _column(spec: UlogField, values: Values) -> pa.Array:
+    if spec.kind == "char" and spec.count:
+        return arrow_arrays.fixed_text(values)
+    if spec.kind == "bool":
+        values = values != 0
+    return arrow_arrays.matrix(values) if spec.count else arrow_arrays.numeric(values)
+
+
+def _schema(subscription: Subscription, arrays: list[pa.Array]) -> pa.Schema:
+    layout = subscription.layout
+    names = [TIME, BOOT]
+    for spec in layout.fields:
+        names.append(arrow_arrays.free_name(spec.name, set(names)))
+    about = {
+        "time_source": "timestamp" if layout.time else "neighbours",
+        "topic": subscription.topic,
+        "instance": str(subscription.instance),
+    }
+    fields = [pa.field(name, array.type) for name, array in zip(names, arrays, strict=True)]
+    return pa.schema(fields, metadata=about)
+
+
+def far_ahead(time_us: Index) -> NDArray[np.bool_]:
+    """True where a time is over a minute ahead of all 16 records before and of all but one of 16 behind.
+
+    Times in file order, (n,). Alone in the file, or before a step back, a time is not ahead of anything.
+    """
+    ahead = time_us >= MAX_TIME_US
+    times = np.where(ahead, 0, time_us)
+    for _ in range(8):
+        found = _jumps(times)
+        if not len(found):
+            break
+        ahead[found] = True
+        times[found] = 0
+    return ahead
+
+
+def _jumps(times: Index) -> Index:
+    """Places that stand out to the future from both sides."""
+    before = np.zeros(len(times), dtype=np.int64)
+    for shift in range(1, NEIGHBOURS + 1):
+        np.maximum(before[shift:], times[:-shift], out=before[shift:])
+    steps = np.flatnonzero((times > before + AHEAD_US)[1:]) + 1
+    behind = [times[p + 1 : p + 1 + NEIGHBOURS] for p in steps.tolist()]
+    later = [int((b > times[p] - AHEAD_US).sum()) for p, b in zip(steps.tolist(), behind, strict=True)]
+    lone = [n < 2 and len(b) >= 4 for n, b in zip(later, behind, strict=True)]
+    return steps[np.array(lone, dtype=np.bool_)] if len(steps) else steps

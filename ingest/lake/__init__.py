@@ -1,0 +1,1 @@
+"""Many logs in one folder: read in bounded workers, committed whole, opened again."""

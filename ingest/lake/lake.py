@@ -1,0 +1,180 @@
+"""Lake: an ingested folder, its flights, and the datasets that recipes make of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import pyarrow as pa
+
+from flysid.dataset import Dataset
+from flysid.errors import DataError, RecipeError, UsageError
+from flysid.flight import Flight
+from flysid.ingest.align.align import Aligned, align, align_to_file
+from flysid.ingest.align.recipe import Recipe, load_recipe, shipped_recipes
+from flysid.ingest.align.report import AlignReport
+from flysid.ingest.align.signals import find_source
+from flysid.ingest.excitation.suggest import Suggestion, suggest
+from flysid.manifest import FLIGHTS, Manifest, check_data_folder, find_flight, list_flights
+from flysid.store import read_entry, read_flight
+
+
+@dataclass(frozen=True, eq=False)
+class StoredLog:
+    """A stored flight for alignment: columns are read when they are needed."""
+
+    folder: Path
+    manifest: Manifest
+
+    @property
+    def name(self) -> str:
+        return self.manifest.id
+
+    @cached_property
+    def rows(self) -> Mapping[str, int]:
+        """Rows of every stream, by key."""
+        return {s.stream: s.rows for s in self.manifest.streams}
+
+    @property
+    def info(self) -> Mapping[str, str]:
+        """Facts about the vehicle."""
+        return self.manifest.info
+
+    def columns(self, stream: str) -> Sequence[str]:
+        """Names of a stream's columns."""
+        return [c.name for c in self.manifest.stream(stream).columns]
+
+    def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
+        """Some columns of a stream."""
+        return read_entry(self.folder / FLIGHTS / self.manifest.id, self.manifest.stream(stream), columns)
+
+
+@dataclass(frozen=True, eq=False)
+class Lake:
+    """An ingested folder.
+
+    Attributes
+    ----------
+    folder : where it is.
+    flights : the manifests of its flights, by id.
+    """
+
+    folder: Path
+    flights: tuple[Manifest, ...]
+
+    def __len__(self) -> int:
+        return len(self.flights)
+
+    def __iter__(self) -> Iterator[Manifest]:
+        return iter(self.flights)
+
+    @property
+    def logs(self) -> tuple[StoredLog, ...]:
+        """The flights as alignment reads them."""
+        return tuple(StoredLog(self.folder, manifest) for manifest in self.flights)
+
+    def flight(self, flight: str) -> Flight:
+        """A flight in memory, by its id or the unambiguous beginning of it."""
+        return read_flight(self.folder, find_flight(self.folder, flight).id)
+
+    def recipes(self) -> dict[str, tuple[str, ...]]:
+        """Shipped recipes that at least one flight can serve -> the channels it can serve."""
+        served = {name: self.channels(load_recipe(name)) for name in shipped_recipes()}
+        return {name: channels for name, channels in served.items() if channels}
+
+    def channels(self, recipe: Recipe | str | Path) -> tuple[str, ...]:
+        """Channels of a recipe that at least one flight holds all signals of."""
+        recipe = _as_recipe(recipe)
+        return tuple(name for name in recipe.channels if any(_serves(log, recipe, name) for log in self.logs))
+
+    def align(self, recipe: Recipe | str | Path, channel: str) -> Aligned:
+        """The dataset of a channel and how it was made; raises as `flysid.ingest.align.align`."""
+        return align(self.logs, _as_recipe(recipe), channel)
+
+    def dataset(self, recipe: Recipe | str | Path, channel: str) -> Dataset:
+        """The dataset of a channel; raises as `flysid.ingest.align.align.align`."""
+        return self.align(recipe, channel).dataset
+
+    def expected_samples(self, recipe: Recipe | str | Path, channel: str) -> int:
+        """About as many samples as the channel's dataset will have: rows of its slowest paced source."""
+        recipe = _as_recipe(recipe)
+        specs = [recipe.signals[name] for name in recipe.signals_of(channel)]
+        paced = [s for s in specs if s.max_gap_s != float("inf")] or specs
+        total = 0
+        for log in self.logs:
+            found = [find_source(s.sources, log) for s in paced]
+            total += min((log.rows[source[1]] for source in found if source is not None), default=0)
+        return total
+
+    def write(self, recipe: Recipe | str | Path, channel: str, path: str | Path) -> AlignReport:
+        """The dataset of a channel into a parquet file, in bounded memory; see `align_to_file`."""
+        return align_to_file(path, self.logs, _as_recipe(recipe), channel)
+
+    def datasets(self, recipe: Recipe | str | Path) -> dict[str, Dataset]:
+        """Datasets of all channels of a recipe that the flights can serve.
+
+        Channels without streams, excitation or length are left out; where none is left, the first
+        channel's error is raised.
+        """
+        recipe = _as_recipe(recipe)
+        found: dict[str, Dataset] = {}
+        errors: list[RecipeError | DataError] = []
+        for name in recipe.channels:
+            try:
+                found[name] = self.dataset(recipe, name)
+            except (RecipeError, DataError) as error:
+                errors.append(error)
+        if not found:
+            raise errors[0]
+        return found
+
+    def suggest(self, recipes: Sequence[str | Recipe] | None = None) -> list[Suggestion]:
+        """What each flight supports, how well, and what to log or fly next."""
+        return suggest(self.logs, recipes)
+
+    def channel(self, name: str, recipe: Recipe | str | Path | None = None) -> Dataset:
+        """The dataset of a channel of the given recipe, or of the only shipped recipe that serves it here.
+
+        Raises
+        ------
+        UsageError : no recipe serves the channel, or several do.
+        """
+        if recipe is not None:
+            return self.dataset(recipe, name)
+        served = self.recipes()
+        having = [r for r, channels in served.items() if name in channels]
+        if len(having) == 1:
+            return self.dataset(having[0], name)
+        if having:
+            raise UsageError(
+                f"channel {name!r} is in {len(having)} recipes",
+                hint='recipe="' + '", or "'.join(having) + '"',
+            )
+        offered = ", ".join(dict.fromkeys(c for channels in served.values() for c in channels))
+        raise UsageError(
+            f"no recipe gives channel {name!r} from these flights",
+            path=self.folder,
+            hint=offered or "recipe=...",
+        )
+
+
+def open(folder: str | Path) -> Lake:  # noqa: A001
+    """Open an ingested folder.
+
+    Raises
+    ------
+    UsageError : there is no such folder, or `flysid ingest` did not make it.
+    StoreError : a manifest is damaged or of another version.
+    """
+    path = check_data_folder(folder)
+    return Lake(path, tuple(list_flights(path)))
+
+
+def _as_recipe(recipe: Recipe | str | Path) -> Recipe:
+    return recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
+
+
+def _serves(log: StoredLog, recipe: Recipe, channel: str) -> bool:
+    return all(find_source(recipe.signals[s].sources, log) is not None for s in recipe.signals_of(channel))

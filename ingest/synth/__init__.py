@@ -1,0 +1,1 @@
+"""Flights that flysid simulates: plants, the nonlinear vehicle, wind, instruments, plans."""

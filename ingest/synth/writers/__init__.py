@@ -1,0 +1,1 @@
+"""Simulated flights as logs: one writer per format."""

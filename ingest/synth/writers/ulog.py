@@ -1,0 +1,150 @@
+"""A recording -> PX4 ULog (.ulg): the log that a PX4 vehicle would have written.
+
+Header: magic, version 1, start time. Then records of u16 size, u8 kind, body: B flags, F formats, I
+information, A subscriptions, D data. Topics are PX4's: vehicle_attitude_setpoint (q_d), vehicle_attitude
+(q), vehicle_local_position_setpoint (vz) and vehicle_local_position (north-east-down). Times are
+microseconds since boot. There is no radio: nothing arrives late; a drop-out is a pause of the logger,
+written as an O record.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.dataset import FloatArray
+from flysid.ingest.synth.telemetry import (
+    MS_NS,
+    SECOND_NS,
+    Recording,
+    Series,
+    as_bytes,
+    heard,
+    in_sending_order,
+    throttle,
+)
+from flysid.ingest.synth.writers.mavlink import quaternion
+
+MAGIC = b"ULog\x01\x12\x35\x01"
+TYPES = {"<u8": "uint64_t", "<f4": "float", "u1": "uint8_t", "?": "bool"}
+Fields = list[tuple[str, str]]
+
+SETPOINT: Fields = [
+    ("timestamp", "<u8"),
+    ("yaw_sp_move_rate", "<f4"),
+    ("q_d", "4<f4"),
+    ("thrust_body", "3<f4"),
+]
+ATTITUDE: Fields = [("timestamp", "<u8"), ("timestamp_sample", "<u8"), ("q", "4<f4")]
+CLIMB: Fields = [("timestamp", "<u8"), *((n, "<f4") for n in ("x", "y", "z", "yaw", "vx", "vy", "vz"))]
+POSITION: Fields = [
+    ("timestamp", "<u8"), ("timestamp_sample", "<u8"),
+    *((n, "<f4") for n in ("x", "y", "z", "vx", "vy", "vz", "heading")),
+]  # fmt: skip
+TOPICS = {
+    "vehicle_attitude_setpoint": SETPOINT,
+    "vehicle_local_position_setpoint": CLIMB,
+    "vehicle_attitude": ATTITUDE,
+    "vehicle_local_position": POSITION,
+}
+
+
+def ulog_bytes(recording: Recording) -> bytes:
+    """The whole log."""
+    command, state = recording.command, recording.state
+    rows = [_setpoint(recording), _climb(command), _attitude(state), _position(state)]
+    raw = [as_bytes(table) for table in rows]
+    due, topic, row = in_sending_order(command.time_ns, command.time_ns, state.time_ns, state.time_ns)
+    pieces = [_preamble(recording)]
+    pauses = sorted(recording.lost)
+    reached = heard(recording, due)
+    for i in range(len(due)):
+        while pauses and due[i] >= pauses[0][1]:
+            start, end = pauses.pop(0)
+            pieces.append(_record("O", struct.pack("<H", min((end - start) // MS_NS, 0xFFFF))))
+        if reached[i]:
+            pieces.append(_record("D", struct.pack("<H", topic[i]) + raw[topic[i]][row[i]]))
+    return b"".join(pieces)
+
+
+def _record(kind: str, body: bytes) -> bytes:
+    return struct.pack("<HB", len(body), ord(kind)) + body
+
+
+def _dtype(fields: Fields) -> np.dtype[Any]:
+    parts = [
+        (name, code[1:], (int(code[0]),)) if code[0].isdigit() else (name, code) for name, code in fields
+    ]
+    return np.dtype(parts)
+
+
+def _preamble(recording: Recording) -> bytes:
+    first_us = int(recording.state.time_ns[0]) // 1000
+    utc_s = struct.pack(
+        "<Q", (recording.boot_utc_ns + int(recording.state.time_ns[0])) // SECOND_NS * 1_000_000
+    )
+    parts = [MAGIC + struct.pack("<Q", first_us), _record("B", bytes(40))]
+    for name, fields in TOPICS.items():
+        parts.append(_record("F", f"{name}:{''.join(_declared(f) for f in fields)}".encode()))
+    for key, value in (("char[3] sys_name", b"PX4"), ("char[12] ver_hw", b"FLYSID_SYNTH"),
+                       ("uint64_t time_ref_utc_us", utc_s)):  # fmt: skip
+        parts.append(_record("I", bytes([len(key)]) + key.encode() + value))
+    for number, name in enumerate(TOPICS):
+        parts.append(_record("A", struct.pack("<BH", 0, number) + name.encode()))
+    return b"".join(parts)
+
+
+def _declared(field: tuple[str, str]) -> str:
+    name, code = field
+    count = f"[{code[0]}]" if code[0].isdigit() else ""
+    return f"{TYPES[code.lstrip('0123456789')]}{count} {name};"
+
+
+def _table(series: Series, fields: Fields) -> npt.NDArray[np.void]:
+    rows: npt.NDArray[np.void] = np.zeros(len(series), dtype=_dtype(fields))
+    rows["timestamp"] = series.time_ns // 1000
+    if "timestamp_sample" in (rows.dtype.names or ()):
+        rows["timestamp_sample"] = rows["timestamp"]
+    return rows
+
+
+def _setpoint(recording: Recording) -> npt.NDArray[np.void]:
+    command = recording.command
+    rows = _table(command, SETPOINT)
+    rows["q_d"] = quaternion(np.radians(command["phi_in"]), -np.radians(command["theta_in"]))
+    rows["thrust_body"][:, 2] = -throttle(recording, command.time_ns)
+    return rows
+
+
+def _climb(command: Series) -> npt.NDArray[np.void]:
+    rows = _table(command, CLIMB)
+    for name in ("x", "y", "z", "yaw", "vx", "vy"):
+        rows[name] = np.nan  # PX4 leaves what is not controlled undefined
+    rows["vz"] = -command["vz_in"]
+    return rows
+
+
+def _attitude(state: Series) -> npt.NDArray[np.void]:
+    rows = _table(state, ATTITUDE)
+    tilt = quaternion(np.radians(state["phi"]), -np.radians(state["theta"]))
+    rows["q"] = _turned(tilt, np.radians(state["psi"]))
+    return rows
+
+
+def _turned(q: FloatArray, yaw_rad: FloatArray) -> FloatArray:
+    """(N, 4) yaw applied before (to the left of) the tilt q."""
+    c, s = np.cos(yaw_rad / 2)[:, None], np.sin(yaw_rad / 2)[:, None]
+    w, x, y, z = q[:, :1], q[:, 1:2], q[:, 2:3], q[:, 3:]
+    return np.hstack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
+
+
+def _position(state: Series) -> npt.NDArray[np.void]:
+    rows = _table(state, POSITION)
+    c, s = np.cos(np.radians(state["psi"])), np.sin(np.radians(state["psi"]))
+    rows["x"], rows["y"], rows["z"] = state["x"], state["y"], -state["z"]
+    rows["vx"], rows["vy"] = c * state["vx"] - s * state["vy"], s * state["vx"] + c * state["vy"]
+    rows["vz"], rows["heading"] = -state["vz"], np.radians(state["psi"])
+    return rows
