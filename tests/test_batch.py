@@ -16,6 +16,7 @@ import pytest
 from flysid import store
 from flysid.errors import UsageError, WriteError
 from flysid.ingest.formats import registry
+from flysid.ingest.formats.base import Limits
 from flysid.ingest.lake import batch
 from flysid.ingest.lake.batch import Result, find_logs, ingest_logs
 from flysid.ingest.lake.workers import Bounds
@@ -167,7 +168,7 @@ def test_a_log_that_is_still_growing_is_left_alone(tmp_path: Path) -> None:
     assert isinstance(prepared, batch.Job)
     log.write_bytes(log.read_bytes() + b"more")
     data = store.create_data_folder(tmp_path / "data")
-    result = batch.ingest_one(prepared, data, base.Limits(), replace=False)
+    result = batch.ingest_one(prepared, data, Limits(), replace=False)
     assert "changed while it was being read" in result.reason
 
 
