@@ -28,19 +28,19 @@ lint: $(VENV)/.installed
 	$(BIN)/lint-imports
 
 bench-ingest: $(VENV)/.installed  ## readers against their peers, ratios in CPU time
-	$(BIN)/python -m tests.bench.bench_ingest
+	$(BIN)/python -m bench.bench_ingest
 
 soak: $(VENV)/.installed  ## hours: long campaigns (docs/reliability.md), the verdict against known truth
-	$(BIN)/python -m tests.bench.verdict_coverage 1000
-	$(BIN)/python -m tests.bench.monte_carlo 1000
-	$(BIN)/python -m tests.soak
+	$(BIN)/python -m bench.verdict_coverage 1000
+	$(BIN)/python -m bench.monte_carlo 1000
+	$(BIN)/python -m soak
 
 bench-model: $(VENV)/.installed  ## linear and fuzzy models against their peers (installed with pip beforehand), ratios
-	$(BIN)/python -m tests.bench.bench_model
-	$(BIN)/python -m tests.bench.bench_ts
+	$(BIN)/python -m bench.bench_model
+	$(BIN)/python -m bench.bench_ts
 
 bench-accuracy: $(VENV)/.installed  ## free-run accuracy on ../shared/benchmarks, default settings
-	$(BIN)/python -m tests.bench.accuracy
+	$(BIN)/python -m bench.accuracy
 
 audit: $(VENV)/.installed  ## licences, locked versions, vendored files; needs no network
 	$(BIN)/python -m tests.audit

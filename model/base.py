@@ -4,7 +4,7 @@ An estimator is a frozen dataclass that stores its settings; `fit(train, validat
 fitted model, a new immutable value. `validation` serves choices (orders, rules, stopping); where it is
 None, the estimator holds out blocks of `train` itself. Neither ever sees held-out test data.
 
-Laws that every fitted model keeps (tests/test_model_contract.py tries them on all structures):
+Laws that every fitted model keeps (tests/model/test_model_contract.py tries them on all structures):
 
 1. `predict` and `simulate` are pure and their results are always finite where defined.
 2. Causality: row i of `predict(u, y, k)` depends on u[:i+1] and y[:i-k+1] only; row i of `simulate` on

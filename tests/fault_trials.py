@@ -1,7 +1,7 @@
 """Trials of faults: commands killed at random points, disks that fill, handles that run out.
 
 Each trial runs the real command line in processes of their own, in empty folders. The tests make a few,
-`tests.soak` makes many.
+`soak` makes many.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from functools import partial
 from pathlib import Path
 
 from flysid.store import list_flights, read_flight
+from soak import Outcome
 from tests.samplelogs import tlog
-from tests.soak import Outcome
 
 ROOT = Path(__file__).resolve().parents[1]
 PLACE = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

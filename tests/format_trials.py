@@ -1,6 +1,6 @@
 """Damage done to the sample log of a format, trial by trial, and what a reader must keep.
 
-The contract tests run these at a small size, `tests/soak` at the full size of the catalogue. Every function
+The contract tests run these at a small size, `soak` at the full size of the catalogue. Every function
 fills an Outcome; its `failures` say where a promise was broken. `goes_on` is asked before each trial.
 """
 
@@ -16,8 +16,8 @@ from flysid.errors import FormatError
 from flysid.flight import Flight
 from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.registry import all_formats
+from soak import Outcome
 from tests.samplelogs import Record, record_at, sample_modules
-from tests.soak import Outcome
 
 SAMPLES = {name: module for name, module in sample_modules().items() if hasattr(module, "build")}
 FORMATS = sorted(set(all_formats()) & set(SAMPLES))

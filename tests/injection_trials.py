@@ -29,9 +29,9 @@ from flysid.validate.document import to_json
 from flysid.validate.report import ReportContext, render
 from flysid.validate.tables import to_csv, to_markdown
 from flysid.validate.terminal import summary, table
+from soak import Outcome
 from tests.fakes import FirstOrder
 from tests.input_trials import GoesOn, always
-from tests.soak import Outcome
 
 MARK = "data-hacked"
 SET = f"document.documentElement.setAttribute('{MARK}',1)"

@@ -20,8 +20,8 @@ from flysid.model.base import Fitted, load
 from flysid.validate.compare import compare
 from flysid.validate.document import to_json
 from flysid.validate.verdict import Verdict
+from soak import Outcome
 from tests.released_files import released
-from tests.soak import Outcome
 
 GoesOn = Callable[[], bool]
 ROWS = 80

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from bench.ts_intervals import experiment
 from flysid.model.fuzzy.grow import Stage, unrefined
 from flysid.model.fuzzy.model import FittedTS
 from flysid.model.fuzzy.problem import runs_of
 from flysid.model.fuzzy.refit import restated
 from flysid.model.fuzzy.workshop import Workshop
 from flysid.model.ts import TS
-from tests.bench.ts_intervals import experiment
 
 
 def workshop_of(truth: FittedTS) -> Workshop:

@@ -22,8 +22,8 @@ from flysid.model.line import Line
 from flysid.model.oe import OE
 from flysid.model.statespace import StateSpace
 from flysid.model.transfer_function import TF
+from soak import Outcome
 from tests.input_trials import SHAPES, GoesOn, always
-from tests.soak import Outcome
 
 Make = Callable[[np.random.Generator], tuple[FloatArray, FloatArray]]
 

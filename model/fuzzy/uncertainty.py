@@ -120,7 +120,7 @@ class RuleUncertainty(Uncertainty[FittedTS]):
         To first order, with the exact sensitivities of the run. Memberships and consequents make up for each
         other along bent valleys of the simulation error: draws from the normal distribution leave the valley
         at its ends, always to the same side of the run, and their band is lopsided and too wide: 2 to 120
-        times on the plants of `tests.bench.ts_bands`, where small steps agree with this band to 2 %.
+        times on the plants of `bench.ts_bands`, where small steps agree with this band to 2 %.
         """
         model, n_y = self.model, self.model.layout.n_y
         middle = model.simulate(u, y0)

@@ -1,0 +1,92 @@
+"""Do intervals of rules over hidden states hold the truth? python -m bench.hidden_intervals [COUNT]
+
+Two rules over the output and a hidden state are simulated under random steps, coloured noise (AR(1), 0.8) is
+added, the numbers are refined on that record from the truth, and the intervals of the refit are asked whether
+the truth lies inside. Single consequents hang on what the hidden state means and are not asked.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from bench.hidden_plants import PLANTS
+from bench.ts_intervals import steps
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.fuzzy.problem import Body
+from flysid.model.hidden.grow import StateStage, refine
+from flysid.model.hidden.layout import runs_of
+from flysid.model.hidden.model import FittedTSStateSpace
+from flysid.model.hidden.problem import StateProblem
+from flysid.model.hidden.start import initial_states
+from flysid.model.hidden.uncertainty import uncertainty
+from flysid.model.ts_state_space import TSStateSpace
+
+NOISE = 0.02  # of the driving noise, in metres per second
+SCALE = 0.35  # of the steps, in radians: the range of training
+
+
+def known_model() -> FittedTSStateSpace:
+    """What two rules make of the vehicle with drag and a lagging actuator."""
+    data, _ = PLANTS["vehicle with drag and a lagging actuator"].dataset((1, 2), 500, 0.02)
+    return TSStateSpace(states=2, rules=2, nk=1, ridge=0.1, antecedents=("y(k-1)",)).fit(data)
+
+
+def experiment(truth: FittedTSStateSpace, seed: int) -> Dataset:
+    """The truth's output with coloured noise."""
+    u = SCALE * steps(100 + seed)
+    noise = lfilter([1.0], [1.0, -0.8], NOISE * np.random.default_rng(seed).standard_normal(len(u)))
+    y = truth.simulate(u) + np.asarray(noise)[:, None]
+    data = Dataset.from_arrays(u, y, truth.dt_s)
+    return replace(data, inputs=truth.inputs, outputs=truth.outputs)
+
+
+def refitted(truth: FittedTSStateSpace, data: Dataset) -> FittedTSStateSpace:
+    """The truth's numbers refined on one record."""
+    layout, p = truth.layout, truth.parameters
+    runs = runs_of(layout, data.segments, truth.n_init + 2)
+    metric = np.zeros((p.theta[0].size,) * 2)
+    problem = StateProblem(layout, runs, p.z_range, p.limits, metric)
+    body = Body(p.theta.copy(), p.centre.copy(), p.width.copy())
+    stage = StateStage(problem, body, initial_states(layout, runs, p, truth.prior, 400), np.inf)
+    stage = refine(stage, 40, 1e-10)
+    return replace(truth, parameters=stage.problem.parameters(stage.body))
+
+
+def coverage(experiments: int) -> dict[str, float]:
+    """Share of gains, time constants and simulated samples whose 95 % interval holds the truth.
+
+    And the share of gains that the data bound, which alone have an interval.
+    """
+    truth = known_model()
+    gain = np.array([rule.dc_gain for rule in truth.rules()])
+    slow = np.array([rule.time_constant_s for rule in truth.rules()])
+    fresh = SCALE * steps(99, 300)
+    clean: FloatArray = truth.simulate(fresh)
+    held: dict[str, list[float]] = {"gains": [], "gains given": [], "time constants": [], "simulation": []}
+    for seed in range(experiments):
+        data = experiment(truth, seed)
+        sure = uncertainty(refitted(truth, data), data)
+        low, high = sure.gain_interval
+        known = np.isfinite(low)
+        held["gains"] += [float(v) for v in ((low <= gain) & (gain <= high))[known]]
+        held["gains given"].append(float(known.mean()))
+        short, long = sure.time_constant_interval_s
+        held["time constants"].append(float(((short <= slow) & (slow <= long)).mean()))
+        below, above = sure.simulation_band(fresh)
+        held["simulation"].append(float(((below <= clean) & (clean <= above))[5:].mean()))
+    return {name: float(np.mean(values)) for name, values in held.items()}
+
+
+def main() -> None:
+    """Print the coverage, and how many gains have an interval."""
+    experiments = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    for name, share in coverage(experiments).items():
+        print(f"{name:15s} {100 * share:.1f} % ({experiments} experiments, nominal 95 %)")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""Ways to train a TS state-space model, against the truth: `python -m bench.hidden_state [PLANT...]`.
+
+Simulated plants with a hidden state, 1,024 samples, measurement noise of 1 and 5 % of the output's spread;
+the free run on two fresh recordings is compared with the noise-free outputs. Every strategy grows up to four
+rules from the same linear start of the true number of states; nothing is chosen on the fresh recordings, all
+rule counts are printed.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+
+from bench.hidden_plants import PLANTS
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.arx import ARX
+from flysid.model.base import Fitted
+from flysid.model.fuzzy.layout import scaling
+from flysid.model.hidden.bench import Bench
+from flysid.model.hidden.finish import finished
+from flysid.model.hidden.grow import StateStage, Training, one_rule_more
+from flysid.model.hidden.judge import ends_of_travel
+from flysid.model.hidden.start import coordinates
+from flysid.model.hidden.systems import linear_systems
+from flysid.model.ts_state_space import TSStateSpace
+
+SAMPLES = 1024
+RULES = 4
+STRATEGIES = {
+    "free run at once": Training(ridge=0.01),
+    "windows of 64 first": Training(ridge=0.01, horizons=(64,)),
+    "windows of 32, 128 first": Training(ridge=0.01, horizons=(32, 128)),
+    "one place tried": Training(ridge=0.01, tries=1),
+    "ridge 0.1": Training(ridge=0.1),
+    "ridge 1": Training(ridge=1.0),
+}
+STATES = {"hysteresis": 3}
+
+
+def gap(model: Fitted, test: Dataset, truth: list[FloatArray]) -> float:
+    """Root mean square of free run less truth, in spreads of the true outputs."""
+    first = 20
+    gaps = [
+        (model.simulate(s.u, s.y[: model.n_init])[:, 0] - y)[first:]
+        for s, y in zip(test.segments, truth, strict=True)
+    ]
+    return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)) / np.std(np.concatenate(truth)))
+
+
+def grown(bench: Bench, start: StateStage, how: Training) -> list[StateStage]:
+    """Models with 1 to RULES rules."""
+    stages = [start]
+    while len(stages) < RULES:
+        stages.append(one_rule_more(stages[-1], bench.candidates(stages[-1].layout), how))
+    return stages
+
+
+def main(names: list[str]) -> int:
+    """Print a line per plant, noise, recording, coordinates and strategy."""
+    for name in names or list(PLANTS):
+        for noise in (0.01, 0.05):
+            for seed in (1, 2):
+                _compare(name, noise, seed)
+    return 0
+
+
+def _compare(name: str, noise: float, seed: int) -> None:
+    train, _ = PLANTS[name].dataset((seed,), SAMPLES, noise)
+    test, truth = PLANTS[name].dataset((100 + seed, 101 + seed), SAMPLES, noise)
+    settings = TSStateSpace(states=STATES.get(name, 2), nk=1)
+    scaled = scaling(train)
+    bench = Bench(settings, 40, ends_of_travel(train), scaled)
+    print(f"{name}, noise {noise:.0%}, recording {seed}: ARX {gap(ARX().fit(train), test, truth):.4f}")
+    system = linear_systems(settings, train, None, scaled)[0]
+    linear = bench.linear(system, train)
+    for name in coordinates(system.real, 1):
+        start, words = bench.in_coordinates(linear, name)
+        for title, how in STRATEGIES.items():
+            begin = time.process_time()
+            stages = grown(bench, start, how)
+            seconds = time.process_time() - begin
+            errors = ", ".join(f"{gap(finished(train, s, ()), test, truth):.4f}" for s in stages)
+            print(f"  {words[:24]:24s} {title:24s} {errors}  {seconds:.1f} s CPU", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

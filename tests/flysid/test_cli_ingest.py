@@ -1,0 +1,130 @@
+"""`flysid ingest`, `ls`, `show`, `doctor` as a user meets them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from flysid.cli import root
+from tests.samplelogs import dataflash, tlog
+
+LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
+
+
+def flysid(*words: str | Path) -> Result:
+    """Run a command; errors surface as exceptions, exit codes as the return value."""
+    return CliRunner().invoke(root, [str(w) for w in words], standalone_mode=False)
+
+
+def code(result: Result) -> int:
+    if result.exception is not None:
+        raise result.exception
+    return int(result.return_value or 0)
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    (folder / "one.tlog").write_bytes(tlog.build())
+    (folder / "two.bin").write_bytes(dataflash.build())
+    return folder
+
+
+def test_ids_go_to_stdout_and_words_to_stderr(tmp_path: Path, logs: Path) -> None:
+    first = flysid("ingest", logs, "-o", tmp_path / "data")
+    assert code(first) == 0
+    assert [line.rpartition("-")[0] for line in first.stdout.splitlines()] == ["one", "two"]
+    assert "2 ingested" in first.stderr
+    again = flysid("ingest", logs, "-o", tmp_path / "data")
+    assert (code(again), again.stdout) == (0, "")
+    assert "2 unchanged" in again.stderr
+
+
+def test_losses_are_named_with_their_bytes(tmp_path: Path, logs: Path) -> None:
+    blob = tlog.build()
+    (logs / "bad.tlog").write_bytes(blob[:28] + b"garbage" + blob[28:])
+    cut = tlog.records(blob)[0].end
+    (logs / "bad.tlog").write_bytes(blob[:cut] + b"garbage" + blob[cut:])
+    result = flysid("ingest", logs, "-o", tmp_path / "data", "-q")
+    assert code(result) == 3
+    assert f"7 bytes skipped in 1 places: {cut}-{cut + 7}" in result.stderr
+    assert len(result.stdout.splitlines()) == 3
+
+
+def test_json_says_what_became_of_every_log(tmp_path: Path, logs: Path) -> None:
+    (logs / "empty.tlog").touch()
+    result = flysid("ingest", logs, "-o", tmp_path / "data", "--json", "-q")
+    assert code(result) == 3
+    found = {Path(item["path"]).name: item for item in json.loads(result.stdout)["logs"]}
+    assert {name: item["status"] for name, item in found.items()} == {
+        "empty.tlog": "skipped",
+        "one.tlog": "ingested",
+        "two.bin": "ingested",
+    }
+    assert found["empty.tlog"]["reason"] == "the file is empty"
+    assert found["one.tlog"]["damage"]["bytes_skipped"] == 0
+
+
+def test_nothing_readable_is_a_failure(tmp_path: Path) -> None:
+    (tmp_path / "no.tlog").write_text("hello\n" * 50)
+    assert code(flysid("ingest", tmp_path / "no.tlog", "-o", tmp_path / "data")) == 1
+
+
+def test_ls_and_show_answer_from_the_manifests(tmp_path: Path, logs: Path) -> None:
+    code(flysid("ingest", logs, "-o", tmp_path / "data", "-q"))
+    for parquet in (tmp_path / "data").rglob("*.parquet"):
+        parquet.unlink()
+    listed = flysid("ls", tmp_path / "data")
+    assert code(listed) == 0
+    assert len(listed.stdout.splitlines()) == 3
+    document = json.loads(flysid("ls", tmp_path / "data", "--json").stdout)
+    assert [f["format"] for f in document["flights"]] == ["tlog", "dataflash"]
+    shown = flysid("show", tmp_path / "data", "one")
+    assert "1.1/ATTITUDE" in shown.stdout
+    assert "50.0 Hz" in shown.stdout
+    manifest = json.loads(flysid("show", tmp_path / "data", "one", "--json").stdout)
+    assert manifest["format"] == "flysid-flight"
+
+
+def test_show_prints_columns_and_first_rows(tmp_path: Path, logs: Path) -> None:
+    code(flysid("ingest", logs / "two.bin", "-o", tmp_path / "data", "-q"))
+    shown = flysid("show", tmp_path / "data", "two", "GPS", "-n", "2")
+    assert "1e-07" in shown.stdout
+    assert shown.stdout.count("491234567") == 2
+
+
+def test_control_characters_in_names_do_not_reach_the_terminal(tmp_path: Path) -> None:
+    (tmp_path / "a\x1b[31mred.tlog").write_bytes(tlog.build()[:-5])
+    result = flysid("ingest", tmp_path / "a\x1b[31mred.tlog", "-o", tmp_path / "data")
+    listed = flysid("ls", tmp_path / "data")
+    doctor = flysid("doctor", tmp_path / "a\x1b[31mred.tlog")
+    assert "\x1b" not in result.output + listed.output + doctor.output
+
+
+def test_doctor_gives_one_line_per_log(logs: Path) -> None:
+    (logs / "cut.bin").write_bytes(dataflash.build()[:-4])
+    (logs / "no.tlog").write_text("hello\n" * 50)
+    result = flysid("doctor", logs)
+    assert code(result) == 3
+    lines = result.stdout.splitlines()
+    assert [line.split()[0] for line in lines] == ["FILE", "cut.bin", "one.tlog", "two.bin"]
+    assert "end cut off" in lines[1]
+    assert "50 Hz" in lines[2]
+    assert "4.3.1" in lines[3]
+    assert "skipped" in result.stderr
+    document = json.loads(flysid("doctor", logs / "one.tlog", "--json").stdout)["logs"][0]
+    assert document["rates_hz"]["attitude"] == {"1.1/ATTITUDE": pytest.approx(50.0)}
+    assert document["moved"] == "r"
+
+
+@pytest.mark.skipif(not LOGS.is_dir(), reason="../shared/logs is not there")
+def test_the_shared_tlogs_are_ingested(tmp_path: Path) -> None:
+    result = flysid("ingest", LOGS / "tlog", "-o", tmp_path / "data", "-j", "1")
+    assert code(result) == 3
+    assert len(result.stdout.splitlines()) == 6
+    assert "2,565 bytes skipped in 10 places: 0-1359" in result.stderr
+    assert "sitl_x27_two_boots_stray_bytes.tlog" in result.stderr

@@ -1,0 +1,48 @@
+"""The examples in the documentation run as they stand."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from flysid.ingest.lake.batch import find_logs, ingest_logs
+from flysid.validate.compare import compare
+from flysid.validate.condition import check_condition
+from flysid.validate.document import to_json
+from tests.fakes import FirstOrder, flown
+
+ROOT = Path(__file__).resolve().parents[2]
+BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def test_the_examples_of_models_md_run_one_after_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert not any(
+        r.skipped for r in ingest_logs(find_logs([ROOT / "sample_logs"]), tmp_path / "data", jobs=1)
+    )
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for block in BLOCK.findall((ROOT / "docs" / "models.md").read_text("utf-8")):
+        exec(block, names)
+    told = capsys.readouterr().out
+    assert "R1 spoke with" in told
+    assert "no difference shown" in told  # the sample logs are of a linear plant
+    assert (tmp_path / "ts.json").is_file()
+
+
+def test_the_guards_of_report_md_are_understood() -> None:
+    text = (ROOT / "docs" / "report.md").read_text("utf-8")
+    arx, ts = FirstOrder(b=0.08), FirstOrder(structure="ts", labels=("R1", "R2"))
+    document = to_json({"roll": compare([arx, ts], flown(ts, [60] * 5, noise=0.02))})
+    expressions = re.findall(r"--fail-if '([^']+)'", text)
+    fields = re.findall(r"`(free_run\.[\w.]+)`", text)
+    expressions += [f"{f} == better" if f.endswith("verdict") else f"{f} > 0" for f in fields]
+    expressions += [
+        f"free_run.ts.{f} > 0" for f in re.findall(r"`(\w+)`[,)]", text.partition("rmse` (")[2])[:6]
+    ]
+    assert len(expressions) > 15
+    for expression in expressions:
+        check_condition(expression, document)

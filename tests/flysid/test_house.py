@@ -1,0 +1,78 @@
+"""The house itself: what is installed, what is exported, what start-up costs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import flysid
+from flysid import errors
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAVY = {"numpy", "scipy", "pandas", "pyarrow", "control", "numba", "pymavlink", "mcap", "rich", "jinja2"}
+
+
+def modules_after(code: str) -> set[str]:
+    """Names of the modules that a fresh interpreter holds after running `code`."""
+    script = f"{code}\nimport sys; print('MODULES', *sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, timeout=60, check=True
+    )
+    return set(done.stdout.rpartition("MODULES")[2].split())
+
+
+def test_every_package_folder_is_in_the_wheel() -> None:
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    on_disk = {"flysid"}
+    for top in ("flysid", "ingest", "model", "validate"):
+        for init in (ROOT / top).rglob("__init__.py"):
+            parts = init.parent.relative_to(ROOT).parts
+            on_disk.add(".".join(parts if parts[0] == "flysid" else ("flysid", *parts)))
+    assert set(listed) == on_disk
+
+
+@pytest.mark.parametrize("name", ["ingest", "model", "validate"])
+def test_package_links_resolve_to_the_folders_at_the_top(name: str) -> None:
+    link = ROOT / "flysid" / name
+    assert link.is_symlink()
+    assert not link.readlink().is_absolute()
+    assert link.resolve() == ROOT / name
+
+
+def test_exported_names_are_exactly_the_public_ones() -> None:
+    assert set(flysid.__all__) == set(flysid._HOME) | {"__version__"}
+    for name in flysid.__all__:
+        assert getattr(flysid, name) is not None
+
+
+def test_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = flysid.nonsense
+
+
+def test_version_stands_once() -> None:
+    assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"] == flysid.__version__
+    assert f"## {flysid.__version__}" in (ROOT / "CHANGELOG.md").read_text()
+
+
+@pytest.mark.parametrize(
+    "code", ["import flysid", "from flysid.cli import root; root.main(['--help'], standalone_mode=False)"]
+)
+def test_start_up_imports_nothing_heavy(code: str) -> None:
+    assert not modules_after(code) & HEAVY
+
+
+def test_every_error_is_in_the_tree_that_the_docstring_draws() -> None:
+    classes = [v for v in vars(errors).values() if isinstance(v, type) and issubclass(v, errors.FlysidError)]
+    assert len(classes) >= 7
+    for cls in classes:
+        assert cls.__name__ in (errors.__doc__ or "")
+
+
+def test_error_text_says_what_where_and_what_to_try() -> None:
+    error = errors.FormatError("bad frame", path="a.tlog", byte=12, flight_time_s=3.5, hint="cut the file")
+    assert str(error) == "bad frame (a.tlog, byte 12, flight time 3.500 s) Try: cut the file"

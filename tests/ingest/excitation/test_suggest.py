@@ -1,0 +1,117 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from flysid.cli import root
+from flysid.cli.suggest import advice, short_names
+from flysid.flight import Flight, Source
+from flysid.ingest.align.recipe import parse_recipe
+from flysid.ingest.align.signals import FlightLog
+from flysid.ingest.excitation.suggest import Suggestion, suggest
+from tests.ingest.align.test_align import T50, table
+from tests.ingest.lake.test_lake import folder  # noqa: F401
+
+RECIPE_DOCUMENT: dict[str, Any] = {
+    "name": "r",
+    "signals": {
+        "u": {"unit": "deg", "hold": "zero", "sources": [{"stream": "CMD", "field": "u", "unit": "deg"}]},
+        "y": {"unit": "m/s", "sources": [{"stream": "STATE", "field": "y", "unit": "m/s"}]},
+    },
+    "channels": {"c": {"inputs": ["u"], "outputs": ["y"], "min_rate_hz": 20.0, "remedy": "log faster"}},
+}
+RECIPE = parse_recipe(RECIPE_DOCUMENT)
+T = np.arange(3000, dtype=np.int64) * 20_000_000
+RNG = np.random.default_rng(5)
+U = np.repeat(RNG.normal(size=120), 25)
+
+
+def one(u: np.ndarray, y: np.ndarray, t: np.ndarray = T) -> Suggestion:
+    log = Flight(Source("f", "tlog", 1, "0" * 64), {"CMD": table(t, u=u), "STATE": table(t, y=y)})
+    (found,) = suggest([FlightLog(log)], [RECIPE])
+    return found
+
+
+def lag(u: np.ndarray, samples: int, pole: float = 0.9) -> np.ndarray:
+    y = np.zeros(len(u))
+    for k in range(1, len(u)):
+        y[k] = pole * y[k - 1] + (1 - pole) * (u[k - samples] if k >= samples else 0.0)
+    return y
+
+
+def test_a_well_excited_channel_is_good_with_its_delay_and_sign() -> None:
+    found = one(U, -2.0 * lag(U, 5) + 0.02 * RNG.normal(size=len(U)))
+    assert (found.verdict, found.advice) == ("good", "")
+    assert found.sign == -1
+    assert found.delay_s == pytest.approx(0.08, abs=0.02)
+    assert found.rate_hz == pytest.approx(50.0)
+    assert found.band_hz is not None
+    assert found.coherence > 0.8
+
+
+def test_what_stands_in_the_way_is_named() -> None:
+    y = lag(U, 1)
+    assert one(1e-6 * U, y).verdict == "too quiet"
+    assert one(np.zeros(len(U)), y).verdict == "too quiet"
+    assert one(U[:200], y[:200], T[:200]).verdict == "too short"
+    slow = one(U[::5], y[::5], T[::5])
+    assert slow.verdict == "too slow"
+    assert "log faster" in slow.advice
+    assert one(U, RNG.normal(size=len(U))).verdict == "weak"
+
+
+def test_an_oscillation_is_no_band() -> None:
+    """One frequency at which both move says nothing of a response."""
+    t_s = T * 1e-9
+    u, y = np.sin(2 * np.pi * 3.0 * t_s), np.sin(2 * np.pi * 3.0 * t_s - 1.0)
+    noise = RNG.normal(scale=0.3, size=(2, len(T)))
+    found = one(u + noise[0], y + noise[1])
+    assert found.band_hz is not None
+    assert found.band_hz[1] < 2 * found.band_hz[0]
+    assert found.verdict == "weak"
+
+
+def test_what_a_condition_leaves_out_is_said() -> None:
+    armed = [{"name": "armed", "sources": [{"stream": "BEAT", "field": "mode"}], "has_bits": 128}]
+    beat = table(T[::50], mode=np.full(len(T[::50]), 81))
+    log = Flight(
+        Source("f", "tlog", 1, "0" * 64), {"CMD": table(T, u=U), "STATE": table(T, y=lag(U, 1)), "BEAT": beat}
+    )
+    recipe = parse_recipe({**RECIPE_DOCUMENT, "conditions": armed})
+    (found,) = suggest([FlightLog(log)], [recipe])
+    assert found.verdict == "excluded"
+    assert found.advice == "condition 'armed' never holds (bits 128): BEAT.mode is 81 in this log"
+
+
+def test_flights_lose_their_hash_where_no_two_share_a_name() -> None:
+    names = short_names(["a-1-0f", "b-2-0f", "b-2-1f", "c"])
+    assert names == {"a-1-0f": "a-1", "b-2-0f": "b-2-0f", "b-2-1f": "b-2-1f", "c": "c"}
+
+
+def test_advice_is_said_once_with_its_flights_and_channels() -> None:
+    def of(flight: str, channel: str) -> Suggestion:
+        return Suggestion(flight, "r", channel, "u", "y", verdict="weak", advice="fly more")
+
+    both = [of("a", "roll"), of("a", "pitch"), of("b", "roll")]
+    assert advice(both, {"a": "a", "b": "b"}) == ["a (roll, pitch), b (roll): fly more"]
+    assert advice(both[:2], {"a": "a"}) == ["roll, pitch: fly more"]
+
+
+def test_a_flight_without_the_streams_has_no_suggestion() -> None:
+    log = Flight(Source("f", "tlog", 1, "0" * 64), {"CMD": table(T50, u=np.zeros(500))})
+    assert suggest([FlightLog(log)], [RECIPE]) == []
+
+
+def test_ls_suggest_prints_a_table_and_advice(folder: Path) -> None:  # noqa: F811
+    result = CliRunner().invoke(root, ["ls", str(folder), "--suggest"], catch_exceptions=False)
+    assert result.exit_code == 0
+    lines = result.stdout.splitlines()
+    assert lines[0].split()[:3] == ["FLIGHT", "RECIPE", "CHANNEL"]
+    assert "too quiet" in result.stdout
+    assert "doublets" in result.stdout
+    document = json.loads(CliRunner().invoke(root, ["ls", str(folder), "--suggest", "--json"]).stdout)
+    assert {s["channel"] for s in document["suggestions"]} == {"roll", "pitch"}
+    assert {s["verdict"] for s in document["suggestions"]} <= {"good", "weak", "too slow", "too quiet"}

@@ -1,0 +1,339 @@
+"""MAVLink logs: equal to pymavlink on intact logs, better where it loses frames, on the vehicle's clock."""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+from collections import defaultdict
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import flysid
+from flysid.flight import Flight, field_scale, field_unit
+from flysid.ingest.formats.base import Limits, collect
+from flysid.ingest.formats.common.columns import as_array
+from flysid.ingest.formats.mavlink import reader as tlog
+from flysid.ingest.formats.mavlink.dialect import load_dialect
+from flysid.ingest.formats.mavlink.frames import Scanner, plain_chain
+from flysid.ingest.formats.registry import FORMATS
+from tests.samplelogs.tlog import EPOCH_US, frame, sender, stamped
+
+LOGS = Path(__file__).resolve().parents[4] / "shared" / "logs" / "tlog"
+MS = 1_000_000
+needs_logs = pytest.mark.skipif(not LOGS.is_dir(), reason="../shared/logs is not there")
+
+
+def read(blob: bytes, **limits: int) -> Flight:
+    return collect(memoryview(blob), "x.tlog", FORMATS["tlog"], Limits(**limits))
+
+
+def log_of(frames: list[bytes], step_us: int = 1000) -> bytes:
+    return b"".join(stamped(EPOCH_US + step_us * i, f) for i, f in enumerate(frames))
+
+
+def pymavlink_rows(path: Path) -> dict[str, list[tuple[float, Any]]]:
+    """What pymavlink reads, by stream key."""
+    from pymavlink import mavutil
+
+    log = mavutil.mavlink_connection(str(path), dialect="ardupilotmega")
+    rows: dict[str, list[tuple[float, Any]]] = defaultdict(list)
+    while (message := log.recv_match()) is not None:
+        if message.get_type() != "BAD_DATA":
+            key = f"{message.get_srcSystem()}.{message.get_srcComponent()}/{message.get_type()}"
+            rows[key].append((message._timestamp, message))
+    log.close()
+    return rows
+
+
+def same(ours: object, theirs: object) -> bool:
+    if isinstance(ours, float) and isinstance(theirs, float) and math.isnan(theirs):
+        return math.isnan(ours)
+    return ours == theirs
+
+
+@needs_logs
+@pytest.mark.parametrize("name", ["sitl_copter_98s", "sitl_vtol_v1"])
+def test_every_field_is_what_pymavlink_reads(name: str) -> None:
+    flight, expected = flysid.read(LOGS / f"{name}.tlog"), pymavlink_rows(LOGS / f"{name}.tlog")
+    assert set(flight.streams) == set(expected)
+    for stream, table in flight.tables.items():
+        columns = table.to_pydict()
+        assert table.num_rows == len(expected[stream]), stream
+        for i, (stamp, message) in enumerate(expected[stream]):
+            assert columns["recv_ns"][i] == pytest.approx(stamp * 1e9, abs=1000)
+            for field in message._fieldnames:
+                assert same(columns[field][i], getattr(message, field)), f"{stream}.{field} row {i}"
+
+
+@needs_logs
+@pytest.mark.parametrize(
+    ("name", "rows", "skipped", "boots"),
+    [
+        ("sitl_copter_500s", 53_295, 0, 1),
+        ("sitl_param_flood_v1_v2", 138, 0, 1),
+        ("sitl_x27_two_boots_stray_bytes", 96_646, 2565, 2),
+    ],
+)
+def test_known_logs_are_read_whole(name: str, rows: int, skipped: int, boots: int) -> None:
+    flight = flysid.read(LOGS / f"{name}.tlog")
+    assert (flight.rows, flight.damage.bytes_skipped, len(flight.clocks)) == (rows, skipped, boots)
+    assert flight.damage.region_count == len(flight.damage.regions)
+    assert sum(r.size for r in flight.damage.regions) == skipped
+
+
+@needs_logs
+def test_a_clock_that_runs_27_times_too_fast_is_followed() -> None:
+    flight = flysid.read(LOGS / "sitl_x27_two_boots_stray_bytes.tlog")
+    assert 1 / flight.clocks[1].slope == pytest.approx(27.1, abs=0.5)
+    heartbeats = flight["1.1/HEARTBEAT"]
+    times, boots = heartbeats["time_ns"].to_numpy(), heartbeats["boot"].to_numpy()
+    gaps = np.diff(times[boots == 1]) * 1e-9
+    assert np.median(gaps) == pytest.approx(1.0, abs=0.05)
+
+
+def test_short_v1_frames_after_v2_frames_are_kept() -> None:
+    mav = sender()
+    frames = []
+    for _ in range(20):
+        frames.append(frame(mav, mav.heartbeat_encode(2, 3, 81, 0, 4)))
+        frames.append(frame(mav, mav.param_request_list_encode(1, 1), v1=True))
+        frames.append(frame(mav, mav.heartbeat_encode(2, 3, 81, 0, 4), v1=True))
+    for blob in (b"".join(frames), log_of(frames)):
+        flight = read(blob)
+        assert {s: t.num_rows for s, t in flight.tables.items()} == {
+            "1.1/HEARTBEAT": 40,
+            "1.1/PARAM_REQUEST_LIST": 20,
+        }
+        assert not flight.damage.lossy
+
+
+def random_values(message: Any, rng: random.Random) -> list[Any]:
+    """A value for every field, in the order of the constructor; NaN and infinities among the floats."""
+    values: list[Any] = []
+    for name, kind in zip(message.fieldnames, message.fieldtypes, strict=True):
+        count = message.array_lengths[message.ordered_fieldnames.index(name)]
+        values.append(random_value(kind, count, rng))
+    return values
+
+
+def random_value(kind: str, count: int, rng: random.Random) -> Any:
+    if kind == "char":
+        size = rng.randrange(count + 1) if count else 1
+        return bytes(rng.choice(b"abcXYZ 09_") for _ in range(size))
+    return [random_number(kind, rng) for _ in range(count)] if count else random_number(kind, rng)
+
+
+def random_number(kind: str, rng: random.Random) -> float | int:
+    if kind in ("float", "double"):
+        value = rng.choice([math.nan, math.inf, -math.inf, -0.0, rng.uniform(-1e6, 1e6)])
+        return float(struct.unpack("<f", struct.pack("<f", value))[0]) if kind == "float" else value
+    bits = int("".join(c for c in kind.split("_mav")[0] if c.isdigit()))
+    return (
+        rng.randrange(1 << bits)
+        if kind.startswith("u")
+        else rng.randrange(-(1 << (bits - 1)), 1 << (bits - 1))
+    )
+
+
+@pytest.mark.parametrize("dialect", ["common", "ardupilotmega", "all"])
+@pytest.mark.parametrize("form", ["v1", "v2", "signed"])
+def test_every_message_comes_back(dialect: str, form: str) -> None:
+    import importlib
+
+    module = importlib.import_module(f"pymavlink.dialects.v20.{dialect}")
+    mav, rng = module.MAVLink(None, srcSystem=3, srcComponent=4), random.Random(form)
+    if form == "signed":
+        mav.signing.secret_key, mav.signing.sign_outgoing, mav.signing.timestamp = bytes(32), True, 1
+    sent, frames = [], []
+    for number, kind in sorted(module.mavlink_map.items()):
+        if form == "v1" and (number > 255 or kind.unpacker.size > 255):
+            continue
+        message = kind(*random_values(kind, rng))
+        frames.append(frame(mav, message, v1=form == "v1"))
+        sent.append(message)
+    flight = read(log_of(frames))
+    assert not flight.damage.lossy, flight.damage
+    assert flight.rows == len(sent)
+    for message in sent:
+        row = flight.tables[f"3.4/{message.msgname}"].to_pylist()[0]
+        for name in message.fieldnames:
+            ours, theirs = row[name], getattr(message, name)
+            theirs = theirs.decode() if isinstance(theirs, bytes) else theirs
+            pairs = zip(ours, theirs, strict=True) if isinstance(ours, list) else [(ours, theirs)]
+            assert all(same(a, b) for a, b in pairs), f"{message.msgname}.{name}"
+
+
+def test_units_scales_and_enums_are_stated() -> None:
+    mav = sender()
+    flight = read(log_of([frame(mav, mav.global_position_int_encode(1, 2, 3, 4, 5, 6, 7, 8, 9))] * 3))
+    schema = flight["GLOBAL_POSITION_INT"].schema
+    assert (field_unit(schema.field("lat")), field_scale(schema.field("lat"))) == ("deg", 1e-7)
+    assert (field_unit(schema.field("vx")), field_scale(schema.field("vx"))) == ("m/s", 0.01)
+    heartbeat = read(log_of([frame(mav, mav.heartbeat_encode(2, 3, 81, 0, 4))] * 3))["HEARTBEAT"].schema
+    assert b"MAV_TYPE_QUADROTOR" in heartbeat.field("type").metadata[b"enum"]
+
+
+def flying(mav: Any, count: int, first_ms: int = 1000, step_ms: int = 20) -> list[bytes]:
+    return [frame(mav, mav.attitude_encode(first_ms + step_ms * i, 0, 0, 0, 0, 0, 0)) for i in range(count)]
+
+
+def test_messages_without_a_clock_lie_between_their_neighbours() -> None:
+    vehicle, station = sender(), sender(255, 190)
+    frames: list[bytes] = []
+    for i, attitude in enumerate(flying(vehicle, 100)):
+        frames.append(attitude)
+        if i % 10 == 3:
+            frames.append(frame(vehicle, vehicle.heartbeat_encode(2, 3, 0, i, 4)))
+        if i % 10 == 7:
+            frames.append(frame(station, station.heartbeat_encode(6, 8, 0, i, 4)))
+    for blob in (log_of(frames, 7000), b"".join(frames)):
+        flight = read(blob)
+        assert flight["1.1/ATTITUDE"]["time_ns"].to_pylist() == [(1000 + 20 * i) * MS for i in range(100)]
+        for stream in ("1.1/HEARTBEAT", "255.190/HEARTBEAT"):
+            table = flight[stream]
+            assert table.schema.metadata[b"time_source"] == b"arrival-mapped"
+            for time_ns, i in zip(
+                table["time_ns"].to_pylist(), table["custom_mode"].to_pylist(), strict=True
+            ):
+                assert (1000 + 20 * i) * MS < time_ns < (1020 + 20 * i) * MS
+
+
+def test_unix_time_in_time_usec_is_not_taken_for_time_since_boot() -> None:
+    vehicle = sender()
+    frames = []
+    for i, attitude in enumerate(flying(vehicle, 50)):
+        unix = EPOCH_US + 20_000 * i
+        frames += [attitude, frame(vehicle, vehicle.gps_raw_int_encode(unix, 3, 0, 0, 0, 0, 0, 0, 0, 9))]
+        frames.append(
+            frame(vehicle, vehicle.raw_imu_encode(1_000_000 + 20_000 * i, 0, 0, 0, 0, 0, 0, 0, 0, 0))
+        )
+    flight = read(log_of(frames))
+    assert flight["GPS_RAW_INT"].schema.metadata[b"time_source"] == b"arrival-mapped"
+    assert flight["RAW_IMU"].schema.metadata[b"time_source"] == b"time_usec"
+    assert flight["GPS_RAW_INT"]["time_ns"].to_pylist()[25] == pytest.approx(1500 * MS, abs=20 * MS)
+    assert not flight.damage.lossy
+
+
+def test_a_reboot_begins_a_boot_and_an_absurd_time_does_not() -> None:
+    vehicle = sender()
+    frames = flying(vehicle, 60, 50_000) + flying(vehicle, 60, 300)
+    frames[20] = frame(vehicle, vehicle.attitude_encode(4_000_000_000, 0, 0, 0, 0, 0, 0))
+    flight = read(log_of(frames, 20_000))
+    assert flight["ATTITUDE"]["boot"].to_pylist() == [0] * 60 + [1] * 60
+    assert flight.damage.time_outliers == {"1.1/ATTITUDE": 1}
+    assert flight["ATTITUDE"]["time_ns"].to_pylist()[20] == pytest.approx(50_400 * MS, abs=21 * MS)
+    assert [(c.boot, c.first_ns, c.last_ns) for c in flight.clocks] == [
+        (0, 50_000 * MS, 51_180 * MS),
+        (1, 300 * MS, 1480 * MS),
+    ]
+
+
+def test_milliseconds_that_wrap_after_49_days_go_on() -> None:
+    vehicle = sender()
+    wrap = 1 << 32
+    frames = [
+        frame(vehicle, vehicle.attitude_encode((wrap - 100 + 20 * i) % wrap, 0, 0, 0, 0, 0, 0))
+        for i in range(30)
+    ]
+    times = read(log_of(frames))["ATTITUDE"]["time_ns"].to_pylist()
+    assert [b - a for a, b in pairwise(times)] == [20 * MS] * 29
+
+
+def test_32_bits_of_microseconds_are_unwrapped_by_the_clock() -> None:
+    vehicle = sender()
+    frames = []
+    for i in range(40):
+        ms = 4_294_000 + 100 * i
+        frames.append(frame(vehicle, vehicle.attitude_encode(ms, 0, 0, 0, 0, 0, 0)))
+        frames.append(
+            frame(vehicle, vehicle.servo_output_raw_encode(ms * 1000 % (1 << 32), 0, 1, 2, 3, 4, 5, 6, 7, 8))
+        )
+    table = read(log_of(frames))["SERVO_OUTPUT_RAW"]
+    assert table["time_ns"].to_pylist() == [(4_294_000 + 100 * i) * MS for i in range(40)]
+
+
+def test_lost_messages_are_counted_per_sender() -> None:
+    vehicle = sender()
+    frames = flying(vehicle, 300)
+    flight = read(log_of(frames[:100] + frames[110:200] + frames[201:]))
+    assert flight.damage.sequence_gaps == {"1.1": 11}
+    assert not flight.damage.lossy
+
+
+def test_an_unknown_message_counts_only_where_a_known_one_follows() -> None:
+    vehicle = sender()
+    frames = flying(vehicle, 10)
+    alien = b"\xfd\x04\x00\x00\x07\x01\x01" + (0xABCDE).to_bytes(3, "little") + b"\1\2\3\4\0\0"
+    inside = read(log_of([*frames[:5], alien, *frames[5:]]))
+    assert inside.damage.undecoded == {"1.1/#703710": 1}
+    assert (inside.rows, inside.damage.bytes_skipped) == (10, 0)
+    last = read(log_of([*frames, alien]))
+    assert last.damage.undecoded == {}
+    assert last.damage.bytes_skipped == len(alien) + 8
+
+
+def test_a_bad_checksum_is_counted_and_located() -> None:
+    vehicle = sender()
+    frames = flying(vehicle, 10)
+    blob = bytearray(log_of(frames))
+    size = len(frames[0]) + 8
+    blob[3 * size + 20] ^= 1
+    blob[4 * size + 20] ^= 1
+    flight = read(bytes(blob))
+    assert (flight.rows, flight.damage.bad_checksums) == (8, 2)
+    assert [(r.start, r.end, r.reason) for r in flight.damage.regions] == [
+        (3 * size, 5 * size, "bad checksum")
+    ]
+
+
+@given(st.data())
+@settings(max_examples=25, deadline=None)
+def test_the_compiled_walk_stops_where_the_plain_one_does(data: st.DataObject) -> None:
+    from flysid.ingest.formats.mavlink.kernel import compiled_chain
+
+    vehicle = sender()
+    blob = bytearray(log_of(flying(vehicle, 20)))
+    for _ in range(data.draw(st.integers(0, 2))):
+        blob[data.draw(st.integers(0, len(blob) - 1))] = data.draw(st.integers(0, 255))
+    cut = as_array(bytes(blob[: data.draw(st.integers(0, len(blob)))]))
+    limit = data.draw(st.integers(0, len(cut)))
+    seeds = load_dialect().crc_extra
+    plain, compiled = plain_chain(seeds)(cut, 0, limit, 8), compiled_chain(seeds)(cut, 0, limit, 8)
+    assert plain[0].tolist() == compiled[0].tolist()
+    assert plain[1] == compiled[1]
+
+
+@given(st.binary(max_size=600), st.sampled_from([0, 8]))
+@settings(max_examples=100, deadline=None)
+def test_every_byte_is_in_a_frame_or_in_a_region(garbage: bytes, stamp: int) -> None:
+    vehicle = sender()
+    frames = flying(vehicle, 4)
+    good = log_of(frames) if stamp else b"".join(frames)
+    blob = good + garbage + good
+    seeds = load_dialect().crc_extra
+    scanner = Scanner(seeds, stamp, plain_chain(seeds))
+    found, end = scanner.scan(as_array(blob), 0, len(blob))
+    framed = int((found.payload + found.length + 2 - found.start).sum()) + stamp * len(found)
+    assert end == len(blob)
+    assert scanner.bytes_skipped + framed - stamp * scanner.unstamped == len(blob)
+    assert len(found) >= 7
+
+
+def test_a_log_that_names_every_sender_there_can_be_is_bounded() -> None:
+    import fastcrc
+
+    frames = []
+    for sender_id in range(1 << 14):
+        body = bytes([9, 0, sender_id >> 8, sender_id & 255, 0]) + bytes(9)
+        crc = fastcrc.crc16.mcrf4xx(body + bytes([50]))
+        frames.append(b"\xfe" + body + struct.pack("<H", crc))
+    flight = read(b"".join(frames))
+    assert len(flight.streams) == tlog.MAX_STREAMS
+    assert flight.damage.undecoded == {"streams beyond 2,000": (1 << 14) - tlog.MAX_STREAMS}

@@ -1,0 +1,425 @@
+"""TS state-space models: hidden states found, laws of their own; see test_model_contract for the others."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from bench.hidden_plants import LINEAR, PLANTS
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import DataError, UsageError
+from flysid.model.base import Fitted
+from flysid.model.fuzzy.layout import scaling
+from flysid.model.fuzzy.problem import Body
+from flysid.model.hidden.bench import Bench
+from flysid.model.hidden.grow import Training, one_rule_more
+from flysid.model.hidden.judge import ends_of_travel
+from flysid.model.hidden.local import (
+    certificate,
+    linearise,
+    next_states,
+    polytope,
+    resting_states,
+    to_nonlinear_system,
+)
+from flysid.model.hidden.model import FittedTSStateSpace
+from flysid.model.hidden.problem import StateError
+from flysid.model.hidden.rivals import Advantage, advantage
+from flysid.model.hidden.start import coordinates, realised
+from flysid.model.hidden.systems import System, linear_systems, realised_states
+from flysid.model.hidden.uncertainty import StateUncertainty, uncertainty
+from flysid.model.oe import OE
+from flysid.model.statespace import StateSpace
+from flysid.model.ts import TS
+from flysid.model.ts_best import BestTS, contest, hints_at_hidden_state
+from flysid.model.ts_state_space import MODEL, TSStateSpace
+from flysid.validate.trials import free_run
+from tests.model_examples import data
+
+VEHICLE = PLANTS["vehicle with drag and a lagging actuator"]
+TANKS = PLANTS["two tanks with overflow"]
+
+
+@cache
+def vehicle() -> Dataset:
+    return VEHICLE.dataset((1, 2), 500, 0.02)[0]
+
+
+@cache
+def flown() -> FittedTSStateSpace:
+    return TSStateSpace(states=2, rules=2, nk=1, ridge=0.1, antecedents=("y(k-1)",)).fit(vehicle())
+
+
+def free_run_gap(model: FittedTSStateSpace, test: Dataset, truth: list[FloatArray]) -> float:
+    """RMSE against the noise-free truth, in spreads of the output."""
+    gaps = []
+    for segment, y in zip(test.segments, truth, strict=True):
+        run = model.simulate(segment.u, segment.y[: model.n_init])[:, 0]
+        gaps.append((run - y)[model.n_init :])
+    return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)) / np.std(np.concatenate(truth)))
+
+
+def system_of(dataset: Dataset, states: int = 2) -> tuple[Bench, System]:
+    settings, scaled = TSStateSpace(states=states, nk=1), scaling(dataset)
+    systems = linear_systems(settings, dataset, None, scaled)
+    return Bench(settings, 30, ends_of_travel(dataset), scaled), systems[0]
+
+
+def test_a_lagging_actuator_and_drag_are_found() -> None:
+    """Two rules look at the speed and are near the noise-free truth, where one linear model is 15 % off."""
+    test, truth = VEHICLE.dataset((101, 102), 1000, 0.02)
+    linear = TSStateSpace(states=2, rules=1, nk=1).fit(vehicle())
+    assert free_run_gap(linear, test, truth) > 0.1
+    assert free_run_gap(flown(), test, truth) < 0.04
+    assert flown().antecedents == ("y(k-1)",)
+
+
+def test_every_coordinate_is_the_same_linear_model() -> None:
+    """Realisations in all coordinates answer an input as the difference equation does."""
+    dataset = data(2, 2, noise=0.0)
+    fitted, (shift, scale) = OE(na=2, nb=2, nk=1).fit(dataset), scaling(dataset)
+    choices = list(coordinates(realised(fitted, shift, scale), 2).values())
+    u = dataset.segments[0].u
+    expected = fitted.simulate(u) - fitted.simulate(np.zeros_like(u))
+    assert len({c.words for c in choices}) > 1
+    for choice in choices:
+        x, rows = np.zeros(len(choice.A)), [np.zeros(2)]
+        for inputs in u[:-1] / scale[2:]:
+            x = choice.A @ x + choice.B[1] @ inputs
+            rows.append(x[:2] * scale[:2])
+        assert np.abs(np.array(rows) - expected).max() < 1e-9
+
+
+def test_sensitivities_are_exact() -> None:
+    """The gradient of the cost agrees with central differences."""
+    bench, system = system_of(vehicle())
+    stage = bench.linear(system, vehicle())
+    grown = one_rule_more(stage, bench.candidates(stage.layout), Training(iterations=3, tries=1))
+    error = StateError(grown.problem, grown.body, np.ones(grown.body.size), grown.initial)
+    p = error.start() + 1e-3 * np.random.default_rng(0).standard_normal(len(error.start()))
+    _, _, g = error.normal(p)
+    for j in range(len(p)):
+        e = 1e-6 * np.eye(len(p))[j]
+        slope = (error.normal(p + e)[0] - error.normal(p - e)[0]) / 2e-6
+        assert 2.0 * g[j] == pytest.approx(slope, rel=1e-4, abs=1e-8)
+
+
+@pytest.mark.parametrize("samples", [218, 500])
+def test_models_of_any_delay_are_judged_over_the_same_windows(samples: int) -> None:
+    train = LINEAR["motor"].dataset((1,), samples, 0.02)[0]
+    scaled = scaling(train)
+    counts = []
+    for nk in (1, 12):
+        settings = TSStateSpace(states=2, nk=nk)
+        bench = Bench(settings, 60, ends_of_travel(train), scaled)
+        stage = bench.linear(linear_systems(settings, train, None, scaled)[0], train)
+        counts.append(len(bench.judge(stage, train).windows))
+    assert counts[0] == counts[1] > 0
+
+
+def test_an_overflow_is_an_end_and_a_peak_is_not() -> None:
+    tanks, _ = TANKS.dataset((1,), 1024, 0.002)
+    ends = ends_of_travel(tanks)
+    assert ends[1, 0] == pytest.approx(10.0, abs=0.02)
+    assert ends[0, 0] == -np.inf
+    assert np.isinf(ends_of_travel(vehicle())).all()
+    t = np.arange(1000)
+    swing = Dataset.from_arrays(np.sin(t / 20.0), np.sin(t / 20.0), 0.1)
+    assert np.isinf(ends_of_travel(swing)).all()
+
+
+def test_python_control_follows_sample_by_sample() -> None:
+    control = pytest.importorskip("control")
+    model, segment = flown(), vehicle().segments[1]
+    x = model.states(segment.u, segment.y)
+    rows = 60
+    system = to_nonlinear_system(model)
+    s = np.concatenate([x[9], segment.u[9]])
+    past = [np.concatenate([x[k - 1], segment.u[k - 1]]) for k in range(10, 10 + rows)]
+    expected = [next_states(model, past[k], segment.u[10 + k])[0] for k in range(rows)]
+    time = np.arange(rows) * model.dt_s
+    answer = control.input_output_response(system, time, segment.u[10 : 10 + rows].T, s)
+    assert np.asarray(answer.outputs).ravel() == pytest.approx(np.array(expected), abs=1e-9)
+
+
+def test_the_polytope_says_what_the_rules_say() -> None:
+    """Where one rule fires alone, its local state space steps as the model does."""
+    model = flown()
+    r = int(np.argmax(model.centres[:, 0]))
+    far = replace_firing(model, r)
+    local = polytope(model)[r]
+    s, u = np.array([0.4, -0.3, 0.1]), np.array([0.2])
+    assert (local.A @ s + local.B @ u + local.f)[:2] == pytest.approx(next_states(far, s, u), abs=1e-9)
+    assert np.sort(np.abs(np.linalg.eigvals(local.A)))[-2:] == pytest.approx(
+        np.sort(np.abs(model.local_poles()[r])), abs=1e-9
+    )
+
+
+def replace_firing(model: FittedTSStateSpace, r: int) -> FittedTSStateSpace:
+    """The model with rule r alone."""
+    document = json.loads(json.dumps(model.to_dict()))
+    for name in ("theta", "centre", "width"):
+        document["parameters"][name] = [document["parameters"][name][r]]
+    alone = MODEL.from_dict(document)
+    assert isinstance(alone, FittedTSStateSpace)
+    return alone
+
+
+def test_rules_name_outputs_and_hidden_states() -> None:
+    model = flown()
+    text = str(model)
+    assert "hidden 1(k) =" in text
+    assert "y(k) =" in text
+    assert "If y(k-1) is " in text
+    assert model.firing(vehicle().segments[0].u, vehicle().segments[0].y).shape == (500, 2)
+
+
+def test_far_outside_the_training_range_it_stays_finite() -> None:
+    run = flown().simulate(1e6 * np.ones((500, 1)), np.zeros((flown().n_init, 1)))
+    assert np.isfinite(run).all()
+    assert run.max() <= flown().output_limits[1, 0]
+
+
+@pytest.mark.parametrize(
+    ("settings", "word"),
+    [
+        (TSStateSpace(states=0), "states"),
+        (TSStateSpace(rules=0), "rules"),
+        (TSStateSpace(ridge=-1.0), "ridge"),
+        (TSStateSpace(ridge="much"), "ridge='much'"),  # type: ignore[arg-type]
+        (TSStateSpace(iterations=2.5), "iterations"),  # type: ignore[arg-type]
+        (TSStateSpace(antecedents="y(k-1)"), "antecedents"),
+        (TSStateSpace(states=2, nk=1, antecedents=("z(k-1)",)), "not understood"),
+    ],
+)
+def test_settings_that_cannot_be(settings: TSStateSpace, word: str) -> None:
+    with pytest.raises(UsageError, match=word):
+        settings.fit(vehicle())
+
+
+def test_data_that_say_nothing() -> None:
+    rng = np.random.default_rng(0)
+    still = Dataset.from_arrays(np.zeros(200), rng.standard_normal(200), 0.1)
+    short = Dataset.from_arrays(rng.standard_normal(12), rng.standard_normal(12), 0.1)
+    few = Dataset.from_arrays(rng.standard_normal(60), rng.standard_normal(60), 0.1)
+    with pytest.raises(DataError, match="never"):
+        TSStateSpace().fit(still)
+    with pytest.raises(DataError):
+        TSStateSpace().fit(short)
+    with pytest.raises(DataError, match="rules"):
+        TSStateSpace(states=2, rules=5, nk=1).fit(few)
+
+
+def test_bodies_keep_their_shape() -> None:
+    """A vector of unknowns and back is the same body."""
+    rng = np.random.default_rng(0)
+    body = Body(rng.standard_normal((2, 2, 4)), rng.standard_normal((2, 1)), np.ones((2, 1)))
+    again = body.moved(body.vector())
+    assert np.array_equal(again.a, body.a)
+    assert np.allclose(again.width, body.width)
+
+
+def test_a_rule_as_a_difference_equation_has_its_poles_and_gain() -> None:
+    model = flown()
+    for rule, poles, (A, B, _) in zip(
+        model.rules(), model.local_poles(), model.local_polynomials(), strict=True
+    ):
+        roots = np.roots(np.concatenate([[1.0], -A[:, 0, 0]]))
+        assert np.sort(np.abs(roots)) == pytest.approx(np.sort(np.abs(poles)), rel=1e-6)
+        steady = B.sum(axis=0)[0, 0] / (1.0 - A.sum(axis=0)[0, 0])
+        assert steady == pytest.approx(rule.dc_gain[0, 0], rel=1e-6)
+
+
+def test_a_hidden_state_is_hinted_at_where_lags_are_too_few() -> None:
+    """One lag cannot show the actuator: its free run's error foretells itself. White noise does not."""
+    blind = TS(rules=1, na=1, nb=1, nk=1).fit(vehicle())
+    seeing = TS(rules=1, na=2, nb=2, nk=1).fit(data())
+    assert hints_at_hidden_state(blind, vehicle())
+    assert not hints_at_hidden_state(seeing, data())
+
+
+def test_an_advantage_must_exceed_its_spread() -> None:
+    rng = np.random.default_rng(0)
+    level = [np.full(16, size) for size in (1.0, 1.2, 0.9, 1.1)]
+    half = [0.5 * e for e in level]
+    luck = [e * f for e, f in zip(level, (0.1, 1.5, 1.6, 1.2), strict=True)]
+    noisy = rng.exponential(1.0, 16)
+    found = advantage(zip(level, half, strict=True))
+    assert found.clear
+    assert found.gain == pytest.approx(np.log(0.5))
+    assert not advantage(zip(level, luck, strict=True)).clear
+    assert not advantage(zip(level, level, strict=True)).clear
+    assert not advantage([(noisy, 0.75 * noisy[::-1])]).clear
+    assert advantage([]) == Advantage()
+
+
+def test_blocks_that_err_alike_in_a_row_are_no_independent_voices() -> None:
+    """The same errors, in order or shuffled: what is correlated from block to block says less."""
+    slow = np.repeat([1.0, 0.2, 0.9, 0.3], 4) + 0.01 * np.arange(16)
+    shuffled = np.random.default_rng(3).permutation(slow)
+    assert advantage([(np.ones(16), slow)]).error > 1.5 * advantage([(np.ones(16), shuffled)]).error
+
+
+def test_one_lucky_part_is_no_advantage() -> None:
+    """A hundredth of the error on one part, a tenth more on three: the mean alone would be taken in."""
+    level = [np.ones(16)] * 4
+    one = [0.01 * level[0], *([1.1 * level[0]] * 3)]
+    found = advantage(zip(level, one, strict=True))
+    assert found.gain < -1.0
+    assert not found.clear
+
+
+@cache
+def intervals() -> StateUncertainty:
+    return uncertainty(flown(), vehicle())
+
+
+@pytest.mark.parametrize("feedthrough", [False, True])
+def test_a_state_space_in_coordinates_of_its_outputs_is_the_same_model(feedthrough: bool) -> None:
+    """Two outputs, three states, with and without a direct term, an input late by two samples."""
+    dataset = data(2, 2, noise=0.05)
+    model = StateSpace(
+        order=3, method="pbsid", past=10, nk=(1, 3), feedthrough=feedthrough, refine=False
+    ).fit(dataset)
+    shift, scale = scaling(dataset)
+    real = realised_states(model, shift, scale)
+    assert real.input_lags == (((0, 1), (2, 3)) if feedthrough else ((1,), (3,)))
+    u = np.array(dataset.segments[0].u[:200])
+    late = np.stack([u[:, 0], np.concatenate([np.full(2, model.u_origin[1]), u[:-2, 1]])], axis=1)
+    U, lagged = (u - shift[2:]) / scale[2:], (late - shift[2:]) / scale[2:]
+    s = model.realisation
+    w = np.zeros(3)
+    first = s.d @ (late[0] - model.u_origin) + s.level + model.y_origin
+    x = np.zeros(len(real.A))
+    x[:2] = (first - shift[:2]) / scale[:2]
+    x[2:] = 0.0
+    for k in range(1, 200):
+        w = s.a @ w + s.b @ (late[k - 1] - model.u_origin) + s.drift
+        drive = [B @ (U[k - lag] if k >= lag else lagged[0]) for lag, B in real.B.items()]
+        x = real.A @ x + sum(drive, np.zeros(len(x))) + real.c
+        y = s.c @ w + s.d @ (late[k] - model.u_origin) + s.level + model.y_origin
+        if k > 3:
+            assert x[:2] * scale[:2] + shift[:2] == pytest.approx(y, abs=1e-8)
+
+
+def test_on_a_linear_plant_one_rule_is_the_linear_side() -> None:
+    """One rule is enough, and as near to the truth as the linear state space itself."""
+    plant = LINEAR["linear vehicle"]
+    train, _ = plant.dataset((1,), 400, 0.05)
+    test, truth = plant.dataset((101,), 1000, 0.05)
+    rules, linear = TSStateSpace(most_rules=2, iterations=10).fit(train), StateSpace().fit(train)
+    assert len(rules.rules()) == 1
+    assert "One rule is enough" in str(rules)
+    assert trial_gap(rules, test, truth) < 1.1 * trial_gap(linear, test, truth)
+
+
+def trial_gap(model: Fitted, test: Dataset, truth: list[FloatArray]) -> float:
+    """RMSE against the truth from a start that 60 samples suggest."""
+    gaps = [free_run(model, s, 60) - y[60:, None] for s, y in zip(test.segments, truth, strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)))
+
+
+def test_an_explanation_adds_up() -> None:
+    model, segment = flown(), vehicle().segments[0]
+    told = model.explain(segment.u, segment.y, 100)
+    assert sum(v.share for v in told.voices) == pytest.approx(1.0)
+    together = sum(v.share * v.output[0] for v in told.voices)
+    assert told.output[0] == pytest.approx(together, abs=1e-9)
+    assert told.antecedents["y(k-1)"] == pytest.approx(segment.y[99, 0])
+    assert "spoke with" in str(told)
+    with pytest.raises(UsageError, match="cannot be explained"):
+        model.explain(segment.u, segment.y, len(segment))
+
+
+def test_rules_by_themselves_are_those_of_the_explanation() -> None:
+    model, segment = flown(), vehicle().segments[0]
+    alone = model.rule_outputs(segment.u, segment.y)
+    assert alone.shape == (len(segment), 2, 1)
+    assert np.isnan(alone[: model.n_init]).all()
+    assert np.isfinite(alone[model.n_init :]).all()
+    for row in (300, len(segment) - 1):
+        for voice in model.explain(segment.u, segment.y, row).voices:
+            rule = int(voice.label.removeprefix("R")) - 1
+            assert alone[row, rule, 0] == pytest.approx(voice.output[0], abs=1e-9)
+    assert np.isnan(model.rule_outputs(segment.u[:2], segment.y[:2])).all()
+
+
+def test_a_linearisation_predicts_small_steps() -> None:
+    """Around the rest at an input, the linear model follows the fuzzy one to second order."""
+    model, u = flown(), np.array([0.15])
+    local = linearise(model, u)
+    x = resting_states(model, u)
+    s = np.concatenate([x, u])
+    assert next_states(model, s, u) == pytest.approx(x, abs=1e-8)
+    moved = s + 1e-3 * np.array([1.0, -0.5, 0.3])
+    assert (local.A @ moved + local.B @ u + local.f)[:2] == pytest.approx(
+        next_states(model, moved, u), abs=1e-6
+    )
+    beside = linearise(model, u, np.array([0.5]))
+    named = model.linearise({"u": 0.15, "y": 0.5})
+    assert pytest.approx(named.A) == beside.A
+    with pytest.raises(UsageError, match="z"):
+        model.linearise({"z": 1.0})
+    with pytest.raises(UsageError, match="no place to linearise"):
+        model.linearise({"y": float("nan")})
+    with pytest.raises(UsageError, match="at its limit"):
+        model.linearise({"y": 2.0 * float(model.output_limits[1, 0])})
+    with pytest.raises(UsageError, match="shape"):
+        linearise(model, np.zeros(2))
+
+
+def test_a_certificate_of_the_rules_is_a_proof() -> None:
+    found = certificate(flown())
+    assert found.proved
+    for theta in flown().consequents:
+        A = theta[:, :2]
+        assert np.linalg.eigvalsh(A.T @ found.P @ A - found.P).max() < 0.0
+
+
+def test_intervals_hold_the_gain_and_follow_from_the_data() -> None:
+    """The drag's gain at a crawl, 9.81 / 0.2, is not seen; intervals are finite and around the estimate."""
+    sure, model = intervals(), flown()
+    low, high = sure.gain_interval[:, :, 0, 0]
+    gains = np.array([rule.dc_gain[0, 0] for rule in model.rules()])
+    assert ((low < gains) & (gains < high)).all()
+    assert (high - low < 2.0 * np.abs(gains)).all()
+    run = vehicle().segments[1]
+    lower, upper = sure.simulation_band(run.u, run.y[: model.n_init])
+    middle = model.simulate(run.u, run.y[: model.n_init])
+    assert np.mean((lower <= middle) & (middle <= upper)) > 0.9
+    assert 0.0 < np.median(upper - lower) < 0.1 * np.std(run.y)
+    slow = sure.time_constant_interval_s
+    assert (slow[0] < [r.time_constant_s for r in model.rules()]).all()
+
+
+def test_rules_carry_their_intervals_into_files() -> None:
+    model = flown()
+    assert model.gain_interval is not None
+    again = MODEL.from_dict(json.loads(json.dumps(model.to_dict())))
+    interval = again.rules()[0].gain_interval
+    assert interval is not None
+    assert interval == pytest.approx(model.gain_interval[:, 0], nan_ok=True)
+
+
+def test_a_dead_time_that_the_log_shows_is_tried() -> None:
+    """nk_hint reaches the linear starts."""
+    settings = TSStateSpace(states=2, nk_hint=(4,))
+    found = linear_systems(settings, vehicle(), None, scaling(vehicle()))
+    assert {system.real.input_lags for system in found} == {((1,),), ((4,),)}
+
+
+def test_the_contest_takes_the_hidden_state_of_two_tanks() -> None:
+    """An overflow behind a hidden level: rules over lags cannot say it, and the contest is sure."""
+    tanks, _ = TANKS.dataset((33,), 1024, 0.02)
+    test, truth = TANKS.dataset((1033,), 1024, 0.02)
+    found = contest(BestTS(most_rules=2), tanks)
+    assert found.clear
+    assert found.advantage.share == 1.0
+    assert "A hidden state explains" in found.winner.notes[0]
+    assert found.hidden is not None
+    assert free_run_gap(found.hidden, test, truth) < 0.1
+    assert replace(found, fits=False).winner.notes[-1].endswith("but more in training.")

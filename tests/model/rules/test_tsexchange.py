@@ -1,0 +1,71 @@
+"""A rule in the wrong place moves by way of one rule more; what is not surely better replaces nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.ts_intervals import known_model
+from flysid.model.fuzzy.choice import Candidate
+from flysid.model.fuzzy.estimate import rule_verdict
+from flysid.model.fuzzy.exchange import exchanged
+from flysid.model.fuzzy.grow import Stage, inserted, unrefined
+from flysid.model.fuzzy.model import FittedTS
+from flysid.model.fuzzy.workshop import Workshop
+from flysid.model.ts import TS
+from tests.known_rules import stage_of, workshop_of
+
+
+@pytest.fixture(scope="module")
+def truth() -> FittedTS:
+    return known_model()
+
+
+@pytest.fixture(scope="module")
+def workshop(truth: FittedTS) -> Workshop:
+    return workshop_of(truth)
+
+
+def one_more_than(stage: Stage) -> Stage:
+    """The stage with a third rule beside its first, which says what the others say there."""
+    grown = inserted(stage, 0.8 * stage.body.centre[0] + 0.2 * stage.body.centre[1], stage.body.width[0])
+    return unrefined(grown.problem, grown.body)
+
+
+def test_a_poor_model_becomes_a_good_one_with_as_many_rules(truth: FittedTS, workshop: Workshop) -> None:
+    good = stage_of(workshop, truth, 0.0)
+    poor = workshop.judge(stage_of(workshop, truth, 0.8))
+    larger = workshop.judge(one_more_than(good))
+    one = workshop.judge(stage_of(workshop, truth, 1.0))
+    found = exchanged(workshop, [one, poor, larger], 1, ())
+    assert found.stage.rules == poor.stage.rules == 2
+    assert found.stage.cost < 1.05 * good.cost < 0.8 * poor.stage.cost
+    assert found.mean < 0.8 * poor.mean
+
+
+def test_a_good_model_stays(truth: FittedTS, workshop: Workshop) -> None:
+    good, poor = (workshop.judge(stage_of(workshop, truth, share)) for share in (0.0, 0.9))
+    larger = workshop.judge(one_more_than(poor.stage))
+    settled = replace(good, stage=replace(good.stage, cost=0.9 * good.stage.cost))
+    assert exchanged(workshop, [poor, settled, larger], 1, ()) is settled
+
+
+def test_the_sweep_tells_how_sure_its_distances_are(truth: FittedTS, workshop: Workshop) -> None:
+    good, poor = (workshop.judge(stage_of(workshop, truth, share)) for share in (0.0, 0.8))
+    models = [replace(poor, errors=np.array([0.04, 0.08])), replace(good, errors=np.array([0.01, 0.03]))]
+    note, _ = rule_verdict(TS(), models, 1)
+    root = np.sqrt(0.06)  # the gaps 0.03 and 0.05 have a standard error of 0.01
+    assert f"2: {root:.3g} +- {0.01 / (2 * root):.2g}, 2: {np.sqrt(0.02):.3g}. +-" in note
+    alone, _ = rule_verdict(TS(), models[:1], 0)
+    assert "+-" not in alone
+
+
+def test_little_data_and_single_rules_are_left_alone(truth: FittedTS, workshop: Workshop) -> None:
+    good, poor = (workshop.judge(stage_of(workshop, truth, share)) for share in (0.0, 0.8))
+    models: list[Candidate] = [poor, poor, workshop.judge(one_more_than(good.stage))]
+    little = replace(workshop, folds=((workshop.fit_part, workshop.check_part),))
+    assert exchanged(little, models, 1, ()) is poor
+    single = replace(poor, stage=replace(poor.stage, body=replace(poor.stage.body, a=poor.stage.body.a[:1])))
+    assert exchanged(workshop, [single], 0, ()) is single

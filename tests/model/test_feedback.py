@@ -1,0 +1,96 @@
+"""Closed loops are recognised, open ones left alone, whatever the input looks like."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.feedback import feedback
+from flysid.model.oe import OE
+from flysid.validate.cautions import cautions
+from flysid.validate.compare import compare
+from flysid.validate.diagnostics import diagnose
+from tests.fakes import FirstOrder
+from tests.model.linear.test_frequency_response import DT_S, A, B, chirp, steps
+
+N = 3000
+
+
+def disturbed(rng: np.random.Generator) -> FloatArray:
+    return np.asarray(lfilter([1.0], [1.0, -0.95], 0.01 * rng.standard_normal(N)))
+
+
+def open_loop(kind: str, seed: int) -> Dataset:
+    rng = np.random.default_rng(seed)
+    t = np.arange(N) * DT_S
+    u = {
+        "chirp": chirp(N, 0.1, 3.0),
+        "multisine": sum(
+            np.sin(w * t + p) for w, p in zip((0.5, 1.1, 2.3, 4.1), rng.uniform(0, 6, 4), strict=True)
+        ),
+        "smooth": lfilter([0.02], [1.0, -0.98], rng.standard_normal(N)),
+        "steps": steps(N, rng),
+    }[kind]
+    return Dataset.from_arrays(np.asarray(u), lfilter(B.ravel(), A, u) + disturbed(rng), DT_S)
+
+
+def closed_loop(gain: float, lag: int, seed: int) -> Dataset:
+    """u(k) = r(k) - gain y(k - lag)."""
+    rng = np.random.default_rng(seed)
+    b, a, v, r = B.ravel(), A, disturbed(rng), 0.5 * steps(N, rng, 25)
+    x, y, u = np.zeros(N), np.zeros(N), np.zeros(N)
+    for k in range(2, N):
+        x[k] = -a[1] * x[k - 1] - a[2] * x[k - 2] + b[1] * u[k - 1] + b[2] * u[k - 2]
+        y[k] = x[k] + v[k]
+        u[k] = r[k] - gain * y[max(k - lag, 0)]
+    return Dataset.from_arrays(u, y, DT_S, inputs=["theta"], outputs=["v_x"])
+
+
+@pytest.mark.parametrize("kind", ["chirp", "multisine", "smooth", "steps"])
+def test_an_open_loop_is_left_alone(kind: str) -> None:
+    for seed in range(2):
+        data = open_loop(kind, seed)
+        (found,) = feedback(OE(na=2, nb=2, nk=1).fit(data), data)
+        assert not found.closed
+        assert found.words == ""
+        assert found.p_value > 1e-3
+
+
+@pytest.mark.parametrize(("gain", "lag"), [(5.0, 1), (3.0, 15)])
+def test_a_controller_and_a_slow_pilot_are_recognised(gain: float, lag: int) -> None:
+    data = closed_loop(gain, lag, 0)
+    (found,) = feedback(OE(na=2, nb=2, nk=1).fit(data), data)
+    assert found.closed
+    assert found.words.startswith("theta answers v_x: within 0.5 s after")
+    assert "IV with the reference" in found.words
+
+
+def test_a_nonlinear_plant_in_open_loop_is_no_feedback() -> None:
+    rng = np.random.default_rng(0)
+    u = steps(N, rng)
+    y = FirstOrder(a=0.97, b=0.05, d=-0.02, dt_s=DT_S).simulate(u[:, None], np.zeros((1, 1)))[:, 0]
+    data = Dataset.from_arrays(u, y + disturbed(rng), DT_S)
+    assert not feedback(OE(na=1, nb=1, nk=1).fit(data), data)[0].closed
+
+
+def test_too_little_data_say_nothing() -> None:
+    data = open_loop("steps", 0)
+    model = OE(na=2, nb=2, nk=1).fit(data)
+    short = data.with_segments([data.segments[0].slice(0, 60, DT_S)])
+    (found,) = feedback(model, short)
+    assert found.p_value == 1.0
+    assert not found.closed
+
+
+@pytest.mark.parametrize(("gain", "lag"), [(0.0, 1), (3.0, 15)])
+def test_the_report_says_it_as_the_fit_says_it(gain: float, lag: int) -> None:
+    """One rule in one place; and nothing is said in open loop."""
+    data = closed_loop(gain, lag, 0)
+    model = OE(na=2, nb=2, nk=1).fit(data)
+    (found,) = feedback(model, data)
+    c = compare([model], data, baseline=None)
+    said = [x.text for x in cautions({"roll": c}, {"roll": diagnose(c, data)})]
+    assert found.closed == bool(gain)
+    assert any(x.startswith("theta answers v_x: within") for x in said) == bool(gain)

@@ -1,0 +1,85 @@
+"""Before you rely on this: what is said, in which order, and once only."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from flysid.ingest.excitation.doubts import Doubt
+from flysid.validate.caution_data import WEIGHTS
+from flysid.validate.cautions import MOST, cautions
+from flysid.validate.compare import compare
+from flysid.validate.diagnostics import diagnose
+from flysid.validate.verdict import Verdict
+from flysid.validate.words import verdict_words
+from tests.fakes import flown
+from tests.validate.test_report import ARX, TS, compared
+
+
+def test_cautions_are_at_most_six_worst_first() -> None:
+    test = flown(TS, [300] * 2, noise=0.02, flights=1)
+    wild = replace(TS, a=1.4, limit=30.0)
+    comparisons = {f"c{i}": compare([ARX, wild], test) for i in range(8)}
+    diagnoses = {n: diagnose(c) for n, c in comparisons.items()}
+    doubts = [Doubt(kind, f"{kind} told", "fly.") for kind in WEIGHTS]
+    found = cautions(comparisons, diagnoses, dict.fromkeys(comparisons, doubts))
+    assert len(found) == MOST
+    assert [c.level for c in found].count("danger") == 1  # one model diverged, on however many channels
+    assert found[0].text.startswith(
+        "TS diverged in free run on c0, in 2 of 2 held-out segments, first at t = "
+    )
+    assert "; c2, in" in found[0].text
+    assert found[0].text.endswith("; and on 5 more. It is counted as a loss.")
+    beside = {"c": compare({"arx": ARX, "ts": TS, "bj": replace(wild, structure="bj")}, test)}
+    (told,) = [c for c in cautions(beside, {"c": diagnose(beside["c"])}) if "diverged in" in c.text]
+    assert told.level == "warning"
+    assert "loss" not in told.text
+    calm = {"c": compared()}
+    levels = [c.level for c in cautions(calm, {"c": diagnose(compared())})]
+    assert levels == sorted(levels, key=["danger", "warning", "note", "good"].index)
+    assert levels[-1] == "good"
+    one = compare([ARX], test)
+    static = {**diagnose(one).pole_radius, "line": 0.0}
+    said = cautions({"c": one}, {"c": replace(diagnose(one), pole_radius=static)})[-1].text
+    assert said.startswith("The model is stable")  # a line has no poles, and no merit of being stable
+
+
+def test_a_difference_that_is_shown_and_small_is_called_small() -> None:
+    (pair,) = compared().verdict.values()
+    same = replace(pair, verdict=Verdict.SAME, ci95=(-2.8, -0.2))
+    assert verdict_words(same) == "same within 5 %"
+    assert verdict_words(replace(same, ci95=(-2.8, 0.2))) == "no difference shown"
+    assert verdict_words(replace(same, ci95=(0.2, 7.0))) == "no difference shown"  # Holm took it back
+    below = replace(pair.evidence, resolution=1.0)
+    assert verdict_words(replace(same, evidence=below)) == "no difference shown"
+
+
+def test_low_coherence_is_no_warning_where_a_free_run_follows_the_output() -> None:
+    test = flown(TS, [300] * 2, noise=0.02)
+    for gain, warned in ((1.0, False), (0.0, True)):
+        models = {"arx": replace(ARX, b=gain * TS.b), "ts": replace(TS, b=gain * TS.b)}
+        c = compare(models, test)
+        d = diagnose(c)
+        (out,) = d.outputs
+        faint = tuple(r and replace(r, coherence=np.zeros_like(r.coherence)) for r in out.responses)
+        told = cautions({"c": c}, {"c": replace(d, outputs=(replace(out, responses=faint),))})
+        assert any("coherence below 0.5" in t.text for t in told) is warned
+
+
+def test_one_caution_speaks_of_all_channels_and_tells_equal_names_apart() -> None:
+    """Six cautions are shown: one kind must not take the room of another."""
+    found = diagnose(compared(), flown(TS, [500], noise=0.02, seed=9))
+    wild = replace(
+        found, pole_radius={"ts": 1.2}, outside=tuple(replace(o, share=0.05) for o in found.outside)
+    )
+    said = [c.text for c in cautions({"roll": compared(), "yaw": compared()}, {"roll": wild, "yaw": wild})]
+    (unstable,) = [t for t in said if "unit circle" in t]
+    assert "on roll (TS, largest pole radius 1.2000), yaw (TS" in unstable
+    (outside,) = [t for t in said if "training range" in t]
+    assert "u of roll (5.0 %)" in outside
+    assert "u of yaw (5.0 %)" in outside
+    (alone,) = [
+        t for t in (c.text for c in cautions({"r": compared()}, {"r": wild})) if "training range" in t
+    ]
+    assert "on u (5.0 %)" in alone

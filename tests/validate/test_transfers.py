@@ -1,0 +1,136 @@
+"""From a chirp flown by the simulated vehicle to transfer functions in the terminal."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from flysid.cli.tf import command
+from flysid.dataset import Dataset
+from flysid.errors import UsageError
+from flysid.flightwriter import write_atomically
+from flysid.ingest.align.align import dataset
+from flysid.ingest.formats.registry import read
+from flysid.ingest.lake.batch import find_logs, ingest_logs
+from flysid.ingest.synth.plants import LOOPS
+from flysid.ingest.synth.rigid_body import Vehicle
+from flysid.ingest.synth.synth import WRITERS, Order, flights
+from flysid.ingest.synth.tuning import linearise
+from flysid.model.frequency.rational import hold_response
+from flysid.model.frequency.response import measure_response
+from flysid.model.transfer_function import TF
+from flysid.validate.bodeplot import draw_bode
+from flysid.validate.transfers import ChannelTransfers, identify_channel
+from tests.flysid.test_cli import call
+
+CHANNELS = ("longitudinal", "lateral", "vertical")
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """One chirp of 100 s of each vehicle, small enough for the nonlinear one to stay near hover."""
+    folder = tmp_path_factory.mktemp("chirps")
+    suffix, encode = WRITERS["mcap"]
+    paths = {}
+    for plant in ("ardrone-linear", "ardrone"):
+        (recording,) = flights(Order(plant=plant, plan="chirp", duration_s=100.0, amplitude=0.4, noise=0.002))
+        paths[plant] = folder / f"{plant}{suffix}"
+        write_atomically(paths[plant], encode(recording))
+    return paths
+
+
+def channel(path: Path, name: str) -> Dataset:
+    return dataset([read(path)], "ardrone-synthetic", name)
+
+
+@pytest.mark.parametrize("name", CHANNELS)
+def test_the_measured_response_is_the_loop_s_own(logs: dict[str, Path], name: str) -> None:
+    measured = measure_response(channel(logs["ardrone-linear"], name))
+    ratio = measured.response[:, 0] / LOOPS[name].response(measured.omega)
+    ratio = ratio / hold_response(measured.omega, measured.dt_s, "zero")
+    trusted = measured.trusted() > 0
+    assert np.count_nonzero(trusted) > 20
+    inside = np.abs(np.log(np.abs(ratio[trusted]))) < measured.half_width()[trusted, 0]
+    assert np.mean(inside) > 0.75
+    assert np.abs(20 * np.log10(np.abs(ratio[trusted]))).max() < 1.0
+
+
+@pytest.mark.parametrize("name", CHANNELS)
+def test_the_nonlinear_vehicle_s_response_is_its_linearisation_s(logs: dict[str, Path], name: str) -> None:
+    """Up to the link's dead time, which the linearisation leaves out and the chirp shows."""
+    measured = measure_response(channel(logs["ardrone"], name))
+    at = CHANNELS.index(name)
+    truth = linearise(Vehicle()).response(measured.omega)[:, at, at]
+    ratio = measured.response[:, 0] / truth / hold_response(measured.omega, measured.dt_s, "zero")
+    trusted = (measured.trusted() > 0) & (measured.omega > 0.6)
+    assert np.abs(20 * np.log10(np.abs(ratio[trusted]))).max() < 1.0
+    delay_s = -np.angle(ratio[trusted]) / measured.omega[trusted]
+    assert np.median(delay_s) == pytest.approx(0.04, abs=0.02)
+
+
+@pytest.fixture(scope="module")
+def longitudinal(logs: dict[str, Path]) -> ChannelTransfers:
+    estimator = TF(poles=2, zeros=0, dead_time_s=0.0)
+    return identify_channel("longitudinal", channel(logs["ardrone-linear"], "longitudinal"), estimator)
+
+
+def test_the_paper_s_plant_lies_in_the_intervals(longitudinal: ChannelTransfers) -> None:
+    found = longitudinal.model.transfer()
+    truth = np.array([0.7995, 4.1881, 7.1429])
+    values = np.append(found.numerator, found.denominator[1:])
+    errors = found.errors[:3]
+    assert (np.abs(values - truth) < 3.3 * errors).all()
+    assert (errors < 0.02 * truth).all()
+    assert not longitudinal.loops[0].closed
+    assert longitudinal.fit_pct[0] is not None
+    assert longitudinal.fit_pct[0] > 80
+
+
+def test_what_is_printed_and_stored(longitudinal: ChannelTransfers) -> None:
+    text = "\n".join(longitudinal.lines())
+    for part in ("v_x / theta_in =", "s^2 + 4.", "trust it from", "coherence is above 0.6", "fit "):
+        assert part in text
+    rows = longitudinal.table(0, 0)
+    assert len(rows) == 81
+    assert all(len(row) == len(rows[0]) for row in rows)
+    body = json.loads(json.dumps(longitudinal.to_dict(), allow_nan=False))
+    damping = body["transfers"][0]["modes"][0]["damping"]
+    assert damping["low"] < damping["value"] < damping["high"]
+    assert damping["value"] == pytest.approx(0.7835, abs=0.02)
+
+
+def test_the_bode_plot_is_written(longitudinal: ChannelTransfers, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    draw_bode([longitudinal], tmp_path / "bode.svg")
+    assert "theta_in to v_x" in (tmp_path / "bode.svg").read_text("utf-8")
+
+
+def test_the_command_line(logs: dict[str, Path], tmp_path: Path) -> None:
+    list(ingest_logs(find_logs([logs["ardrone-linear"]]), tmp_path / "data"))
+    order = ("tf", "data", "-r", "ardrone-synthetic", "-c", "longitudinal", "--dead-time", "0", "--zeros")
+    done = call(*order, "0", "--poles", "2", "--table", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "v_x / theta_in =" in done.stdout
+    assert "model deg" in done.stdout
+    failed = call(*order, "3", "--poles", "1", cwd=tmp_path)
+    assert failed.returncode == 2
+    assert "no more zeros than poles" in failed.stderr
+    assert "Traceback" not in failed.stderr
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (["-c", "sideways"], "no channel 'sideways'"),
+        (["--plot", "bode.bmp"], "no picture format"),
+    ],
+)
+def test_wrong_orders_are_named(logs: dict[str, Path], tmp_path: Path, wrong: list[str], words: str) -> None:
+    list(ingest_logs(find_logs([logs["ardrone-linear"]]), tmp_path / "data"))
+    done = CliRunner().invoke(command, [str(tmp_path / "data"), "-r", "ardrone-synthetic", *wrong])
+    assert isinstance(done.exception, UsageError)
+    assert words in str(done.exception)
