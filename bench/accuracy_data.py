@@ -1,6 +1,6 @@
 """Public identification benchmarks with their exact splits; read from ../shared/benchmarks, never copied.
 
-The origin of each set and the figures that others published stand in docs/measured.md.
+The origin of each set and the figures that others published stand in docs/measured/linear.md.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from bench.harness import LOGS, ROOT, WORK, Case, Measured, measure
 def all_cases() -> list[Case]:
     """The cases of every `cases_*.py` in this folder, by file name."""
     found: list[Case] = []
-    for path in sorted((ROOT / "tests" / "bench").glob("cases_*.py")):
+    for path in sorted((ROOT / "bench").glob("cases_*.py")):
         found.extend(importlib.import_module(f"bench.{path.stem}").CASES)
     return found
 

@@ -1,7 +1,7 @@
 """Real fits on plants whose nature is known: does the verdict find what is there, and nothing else?
 
 `python -m bench.verdict_fairness linear 200` and `... nonlinear 200` print one line per plant, the
-totals, and the row for docs/measured.md; `--jobs 2` judges two plants at a time; `--journal FILE` lets an
+totals, and the row for docs/measured/verdict.md; `--jobs 2` judges two plants at a time; `--journal FILE` lets an
 interrupted campaign go on, with the same code only. Both sides are what `flysid fit` makes: the best
 linear model by validation, and TS (at most 3 rules, to save time) over lags or hidden states, whichever
 `BestTS` takes; `--contender ts_lags` leaves out hidden states. On linear plants TS must be called better
@@ -241,7 +241,7 @@ def totals(kind: str, outcomes: Sequence[Outcome], failed: Mapping[str, int]) ->
 
 
 def row(kind: str, outcomes: Sequence[Outcome], seeds: range) -> str:
-    """The line of the table in docs/measured.md."""
+    """The line of the table in docs/measured/verdict.md."""
     n = len(outcomes)
     count = Counter(o.verdict for o in outcomes)
     covered = [o.covered for o in outcomes if o.covered is not None]

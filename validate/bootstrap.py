@@ -18,7 +18,7 @@ over 1.96); Student's t gives the reach. Four corrections:
   1993, chapter 12) knows how the two go together, and may move that end outwards. It has no say in whether
   there is a change: where flights are merely unlike, it is the shorter one. The least spread of a draw,
   0.3 of the units' own, is the one number here that was tuned.
-Measured coverage: docs/measured.md.
+Measured coverage: docs/measured/verdict.md.
 """
 
 from __future__ import annotations
