@@ -1,8 +1,8 @@
 """Real fits on plants whose nature is known: does the verdict find what is there, and nothing else?
 
 `python -m bench.verdict_fairness linear 200` and `... nonlinear 200` print one line per plant, the
-totals, and the row for docs/measured/verdict.md; `--jobs 2` judges two plants at a time; `--journal FILE` lets
-an interrupted campaign go on, with the same code only. Both sides are what `flysid fit` makes: the best
+totals, and the row for docs/measured/verdict.md; `--jobs 2` judges two plants at a time; `--journal FILE`
+lets an interrupted campaign go on, with the same code only. Both sides are what `flysid fit` makes: the best
 linear model by validation, and TS (at most 3 rules, to save time) over lags or hidden states, whichever
 `BestTS` takes; `--contender ts_lags` leaves out hidden states. On linear plants TS must be called better
 in at most 5 %; on nonlinear plants, with noise such that a perfect model is 20 % better than the best linear

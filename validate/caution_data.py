@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from flysid.ingest.excitation.doubts import REMARKS, Doubt
+from flysid.ingest.align.doubts import REMARKS, Doubt
 from flysid.validate.caution import Caution, join
 from flysid.validate.words import one_line
 

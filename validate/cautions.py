@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from flysid.ingest.excitation.doubts import Doubt
+from flysid.ingest.align.doubts import Doubt
 from flysid.model.feedback import BIASED, REMEDY
 from flysid.validate.bootstrap import MIN_FLIGHTS
 from flysid.validate.caution import Caution, Comparisons, Diagnoses, heads, join

@@ -11,8 +11,8 @@ from typing import Generic, TypeVar
 from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile
 from flysid.flightwriter import slug
+from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.excitation.dead_time import DeadTime
-from flysid.ingest.excitation.doubts import Doubt
 from flysid.model.base import Fitted
 from flysid.model.feedback import feedback
 from flysid.split import Split

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from flysid.ingest.excitation.doubts import Doubt
+from flysid.ingest.align.doubts import Doubt
 from flysid.validate.cautions import cautions
 from flysid.validate.checks import Checks
 from flysid.validate.compare import Comparison, Entry, ModelScore, Pair

@@ -18,9 +18,9 @@ from flysid.dataset import Dataset
 from flysid.datasetfile import open_dataset
 from flysid.errors import DataError, UsageError
 from flysid.flightwriter import slug, write_atomically
+from flysid.ingest.align.doubts import doubts
 from flysid.ingest.align.recipe import Recipe, load_recipe, recipe_text
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
-from flysid.ingest.excitation.doubts import doubts
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.base import Estimator

@@ -26,8 +26,8 @@ from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile, open_dataset
 from flysid.errors import StoreError, UsageError
 from flysid.flightwriter import put_in_place, writing_to
+from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.align.recipe import Recipe, load_recipe
-from flysid.ingest.excitation.doubts import Doubt
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.manifest import DATA_FILE

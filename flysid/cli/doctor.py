@@ -13,7 +13,7 @@ from flysid.cli.output import REASONS_SHOWN, say
 
 if TYPE_CHECKING:
     from flysid.flight import Damage
-    from flysid.ingest.excitation.survey import Survey
+    from flysid.ingest.lake.survey import Survey
 
 HEADINGS = (
     "FILE",
@@ -43,8 +43,8 @@ def command(
 
     Ends with 3 when something was lost or a log cannot be read, and with 1 when none can.
     """
-    from flysid.ingest.excitation.survey import survey_or_reason
     from flysid.ingest.lake.batch import find_logs
+    from flysid.ingest.lake.survey import survey_or_reason
     from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 
     found, unreadable = find_logs(logs), 0
@@ -75,7 +75,7 @@ def command(
 
 def row(found: Survey) -> tuple[str, ...]:
     """One log as the cells of a table."""
-    from flysid.ingest.excitation.survey import verdict
+    from flysid.ingest.lake.survey import verdict
 
     words, advice = verdict(found)
     return (
@@ -119,7 +119,7 @@ def as_document(found: Survey) -> dict[str, Any]:
     """One log for `--json`."""
     import msgspec
 
-    from flysid.ingest.excitation.survey import ROLES, verdict
+    from flysid.ingest.lake.survey import ROLES, verdict
 
     words, advice = verdict(found)
     return {

@@ -94,7 +94,7 @@ def command(
     if is_dataset:
         check_no_words(data, asked)
     place = fresh_place(output, force) if data.is_file() and not is_dataset else None
-    from flysid.ingest.excitation.doubts import REMARKS
+    from flysid.ingest.align.doubts import REMARKS
     from flysid.validate.fitting import fit_file, fit_run
     from flysid.validate.run import FitSettings
 

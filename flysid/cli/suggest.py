@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from flysid.ingest.excitation.suggest import Suggestion
+    from flysid.ingest.lake.suggest import Suggestion
 
 HEADINGS = (
     "FLIGHT",
@@ -82,7 +82,7 @@ def row(found: Suggestion, flight: str) -> tuple[str, ...]:
 
 def _delay(found: Suggestion) -> str:
     """Dead time with what cannot be told from it."""
-    from flysid.ingest.excitation.suggest import unbounded
+    from flysid.ingest.lake.suggest import unbounded
 
     if found.delay_s is None:
         return "-"

@@ -1,1 +1,1 @@
-"""Flight to Dataset: recipes, units, clocks, grids, gaps and conditions."""
+"""Flight to Dataset: recipes, clocks, grids, gaps, conditions, and doubts about the data."""

@@ -22,12 +22,12 @@ from flysid.flight import Flight
 from flysid.ingest.align import resample
 from flysid.ingest.align.clocks import align_clocks
 from flysid.ingest.align.conditions import condition_spans
+from flysid.ingest.align.doubts import doubts
 from flysid.ingest.align.labels import Labels, labels_of
 from flysid.ingest.align.recipe import Recipe, SignalSpec, load_recipe
 from flysid.ingest.align.report import AlignReport, FlightReport, SignalReport
 from flysid.ingest.align.resample import Series, Span
 from flysid.ingest.align.signals import FlightLog, Loaded, Log, Samples, find_source, load_signal, missing
-from flysid.ingest.excitation.doubts import doubts
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from flysid.flight import BOOT, RECEIVED, TIME, Flight, field_unit, matching_str
 from flysid.ingest.align.align import align
 from flysid.ingest.align.recipe import ChannelSpec, parse_recipe
 from flysid.ingest.align.signals import FlightLog, Log
-from flysid.ingest.align.units import is_known
+from flysid.ingest.formats.common.units import is_known
 from flysid.ingest.formats.registry import read
 
 _ELEMENT = re.compile(r"^(.+?)(\[\d+\])?$")

@@ -36,7 +36,7 @@ import msgspec
 
 from flysid.errors import RecipeError
 from flysid.ingest.align.transforms import TRANSFORMS
-from flysid.ingest.align.units import is_known
+from flysid.ingest.formats.common.units import is_known
 
 SUFFIX = ".toml"
 

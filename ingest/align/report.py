@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from flysid.ingest.excitation.doubts import REMARKS, Doubt
+from flysid.ingest.align.doubts import REMARKS, Doubt
 
 
 @dataclass(frozen=True)

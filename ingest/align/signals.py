@@ -21,7 +21,7 @@ from flysid.errors import RecipeError
 from flysid.flight import BOOT, ROW_NUMBER, TIME, Flight, field_scale, field_unit, matching_streams
 from flysid.ingest.align.recipe import SignalSpec, Source
 from flysid.ingest.align.transforms import TRANSFORMS
-from flysid.ingest.align.units import factor, is_known
+from flysid.ingest.formats.common.units import factor, is_known
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -1,1 +1,1 @@
-"""What a flight can identify: excitation, coherence, dead time, doubts."""
+"""What a dataset can identify: excitation, coherence, dead time."""

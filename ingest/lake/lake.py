@@ -16,7 +16,7 @@ from flysid.ingest.align.align import Aligned, align, align_to_file
 from flysid.ingest.align.recipe import Recipe, load_recipe, shipped_recipes
 from flysid.ingest.align.report import AlignReport
 from flysid.ingest.align.signals import find_source
-from flysid.ingest.excitation.suggest import Suggestion, suggest
+from flysid.ingest.lake.suggest import Suggestion, suggest
 from flysid.manifest import FLIGHTS, Manifest, check_data_folder, find_flight, list_flights
 from flysid.store import read_entry, read_flight
 

@@ -6,7 +6,7 @@ import pytest
 
 import flysid
 from flysid.ingest.align.signals import FlightLog
-from flysid.ingest.excitation.suggest import Suggestion, suggest
+from flysid.ingest.lake.suggest import Suggestion, suggest
 
 LOGS = Path(__file__).parents[2] / ".." / "shared" / "logs"
 pytestmark = pytest.mark.skipif(not LOGS.is_dir(), reason="needs ../shared/logs")

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from flysid.ingest.excitation.doubts import Doubt
+from flysid.ingest.align.doubts import Doubt
 from flysid.validate.caution_data import WEIGHTS
 from flysid.validate.cautions import MOST, cautions
 from flysid.validate.compare import compare

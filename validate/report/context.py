@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from flysid.dataset import Dataset
-from flysid.ingest.excitation.doubts import Doubt
+from flysid.ingest.align.doubts import Doubt
 from flysid.validate.compare import Comparison
 from flysid.validate.diagnostics import Diagnosis, diagnose
 

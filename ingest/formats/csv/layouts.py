@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flysid.ingest.align.units import factor, is_known
+from flysid.ingest.formats.common.units import factor, is_known
 
 SEPARATORS = (b",", b";", b"\t")
 ZONE = r"(Z|[+-]\d\d:?\d\d)"

@@ -11,7 +11,7 @@ from flysid.flight import Flight
 from flysid.ingest.align import frames
 from flysid.ingest.align.align import align
 from flysid.ingest.align.signals import FlightLog
-from flysid.ingest.excitation.suggest import suggest
+from flysid.ingest.lake.suggest import suggest
 from tests.samplelogs.ardrone import bag, read_flight
 
 SHARED = Path(__file__).parents[3] / ".." / "shared" / "logs"

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from flysid.errors import RecipeError
 from flysid.ingest.align.recipe import load_recipe, parse_recipe, shipped_recipes
-from flysid.ingest.align.units import factor
+from flysid.ingest.formats.common.units import factor
 
 
 def document(**changes: Any) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from flysid.cli.suggest import advice, short_names
 from flysid.flight import Flight, Source
 from flysid.ingest.align.recipe import parse_recipe
 from flysid.ingest.align.signals import FlightLog
-from flysid.ingest.excitation.suggest import Suggestion, suggest
+from flysid.ingest.lake.suggest import Suggestion, suggest
 from tests.ingest.align.test_align import T50, table
 from tests.ingest.lake.test_lake import folder  # noqa: F401
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from flysid.dataset import Dataset, Segment, Signal
+from flysid.ingest.align.doubts import Doubt, doubts
 from flysid.ingest.align.recipe import ChannelSpec
-from flysid.ingest.excitation.doubts import Doubt, doubts
 from flysid.validate.cautions import cautions
 from flysid.validate.document import to_json
 from flysid.validate.report.context import ReportContext
