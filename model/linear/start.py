@@ -65,15 +65,20 @@ def start_gains(system: Difference, parts: Parts, n_init: int | None) -> FloatAr
     wanted = max(round(WINDOW_S / parts.train.dt_s), WINDOW_LAGS * depth)
     most = max(depth, min(wanted, int(START_SHARE * shortest)))
     past = pasts(system, parts)
-    rows = depth if n_init is None else max(n_init, 1)
+    rows = _settled_rows(past, depth, most) if n_init is None else max(n_init, 1)
+    return np.stack([start_gain(p, rows) for p in past])
+
+
+def _settled_rows(past: Sequence[Past], rows: int, most: int) -> int:
+    """Samples that start a free run, from `rows` doubled until more help little."""
     spread = _start_spread(past, rows)
-    while n_init is None and rows < most:
+    while rows < most:
         wider = min(2 * rows, most)
         better = _start_spread(past, wider)
         if spread < 0.3 or better > 0.8 * spread:
             break
         rows, spread = wider, better
-    return np.stack([start_gain(p, rows) for p in past])
+    return rows
 
 
 def _start_spread(past: Sequence[Past], rows: int) -> float:
@@ -82,7 +87,7 @@ def _start_spread(past: Sequence[Past], rows: int) -> float:
     for p in past:
         some = p.states[:: max(len(p.states) // 500, 1)]
         gain = start_gain(p, rows)
-        basis = responses(p.single, min(max(10 * rows, 100), 2000))
+        basis = responses(p.single, max(rows, min(max(10 * rows, 100), 2000)))
         missed = some - some @ (gain @ basis[:rows]).T
         bias = np.mean((missed @ basis.T) ** 2) if len(some) else 0.0
         scatter = np.mean((basis @ gain) ** 2) * rows * p.sigma**2
