@@ -8,6 +8,9 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+
+import tomli_w
 
 from flysid.dataset import Dataset
 from flysid.errors import RecipeError
@@ -92,16 +95,20 @@ def quick_recipe(
     words = [*inputs, *outputs]
     places = {word: find_field(logs, word) for word in words}
     names = _distinct([places[word] for word in words])
-    told = _quoted(f"{', '.join(inputs)} to {', '.join(outputs)}")
-    lines = ['name = "quick"', f"description = {told}"]
-    for word in dict.fromkeys(words):
-        hold = "zero" if word in inputs else "linear"
-        lines += _signal(names[places[word]], places[word], hold, row_period_s)
-    driven = ", ".join(f'"{names[places[word]]}"' for word in dict.fromkeys(inputs))
-    for word in dict.fromkeys(outputs):
-        name = names[places[word]]
-        lines += ["", f"[channels.{name}]", f"inputs = [{driven}]", f'outputs = ["{name}"]']
-    return "\n".join(lines) + "\n"
+    driven = [names[places[word]] for word in dict.fromkeys(inputs)]
+    recipe = {
+        "name": "quick",
+        "description": f"{', '.join(inputs)} to {', '.join(outputs)}",
+        "signals": {
+            names[places[word]]: _signal(places[word], "zero" if word in inputs else "linear", row_period_s)
+            for word in dict.fromkeys(words)
+        },
+        "channels": {
+            names[places[word]]: {"inputs": driven, "outputs": [names[places[word]]]}
+            for word in dict.fromkeys(outputs)
+        },
+    }
+    return tomli_w.dumps(recipe)
 
 
 def find_field(logs: Sequence[Log], word: str) -> Place:
@@ -157,14 +164,8 @@ def _distinct(places: Sequence[Place]) -> dict[Place, str]:
     return names
 
 
-def _signal(name: str, place: Place, hold: str, row_period_s: float | None) -> list[str]:
-    period = "" if row_period_s is None else f", row_period_s = {row_period_s!r}"
-    source = f"{{ stream = {_quoted(place.stream)}, field = {_quoted(place.field)}{period} }}"
-    unit = "" if place.unit == "1" else place.unit
-    return ["", f"[signals.{name}]", f'unit = "{unit}"', f'hold = "{hold}"', f"sources = [{source}]"]
-
-
-def _quoted(text: str) -> str:
-    """A TOML basic string."""
-    plain = text.replace("\\", "\\\\").replace('"', '\\"')
-    return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in plain) + '"'
+def _signal(place: Place, hold: str, row_period_s: float | None) -> dict[str, Any]:
+    source: dict[str, Any] = {"stream": place.stream, "field": place.field}
+    if row_period_s is not None:
+        source["row_period_s"] = row_period_s
+    return {"unit": "" if place.unit == "1" else place.unit, "hold": hold, "sources": [source]}

@@ -6,10 +6,10 @@ import pyarrow as pa
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from flysid.errors import DataError, RecipeError
 from flysid.flight import Flight, Source, field_metadata
-from flysid.ingest.align import frames
 from flysid.ingest.align.align import align, dataset
 from flysid.ingest.align.recipe import Recipe, load_recipe, parse_recipe
 from flysid.ingest.align.resample import period_ns
@@ -168,7 +168,8 @@ def test_commands_sent_only_on_change_are_held_for_ever_when_the_recipe_says_so(
 def test_quaternions_and_the_heading_frame() -> None:
     yaw = np.unwrap(np.linspace(3.0, 4.0, 500))
     pitch = 0.1 * np.sin(np.arange(500) / 20)
-    q = frames.quaternion_of(np.zeros(500), pitch, yaw)
+    turns = Rotation.from_euler("ZY", np.column_stack([yaw, pitch]))
+    q = np.roll(turns.as_quat(), 1, axis=1)  # the scalar first
     forward = 2.0 * np.cos(np.arange(500) / 30)
     vn, ve = forward * np.cos(yaw), forward * np.sin(yaw)
     wrapped = (yaw + np.pi) % (2 * np.pi) - np.pi

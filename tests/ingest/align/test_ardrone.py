@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.spatial.transform import Rotation
 
 import flysid
 from flysid.flight import Flight
-from flysid.ingest.align import frames
 from flysid.ingest.align.align import align
 from flysid.ingest.align.signals import FlightLog
 from flysid.ingest.lake.suggest import suggest
@@ -57,10 +57,11 @@ def simulated(duration_s: float = 150.0) -> tuple[dict[str, FloatArray], dict[st
         **{f"motor{i}": np.zeros(len(t_nav)) for i in range(1, 5)},
     }
     t_pose = np.arange(1.0, duration_s - 1.0, 1 / 120)
-    q = frames.quaternion_of(*(np.interp(t_pose, t, a) for a in (roll, pitch, yaw)))
+    angles = np.column_stack([np.interp(t_pose, t, a) for a in (yaw, pitch, roll)])
+    q = Rotation.from_euler("ZYX", angles).as_quat()
     xy = [np.interp(t_pose, t, p) + rng.normal(scale=5e-5, size=len(t_pose)) for p in position]
     pose = {"stamp": START + t_pose, "x": xy[0], "y": xy[1], "z": np.ones(len(t_pose))}
-    return nav, {**pose, **dict(zip(("qw", "qx", "qy", "qz"), q.T, strict=True))}
+    return nav, {**pose, **dict(zip(("qx", "qy", "qz", "qw"), q.T, strict=True))}
 
 
 def as_flight(tmp_path: Path, blob: bytes) -> Flight:
