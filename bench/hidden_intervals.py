@@ -16,13 +16,13 @@ from scipy.signal import lfilter
 from bench.hidden_plants import PLANTS
 from bench.ts_intervals import steps
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.fuzzy.problem import Body
-from flysid.model.hidden.grow import StateStage, refine
-from flysid.model.hidden.layout import runs_of
-from flysid.model.hidden.model import FittedTSStateSpace
-from flysid.model.hidden.problem import StateProblem
-from flysid.model.hidden.start import initial_states
-from flysid.model.hidden.uncertainty import uncertainty
+from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.free_run_error import Body
+from flysid.model.rules.realisation import initial_states
+from flysid.model.rules.state_error import StateProblem
+from flysid.model.rules.state_growth import StateStage, refine
+from flysid.model.rules.state_layout import runs_of
+from flysid.model.rules.state_uncertainty import uncertainty
 from flysid.model.ts_state_space import TSStateSpace
 
 NOISE = 0.02  # of the driving noise, in metres per second

@@ -17,13 +17,13 @@ from bench.hidden_plants import PLANTS
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
-from flysid.model.fuzzy.layout import scaling
-from flysid.model.hidden.bench import Bench
-from flysid.model.hidden.finish import finished
-from flysid.model.hidden.grow import StateStage, Training, one_rule_more
-from flysid.model.hidden.judge import ends_of_travel
-from flysid.model.hidden.start import coordinates
-from flysid.model.hidden.systems import linear_systems
+from flysid.model.rules.realisation import coordinates
+from flysid.model.rules.regressor_layout import scaling
+from flysid.model.rules.state_assembly import finished
+from flysid.model.rules.state_context import Bench
+from flysid.model.rules.state_growth import StateStage, Training, one_rule_more
+from flysid.model.rules.state_judging import ends_of_travel
+from flysid.model.rules.state_systems import linear_systems
 from flysid.model.ts_state_space import TSStateSpace
 
 SAMPLES = 1024

@@ -15,8 +15,8 @@ import numpy as np
 
 from bench.ts_plants import PLANTS
 from flysid.dataset import Segment
-from flysid.model.fuzzy.uncertainty import RuleUncertainty, uncertainty
 from flysid.model.polynomials import Z95
+from flysid.model.rules.rule_uncertainty import RuleUncertainty, uncertainty
 from flysid.model.ts import TS
 
 USUAL = ("saturated", "duffing", "stiff", "tanks", "arm", "wiener")

@@ -19,7 +19,7 @@ from bench.ts_plants import PLANTS
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FlysidError
 from flysid.model.base import Estimator, Fitted
-from flysid.model.fuzzy.choice import INTEGRATES
+from flysid.model.rules.judging import INTEGRATES
 from flysid.model.ts import TS
 from flysid.model.ts_best import BestTS
 from flysid.model.ts_state_space import TSStateSpace

@@ -27,8 +27,8 @@ from flysid.model.base import (
     all_structures,
     write_document,
 )
-from flysid.model.fuzzy.explain import Explanation, refuse_row
-from flysid.model.fuzzy.words import in_words
+from flysid.model.rules.explanation import Explanation, refuse_row
+from flysid.model.rules.phrases import in_words
 from flysid.model.threads import on_one_thread
 from flysid.model.ts import TS
 

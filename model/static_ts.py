@@ -23,12 +23,12 @@ from flysid.errors import DataError, UsageError
 from flysid.model.arguments import as_columns, as_record
 from flysid.model.base import Rule, Structure, write_document
 from flysid.model.documents import head_of, signals_of
-from flysid.model.fuzzy.cluster import MOST_SAMPLES, Method, cluster, project
-from flysid.model.fuzzy.consequents import Consequents, Criterion, check_criterion, fit_consequents
-from flysid.model.fuzzy.explain import Explanation, refuse_row, taken_apart
-from flysid.model.fuzzy.memberships import Conjunction, Partition, Shape
-from flysid.model.fuzzy.papertables import Row, if_then, parameters
-from flysid.model.fuzzy.words import condition_in_words, equation, in_words
+from flysid.model.rules.clustering import MOST_SAMPLES, Method, cluster, project
+from flysid.model.rules.consequents import Consequents, Criterion, check_criterion, fit_consequents
+from flysid.model.rules.explanation import Explanation, refuse_row, taken_apart
+from flysid.model.rules.memberships import Conjunction, Partition, Shape
+from flysid.model.rules.phrases import condition_in_words, equation, in_words
+from flysid.model.rules.rule_tables import Row, if_then, parameters
 from flysid.model.stream import Source, blocks_of
 from flysid.model.threads import on_one_thread
 
@@ -48,7 +48,7 @@ class StaticTS:
     two_sided : each membership has a left and a right width ("unsymmetrical" in the paper).
     seed : of the clusters' starts.
     consequents : "global", eq. (4); "local": every rule by itself, which can be read by itself; or "mixed",
-        see flysid.model.fuzzy.consequents.
+        see flysid.model.rules.consequents.
     ridge : weight that draws the rules to the one straight line of the data, or "auto": by generalised
         cross-validation.
     """

@@ -1,7 +1,7 @@
 """Dynamic Takagi-Sugeno models, refined on the simulation error: the estimator.
 
 It grows the model from a refined linear one, rule by rule, and stops by the validation free run; what comes
-out is a `FittedTS`, flysid.model.fuzzy.model.
+out is a `FittedTS`, flysid.model.rules.fitted_lags.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from typing import Literal
 
 from flysid.dataset import Dataset
 from flysid.model.base import Structure
-from flysid.model.fuzzy.estimate import learn
-from flysid.model.fuzzy.finish import finished
-from flysid.model.fuzzy.model import FittedTS, from_dict
-from flysid.model.fuzzy.stable import with_stable_rules
+from flysid.model.rules.assembly import finished
+from flysid.model.rules.fitted_lags import FittedTS, from_dict
+from flysid.model.rules.learning import learn
+from flysid.model.rules.stabilise import with_stable_rules
 from flysid.model.threads import on_one_thread
 
 __all__ = ["MODEL", "TS", "FittedTS"]
@@ -37,7 +37,7 @@ class TS:
     iterations : Levenberg-Marquardt steps per stage.
     nk_hint : delays that "auto" tries as well, one per input: the dead time that the log shows
         (`flysid.ingest.excitation.dead_time`).
-    stable : no rule keeps a pole outside the unit circle (flysid.model.fuzzy.stable); without it a rule may,
+    stable : no rule keeps a pole outside the unit circle (`rules.stabilise`); without it a rule may,
         as long as the blend comes back from random inputs. The pole at one of an integrating process stays.
     """
 

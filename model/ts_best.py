@@ -17,21 +17,21 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Fitted
-from flysid.model.fuzzy.choice import hold_out
-from flysid.model.fuzzy.estimate import Learned
-from flysid.model.fuzzy.estimate import learn as learn_lagged
-from flysid.model.fuzzy.finish import finished as finished_lagged
-from flysid.model.fuzzy.layout import scaling
-from flysid.model.fuzzy.model import FittedTS
-from flysid.model.fuzzy.problem import runs_of
-from flysid.model.fuzzy.refit import on_all_runs
-from flysid.model.fuzzy.workshop import SPARE_ROWS
-from flysid.model.hidden.finish import finished
-from flysid.model.hidden.fit import Learned as LearnedStates
-from flysid.model.hidden.fit import learn
-from flysid.model.hidden.model import FittedTSStateSpace
-from flysid.model.hidden.rivals import Advantage, advantage, block_errors, compared
 from flysid.model.noise import noise_model
+from flysid.model.rules.assembly import finished as finished_lagged
+from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.free_run_error import runs_of
+from flysid.model.rules.judging import hold_out
+from flysid.model.rules.learning import Learned
+from flysid.model.rules.learning import learn as learn_lagged
+from flysid.model.rules.refit import on_all_runs
+from flysid.model.rules.regressor_layout import scaling
+from flysid.model.rules.search_context import SPARE_ROWS
+from flysid.model.rules.state_assembly import finished
+from flysid.model.rules.state_learning import Learned as LearnedStates
+from flysid.model.rules.state_learning import learn
+from flysid.model.rules.structure_choice import Advantage, advantage, block_errors, compared
 from flysid.model.start import estimate_start, start_window
 from flysid.model.threads import on_one_thread
 from flysid.model.ts import TS

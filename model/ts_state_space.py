@@ -15,9 +15,9 @@ from typing import Literal
 
 from flysid.dataset import Dataset
 from flysid.model.base import Structure
-from flysid.model.hidden.finish import finished
-from flysid.model.hidden.fit import learn
-from flysid.model.hidden.model import FittedTSStateSpace, from_dict
+from flysid.model.rules.fitted_states import FittedTSStateSpace, from_dict
+from flysid.model.rules.state_assembly import finished
+from flysid.model.rules.state_learning import learn
 from flysid.model.threads import on_one_thread
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from bench.ts_intervals import experiment
-from flysid.model.fuzzy.grow import Stage, unrefined
-from flysid.model.fuzzy.model import FittedTS
-from flysid.model.fuzzy.problem import runs_of
-from flysid.model.fuzzy.refit import restated
-from flysid.model.fuzzy.workshop import Workshop
+from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.free_run_error import runs_of
+from flysid.model.rules.growth import Stage, unrefined
+from flysid.model.rules.refit import restated
+from flysid.model.rules.search_context import Workshop
 from flysid.model.ts import TS
 
 

@@ -22,7 +22,7 @@ from flysid.model.start import estimate_start
 from flysid.validate.responses import ComplexArray, responses
 
 if TYPE_CHECKING:
-    from flysid.model.fuzzy.uncertainty import Uncertainty
+    from flysid.model.rules.rule_uncertainty import Uncertainty
 
 DRAWS = 100
 STEP = 0.01

@@ -128,7 +128,7 @@ def spare_words(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caut
             "note",
             f"The rules could say nearly the same in fewer words on {join(said)}, by free-run RMSE on the "
             "training flights.",
-            "fit with one rule less (--rules), or flysid.model.fuzzy.simplify.",
+            "fit with one rule less (--rules), or flysid.model.rules.simplify.",
             0.65,
         )
 

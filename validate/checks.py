@@ -16,7 +16,7 @@ from flysid.validate.robustness import Robustness, robustness
 from flysid.validate.words import percent
 
 if TYPE_CHECKING:
-    from flysid.model.fuzzy.uncertainty import Uncertainty
+    from flysid.model.rules.rule_uncertainty import Uncertainty
 
 
 MOST_SAMPLES = 200_000
@@ -78,8 +78,8 @@ def check(model: Fitted, test: Dataset, train: Dataset | None = None) -> Checks:
 
 def _simpler(model: Fitted, train: Dataset) -> tuple[Simpler, ...]:
     """Edits of rules over lags; none where the data are too many or too short."""
-    from flysid.model.fuzzy.model import FittedTS
-    from flysid.model.fuzzy.simplify import simplifications
+    from flysid.model.rules.fitted_lags import FittedTS
+    from flysid.model.rules.simplify import simplifications
 
     if not isinstance(model, FittedTS) or len(model.rules()) < 2 or len(train) > MOST_SAMPLES:
         return ()
@@ -90,10 +90,10 @@ def _simpler(model: Fitted, train: Dataset) -> tuple[Simpler, ...]:
 
 
 def _certificate(model: Fitted) -> tuple[bool, str]:
-    from flysid.model.fuzzy.local import certificate
-    from flysid.model.fuzzy.model import FittedTS
-    from flysid.model.hidden.local import certificate as of_states
-    from flysid.model.hidden.model import FittedTSStateSpace
+    from flysid.model.rules.fitted_lags import FittedTS
+    from flysid.model.rules.fitted_states import FittedTSStateSpace
+    from flysid.model.rules.local_models import certificate
+    from flysid.model.rules.state_local_models import certificate as of_states
 
     if not isinstance(model, FittedTS | FittedTSStateSpace) or len(model.rules()) < 2:
         return False, ""

@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 from flysid.errors import DataError, FitError
 from flysid.flightwriter import write_atomically
 from flysid.model.base import Fitted
-from flysid.model.fuzzy import words
+from flysid.model.rules import phrases as words
 
 S = TypeVar("S", contravariant=True)
 

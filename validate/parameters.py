@@ -19,9 +19,9 @@ from flysid.model.linear.model import FittedLinear
 from flysid.model.regressors import lagged_name
 
 if TYPE_CHECKING:
-    from flysid.model.fuzzy.model import FittedTS
-    from flysid.model.fuzzy.uncertainty import Uncertainty
-    from flysid.model.hidden.model import FittedTSStateSpace
+    from flysid.model.rules.fitted_lags import FittedTS
+    from flysid.model.rules.fitted_states import FittedTSStateSpace
+    from flysid.model.rules.rule_uncertainty import Uncertainty
     from flysid.model.subspace.model import FittedStateSpace
 
 Z95 = 1.959963984540054
@@ -58,8 +58,8 @@ class Intervals:
 
 def intervals(model: Fitted, train: Dataset | None) -> Intervals | None:
     """What the structure offers: linear difference equations, and TS beside its training data."""
-    from flysid.model.fuzzy.model import FittedTS
-    from flysid.model.hidden.model import FittedTSStateSpace
+    from flysid.model.rules.fitted_lags import FittedTS
+    from flysid.model.rules.fitted_states import FittedTSStateSpace
     from flysid.model.subspace.model import FittedStateSpace
 
     if isinstance(model, FittedLinear):
@@ -73,9 +73,9 @@ def intervals(model: Fitted, train: Dataset | None) -> Intervals | None:
 
 def _fuzzy(model: FittedTS | FittedTSStateSpace, train: Dataset) -> Intervals | None:
     """Of rules over lags or over states; None where the data cannot tell."""
-    from flysid.model.fuzzy.model import FittedTS
-    from flysid.model.fuzzy.uncertainty import uncertainty
-    from flysid.model.hidden.uncertainty import uncertainty as of_states
+    from flysid.model.rules.fitted_lags import FittedTS
+    from flysid.model.rules.rule_uncertainty import uncertainty
+    from flysid.model.rules.state_uncertainty import uncertainty as of_states
 
     try:
         sure = uncertainty(model, train) if isinstance(model, FittedTS) else of_states(model, train)

@@ -1,7 +1,7 @@
 """What a model does far from the record: long runs under bounded random input, and forgetting its start.
 
 Both use nothing but `simulate`, so they hold for every structure. A common quadratic Lyapunov function proves
-more where one is found (`flysid.model.fuzzy.local`); these tries show what it cannot prove.
+more where one is found (`flysid.model.rules.local_models`); these tries show what it cannot prove.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from flysid.validate.diagnostics import Diagnosis
 from flysid.validate.report.context import Sweep
 
 if TYPE_CHECKING:
-    from flysid.model.fuzzy.uncertainty import Uncertainty
+    from flysid.model.rules.rule_uncertainty import Uncertainty
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,10 @@ import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.model.bordered import Bordered
-from flysid.model.fuzzy.grow import first_basis, insertions, linear_stage
-from flysid.model.fuzzy.layout import Antecedent, Layout, Orders, scaling
-from flysid.model.fuzzy.problem import Problem, SimulationError, runs_of
-from flysid.model.fuzzy.stress import beyond, stress_run
+from flysid.model.rules.free_run_error import Problem, SimulationError, runs_of
+from flysid.model.rules.growth import first_basis, insertions, linear_stage
+from flysid.model.rules.probe_inputs import beyond, stress_run
+from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, scaling
 
 P, SEGMENTS, Q = 4, 3, 2
 

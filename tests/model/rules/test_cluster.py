@@ -7,7 +7,7 @@ import pytest
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.model.fuzzy.cluster import Method, cluster, project
+from flysid.model.rules.clustering import Method, cluster, project
 
 METHODS: tuple[Method, ...] = ("gustafson-kessel", "fuzzy-c-means", "subtractive")
 TRUTH = np.array([[-3.0, 0.0], [0.0, 4.0], [4.0, -2.0]])

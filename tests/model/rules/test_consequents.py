@@ -8,7 +8,7 @@ import pytest
 from bench.ts_intervals import experiment, known_model
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.model.fuzzy.consequents import Criterion, refit_consequents
+from flysid.model.rules.consequents import Criterion, refit_consequents
 from flysid.model.static_ts import FittedStaticTS, StaticTS
 
 

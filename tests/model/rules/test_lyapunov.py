@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray
-from flysid.model.fuzzy.local import certificate_of
-from flysid.model.fuzzy.lyapunov import common_lyapunov
+from flysid.model.rules.local_models import certificate_of
+from flysid.model.rules.lyapunov import common_lyapunov
 
 
 def with_common_function(n: int, condition: float, rho: float, seed: int) -> list[FloatArray]:

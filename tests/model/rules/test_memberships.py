@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.model.fuzzy.memberships import Conjunction, Partition, Shape
+from flysid.model.rules.memberships import Conjunction, Partition, Shape
 
 SHAPES: tuple[Shape, ...] = ("gaussian", "triangle", "trapezoid")
 

@@ -7,12 +7,12 @@ import pytest
 from scipy.signal import lfilter
 
 from flysid.dataset import FloatArray, Signal
-from flysid.model.fuzzy.choice import is_bounded
-from flysid.model.fuzzy.grow import unrefined
-from flysid.model.fuzzy.kernel import Parameters
-from flysid.model.fuzzy.layout import Antecedent, Layout, Orders
-from flysid.model.fuzzy.refit import restated
-from flysid.model.fuzzy.stress import stress_run
+from flysid.model.rules.compiled import Parameters
+from flysid.model.rules.growth import unrefined
+from flysid.model.rules.judging import is_bounded
+from flysid.model.rules.probe_inputs import stress_run
+from flysid.model.rules.refit import restated
+from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders
 
 STEPS = 1000
 

@@ -14,7 +14,7 @@ import pytest
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.base import load
-from flysid.model.fuzzy import estimate
+from flysid.model.rules import learning as estimate
 from flysid.model.ts import TS, FittedTS
 
 DT = 0.05

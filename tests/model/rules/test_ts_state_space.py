@@ -13,12 +13,16 @@ from bench.hidden_plants import LINEAR, PLANTS
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted
-from flysid.model.fuzzy.layout import scaling
-from flysid.model.fuzzy.problem import Body
-from flysid.model.hidden.bench import Bench
-from flysid.model.hidden.grow import Training, one_rule_more
-from flysid.model.hidden.judge import ends_of_travel
-from flysid.model.hidden.local import (
+from flysid.model.oe import OE
+from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.free_run_error import Body
+from flysid.model.rules.realisation import coordinates, realised
+from flysid.model.rules.regressor_layout import scaling
+from flysid.model.rules.state_context import Bench
+from flysid.model.rules.state_error import StateError
+from flysid.model.rules.state_growth import Training, one_rule_more
+from flysid.model.rules.state_judging import ends_of_travel
+from flysid.model.rules.state_local_models import (
     certificate,
     linearise,
     next_states,
@@ -26,13 +30,9 @@ from flysid.model.hidden.local import (
     resting_states,
     to_nonlinear_system,
 )
-from flysid.model.hidden.model import FittedTSStateSpace
-from flysid.model.hidden.problem import StateError
-from flysid.model.hidden.rivals import Advantage, advantage
-from flysid.model.hidden.start import coordinates, realised
-from flysid.model.hidden.systems import System, linear_systems, realised_states
-from flysid.model.hidden.uncertainty import StateUncertainty, uncertainty
-from flysid.model.oe import OE
+from flysid.model.rules.state_systems import System, linear_systems, realised_states
+from flysid.model.rules.state_uncertainty import StateUncertainty, uncertainty
+from flysid.model.rules.structure_choice import Advantage, advantage
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
 from flysid.model.ts_best import BestTS, contest, hints_at_hidden_state

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from bench.ts_intervals import known_model
-from flysid.model.fuzzy.choice import Candidate
-from flysid.model.fuzzy.estimate import rule_verdict
-from flysid.model.fuzzy.exchange import exchanged
-from flysid.model.fuzzy.grow import Stage, inserted, unrefined
-from flysid.model.fuzzy.model import FittedTS
-from flysid.model.fuzzy.workshop import Workshop
+from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.growth import Stage, inserted, unrefined
+from flysid.model.rules.judging import Candidate
+from flysid.model.rules.learning import rule_verdict
+from flysid.model.rules.merge_split import exchanged
+from flysid.model.rules.search_context import Workshop
 from flysid.model.ts import TS
 from tests.known_rules import stage_of, workshop_of
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from bench.ts_intervals import known_model
-from flysid.model.fuzzy.choice import Candidate
-from flysid.model.fuzzy.model import FittedTS
-from flysid.model.fuzzy.search import not_astray
-from flysid.model.fuzzy.workshop import Workshop
+from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.judging import Candidate
+from flysid.model.rules.search import not_astray
+from flysid.model.rules.search_context import Workshop
 from tests.known_rules import stage_of, workshop_of
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from flysid.dataset import Dataset
-from flysid.model.fuzzy.choice import INTEGRATES
-from flysid.model.fuzzy.linear_side import as_difference
+from flysid.model.rules.judging import INTEGRATES
+from flysid.model.rules.linear_starts import as_difference
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
 from flysid.model.ts_state_space import TSStateSpace

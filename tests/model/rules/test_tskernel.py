@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray
-from flysid.model.fuzzy.kernel import Lags, Parameters, firing, free_run, predict, sensitivities
+from flysid.model.rules.compiled import Lags, Parameters, firing, free_run, predict, sensitivities
 
 LAGS = Lags(  # two outputs, one input; z = (y1(k-1), u(k-1), y2(k-1) - y2(k-2))
     np.array([0, 0, 1, 2, -1]),

@@ -11,15 +11,15 @@ import pytest
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.arx import ARX
-from flysid.model.fuzzy.consequents import refit_consequents
-from flysid.model.fuzzy.interop import to_nonlinear_system
-from flysid.model.fuzzy.local import certificate, linearise, polytope
-from flysid.model.fuzzy.model import FittedTS
-from flysid.model.fuzzy.simplify import simplifications, simplify
-from flysid.model.fuzzy.stable import with_stable_rules
-from flysid.model.fuzzy.uncertainty import uncertainty
-from flysid.model.fuzzy.update import update
-from flysid.model.hidden.model import FittedTSStateSpace
+from flysid.model.rules.consequents import refit_consequents
+from flysid.model.rules.control_system import to_nonlinear_system
+from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.local_models import certificate, linearise, polytope
+from flysid.model.rules.rule_uncertainty import uncertainty
+from flysid.model.rules.simplify import simplifications, simplify
+from flysid.model.rules.stabilise import with_stable_rules
+from flysid.model.rules.update import update
 from flysid.model.static_ts import StaticTS
 from flysid.model.ts import TS
 from flysid.model.ts_state_space import TSStateSpace

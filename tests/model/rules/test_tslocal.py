@@ -9,9 +9,9 @@ import pytest
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
-from flysid.model.fuzzy.explain import explain, outside_share
-from flysid.model.fuzzy.interop import to_nonlinear_system, to_state_space
-from flysid.model.fuzzy.local import certificate, linearise, polytope
+from flysid.model.rules.control_system import to_nonlinear_system, to_state_space
+from flysid.model.rules.explanation import explain, outside_share
+from flysid.model.rules.local_models import certificate, linearise, polytope
 from flysid.model.ts import TS, FittedTS
 from tests.bent_plant import flight
 

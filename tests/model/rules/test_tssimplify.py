@@ -10,14 +10,14 @@ import pytest
 from bench.ts_intervals import experiment, known_model
 from flysid.dataset import Dataset
 from flysid.errors import DataError
-from flysid.model.fuzzy.fewer import fewer_words
-from flysid.model.fuzzy.grow import unrefined
-from flysid.model.fuzzy.layout import Antecedent
-from flysid.model.fuzzy.model import FittedTS
-from flysid.model.fuzzy.problem import runs_of
-from flysid.model.fuzzy.refit import restated
-from flysid.model.fuzzy.simplify import simplifications, simplify
-from flysid.model.fuzzy.workshop import Workshop
+from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.free_run_error import runs_of
+from flysid.model.rules.growth import unrefined
+from flysid.model.rules.pruning import fewer_words
+from flysid.model.rules.refit import restated
+from flysid.model.rules.regressor_layout import Antecedent
+from flysid.model.rules.search_context import Workshop
+from flysid.model.rules.simplify import simplifications, simplify
 from flysid.model.ts import TS
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
-from flysid.model.fuzzy.local import certificate, polytope
-from flysid.model.fuzzy.model import FittedTS
-from flysid.model.fuzzy.stable import with_stable_rules
+from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.local_models import certificate, polytope
+from flysid.model.rules.stabilise import with_stable_rules
 from flysid.model.ts import TS
 
 DT = 0.05

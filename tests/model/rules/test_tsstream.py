@@ -12,8 +12,8 @@ from flysid import datasetfile
 from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile, open_dataset, write_dataset
 from flysid.errors import DataError, UsageError
-from flysid.model.fuzzy.consequents import refit_consequents
-from flysid.model.fuzzy.model import FittedTS
+from flysid.model.rules.consequents import refit_consequents
+from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.static_ts import StaticTS
 
 WHOLE = experiment(known_model(), 1)

@@ -10,9 +10,9 @@ import pytest
 from bench.ts_intervals import coverage, experiment, known_model, refitted, steps
 from flysid.dataset import Dataset
 from flysid.errors import DataError, UsageError
-from flysid.model.fuzzy.model import FittedTS
-from flysid.model.fuzzy.uncertainty import uncertainty
-from flysid.model.fuzzy.words import gains
+from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.phrases import gains
+from flysid.model.rules.rule_uncertainty import uncertainty
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_the_band_is_what_small_steps_of_the_numbers_do(
     assert np.abs((high - low) / 2 - 1.96 * spread).max() < 0.12 * spread.max()
     assert np.abs(high + low - 2 * run).max() < 1e-12
     assert (high > low)[model.n_init + 1 :].all()
-    monkeypatch.setattr("flysid.model.fuzzy.problem._CHUNK", 7)
+    monkeypatch.setattr("flysid.model.rules.free_run_error._CHUNK", 7)
     again = sure.simulation_band(u, y0)
     assert np.allclose(again, (low, high), rtol=1e-12, atol=0)
     short = sure.simulation_band(u[: model.n_init], None if y0 is None else y0)

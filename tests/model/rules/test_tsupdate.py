@@ -10,7 +10,7 @@ import pytest
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.model.fuzzy.update import update
+from flysid.model.rules.update import update
 from flysid.model.ts import TS, FittedTS
 from tests.bent_plant import flight
 

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from flysid.dataset import Signal
 from flysid.errors import StoreError
 from flysid.model.base import Rule, write_document
-from flysid.model.fuzzy.labels import labels, pieces
-from flysid.model.fuzzy.memberships import Partition
-from flysid.model.fuzzy.tongue import Axis, number
-from flysid.model.fuzzy.words import condition_in_words, equation, gains, in_words
+from flysid.model.rules.linguistics import labels, pieces
+from flysid.model.rules.memberships import Partition
+from flysid.model.rules.phrases import condition_in_words, equation, gains, in_words
+from flysid.model.rules.vocabulary import Axis, number
 
 V_X = Axis("v_x(k-1)", "m/s", -2.0, 2.1)
 SIZES = {"slow": 1, "moderately fast": 2, "fast": 3, "": 2, "very slow": 0, "very fast": 4}

@@ -1,1 +1,0 @@
-"""Takagi-Sugeno models over lagged inputs and outputs: rules, their search, their words."""

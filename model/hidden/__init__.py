@@ -1,1 +1,0 @@
-"""Takagi-Sugeno state-space models: rules over states of which some are hidden."""

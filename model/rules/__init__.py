@@ -1,0 +1,1 @@
+"""Takagi-Sugeno models: rules over lagged signals, or over states of which some are hidden."""

@@ -1,0 +1,165 @@
+"""Why a TS model said what it said at one moment: which rules spoke, how loudly, and on what ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.dataset import FloatArray
+from flysid.errors import UsageError
+from flysid.model.arguments import as_record
+from flysid.model.base import Rule
+from flysid.model.rules.fitted_lags import FittedTS, refuse_other_models
+from flysid.model.rules.vocabulary import number
+
+_ROUNDING = 1e-9  # of the range: its ends are inside
+
+
+@dataclass(frozen=True)
+class Voice:
+    """One rule at one moment.
+
+    Attributes
+    ----------
+    label, condition : as in `Rule`.
+    share : its normalised firing strength, 0 to 1.
+    output : (n_y,) what it concludes by itself.
+    """
+
+    label: str
+    condition: str
+    share: float
+    output: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One step of a model, taken apart.
+
+    Attributes
+    ----------
+    row : sample explained.
+    antecedents : name -> value that the memberships saw.
+    outside : names of antecedents outside the range seen in training; farther out than a quarter of it the
+        memberships stay as they are there.
+    voices : rules by share, loudest first.
+    output : (n_y,) their weighted mean, the prediction.
+    """
+
+    row: int
+    antecedents: dict[str, float]
+    outside: tuple[str, ...]
+    voices: tuple[Voice, ...]
+    output: tuple[float, ...]
+
+    def __str__(self) -> str:
+        """In words."""
+        seen = ", ".join(f"{name} = {number(value)}" for name, value in self.antecedents.items())
+        lines = [f"At sample {self.row}" + (f", {seen}:" if seen else ":")]
+        for voice in self.voices:
+            if voice.share >= 0.005:
+                says = ", ".join(number(v) for v in voice.output)
+                lines.append(
+                    f"  {voice.label} spoke with {100 * voice.share:.0f} % ({voice.condition}): {says}"
+                )
+        lines.append("  together: " + ", ".join(number(v) for v in self.output))
+        lines += [f"  {name} is outside the range seen in training" for name in self.outside]
+        return "\n".join(lines)
+
+
+class Started(Protocol):
+    """A model that needs so many samples before the first that it speaks of."""
+
+    @property
+    def n_init(self) -> int: ...
+
+
+class Explained(Started, Protocol):
+    """A model of rules, as far as it is explained alike over lags and over states."""
+
+    @property
+    def antecedents(self) -> tuple[str, ...]: ...
+    @property
+    def trained_range(self) -> FloatArray: ...
+    def rules(self) -> tuple[Rule, ...]: ...
+
+
+def explain(model: FittedTS, u: FloatArray, y: FloatArray, row: int) -> Explanation:
+    """Take the one-step prediction of sample `row` of measured data apart.
+
+    Raises
+    ------
+    UsageError : the row has no full history, or is not there.
+    """
+    u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
+    refuse_row(model, row, len(y))
+    begin = row - model.n_init
+    part_u, part_y = u[begin : row + 1], y[begin : row + 1]
+    shares = model.firing(part_u, part_y)[-1]
+    alone = model.rule_outputs(part_u, part_y)[-1]
+    z = antecedent_values(model, part_u, part_y)[-1]
+    return taken_apart(model, row, z, (shares, alone), model.one_step(part_u, part_y)[-1])
+
+
+def refuse_row(model: Started, row: int, samples: int) -> None:
+    """Raises UsageError where a row of so many samples has no full history, or is not there."""
+    if not isinstance(row, int | np.integer) or not model.n_init <= row < samples:
+        raise UsageError(
+            f"sample {row!r} cannot be explained", hint=f"choose one from {model.n_init} to {samples - 1}"
+        )
+
+
+def taken_apart(
+    model: Explained, row: int, z: FloatArray, said: tuple[FloatArray, FloatArray], output: FloatArray
+) -> Explanation:
+    """One step in words and numbers.
+
+    Parameters
+    ----------
+    z : (n_z,) antecedents, physical units.
+    said : (R,) firing strengths, and (R, n_y) what every rule concludes alone.
+    output : (n_y,) the prediction.
+    """
+    shares, alone = said
+    rules = model.rules()
+    beyond = is_outside(model, z[None])[0]
+    return Explanation(
+        row,
+        {name: float(v) for name, v in zip(model.antecedents, z, strict=True)},
+        tuple(name for name, out in zip(model.antecedents, beyond, strict=True) if out),
+        tuple(
+            Voice(rules[r].label, rules[r].condition, float(shares[r]), tuple(float(v) for v in alone[r]))
+            for r in np.argsort(-shares, kind="stable")
+        ),
+        tuple(float(v) for v in output),
+    )
+
+
+def antecedent_values(model: FittedTS, u: FloatArray, y: FloatArray) -> FloatArray:
+    """(N - n_init, n_z) antecedent variables along measured data, physical units."""
+    u = np.asarray(u, dtype=float).reshape(len(u), -1)
+    y = np.asarray(y, dtype=float).reshape(len(y), -1)
+    shift, scale = model.layout.antecedent_scaling()
+    return np.asarray(model.layout.antecedent_values(model.layout.stack(u, y)) * scale + shift)
+
+
+def outside_share(model: FittedTS, u: FloatArray, y: FloatArray) -> float:
+    """Share of samples, 0 to 1, in which an antecedent lies outside the range seen in training.
+
+    Raises
+    ------
+    UsageError : not a model of rules over lags; shapes do not fit.
+    """
+    refuse_other_models(model)
+    z = antecedent_values(model, *as_record(model, u, y))
+    return float(is_outside(model, z).any(axis=1).mean()) if len(z) and z.shape[1] else 0.0
+
+
+def is_outside(model: Explained, z: FloatArray) -> npt.NDArray[np.bool_]:
+    """(N, n_z) which antecedents z (N, n_z) lie outside the range seen in training."""
+    low, high = model.trained_range
+    rounding = _ROUNDING * (high - low)
+    return np.asarray((z < low - rounding) | (z > high + rounding))

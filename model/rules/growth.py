@@ -1,0 +1,366 @@
+"""Growing a TS model: a refined linear model first, then rule after rule where it helps most.
+
+The linear start is one-step least squares, moved off its noise bias by instrumental variables (the
+instruments are the model's own simulation: Young 1970, Soderstrom and Stoica 1983), then refined on the
+simulation error. Every later stage inserts one rule, within each rule's region and along each antecedent
+(LOLIMOT, Nelles 2001, splits there), ranks the places by the cost that one Gauss-Newton step promises,
+refines the most promising ones of every antecedent a little and the best ones fully.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.errors import FitError
+from flysid.model.refine import levenberg_marquardt
+from flysid.model.rules.compiled import firing
+from flysid.model.rules.free_run_error import (
+    Body,
+    Problem,
+    SimulationError,
+    antecedent_range,
+    simulate_runs,
+)
+from flysid.model.rules.regressor_layout import Antecedent, Layout
+
+_PLACES = (0.15, 0.5, 0.85)
+_RIDGE = 0.01  # of the mean square error: as if a hundred samples said that the rules are equal
+_PIECE = 1000  # rows of a piece, where long records are thinned
+_FEW = 5000  # rows for ranking insertions and for trying the best ones
+_START_STEPS = 4  # of a search over the first outputs alone; a linear model needs one
+_MORE = 1  # insertions tried beyond the best one along every antecedent
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A refined model: its problem, its numbers, the first outputs, and the cost reached in training."""
+
+    problem: Problem
+    body: Body
+    initial: FloatArray
+    cost: float
+
+    @property
+    def rules(self) -> int:
+        """Number of rules."""
+        return len(self.body.a)
+
+
+def first_basis(layout: Layout, runs: tuple[FloatArray, ...], *, integrating: bool = False) -> FloatArray:
+    """(n_b, n_x) basis in which the measured regressors are uncorrelated with unit mean square.
+
+    Lags are turned into differences of growing order first: at 100 Hz the lags themselves are equal to
+    three digits, and a direct factorisation would lose what tells them apart. For a single output that
+    integrates its level is left out (n_b = n_x - 1): only its differences are free.
+    """
+    differences = _difference_matrix(layout)[1 if integrating else 0 :]
+    X = np.vstack([layout.regressor_values(W) for W in runs]) @ differences.T
+    size = np.sqrt((X * X).mean(axis=0))
+    size[size == 0] = 1.0
+    _, s, vt = np.linalg.svd(np.linalg.qr(X / size, mode="r") / np.sqrt(len(X)))
+    floor = np.maximum(s, 1e-12 * s[0])
+    return np.asarray((vt / floor[:, None]) @ (differences / size[:, None]))
+
+
+def _difference_matrix(layout: Layout) -> FloatArray:
+    """(n_x, n_x) maps the lags of every signal to their differences of order 0, 1, 2, ..."""
+    columns = [c for c, _ in layout.regressors]
+    D = np.zeros((len(columns), len(columns)))
+    for c in dict.fromkeys(columns):
+        at = [m for m, other in enumerate(columns) if other == c]
+        row = np.array([1.0])
+        for m in at:
+            D[m, at[: len(row)]] = row
+            row = np.convolve(row, [1.0, -1.0])
+    return D
+
+
+def linear_stage(problem: Problem, iterations: int, more: tuple[Stage, ...] = ()) -> Stage:
+    """The refined linear model: one rule, from the best of the linear starts and `more`."""
+    estimated = min((unrefined(problem, body) for body in _linear_starts(problem)), key=lambda s: s.cost)
+    short = max(8, iterations // 3)
+    trials = [refine(rebased(start), short, 1e-4) for start in (*more, estimated)]
+    return refine(rebased(min(trials, key=lambda s: s.cost)), iterations, 1e-6)
+
+
+def unrefined(problem: Problem, body: Body | None = None, initial: FloatArray | None = None) -> Stage:
+    """A stage that has not seen its simulation error; one-step least squares where no body is given."""
+    body = next(_linear_starts(problem)) if body is None else body
+    if initial is None:
+        return best_started(problem, body)
+    error = SimulationError(problem, body, _free(body))
+    return Stage(problem, body, initial, error.cost(error.start(initial)))
+
+
+def best_started(problem: Problem, body: Body) -> Stage:
+    """The stage from the first outputs that suit it best, near the measured or the smoothed ones.
+
+    Whichever simulates better is where a search over the first outputs alone begins: noisy ones start a
+    model of high order, or one that integrates, so badly that a good model would look hopeless.
+    """
+    starts, plain = (
+        (problem.measured_initial(), problem.smooth_initial()),
+        replace(problem, ridge=0.0, stress=None),
+    )
+    stage = min((unrefined(plain, body, initial) for initial in starts), key=lambda s: s.cost)
+    stage = refined(stage, np.zeros(body.size), _START_STEPS, 1e-3)
+    return unrefined(problem, body, stage.initial)
+
+
+def embedded_start(stage: Stage, problem: Problem) -> tuple[Stage, ...]:
+    """A lower-order linear model written as one of `problem`'s orders (the new lags weigh nothing)."""
+    old, new = stage.problem.layout.regressors, problem.layout.regressors
+    if not set(old) <= set(new):
+        return ()
+    theta = np.zeros((1, problem.layout.n_y, len(new)))
+    theta[:, :, [new.index(term) for term in old]] = stage.problem.parameters(stage.body).theta
+    body = Body(np.zeros((1, problem.layout.n_y, len(problem.basis))), stage.body.centre, stage.body.width)
+    depth, n_y = problem.layout.depth, problem.layout.n_y
+    runs = simulate_runs(stage.problem, stage.body, stage.initial)
+    initial = np.stack([run[:depth, :n_y] for run in runs])
+    wider = replace(problem, offset=theta[0])
+    # from the simulated start the lower order is a saddle that no gradient leaves; from the measured one
+    # the search is pushed off it, but a noisy start may be hopeless: try both
+    return unrefined(wider, body, initial), unrefined(wider, body)
+
+
+def _free(body: Body) -> FloatArray:
+    """Which unknowns move: memberships only where there are several rules."""
+    free = np.ones(body.size)
+    if len(body.a) == 1:
+        free[body.a.size :] = 0.0
+    return free
+
+
+def _linear_starts(problem: Problem) -> Iterator[Body]:
+    """Least squares, then instrumental-variable estimates that start from it."""
+    X = np.vstack([problem.layout.regressor_values(W) for W in problem.runs])
+    E = X @ problem.basis.T
+    d, n_y, n_z = problem.layout.depth, problem.layout.n_y, problem.z_range.shape[1]
+    Y = np.vstack([W[d:, :n_y] for W in problem.runs]) - X @ problem.offset.T
+    a: FloatArray = np.zeros((E.shape[1], n_y))
+    for _ in range(3):  # repeated on the remainder: the regressors are nearly collinear
+        remainder: FloatArray = Y - X @ (problem.basis.T @ a)
+        a = a + np.asarray(np.linalg.lstsq(E, remainder, rcond=1e-13)[0], dtype=np.float64)
+    for _ in range(6):
+        body = Body(np.ascontiguousarray(a.T[None]), problem.z_range.mean(axis=0)[None], np.ones((1, n_z)))
+        yield body
+        runs = simulate_runs(problem, body, problem.measured_initial())
+        Z = np.vstack([problem.layout.regressor_values(W) for W in runs]) @ problem.basis.T
+        a = np.asarray(np.linalg.lstsq(Z.T @ E, Z.T @ Y, rcond=1e-12)[0], dtype=np.float64)
+
+
+def refine(stage: Stage, iterations: int, tolerance: float) -> Stage:
+    """Levenberg-Marquardt on the simulation error from where the stage is."""
+    found = refined(stage, _free(stage.body), iterations, tolerance)
+    return replace(stage, cost=float("inf")) if found is stage else found
+
+
+def refined(stage: Stage, free: FloatArray, iterations: int, tolerance: float) -> Stage:
+    """The stage with those of its numbers moved that are `free`, and its first outputs; itself where
+    sensitivities overflow."""
+    error = SimulationError(stage.problem, stage.body, free)
+    try:
+        found = levenberg_marquardt(
+            error.normal,
+            error.start(stage.initial),
+            cost=error.cost,
+            max_iterations=iterations,
+            tolerance=tolerance,
+        )
+    except FitError:
+        return stage
+    body, initial = error.split(found.theta)
+    return Stage(stage.problem, body, initial, found.cost)
+
+
+def rebased(stage: Stage) -> Stage:
+    """The same one-rule model in the basis where its Gauss-Newton matrix is the identity.
+
+    Where its sensitivities overflow it is no start: its cost becomes infinite.
+    """
+    error = SimulationError(stage.problem, stage.body, _free(stage.body))
+    _, whole, _ = error.normal(error.start(stage.initial))
+    if not whole.is_finite():
+        return replace(stage, cost=float("inf"))
+    H = whole.corner
+    m = stage.body.a[0].size
+    n_b = stage.body.a.shape[2]
+    block = sum(H[i : i + n_b, i : i + n_b] for i in range(0, m, n_b))
+    values, vectors = np.linalg.eigh(np.asarray(block))
+    values = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+    problem = replace(
+        stage.problem,
+        basis=np.ascontiguousarray((vectors / values).T @ stage.problem.basis),
+        offset=stage.problem.parameters(stage.body).theta[0],
+    )
+    return replace(stage, problem=problem, body=replace(stage.body, a=np.zeros_like(stage.body.a)))
+
+
+def with_variables(stage: Stage, antecedents: tuple[Antecedent, ...]) -> Stage:
+    """The same model looking at more antecedents, in which every rule covers everything."""
+    layout = replace(stage.problem.layout, antecedents=antecedents)
+    problem = stage.problem.with_antecedents(layout)
+    if any(a.minus >= 0 for a in antecedents):  # of measured outputs, differences are mostly noise
+        simulated = antecedent_range(layout, simulate_runs(stage.problem, stage.body, stage.initial))
+        change = np.array([a.minus >= 0 for a in antecedents])
+        problem = replace(problem, z_range=np.where(change, simulated, problem.z_range))
+    old = stage.problem.layout.antecedents
+    span = problem.z_range[1] - problem.z_range[0]
+    centre = np.tile(problem.z_range.mean(axis=0), (stage.rules, 1))
+    width = np.tile(2.0 * np.maximum(span, 1e-12), (stage.rules, 1))
+    for j, antecedent in enumerate(antecedents):
+        if antecedent in old:
+            centre[:, j] = stage.body.centre[:, old.index(antecedent)]
+            width[:, j] = stage.body.width[:, old.index(antecedent)]
+    return replace(stage, problem=problem, body=Body(stage.body.a, centre, width))
+
+
+def inserted(stage: Stage, centre: FloatArray, width: FloatArray) -> Stage:
+    """One rule more, whose consequents are what the others conclude together at its centre.
+
+    The blend near the centre stays nearly what it was, so that nothing learned is lost, whereas replacing
+    a rule by two changes its weight against all others.
+    """
+    body, problem = stage.body, stage.problem
+    distance = (centre - body.centre) / body.width
+    strength = -0.5 * (distance * distance).sum(axis=1)
+    phi = np.exp(strength - strength.max())
+    phi = phi / phi.sum()
+    blend = np.einsum("r,rim->im", phi, body.a)
+    if stage.rules == 1:  # the first rule moves to the other side, or the two would be one
+        middle = problem.z_range.mean(axis=0)
+        away = np.where(width < 1.5 * np.ptp(problem.z_range, axis=0), 2.0 * middle - centre, centre)
+        body = Body(body.a, away[None], width[None])
+    grown = Body(
+        np.concatenate([body.a, blend[None]]),
+        np.vstack([body.centre, centre]),
+        np.vstack([body.width, width]),
+    )
+    return replace(stage, body=grown)
+
+
+def insertions(stage: Stage, antecedent: Antecedent) -> list[Stage]:
+    """The stage with one rule more, at several places along an antecedent.
+
+    Places are quantiles of the antecedent where each present rule speaks; the new rule takes that rule's
+    centre in the other variables. Its width is half the spread there.
+    """
+    known = stage.problem.layout.antecedents
+    wide = stage if antecedent in known else with_variables(stage, (*known, antecedent))
+    j = wide.problem.layout.antecedents.index(antecedent)
+    z, phi = _z_and_firing(wide, simulate_runs(wide.problem, wide.body, wide.initial))
+    span = float(np.ptp(z[:, j]))
+    options: list[Stage] = []
+    for rule in range(stage.rules):
+        chosen = z[phi.argmax(axis=1) == rule, j]
+        if len(chosen) < 10 or span == 0.0:
+            continue
+        for place in _PLACES:
+            centre, width = wide.body.centre[rule].copy(), wide.body.width[rule].copy()
+            centre[j] = np.quantile(chosen, place)
+            width[j] = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)
+            if stage.rules == 1:
+                width[j] = max(width[j], 0.2 * span)
+            options.append(inserted(wide, centre, width))
+    return options
+
+
+def _z_and_firing(stage: Stage, runs: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Antecedents and firing strengths along runs."""
+    problem = stage.problem
+    lags, par = problem.layout.lags, problem.parameters(stage.body)
+    d = problem.layout.depth
+    z = np.vstack([problem.layout.antecedent_values(W) for W in runs])
+    return z, np.vstack([firing(W, d, lags, par)[d:] for W in runs])
+
+
+def thinned(stage: Stage, samples: int) -> Stage:
+    """The stage on at most about `samples` rows: evenly spaced pieces, started where the model is."""
+    problem, depth = stage.problem, stage.problem.layout.depth
+    total = sum(len(W) for W in problem.runs)
+    if total <= samples:
+        return stage
+    length = max(_PIECE, 20 * depth)
+    pieces, initial = [], []
+    every = max(1, round(total / samples))
+    count = 0
+    for W, run in zip(problem.runs, simulate_runs(problem, stage.body, stage.initial), strict=True):
+        for begin in range(0, max(1, len(W) - length // 2), length):
+            if count % every == 0:
+                pieces.append(np.ascontiguousarray(W[begin : begin + length]))
+                initial.append(run[begin : begin + depth, : problem.layout.n_y])
+            count += 1
+    return replace(stage, problem=replace(problem, runs=tuple(pieces)), initial=np.stack(initial))
+
+
+def expected_cost(stage: Stage) -> float:
+    """The cost that one regularised Gauss-Newton step on all unknowns promises; inf where it cannot."""
+    error = SimulationError(stage.problem, stage.body, _free(stage.body))
+    cost, H, g = error.normal(error.start(stage.initial))
+    if not (H.is_finite() and np.isfinite(g).all()):
+        return float("inf")
+    diagonal = H.diagonal()
+    step = H.damped_step(np.sqrt(np.maximum(diagonal, 1e-9 * diagonal.max())), 1e-3, g)
+    return float("inf") if step is None else cost + float(step @ g)
+
+
+def one_rule_more(
+    stage: Stage, candidates: tuple[Antecedent, ...], iterations: int, keep: int = 2
+) -> list[tuple[Stage, Stage]]:
+    """The best insertions, each before and after full refinement, lowest training cost first.
+
+    What a Gauss-Newton step promises ranks insertions along one antecedent well, and compares antecedents
+    badly: so the best along every antecedent is tried by a few steps of refinement, and `keep` go on.
+    """
+    stage = with_ridge(stage, _RIDGE * stage.cost)
+    few = thinned(stage, _FEW)
+    options = [(a, option) for a in candidates for option in insertions(few, a)]
+    promises = [expected_cost(option) for _, option in options]
+    starts = [options[i][1] for i in _best_of_each([a for a, _ in options], promises)]
+    trials = [(start, refine(start, max(6, iterations // 3), 1e-4)) for start in starts]
+    trials.sort(key=lambda trial: trial[1].cost)
+    found = []
+    for start, trial in trials[:keep]:
+        best = refine(with_ridge(trial, _RIDGE * trial.cost), iterations, 1e-6)
+        if few is not stage:
+            best = refine(with_ridge(_on(best, stage), _RIDGE * best.cost), iterations // 2, 1e-6)
+        found.append((_on(start, stage), best))
+    return found
+
+
+def _best_of_each(kinds: Sequence[Antecedent], costs: Sequence[float]) -> list[int]:
+    """Indices of the lowest cost of every kind, then of the lowest of the rest."""
+    order = [int(i) for i in np.argsort(costs, kind="stable") if np.isfinite(costs[i])]
+    firsts = [i for at, i in enumerate(order) if kinds[i] not in {kinds[j] for j in order[:at]}]
+    return firsts + [i for i in order if i not in firsts][:_MORE]
+
+
+def _on(stage: Stage, other: Stage) -> Stage:
+    """A stage's model on the runs of another stage."""
+    problem = replace(stage.problem, runs=other.problem.runs)
+    return replace(stage, problem=problem, initial=other.initial)
+
+
+def with_ridge(stage: Stage, ridge: float) -> Stage:
+    """The same stage under another ridge on the spread of its rules."""
+    return replace(stage, problem=replace(stage.problem, ridge=ridge))
+
+
+def ordered(stage: Stage) -> Stage:
+    """The same model with its rules in the order of their centres, first antecedent first."""
+    if stage.body.centre.shape[1] == 0:
+        return stage
+    order = np.lexsort(stage.body.centre.T[::-1])
+    body = stage.body
+    return replace(stage, body=Body(body.a[order], body.centre[order], body.width[order]))
+
+
+def rule_support(stage: Stage) -> FloatArray:
+    """(R,) share of training samples for which each rule is the strongest."""
+    _, phi = _z_and_firing(stage, stage.problem.runs)
+    return np.asarray(np.bincount(phi.argmax(axis=1), minlength=stage.rules) / len(phi))

@@ -1,0 +1,94 @@
+"""Whether a TS model read from a file holds together, before compiled code follows its indices.
+
+The kernels do not check bounds: a forged column or lag would read memory that is not theirs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.errors import StoreError
+from flysid.model.documents import monic
+from flysid.model.rules.compiled import Parameters
+from flysid.model.rules.regressor_layout import Antecedent, Layout
+
+if TYPE_CHECKING:
+    from flysid.model.rules.state_layout import StateLayout
+
+MAX_LAG, MAX_STATES = 10_000, 1000
+
+
+def check(layout: Layout, parameters: Parameters, noise: FloatArray | None) -> None:
+    """Orders, antecedents, scaling and shapes of a dynamic TS model.
+
+    Raises
+    ------
+    StoreError : one is out of its range, or does not fit the others.
+    ValueError : a noise model that does not begin with 1.
+    """
+    orders, n_u, n_y = layout.orders, len(layout.inputs), layout.n_y
+    _require(n_y >= 1 and len(orders.nb) == len(orders.nk) == n_u, "orders that do not fit the signals")
+    _require(all(_is_lag(value, 0) for value in (orders.na, *orders.nb, *orders.nk)), "orders out of range")
+    _check_antecedents(layout.antecedents, n_y, n_y + n_u, MAX_LAG)
+    _check_scaling(layout.shift, layout.scale, n_y + n_u)
+    n_x = n_y * orders.na + sum(orders.nb) + 1
+    _check_parameters(parameters, (n_y, n_x, len(layout.antecedents)))
+    if noise is not None:
+        _check_noise(noise, n_y)
+
+
+def check_states(layout: StateLayout, parameters: Parameters, noise: FloatArray) -> None:
+    """The same for a TS state-space model; raises StoreError."""
+    n_u, n_y = len(layout.inputs), layout.n_y
+    _require(n_y >= 1 and 0 <= layout.hidden <= MAX_STATES, "states out of range")
+    lags = [lag for own in layout.input_lags for lag in own]
+    _require(len(layout.input_lags) == n_u and all(_is_lag(lag, 0) for lag in lags), "lags out of range")
+    _check_antecedents(layout.antecedents, layout.n, layout.n + n_u, layout.depth)
+    _check_scaling(layout.shift, layout.scale, layout.n + n_u)
+    _check_parameters(parameters, (layout.n, layout.n + len(lags) + 1, len(layout.antecedents)))
+    _check_noise(noise, n_y)
+
+
+def _check_antecedents(antecedents: Sequence[Antecedent], states: int, columns: int, most: int) -> None:
+    """Columns below `columns`; past values of the first `states` of them, present ones of the others."""
+    for a in antecedents:
+        _require(_is_lag(a.column, 0) and a.column < columns, "an antecedent of no signal")
+        least = 1 if a.column < states else 0
+        _require(_is_lag(a.lag, least) and a.lag <= most, "an antecedent's lag out of range")
+        _require(
+            a.minus == -1 or (_is_lag(a.minus, least) and a.minus <= most), "an antecedent's lag out of range"
+        )
+
+
+def _check_scaling(shift: FloatArray, scale: FloatArray, n: int) -> None:
+    _require(shift.shape == scale.shape == (n,) and bool((scale > 0.0).all()), "a scaling of another size")
+
+
+def _check_parameters(p: Parameters, sizes: tuple[int, int, int]) -> None:
+    """Shapes for (outputs, regressors, antecedents)."""
+    n, n_x, n_z = sizes
+    rules = len(p.theta)
+    _require(rules > 0, "no rules")
+    wanted = ((rules, n, n_x), (rules, n_z), (rules, n_z), (2, n_z), (2, n))
+    for name, array, shape in zip(p._fields, p, wanted, strict=True):
+        fits = array.shape == shape and array.flags.c_contiguous
+        _require(fits, f"{name} of shape {array.shape}, not {shape}")
+
+
+def _check_noise(noise: FloatArray, n_y: int) -> None:
+    _require(noise.ndim == 2 and noise.shape[1] == n_y, "a noise model of another size")
+    _require(bool(np.isfinite(noise).all()), "a noise model that is not finite")
+    monic(noise, "noise")
+
+
+def _require(holds: bool, fault: str) -> None:
+    if not holds:
+        raise StoreError(f"damaged model file: {fault}", hint="fit again")
+
+
+def _is_lag(value: object, least: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and least <= value <= MAX_LAG

@@ -1,0 +1,259 @@
+"""From settings and data to a chosen TS model: orders, growth, rule count, and the reasons in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flysid.dataset import Dataset
+from flysid.errors import DataError, FitError, UsageError
+from flysid.model.arguments import is_count
+from flysid.model.linear.settings import check_hint
+from flysid.model.rules.free_run_error import runs_of
+from flysid.model.rules.growth import Stage, ordered
+from flysid.model.rules.judging import INTEGRATES, Candidate, choose, hold_out
+from flysid.model.rules.merge_split import exchanged
+from flysid.model.rules.pruning import fewer_words
+from flysid.model.rules.refit import refit
+from flysid.model.rules.regressor_layout import (
+    Antecedent,
+    Orders,
+    check_they_move,
+    parse_antecedents,
+    scaling,
+)
+from flysid.model.rules.search import affords, cross_validated, search
+from flysid.model.rules.search_context import SPARE_ROWS, Settings, Workshop
+
+_HIGHEST_ORDER = 4
+_HIGHEST_LINEAR = 12  # samples of lags that the linear side may choose on short records,
+_DEEPEST_DELAY = 40  # and on long ones, delay included
+_SHARE = 20  # a segment must be so many times longer than what the linear side looks back
+_LATE = 2  # samples of delay from which a dead time is tried as such
+_RULE_GAIN = 0.05  # of the mean square: what a rule must win, about 2.5 % of the error
+_SMALL = 4000  # samples below which every quarter is held out in turn,
+_SMALL_GAIN = 0.2  # and a rule must win more: the choice itself overfits
+_ON_ALL = "The model was refined once more on the held-out part together with the rest."
+_AS_IT_WAS = (
+    "The held-out part only chose the model: refined once more on all the data, it was no longer stable."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """A chosen stage and how it was chosen, in words."""
+
+    stage: Stage
+    notes: tuple[str, ...]
+
+
+def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Learned:
+    """Choose orders, then rules, by the validation free run; see the module's parts for the methods.
+
+    Raises
+    ------
+    UsageError : settings that cannot be; antecedents that are not there.
+    DataError : no or too few samples, a signal that never moves.
+    FitError : no stable model was found.
+    """
+    check(settings)
+    check_hint(settings.nk_hint, len(train.inputs))
+    choices = order_choices(settings, len(train.inputs))
+    named = _named(settings, train)
+    deepest = _deepest(train) if len(choices) > 1 else 0
+    depths = [deepest, *(o.depth for o in choices), *(max(a.lag, a.minus) for a in named)]
+    least = max(depths) + SPARE_ROWS
+    fit_part, check_part, own = _parts(train, validation, least)
+    shift, scale = scaling(fit_part)
+    small = own and settings.rules == "auto" and settings.refine and len(train) < _SMALL
+    folds = tuple(hold_out(train, least, fold) for fold in (1, 2, 3)) if small else ()
+    workshop = Workshop(settings, fit_part, check_part, shift, scale, least, folds=folds)
+    candidates, notes = workshop.linear(choices)
+    workshop = replace(workshop, must_be_bounded=any(c.stable for c in candidates))
+    if not workshop.must_be_bounded:
+        candidates = [replace(c, stable=True) for c in candidates]
+        notes.append(f"{INTEGRATES} Boundedness was not asked for.")
+    if folds:
+        notes.append("Little data: every quarter of it was held out in turn to choose the number of rules.")
+    models, at = _chosen(workshop, candidates, named)
+    chosen = models[at]
+    if not chosen.stable:
+        raise FitError(
+            "no stable model was found: none came back from bounded random inputs",
+            hint="give more data, lower orders, or fewer rules",
+        )
+    notes += _changed_orders(models, at) + _unstable(models)
+    if settings.refine and settings.rules == "auto" and settings.antecedents == "auto":
+        chosen, simpler = fewer_words(workshop, exchanged(workshop, models, at, named))
+        notes += simpler
+    stage = known = ordered(chosen.stage)
+    if settings.refine:
+        runs = runs_of(stage.problem.layout, (train if own else fit_part).segments, least)
+        stage = refit(replace(chosen, stage=stage), train if own else fit_part, runs, settings.iterations)
+    if own and settings.refine:
+        notes.append(_AS_IT_WAS if stage is known else _ON_ALL)
+    if stage.problem.integrates and workshop.must_be_bounded:
+        notes.append(INTEGRATES)
+    return Learned(stage, (*notes, *rule_verdict(settings, models, at), _method(settings)))
+
+
+def _deepest(train: Dataset) -> int:
+    """Samples that the linear side's models may look back."""
+    longest = max((len(s) for s in train.segments), default=0)
+    return min(_DEEPEST_DELAY if len(train) > _SMALL else _HIGHEST_LINEAR, longest // _SHARE)
+
+
+def _chosen(
+    workshop: Workshop, linear: Sequence[Candidate], named: tuple[Antecedent, ...]
+) -> tuple[list[Candidate], int]:
+    """Models by number of rules, and which of them is offered."""
+    settings = workshop.settings
+    gain = _SMALL_GAIN if workshop.folds else _RULE_GAIN
+    if settings.rules != "auto" and not any(affords(c, settings.rules) for c in linear):
+        raise _too_many(settings.rules, linear)  # before an hour of growing
+    models = search(workshop, linear, named)
+    if settings.rules != "auto":
+        if len(models) < settings.rules:
+            raise _too_many(settings.rules, models)
+        return models, len(models) - 1
+    if workshop.folds and len(models) > 1:
+        models = cross_validated(workshop, models, named, max(1, choose(models, least_gain=gain)))
+    return models, choose(models, least_gain=gain)
+
+
+def _too_many(rules: int, models: Sequence[Candidate]) -> DataError:
+    stage = models[0].stage
+    return DataError(
+        f"{rules} rules of {stage.body.a[0].size} numbers need more than the "
+        f"{stage.problem.samples} samples there are",
+        hint="ask for fewer rules or lower orders, or record longer",
+    )
+
+
+def _changed_orders(models: Sequence[Candidate], at: int) -> list[str]:
+    """That the orders with rules are others than without, in words."""
+    orders = models[at].stage.problem.layout.orders
+    if orders == models[0].stage.problem.layout.orders:
+        return []
+    return [f"With rules, orders {orders} did better and were taken."]
+
+
+def _unstable(models: Sequence[Candidate]) -> list[str]:
+    """Which models may not be offered, in words."""
+    counts = ", ".join(str(len(m.stage.body.a)) for m in models if not m.stable)
+    if not counts:
+        return []
+    return [f"Did not come back from bounded random inputs, and were not offered: {counts} rules."]
+
+
+def check(settings: Settings) -> None:
+    """Raise UsageError for settings that cannot be."""
+    for name in ("rules", "na"):
+        value = getattr(settings, name)
+        low = 1 if name == "rules" else 0
+        if value != "auto" and not is_count(value, low):
+            raise UsageError(f"{name}={value!r}", hint=f'give "auto" or a whole number from {low} on')
+    for name in ("nb", "nk"):
+        value = getattr(settings, name)
+        numbers = list(value) if isinstance(value, Sequence | np.ndarray) else [value]
+        if value != "auto" and not all(is_count(v, 0) for v in numbers):
+            raise UsageError(f"{name}={value!r}", hint='give "auto", a whole number, or one per input')
+    for name in ("most_rules", "iterations"):
+        if not is_count(getattr(settings, name), 1):
+            raise UsageError(f"{name}={getattr(settings, name)!r}", hint="give a whole number, at least 1")
+    if not isinstance(settings.refine, bool):
+        raise UsageError(f"refine={settings.refine!r}", hint="give True or False")
+
+
+def _per_input(value: int | Sequence[int], inputs: int, name: str) -> tuple[int, ...]:
+    numbers = (int(value),) * inputs if isinstance(value, int | np.integer) else tuple(map(int, value))
+    if len(numbers) != inputs:
+        raise UsageError(f"{name} has {len(numbers)} numbers for {inputs} inputs")
+    return numbers
+
+
+def order_choices(settings: Settings, inputs: int) -> list[Orders]:
+    """Orders to try, simplest first: n outputs and n + 1 inputs from the present one on, n = 1..4.
+
+    Raises
+    ------
+    UsageError : orders that leave nothing to learn, or another number of them than of inputs.
+    """
+    choices: list[Orders] = []
+    for n in range(1, _HIGHEST_ORDER + 1):
+        na = n if settings.na == "auto" else int(settings.na)
+        nk = 0 if settings.nk == "auto" else settings.nk
+        more = 1 if settings.nk == "auto" else 0
+        nb = (n if settings.na == "auto" else na) + more if settings.nb == "auto" else settings.nb
+        orders = Orders(na, _per_input(nb, inputs, "nb"), _per_input(nk, inputs, "nk"))
+        if orders not in choices:
+            choices.append(orders)
+    if all(b == 0 for b in choices[0].nb) and choices[0].na == 0:
+        raise UsageError("na = 0 and nb = 0 leave nothing to learn")
+    return sorted([*choices, *_delayed(settings, choices)], key=lambda o: (o.na, sum(o.nb)))
+
+
+def _delayed(settings: Settings, choices: Sequence[Orders]) -> list[Orders]:
+    """The choices behind the dead times that the log shows, where no choice bridges those by itself."""
+    hint = tuple(settings.nk_hint)
+    if settings.nk != "auto" or max(hint, default=0) < _LATE:
+        return []
+    fewer = 1 if settings.nb == "auto" else 0  # the coefficient of the present input goes
+    return [Orders(o.na, tuple(max(1, b - fewer) for b in o.nb), hint) for o in choices]
+
+
+def _named(settings: Settings, train: Dataset) -> tuple[Antecedent, ...]:
+    if settings.antecedents == "auto":
+        return ()
+    if isinstance(settings.antecedents, str) or not settings.antecedents:
+        raise UsageError(f"antecedents={settings.antecedents!r}", hint='give "auto" or a list of names')
+    named = parse_antecedents(settings.antecedents, train.outputs, train.inputs)
+    check_they_move(named, train)
+    return named
+
+
+def _parts(train: Dataset, validation: Dataset | None, least: int) -> tuple[Dataset, Dataset, bool]:
+    longest = max((len(s) for s in train.segments), default=0)
+    if longest < least:
+        raise DataError(
+            f"the longest segment has {longest} samples; these orders need {least}",
+            hint="record longer, allow longer gaps, or ask for lower orders",
+        )
+    if validation is not None and any(len(s) >= least for s in validation.segments):
+        return train, validation, False
+    kept, held = hold_out(train, least)
+    return kept, held, True
+
+
+def rule_verdict(settings: Settings, models: Sequence[Candidate], at: int) -> list[str]:
+    """The rule count in words."""
+    if settings.rules != "auto":
+        return [f"{settings.rules} rules, as asked."]
+    tried = ", ".join(f"{len(m.stage.body.a)}: {with_spread(m, models)}" for m in models)
+    sweep = f"Validation free-run error by number of rules, in standard deviations of the output: {tried}."
+    if "+-" in tried:
+        sweep += " +- is one standard error of the distance to the best."
+    if at == 0:
+        return [sweep, "One rule is enough: more rules do not lower the validation error beyond its spread."]
+    return [sweep, f"{at + 1} rules: the fewest within one standard error of the best."]
+
+
+def with_spread(model: Candidate, models: Sequence[Candidate]) -> str:
+    """ "0.134 +- 0.012": the error, and one standard error of its distance to the best stable model's."""
+    best = min((m for m in models if m.stable), key=lambda m: m.mean, default=model)
+    error, gap = float(np.sqrt(model.mean)), model.errors - best.errors
+    if model is best or len(gap) < 2 or not error > 0.0:
+        return f"{error:.3g}"
+    # of the root of the mean square, to first order
+    return f"{error:.3g} +- {float(gap.std(ddof=1) / np.sqrt(len(gap))) / (2.0 * error):.2g}"
+
+
+def _method(settings: Settings) -> str:
+    if not settings.refine:
+        return "Consequents are one-step least squares; the simulation error was not refined."
+    return (
+        "Consequents and memberships were refined on the simulation error with exact sensitivities; models "
+        "were offered only if they came back from bounded random inputs."
+    )

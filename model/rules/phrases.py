@@ -1,0 +1,162 @@
+"""Rules in words: labels from position, equations with names, numbers with the digits they deserve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flysid.dataset import FloatArray, Signal
+from flysid.model.base import Rule
+from flysid.model.rules.linguistics import Piece, words_of_one, words_of_several
+from flysid.model.rules.memberships import Partition
+from flysid.model.rules.vocabulary import Axis, number
+
+ELSEWHERE = "always, most where no other rule does"
+Signals = tuple[Sequence[Signal], Sequence[Signal]]
+"""Outputs and inputs."""
+_INTEGRATES = "integrates"
+_NEARLY_ONE = 0.999  # a pole so near to one nearly integrates
+_ON_CIRCLE = 1e-6  # a pole so near to one that it integrates, but for rounding
+
+
+def from_to(before: FloatArray, after: FloatArray, signals: Sequence[Signal]) -> str:
+    """ "0.036 -> 0.037 m/s", one of every signal: what a figure (n,) was and is."""
+    return ", ".join(
+        f"{number(float(a))} -> {number(float(b))} {s.unit}".rstrip()
+        for a, b, s in zip(before, after, signals, strict=True)
+    )
+
+
+def equation(left: str, gains: FloatArray | Sequence[float], terms: Sequence[str], offset: float) -> str:
+    """ "v(k) = 0.97 v(k-1) - 0.003 u(k-1) + 0.01"; terms with gain 0 are left out."""
+    parts = [(float(g), f" {t}") for g, t in zip(gains, terms, strict=True) if g != 0] + [(float(offset), "")]
+    text = ""
+    for value, term in parts:
+        if value == 0 and text:
+            continue
+        sign = "-" if value < 0 else "+"
+        text += f" {sign} {precise(abs(value)) if term else number(abs(value))}{term}"
+    return f"{left} = {text[3:] if text.startswith(' + ') else text[1:]}"
+
+
+def precise(value: float) -> str:
+    """Four digits, more where a lag polynomial near 1, 2, 3 needs them to mean anything."""
+    return f"{value:.4g}" if value < 0.5 or value >= 1e4 else f"{value:.5f}".rstrip("0").rstrip(".")
+
+
+def condition_in_words(partition: Partition, r: int, names: Sequence[str], units: Sequence[str]) -> str:
+    """ "v_x(k-1) is A2 'forward' (about 0.51 +- 0.2 m/s) and ...", or "always" for a single rule.
+
+    With one antecedent the word is of where the rule is the strongest, which is said in numbers too where
+    the centre does not tell it. With several, an antecedent that tells this rule from no other is left out.
+    """
+    if len(partition) == 1:
+        return "always"
+    ranges = zip(partition.low.tolist(), partition.high.tolist(), strict=True)
+    axes = [Axis(n, u, low, high) for n, u, (low, high) in zip(names, units, ranges, strict=True)]
+    if len(axes) == 1:
+        words, places = words_of_one(partition, axes[0])
+        return _is(partition, r, 0, axes[0], words[r], _strongest(partition, r, axes[0], places[r]))
+    said = words_of_several(partition, axes)[r]
+    parts = [_is(partition, r, j, axes[j], word) for j, word in enumerate(said) if word]
+    return " and ".join(parts) if parts else ELSEWHERE
+
+
+def _is(partition: Partition, r: int, j: int, axis: Axis, word: str, where: str = "") -> str:
+    """ "v_x(k-1) is A2 'forward' (about 0.51 +- 0.2 m/s)"."""
+    width = 0.5 * float(partition.left[r, j] + partition.right[r, j])
+    about = f"{number(float(partition.centre[r, j]))} +- {number(width)}" + (
+        f" {axis.unit}" if axis.unit else ""
+    )
+    return f"{axis.name} is A{r + 1} '{word}' (about {about}{where})"
+
+
+def _strongest(partition: Partition, r: int, axis: Axis, places: Sequence[Piece]) -> str:
+    """ "; strongest below -1.6 and from -0.9 to 0.2 m/s" where a rule's centre does not tell; else ""."""
+    centre = float(np.clip(partition.centre[r, 0], axis.low, axis.high))
+    if not places:
+        return "; hardly anywhere the strongest"
+    if len(places) == 1 and places[0].low <= centre <= places[0].high:
+        return ""
+    unit = f" {axis.unit}" if axis.unit else ""
+    return "; strongest " + " and ".join(_between(p, axis) for p in places) + unit
+
+
+def _between(piece: Piece, axis: Axis) -> str:
+    if piece.low <= axis.low:
+        return f"below {number(piece.high)}"
+    if piece.high >= axis.high:
+        return f"above {number(piece.low)}"
+    return f"from {number(piece.low)} to {number(piece.high)}"
+
+
+def in_words(title: str, rules: Sequence[Rule], notes: Sequence[str], signals: Signals = ((), ())) -> str:
+    """A whole model as text: title, rules with what they mean, notes.
+
+    Parameters
+    ----------
+    signals : outputs and inputs, for the names and units of gains.
+    """
+    lines = [title]
+    for rule in rules:
+        always = rule.condition.startswith("always")
+        then = f"{rule.condition.capitalize()}:" if always else f"If {rule.condition}, then"
+        lines.append(f"  {rule.label}. {then} {rule.conclusion}  [{meaning(rule, signals)}]")
+    if any(_nearly_integrates(rule) for rule in rules):
+        lines.append(
+            "  * nearly integrates: gain and time constant hang on the last digits of the lags' weights"
+        )
+    return "\n".join([*lines, *(f"  - {note}" for note in notes)])
+
+
+def meaning(rule: Rule, signals: Signals = ((), ())) -> str:
+    """ "gain 0.11 m/s per deg, time constant 0.48 s, strongest for 32 % of the samples"; * where nearly
+    integrating."""
+    parts = [f"gain {', '.join(gains(rule, signals))}"]
+    if rule.pole_radius > 0:
+        star = "*" if _nearly_integrates(rule) else ""
+        parts.append(f"time constant {number(rule.time_constant_s)} s{star}")
+    if rule.pole_radius >= 1.0 + _ON_CIRCLE:
+        parts.append("unstable by itself")
+    return ", ".join([*parts, f"strongest for {100 * rule.support:.0f} % of the samples"])
+
+
+def _nearly_integrates(rule: Rule) -> bool:
+    return rule.pole_radius > _NEARLY_ONE
+
+
+def gains(rule: Rule, signals: Signals = ((), ())) -> list[str]:
+    """Every steady gain with its 95 % interval where that is known: "0.29 [0.27, 0.31] m/s per deg".
+
+    Of several, each with its names: "theta_in -> v_x 0.29".
+    """
+    intervals = (
+        np.full((2, *rule.dc_gain.shape), np.nan) if rule.gain_interval is None else rule.gain_interval
+    )
+    low, high = intervals.reshape(2, -1)
+    said = [_gain(*values) for values in zip(rule.dc_gain.ravel(), low, high, strict=True)]
+    pairs = [(i, o) for o in signals[0] for i in signals[1]]
+    if len(pairs) != len(said):
+        return said
+    texts = [
+        text if text == _INTEGRATES else f"{text} {_per(i, o)}".rstrip()
+        for text, (i, o) in zip(said, pairs, strict=True)
+    ]
+    if len(pairs) == 1:
+        return texts
+    return [f"{i.name} -> {o.name} {text}" for text, (i, o) in zip(texts, pairs, strict=True)]
+
+
+def _per(given: Signal, answer: Signal) -> str:
+    """ "m/s per deg"; "" where a unit is not known, or both are one."""
+    if not (given.unit and answer.unit) or given.unit == answer.unit:
+        return ""
+    return f"{answer.unit} per {given.unit}"
+
+
+def _gain(value: float, low: float, high: float) -> str:
+    if not np.isfinite(value):
+        return _INTEGRATES
+    known = low <= value <= high
+    return f"{number(value)} [{number(low)}, {number(high)}]" if known else number(value)

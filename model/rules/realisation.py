@@ -1,0 +1,227 @@
+"""Linear state-space starts: a fitted difference equation realised so that its outputs are states.
+
+What the hidden states mean is a choice; the linear model is the same in all of them, but rules look along
+single states. Offered are the rates ("how fast the output is about to change": C(A-I), C(A-I)^2, ...) and,
+for every real pole, the mode that drives the others without being driven by them (in a cascade of tanks the
+upper one, in a vehicle the actuator).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.model.linear.model import FittedLinear
+from flysid.model.rules.compiled import Parameters, free_run
+from flysid.model.rules.start_state import start_state
+from flysid.model.rules.state_layout import StateLayout
+
+_SINGULAR = 1e-6  # coordinates closer to dependent than this are not offered
+PLAIN = "plain"
+"""The coordinates that a realisation comes in; hidden states are then made uncorrelated."""
+PLAIN_WORDS = "uncorrelated with the outputs and with each other"
+_CLOSED = 60  # rows that suffice to start a run while fitting
+
+
+@dataclass(frozen=True, eq=False)
+class Realisation:
+    """x(k) = A x(k-1) + sum_lag B[lag] u(k-lag) + c, y = the first n_y states; in normalised units.
+
+    `words` says what the hidden states are.
+    """
+
+    A: FloatArray
+    B: dict[int, FloatArray]
+    c: FloatArray
+    input_lags: tuple[tuple[int, ...], ...]
+    words: str = "as the difference equation has them"
+
+    def transformed(self, T: FloatArray, shift: FloatArray, words: str = "") -> Realisation:
+        """The same system in the states T x - shift; T and shift must keep the outputs."""
+        back = np.linalg.inv(T)
+        A = T @ self.A @ back
+        return replace(
+            self,
+            A=A,
+            B={k: T @ b for k, b in self.B.items()},
+            c=T @ self.c + A @ shift - shift,
+            words=words or self.words,
+        )
+
+    @classmethod
+    def of(cls, layout: StateLayout, theta: FloatArray) -> Realisation:
+        """The system that a consequent (n, n_x), in the order of `layout.regressors`, stands for."""
+        n, n_u = layout.n, len(layout.inputs)
+        A, c = np.zeros((n, n)), np.zeros(n)
+        B = {lag: np.zeros((n, n_u)) for own in layout.input_lags for lag in own}
+        for m, (column, lag) in enumerate(layout.regressors):
+            if column < 0:
+                c = theta[:, m].copy()
+            elif column < n:
+                A[:, column] = theta[:, m]
+            else:
+                B[lag][:, column - n] = theta[:, m]
+        return cls(A, B, c, layout.input_lags)
+
+    def consequent(self, layout: StateLayout) -> FloatArray:
+        """(n, n_x) A, B and c in the order of `layout.regressors`."""
+        n = layout.n
+        columns = []
+        for column, lag in layout.regressors:
+            if column < 0:
+                columns.append(self.c)
+            elif column < n:
+                columns.append(self.A[:, column])
+            else:
+                columns.append(self.B[lag][:, column - n])
+        return np.stack(columns, axis=1)
+
+
+def realised(fitted: FittedLinear, shift: FloatArray, scale: FloatArray) -> Realisation:
+    """A difference equation in states (observer form), normalised by (n_y + n_u,) shift and scale.
+
+    Delays common to all outputs become the inputs' lags. What is deeper than the order is dropped: the
+    refinement that follows makes up for it.
+    """
+    n_y = len(fitted.outputs)
+    a, b = fitted.system.a, fitted.system.b
+    rest = fitted.system.c + a.sum(axis=0) @ (fitted.y_origin - shift[:n_y])
+    rest = (rest - b.sum(axis=0) @ (fitted.u_origin - shift[n_y:])) / scale[:n_y]
+    order = max(len(a) - 1, 1)
+    n = order * n_y
+    A, c = np.eye(n, k=n_y), np.concatenate([rest, np.zeros(n - n_y)])
+    for lag in range(1, len(a)):
+        A[(lag - 1) * n_y : lag * n_y, :n_y] -= a[lag] * scale[None, :n_y] / scale[:n_y, None]
+    delays = [_first_lag(b[:, :, j]) for j in range(b.shape[2])]
+    lags = tuple((0, 1) if delay == 0 else (delay,) for delay in delays)
+    B: dict[int, FloatArray] = {lag: np.zeros((n, len(delays))) for own in lags for lag in own}
+    for j, delay in enumerate(delays):
+        taps = b[max(delay - 1, 0) :, :, j] * scale[n_y + j] / scale[:n_y]  # taps[1] is the delay's gain
+        for lag in range(1, min(order + 1, len(taps))):
+            B[max(delay, 1)][(lag - 1) * n_y : lag * n_y, j] = taps[lag]
+        if delay == 0:
+            B[0][:n_y, j] = taps[0]
+    return Realisation(A, B, c, lags)
+
+
+def _first_lag(taps: FloatArray) -> int:
+    moving = np.flatnonzero(np.abs(taps).max(axis=1) > 0)
+    return int(moving[0]) if len(moving) else 1
+
+
+def coordinates(plain: Realisation, n_y: int, most: int = 3) -> dict[str, Realisation]:
+    """The same system with its hidden states chosen in different ways, most readable first, by name."""
+    n = len(plain.A)
+    if n == n_y:
+        return {PLAIN: plain}
+    C = np.eye(n_y, n)
+    rates = [C]
+    while len(rates) * n_y < n:
+        rates.append(rates[-1] @ (plain.A - np.eye(n)))
+    rate_rows = np.vstack(rates)[n_y:n]
+    choices = [("rates", rate_rows, "rates of change of the outputs to come")]
+    modes = driving_modes(plain.A, n_y)
+    for i, mode in enumerate(modes):
+        rows = np.vstack([mode[None], rate_rows])[: n - n_y]
+        choices.append((f"mode {i + 1}", rows, "a mode of its own that drives the outputs"))
+    if n - n_y >= 2 and len(modes) >= n - n_y:
+        choices.append(("modes", np.stack(modes[: n - n_y]), "modes of their own that drive the outputs"))
+    found: dict[str, Realisation] = {}
+    for name, rows, words in choices:
+        size = np.linalg.norm(rows, axis=1, keepdims=True)
+        T = np.vstack([C, rows / np.where(size > 0, size, 1.0)])
+        if np.linalg.cond(T) < 1.0 / _SINGULAR and len(found) < most:
+            found[name] = plain.transformed(T, np.zeros(n), words)
+    return found or {PLAIN: plain}
+
+
+def uncorrelated(covariance: FloatArray, n_y: int) -> FloatArray:
+    """(n, n) T that keeps the outputs and makes the other states uncorrelated, of spread one."""
+    n = len(covariance)
+    T = np.eye(n)
+    if n == n_y:
+        return T
+    seen, cross = covariance[:n_y, :n_y], covariance[n_y:, :n_y]
+    R = np.linalg.lstsq(seen, cross.T, rcond=1e-12)[0].T
+    left = covariance[n_y:, n_y:] - R @ cross.T
+    size = np.sqrt(np.maximum(np.diag(covariance)[n_y:], 1e-300))
+    values, vectors = np.linalg.eigh(left / np.outer(size, size))
+    still = values < 1e-12  # a state that the outputs say already
+    root = vectors.T / np.where(still, 1.0, np.sqrt(np.maximum(values, 1e-12)))[:, None] / size
+    T[n_y:] = np.hstack([-root @ R, root])
+    return T
+
+
+def driving_modes(A: FloatArray, n_y: int) -> list[FloatArray]:
+    """Left eigenvectors, fastest pole first: l'x(k) = p l'x(k-1) + inputs, driven by no other state.
+
+    Of a complex pair, for which no such state exists, the real part: the state least driven by others.
+    """
+    values, vectors = np.linalg.eig(A.T)
+    found = []
+    for i in np.argsort(np.abs(values), kind="stable"):
+        hidden = vectors[n_y:, i]
+        largest = hidden[np.argmax(np.abs(hidden))]
+        if values[i].imag >= 0 and abs(largest) > 1e-6 * np.abs(vectors[:, i]).max():
+            found.append(np.ascontiguousarray((vectors[:, i] / largest).real))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What training says about states before any output is seen: mean (n,), inverse covariance (n, n).
+
+    `weight` is the inverse variance of the simulation error; all normalised.
+    """
+
+    mean: FloatArray
+    inverse: FloatArray
+    weight: float
+
+    @classmethod
+    def of(cls, runs: Sequence[FloatArray], n: int, variance: float) -> Prior:
+        """From simulated runs W, and the mean square of the simulation error."""
+        x = np.vstack([run[:, :n] for run in runs])
+        covariance = np.atleast_2d(np.cov(x, rowvar=False, bias=True))
+        covariance += 1e-6 * (np.trace(covariance) / n + 1e-12) * np.eye(n)
+        # the state before training's first sample may lie outside: allow twice the spread
+        mean: FloatArray = np.asarray(x.mean(axis=0), dtype=np.float64)
+        return cls(
+            mean, np.asarray(np.linalg.inv(4.0 * covariance), dtype=np.float64), 1.0 / max(variance, 1e-12)
+        )
+
+
+def initial_states(
+    layout: StateLayout, runs: Sequence[FloatArray], par: Parameters, prior: Prior, rows: int = _CLOSED
+) -> FloatArray:
+    """(S, n) the most likely state before every run, from its first `rows` rows."""
+    d, n, n_y = layout.depth, layout.n, layout.n_y
+    found = np.empty((len(runs), n))
+    for s, W in enumerate(runs):
+        part = np.ascontiguousarray(W[: d - 1 + max(rows, 1)])
+        best = np.inf
+        guesses = (prior.mean, _measured(prior.mean, part[d - 1, :n_y]))
+        for guess in guesses if len(par.theta) > 1 else guesses[:1]:
+            x, cost = start_state(
+                part, d, n_y, layout.lags, par, guess, prior.mean, prior.inverse, prior.weight
+            )
+            if not cost >= best:
+                found[s], best = x, cost
+    return found
+
+
+def _measured(mean: FloatArray, y: FloatArray) -> FloatArray:
+    guess = mean.copy()
+    guess[: len(y)] = y
+    return guess
+
+
+def simulated(layout: StateLayout, W: FloatArray, x: FloatArray, par: Parameters) -> FloatArray:
+    """W with its states simulated from x in row depth - 1."""
+    run = W.copy()
+    run[layout.depth - 1, : layout.n] = x
+    free_run(run, layout.depth, layout.lags, par)
+    return run

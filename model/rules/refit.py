@@ -1,0 +1,54 @@
+"""A chosen model refined once more: on all the training data, on new flights, after its rules were edited."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.rules.compiled import Parameters
+from flysid.model.rules.free_run_error import REACH, Body, Problem, antecedent_range, widened
+from flysid.model.rules.growth import Stage, best_started, first_basis, refine
+from flysid.model.rules.integrator import holds_integrator, rings_on
+from flysid.model.rules.judging import Candidate, is_bounded
+from flysid.model.rules.linear_starts import as_stage
+from flysid.model.rules.regressor_layout import Layout
+
+
+def refit(chosen: Candidate, data: Dataset, runs: Sequence[FloatArray], iterations: int) -> Stage:
+    """The chosen model on all data, by the method that found it: what was judged is what is offered."""
+    again = None if chosen.linear is None or chosen.moved else chosen.linear.refitted(data)
+    problem = chosen.stage.problem
+    if again is None or again.orders != problem.layout.orders:
+        return on_all_runs(chosen.stage, runs, iterations)
+    stage = as_stage(again, replace(problem, runs=tuple(runs)))
+    return stage if is_bounded(stage) and not _rings_newly(stage, chosen.stage) else chosen.stage
+
+
+def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int) -> Stage:
+    """The stage with its numbers refined on `runs`; unchanged where that would make it unstable."""
+    whole, known = antecedent_range(stage.problem.layout, runs), stage.problem.z_range
+    wider = np.stack([np.minimum(whole[0], known[0]), np.maximum(whole[1], known[1])])
+    # differences of measured outputs are mostly noise: their range is that of the simulation
+    change = np.array([a.minus >= 0 for a in stage.problem.layout.antecedents], dtype=bool)
+    problem = replace(stage.problem, runs=tuple(runs), z_range=np.where(change, known, wider))
+    found = refine(best_started(problem, stage.body), iterations, 1e-5)
+    return found if is_bounded(found) and not _rings_newly(found, stage) else stage
+
+
+def _rings_newly(found: Stage, known: Stage) -> bool:
+    return rings_on(found) and not rings_on(known)
+
+
+def restated(layout: Layout, parameters: Parameters, runs: tuple[FloatArray, ...]) -> tuple[Problem, Body]:
+    """A fitted model as refinement writes it: consequents in a basis in which `runs` are well conditioned."""
+    theta, p = parameters.theta, parameters
+    held = holds_integrator(theta, layout.orders.na)
+    basis = np.ascontiguousarray(first_basis(layout, runs, integrating=held))
+    trained = widened(p.z_range, -REACH / (1.0 + 2.0 * REACH))
+    problem = Problem(layout, runs, basis, theta[0].copy(), trained, p.limits)
+    rows = (theta - theta[0]).reshape(-1, theta.shape[2]).T
+    a = (np.linalg.lstsq(basis.T, rows, rcond=None)[0] if held else np.linalg.solve(basis.T, rows)).T
+    return problem, Body(np.ascontiguousarray(a.reshape(*theta.shape[:2], -1)), p.centre, p.width)

@@ -1,0 +1,110 @@
+"""What rules over lags and rules over states tell alike of themselves: read off layout and parameters."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from flysid.dataset import FloatArray, Signal
+from flysid.model.base import write_document
+from flysid.model.rules.compiled import Parameters
+from flysid.model.rules.memberships import Partition
+from flysid.model.rules.physical import Scaled, physical_consequents, physical_partition
+from flysid.model.rules.regressor_layout import Antecedent
+
+
+class RuleLayout(Scaled, Protocol):
+    """Signals and antecedents of a model of rules."""
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]: ...
+    @property
+    def outputs(self) -> tuple[Signal, ...]: ...
+    @property
+    def signals(self) -> tuple[Signal, ...]: ...
+    @property
+    def antecedents(self) -> tuple[Antecedent, ...]: ...
+    @property
+    def regressor_names(self) -> tuple[str, ...]: ...
+
+
+class Ruled:
+    """A fitted model of R rules; a frozen dataclass that derives from it has these two fields.
+
+    Attributes
+    ----------
+    layout : signals, antecedents, scaling.
+    parameters : consequents and memberships in normalised units.
+    """
+
+    layout: RuleLayout
+    parameters: Parameters
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]:
+        """Input signals."""
+        return self.layout.inputs
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]:
+        """Output signals."""
+        return self.layout.outputs
+
+    @property
+    def n_parameters(self) -> int:
+        """Consequents, and centres and widths where there are several rules."""
+        p = self.parameters
+        return int(p.theta.size + (2 * p.centre.size if len(p.theta) > 1 else 0))
+
+    @property
+    def antecedents(self) -> tuple[str, ...]:
+        """Names of the antecedent variables."""
+        return tuple(a.name(self.layout.signals) for a in self.layout.antecedents)
+
+    @property
+    def regressor_names(self) -> tuple[str, ...]:
+        """What the consequents multiply; the last is the constant 1."""
+        return self.layout.regressor_names
+
+    @cached_property
+    def consequents(self) -> FloatArray:
+        """(R, n, n_x) consequents in physical units, in the order of `regressor_names`.
+
+        n counts the outputs; the states, outputs first, where there are hidden ones.
+        """
+        return physical_consequents(self.layout, self.parameters)
+
+    @cached_property
+    def partition(self) -> Partition:
+        """Memberships in physical units."""
+        return physical_partition(self.layout, self.parameters)
+
+    @property
+    def trained_range(self) -> FloatArray:
+        """(2, n_z) smallest and largest antecedents of the training data, physical units."""
+        return np.stack([self.partition.low, self.partition.high])
+
+    @property
+    def centres(self) -> FloatArray:
+        """(R, n_z) centres of the memberships, physical units."""
+        return self.partition.centre
+
+    @property
+    def widths(self) -> FloatArray:
+        """(R, n_z) widths of the memberships, physical units."""
+        return self.partition.left
+
+    def memberships(self, variable: int, x: FloatArray) -> FloatArray:
+        """(len(x), R) grade of membership of values x of one antecedent (physical units)."""
+        return self.partition.grades(variable, x)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything needed to rebuild the model, as JSON types only."""
+        raise NotImplementedError
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as JSON, whole or not at all."""
+        write_document(self.to_dict(), path)

@@ -1,0 +1,253 @@
+"""Data, settings and judgement that all stages of one TS fit share, and its linear models."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.rules.free_run_error import Problem, runs_of
+from flysid.model.rules.growth import (
+    Stage,
+    embedded_start,
+    first_basis,
+    linear_stage,
+    rebased,
+    refine,
+    unrefined,
+)
+from flysid.model.rules.integrator import looks_integrating, with_integrator
+from flysid.model.rules.judging import Candidate, choose, judged
+from flysid.model.rules.linear_starts import LinearModel, arx_start, as_stage, linear_models
+from flysid.model.rules.probe_inputs import stress_run
+from flysid.model.rules.refit import refit
+from flysid.model.rules.regressor_layout import Layout, Orders
+
+SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
+_ORDER_GAIN, _ORDER_LOSS = 0.01, 0.05  # of the mean square: never, and at most, worth an order
+_ORDER_MISFIT = 0.1  # of the training mean square, which more lags always lower a little
+_STEPS = 8  # of a linear model's refinement on other parts of the data
+_WORSE_FIT = 1.5  # of the training mean square: one good validation does not make up for it
+_LOOSE = 100.0  # ranges within which the search for a linear model may move
+_FAR = 10.0  # ranges that a plant which integrates may leave its training range by
+_STRESS = 1000  # steps of each kind of stress
+_STRESS_SEED = 1  # not the one that models are asked with in the end
+
+
+class Settings(Protocol):
+    """What `learn` needs to know; `TS` is one."""
+
+    @property
+    def rules(self) -> int | Literal["auto"]: ...
+    @property
+    def na(self) -> int | Literal["auto"]: ...
+    @property
+    def nb(self) -> int | Sequence[int] | Literal["auto"]: ...
+    @property
+    def nk(self) -> int | Sequence[int] | Literal["auto"]: ...
+    @property
+    def antecedents(self) -> Sequence[str] | Literal["auto"]: ...
+    @property
+    def refine(self) -> bool: ...
+    @property
+    def most_rules(self) -> int: ...
+    @property
+    def iterations(self) -> int: ...
+    @property
+    def nk_hint(self) -> Sequence[int]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Workshop:
+    """Data and settings that all stages of one fit share.
+
+    Attributes
+    ----------
+    integrates : whether models keep a pole at one; None asks the data.
+    known : the linear side's model to start from; None lets it search.
+    """
+
+    settings: Settings
+    fit_part: Dataset
+    check_part: Dataset
+    shift: FloatArray
+    scale: FloatArray
+    least: int
+    must_be_bounded: bool = True
+    folds: tuple[tuple[Dataset, Dataset], ...] = ()
+    integrates: bool | None = None
+    known: LinearModel | None = None
+
+    def problem(self, orders: Orders) -> Problem:
+        """The problem of a linear model of these orders.
+
+        Its output limits are loose: where a simulation is held at a limit no gradient shows the way back,
+        and a linear model's start can always be found by least squares.
+        """
+        layout = Layout(self.fit_part.outputs, self.fit_part.inputs, orders, (), self.shift, self.scale)
+        runs = runs_of(layout, self.fit_part.segments, self.least)
+        y = np.vstack([W[:, : layout.n_y] for W in runs])
+        margin = _LOOSE * np.ptp(y, axis=0)
+        limits = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
+        basis = first_basis(layout, runs)
+        return Problem(layout, runs, basis, np.zeros((layout.n_y, len(basis))), np.zeros((2, 0)), limits)
+
+    def ready(self, stage: Stage) -> Stage:
+        """A linear stage to grow from: with its output limits and with stress."""
+        problem, n_y = stage.problem, stage.problem.layout.n_y
+        y = np.vstack([W[:, :n_y] for W in problem.runs])
+        margin = (_FAR if problem.integrates else 1.0) * np.ptp(y, axis=0)
+        limits = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
+        steps = min(_STRESS, max(200, len(y) // 2))
+        stress = (
+            stress_run(problem.runs, n_y, steps, _STRESS_SEED)
+            if self.must_be_bounded and not problem.integrates
+            else None
+        )
+        return replace(stage, problem=replace(problem, limits=limits, stress=stress))
+
+    def judge(self, stage: Stage) -> Candidate:
+        """The stage on the validation part."""
+        runs = runs_of(stage.problem.layout, self.check_part.segments, self.least)
+        return judged(stage, runs, self.least - SPARE_ROWS, must_be_bounded=self.must_be_bounded)
+
+    def linear(self, choices: Sequence[Orders]) -> tuple[list[Candidate], list[str]]:
+        """Linear models, each refined from the one before, up to the best orders."""
+        candidates = self._of_orders(choices)
+        notes: list[str] = []
+        needless = self._needless(candidates) if len(choices) > 1 else ()
+        if needless:
+            candidates += self._of_orders(
+                list(dict.fromkeys(_without(orders, needless) for orders in choices))
+            )
+            names = ", ".join(self.fit_part.inputs[j].name for j in needless)
+            notes = [f"A linear model simulates held-out parts as well without past values of {names}."]
+        candidates += self._linear_side(len(choices))
+        candidates = plausible(sorted(candidates, key=lambda c: c.stage.body.size))
+        judged_all = self._on_every_part(candidates) if len(candidates) > 1 else candidates
+        at = choose(judged_all, least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS, most_misfit=_ORDER_MISFIT)
+        orders = candidates[at].stage.problem.layout.orders
+        how = (
+            "as given" if len(choices) == 1 else "the simplest within one standard error of the best, and 5 %"
+        )
+        notes = [f"Orders {orders}: {how} (validation free run of the linear model).", *notes]
+        others = [c for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
+        return [candidates[at], *others], notes
+
+    def _of_orders(self, choices: Sequence[Orders]) -> list[Candidate]:
+        """One linear model of each, or two where one holds an integrator; each starts from those before."""
+        candidates: list[Candidate] = []
+        loose: list[Stage] = []
+        for orders in choices:
+            problem = self.problem(orders)
+            if self.settings.refine:
+                nested = (embedded_start(known, problem) for known in reversed(loose))
+                start = next(filter(None, nested), ())
+                start += arx_start(problem, self.fit_part)
+                stage = linear_stage(problem, self.settings.iterations, start)
+            else:
+                stage = unrefined(problem)
+            variants = self._settled(stage, loose)
+            candidates += [self.judge(self.ready(s)) for s in variants]
+            loose += variants
+        return candidates
+
+    def _needless(self, candidates: Sequence[Candidate]) -> tuple[int, ...]:
+        """Inputs whose past values a linear model of the best of these orders does as well without.
+
+        Left out one after the other, the least missed one first, while the loss stays within what simpler
+        orders may cost. Every rule would weigh their lags anew, and few rules could be afforded.
+        """
+        if not self.settings.refine or self.settings.nb != "auto" or len(self.fit_part.inputs) < 2:
+            return ()
+        best = min(candidates, key=lambda c: (not c.stable, c.mean))
+        orders = best.stage.problem.layout.orders
+        (whole,) = self._on_every_part([best])
+        alone = {j: self._left_out(orders, (j,)) for j, lags in enumerate(orders.nb) if lags}
+        needless: tuple[int, ...] = ()
+        for j in sorted(alone, key=lambda j: alone[j].mean):
+            tried = (*needless, j)
+            if len(tried) == len(alone):
+                break
+            rest = alone[j] if len(tried) == 1 else self._left_out(orders, tried)
+            if choose(
+                [rest, whole], least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS, most_misfit=_ORDER_MISFIT
+            ):
+                break
+            needless = tried
+        return tuple(sorted(needless))
+
+    def _left_out(self, orders: Orders, inputs: Sequence[int]) -> Candidate:
+        (found, *_) = self._on_every_part(self._of_orders([_without(orders, inputs)]))
+        return found
+
+    def _linear_side(self, choices: int) -> list[Candidate]:
+        """What the linear side chooses by itself, with its delays, as it is and refined."""
+        if not self.settings.refine:
+            return []
+        if self.known is not None:
+            again = self.known.refitted(self.fit_part)
+            return [] if again is None else self._both(again)
+        if choices == 1:
+            return []
+        found = linear_models(self.fit_part, self.check_part, self.settings.nk_hint)
+        return [
+            c for model in found if model.orders.depth + SPARE_ROWS <= self.least for c in self._both(model)
+        ]
+
+    def _on_every_part(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """The candidates with their errors on the parts that other folds hold out, refitted without them.
+
+        One quarter of little data says too little to choose orders by.
+        """
+        errors = [[c.errors] for c in candidates]
+        for fit_part, check_part in self.folds:
+            for known, candidate in zip(errors, candidates, strict=True):
+                layout = candidate.stage.problem.layout
+                again = refit(candidate, fit_part, runs_of(layout, fit_part.segments, self.least), _STEPS)
+                runs = runs_of(layout, check_part.segments, self.least)
+                known.append(judged(again, runs, self.least - SPARE_ROWS, must_be_bounded=False).errors)
+        return [replace(c, errors=np.concatenate(e)) for c, e in zip(candidates, errors, strict=True)]
+
+    def _both(self, model: LinearModel) -> list[Candidate]:
+        plain = as_stage(model, self.problem(model.orders))
+        settled = self._settled(refine(rebased(plain), self.settings.iterations, 1e-6))
+        kept = [] if any(s.problem.integrates for s in settled) else [self.judge(self.ready(rebased(plain)))]
+        return [
+            *(replace(c, linear=model, moved=False) for c in kept if np.isfinite(c.stage.cost)),
+            *(replace(self.judge(self.ready(s)), linear=model) for s in settled),
+        ]
+
+    def _settled(self, stage: Stage, known: Sequence[Stage] = ()) -> tuple[Stage, ...]:
+        """The linear stage, its integrator kept where it has one."""
+        asked = looks_integrating(stage) if self.integrates is None else self.integrates
+        if not (self.settings.refine and asked):
+            return (stage,)
+        stages = with_integrator(stage, self.settings.iterations, known)
+        return stages if self.integrates is None else stages[:1]
+
+
+def _without(orders: Orders, inputs: Sequence[int]) -> Orders:
+    """The orders with no past values of these inputs."""
+    return replace(orders, nb=tuple(0 if j in inputs else lags for j, lags in enumerate(orders.nb)))
+
+
+def plausible(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates without ARX models one step ahead that fit the training part worse than no larger others.
+
+    Such a model was never asked to run free. It may do so well on one held-out manoeuvre by luck, and badly
+    everywhere else.
+    """
+    costs = [(c.stage.body.size, c.stage.cost) for c in candidates if c.stable]
+    return [c for c in candidates if not (_is_one_step(c) and c.stage.cost > _WORSE_FIT * _least(costs, c))]
+
+
+def _is_one_step(candidate: Candidate) -> bool:
+    return candidate.linear is not None and candidate.linear.name == "ARX" and not candidate.moved
+
+
+def _least(costs: Sequence[tuple[int, float]], candidate: Candidate) -> float:
+    return min((cost for size, cost in costs if size <= candidate.stage.body.size), default=np.inf)

@@ -1,0 +1,119 @@
+"""Fewer words for nearly the same model: rules merged or dropped, conditions left out, each with its cost.
+
+Every edit is refined on the simulation error before it is priced, so that the price is what the words are
+worth, not what a careless edit breaks (rule base simplification: Setnes, Babuska, Kaymak and van Nauta Lemke,
+1998, merge by similarity of sets; here the free run decides).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.rules.assembly import finished, free_run_rmse
+from flysid.model.rules.consequents import refuse_few, refuse_other_data
+from flysid.model.rules.edits import edits, staged
+from flysid.model.rules.fitted_lags import FittedTS, refuse_other_models
+from flysid.model.rules.free_run_error import runs_of
+from flysid.model.rules.growth import ordered, refine, with_ridge
+from flysid.model.rules.judging import is_bounded
+from flysid.model.rules.phrases import from_to
+from flysid.model.threads import on_one_thread
+
+_TRIED = 3  # of all edits, ranked by what they cost before refinement
+_RIDGE = 1e-3  # of the cost: refinement must not wander off along overlapping rules
+
+
+@dataclass(frozen=True, eq=False)
+class Simplification:
+    """One edit of a model and its price.
+
+    Attributes
+    ----------
+    what : in words, with the labels of the model that was edited.
+    model : the edited model, refined.
+    before, after : (n_y,) RMSE of the free run, physical units.
+    """
+
+    what: str
+    model: FittedTS
+    before: FloatArray
+    after: FloatArray
+
+    @property
+    def loss_pct(self) -> float:
+        """How much the free run's RMSE grows, the worst output; below zero where the edit helps."""
+        floor = 1e-9 * np.ptp(self.model.output_limits, axis=0)
+        return float(100.0 * ((self.after + floor) / (self.before + floor) - 1.0).max())
+
+    def __str__(self) -> str:
+        """ "R2 and R3 merged: free run 0.036 -> 0.037 m/s (+2.1 %)"."""
+        steps = from_to(self.before, self.after, self.model.outputs)
+        return f"{self.what}: free run {steps} ({self.loss_pct:+.1f} %)"
+
+
+@on_one_thread
+def simplifications(
+    model: FittedTS, train: Dataset, validation: Dataset | None = None, *, iterations: int = 15
+) -> list[Simplification]:
+    """What could be said more simply, cheapest first; an unstable edit is not offered.
+
+    Parameters
+    ----------
+    train : data on which an edited model is refined.
+    validation : data on which it is priced; `train` where None, which makes edits look dear.
+    iterations : Levenberg-Marquardt steps after an edit.
+
+    Raises
+    ------
+    UsageError : not a model of rules over lags, or data with other signals.
+    DataError : no segment is long enough to simulate; no more samples than the model has numbers.
+    """
+    refuse_other_data(model, train)
+    judge = train if validation is None else validation
+    before = free_run_rmse(model, judge)
+    runs = runs_of(model.layout, train.segments, model.n_init + 2)
+    refuse_few(sum(len(W) - model.n_init for W in runs), model.parameters.theta[:, 0].size)
+    tried = [
+        (what, stage)
+        for what, layout, p in edits(model.layout, model.parameters, model.support)
+        for stage in staged(layout, p, runs)
+    ]
+    tried.sort(key=lambda edit: edit[1].cost)
+    found = []
+    for what, stage in tried[:_TRIED]:
+        refined = refine(with_ridge(stage, _RIDGE * stage.cost), iterations, 1e-5)
+        if np.isfinite(refined.cost) and is_bounded(refined):
+            edited = finished(ordered(refined), train, (*model.notes, f"Simplified by hand: {what}."))
+            found.append(Simplification(what, edited, before, free_run_rmse(edited, judge)))
+    return sorted(found, key=lambda s: s.loss_pct)
+
+
+def simplify(
+    model: FittedTS, train: Dataset, validation: Dataset | None = None, *, most_loss_pct: float = 2.0
+) -> tuple[FittedTS, tuple[Simplification, ...]]:
+    """The simplest model that the free run allows, and every step to it.
+
+    Steps are taken while the RMSE stays within `most_loss_pct` of the first model's on every output.
+
+    Raises
+    ------
+    UsageError : not a model of rules over lags.
+    DataError : no segment is long enough to simulate.
+    """
+    refuse_other_models(model)
+    steps: list[Simplification] = []
+    first: FloatArray | None = None
+    while len(model.parameters.theta) > 1:
+        offers = simplifications(model, train, validation)
+        if not offers:
+            break
+        first = offers[0].before if first is None else first
+        best = min(offers, key=lambda s: replace(s, before=first).loss_pct)
+        if replace(best, before=first).loss_pct > most_loss_pct:
+            break
+        steps.append(best)
+        model = best.model
+    return model, tuple(steps)

@@ -1,0 +1,161 @@
+"""Rules made stable on request: by themselves, or with a certificate that any blend of them is.
+
+A rule may have a pole outside the unit circle where the others keep the blend in its range; a controller that
+is designed rule by rule, or a proof that holds whatever fires, cannot use such a rule. Made stable, it is
+drawn towards the mean of all rules, weighted by support, only as far as is needed. Its poles are held there,
+and what is left of the model (what inputs and the constant weigh, memberships) is refined on the simulation
+error again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import DataError, FitError, UsageError
+from flysid.model.rules.assembly import finished, free_run_rmse
+from flysid.model.rules.compiled import IntArray
+from flysid.model.rules.consequents import refuse_few, refuse_other_data
+from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.free_run_error import REACH, Body, Problem, runs_of, widened
+from flysid.model.rules.growth import Stage, best_started, ordered, refined
+from flysid.model.rules.integrator import holds_integrator
+from flysid.model.rules.judging import is_bounded
+from flysid.model.rules.local_models import certificate_of
+from flysid.model.rules.phrases import from_to
+from flysid.model.rules.regressor_layout import Layout
+from flysid.model.rules.rule_poles import companion, output_lags, pole_radius
+from flysid.model.threads import on_one_thread
+
+LARGEST = 0.999
+"""Radius that no pole of a rule exceeds once it is made stable."""
+_HALVINGS = 12  # of how far a rule is drawn
+_ITERATIONS = 30
+
+
+@on_one_thread
+def with_stable_rules(
+    model: FittedTS, train: Dataset, *, largest: float = LARGEST, certified: bool = False
+) -> FittedTS:
+    """The model with every rule's poles within `largest`; itself where they are.
+
+    Parameters
+    ----------
+    train : data on which the rest is refined.
+    largest : pole radius, below 1.
+    certified : all rules are drawn together until they have a common quadratic Lyapunov function.
+
+    Raises
+    ------
+    UsageError : a radius outside (0, 1); rules that hold an integrator; data with other signals.
+    DataError : no segment is long enough; no more samples than the model has numbers.
+    FitError : the mean of all rules is itself beyond that radius: nothing is there to draw them to.
+    """
+    refuse_other_data(model, train)
+    if not 0.0 < largest < 1.0:
+        raise UsageError(f"largest={largest!r}", hint="give a pole radius between 0 and 1")
+    theta, layout = model.parameters.theta, model.layout
+    if holds_integrator(theta, layout.orders.na):
+        raise UsageError("the process integrates: every rule has a pole at one, and none can be stable")
+
+    def holds(candidate: FloatArray) -> bool:
+        lags = [output_lags(layout.lags, rule) for rule in candidate]
+        return all(pole_radius(A) <= largest for A in lags) and (
+            not certified or certificate_of([companion(A) for A in lags]).proved
+        )
+
+    if holds(theta):
+        return model
+    runs = runs_of(layout, train.segments, model.n_init + 2)
+    if not runs:
+        raise DataError(f"no segment is longer than {model.n_init + 1} samples", hint="record longer")
+    refuse_few(sum(len(W) - model.n_init for W in runs), theta[:, 0].size)
+    drawn = _drawn(theta, model.support, holds, layout, largest)
+    stage = _refined(model, drawn, runs)
+    found = finished(ordered(stage), train, (), intervals=False)
+    return replace(found, notes=(*model.notes, _told(model, found, train, certified=certified)))
+
+
+def _told(model: FittedTS, found: FittedTS, train: Dataset, *, certified: bool) -> str:
+    before, after = (max(rule.pole_radius for rule in m.rules()) for m in (model, found))
+    old, new = (free_run_rmse(m, train) for m in (model, found))
+    steps = from_to(old, new, model.outputs)
+    how = "Made stable, provably whatever fires" if certified else "Made stable"
+    return (
+        f"{how}: the largest pole radius of a rule was {before:.5f} and is {after:.5f}; the rest was refined "
+        f"again, free run on the training data {steps}."
+    )
+
+
+def _drawn(
+    theta: FloatArray,
+    support: FloatArray,
+    holds: Callable[[FloatArray], bool],
+    layout: Layout,
+    largest: float,
+) -> FloatArray:
+    """(R, n_y, n_x) consequents nearest to what they were, on the way to their mean.
+
+    First the rules that are beyond the radius by themselves, each as far as it needs; then, where that does
+    not do, all of them alike.
+    """
+    share = np.maximum(support, 1e-3)
+    mean = np.tensordot(share / share.sum(), theta, axes=1)
+    if not holds(mean[None]):
+        raise FitError(
+            f"the mean of all rules has poles beyond {largest:g} itself: nothing is there to draw them to",
+            hint="fit fewer rules, lower orders, or a linear model with stable=True",
+        )
+    alone = np.stack(
+        [
+            _nearest(rule, mean, lambda r: pole_radius(output_lags(layout.lags, r)) <= largest)
+            for rule in theta
+        ]
+    )
+    return alone if holds(alone) else _nearest(alone, mean, holds)
+
+
+def _nearest(start: FloatArray, mean: FloatArray, holds: Callable[[FloatArray], bool]) -> FloatArray:
+    """The point on the line from `mean`, which holds, to `start` that is the last that was found to hold."""
+    if holds(start):
+        return start
+    inside, outside = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (inside + outside)
+        if holds(mean + middle * (start - mean)):
+            inside = middle
+        else:
+            outside = middle
+    return np.asarray(mean + inside * (start - mean))
+
+
+def _refined(model: FittedTS, theta: FloatArray, runs: tuple[FloatArray, ...]) -> Stage:
+    """The drawn rules with everything but their poles refined; as drawn where nothing got better."""
+    layout, p = model.layout, model.parameters
+    past = np.array([0 <= column < layout.n_y for column, _ in layout.regressors])
+    basis = np.zeros((len(past), len(past)))
+    for block in (past, ~past):
+        at = np.flatnonzero(block)
+        if len(at):
+            basis[np.ix_(at, at)] = _whitened(layout, runs, at)
+    trained = widened(p.z_range, -REACH / (1.0 + 2.0 * REACH))
+    problem = Problem(layout, runs, basis, np.zeros(theta.shape[1:]), trained, p.limits)
+    a = np.ascontiguousarray(np.linalg.solve(basis.T, theta.transpose(2, 0, 1).reshape(len(past), -1)))
+    a = np.ascontiguousarray(a.reshape(len(past), *theta.shape[:2]).transpose(1, 2, 0))
+    start = best_started(problem, Body(a, p.centre, p.width))
+    free = np.ones(start.body.size)
+    free[: a.size] = np.tile(~past, a.size // len(past))
+    if start.rules == 1:
+        free[a.size :] = 0.0
+    found = refined(start, free, _ITERATIONS, 1e-6)
+    return found if found.cost < start.cost and is_bounded(found) else start
+
+
+def _whitened(layout: Layout, runs: tuple[FloatArray, ...], at: IntArray) -> FloatArray:
+    """(n, n) coordinates in which these regressors are uncorrelated with unit mean square."""
+    X = np.vstack([layout.regressor_values(W)[:, at] for W in runs])
+    _, s, vt = np.linalg.svd(np.linalg.qr(X, mode="r") / np.sqrt(len(X)))
+    return np.asarray(vt / np.maximum(s, 1e-9 * s[0])[:, None])

@@ -1,0 +1,383 @@
+"""Growing a TS state-space model: a linear state space first, then rule after rule where it helps most.
+
+Every stage inserts one rule, within each rule's region and along each variable (states, hidden ones
+included, and inputs), ranks the places by the cost that one regularised Gauss-Newton step promises, refines
+the most promising ones a little, first over short windows and then over longer ones, and the best fully.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.dataset import FloatArray
+from flysid.errors import FitError
+from flysid.model.refine import levenberg_marquardt
+from flysid.model.rules.compiled import firing
+from flysid.model.rules.free_run_error import Body
+from flysid.model.rules.realisation import Prior, Realisation, initial_states, uncorrelated
+from flysid.model.rules.regressor_layout import Antecedent
+from flysid.model.rules.state_error import StateError, StateProblem, antecedent_range
+from flysid.model.rules.state_layout import StateLayout, windows
+
+_PLACES = (0.15, 0.5, 0.85)
+_FIRST_PLACES = (0.1, 0.3, 0.7, 0.9)  # not the middle, from where there is no other side
+_HIDDEN_LIMIT = 12.0  # spreads that a hidden state may reach
+_FLOOR = 1e-3  # of the metric's diagonal, added to it: directions that the linear model does not feel
+_START_ROWS = 400  # of a run from which a linear start takes its initial state
+_PIECE = 600  # rows of a piece, where long records are thinned
+_FEW, _MORE = 3000, 4000  # rows for ranking insertions, and for trying the best ones
+_OVERFLOW = 1e9  # spreads: a state beyond has run away
+_FEWEST = 10  # samples of a region that takes another rule
+_MARGIN = 0.1  # of its range, by which a hidden antecedent's range is widened
+
+
+@dataclass(frozen=True, eq=False)
+class StateStage:
+    """A refined model: its problem, its numbers, initial states, and the cost reached in training."""
+
+    problem: StateProblem
+    body: Body
+    initial: FloatArray
+    cost: float
+
+    @property
+    def rules(self) -> int:
+        """Number of rules."""
+        return len(self.body.a)
+
+    @property
+    def layout(self) -> StateLayout:
+        """States, lags, antecedents."""
+        return self.problem.layout
+
+    def prior(self) -> Prior:
+        """What training says about states, for starting other runs."""
+        runs = [run[self.layout.depth - 1 :] for run in self.simulated()]
+        return Prior.of(runs, self.layout.n, self.mean_square())
+
+    def simulated(self) -> list[FloatArray]:
+        """W of every run, simulated."""
+        return self.problem.simulate(self.body, self.initial)
+
+    def mean_square(self) -> float:
+        """Mean squared simulation error, without the ridge."""
+        d, n_y, total = self.layout.depth, self.layout.n_y, 0.0
+        for run, W in zip(self.simulated(), self.problem.runs, strict=True):
+            gap = run[d - 1 :, :n_y] - W[d - 1 :, :n_y]
+            total += float((gap * gap).sum())
+        return total / self.problem.samples
+
+
+def linear_stage(
+    layout: StateLayout,
+    runs: tuple[FloatArray, ...],
+    real: Realisation,
+    ends: FloatArray,
+    iterations: int,
+    *,
+    whiten: bool = False,
+) -> StateStage:
+    """The refined linear model in the coordinates of `real`, hidden states scaled to their spread.
+
+    With `whiten` in coordinates of its own: hidden states uncorrelated with the outputs and each other.
+
+    Parameters
+    ----------
+    ends : (2, n_y) normalised outputs at which the plant itself saturates; infinite where it does not.
+    """
+    n, n_y, d = layout.n, layout.n_y, layout.depth
+    y = np.vstack([W[d - 1 :, :n_y] for W in runs])
+    margin, limits = np.ptp(y, axis=0), np.full((2, n), np.inf) * np.array([[-1.0], [1.0]])
+    limits[:, :n_y] = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
+    metric = np.zeros((n * len(layout.regressors),) * 2)
+    problem = StateProblem(layout, runs, np.zeros((2, 0)), limits, metric)
+    nowhere = Prior(np.zeros(n), 1e-6 * np.eye(n), 1.0)
+    stage = _linear(problem, real, nowhere)
+    states = np.vstack([r[d - 1 :, :n] for r in stage.simulated()])
+    spread, middle = states.std(axis=0), states.mean(axis=0)
+    spread[:n_y], middle[:n_y] = 1.0, 0.0
+    spread = np.where((spread > 1e-12) & np.isfinite(spread), spread, 1.0)
+    if whiten and np.abs(states).max() < _OVERFLOW:
+        T = uncorrelated(np.cov(states, rowvar=False).reshape(n, n), n_y)
+        shift = T @ states.mean(axis=0)
+        real = real.transformed(T, np.where(np.arange(n) < n_y, 0.0, shift))
+    else:
+        real = real.transformed(np.diag(1.0 / spread), np.where(np.isfinite(middle), middle, 0.0) / spread)
+    limits[:, n_y:] = np.array([[-_HIDDEN_LIMIT], [_HIDDEN_LIMIT]])
+    limits[0, :n_y] = np.maximum(limits[0, :n_y], ends[0])
+    limits[1, :n_y] = np.minimum(limits[1, :n_y], ends[1])
+    stage = _linear(problem, real, nowhere)
+    stage = refine(stage, iterations, 1e-6) if iterations else stage
+    error = _error(stage)
+    H = error.normal(error.start())[1]
+    m = stage.body.a.size
+    diagonal = np.diag(H)[:m]
+    metric = H[:m, :m] + np.diag(_FLOOR * diagonal + 1e-9 * diagonal.max())
+    return replace(stage, problem=replace(stage.problem, metric=metric))
+
+
+def _linear(problem: StateProblem, real: Realisation, prior: Prior) -> StateStage:
+    """One rule from a realisation, every run started from its most likely state."""
+    still = np.zeros((1, 0))
+    body = Body(real.consequent(problem.layout)[None], still, still)
+    par = problem.parameters(body)
+    initial = initial_states(problem.layout, problem.runs, par, prior, _START_ROWS)
+    return StateStage(problem, body, initial, np.inf)
+
+
+def _error(stage: StateStage) -> StateError:
+    free = np.ones(stage.body.size)
+    if stage.rules == 1:
+        free[stage.body.a.size :] = 0.0
+    return StateError(stage.problem, stage.body, free, stage.initial)
+
+
+def refine(stage: StateStage, iterations: int, tolerance: float) -> StateStage:
+    """Levenberg-Marquardt on the simulation error from where the stage is."""
+    error = _error(stage)
+    try:  # without a cheaper cost: nine trial points in ten are accepted, and need their derivatives anyhow
+        found = levenberg_marquardt(
+            error.normal, error.start(), max_iterations=iterations, tolerance=tolerance
+        )
+    except FitError:
+        return replace(stage, cost=float("inf"))
+    body, initial = error.split(found.theta)
+    return replace(stage, body=body, initial=initial, cost=found.cost)
+
+
+def in_windows(stage: StateStage, rows: int) -> StateStage:
+    """The stage over windows of about `rows` rows, each started where the free run is."""
+    d, n = stage.layout.depth, stage.layout.n
+    data = windows(stage.problem.runs, d, rows)
+    states = windows(stage.simulated(), d, rows)
+    initial = np.stack([W[d - 1, :n] for W in states])
+    return replace(stage, problem=replace(stage.problem, runs=data), initial=initial)
+
+
+def on_runs_of(stage: StateStage, other: StateStage) -> StateStage:
+    """A stage's model on the runs of another, from the most likely states."""
+    moved = on_other_runs(stage, other.problem.runs)
+    kept = replace(moved, initial=other.initial)
+    return min((moved, kept), key=lambda s: s.mean_square())
+
+
+def on_other_runs(stage: StateStage, runs: tuple[FloatArray, ...]) -> StateStage:
+    """A stage's model on other runs, from the most likely states."""
+    problem = replace(stage.problem, runs=runs)
+    initial = initial_states(stage.layout, runs, problem.parameters(stage.body), stage.prior(), 100)
+    return replace(stage, problem=problem, initial=initial)
+
+
+def with_ridge(stage: StateStage, ridge: float) -> StateStage:
+    """The same stage under another ridge on the spread of its rules."""
+    return replace(stage, problem=replace(stage.problem, ridge=ridge))
+
+
+def with_variables(stage: StateStage, antecedents: tuple[Antecedent, ...]) -> StateStage:
+    """The same model looking at more antecedents, in which every rule covers everything."""
+    old, layout = stage.layout.antecedents, replace(stage.layout, antecedents=antecedents)
+    z_range = antecedent_range(layout, stage.simulated(), stage.problem.runs)
+    span = z_range[1] - z_range[0]
+    hidden = np.array([layout.n_y <= a.column < layout.n for a in antecedents])
+    z_range = z_range + np.outer([-1.0, 1.0], np.where(hidden, _MARGIN * span, 0.0))
+    centre = np.tile(z_range.mean(axis=0), (stage.rules, 1))
+    width = np.tile(2.0 * np.maximum(span, 1e-12), (stage.rules, 1))
+    for j, antecedent in enumerate(antecedents):
+        if antecedent in old:
+            i = old.index(antecedent)
+            centre[:, j], width[:, j] = stage.body.centre[:, i], stage.body.width[:, i]
+            z_range[:, j] = stage.problem.z_range[:, i]
+    problem = replace(stage.problem, layout=layout, z_range=z_range)
+    return replace(stage, problem=problem, body=Body(stage.body.a, centre, width))
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """Where a rule goes: along which variable, in whose region, at which quantile of the variable there."""
+
+    antecedent: Antecedent
+    rule: int
+    place: float
+
+    def into(self, stage: StateStage) -> StateStage | None:
+        """The stage with that rule more, not refined; None where the region holds next to no samples.
+
+        The new rule takes the other rule's centre in the other variables. Its width is half the spread there.
+        """
+        known = stage.layout.antecedents
+        wide = stage if self.antecedent in known else with_variables(stage, (*known, self.antecedent))
+        z, phi = z_and_firing(wide)
+        return self._into(wide, z, phi.argmax(axis=1))
+
+    def _into(self, wide: StateStage, z: FloatArray, strongest: npt.NDArray[np.intp]) -> StateStage | None:
+        j = wide.layout.antecedents.index(self.antecedent)
+        span, chosen = float(np.ptp(z[:, j])), z[strongest == self.rule, j]
+        if len(chosen) < _FEWEST or span == 0.0:
+            return None
+        centre, width = wide.body.centre[self.rule].copy(), wide.body.width[self.rule].copy()
+        centre[j] = np.quantile(chosen, self.place)
+        width[j] = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)
+        if wide.rules == 1:
+            width[j] = max(width[j], 0.2 * span)
+        return inserted(wide, centre, width)
+
+
+def insertions(stage: StateStage, candidates: Sequence[Antecedent]) -> list[tuple[Insertion, StateStage]]:
+    """One rule more, at several places along every candidate variable in every rule's region."""
+    options = []
+    places = _PLACES if stage.rules > 1 else _FIRST_PLACES
+    for antecedent in candidates:
+        known = stage.layout.antecedents
+        wide = stage if antecedent in known else with_variables(stage, (*known, antecedent))
+        z, phi = z_and_firing(wide)
+        strongest = phi.argmax(axis=1)
+        for rule, place in itertools.product(range(stage.rules), places):
+            insertion = Insertion(antecedent, rule, place)
+            grown = insertion._into(wide, z, strongest)
+            if grown is not None:
+                options.append((insertion, grown))
+    return options
+
+
+def inserted(stage: StateStage, centre: FloatArray, width: FloatArray) -> StateStage:
+    """One rule more, whose consequents are what the others conclude together at its centre."""
+    body, problem = stage.body, stage.problem
+    distance = (centre - body.centre) / body.width
+    strength = -0.5 * (distance * distance).sum(axis=1)
+    phi = np.exp(strength - strength.max())
+    blend = np.einsum("r,rim->im", phi / phi.sum(), body.a)
+    if stage.rules == 1:  # the first rule moves to the other side, or the two would be one
+        middle = problem.z_range.mean(axis=0)
+        away = np.where(width < 1.5 * np.ptp(problem.z_range, axis=0), 2.0 * middle - centre, centre)
+        body = Body(body.a, np.clip(away, *problem.z_range)[None], width[None])
+    grown = Body(
+        np.concatenate([body.a, blend[None]]),
+        np.vstack([body.centre, centre]),
+        np.vstack([body.width, width]),
+    )
+    return replace(stage, body=grown)
+
+
+def z_and_firing(stage: StateStage) -> tuple[FloatArray, FloatArray]:
+    """Antecedents and firing strengths along the simulated runs."""
+    lags, par, d = stage.layout.lags, stage.problem.parameters(stage.body), stage.layout.depth
+    runs = stage.simulated()
+    z = np.vstack([stage.layout.antecedent_values(W) for W in runs])
+    return z, np.vstack([firing(W, d, lags, par)[d:] for W in runs])
+
+
+def expected_cost(stage: StateStage) -> float:
+    """The cost that one regularised Gauss-Newton step on all unknowns promises; inf where it cannot."""
+    error = _error(stage)
+    cost, H, g = error.normal(error.start())
+    if not (np.isfinite(H).all() and np.isfinite(g).all()):
+        return float("inf")
+    d = 1.0 / np.sqrt(np.maximum(H.diagonal(), 1e-9 * H.diagonal().max()))
+    scaled = H * d[:, None] * d[None, :]
+    scaled[np.diag_indices_from(scaled)] += 1e-3
+    return cost - float((d * g) @ np.linalg.solve(scaled, d * g))
+
+
+@dataclass(frozen=True)
+class Training:
+    """How a rule is trained.
+
+    Attributes
+    ----------
+    ridge : of the mean square error: 0.01 is as if one more sample in a hundred said that rules are equal.
+    horizons : window lengths in rows that come before the whole runs.
+    tries : insertions tried out.
+    iterations, tolerance : Levenberg-Marquardt steps of the last refinement, and when it has converged.
+    """
+
+    ridge: float = 0.01
+    horizons: tuple[int, ...] = ()
+    tries: int = 3
+    iterations: int = 30
+    tolerance: float = 1e-6
+
+
+def one_rule_more(stage: StateStage, candidates: Sequence[Antecedent], how: Training) -> StateStage:
+    """The best insertion, refined fully."""
+    return best_insertion(stage, candidates, how)[0]
+
+
+def best_insertion(
+    stage: StateStage, candidates: Sequence[Antecedent], how: Training
+) -> tuple[StateStage, Insertion | None]:
+    """The stage with the best insertion, refined fully, and where that was; the stage itself where none fits.
+
+    Promises are computed on few samples, tried out on more, and the best is refined on all.
+    """
+    stage = with_ridge(stage, how.ridge * stage.mean_square())
+    options = insertions(thinned(stage, _FEW), candidates)
+    if not options:
+        return stage, None
+    order = np.argsort([expected_cost(option) for _, option in options], kind="stable")[: how.tries]
+    more = thinned(stage, _MORE)
+    trials = [trained(_on(options[i][1], more), how, max(6, how.iterations // 3)) for i in order]
+    at = int(np.argmin([t.cost for t in trials]))
+    best = trials[at]
+    if more is not stage:
+        best = refine(with_ridge(best, how.ridge * best.mean_square()), how.iterations, how.tolerance)
+        best = on_runs_of(best, stage)
+    return settled(best, how), options[order[at]][0]
+
+
+def same_insertion(stage: StateStage, insertion: Insertion, how: Training) -> StateStage | None:
+    """A rule more where another part of the data wanted it, refined fully; None where it cannot be."""
+    grown = insertion.into(with_ridge(stage, how.ridge * stage.mean_square()))
+    return None if grown is None else settled(grown, how)
+
+
+def settled(stage: StateStage, how: Training) -> StateStage:
+    """Refined fully, under the ridge that its present error asks for."""
+    return refine(with_ridge(stage, how.ridge * stage.mean_square()), how.iterations, how.tolerance)
+
+
+def _on(stage: StateStage, other: StateStage) -> StateStage:
+    """A stage's model on the runs of another stage, started where that one starts."""
+    return replace(stage, problem=replace(stage.problem, runs=other.problem.runs), initial=other.initial)
+
+
+def thinned(stage: StateStage, samples: int) -> StateStage:
+    """The stage on at most about `samples` rows: evenly spaced windows, started where the model is."""
+    total = sum(len(W) for W in stage.problem.runs)
+    if total <= samples:
+        return stage
+    cut = in_windows(stage, _PIECE)
+    every = max(1, round(total / samples))
+    runs = cut.problem.runs[::every]
+    return replace(cut, problem=replace(cut.problem, runs=runs), initial=cut.initial[::every])
+
+
+def trained(start: StateStage, how: Training, iterations: int) -> StateStage:
+    """Refined over every horizon in turn, then over the whole runs."""
+    stage = start
+    longest = max(len(W) for W in start.problem.runs)
+    for rows in how.horizons:
+        if rows * 2 <= longest:
+            stage = refine(in_windows(stage, rows), iterations, 1e-4)
+    if stage.problem.runs is not start.problem.runs:
+        stage = on_runs_of(stage, start)
+    return refine(stage, iterations, 1e-5)
+
+
+def ordered(stage: StateStage) -> StateStage:
+    """The same model with its rules in the order of their centres, first antecedent first."""
+    body = stage.body
+    if body.centre.shape[1] == 0:
+        return stage
+    order = np.lexsort(body.centre.T[::-1])
+    return replace(stage, body=Body(body.a[order], body.centre[order], body.width[order]))
+
+
+def rule_support(stage: StateStage) -> FloatArray:
+    """(R,) share of training samples for which each rule is the strongest."""
+    _, phi = z_and_firing(stage)
+    return np.asarray(np.bincount(phi.argmax(axis=1), minlength=stage.rules) / len(phi))

@@ -1,0 +1,206 @@
+"""Growing rules from many linear starts without growing them all: most are given up early.
+
+Every linear system is judged with one rule over all held-out parts. From the promising ones, in every choice
+of coordinates, two rules are grown on a single part; the few best of those are grown further over all parts,
+as long as rules help. Where a rule goes is found on the first part; the others place theirs likewise, and
+search for themselves only where that helps them less.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flysid.dataset import Dataset
+from flysid.model.rules.realisation import PLAIN, Realisation, coordinates
+from flysid.model.rules.state_choice import Family, Start
+from flysid.model.rules.state_context import LARGE, Bench
+from flysid.model.rules.state_growth import (
+    Insertion,
+    StateStage,
+    Training,
+    best_insertion,
+    same_insertion,
+    thinned,
+)
+from flysid.model.rules.state_judging import Judged
+from flysid.model.rules.state_systems import System
+
+_RIDGES = (0.1, 0.01)  # the first for every start, the second for the best one
+_SCREEN_ROWS = 3000  # of the first fitting part, and of the first judging part
+_SEARCH_ROWS = 20_000  # of a fitting part, where data are longer: a plant that integrates needs its whole
+_PIECES = 4  # that a long part is cut into at least, each of
+_PIECE = 1000  # rows at least
+_KEPT = 2  # starts that are grown over all parts
+_SYSTEMS = 4  # linear systems whose coordinates are tried
+_MOST_STATES = 8  # of a system that rules are grown from
+_LEVEL = 1.02  # times the least error: as good, if it has fewer states
+_RAN_AWAY = 1e2  # error of a single rule, in standard deviations of the output
+_EXACT = 1e-10  # mean squares, in variances of the output, that count as none
+_FEWER_TRIES = 1  # insertions less that are tried out on long records, whose promises can be trusted
+_SCREEN = Training(ridge=0.1, tries=2, iterations=12, tolerance=1e-3)
+_AS_MUCH = 0.7  # of the first part's gain in logarithms, that another part must see from the same place
+_IDLE = 2  # rules in a row that may bring nothing,
+_HARM = 1.05  # or one, if the validation error is so many times the least
+
+
+Parts = Sequence[tuple[Dataset, Dataset]]
+"""Fitting and judging parts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The best family of rules, and the best single rule, each judged over all parts."""
+
+    best: Family
+    plain: Family
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """A system with one rule: its stage on every fitting part, and how it is judged."""
+
+    system: System
+    stages: tuple[StateStage, ...]
+    family: Family
+
+    @classmethod
+    def of(cls, bench: Bench, system: System, parts: Parts) -> _Linear:
+        stages = tuple(bench.linear(system, fit) for fit, _ in parts)
+        found = tuple((bench.judge(s, c),) for s, (_, c) in zip(stages, parts, strict=True))
+        return cls(system, stages, Family(Start(system, PLAIN), 0.0, found))
+
+    @property
+    def error(self) -> float:
+        return float(tolerant(self.family).rmse[0])
+
+
+def searched(bench: Bench, systems: Sequence[System], parts: Parts) -> Found:
+    """The best family over all starts; see the module's docstring."""
+    many = len(parts[0][0]) > LARGE
+    if many:
+        parts = [(_sampled(fit, _SEARCH_ROWS), check) for fit, check in parts]
+    linear = sorted((_Linear.of(bench, s, parts) for s in systems), key=lambda x: x.error)
+    near = [x for x in linear if x.error <= _LEVEL * linear[0].error]
+    plain = tolerant(min(near, key=lambda x: len(x.system.real.A)).family)
+    able = [x for x in linear if len(x.system.real.A) <= _MOST_STATES and bench.room(x.stages[0])]
+    able = [x for x in able if x.error < _RAN_AWAY] or able[:1]
+    if bench.most == 1 or not able:
+        return Found(plain, plain)
+    kept = _screened(bench, able[:_SYSTEMS], parts)[: 1 if many else _KEPT]
+    ridges = _RIDGES if bench.settings.ridge == "auto" else (bench.settings.ridge,)
+    families = [(grown(bench, start, x.stages, parts, ridges[0]), x) for start, x in kept]
+    families.sort(key=lambda f: _error(bench, f[0]))
+    again = families[: _again(bench, families, linear[0].error)] if not many else []
+    found = [grown(bench, f.start, x.stages, parts, r) for r in ridges[1:] for f, x in again]
+    best = min([*(f for f, _ in families), *found], key=lambda f: _error(bench, f))
+    return Found(best, plain)
+
+
+def _again(bench: Bench, families: Sequence[tuple[Family, _Linear]], plain: float) -> int:
+    """How many of the families another ridge is tried on: all where one ran away, the best where it helps."""
+    if any(not m.bounded for family, _ in families for fold in family.folds for m in fold):
+        return len(families)
+    helps = bench.settings.rules != "auto" or _error(bench, families[0][0]) < 0.99 * plain
+    return 1 if helps else 0
+
+
+def _error(bench: Bench, family: Family) -> float:
+    return float(family.rmse[-1] if bench.settings.rules != "auto" else family.rmse.min())
+
+
+def tolerant(family: Family) -> Family:
+    """The family as if all were bounded: a process that integrates has linear models that drift, too."""
+    return replace(family, folds=tuple(tuple(_tolerant(m) for m in fold) for fold in family.folds))
+
+
+def _tolerant(found: Judged) -> Judged:
+    return replace(found, bounded=True)
+
+
+def _screened(bench: Bench, linear: Sequence[_Linear], parts: Parts) -> list[tuple[Start, _Linear]]:
+    """Starts by what two rules do on the first part, best first."""
+    check = _sampled(parts[0][1], _SCREEN_ROWS)
+    how = _searching(_SCREEN, parts)
+    tried: list[tuple[bool, float, Start, _Linear]] = []
+    for x in linear:
+        first = thinned(x.stages[0], _SCREEN_ROWS)
+        for name in coordinates(Realisation.of(first.layout, first.body.a[0]), len(check.outputs)):
+            stage, _ = bench.in_coordinates(first, name)
+            found, _ = best_insertion(stage, bench.candidates(stage.layout), how)
+            judged = bench.judge(found, check)
+            score = float(np.log(np.maximum((judged.mean, found.mean_square()), _EXACT)).sum())
+            runs_away = x.family.folds[0][0].bounded and not judged.bounded
+            tried.append((runs_away, score, Start(x.system, name), x))
+    tried.sort(key=lambda t: t[:2])
+    return [(start, x) for _, _, start, x in tried]
+
+
+def _searching(how: Training, parts: Parts) -> Training:
+    """How places are searched for: on long records fewer of them are tried out."""
+    return replace(how, tries=how.tries - _FEWER_TRIES) if len(parts[0][0]) > LARGE else how
+
+
+def grown(bench: Bench, start: Start, linear: Sequence[StateStage], parts: Parts, ridge: float) -> Family:
+    """Models with 1, 2, 3, ... rules grown on the fitting part of every fold, judged on the other part."""
+    moved = [bench.in_coordinates(stage, start.coordinates) for stage in linear]
+    stages = [stage for stage, _ in moved]
+    family = Family(
+        start,
+        ridge,
+        tuple((bench.judge(s, c),) for s, (_, c) in zip(stages, parts, strict=True)),
+        moved[0][1],
+    )
+    drifts = not all(f[0].bounded for f in family.folds)  # the process integrates: linear models of it drift
+    family = tolerant(family) if drifts else family
+    how = _searching(Training(ridge=ridge, iterations=bench.settings.iterations), parts)
+    while len(family.rmse) < bench.most and bench.room(stages[0]) and not _idle(bench, family, stages):
+        first, where = best_insertion(stages[0], bench.candidates(stages[0].layout), how)
+        if where is None:
+            break
+        gain = _gain(stages[0], first)
+        stages = [first, *(_likewise(bench, stage, where, how, gain) for stage in stages[1:])]
+        new = [bench.judge(s, c) for s, (_, c) in zip(stages, parts, strict=True)]
+        new = [_tolerant(m) if drifts else m for m in new]
+        family = replace(family, folds=tuple((*f, m) for f, m in zip(family.folds, new, strict=True)))
+    return family
+
+
+def _likewise(bench: Bench, stage: StateStage, where: Insertion, how: Training, gain: float) -> StateStage:
+    """A rule at the same place, or at the stage's own best place where that one helps it less."""
+    found = same_insertion(stage, where, how)
+    if found is not None and _gain(stage, found) >= _AS_MUCH * gain:
+        return found
+    own, _ = best_insertion(stage, bench.candidates(stage.layout), how)
+    return own if found is None or own.cost < found.cost else found
+
+
+def _gain(before: StateStage, after: StateStage) -> float:
+    """By how much the training error fell, in logarithms of the mean square."""
+    return float(np.log(max(before.mean_square(), _EXACT)) - np.log(max(after.mean_square(), _EXACT)))
+
+
+def _idle(bench: Bench, family: Family, stages: Sequence[StateStage]) -> bool:
+    """Whether more rules are not worth growing."""
+    if bench.settings.rules != "auto":
+        return False
+    errors = family.rmse
+    idle = len(errors) - 1 - int(errors.argmin())
+    harms = len(errors) > 2 and errors[-1] > _HARM * errors.min()  # a second rule may wait for the third
+    return idle >= _IDLE or bool(harms) or stages[0].mean_square() < _EXACT
+
+
+def _sampled(data: Dataset, rows: int) -> Dataset:
+    """About `rows` rows of a dataset in evenly spaced pieces."""
+    if len(data) <= rows:
+        return data
+    pieces, size = [], max(_PIECE, min(len(data), 3 * rows) // _PIECES)
+    for segment in data.segments:
+        count = max(1, round(len(segment) / size))
+        edges = np.linspace(0, len(segment), count + 1).astype(int)
+        pieces += [segment.slice(int(a), int(b), data.dt_s) for a, b in itertools.pairwise(edges)]
+    every = max(1, round(len(data) / rows))
+    return data.with_segments(pieces[every // 2 :: every] or pieces[:1])

@@ -1,0 +1,200 @@
+"""Linear systems that rules are grown from: the best state space, and output-error models of few states.
+
+A system is a realisation whose first states are the outputs. The best state space comes as it is: where its
+own validation preferred the subspace estimate to a refined one, it stays unrefined here, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, Protocol
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import DataError, FitError
+from flysid.model.linear.model import FittedLinear
+from flysid.model.oe import OE
+from flysid.model.rules.realisation import PLAIN_WORDS, Realisation, realised
+from flysid.model.statespace import StateSpace, with_choices_made
+from flysid.model.subspace.model import FittedStateSpace
+
+_SHOWN = 1e-6  # directions of the outputs weaker than this, relative to the strongest, count as none
+_OE_STATES = (2, 3)  # orders of output-error models: rules may use a state that a linear model does not
+_MOST_OE = 4  # and the order of the best state space, up to this
+
+
+class Settings(Protocol):
+    """What the choice of systems needs to know; `TSStateSpace` is one."""
+
+    @property
+    def states(self) -> int | Literal["auto"]: ...
+    @property
+    def nk(self) -> int | Sequence[int] | Literal["auto"]: ...
+    @property
+    def nk_hint(self) -> Sequence[int]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A linear system to start from.
+
+    Attributes
+    ----------
+    real : fitted to all training data, outputs first, normalised.
+    title : what it is.
+    again : settings that fit it to a part of the data by themselves; None where a refinement of `real` does.
+    """
+
+    real: Realisation
+    title: str
+    again: StateSpace | None = None
+    scaled: tuple[FloatArray, FloatArray] = field(default=(np.zeros(0), np.zeros(0)))
+
+    def on(self, data: Dataset) -> Realisation:
+        """The realisation to begin with on a part of the data."""
+        if self.again is None:
+            return self.real
+        try:
+            with np.errstate(all="ignore"):  # a part may hold too little; then the whole must do
+                model = self.again.fit(data)
+        except (DataError, FitError):
+            return self.real
+        return realised_states(model, *self.scaled) if _stands(model) else self.real
+
+
+def linear_systems(
+    settings: Settings,
+    train: Dataset,
+    validation: Dataset | None,
+    scaled: tuple[FloatArray, FloatArray],
+) -> list[System]:
+    """The best linear state space, and output-error models of few states.
+
+    A linear model imitates a hidden state, or a bend, by a longer delay: a delay of one sample, that of any
+    plant behind a zero-order hold, is always tried besides the one found.
+
+    Raises
+    ------
+    FitError : no stable linear model was found.
+    """
+    n_y, n_u = len(train.outputs), len(train.inputs)
+    best, found = (None, [])
+    if settings.states == "auto":
+        best = best_state_space(settings, train, validation, scaled)
+        found = [best] if best else []
+    delays = _delays_to_try(settings, best, n_u)
+    for order in _orders(settings, best, n_y):
+        for nk in delays:
+            fitted = _output_error(train, order, nk)
+            if fitted:
+                late = ", ".join(map(str, sorted(set(nk))))
+                real = realised(fitted, *scaled)
+                found.append(System(real, f"{len(real.A)} states, delay {late}"))
+    if not found:
+        raise FitError("no stable linear model was found to start from", hint="check the data for gaps")
+    return found
+
+
+def best_state_space(
+    settings: Settings,
+    train: Dataset,
+    validation: Dataset | None,
+    scaled: tuple[FloatArray, FloatArray],
+) -> System | None:
+    """What `StateSpace()` makes of the data; None where it finds nothing stable."""
+    asked = StateSpace(nk=settings.nk, nk_hint=tuple(settings.nk_hint))
+    try:
+        with np.errstate(all="ignore"):
+            fixed = with_choices_made(asked, train, validation)
+            model = fixed.fit(train, validation)
+    except (DataError, FitError):
+        return None
+    if not _stands(model):
+        return None
+    refined = model.noise is not None
+    title = f"the best linear state space ({model.order} states{'' if refined else ', by subspace alone'})"
+    again = None if refined else replace(fixed, refine=False)
+    return System(realised_states(model, *scaled), title, again, scaled)
+
+
+def _stands(model: FittedStateSpace) -> bool:
+    """No pole outside the unit circle; one on it may be, of a process that integrates."""
+    return bool(np.abs(model.poles).max(initial=0.0) <= 1.0 + 1e-9)
+
+
+def _orders(settings: Settings, best: System | None, n_y: int) -> list[int]:
+    if settings.states != "auto":
+        return [max(1, -(-settings.states // n_y))]
+    known = min(_MOST_OE, -(-len(best.real.A) // n_y)) if best else 2
+    return sorted({*_OE_STATES, max(known, 2)} if n_y == 1 else {2, max(known, 1)})
+
+
+def _delays_to_try(settings: Settings, best: System | None, n_u: int) -> list[tuple[int, ...]]:
+    if settings.nk != "auto":
+        return [(settings.nk,) * n_u if isinstance(settings.nk, int) else tuple(settings.nk)]
+    delays = {(1,) * n_u}
+    if best:
+        delays.add(tuple(min(lags) for lags in best.real.input_lags))
+    if settings.nk_hint:
+        delays.add(tuple(settings.nk_hint))
+    return sorted(delays)
+
+
+def _output_error(train: Dataset, order: int, nk: tuple[int, ...]) -> FittedLinear | None:
+    try:
+        return OE(na=order, nb=[order + (k == 0) for k in nk], nk=nk).fit(train)
+    except FitError:
+        return None
+
+
+def realised_states(model: FittedStateSpace, shift: FloatArray, scale: FloatArray) -> Realisation:
+    """A state space in coordinates that begin with its outputs, normalised by shift and scale (n_y + n_u,).
+
+    The other states are uncorrelated with the outputs and of spread one. With x = w(k) the states there,
+    X = T w + E u + s has the outputs first; where the outputs do not show n_y independent directions of w,
+    X has more entries than w, and moves in their image.
+    """
+    system, n_y = model.realisation, len(model.outputs)
+    y_shift, u_shift, y_scale, u_scale = shift[:n_y], shift[n_y:], scale[:n_y], scale[n_y:]
+    offset = u_shift - model.u_origin
+    root = _spread(system.state, system.a)
+    C = np.asarray(system.c @ root / y_scale[:, None])
+    D = system.d * u_scale / y_scale[:, None]
+    level = (system.level + system.d @ offset + model.y_origin - y_shift) / y_scale
+    T = np.vstack([C, _unseen(C)])
+    back = np.linalg.pinv(T)
+    E, s = np.zeros((len(T), len(u_scale))), np.zeros(len(T))
+    E[:n_y], s[:n_y] = D, level
+    inverse = np.linalg.inv(root)
+    A = T @ (inverse @ system.a @ root) @ back
+    B = T @ (inverse @ system.b * u_scale) - A @ E
+    c = T @ (inverse @ (system.drift + system.b @ offset)) - A @ s + s
+    late = model.delays or (0,) * len(u_scale)
+    through = [bool(column.any()) for column in D.T]
+    lags = tuple((k, k + 1) if direct else (k + 1,) for k, direct in zip(late, through, strict=True))
+    taps = {lag: np.zeros_like(B) for own in lags for lag in own}
+    for j, (k, direct) in enumerate(zip(late, through, strict=True)):
+        taps[k + 1][:, j] = B[:, j]
+        if direct:
+            taps[k][:, j] += E[:, j]
+    return Realisation(A, taps, c, lags, PLAIN_WORDS)
+
+
+def _spread(covariance: FloatArray, a: FloatArray) -> FloatArray:
+    """A root of the states' covariance, directions that hardly move not stretched without bound."""
+    covariance = (covariance + covariance.T) / 2
+    size = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    values = np.maximum(values, 1e-12 * max(float(values.max(initial=0.0)), 1e-12))
+    if not np.isfinite(values).all():
+        return np.eye(len(a))
+    return np.asarray(size[:, None] * (vectors * np.sqrt(values)))
+
+
+def _unseen(C: FloatArray) -> FloatArray:
+    """(n - rank, n) orthonormal rows, orthogonal to those of C."""
+    _, values, rows = np.linalg.svd(C)
+    rank = int((values > _SHOWN * values.max(initial=1e-300)).sum())
+    return np.asarray(rows[rank:])

@@ -1,0 +1,111 @@
+"""Rules over lags against rules over hidden states: the same held-out parts, the same rows, refitted alike.
+
+What either found is refined again on the fitting part of every fold, from where it stands, and run free over
+the part held out. Errors are compared in blocks, block by block, so that what is hard for both cancels;
+blocks of one record are no independent voices, which their correlation says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import DataError, FitError
+from flysid.model.rules.judging import blocks
+from flysid.model.start import estimate_start, start_window
+
+_CLEARLY = 0.3  # in logarithms of the mean square: about 14 % of the error
+_SURE = 1.645  # standard errors
+_SHARE = 0.7  # of the parts, or of a single part's blocks, that must see the advantage
+_PERSISTENT = 0.8  # the most correlation from block to block that is reckoned with
+_LEAST = 1e-12  # mean squares, in variances of the outputs, that count as none
+
+
+class Runs(Protocol):
+    """What is asked of a fitted model here."""
+
+    @property
+    def n_init(self) -> int: ...
+    @property
+    def dt_s(self) -> float: ...
+    def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray: ...
+
+
+Refit = Callable[[Dataset], Runs]
+"""The model refitted on a part of the data."""
+
+
+@dataclass(frozen=True)
+class Advantage:
+    """How much better the second of two is on held-out parts.
+
+    Attributes
+    ----------
+    gain : mean over parts of the logarithm of the ratio of mean squares; below 0 the second is better.
+    error : its standard error.
+    share : of the parts, or of a single part's blocks, on which the second is better.
+    """
+
+    gain: float = 0.0
+    error: float = 0.0
+    share: float = 0.0
+
+    @property
+    def clear(self) -> bool:
+        """It exceeds its spread and `_CLEARLY`, and is seen nearly everywhere."""
+        return self.gain < -max(_SURE * self.error, _CLEARLY) and self.share >= _SHARE
+
+
+def compared(first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset]]) -> Advantage:
+    """The second over the first on the judging part of every fold."""
+    pairs = []
+    for fit, check in parts:
+        try:
+            models = first(fit), second(fit)
+        except (DataError, FitError):  # a part may hold too little
+            continue
+        pairs.append(block_errors(models, check))
+    return advantage(pairs)
+
+
+def block_errors(models: tuple[Runs, Runs], data: Dataset) -> tuple[FloatArray, FloatArray]:
+    """Mean squared free-run errors of two models over the same blocks, in variances of the outputs."""
+    scale = np.vstack([s.y for s in data.segments]).std(axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    found: tuple[list[FloatArray], list[FloatArray]] = [], []
+    for s in data.segments:
+        window = max(start_window(m.n_init, len(s), m.dt_s) for m in models)
+        if len(s) <= 2 * window:
+            continue
+        for model, errors in zip(models, found, strict=True):
+            start = estimate_start(model, s.u[:window], s.y[:window])
+            errors.append((model.simulate(s.u, start) - s.y)[window:] / scale)
+    one, other = (blocks(e) if e else np.zeros(0) for e in found)
+    return one, other
+
+
+def advantage(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> Advantage:
+    """Of the second of each pair of block errors; nothing where there are none."""
+    known = [(np.maximum(a, _LEAST), np.maximum(b, _LEAST)) for a, b in pairs if len(a)]
+    if not known:
+        return Advantage()
+    gaps = np.array([np.log(b.mean() / a.mean()) for a, b in known])
+    within = np.array([_error(b / b.mean() - a / a.mean()) for a, b in known])
+    error = float(np.sqrt((within**2).sum()) / len(within))
+    if len(gaps) > 1:
+        error = max(error, float(gaps.std(ddof=1) / np.sqrt(len(gaps))))
+    share = np.mean(gaps < 0.0) if len(gaps) > 2 else np.mean(np.concatenate([b < a for a, b in known]))
+    return Advantage(float(gaps.mean()), error, float(share))
+
+
+def _error(gaps: FloatArray) -> float:
+    """Standard error of the mean of consecutive blocks, correlated from one to the next."""
+    if len(gaps) < 3 or not gaps.std() > 0.0:
+        return 0.0
+    own = gaps - gaps.mean()
+    r = min(max(float(own[1:] @ own[:-1] / (own @ own)), 0.0), _PERSISTENT)
+    return float(gaps.std(ddof=1) / np.sqrt(len(gaps)) * np.sqrt((1.0 + r) / (1.0 - r)))
