@@ -53,9 +53,12 @@ from flysid.ingest.formats.mcap.records import (
     Registry,
     chunk_head,
     is_cut_off,
+    known_fields,
+    message_offsets,
     next_record,
     record_end,
     string_pairs,
+    strings,
 )
 
 Steps = Generator[Block, None, int]
@@ -153,13 +156,14 @@ class McapReader:
             if op in (SCHEMA, CHANNEL):
                 self._define(op, body, end)
                 if checked and end >= body + 2:
-                    self._trusted[op, U16.unpack_from(self.view, body)[0]] = bytes(self.view[body:end])
+                    number = U16.unpack_from(self.view, body)[0]
+                    self._trusted[op, number] = known_fields(self.view, op, body, end)
             start = end
 
     def _define_plain(self, op: int, body: int, end: int) -> None:
         """A definition outside chunks has no checksum: where it contradicts one that has, that one stands."""
         trusted = self._trusted.get((op, U16.unpack_from(self.view, body)[0]))
-        if trusted is not None and trusted != self.view[body:end]:
+        if trusted is not None and trusted != known_fields(self.view, op, body, end):
             self._tally.bad_checksums += 1
         else:
             self._define(op, body, end)
@@ -174,9 +178,8 @@ class McapReader:
         if op in (SCHEMA, CHANNEL):
             self._define_plain(op, body, end)
         elif op == HEADER:
-            (width,) = U32.unpack_from(self.view, body)
-            self._note("profile", bytes(self.view[body + 4 : body + 4 + width]))
-            self._note("library", bytes(self.view[body + 8 + width : end]))
+            pairs = zip(("profile", "library"), strings(bytes(self.view[body:end]), 2), strict=True)
+            self.info.update({key: text for key, text in pairs if text})
         elif op == METADATA and len(self.info) < MAX_INFO:
             self.info.update(string_pairs(bytes(self.view[body:end])))
         elif op == STATISTICS:
@@ -185,10 +188,6 @@ class McapReader:
             self._tally.undecode(f"(record 0x{op:02X})")
         elif op == DATA_END:
             self._check_data(body)
-
-    def _note(self, key: str, raw: bytes) -> None:
-        if raw:
-            self.info[key] = raw.decode("utf-8", "replace")
 
     def _check_data(self, body: int) -> None:
         """The checksum of the data section; where chunks carry their own, theirs say more."""
@@ -236,7 +235,7 @@ class McapReader:
             if end < 0:
                 break
             self._last = at
-            parts.append(np.frombuffer(self.view[at + HEAD_BYTES + 6 : end], dtype="<i8")[1::2])
+            parts.append(message_offsets(self.view, at + HEAD_BYTES))
             at = end
         return (np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)), at
 
@@ -302,8 +301,9 @@ class McapReader:
         if self.view[at] != CHUNK or not is_cut_off(self.view, at, self._limit):
             return None
         body = at + HEAD_BYTES
-        end = body + U64.unpack_from(self.view, at + 1)[0] if body <= self._limit else 0
         if body + 60 > self._limit:
             return None
-        head = chunk_head(self.view, body, end)
-        return head if head is not None and head.data_end == end else None
+        head = chunk_head(self.view, body, body + U64.unpack_from(self.view, at + 1)[0])
+        if head is None or (head.data_end < self._limit and self._next(head.data_end) < self._limit):
+            return None  # records follow its data: the length of the whole is wrong
+        return head

@@ -14,6 +14,10 @@ A file is MAGIC, records, MAGIC. A record is u8 opcode, u64 length, body (little
 where str is u32 length and UTF-8 and map is u32 length in bytes and pairs of str. The container has no
 sync marker: after damage a record is believed when its parts fill its length exactly and a plausible
 record, or the end of the file, follows it. Attachments are stepped over.
+
+Later versions may put fields behind these, which readers step over (never in messages, footer and data end).
+So bytes behind the known fields are no damage where a record follows them, unless one follows the known
+fields already: then the length is wrong.
 Source: the MCAP specification, version 0.
 """
 
@@ -26,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flysid.ingest.formats.common.gather import Bytes, as_bytes
+from flysid.ingest.formats.common.gather import Bytes, Index, as_bytes
 from flysid.ingest.formats.messages.channel import Channel, Schema
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -42,6 +46,11 @@ U32 = struct.Struct("<I")
 U64 = struct.Struct("<Q")
 _CHUNK_FIXED = struct.Struct("<QQQI")
 _WINDOW = 1 << 20
+MANY_RECORDS = 16
+SURPLUS_BYTES = 1 << 10  # of what stands behind the known fields, this much is searched for records
+
+# (view, body, end of the record) -> where the fields of this version end, beyond `end` where they do not fit
+FieldsEnd = Callable[[memoryview, int, int], int]
 
 
 @dataclass(frozen=True)
@@ -86,15 +95,26 @@ class Registry:
         self.bound[number] = -1 if known is None else known
 
 
+def strings(body: bytes, count: int) -> list[str]:
+    """The `count` strings that a record begins with. Raises ValueError where they do not fit."""
+    found: list[str] = []
+    at = 0
+    for _ in range(count):
+        raw, at = _prefixed(body, at)
+        found.append(_text(raw))
+    return found
+
+
 def string_pairs(body: bytes) -> dict[str, str]:
     """The pairs of a metadata record's map, with its name in front of each key; what is malformed ends it."""
     pairs: dict[str, str] = {}
     try:
         name, at = _prefixed(body, 0)
-        at += 4
-        while at < len(body):
-            key, at = _prefixed(body, at)
-            value, at = _prefixed(body, at)
+        content, _ = _prefixed(body, at)
+        at = 0
+        while at < len(content):
+            key, at = _prefixed(content, at)
+            value, at = _prefixed(content, at)
             pairs[f"{_text(name)}.{_text(key)}" if name else _text(key)] = _text(value)
     except ValueError:
         pass
@@ -102,7 +122,7 @@ def string_pairs(body: bytes) -> dict[str, str]:
 
 
 def chunk_head(view: memoryview, body: int, end: int) -> ChunkHead | None:
-    """The head of the chunk whose body is view[body:end]; None where its parts do not fill it."""
+    """The head of the chunk whose body is view[body:end]; None where its parts do not fit."""
     at = body + _CHUNK_FIXED.size
     if at + 12 > end:
         return None
@@ -113,26 +133,71 @@ def chunk_head(view: memoryview, body: int, end: int) -> ChunkHead | None:
     compression = bytes(view[at + 4 : at + 4 + width]).decode("utf-8", "replace")
     (length,) = U64.unpack_from(view, at + 4 + width)
     data_at = at + 4 + width + 8
+    if data_at + length > end:
+        return None
     return ChunkHead(size, crc, compression, data_at, data_at + length)
 
 
+def message_offsets(view: memoryview, body: int) -> Index:
+    """Where the messages of a sound message index lie in their chunk."""
+    (length,) = U32.unpack_from(view, body + 2)
+    offsets: Index = np.frombuffer(view[body + 6 : body + 6 + length], dtype="<i8")[1::2]
+    return offsets
+
+
 def record_end(view: memoryview, at: int, limit: int) -> int:
-    """Where the record at `at` ends if its parts fill its length exactly and it ends by `limit`; else -1.
+    """Where the record at `at` ends if its parts fit its length and it ends by `limit`; else -1.
 
     The magic counts as a record: it opens and closes a file, and files may be concatenated.
     """
     if view[at : at + len(MAGIC)] == MAGIC:
         return at + len(MAGIC)
+    known, end = _extent(view, at, limit)
+    if known == end or (_follows(view, end, limit) and not _holds_records(view, known, end)):
+        return end
+    return -1
+
+
+def known_fields(view: memoryview, op: int, body: int, end: int) -> bytes:
+    """The body of a sound record without what a later version has put behind the fields."""
+    return bytes(view[body : _FIELDS_END[op](view, body, end)])
+
+
+def _extent(view: memoryview, at: int, limit: int) -> tuple[int, int]:
+    """Where the known fields of the record at `at` end, and where it ends; -1 twice where they do not fit."""
     if at + HEAD_BYTES > limit:
-        return -1
+        return -1, -1
     op, length = HEAD.unpack_from(view, at)
     body, end = at + HEAD_BYTES, at + HEAD_BYTES + length
     if end > limit or op == 0:
-        return -1
-    check = _SHAPES.get(op)
-    if check is None:  # a record this version does not know: believed if something sound follows
-        return end if op > LAST_KNOWN and (end == limit or _plausible_head(view, end, limit)) else -1
-    return end if check(view, body, end) else -1
+        return -1, -1
+    fields_end = _FIELDS_END.get(op)
+    if fields_end is None:  # a record this version does not know: believed if something sound follows
+        is_sound = op > LAST_KNOWN and (end == limit or _plausible_head(view, end, limit))
+        return (end, end) if is_sound else (-1, -1)
+    known = fields_end(view, body, end)
+    return (known, end) if known <= end else (-1, -1)
+
+
+def _follows(view: memoryview, at: int, limit: int) -> bool:
+    """Whether a record or the magic lies at `at`, or what the end of the file leaves of them."""
+    if at == limit or view[at : at + len(MAGIC)] == MAGIC or is_cut_off(view, at, limit):
+        return True
+    return _extent(view, at, limit)[0] >= 0
+
+
+def _holds_records(view: memoryview, start: int, end: int) -> bool:
+    """Whether records lie at the end of view[start:end], or a good many one after the other in it."""
+    window = min(end - HEAD_BYTES + 1, start + SURPLUS_BYTES)
+    return any(_are_records(view, at, end) for at in _candidates(as_bytes(view), start, window))
+
+
+def _are_records(view: memoryview, at: int, end: int) -> bool:
+    for _ in range(MANY_RECORDS):
+        at = _extent(view, at, end)[1]
+        if at < 0 or at == end:
+            break
+    return at > 0
 
 
 def next_record(view: memoryview, start: int, limit: int, registry: Registry) -> int:
@@ -211,51 +276,53 @@ def _after_strings(view: memoryview, at: int, end: int, count: int) -> int:
     return at
 
 
-def _ends_with_strings(skip: int, count: int) -> Callable[[memoryview, int, int], bool]:
-    """A shape: `skip` bytes, then `count` prefixed blobs that end with the record."""
-    return lambda view, body, end: _after_strings(view, body + skip, end, count) == end
+def _strings(skip: int, count: int, more: int = 0) -> FieldsEnd:
+    """Fields: `skip` bytes, `count` prefixed blobs, `more` bytes."""
+    return lambda view, body, end: _after_strings(view, body + skip, end, count) + more
 
 
-def _fixed(size: int) -> Callable[[memoryview, int, int], bool]:
-    return lambda _view, body, end: end - body == size
+def _exactly(size: int) -> FieldsEnd:
+    """Fields of `size` bytes that no version will extend."""
+    return lambda _view, body, end: end if end - body == size else end + 1
 
 
-def _at_least(size: int) -> Callable[[memoryview, int, int], bool]:
-    return lambda _view, body, end: end - body >= size
+def _at_least(size: int) -> FieldsEnd:
+    """Fields of `size` bytes and content up to the end."""
+    return lambda _view, body, end: end if end - body >= size else end + 1
 
 
-def _is_chunk(view: memoryview, body: int, end: int) -> bool:
+def _chunk_end(view: memoryview, body: int, end: int) -> int:
     head = chunk_head(view, body, end)
-    return head is not None and head.data_end == end
+    return end + 1 if head is None else head.data_end
 
 
-def _is_message_index(view: memoryview, body: int, end: int) -> bool:
+def _message_index_end(view: memoryview, body: int, end: int) -> int:
     if end - body < 6:
-        return False
+        return end + 1
     (length,) = U32.unpack_from(view, body + 2)
-    return bool(length % 16 == 0 and body + 6 + length == end)
+    return end + 1 if length % 16 else body + 6 + int(length)
 
 
-def _is_chunk_index(view: memoryview, body: int, end: int) -> bool:
+def _chunk_index_end(view: memoryview, body: int, end: int) -> int:
     """u64 x 4, map (u16, u64), u64, str, u64 x 2."""
     at = _after_strings(view, body + 32, end, 1) + 8
-    return at <= end and _after_strings(view, at, end, 1) + 16 == end
+    return _after_strings(view, at, end, 1) + 16
 
 
-_SHAPES: Mapping[int, Callable[[memoryview, int, int], bool]] = {
-    HEADER: _ends_with_strings(0, 2),
-    FOOTER: _fixed(20),
-    SCHEMA: _ends_with_strings(2, 3),
-    CHANNEL: _ends_with_strings(4, 3),
+_FIELDS_END: Mapping[int, FieldsEnd] = {
+    HEADER: _strings(0, 2),
+    FOOTER: _exactly(20),
+    SCHEMA: _strings(2, 3),
+    CHANNEL: _strings(4, 3),
     MESSAGE: _at_least(22),
-    CHUNK: _is_chunk,
-    MESSAGE_INDEX: _is_message_index,
-    8: _is_chunk_index,
+    CHUNK: _chunk_end,
+    MESSAGE_INDEX: _message_index_end,
+    8: _chunk_index_end,
     ATTACHMENT: _at_least(36),
-    10: _ends_with_strings(40, 2),
-    STATISTICS: _ends_with_strings(42, 1),
-    METADATA: _ends_with_strings(0, 2),
-    13: _ends_with_strings(16, 1),
-    14: _fixed(17),
-    DATA_END: _fixed(4),
+    10: _strings(40, 2),
+    STATISTICS: _strings(42, 1),
+    METADATA: _strings(0, 2),
+    13: _strings(16, 1),
+    14: lambda _view, body, _end: body + 17,
+    DATA_END: _exactly(4),
 }
