@@ -11,8 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from flysid.dataset import Dataset
-from flysid.model.base import Structure
-from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.pem_fit import ARMAX_NOISES, fit_prediction_error
 from flysid.model.linear.settings import Auto, PolynomialSettings
 from flysid.model.threads import on_one_thread
@@ -41,6 +40,3 @@ class ARMAX(PolynomialSettings):
         """
         orders = ARMAX_NOISES if self.nc == "auto" else (self.nc,)
         return fit_prediction_error("armax", self, (train, validation), [(n, 0) for n in orders])
-
-
-MODEL = Structure("armax", from_dict)

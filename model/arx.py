@@ -18,11 +18,10 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
-from flysid.model.base import Structure
 from flysid.model.freerun import Difference
 from flysid.model.gram import LeastSquares
 from flysid.model.linear.data import CHOICE_ROWS, Parts, Scaling, as_tuple
-from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.oe_search import SHARE, Refined, search
 from flysid.model.linear.orders import Choice, Grid, best_per_order, grid_triangle
 from flysid.model.linear.output_error import delay_steps, runner, widened
@@ -300,6 +299,3 @@ def _better_everywhere(parts: Parts, plain: FittedLinear, refined: FittedLinear,
 
 def _noted(model: FittedLinear, note: str) -> FittedLinear:
     return replace(model, notes=(*model.notes, note))
-
-
-MODEL = Structure("arx", from_dict)

@@ -15,32 +15,33 @@ Laws that every fitted model keeps (tests/model/test_model_contract.py tries the
 5. `from_dict(to_dict())` predicts and simulates bit for bit the same.
 6. Scaling: fitting a u, b y instead of u, y scales the predictions with b (to rounding).
 
-A structure is a module of this folder that ends with `MODEL = Structure(...)`; `all_structures` walks
-the folder.
+`STRUCTURES` is the table of structures. A third party adds one with an entry point of the group
+"flysid.structures": its name is the structure's name in model files, its value "module:function" rebuilds a
+fitted model from `to_dict()`.
 """
 
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import json
 import math
 import os
-import pkgutil
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Signal
-from flysid.errors import StoreError
+from flysid.errors import StoreError, UsageError
 from flysid.version import check_version
 
 MODEL_FORMAT = "flysid-model"
 MODEL_VERSION = 1
+ENTRY_POINTS = "flysid.structures"
 MAX_FILE_BYTES = 256 << 20
 MAX_INIT, MAX_SIGNALS, TRIED = 1_000_000, 1000, 100
 
@@ -134,27 +135,57 @@ class Estimator(Protocol):
 
 @dataclass(frozen=True)
 class Structure:
-    """A model structure: its name in files, and how to rebuild a fitted model from `to_dict()`."""
+    """A model structure.
+
+    Attributes
+    ----------
+    name : what model files call it.
+    source : "module:function" that rebuilds a fitted model from `to_dict()`; imported when first needed.
+    """
 
     name: str
-    from_dict: Callable[[Mapping[str, Any]], Fitted]
+    source: str
+
+    def from_dict(self, document: Mapping[str, Any]) -> Fitted:
+        """The fitted model that a document of `to_dict()` holds."""
+        module, _, function = self.source.partition(":")
+        model: Fitted = getattr(importlib.import_module(module), function)(document)
+        return model
+
+
+_LINEAR = "flysid.model.linear.model:from_dict"
+STRUCTURES: Mapping[str, Structure] = {
+    row.name: row
+    for row in (
+        *(Structure(name, _LINEAR) for name in ("mean", "persistence", "line")),
+        *(Structure(name, _LINEAR) for name in ("arx", "fir", "iv", "oe", "armax", "bj")),
+        Structure("statespace", "flysid.model.subspace.model:from_dict"),
+        Structure("tf", "flysid.model.transfer_function:from_dict"),
+        Structure("static-ts", "flysid.model.static_ts:from_dict"),
+        Structure("ts", "flysid.model.rules.fitted_lags:from_dict"),
+        Structure("ts_ss", "flysid.model.rules.fitted_states:from_dict"),
+        Structure("ensemble", "flysid.model.ensemble:from_dict"),
+    )
+}
+"""flysid's own structures."""
 
 
 @cache
 def all_structures() -> Mapping[str, Structure]:
-    """Every structure of this folder, by name; the subpackages hold what structures are made of."""
-    package = importlib.import_module("flysid.model")
-    found: dict[str, Structure] = {}
-    for module in sorted(m.name for m in pkgutil.iter_modules(package.__path__) if not m.ispkg):
-        source = importlib.util.find_spec(f"flysid.model.{module}")
-        if (
-            source is None
-            or source.origin is None
-            or "\nMODEL = " not in Path(source.origin).read_text("utf-8")
-        ):
-            continue
-        structure = importlib.import_module(f"flysid.model.{module}").MODEL
-        found[structure.name] = structure
+    """Every structure by its name in files: flysid's own, then those of installed packages.
+
+    Raises
+    ------
+    UsageError : an installed package offers a structure under a name that is taken.
+    """
+    found = dict(STRUCTURES)
+    for entry in entry_points(group=ENTRY_POINTS):
+        if entry.name in found:
+            raise UsageError(
+                f"the entry point {entry.name!r} of {ENTRY_POINTS} is not a new structure",
+                hint=f"its name must not be one of {', '.join(found)}",
+            )
+        found[entry.name] = Structure(entry.name, entry.value)
     return found
 
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
-from flysid.model.base import Structure
-from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.pem_fit import BJ_NOISES, fit_prediction_error
 from flysid.model.linear.settings import Auto, PolynomialSettings
 from flysid.model.threads import on_one_thread
@@ -45,6 +44,3 @@ class BJ(PolynomialSettings):
             raise UsageError("give both nc and nd, or neither")
         noises = BJ_NOISES if self.nc == "auto" or self.nd == "auto" else ((self.nc, self.nd),)
         return fit_prediction_error("bj", self, (train, validation), noises)
-
-
-MODEL = Structure("bj", from_dict)

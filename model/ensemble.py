@@ -23,7 +23,6 @@ from flysid.model.base import (
     Estimator,
     Fitted,
     Rule,
-    Structure,
     all_structures,
     write_document,
 )
@@ -253,7 +252,7 @@ class FittedEnsemble:
         write_document(self.to_dict(), path)
 
 
-def _from_dict(document: Mapping[str, Any]) -> FittedEnsemble:
+def from_dict(document: Mapping[str, Any]) -> FittedEnsemble:
     members = tuple(all_structures()[str(m["structure"])].from_dict(m) for m in document["members"])
     if len(members) < 2 or any(_signals(m) != _signals(members[0]) for m in members):
         raise ValueError("the members do not fit each other")
@@ -262,6 +261,3 @@ def _from_dict(document: Mapping[str, Any]) -> FittedEnsemble:
 
 def _signals(model: Fitted) -> tuple[Any, ...]:
     return model.inputs, model.outputs, model.dt_s
-
-
-MODEL = Structure("ensemble", _from_dict)

@@ -17,10 +17,9 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
-from flysid.model.base import Structure
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts, Scaling, as_tuple
-from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.orders import grid_gram
 from flysid.model.linear.settings import check_inputs
 from flysid.model.noise import noise_model
@@ -191,6 +190,3 @@ def _covariance(posteriors: Sequence[_Posterior], scaling: Scaling, lags: Lags) 
         block = slice(i * size, (i + 1) * size)
         joint[block, block] = posterior.covariance * np.outer(factor, factor)
     return joint
-
-
-MODEL = Structure("fir", from_dict)

@@ -23,10 +23,9 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
-from flysid.model.base import Structure
 from flysid.model.linear.data import CHOICE_ROWS, Parts
 from flysid.model.linear.iv_stages import Columns, Orders, fitted_by_iv, scaled_blocks
-from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.oe_search import SHARE
 from flysid.model.linear.output_error import HIGHEST_ORDER, ORDER_LOSS, find_delays
 from flysid.model.linear.settings import PolynomialSettings
@@ -141,6 +140,3 @@ def _orders(settings: IV, na: int, nk: tuple[int, ...], columns: Columns) -> Ord
     else:
         nb = columns.pick(settings.nb)
     return Orders(na, nb, nk, settings.offset)
-
-
-MODEL = Structure("iv", from_dict)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from flysid.dataset import Dataset
-from flysid.model.base import Structure
 from flysid.model.freerun import Difference
 from flysid.model.gram import reduce_data, solve
 from flysid.model.linear.data import Parts
-from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.linear.model import FittedLinear
 from flysid.model.regressors import Lags, chunks
 from flysid.model.threads import on_one_thread
 
@@ -79,10 +77,3 @@ def _with_offset(covariance: np.ndarray[Any, Any], fits: list[Any], parts: Parts
     for i, fit in enumerate(fits):
         full[n + i, n + i] = fit.rss / max(fit.rows, 1) ** 2 * parts.scaling.y_scale[i] ** 2
     return full
-
-
-def _rebuilt(document: Mapping[str, Any]) -> FittedLinear:
-    return from_dict(document)
-
-
-MODEL = Structure("line", _rebuilt)

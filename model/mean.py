@@ -3,17 +3,14 @@ learnt nothing."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from flysid.dataset import Dataset
-from flysid.model.base import Structure
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts
-from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.linear.model import FittedLinear
 from flysid.model.stream import Source
 from flysid.model.threads import on_one_thread
 
@@ -48,10 +45,3 @@ class Mean:
             free=tuple(range(n_y * n_u, n_y * n_u + n_y)),
             covariance=np.diag(variance),
         )
-
-
-def _rebuilt(document: Mapping[str, Any]) -> FittedLinear:
-    return from_dict(document)
-
-
-MODEL = Structure("mean", _rebuilt)

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from flysid.dataset import Dataset
-from flysid.model.base import Structure
 from flysid.model.detrend import TRENDS
 from flysid.model.linear.data import Parts
-from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.oe_search import search
 from flysid.model.linear.settings import PolynomialSettings
 from flysid.model.threads import on_one_thread
@@ -47,6 +46,3 @@ class OE(PolynomialSettings):
         self.check(train)
         train, validation = self.detrended(train, validation)
         return search("oe", self, Parts.of(train, validation, centred=self.offset)).final()
-
-
-MODEL = Structure("oe", from_dict)

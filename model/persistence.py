@@ -5,17 +5,14 @@ k steps ahead it repeats the output measured k steps before; in free run it hold
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from flysid.dataset import Dataset
-from flysid.model.base import Structure
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts
-from flysid.model.linear.model import FittedLinear, from_dict
+from flysid.model.linear.model import FittedLinear
 from flysid.model.stream import Source
 from flysid.model.threads import on_one_thread
 
@@ -48,10 +45,3 @@ class Persistence:
             free=(),
             covariance=np.zeros((0, 0)),
         )
-
-
-def _rebuilt(document: Mapping[str, Any]) -> FittedLinear:
-    return from_dict(document)
-
-
-MODEL = Structure("persistence", _rebuilt)

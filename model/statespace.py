@@ -16,7 +16,6 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
-from flysid.model.base import Structure
 from flysid.model.detrend import Trend, check_trend, detrended
 from flysid.model.linear.data import CHOICE_ROWS, Parts, as_tuple
 from flysid.model.linear.output_error import find_delays
@@ -25,7 +24,7 @@ from flysid.model.linear.stability import unstable_words
 from flysid.model.selection import block_errors, judging_window
 from flysid.model.simulation_error import Orders
 from flysid.model.stream import Late, OnDisk, Source, delayed_inputs
-from flysid.model.subspace.model import FittedStateSpace, from_dict
+from flysid.model.subspace.model import FittedStateSpace
 from flysid.model.subspace.refine import SimulationError, mirrored
 from flysid.model.subspace.search import (
     ORDER_WORTH,
@@ -334,6 +333,3 @@ def _final(settings: StateSpace, data: Source, parts: Parts, choice: Choice, not
     model = built(parts, realisation, settings.n_init, projection.columns.feedthrough)
     words = "" if choice.past != settings.past or choice.order != settings.order else f": {choice}"
     return replace(model, singular_values=projection.singular_values[:50], notes=(f"{note}{words}.",))
-
-
-MODEL = Structure("statespace", from_dict)

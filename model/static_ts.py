@@ -21,7 +21,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.arguments import as_columns, as_record
-from flysid.model.base import Rule, Structure, write_document
+from flysid.model.base import Rule, write_document
 from flysid.model.documents import head_of, signals_of
 from flysid.model.rules.clustering import MOST_SAMPLES, Method, cluster, project
 from flysid.model.rules.consequents import Consequents, Criterion, check_criterion, fit_consequents
@@ -333,7 +333,7 @@ def _support(partition: Partition, data: Source) -> FloatArray:
     return np.asarray(total / total.sum())
 
 
-def _from_dict(document: Mapping[str, Any]) -> FittedStaticTS:
+def from_dict(document: Mapping[str, Any]) -> FittedStaticTS:
     return FittedStaticTS(
         dt_s=float(document["dt_s"]),
         inputs=signals_of(document, "inputs"),
@@ -344,6 +344,3 @@ def _from_dict(document: Mapping[str, Any]) -> FittedStaticTS:
         output_limits=np.array(document["output_limits"], dtype=np.float64),
         notes=tuple(document["notes"]),
     )
-
-
-MODEL = Structure("static-ts", _from_dict)

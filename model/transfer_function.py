@@ -22,7 +22,6 @@ import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
-from flysid.model.base import Structure
 from flysid.model.detrend import Trend, check_trend, detrended
 from flysid.model.frequency.assemble import OneTransfer, assembled, runner
 from flysid.model.frequency.continuous_transfer import ContinuousTransfer
@@ -236,6 +235,3 @@ def unstable_note(transfers: Sequence[ContinuousTransfer]) -> str:
         "fit with stable=True, a lower order or trend='remove'; if it flies under a controller, excite the "
         "command and check for feedback."
     )
-
-
-MODEL = Structure("tf", from_dict)

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 from flysid.dataset import Dataset
-from flysid.model.base import Structure
 from flysid.model.rules.assembly import finished
-from flysid.model.rules.fitted_lags import FittedTS, from_dict
+from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.learning import learn
 from flysid.model.rules.stabilise import with_stable_rules
 from flysid.model.threads import on_one_thread
 
-__all__ = ["MODEL", "TS", "FittedTS"]
+__all__ = ["TS", "FittedTS"]
 
 
 @dataclass(frozen=True)
@@ -67,6 +66,3 @@ class TS:
         if not self.stable or learned.stage.problem.integrates:
             return model
         return with_stable_rules(model, train)
-
-
-MODEL = Structure("ts", from_dict)

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from flysid.dataset import Dataset
-from flysid.model.base import Structure
-from flysid.model.rules.fitted_states import FittedTSStateSpace, from_dict
+from flysid.model.rules.fitted_states import FittedTSStateSpace
 from flysid.model.rules.state_assembly import finished
 from flysid.model.rules.state_learning import learn
 from flysid.model.threads import on_one_thread
@@ -59,6 +58,3 @@ class TSStateSpace:
         """
         learned = learn(self, train, validation)
         return finished(train, learned.stage, learned.notes, intervals=learned.intervals)
-
-
-MODEL = Structure("ts_ss", from_dict)

@@ -14,7 +14,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted
 from flysid.model.oe import OE
-from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.fitted_states import FittedTSStateSpace, from_dict
 from flysid.model.rules.free_run_error import Body
 from flysid.model.rules.realisation import coordinates, realised
 from flysid.model.rules.regressor_layout import scaling
@@ -36,7 +36,7 @@ from flysid.model.rules.structure_choice import Advantage, advantage
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
 from flysid.model.ts_best import BestTS, contest, hints_at_hidden_state
-from flysid.model.ts_state_space import MODEL, TSStateSpace
+from flysid.model.ts_state_space import TSStateSpace
 from flysid.validate.trials import free_run
 from tests.model_examples import data
 
@@ -164,7 +164,7 @@ def replace_firing(model: FittedTSStateSpace, r: int) -> FittedTSStateSpace:
     document = json.loads(json.dumps(model.to_dict()))
     for name in ("theta", "centre", "width"):
         document["parameters"][name] = [document["parameters"][name][r]]
-    alone = MODEL.from_dict(document)
+    alone = from_dict(document)
     assert isinstance(alone, FittedTSStateSpace)
     return alone
 
@@ -399,7 +399,7 @@ def test_intervals_hold_the_gain_and_follow_from_the_data() -> None:
 def test_rules_carry_their_intervals_into_files() -> None:
     model = flown()
     assert model.gain_interval is not None
-    again = MODEL.from_dict(json.loads(json.dumps(model.to_dict())))
+    again = from_dict(json.loads(json.dumps(model.to_dict())))
     interval = again.rules()[0].gain_interval
     assert interval is not None
     assert interval == pytest.approx(model.gain_interval[:, 0], nan_ok=True)
