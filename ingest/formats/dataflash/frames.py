@@ -4,7 +4,10 @@
 
 There is no checksum. A message is accepted only where another header (or the end of the file) follows at
 its stated length, or where what follows is plainly the next message with its header damaged; a FMT also where
-it agrees with itself. Everything else is skipped up to the next message that can be accepted, and counted.
+it agrees with itself. Headers inside it count only where it is impossible itself (`inner`). Behind damage it
+must also state a time in order with its neighbours', if any: a header by chance inside a message whose own
+header is lost could pass for one. Everything else is skipped up to the next message that can be accepted, and
+counted.
 Trailing 00 or FF is padding, not loss.
 
 Cost: headers are found by comparing whole batches; a clean stretch is one array comparison.
@@ -19,15 +22,24 @@ import numpy.typing as npt
 
 from flysid.flight import Damage, Region
 from flysid.ingest.formats.common.clock import IntArray
+from flysid.ingest.formats.dataflash.inner import (
+    HEAD,
+    Ids,
+    Neighbours,
+    is_several,
+    last_ns,
+    meaning,
+    next_ns,
+    stated_ns,
+)
 from flysid.ingest.formats.dataflash.layouts import (
     FMT_ID,
-    FMT_LENGTH,
     HEADER_BYTES,
     Definitions,
     is_consistent,
+    stated_definition,
 )
 
-HEAD = b"\xa3\x95"
 LOOK_AHEAD = 4096
 FIRST_STRETCH = 512
 HEAD_BLOCK = 1 << 18
@@ -58,7 +70,17 @@ class _Batch:
     limit: int
     is_last: bool
     end: int  # where the content ends: before trailing padding
-    doubtful: frozenset[int] = frozenset()  # ids whose FMT contradicts itself: their length may be wrong
+    before_ns: int | None  # what the last message of earlier batches stated
+    starts: list[IntArray] = field(default_factory=list)  # messages accepted so far
+
+    def last_ns(self, ids: Ids) -> int | None:
+        """The time that the last message so far stated."""
+        time_ns = last_ns(self.data, self.starts, ids)
+        return self.before_ns if time_ns is None else time_ns
+
+    def neighbours(self, end: int, ids: Ids) -> Neighbours:
+        """The times before what is at hand, and behind its `end`."""
+        return Neighbours(self.last_ns(ids), next_ns(self.data, end, ids))
 
 
 @dataclass
@@ -74,67 +96,66 @@ class Walker:
     unknown: dict[int, int] = field(default_factory=dict)
     _lost_at: int | None = None
     _reason: str = ""
+    _last_ns: int | None = None
 
     def walk(self, content: memoryview, base: int, limit: int) -> tuple[Messages, int]:
         """Messages that start in content[:limit], and where in the file the next batch begins.
 
         `content` must reach LOOK_AHEAD bytes beyond `limit`, except at the end, where limit == len(content).
         """
-        batch, data = _prepare(content, limit), content
-        lengths, codes = self._learnt(batch)
-        starts: list[IntArray] = []
+        batch, data = _prepare(content, limit, self._last_ns), content
+        ids, codes = self._learnt()
         kinds: list[CodeArray] = []
-        position = self._search(batch, base, 0, lengths) if self._lost_at is not None else 0
+        position = self._search(batch, base, 0, ids) if self._lost_at is not None else 0
         while position < min(limit, batch.end) and self._lost_at is None:
-            found, position = _clean_stretch(batch, position, lengths)
-            starts.append(found)
-            kinds.append(codes[batch.raw[found + 2]])
+            first = len(batch.starts)
+            position = _clean_stretch(batch, position, ids)
+            kinds.extend(codes[batch.raw[found + 2]] for found in batch.starts[first:])
             if position >= min(limit, batch.end):
                 break
-            if self._accepts(batch, position, lengths):
-                starts.append(np.array([position], dtype=np.int64))
+            if self._accepts(batch, position, ids):
+                batch.starts.append(np.array([position], dtype=np.int64))
                 number = data[position + 2]
                 if number == FMT_ID and self._define(data, position):
-                    lengths, codes = self._learnt(batch)
+                    ids, codes = self._learnt()
                 kinds.append(codes[[number]])
-                position += int(lengths[number])
+                position += int(ids.lengths[number])
             else:
-                self._note_reason(data, position, lengths)
+                self._note_reason(data, position, ids.lengths)
                 self._lost_at = base + position
-                position = self._search(batch, base, position + 1, lengths)
+                position = self._search(batch, base, position + 1, ids)
         if batch.is_last:
             self.padding, position = len(data) - max(position, batch.end), len(data)
-        start = np.concatenate(starts) if starts else np.empty(0, np.int64)
+        start = np.concatenate(batch.starts) if batch.starts else np.empty(0, np.int64)
         code = np.concatenate(kinds) if kinds else np.empty(0, np.uint16)
+        self._last_ns = batch.last_ns(ids)
         return Messages(batch.raw, start, code), base + position
 
-    def _learnt(self, batch: _Batch) -> tuple[IntArray, CodeArray]:
-        """Length and index of the definition of every id, (256,); the batch learns which are doubtful."""
-        known = self.definitions
-        batch.doubtful = frozenset(n for n, k in known.current.items() if known.items[k].layout is None)
-        return known.lengths(), known.codes()
+    def _learnt(self) -> tuple[Ids, CodeArray]:
+        """What the ids mean, and the index of the definition of every id, (256,)."""
+        return meaning(self.definitions), self.definitions.codes()
 
     def damage(self) -> Damage:
         """What was lost so far."""
         return Damage(self.bytes_skipped, tuple(self.regions), self.region_count, truncated=self.truncated)
 
-    def _accepts(self, batch: _Batch, at: int, lengths: IntArray) -> bool:
+    def _accepts(self, batch: _Batch, at: int, ids: Ids) -> bool:
         """Is there a whole message at `at`, by what follows it?"""
         data = batch.data
-        if data[at : at + 2] != HEAD or at + 2 >= len(data) or lengths[data[at + 2]] == 0:
+        if data[at : at + 2] != HEAD or at + 2 >= len(data) or ids.lengths[data[at + 2]] == 0:
             return False
-        end = at + int(lengths[data[at + 2]])
+        end = at + int(ids.lengths[data[at + 2]])
         if end > len(data):
             return False
-        if data[at + 2] == FMT_ID and is_consistent(*_definition(data, at)):
+        if data[at + 2] == FMT_ID and is_consistent(*stated_definition(data, at)):
             return True
-        inside = int(np.searchsorted(batch.heads, at, side="right"))
-        if _holds_messages(batch, inside, end, lengths):
+        if not _is_followed(batch, end, ids.lengths) or _is_several(batch, at, end, ids):
             return False
-        return _is_followed(batch, end, lengths)
+        time_ns = stated_ns(data, at, ids) if self._lost_at is not None else None
+        return time_ns is None or batch.neighbours(end, ids).admit(time_ns)
 
     def _define(self, data: memoryview, at: int) -> bool:
-        return self.definitions.add(*_definition(data, at))
+        return self.definitions.add(*stated_definition(data, at))
 
     def _note_reason(self, data: memoryview, at: int, lengths: IntArray) -> None:
         if data[at : at + 2] != HEAD or at + 2 >= len(data):
@@ -145,18 +166,18 @@ class Walker:
         else:
             self._reason = "message not followed by another"
 
-    def _search(self, batch: _Batch, base: int, begin: int, lengths: IntArray) -> int:
+    def _search(self, batch: _Batch, base: int, begin: int, ids: Ids) -> int:
         """Go on at the next acceptable message from `begin` on, or at the end of the batch."""
         index = int(np.searchsorted(batch.heads, begin))
         while index < len(batch.heads) and (at := int(batch.heads[index])) < batch.limit:
-            if self._accepts(batch, at, lengths):
+            if self._accepts(batch, at, ids):
                 self._close(base + at, self._reason)
                 return at
             index += 1
         if not batch.is_last:
             return batch.limit
         lost = (self._lost_at or 0) - base
-        self.truncated = _is_cut(batch, max(lost, 0), lengths)
+        self.truncated = _is_cut(batch, max(lost, 0), ids.lengths)
         end = len(batch.data) if self.truncated else batch.end
         self._close(base + end, "cut off inside a message" if self.truncated else self._reason)
         return end
@@ -171,24 +192,12 @@ class Walker:
             self.regions.append(Region(start, end, reason))
 
 
-def _definition(data: memoryview, at: int) -> tuple[int, int, str, str, str]:
-    """Type, length, name, format and labels of the FMT at `at`."""
-    body = bytes(data[at + HEADER_BYTES : at + FMT_LENGTH]).ljust(FMT_LENGTH - HEADER_BYTES, b"\0")
-    name, form, labels = (_text(body[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
-    return body[0], body[1], name, form, labels
-
-
-def _text(raw: bytes) -> str:
-    return raw.split(b"\0", 1)[0].decode("ascii", "replace")
-
-
-def _prepare(data: memoryview, limit: int) -> _Batch:
+def _prepare(data: memoryview, limit: int, before_ns: int | None) -> _Batch:
     raw = np.frombuffer(data, dtype=np.uint8)
     is_last = limit >= len(data)
     heads = find_heads(raw)
-    return _Batch(
-        data, raw, heads, raw[heads + 2], limit, is_last, _content_end(raw) if is_last else len(raw)
-    )
+    end = _content_end(raw) if is_last else len(raw)
+    return _Batch(data, raw, heads, raw[heads + 2], limit, is_last, end, before_ns)
 
 
 def find_heads(raw: npt.NDArray[np.uint8]) -> IntArray:
@@ -216,12 +225,12 @@ def _content_end(raw: npt.NDArray[np.uint8]) -> int:
     return len(raw)
 
 
-def _clean_stretch(batch: _Batch, position: int, lengths: IntArray) -> tuple[IntArray, int]:
-    """Messages from `position` on that follow each other exactly; stops at a FMT, at the limit, or at damage.
+def _clean_stretch(batch: _Batch, position: int, ids: Ids) -> int:
+    """Accept messages from `position` on that follow each other exactly; returns where they end.
 
-    Headers inside a message (chance bytes) are passed over one at a time.
+    Stops at a FMT, at the limit, or at damage. Headers inside a message are passed over one at a time.
     """
-    found: list[IntArray] = []
+    lengths = ids.lengths
     index, size = int(np.searchsorted(batch.heads, position)), FIRST_STRETCH
     while index < len(batch.heads) and batch.heads[index] == position and position < batch.limit:
         heads = batch.heads[index : index + size]
@@ -229,7 +238,7 @@ def _clean_stretch(batch: _Batch, position: int, lengths: IntArray) -> tuple[Int
         good = (heads[:-1] + step[:-1] == heads[1:]) & (step[:-1] > 0)
         good &= (batch.ids[index : index + len(heads) - 1] != FMT_ID) & (heads[:-1] < batch.limit)
         count = int(good.argmin()) if not good.all() else len(good)
-        found.append(heads[:count])
+        batch.starts.append(heads[:count])
         index += count
         position = int(batch.heads[index])
         size = min(size * 4, 1 << 20)
@@ -241,28 +250,19 @@ def _clean_stretch(batch: _Batch, position: int, lengths: IntArray) -> tuple[Int
         inside = lengths[number] > 0 and number != FMT_ID and position < batch.limit
         if not inside or after >= len(batch.heads) or batch.heads[after] != end:
             break
-        if _holds_messages(batch, index + 1, end, lengths):
+        if _is_several(batch, position, end, ids):
             break
-        found.append(batch.heads[index : index + 1])
+        batch.starts.append(batch.heads[index : index + 1])
         index, position, size = after, end, FIRST_STRETCH
-    return np.concatenate(found) if found else np.empty(0, np.int64), position
+    return position
 
 
-def _holds_messages(batch: _Batch, index: int, end: int, lengths: IntArray) -> bool:
-    """Are messages inside the one before head `index` real? Then its own id, or its FMT's length, is damaged.
-
-    They are where they lead exactly to its end; where its length is doubtful, two in a row are enough.
-    """
-    doubtful = int(batch.ids[index - 1]) in batch.doubtful if index else False
-    while index < len(batch.heads) and batch.heads[index] < end:
-        at, count = int(batch.heads[index]), 0
-        while at < end and batch.data[at : at + 2] == HEAD and lengths[batch.data[at + 2]]:
-            at += int(lengths[batch.data[at + 2]])
-            count += 1
-        if at == end or (doubtful and count > 1):
-            return True
-        index += 1
-    return False
+def _is_several(batch: _Batch, start: int, end: int, ids: Ids) -> bool:
+    """Are the bytes of the message at `start` really several messages? See `inner`."""
+    first, last = np.searchsorted(batch.heads, (start + 1, end)).tolist()
+    if first == last:
+        return False
+    return is_several(batch.data, (start, end), batch.heads[first:last], ids, batch.neighbours(end, ids))
 
 
 def _is_followed(batch: _Batch, end: int, lengths: IntArray) -> bool:

@@ -142,6 +142,17 @@ def packed_length(form: str) -> int:
     return HEADER_BYTES + sum(np.dtype(kind).itemsize * max(count, 1) for kind, count, _ in kinds)
 
 
+def stated_definition(data: memoryview, at: int) -> tuple[int, int, str, str, str]:
+    """Type, length, name, format and labels of the FMT message at `at`."""
+    body = bytes(data[at + HEADER_BYTES : at + FMT_LENGTH]).ljust(FMT_LENGTH - HEADER_BYTES, b"\0")
+    name, form, labels = (_text(body[a:b]) for a, b in ((2, 6), (6, 22), (22, 86)))
+    return body[0], body[1], name, form, labels
+
+
+def _text(raw: bytes) -> str:
+    return raw.split(b"\0", 1)[0].decode("ascii", "replace")
+
+
 def is_consistent(number: int, length: int, name: str, form: str, labels: str) -> bool:
     """Does a FMT agree with itself: plain name, a label per field, the right length?"""
     columns = tuple(labels.split(",")) if labels else ()

@@ -18,6 +18,7 @@ from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.common.clock import SECOND_NS
 from flysid.ingest.formats.dataflash.layouts import CHARACTERS, make_layout
 from flysid.ingest.formats.registry import FORMATS
+from tests.inner_headers import plant_headers
 from tests.samplelogs import dataflash_text as text_sample
 from tests.samplelogs.dataflash import CODES, TYPES, build, fmt, pack
 
@@ -160,6 +161,22 @@ def test_padding_at_the_end_is_no_loss(byte: int) -> None:
     assert flight.rows == read(build()).rows
     assert not flight.damage.lossy
     assert flight.info["padding_bytes"] == "3000"
+
+
+def test_headers_inside_sound_messages_neither_cost_nor_invent_a_row() -> None:
+    outcome = plant_headers(40, lambda: True)
+    assert (outcome.trials, outcome.failures) == (40, [])
+
+
+@pytest.mark.parametrize(("time_us", "is_believed"), [(10**15, False), (5_400_000, True)])
+def test_messages_inside_another_count_where_its_time_is_impossible(time_us: int, is_believed: bool) -> None:
+    blob = define(128, *TYPES[128]) + define(20, "ATT", "QB", "TimeUS,Roll")
+    blob += define(21, "TWO", "QBIQ", "TimeUS,A,B,C")  # as long as two of the others
+    messages = [message(20, "QB", 5_000_000 + 100_000 * i, i) for i in range(20)]
+    messages[4] = b"\xa3\x95" + bytes([21]) + struct.pack("<Q", time_us) + messages[4][11:]
+    flight = read(blob + b"".join(messages))
+    assert flight["ATT"].num_rows == (18 if is_believed else 19)
+    assert ("TWO" in flight.tables) == is_believed
 
 
 def test_labels_are_made_unique_and_complete() -> None:
