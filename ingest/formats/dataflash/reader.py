@@ -23,7 +23,8 @@ from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, relea
 from flysid.ingest.formats.common.clock import SECOND_NS, IntArray, UtcFit
 from flysid.ingest.formats.common.columns import ByteMatrix, Layout, decode, gather, message_schema, numbers
 from flysid.ingest.formats.common.vehicle_time import Clocked, VehicleTime
-from flysid.ingest.formats.dataflash.frames import HEAD, LOOK_AHEAD, Messages, Walker
+from flysid.ingest.formats.dataflash.frames import LOOK_AHEAD, Messages, Walker
+from flysid.ingest.formats.dataflash.inner import HEAD
 from flysid.ingest.formats.dataflash.layouts import FMT_ID, HEADER_BYTES, Definition, Units
 
 SNIFF_BYTES = 16384
