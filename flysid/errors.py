@@ -60,6 +60,11 @@ class FlysidError(Exception):
             parts.append(f"flight time {self.flight_time_s:.3f} s")
         return ", ".join(parts)
 
+    @property
+    def advice(self) -> str:
+        """What happened and what to try, for those who name the file themselves."""
+        return f"{self.message}; try: {self.hint}" if self.hint else self.message
+
     def __str__(self) -> str:
         where = f" ({self.where})" if self.where else ""
         hint = f" Try: {self.hint}" if self.hint else ""

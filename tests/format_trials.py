@@ -11,6 +11,7 @@ import random
 from collections.abc import Callable
 from functools import cache
 from types import ModuleType
+from typing import Any
 
 from flysid.errors import FormatError
 from flysid.flight import Flight
@@ -50,7 +51,7 @@ def intact(name: str) -> Flight:
     return read(name, sample(name))
 
 
-def read(name: str, blob: bytes, **limits: int) -> Flight:
+def read(name: str, blob: bytes, **limits: Any) -> Flight:
     """The flight in these bytes, by the reader of one format."""
     return collect(memoryview(blob), "sample" + module_of(name).SUFFIX, all_formats()[name], Limits(**limits))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -10,6 +11,7 @@ import click
 from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.ls import aligned, clock_text
 from flysid.cli.output import REASONS_SHOWN, say
+from flysid.cli.source import time_unit_option
 
 if TYPE_CHECKING:
     from flysid.flight import Damage
@@ -34,15 +36,22 @@ HEADINGS = (
 @click.argument("logs", nargs=-1, required=True, metavar="LOG...")
 @memory_option
 @time_option
+@time_unit_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-q", "--quiet", is_flag=True, help="No words on stderr but for logs that cannot be read.")
 def command(
-    logs: tuple[str, ...], max_memory: int | None, max_time: float | None, as_json: bool, quiet: bool
+    logs: tuple[str, ...],
+    max_memory: int | None,
+    max_time: float | None,
+    time_unit: str,
+    as_json: bool,
+    quiet: bool,
 ) -> int:
     """Say of every log what it holds, what was lost, and what to log next time.
 
     Ends with 3 when something was lost or a log cannot be read, and with 1 when none can.
     """
+    from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.batch import find_logs
     from flysid.ingest.lake.survey import survey_or_reason
     from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
@@ -52,7 +61,8 @@ def command(
     for skipped in found.unreadable:
         say(f"skipped: {skipped.path}: {skipped.reason}")
         unreadable += 1
-    for path, outcome in run_bounded(survey_or_reason, found.paths, 1, Bounds(max_memory, max_time)):
+    look = partial(survey_or_reason, limits=Limits(time_unit=time_unit))
+    for path, outcome in run_bounded(look, found.paths, 1, Bounds(max_memory, max_time)):
         if isinstance(outcome, (str, Lost)):
             say(f"skipped: {path}: {outcome if isinstance(outcome, str) else outcome.reason}")
             unreadable += 1

@@ -66,6 +66,7 @@ def command(
     inputs: tuple[str, ...],
     outputs: tuple[str, ...],
     dt: float | None,
+    time_unit: str,
     output: Path,
     channels: tuple[str, ...],
     models: str,
@@ -90,7 +91,7 @@ def command(
     """
     check_target(output, force)
     is_dataset = data.suffix == DATASET and data.is_file()
-    asked = Words(recipe, inputs, outputs, dt)
+    asked = Words(recipe, inputs, outputs, dt, time_unit)
     if is_dataset:
         check_no_words(data, asked)
     place = fresh_place(output, force) if data.is_file() and not is_dataset else None
@@ -136,7 +137,7 @@ def check_no_words(data: Path, asked: Words) -> None:
         raise UsageError(
             "a dataset file is one channel already",
             path=data,
-            hint="leave out --recipe, --from, --to and --dt",
+            hint="leave out --recipe, --from, --to, --dt and --time-unit",
         )
 
 

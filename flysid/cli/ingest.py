@@ -11,6 +11,7 @@ import click
 
 from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.output import REASONS_SHOWN, printable, say
+from flysid.cli.source import time_unit_option
 
 if TYPE_CHECKING:
     from flysid.flight import Damage
@@ -25,6 +26,7 @@ REGIONS_SHOWN = 12
 @click.option("-j", "--jobs", default=0, metavar="N", help="Worker processes; one per core when not given.")
 @memory_option
 @time_option
+@time_unit_option
 @click.option("--force", is_flag=True, help="Read logs again that are there unchanged.")
 @click.option("--json", "as_json", is_flag=True, help="Print what happened to every log as JSON.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress.")
@@ -34,6 +36,7 @@ def command(
     jobs: int,
     max_memory: int | None,
     max_time: float | None,
+    time_unit: str,
     force: bool,
     as_json: bool,
     quiet: bool,
@@ -43,7 +46,10 @@ def command(
     Logs whose content is there already are skipped. Prints the id of each flight that was ingested.
     Ends with 3 when something was lost or skipped, and says what and where. A log that needs more
     memory or time than it may have is skipped and named; the others are read.
+
+    With --time-unit, logs that are there already are read again: what they say may change.
     """
+    from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.batch import find_logs, ingest_logs
     from flysid.ingest.lake.workers import Bounds
 
@@ -51,7 +57,9 @@ def command(
     results = []
     with progress(len(found.paths), quiet) as advance:
         bounds = Bounds(max_memory, max_time)
-        for result in ingest_logs(found, data, jobs=jobs, force=force, bounds=bounds):
+        again = force or bool(time_unit)
+        told = Limits(time_unit=time_unit)
+        for result in ingest_logs(found, data, jobs=jobs, force=again, limits=told, bounds=bounds):
             results.append(result)
             advance(result)
     results.sort(key=lambda r: str(r.path))

@@ -28,11 +28,22 @@ class Words:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     dt: float | None
+    time_unit: str = ""
+
+
+time_unit_option = click.option(
+    "--time-unit",
+    default="",
+    type=click.Choice(["", "s", "ms", "us", "ns"]),
+    metavar="UNIT",
+    help="Of a table's times that state none: s, ms, us or ns.",
+)
 
 
 def words_options(function: F) -> F:
-    """Adds --recipe, --from, --to and --dt."""
+    """Adds --recipe, --from, --to, --dt and --time-unit."""
     for option in (
+        time_unit_option,
         click.option("--dt", type=float, metavar="SECONDS", help="Between rows, where a table has no time."),
         click.option("--to", "outputs", multiple=True, metavar="FIELD", help="Output; see --from."),
         click.option(
@@ -57,18 +68,24 @@ def opened(data: Path, words: Words, place: Path | None, quiet: bool) -> Iterato
 
     Raises
     ------
-    UsageError : neither a recipe nor fields, or both; no such folder.
+    UsageError : neither a recipe nor fields, or both; no such folder; a unit of time for a folder.
     RecipeError : a field is not there.
     """
     if words.recipe and (words.inputs or words.outputs or words.dt is not None):
         raise UsageError("--recipe says what --from, --to and --dt would", hint="leave out one or the other")
+    if words.time_unit and data.is_dir():
+        raise UsageError(
+            "what is ingested has its times already",
+            path=data,
+            hint="flysid ingest --time-unit reads a table again",
+        )
     from flysid.ingest.lake.lake import open as open_lake
 
     with TemporaryDirectory() as folder:
         target = place or Path(folder) / "data"
         recipe = Path(folder) / "quick.toml"
         try:
-            lake = open_lake(_taken_in(data, target, quiet) if data.is_file() else data)
+            lake = open_lake(_taken_in(data, target, words.time_unit, quiet) if data.is_file() else data)
             if not words.recipe:
                 recipe.write_text(_written(words, lake), "utf-8")
             yield lake, words.recipe or str(recipe)
@@ -95,12 +112,13 @@ def _written(words: Words, lake: Lake) -> str:
     return quick_recipe(lake.logs, words.inputs, words.outputs, words.dt)
 
 
-def _taken_in(log: Path, place: Path, quiet: bool) -> Path:
+def _taken_in(log: Path, place: Path, time_unit: str, quiet: bool) -> Path:
     """Ingest one log; raises FormatError where nothing of it can be read."""
     from flysid.cli.ingest import report
+    from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.batch import find_logs, ingest_logs
 
-    results = list(ingest_logs(find_logs([log]), place, jobs=1))
+    results = list(ingest_logs(find_logs([log]), place, jobs=1, limits=Limits(time_unit=time_unit)))
     report(results, quiet)
     if results[0].skipped:
         raise FormatError("nothing could be read", path=log, hint=f"flysid doctor {log}")

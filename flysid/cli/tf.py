@@ -70,6 +70,7 @@ def command(
     inputs: tuple[str, ...],
     outputs: tuple[str, ...],
     dt: float | None,
+    time_unit: str,
     channels: tuple[str, ...],
     table: bool,
     plot: Path | None,
@@ -103,7 +104,7 @@ def command(
         band=settings["band"] or None,
         method=settings["method"],
     )
-    words = Words(recipe, inputs, outputs, dt)
+    words = Words(recipe, inputs, outputs, dt, time_unit)
     with opened(data, words, None, quiet) as (lake, chosen), status(quiet) as progress:
         found, skipped = identify(lake, chosen, estimator, channels=channels, progress=progress)
         lost = lost_on_the_way(data, lake)

@@ -47,6 +47,7 @@ def dataset_from(
     outputs: str | Sequence[str],
     *,
     dt_s: float | None = None,
+    time_unit: str = "",
 ) -> Dataset:
     """The dataset of some fields of logs: one clock, cut at gaps, inputs held from sample to sample.
 
@@ -55,15 +56,16 @@ def dataset_from(
     source : a log or table (.csv), or several of them: paths, or flights in memory.
     inputs, outputs : fields, as `FIELD` where one stream has it, else as `STREAM.FIELD`.
     dt_s : seconds from row to row, for tables that have no time column.
+    time_unit : of a table's times that state none: "s", "ms", "us" or "ns".
 
     Raises
     ------
-    FormatError : a log cannot be read.
+    FormatError : a log cannot be read; a table whose times may be in several units.
     RecipeError : a field is nowhere, or in several streams; a table needs `dt_s`, or a log has its own time.
     DataError : the logs are too short, or a signal never moves.
     """
     sources = [source] if isinstance(source, str | Path | Flight) else source
-    logs = [FlightLog(s if isinstance(s, Flight) else read(s)) for s in sources]
+    logs = [FlightLog(s if isinstance(s, Flight) else read(s, time_unit=time_unit)) for s in sources]
     driving, driven = ([words] if isinstance(words, str) else list(words) for words in (inputs, outputs))
     recipe = parse_recipe(tomllib.loads(quick_recipe(logs, driving, driven, dt_s)))
     signals, count = list(recipe.signals), len(dict.fromkeys(driving))

@@ -198,11 +198,14 @@ def load_signal(name: str, spec: SignalSpec, log: Log) -> Loaded:
 
 def load_source(source: Source, stream: str, unit: str, log: Log) -> Loaded:
     """The samples of one source, converted to `unit`, sign and scale applied; boots kept apart."""
-    table = _in_order(source, _rows_where(source, _read(source, stream, log)))
+    rows = _rows_where(source, _read(source, stream, log))
+    table = _in_order(source, _rows_timed(source, rows))
     boots, t_ns = _integers(table[BOOT]), _times(source, table)
     columns = _matrix(source, table)
     transform = TRANSFORMS[source.transform]
     gain, notes = _gain(source, stream, unit, table)
+    if untimed := rows.num_rows - table.num_rows:
+        notes += (f"{stream}: rows without a {source.time}, left out: {untimed:,}",)
     yaw = _yaw_at(source.yaw, log, boots, t_ns) if source.yaw is not None else np.empty(0)
     values = np.empty(len(t_ns))
     for boot in np.unique(boots):
@@ -341,6 +344,14 @@ def _gain(source: Source, stream: str, unit: str, table: pa.Table) -> tuple[floa
         )
     rate = "/s" if transform.per_second else ""
     return factor(actual + rate if actual else "", unit), notes
+
+
+def _rows_timed(source: Source, table: pa.Table) -> pa.Table:
+    """The rows that the source's own time column gives a time."""
+    if not source.time:
+        return table
+    told = np.isfinite(column_values(table, source.time).astype(np.float64))
+    return table if told.all() else table.filter(pa.array(told))
 
 
 def _in_order(source: Source, table: pa.Table) -> pa.Table:

@@ -29,11 +29,18 @@ JOIN_BYTES = 1 << 20
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds that hold for hostile input. `max_chunk_bytes` bounds one decompressed chunk."""
+    """What a reader is told: bounds that hold for hostile input, and what the caller knows of the log.
+
+    Attributes
+    ----------
+    max_chunk_bytes : of one decompressed chunk.
+    time_unit : of a table's times that state none: "s", "ms", "us" or "ns"; "" where the caller cannot tell.
+    """
 
     max_chunk_bytes: int = 1 << 30
     max_ratio: float = 200.0
     batch_bytes: int = 8 << 20
+    time_unit: str = ""
 
 
 @dataclass(frozen=True)

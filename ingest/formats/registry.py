@@ -6,6 +6,7 @@ Third parties add a format with an entry point of the group "flysid.formats" tha
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -115,21 +116,29 @@ def detect(head: bytes, name: str) -> Format:
     return best
 
 
-def read(path: str | Path, *, format: str | None = None, limits: Limits | None = None) -> Flight:  # noqa: A002
+def read(
+    path: str | Path,
+    *,
+    format: str | None = None,  # noqa: A002
+    time_unit: str = "",
+    limits: Limits | None = None,
+) -> Flight:
     """Read a whole log into memory.
 
     Parameters
     ----------
     path : the log.
     format : name of its format; found from its bytes when None.
+    time_unit : of a table's times that state none: "s", "ms", "us" or "ns".
     limits : bounds for hostile input.
 
     Raises
     ------
-    FormatError : not a log, empty or unreadable.
-    UsageError : `format` is not a name that flysid knows.
+    FormatError : not a log, empty or unreadable; a table whose times may be in several units.
+    UsageError : `format` or `time_unit` is not a name that flysid knows.
     """
     path = Path(path)
     with open_log(path) as view:
         fmt = detect(bytes(view[:HEAD_BYTES]), path.name) if format is None else find_format(format)
-        return collect(view, path.name, fmt, limits or Limits(batch_bytes=WHOLE_BATCH_BYTES))
+        told = limits or Limits(batch_bytes=WHOLE_BATCH_BYTES)
+        return collect(view, path.name, fmt, replace(told, time_unit=time_unit or told.time_unit))

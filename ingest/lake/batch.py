@@ -219,7 +219,7 @@ def ingest_one(job: Job, data: Path, limits: Limits, replace: bool) -> Result:
     except MemoryError:
         return Result(job.path, reason=NO_MEMORY)
     except FlysidError as error:
-        return Result(job.path, reason=error.message)
+        return Result(job.path, reason=error.advice)
     except OSError as error:
         return Result(job.path, reason=f"cannot be read: {error.strerror}")
     except Exception as error:  # noqa: BLE001 - a reader's own fault must not cost the other logs

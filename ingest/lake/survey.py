@@ -137,12 +137,12 @@ def survey(path: Path, limits: Limits | None = None) -> Survey:
     return Survey(source, dict(sorted(streams.items())), summary.damage, summary.clocks, summary.info)
 
 
-def survey_or_reason(path: Path) -> Survey | str:
+def survey_or_reason(path: Path, limits: Limits | None = None) -> Survey | str:
     """`survey`, or why it cannot be had: a task for a worker process."""
     try:
-        return survey(path)
+        return survey(path, limits)
     except FlysidError as error:
-        return error.message
+        return error.advice
     except MemoryError:
         return "needs more memory than there is"
 

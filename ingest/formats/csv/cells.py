@@ -13,12 +13,15 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from flysid.ingest.formats.common.arrow_arrays import numeric
 from flysid.ingest.formats.common.clock import IntArray
 from flysid.ingest.formats.common.columns import as_array, numbers
+from flysid.ingest.formats.common.table_times import to_ns
 from flysid.ingest.formats.csv.layouts import MISSING, NUMBER, STAMP, ZONE, Layout
 
 BoolArray = npt.NDArray[np.bool_]
 LINE_END, QUOTE = 10, 34
+WHOLE = r"^\d{1,19}$"  # nanoseconds since 1970 have more digits than a float
 _WHITE = np.frombuffer(b" \t\r\n", dtype=np.uint8)
 
 
@@ -73,16 +76,16 @@ def stated_times(lines: Lines, rows: IntArray, layout: Layout) -> tuple[IntArray
     text = _text(lines, rows, layout, layout.time.index)
     if layout.time.unit_ns == 0:
         return stamps(text)
-    if layout.time.unit_ns == 1 and _bools(pc.match_substring_regex(text, r"^\d{1,18}$")).all():
-        return as_int64(text.cast(pa.int64())), np.ones(len(text), dtype=bool)
-    return counted(_floats(text, layout.decimal_comma)[0], layout.time.unit_ns)
+    time_ns, known = counted(_floats(text, layout.decimal_comma)[0], layout.time.unit_ns)
+    if layout.time.unit_ns == 1:
+        exact = known & _bools(pc.match_substring_regex(text, WHOLE))
+        time_ns[exact] = as_int64(text.filter(numeric(exact)).cast(pa.int64()))
+    return time_ns, known
 
 
 def counted(values: pa.Array, unit_ns: int) -> tuple[IntArray, BoolArray]:
     """(n,) numbers of a unit as ns, and which of them are times."""
-    found = np.asarray(values.to_numpy(zero_copy_only=False), dtype=np.float64)
-    known = np.isfinite(found) & (np.abs(found) < (1 << 62) / unit_ns)
-    return np.round(np.where(known, found, 0.0) * unit_ns).astype(np.int64), known
+    return to_ns(np.asarray(values.to_numpy(zero_copy_only=False), dtype=np.float64), unit_ns)
 
 
 def as_int64(values: pa.Array) -> IntArray:

@@ -13,10 +13,13 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
+from flysid.ingest.formats.common.table_columns import named_and_measured, once_each, time_unit_of
+from flysid.ingest.formats.common.table_times import FloatArray
 from flysid.ingest.formats.common.units import factor, is_known
 
 SEPARATORS = (b",", b";", b"\t")
@@ -30,22 +33,9 @@ MOSTLY = 0.9  # of the cells of a column of numbers are numbers
 _NUMBER = re.compile(NUMBER)
 _DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+$")
 _STAMP = re.compile(STAMP)
-_BRACKETS = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]$")
-_TIME_UNITS = {
-    "s": "s",
-    "sec": "s",
-    "seconds": "s",
-    "ms": "ms",
-    "msec": "ms",
-    "us": "us",
-    "usec": "us",
-    "ns": "ns",
-}
-_TIME_NAME = re.compile(
-    r"^_*(t|time|timestamp|seconds|elapsed([ _]?time)?|date([ _]?time)?|utc|time[ _]?boot"
-    r"|tempo|temps|tiempo|zeit)"
-    r"([ _](s|sec|seconds|ms|msec|us|usec|ns))?$"
-)
+# GPS sentences and JSON, whose commas separate no columns
+_OTHER_TEXT = re.compile(r"^\s*([$!][A-Z]{2}[A-Z0-9]{1,},|[\[{]\s*([\[{\"\d-]|$))")
+DATED = "date and time of day"
 
 
 @dataclass(frozen=True)
@@ -59,14 +49,30 @@ class Column:
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """Which column tells the time: in nanoseconds per unit, or (0) as date and time of day.
+    """Which column tells the time.
 
-    `source` says so in words, with how the unit is known.
+    Attributes
+    ----------
+    unit : of its numbers; DATED for dates; "" where nothing states it.
+    why : how the unit is known, in a word or two.
+    first : (n,) its first values, where `unit` is "".
     """
 
     index: int
-    unit_ns: int
-    source: str
+    name: str
+    unit: str
+    why: str = "stated"
+    first: FloatArray = field(default_factory=lambda: np.empty(0), compare=False)
+
+    @property
+    def unit_ns(self) -> int:
+        """Nanoseconds per unit; 0 for dates."""
+        return 0 if self.unit == DATED else round(factor(self.unit, "ns"))
+
+    @property
+    def source(self) -> str:
+        """In words, for the stream's `time_source`."""
+        return f"{self.name}: {DATED}" if self.unit == DATED else f"{self.name} in {self.unit}, {self.why}"
 
 
 @dataclass(frozen=True)
@@ -89,15 +95,25 @@ class Layout:
     time: TimeColumn | None
 
 
+@lru_cache(maxsize=4)  # detection asks twice before the reader does
 def layout_of(head: bytes) -> Layout | None:
-    """The layout of a table whose first bytes these are; None where they are no table of numbers."""
-    lines = _lines(head)
+    """The layout of a table whose first bytes these are; None where they are no table of numbers.
+
+    At least half of these bytes must stand in the table's lines: two lines alike in a binary file, or in
+    another kind of text, are none.
+    """
+    lines, size = _lines(head)
+    if not lines or _OTHER_TEXT.match(lines[0][1]):
+        return None
     ranked = [(*_commonest(lines, s), s) for s in SEPARATORS]
-    alike, cells, separator = max(ranked, key=lambda r: (r[0], r[1]), default=(0, 0, b","))
+    alike, cells, separator = max(ranked, key=lambda r: (r[0], r[1]))
     if alike < 2:
         return None
-    table = [(at, _cells(line, separator)) for at, line in lines]
-    table = [(at, row) for at, row in table if len(row) == cells]
+    whole = [(at, line, cells_of(line, separator)) for at, line in lines]
+    whole = [(at, line, row) for at, line, row in whole if len(row) == cells]
+    if 2 * sum(len(line) + 1 for _, line, _ in whole) < size:
+        return None
+    table = [(at, row) for at, _, row in whole]
     names, rows, start = _header(table)
     decimal_comma = separator != b"," and _has_decimal_commas(rows)
     kinds = [_is_text([row[i] for row in rows], decimal_comma) for i in range(cells)]
@@ -108,28 +124,37 @@ def layout_of(head: bytes) -> Layout | None:
     return Layout(separator, decimal_comma, start, columns, time)
 
 
-def _lines(head: bytes) -> list[tuple[int, str]]:
-    """(place, text) of the whole lines of the head that are neither blank nor comments."""
-    found, at = [], 0
+def _lines(head: bytes) -> tuple[list[tuple[int, str]], int]:
+    """(place, text) of the whole lines of the head that are neither blank nor comments nor unprintable.
+
+    Second, the bytes of all its lines that are neither blank nor comments.
+    """
+    found = []
+    at = 0
+    size = 0
     for raw in head.split(b"\n")[:-1]:
         line = raw.removeprefix(b"\xef\xbb\xbf") if at == 0 else raw
         text = line.decode("utf-8", "replace").strip("\r")
-        if text.strip() and text[0] not in "#%" and text.replace("\t", "").isprintable():
-            found.append((at, text))
+        if text.strip() and text[0] not in "#%":
+            size += len(raw) + 1
+            if text.replace("\t", "").isprintable():
+                found.append((at, text))
         at += len(raw) + 1
-    return found
+    return found, size
 
 
 def _commonest(lines: Sequence[tuple[int, str]], separator: bytes) -> tuple[int, int]:
     """How many lines have the commonest number of cells above one, and that number."""
-    counts = Counter(len(_cells(line, separator)) for _, line in lines)
+    counts = Counter(len(cells_of(line, separator)) for _, line in lines)
     counts.pop(1, None)
     cells, alike = max(counts.items(), key=lambda c: c[1], default=(0, 0))
     return alike, cells
 
 
-def _cells(line: str, separator: bytes) -> list[str]:
+def cells_of(line: str, separator: bytes) -> list[str]:
     """The cells of a line; a separator inside quotes separates nothing."""
+    if '"' not in line:
+        return [part.strip() for part in line.split(separator.decode())]
     sign, parts, quoted = separator.decode(), [""], False
     for piece in re.split(f'(["{re.escape(sign)}])', line):
         if piece == '"':
@@ -148,28 +173,12 @@ def _header(
     first, rows = table[0][1], [row for _, row in table]
     if all(_NUMBER.match(c) or c in MISSING or _DECIMAL_COMMA.match(c) or _STAMP.match(c) for c in first):
         return [(f"c{i + 1}", "") for i in range(len(first))], rows, table[0][0]
-    named = [_name_and_unit(cell, i) for i, cell in enumerate(first)]
+    named = [named_and_measured(cell, i) for i, cell in enumerate(first)]
+    names, units = once_each([name for name, _ in named]), [unit for _, unit in named]
     if len(rows) > 2 and any(rows[1]) and all(is_known(c.strip("[]()")) for c in rows[1]):
-        named = [(n, u or c.strip("[]()")) for (n, u), c in zip(named, rows[1], strict=True)]
-        return _once(named), rows[2:], table[2][0]
-    return _once(named), rows[1:], table[1][0] if len(table) > 1 else table[0][0]
-
-
-def _name_and_unit(cell: str, index: int) -> tuple[str, str]:
-    match = _BRACKETS.match(cell)
-    if match and match[1] and is_known(match[2].strip()):
-        return match[1], match[2].strip()
-    return cell or f"c{index + 1}", ""
-
-
-def _once(named: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Names that occur again get a number."""
-    seen: Counter[str] = Counter()
-    found = []
-    for name, unit in named:
-        seen[name] += 1
-        found.append((name if seen[name] == 1 else f"{name}_{seen[name]}", unit))
-    return found
+        units = [cell.strip("[]()") or unit for cell, unit in zip(rows[1], units, strict=True)]
+        return list(zip(names, units, strict=True)), rows[2:], table[2][0]
+    return list(zip(names, units, strict=True)), rows[1:], table[1][0] if len(table) > 1 else table[0][0]
 
 
 def _has_decimal_commas(rows: Sequence[Sequence[str]]) -> bool:
@@ -189,31 +198,22 @@ def _time_column(
 ) -> TimeColumn | None:
     """The first column that is called a time and rises."""
     for index, column in enumerate(columns):
-        match = _TIME_NAME.match(column.name.lower())
-        if match is None:
+        stated = time_unit_of(column.name)
+        if stated is None:
             continue
-        cells = [row[index].replace(",", ".") if decimal_comma else row[index] for row in rows]
+        cells = [row[index] for row in rows]
         if column.is_text:
             if sum(bool(_STAMP.match(c)) for c in cells) >= MOSTLY * len(cells):
-                return TimeColumn(index, 0, f"{column.name}: date and time of day")
+                return TimeColumn(index, column.name, DATED)
             continue
-        values = [float(c) for c in cells if _NUMBER.match(c)]
+        values = np.array(numbers_in(cells, decimal_comma))
         if len(values) < MOSTLY * len(cells) or np.mean(np.diff(values, append=np.inf) >= 0) < MOSTLY:
             continue
-        stated = column.unit or _TIME_UNITS.get(match[5] or "", "")
-        unit = stated or _likely_unit(np.array(values))
-        why = "stated" if stated else "by its size and steps"
-        return TimeColumn(index, round(factor(unit, "ns")), f"{column.name} in {unit}, {why}")
+        return TimeColumn(index, column.name, column.unit or stated, first=values)
     return None
 
 
-def _likely_unit(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
-    """The unit of a time: from its size where it counts from 1970, else from its steps; fractions: s."""
-    if not len(values) or (values % 1).any():
-        return "s"
-    for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)):
-        if np.median(values) > least:
-            return unit
-    steps = np.diff(values)
-    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-    return "s" if step <= 1 or np.median(values) > 1e9 else "ms" if step < 500 else "us"
+def numbers_in(cells: Sequence[str], decimal_comma: bool) -> list[float]:
+    """The values of those cells that are numbers."""
+    plain = [cell.replace(",", ".") if decimal_comma else cell for cell in cells]
+    return [float(cell) for cell in plain if _NUMBER.match(cell)]

@@ -1,29 +1,29 @@
 """Tables in text: CSV and its kin, as spreadsheets, PlotJuggler, MATLAB, pandas and ground stations export.
 
-One line a row, one stream called `table`; what its columns are says `csv_layout`. A column of numbers becomes
+One line a row, one stream called `table`; what its columns are says `layouts`. A column of numbers becomes
 float64, null where a cell is empty or says "nan", and null and counted where it is no number. A line with
 another number of cells, or without a time that fits its neighbours, is skipped and counted; so is a last line
 without its end, since nothing shows that it is whole. Quotes may enclose separators, not line ends.
 
-A batch of sound lines is parsed by Arrow at once; only where it balks are lines taken apart (`csv_cells`).
+A batch of sound lines is parsed by Arrow at once; only where it balks are lines taken apart (`cells`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow.csv import ConvertOptions, ParseOptions, ReadOptions, read_csv
 
 from flysid.errors import FormatError
-from flysid.flight import BOOT, ROW_NUMBER, TIME, ClockMap, field_metadata
+from flysid.flight import BOOT, ROW_NUMBER, TIME, field_metadata
 from flysid.ingest.formats.base import HEAD_BYTES, Limits, Parts, StreamPart, Summary
-from flysid.ingest.formats.common.clock import IntArray, UtcFit, back_steps, is_outlier
+from flysid.ingest.formats.common.clock import IntArray, is_outlier
 from flysid.ingest.formats.common.columns import numbers
 from flysid.ingest.formats.common.line_batches import whole_lines
+from flysid.ingest.formats.common.table_times import TableClock, time_unit
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.csv.cells import (
     Lines,
@@ -34,11 +34,10 @@ from flysid.ingest.formats.csv.cells import (
     stamps,
     stated_times,
 )
-from flysid.ingest.formats.csv.layouts import MISSING, Column, Layout, layout_of
+from flysid.ingest.formats.csv.layouts import MISSING, Column, Layout, cells_of, layout_of, numbers_in
 
 STREAM = "table"
 MAX_LINE_BYTES = 1 << 20
-UNIX_NS = 10**18  # a time beyond 2001 counts from 1970
 ROW_NS = 10**9
 
 
@@ -54,10 +53,8 @@ class _Reader:
     layout: Layout
     schema: pa.Schema
     tally: Tally = field(default_factory=Tally)
-    fit: UtcFit = field(default_factory=UtcFit)
+    clock: TableClock = field(default_factory=TableClock)
     rows: int = 0
-    boot: int = 0
-    last_ns: int | None = None
 
 
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
@@ -70,6 +67,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
             byte=0,
             hint="columns between commas, semicolons or tabs, one line a row, names in the first line",
         )
+    layout = _with_time_unit(layout, view, name, limits.time_unit)
     reader = _Reader(layout, _schema(layout))
     _preamble(reader, bytes(view[: layout.start]))
     for lines in whole_lines(view, layout.start, limits.batch_bytes, MAX_LINE_BYTES):
@@ -80,6 +78,18 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
         reader.tally.truncated |= lines.is_cut
         reader.tally.skip(lines.end, lines.stop, lines.fault)
     return _summary(reader)
+
+
+def _with_time_unit(layout: Layout, view: memoryview, name: str, told: str) -> Layout:
+    """The layout with a unit of time; raises FormatError where several are plausible."""
+    found = layout.time
+    if found is None or found.unit:
+        return layout
+    tail = bytes(view[max(layout.start, len(view) - MAX_LINE_BYTES) :]).rpartition(b"\n")[0]
+    cells = cells_of(tail.rpartition(b"\n")[2].decode("utf-8", "replace"), layout.separator)
+    last = numbers_in(cells[found.index : found.index + 1], layout.decimal_comma) or found.first[-1:]
+    unit, why = time_unit(found.name, found.first, float(last[0]), told, name)
+    return replace(layout, time=replace(found, unit=unit, why=why))
 
 
 def _schema(layout: Layout) -> pa.Schema:
@@ -122,7 +132,7 @@ def _part(reader: _Reader, data: bytes, base: int) -> pa.Table:
     """The rows of a batch of whole lines: parsed at once, or cell by cell where something is wrong."""
     sound = _sound(reader, data)
     columns, time_ns = sound if sound is not None else _picked(reader, data, base)
-    heads = [numbers(time_ns), numbers(_boots(reader, time_ns))]
+    heads = [numbers(time_ns), numbers(reader.clock.boots(time_ns))]
     return pa.Table.from_arrays([*heads, *columns], schema=reader.schema)
 
 
@@ -208,23 +218,6 @@ def _counted_column(reader: _Reader, lines: Lines, rows: IntArray, index: int) -
     return found.values
 
 
-def _boots(reader: _Reader, time_ns: IntArray) -> npt.NDArray[np.int32]:
-    """(n,) the boot of every row: a time that steps back by more than a second begins another."""
-    if not len(time_ns):
-        return np.empty(0, dtype=np.int32)
-    begins = np.zeros(len(time_ns), dtype=np.int64)
-    begins[back_steps(time_ns)] = 1
-    if reader.last_ns is not None and len(back_steps(np.array([reader.last_ns, time_ns[0]]))):
-        begins[0] = 1
-    boots = reader.boot + np.cumsum(begins)
-    for boot in np.unique(boots).tolist():
-        own = time_ns[boots == boot]
-        reader.fit.add(int(boot), own, own if own.min() > UNIX_NS else None)
-    reader.boot, reader.last_ns = int(boots[-1]), int(time_ns[-1])
-    return boots.astype(np.int32)
-
-
 def _summary(reader: _Reader) -> Summary:
-    clocks = reader.fit.clocks() or (ClockMap(0, 0, 0),)
     time = reader.schema.metadata[b"time_source"].decode()
-    return Summary(reader.tally.freeze(), clocks, {"time": time})
+    return Summary(reader.tally.freeze(), reader.clock.clocks(), {"time": time})

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import flysid
 from flysid.cli import root
-from flysid.errors import RecipeError
+from flysid.errors import FormatError, RecipeError, UsageError
 from flysid.flight import Flight
 from flysid.ingest.align.align import align
 from flysid.ingest.align.quick import quick_recipe
@@ -129,3 +129,38 @@ def test_in_python_a_file_is_enough(tmp_path: Path) -> None:
     both = flysid.dataset_from(log, "ATTITUDE.rollspeed", ["ATTITUDE.roll", "ATTITUDE.pitch"])
     assert [s.name for s in both.outputs] == ["roll", "pitch"]
     assert both.outputs[0].unit == "rad"
+
+
+def test_a_time_in_two_possible_units_is_asked_for_on_every_verb(tmp_path: Path) -> None:
+    path = tmp_path / "steps.csv"
+    table(path, "time,u,y")
+    lines = path.read_text().splitlines()
+    rows = [f"{2 * k},{line.split(',', 1)[1]}" for k, line in enumerate(lines[1:])]
+    path.write_text("\n".join([lines[0], *rows]) + "\n")
+    run = str(tmp_path / "run")
+    words = ["--from", "u", "--to", "y"]
+    verbs = (
+        ["doctor", str(path)],
+        ["ingest", str(path), "-o", str(tmp_path / "data")],
+        ["tf", str(path), *words],
+        ["fit", str(path), *words, "-m", "arx", "-o", run],
+    )
+    for verb in verbs:
+        asked = CliRunner().invoke(root, verb, standalone_mode=False)
+        assert asked.return_value == 1 or isinstance(asked.exception, FormatError)
+        assert "798 s at 0.5 Hz in s, or 0.798 s at 500 Hz in ms" in asked.stderr
+        assert "--time-unit ms" in asked.stderr
+    for unit, length_s in (("ms", 0.798), ("s", 798.0)):
+        CliRunner().invoke(root, [*verbs[1], "--time-unit", unit], standalone_mode=False)
+        (flight,) = flysid.open(tmp_path / "data").flights
+        assert flight.duration_s == pytest.approx(length_s)
+    told = CliRunner().invoke(root, [*verbs[2], "--time-unit", "ms", "-q"], standalone_mode=False)
+    assert told.exception is None
+    with pytest.raises(UsageError, match="has its times already"):
+        CliRunner().invoke(
+            root,
+            ["tf", str(tmp_path / "data"), *words, "--time-unit", "s"],
+            standalone_mode=False,
+            catch_exceptions=False,
+        )
+    assert flysid.dataset_from(path, "u", "y", time_unit="ms").dt_s == pytest.approx(0.002)

@@ -6,8 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import flysid
 from flysid.errors import RecipeError
-from flysid.ingest.align.recipe import load_recipe, parse_recipe, shipped_recipes
+from flysid.ingest.align.recipe import Source, load_recipe, parse_recipe, shipped_recipes
+from flysid.ingest.align.signals import FlightLog, load_source
 from flysid.ingest.formats.common.units import factor
 
 
@@ -145,3 +147,13 @@ def test_units_convert(unit: str, wanted: str, expected: float) -> None:
 def test_units_of_different_things_do_not_convert(unit: str, wanted: str) -> None:
     with pytest.raises(RecipeError):
         factor(unit, wanted)
+
+
+def test_rows_whose_own_time_is_missing_are_left_out(tmp_path: Path) -> None:
+    rows = [f"{k / 10:.1f},{'' if k == 7 else 100_000 * k},{k % 5}.5" for k in range(40)]
+    path = tmp_path / "t.csv"
+    path.write_text("time_s,sampled_us,y\n" + "\n".join(rows) + "\n")
+    log = FlightLog(flysid.read(path))
+    loaded = load_source(Source("table", ("y",), time="sampled_us"), "table", "", log)
+    assert loaded.boots[0].t_ns.tolist() == [100_000_000 * k for k in range(40) if k != 7]
+    assert loaded.notes == ("table: rows without a sampled_us, left out: 1",)

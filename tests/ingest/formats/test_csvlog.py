@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flysid.errors import FormatError
+from flysid.errors import FormatError, UsageError
 from flysid.flight import Flight, field_unit
 from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.registry import all_formats, detect
 
 
-def read(text: str | bytes, **limits: int) -> Flight:
+def read(text: str | bytes, **limits: Any) -> Flight:
     blob = text.encode() if isinstance(text, str) else text
     return collect(memoryview(blob), "t.csv", all_formats()["csv"], Limits(**limits))
 
@@ -52,19 +54,23 @@ def test_the_usual_dialects_give_the_same_table(text: str, names: list[str]) -> 
 
 
 def test_units_come_from_brackets_or_from_a_line_of_their_own() -> None:
-    for text in ("time,u [deg],y (m/s)\n0,1,2\n1,3,4\n", "time,u,y\ns,deg,m/s\n0,1,2\n1,3,4\n"):
+    for text in ("time_s,u [deg],y (m/s)\n0,1,2\n1,3,4\n", "time,u,y\ns,deg,m/s\n0,1,2\n1,3,4\n"):
         schema = read(text)["table"].schema
         assert [field_unit(schema.field(n)) for n in ("u", "y")] == ["deg", "m/s"]
-    assert "q [furlong]" in read("time,u [deg],q [furlong]\n0,1,2\n1,3,4\n")["table"].column_names
+    assert "q [furlong]" in read("time_s,u [deg],q [furlong]\n0,1,2\n1,3,4\n")["table"].column_names
 
 
 @pytest.mark.parametrize(
     ("times", "name", "expected"),
     [
         (["100", "104", "108"], "time_ms", [0.1, 0.104, 0.108]),
-        (["5000000", "5004000", "5008000"], "timestamp", [5.0, 5.004, 5.008]),  # ulog2csv
+        (["5000000", "5010000", "5020000"], "timestamp", [5.0, 5.01, 5.02]),  # ulog2csv
+        (["5000000", "5004000", "5008000"], "TimeUS", [5.0, 5.004, 5.008]),
         (["0", "20", "40"], "t", [0.0, 0.02, 0.04]),
-        (["0", "1", "2"], "t", [0.0, 1.0, 2.0]),
+        (["0", "1", "2"], "t.sec", [0.0, 1.0, 2.0]),
+        (["0", "0.5", "1"], "t", [0.0, 0.5, 1.0]),
+        (["1700000000", "1700000001", "1700000002"], "t", [0.0, 1.0, 2.0]),
+        (["1700000000250.5", "1700000000500.5", "1700000000750.5"], "t", [0.2505, 0.5005, 0.7505]),
         (["1700000000.25", "1700000000.5", "1700000000.75"], "__time", [0.25, 0.5, 0.75]),  # PlotJuggler
         (["1700000000250", "1700000000500", "1700000000750"], "time", [0.25, 0.5, 0.75]),
         (["1700000000250000001", "1700000000500000002", "1700000000750000003"], "time", [0.25, 0.5, 0.75]),
@@ -78,6 +84,83 @@ def test_the_unit_of_a_time_is_stated_or_seen(times: list[str], name: str, expec
     assert seconds(flight) == pytest.approx([since + e for e in expected], abs=1e-6)
     if times[0].endswith("1"):
         assert flight["table"]["time_ns"].to_pylist() == [int(t) for t in times]
+
+
+@pytest.mark.parametrize(
+    ("step", "count", "readings", "units"),
+    [
+        (1, 100, ("99 s at 1 Hz in s", "0.099 s at 1,000 Hz in ms"), ("s", "ms")),
+        (2, 100, ("198 s at 0.5 Hz in s", "0.198 s at 500 Hz in ms"), ("s", "ms")),
+        (1000, 100, ("99 s at 1 Hz in ms", "0.099 s at 1,000 Hz in us"), ("ms", "us")),
+        (4000, 3000, ("11,996 s at 0.25 Hz in ms", "11.996 s at 250 Hz in us"), ("ms", "us")),
+        (16.75, 100, ("1,658.25 s at 0.0597015 Hz in s", "1.65825 s at 59.7015 Hz in ms"), ("s", "ms")),
+    ],
+)
+def test_a_time_that_may_be_in_two_units_is_asked_for(
+    step: float, count: int, readings: tuple[str, str], units: tuple[str, str]
+) -> None:
+    text = "t,u\n" + "".join(f"{i * step:g},{i % 7}.5\n" for i in range(count))
+    with pytest.raises(FormatError) as raised:
+        read(text)
+    assert all(reading in raised.value.message for reading in readings)
+    for unit in units:
+        assert f"--time-unit {unit}" in raised.value.hint
+        size = {"s": 1.0, "ms": 1e-3, "us": 1e-6}[unit]
+        told = read(text, time_unit=unit)
+        assert seconds(told)[-1] == pytest.approx((count - 1) * step * size)
+        assert told.info["time"] == f"t in {unit}, as told"
+
+
+def test_a_unit_that_is_stated_outweighs_what_is_told() -> None:
+    assert seconds(read("time_ms,u\n0,1\n1,2\n", time_unit="s")) == [0.0, 0.001]
+    with pytest.raises(UsageError, match="no unit of time 'min'"):
+        read("time,u\n0,1\n1,2\n", time_unit="min")
+
+
+def test_a_table_longer_than_a_day_in_one_unit_is_in_the_other() -> None:
+    text = "timestamp,u\n" + "".join(f"{i * 4000},{i % 7}.5\n" for i in range(25_000))
+    assert seconds(read(text))[-1] == pytest.approx(24_999 * 0.004)
+
+
+@pytest.mark.parametrize("wrong", ["", "nan", "abc", "99999999999999999999"])
+def test_long_stamps_keep_their_digits_beside_a_bad_cell(wrong: str) -> None:
+    stamps = [1_700_000_000_000_000_001 + 20_000_003 * i for i in range(20)]
+    rows = [f"{stamp},{i}.5\n" for i, stamp in enumerate(stamps)]
+    rows.insert(12, f"{wrong},1.5\n")
+    flight = read("time_ns,u\n" + "".join(rows))
+    assert flight["table"]["time_ns"].to_pylist() == stamps
+    assert flight.damage.region_count == 1
+
+
+def test_microseconds_since_1970_keep_their_digits() -> None:
+    stamps = [1_700_000_000_000_001 + 20_003 * i for i in range(20)]
+    flight = read("time_us,u\n" + "".join(f"{stamp},1.5\n" for stamp in stamps))
+    assert flight["table"]["time_ns"].to_pylist() == [1000 * stamp for stamp in stamps]
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("pitch_deg", "deg"),
+        ("vx_m_s", "m/s"),
+        ("alt_m", "m"),
+        ("rate_radps", "rad/s"),
+        ("p_rad_s", "rad/s"),
+        ("roll rate_deg_s", "deg/s"),
+        ("ax_m_s2", "m/s/s"),
+        ("pwm_us", "us"),
+        ("battery_V", "V"),
+        ("throttle_pct", "%"),
+        ("vx_ms", ""),  # milliseconds, or metres per second?
+        ("m", ""),
+        ("cmd", ""),
+        ("rpm", ""),
+        ("pos_north", ""),
+    ],
+)
+def test_a_name_that_ends_with_a_unit_states_it(name: str, unit: str) -> None:
+    schema = read(f"time_s,{name}\n0,1\n1,3\n")["table"].schema
+    assert field_unit(schema.field(name)) == unit
 
 
 def test_a_table_without_a_time_has_numbered_rows() -> None:
@@ -138,10 +221,34 @@ def test_dates_that_do_not_exist_cost_their_row() -> None:
     assert flight.damage.region_count == 1
 
 
-@pytest.mark.parametrize("text", ["hello\nworld\n", "a,b\n", "a,b\nc,d\ne,f\n", "1 2\n3 4\n", ""])
+GPS = "$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "hello\nworld\n",
+        "a,b\n",
+        "a,b\nc,d\ne,f\n",
+        "1 2\n3 4\n",
+        "\n",
+        GPS * 40,
+        "[1, 2, 3]\n" * 40,
+        '{"a": 1, "b": 2,\n"c": 3, "d": 4}\n' * 40,
+        '{\n"x":\n[\n1,2\n,\n3,4\n]\n}\n',
+    ],
+)
 def test_what_is_no_table_of_numbers_is_refused(text: str) -> None:
     with pytest.raises(FormatError):
-        read(text or "\n")
+        read(text)
+    with pytest.raises(FormatError):
+        detect(text.encode(), "log.csv")
+
+
+def test_lines_that_look_like_a_table_in_a_binary_file_are_none() -> None:
+    noise = np.random.default_rng(3).integers(1, 256, 5000, dtype=np.uint8).tobytes()
+    with pytest.raises(FormatError):
+        read(noise + b"\n1,2,3\n4,5,6\n" + noise + b"\n")
 
 
 def test_other_text_logs_keep_their_reader() -> None:

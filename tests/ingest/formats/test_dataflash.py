@@ -30,7 +30,7 @@ SCALED = {"c": 0.01, "C": 0.01, "e": 0.01, "E": 0.01, "L": 1e-7}
 TEXT = FORMATS["dataflash_text"]
 
 
-def read(blob: bytes, **limits: int) -> Flight:
+def read(blob: bytes, **limits: Any) -> Flight:
     return collect(memoryview(blob), "x.bin", FORMATS["dataflash"], Limits(**limits))
 
 

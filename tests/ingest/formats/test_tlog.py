@@ -30,7 +30,7 @@ MS = 1_000_000
 needs_logs = pytest.mark.skipif(not LOGS.is_dir(), reason="../shared/logs is not there")
 
 
-def read(blob: bytes, **limits: int) -> Flight:
+def read(blob: bytes, **limits: Any) -> Flight:
     return collect(memoryview(blob), "x.tlog", FORMATS["tlog"], Limits(**limits))
 
 
