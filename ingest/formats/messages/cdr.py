@@ -10,6 +10,11 @@ In CDR a value is aligned to its own size (at most 8, or 4 in XCDR2) counted fro
 encapsulation header; the alignment of an empty sequence's elements is not applied. ROS 1 packs everything.
 
 A message that does not fit its type gets `bad` and reads zeros from then on; the others are untouched.
+
+A message ends where its type ends. Two surpluses are none: zeros up to a multiple of 4 bytes, which DDS pads
+to, and what `rmw_serialize` of ROS 2 leaves when it sizes a buffer: it makes room for aligning the elements
+of empty sequences. `Cursors.drift` follows that size. Any other surplus means that the message is of another
+type, whose values would be read wrong.
 """
 
 from __future__ import annotations
@@ -159,7 +164,10 @@ def _varying(kind: Text | Array | Number | Record, path: str) -> Step:
 
 @dataclass
 class Cursors:
-    """One place per message. `data` ends with `zeros` bytes of zeros, where bad messages read."""
+    """One place per message. `data` ends with `zeros` bytes of zeros, where bad messages read.
+
+    `drift` is how far behind `at` a message would be, had the elements of its empty sequences been aligned.
+    """
 
     data: Bytes
     at: Index
@@ -169,9 +177,11 @@ class Cursors:
     zeros: int
     budget: list[int] = field(default_factory=lambda: [MAX_STEPS])
     bad: NDArray[np.bool_] = field(init=False)
+    drift: Index = field(init=False)
 
     def __post_init__(self) -> None:
         self.bad = np.zeros(len(self.at), dtype=np.bool_)
+        self.drift = np.zeros(len(self.at), dtype=np.int64)
 
     def fail(self, which: NDArray[np.bool_]) -> None:
         """Mark messages as bad; they read zeros from now on."""
@@ -201,7 +211,26 @@ class Cursors:
         """Cursors of elements that start at `at`, inside messages `keep`."""
         inner = Cursors(self.data, at, self.end[keep], self.origin[keep], self.wire, self.zeros, self.budget)
         inner.bad = self.bad[keep]
+        inner.drift = self.drift[keep]
         return inner
+
+    def skip_gaps(self, unit: int, count: Index, *, room: bool) -> None:
+        """Align to `unit` before the elements of sequences; with `room` `drift` aligns empty ones too."""
+        has_any = count > 0
+        gap = np.where(has_any, -(self.at - self.origin) % unit, 0)
+        drifted = np.where(has_any | room, -(self.at + self.drift - self.origin) % unit, 0)
+        self.at = self.at + gap
+        self.drift = self.drift + drifted - gap
+
+    def has_surplus(self) -> NDArray[np.bool_]:
+        """Which messages go on behind their type."""
+        left = self.end - self.at
+        over = np.where(left >= self.drift, left - self.drift, left)
+        for k in np.flatnonzero((over > 0) & (over < 4) & ((self.end - self.origin) % 4 == 0)).tolist():
+            if self.wire.align > 1 and not self.data[self.end[k] - over[k] : self.end[k]].any():
+                over[k] = 0
+        surplus: NDArray[np.bool_] = (over != 0) & ~self.bad
+        return surplus
 
 
 def largest_run(steps: tuple[Step, ...]) -> int:
@@ -215,8 +244,10 @@ def largest_run(steps: tuple[Step, ...]) -> int:
     return most
 
 
-def decode(data: Bytes, at: Index, size: Index, steps: tuple[Step, ...], wire: Wire) -> tuple[Columns, Index]:
-    """Columns of the messages data[at : at + size], and the numbers of those that fit the type.
+def decode(
+    data: Bytes, at: Index, size: Index, steps: tuple[Step, ...], wire: Wire
+) -> tuple[Columns, Index, int]:
+    """Columns of the messages data[at : at + size], the numbers of those that fit, how many go on behind it.
 
     `data` must end with `largest_run(steps)` zeros. Columns have one row per message, bad ones included.
 
@@ -226,7 +257,8 @@ def decode(data: Bytes, at: Index, size: Index, steps: tuple[Step, ...], wire: W
     """
     cursors = Cursors(data, at.copy(), at + size, at, wire, largest_run(steps))
     columns = _decode_steps(cursors, steps)
-    return columns, np.flatnonzero(~cursors.bad)
+    surplus = cursors.has_surplus()
+    return columns, np.flatnonzero(~cursors.bad & ~surplus), int(surplus.sum())
 
 
 def _decode_steps(cursors: Cursors, steps: tuple[Step, ...]) -> Columns:
@@ -252,6 +284,11 @@ def _decode_run(cursors: Cursors, run: Run) -> Columns:
     layouts = {p: run.layout(p, cursors.wire) for p in phases}
     sizes = np.zeros(unit, dtype=np.int64)
     sizes[phases] = [layouts[p][1] for p in phases]
+    if cursors.drift.any():
+        drifted = (phase + cursors.drift) % unit
+        for p in np.unique(drifted).tolist():
+            cursors.drift[drifted == p] += run.layout(p, cursors.wire)[1]
+        cursors.drift -= sizes[phase]
     starts = cursors.take(int(sizes[phases[0]]) if one else sizes[phase])
     columns = [_empty(leaf, len(phase)) for leaf in run.leaves]
     for p, (kind, size) in layouts.items():
@@ -298,7 +335,7 @@ def _decode_numbers(cursors: Cursors, dtype: str) -> pa.Array:
     count = cursors.counts(kind.itemsize)
     unit = min(kind.itemsize, cursors.wire.align)
     if unit > 4:  # after the count every place is aligned to 4
-        cursors.at += np.where(count > 0, -(cursors.at - cursors.origin) % unit, 0)
+        cursors.skip_gaps(unit, count, room=True)
     cursors.fail(cursors.at + count * kind.itemsize > cursors.end)
     count = np.where(cursors.bad, 0, count)
     start = cursors.take(count * kind.itemsize)
@@ -337,7 +374,9 @@ def _even_elements(cursors: Cursors, step: Elements, count: Index) -> Columns | 
     run, wire = step.steps[0], cursors.wire
     unit = run.unit(wire)
     if run.leads(wire):
-        cursors.at += np.where(count > 0, -(cursors.at - cursors.origin) % unit, 0)
+        cursors.skip_gaps(unit, count, room=False)
+    elif cursors.drift.any():
+        return None
     phases = np.unique((cursors.at - cursors.origin)[count > 0] % unit)
     sizes = {run.layout(p, wire)[1] for p in phases.tolist()} or {1}
     size = sizes.pop()
@@ -368,6 +407,7 @@ def _uneven_elements(cursors: Cursors, step: Elements, count: Index) -> Columns:
         owners.append(active)
         cursors.at[active] = inner.at
         cursors.bad[active] |= inner.bad
+        cursors.drift[active] = inner.drift
     if not layers:
         none = np.empty(0, dtype=np.int64)
         return _decode_steps(cursors.part(none, none), step.steps)

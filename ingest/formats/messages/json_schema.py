@@ -126,9 +126,15 @@ def decode_json(data: Bytes, at: Index, size: Index, layout: JsonLayout) -> tupl
 
 
 def _read_lines(data: Bytes, at: Index, size: Index, layout: JsonLayout) -> pa.Table | None:
-    """The messages through Arrow's reader; None where it does not take them all as they are."""
+    """The messages through Arrow's reader; None where it does not take them all as they are.
+
+    Arrow counts two objects in a line as two rows, and none for a blank line: with an object at the start of
+    every message, as many rows as messages are one row each.
+    """
     import pyarrow.json as arrow_json
 
+    if (size == 0).any() or (data[at] != ord("{")).any():
+        return None
     window = data.data
     lines = b"\n".join(
         [

@@ -67,7 +67,8 @@ def scrub_message(kind: Record, data: bytes, wire: Wire, where: str, scrubber: S
     """The message with the same length. Raises MessageError where it does not fit its type."""
     out = bytearray(data)
     numbers: dict[str, Spot] = {}
-    for spot in _Walk(data, wire).spots(kind, ""):
+    walk = _Walk(data, wire)
+    for spot in walk.spots(kind, ""):
         name = spot.path.rpartition(".")[2].partition("[")[0]
         if spot.dtype:
             numbers[spot.path] = spot
@@ -79,6 +80,7 @@ def scrub_message(kind: Record, data: bytes, wire: Wire, where: str, scrubber: S
             clean = b"x" * len(text) if rules.is_identity(name) else rules.redacted(text)
             out[spot.at : spot.at + spot.size] = clean
             scrubber.note(rules.TEXT, f"{where}.{name}", clean != text)
+    out[walk.end() :] = bytes(len(out) - walk.end())
     _move(out, numbers, wire, where, scrubber)
     return bytes(out)
 
@@ -131,7 +133,18 @@ class _Walk:
     """A cursor over one message."""
 
     def __init__(self, data: bytes, wire: Wire) -> None:
-        self._data, self._wire, self._at, self._steps = data, wire, 0, 0
+        self._data = data
+        self._wire = wire
+        self._at = 0
+        self._drift = 0  # see cdr
+        self._steps = 0
+
+    def end(self) -> int:
+        """Where the message ends. Raises MessageError where more follows than padding."""
+        surplus = len(self._data) - self._at
+        if surplus > self._drift + 3 or (surplus and self._wire.align == 1):
+            raise MessageError("bytes are left behind the end of its definition")
+        return self._at
 
     def spots(self, kind: Type, path: str) -> Iterator[Spot]:
         self._steps += 1
@@ -154,8 +167,11 @@ class _Walk:
         count = self._count() if kind.size is None else kind.size
         if isinstance(kind.element, Number):
             size = np.dtype(kind.element.dtype).itemsize
-            if count:
-                self._align(size)
+            before = self._at
+            self._align(size)
+            if not count:
+                self._drift += self._at - before
+                self._at = before
             at = self._take(size * count)
             if rules.is_identity(path):
                 yield Spot(path, "u1", at, size * count)
@@ -164,7 +180,11 @@ class _Walk:
             yield from self.spots(kind.element, f"{path}[{k}]")
 
     def _align(self, size: int) -> None:
-        self._at += -self._at % min(size, self._wire.align)
+        unit = min(size, self._wire.align)
+        drifted = -(self._at + self._drift) % unit
+        gap = -self._at % unit
+        self._at += gap
+        self._drift += drifted - gap
 
     def _count(self) -> int:
         self._align(4)

@@ -1,9 +1,9 @@
-"""One MCAP topic: its decoder, its clock, its stream keys."""
+"""One topic: its decoder, its clock, its stream keys."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
@@ -52,11 +52,15 @@ class Messages:
 
 @dataclass(frozen=True)
 class Decoded:
-    """Columns of the messages numbered `kept`, in that order, and metadata by column."""
+    """Columns of the messages numbered `kept`, in that order, and metadata by column.
+
+    `longer` of the others go on behind what their definition says.
+    """
 
     columns: Columns
     kept: Index
     notes: Mapping[str, dict[bytes, bytes] | None]
+    longer: int = 0
 
 
 Decoder = Callable[[Messages], Decoded]
@@ -117,8 +121,8 @@ def _ros1_decoder(name: str, text: str) -> Decoder:
 
     def decode_batch(messages: Messages) -> Decoded:
         data = _padded(messages.data, zeros)
-        columns, kept = decode(data, messages.at, messages.size, steps, ROS1_WIRE)
-        return Decoded(_taken(columns, kept), kept, {})
+        columns, kept, longer = decode(data, messages.at, messages.size, steps, ROS1_WIRE)
+        return Decoded(_taken(columns, kept), kept, {}, longer)
 
     return decode_batch
 
@@ -129,16 +133,17 @@ def _cdr_decoder(name: str, text: str) -> Decoder:
 
     def decode_batch(messages: Messages) -> Decoded:
         data = _padded(messages.data, zeros)
-        groups = []
+        groups, longer = [], 0
         kinds = np.where(messages.size >= 4, data[messages.at + 1], 255)
         for kind in np.unique(kinds).tolist():
             wire = CDR_WIRES.get(kind)
             which = np.flatnonzero(kinds == kind)
             if wire is not None:
                 at, size = messages.at[which] + 4, messages.size[which] - 4
-                columns, kept = decode(data, at, size, steps, wire)
+                columns, kept, surplus = decode(data, at, size, steps, wire)
                 groups.append((_taken(columns, kept), which[kept]))
-        return _merged(groups)
+                longer += surplus
+        return replace(_merged(groups), longer=longer)
 
     return decode_batch
 
@@ -213,7 +218,8 @@ class Topic:
             tally.undecode(self.channel.topic, len(messages.at), str(error))
             return
         lost = len(messages.at) - len(decoded.kept)
-        tally.undecode(self.channel.topic, lost, "the message does not fit its definition")
+        tally.undecode(self.channel.topic, decoded.longer, "bytes are left behind the end of its definition")
+        tally.undecode(self.channel.topic, lost - decoded.longer, "the message does not fit its definition")
         if len(decoded.columns) > MAX_COLUMNS:
             why = f"its definition gives {len(decoded.columns)} columns; at most {MAX_COLUMNS} are read"
             tally.undecode(self.channel.topic, len(decoded.kept), why)
