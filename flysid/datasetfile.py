@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from flysid import tabular
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import DataError, StoreError, UsageError
-from flysid.flightwriter import sync, writing_to
+from flysid.files import new_file, writing_to
 from flysid.version import check_version
 
 ROWS_PER_GROUP = 1 << 19
@@ -44,15 +44,8 @@ def write_dataset(path: str | Path, head: tabular.Head, segments: Iterable[Segme
     path = Path(path)
     if path.exists():
         raise UsageError("the target exists", path=path, hint="choose another name")
-    temporary = path.with_name(f".{path.name}.incoming")
-    try:
-        with writing_to(path):
-            rows = _write(temporary, head, head.segments if segments is None else segments)  # type: ignore[attr-defined]
-            sync(temporary)
-            temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    return rows
+    with new_file(path) as temporary, writing_to(path):
+        return _write(temporary, head, head.segments if segments is None else segments)  # type: ignore[attr-defined]
 
 
 def _write(path: Path, head: tabular.Head, segments: Iterable[Segment]) -> int:

@@ -9,23 +9,20 @@ bounded whatever the log's size.
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
-import re
-import shutil
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import accumulate, pairwise
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.fs
 import pyarrow.parquet as pq
 
-from flysid.errors import StoreError, WriteError
+from flysid.errors import StoreError
+from flysid.files import slug, writing_to
 from flysid.flight import BOOT, RECEIVED, TIME, field_scale, field_unit
 from flysid.manifest import Column, StreamEntry
 
@@ -33,90 +30,9 @@ BUFFER_BYTES = 32 << 20
 SORT_BYTES = 32 << 20
 ROWS_PER_GROUP = 1 << 20
 MAX_OPEN_FILES = 200
+BLOCK_BYTES = 4096  # what a file takes on the disk at least: smaller ones gain nothing from being compressed
+IntArray = npt.NDArray[np.int64]
 _END = (1 << 31, 0)  # behind every (boot, time)
-_RESERVED = {"con", "prn", "aux", "nul", *(f"{d}{i}" for d in ("com", "lpt") for i in range(10))}
-
-
-def slug(name: str, taken: Collection[str] = ()) -> str:
-    """A file name for `name` that is safe on every file system and differs from all `taken` (folded) names.
-
-    Letters, digits, '.', '_' and '-' stay, all else becomes '_'. A name that is too long, reserved, begins
-    with a dot, or clashes when case is ignored gets a hash of the full name.
-    """
-    safe = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("_.")[:80] or "stream"
-    if safe.split(".")[0].lower() not in _RESERVED and safe.casefold() not in taken and len(name) <= 80:
-        return safe
-    digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()
-    return (
-        f"{safe}-{digest[:12]}" if safe.split(".")[0].lower() not in _RESERVED else f"s-{safe}-{digest[:12]}"
-    )
-
-
-@contextmanager
-def writing_to(path: Path) -> Iterator[None]:
-    """Turn the system's refusal to write into a WriteError that names the path."""
-    try:
-        yield
-    except MemoryError:  # Arrow's is an ArrowException too; the folder is not at fault
-        raise
-    except (OSError, pa.ArrowException) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise WriteError(
-            f"cannot be written: {reason}", path=path, hint="free space or choose another folder"
-        ) from error
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file that appears whole or not at all (temporary file, fsync, rename). Raises OSError."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
-    sync(path.parent)
-
-
-def put_in_place(incoming: Path, final: Path) -> None:
-    """Make `incoming` (a folder) be `final`; a folder that is there is replaced and removed. Raises OSError.
-
-    Where the system can exchange two names (Linux), there is no moment without a `final`.
-    """
-    if not final.exists():
-        incoming.rename(final)
-    elif exchange(incoming, final):
-        shutil.rmtree(incoming, ignore_errors=True)
-    else:
-        old = final.with_name(f".{final.name}.replaced.{os.getpid()}")
-        final.rename(old)
-        incoming.rename(final)
-        shutil.rmtree(old, ignore_errors=True)
-    sync(final.parent)
-
-
-def exchange(one: Path, other: Path) -> bool:
-    """Swap two names at once (renameat2, RENAME_EXCHANGE); False where the system cannot."""
-    import ctypes
-
-    try:
-        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
-    except (OSError, AttributeError, TypeError):
-        return False
-    here = -100  # AT_FDCWD: paths are relative to the working folder
-    return bool(renameat2(here, os.fsencode(one), here, os.fsencode(other), 2) == 0)
-
-
-def sync(path: Path) -> None:
-    """Flush a file or folder to the disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 @dataclass
@@ -164,16 +80,12 @@ class FlightWriter:
             self._flush(self._fullest())
 
     def finish(self) -> tuple[StreamEntry, ...]:
-        """Write all that waits, sort what needs it, flush to the disk; entries by stream key."""
+        """Write all that waits, sort what needs it; entries by stream key."""
         for stream in self._streams.values():
             self._flush(stream)
             self._close(stream)
             if not stream.is_sorted:
                 _merge(stream)
-            with writing_to(stream.path):
-                sync(stream.path)
-        with writing_to(self._folder):
-            sync(self._folder)
         return tuple(_entry(self._streams[key]) for key in sorted(self._streams))
 
     def close(self) -> None:
@@ -189,20 +101,16 @@ class FlightWriter:
 
     def _flush(self, stream: _Stream) -> None:
         table = pa.concat_tables(stream.waiting) if stream.waiting else stream.schema.empty_table()
+        if stream.writer is None:
+            with writing_to(stream.path):
+                stream.writer = _parquet_writer(stream.path, stream.schema, stream.waiting_bytes)
+            self._open += 1
         self._waiting -= stream.waiting_bytes
         stream.waiting, stream.waiting_bytes = [], 0
         table = in_order(table)
-        _note_times(stream, table)
         stream.rows += table.num_rows
-        if stream.writer is None:
-            with writing_to(stream.path):
-                stream.writer = _parquet_writer(stream.path, stream.schema)
-            self._open += 1
         if table.num_rows:
-            boots, times = int_values(table[BOOT]), int_values(table[TIME])
-            stream.starts += zip(
-                boots[::ROWS_PER_GROUP].tolist(), times[::ROWS_PER_GROUP].tolist(), strict=True
-            )
+            _note_times(stream, int_values(table[BOOT]), int_values(table[TIME]))
             with writing_to(stream.path):
                 stream.writer.write_table(table, row_group_size=ROWS_PER_GROUP)
 
@@ -214,8 +122,24 @@ class FlightWriter:
                 writer.close()
 
 
-def _parquet_writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
-    return pq.ParquetWriter(path, schema, compression="zstd", compression_level=1, version="2.6")
+def _parquet_writer(path: Path, schema: pa.Schema, size: int) -> pq.ParquetWriter:
+    """A writer of a stream of which `size` bytes wait to be written.
+
+    Without dictionaries, which cost time and, beside zstd, space. Extremes are noted of the times only, as
+    rows are in their order and in no other.
+    """
+    packed = (
+        {"compression": "zstd", "compression_level": 1} if size > BLOCK_BYTES else {"compression": "none"}
+    )
+    return pq.ParquetWriter(
+        path,
+        schema,
+        filesystem=pyarrow.fs.LocalFileSystem(),
+        version="2.6",
+        use_dictionary=False,
+        write_statistics=[BOOT, TIME],
+        **packed,
+    )
 
 
 def _merge(stream: _Stream) -> None:
@@ -224,7 +148,7 @@ def _merge(stream: _Stream) -> None:
     later = list(accumulate(reversed([*stream.starts[1:], _END]), min))[::-1]
     temporary = stream.path.with_suffix(".sorting")
     waiting = stream.schema.empty_table()
-    with writing_to(stream.path), _parquet_writer(temporary, stream.schema) as writer:
+    with writing_to(stream.path), _parquet_writer(temporary, stream.schema, SORT_BYTES) as writer:
         for group, earliest in enumerate(later):
             waiting = in_order(pa.concat_tables([waiting, file.read_row_group(group)]))
             ready = _rows_before(waiting, earliest)
@@ -248,7 +172,7 @@ def _rows_before(table: pa.Table, key: tuple[int, int]) -> int:
     return int(first + np.searchsorted(int_values(table[TIME])[first:last], key[1], "left"))
 
 
-def int_values(column: pa.ChunkedArray) -> npt.NDArray[np.int64]:
+def int_values(column: pa.ChunkedArray) -> IntArray:
     """(n,) the values of an integer column without nulls, as int64, without importing pandas."""
     pieces = [
         np.frombuffer(chunk.buffers()[1], dtype=f"i{chunk.type.bit_width // 8}")[
@@ -272,11 +196,9 @@ def in_order(table: pa.Table) -> pa.Table:
     return table.take(pa.Array.from_buffers(pa.int64(), len(order), [None, pa.py_buffer(order)]))
 
 
-def _note_times(stream: _Stream, table: pa.Table) -> None:
-    """Update the stream's spans per boot and whether it is still sorted; `table` is in order."""
-    if table.num_rows == 0:
-        return
-    boots, times = int_values(table[BOOT]), int_values(table[TIME])
+def _note_times(stream: _Stream, boots: IntArray, times: IntArray) -> None:
+    """Note how row groups begin, the spans per boot, whether it is all sorted; rows are in order."""
+    stream.starts += zip(boots[::ROWS_PER_GROUP].tolist(), times[::ROWS_PER_GROUP].tolist(), strict=True)
     first, last = (int(boots[0]), int(times[0])), (int(boots[-1]), int(times[-1]))
     stream.is_sorted &= first >= stream.last
     stream.last = max(stream.last, last)
@@ -310,13 +232,18 @@ def _entry(stream: _Stream) -> StreamEntry:
 
 def describe_column(column: pa.Field) -> Column:
     """What a manifest says about a column."""
-    metadata = column.metadata or {}
-    unit = "ns" if column.name in (TIME, RECEIVED) else field_unit(column)
+    return _described(column.name, column.type, tuple((column.metadata or {}).items()))
+
+
+@lru_cache(maxsize=1 << 14)
+def _described(name: str, kind: pa.DataType, metadata: tuple[tuple[bytes, bytes], ...]) -> Column:
+    """Logs of one kind share their columns, so that each is described once."""
+    column, facts = pa.field(name, kind, metadata=dict(metadata)), dict(metadata)
     return Column(
-        name=column.name,
-        type=str(column.type),
-        unit=unit,
+        name=name,
+        type=str(kind),
+        unit="ns" if name in (TIME, RECEIVED) else field_unit(column),
         scale=field_scale(column),
-        enum=json.loads(metadata.get(b"enum", b"{}")),
-        description=metadata.get(b"description", b"").decode(errors="replace"),
+        enum=json.loads(facts.get(b"enum", b"{}")),
+        description=facts.get(b"description", b"").decode(errors="replace"),
     )

@@ -1,32 +1,27 @@
 """Flight to parquet and back. The manifest, written last, commits a flight.
 
-A flight is written into a hidden folder beside its final place: every parquet file is fsynced, then the
-manifest is, then the folder is renamed. A killed writer leaves a hidden folder that no reader sees and
-that the next writer removes.
+A flight is written into a hidden folder beside its final place: parquet files, then the manifest. When
+all of them are on the disk, the folder is renamed. A killed writer, or a power cut, leaves a hidden folder
+that no reader sees and that the next writer removes.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Generator, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from flysid.errors import StoreError, UsageError, WriteError
+from flysid.errors import StoreError, UsageError
+from flysid.files import filling, put_in_place, slug, write_atomically, writing_to
+from flysid.files import locked as locked_file
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Flight, Source
-from flysid.flightwriter import (
-    FlightWriter,
-    in_order,
-    put_in_place,
-    slug,
-    write_atomically,
-    writing_to,
-)
+from flysid.flightwriter import FlightWriter, in_order
 from flysid.manifest import (
     DATA_FILE,
     DATA_FORMAT,
@@ -61,6 +56,9 @@ __all__ = [
     "slug",
     "write_flight",
 ]
+
+
+LOCK_FILE = ".lock"
 
 
 class Part(Protocol):
@@ -117,31 +115,15 @@ def _is_own(path: Path) -> bool:
     """Whether an entry of a folder is what a writer leaves that is killed while it makes a data folder."""
     if path.name == FLIGHTS:
         return path.is_dir() and not any(path.iterdir())
-    return path.name == ".lock" or path.name.startswith(f".{DATA_FILE}.")
+    return path.name == LOCK_FILE or path.name.startswith(f".{DATA_FILE}.")
 
 
-@contextmanager
-def locked(data: Path) -> Iterator[None]:
+def locked(data: Path) -> AbstractContextManager[None]:
     """Hold the folder's lock, so that two writers never clean up after each other.
 
-    The system releases the lock when the process ends, however it ends. Where locks do not exist
-    (Windows), nothing is held. Raises WriteError when another process holds it.
+    Raises WriteError when another process holds it; see `flysid.files.locked`.
     """
-    try:
-        import fcntl
-    except ImportError:
-        yield
-        return
-    with writing_to(data):
-        handle = (data / ".lock").open("w")
-    with handle:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise WriteError(
-                "another flysid is writing to this folder", path=data, hint="wait until it has finished"
-            ) from error
-        yield
+    return locked_file(data / LOCK_FILE, data)
 
 
 def clean(data: Path) -> int:
@@ -190,9 +172,11 @@ def write_flight(
         with writing_to(incoming):
             shutil.rmtree(incoming, ignore_errors=True)
             incoming.mkdir(parents=True)
-        manifest = _write_streams(incoming, name, source, parts)
+        with filling(incoming):
+            manifest = _write_streams(incoming, name, source, parts)
+            with writing_to(final):
+                (incoming / MANIFEST_FILE).write_bytes(to_json(manifest))
         with writing_to(final):
-            write_atomically(incoming / MANIFEST_FILE, to_json(manifest))
             put_in_place(incoming, final)
     except BaseException:
         shutil.rmtree(incoming, ignore_errors=True)

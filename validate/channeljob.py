@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 
 from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile
-from flysid.flightwriter import slug
+from flysid.files import slug
 from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.excitation.dead_time import DeadTime
 from flysid.model.base import Fitted

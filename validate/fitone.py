@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from flysid.errors import DataError, FitError
-from flysid.flightwriter import write_atomically
+from flysid.files import write_atomically
 from flysid.model.base import Fitted
 from flysid.model.rules import phrases as words
 

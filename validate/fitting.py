@@ -17,7 +17,7 @@ from typing import Any
 from flysid.dataset import Dataset
 from flysid.datasetfile import open_dataset
 from flysid.errors import DataError, UsageError
-from flysid.flightwriter import slug, write_atomically
+from flysid.files import replacing_folder, slug, write_atomically
 from flysid.ingest.align.doubts import doubts
 from flysid.ingest.align.recipe import Recipe, load_recipe, recipe_text
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
@@ -37,7 +37,6 @@ from flysid.validate.run import (
     FitSettings,
     Progress,
     Run,
-    replacing_folder,
     run_document,
     versions,
 )

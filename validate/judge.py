@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from flysid.errors import DataError, UsageError
-from flysid.flightwriter import write_atomically
+from flysid.files import replacing_folder, write_atomically
 from flysid.validate.caution import Caution
 from flysid.validate.cautions import cautions
 from flysid.validate.compare import Comparison, across_channels, compare
@@ -18,7 +18,7 @@ from flysid.validate.document import to_json
 from flysid.validate.paperfigures import write_figures
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.page import render
-from flysid.validate.run import FitSettings, HeldOut, Progress, Run, asked_for, held_out, replacing_folder
+from flysid.validate.run import FitSettings, HeldOut, Progress, Run, asked_for, held_out
 from flysid.validate.tables import to_csv, to_markdown
 from flysid.validate.terminal import summary, table
 from flysid.validate.words import one_line

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flysid.errors import StoreError, UsageError
-from flysid.flightwriter import write_atomically
+from flysid.files import write_atomically
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.overlay import drawn
 from flysid.validate.report.rulefigures import HasMemberships, antecedent_range

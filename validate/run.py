@@ -13,10 +13,8 @@ from __future__ import annotations
 
 import json
 import platform
-import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -25,7 +23,6 @@ from typing import Any
 from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile, open_dataset
 from flysid.errors import StoreError, UsageError
-from flysid.flightwriter import put_in_place, writing_to
 from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.align.recipe import Recipe, load_recipe
 from flysid.ingest.lake.lake import Lake
@@ -133,21 +130,6 @@ def versions() -> dict[str, str]:
     """Versions that a result depends on."""
     found = {"flysid": __version__, "python": platform.python_version()}
     return found | {name: metadata.version(name) for name in LIBRARIES}
-
-
-@contextmanager
-def replacing_folder(out: Path) -> Iterator[Path]:
-    """A new folder beside `out` that takes its place when the block ends well, and vanishes otherwise."""
-    incoming = out.with_name(f".{out.name}.incoming")
-    with writing_to(incoming):
-        shutil.rmtree(incoming, ignore_errors=True)
-        incoming.mkdir(parents=True)
-    try:
-        yield incoming
-        with writing_to(out):
-            put_in_place(incoming, out)
-    finally:
-        shutil.rmtree(incoming, ignore_errors=True)
 
 
 def run_document(run: Run) -> bytes:

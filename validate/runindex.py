@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from flysid.errors import StoreError
-from flysid.flightwriter import write_atomically
+from flysid.files import write_atomically
 from flysid.validate.history import REPORT, RunChannel, find_runs, run_channels
 from flysid.validate.judge import DOCUMENT
 from flysid.validate.run import RUN_FILE

@@ -99,7 +99,7 @@ def prepare(output: Path, force: bool) -> None:
         if not (output / MARKER).is_file():
             raise UsageError("not an earlier demo, so it is not replaced", path=output, hint="another -o")
         shutil.rmtree(output)
-    from flysid.flightwriter import writing_to
+    from flysid.files import writing_to
 
     with writing_to(output):
         output.mkdir(parents=True, exist_ok=True)
@@ -109,7 +109,7 @@ def prepare(output: Path, force: bool) -> None:
 def fly(stages: Stages, plant: str, seed: int, progress: Callable[[str], None]) -> str:
     """Fly the plant's plan; half of the flights are logged as tlog, the others as MCAP."""
     from flysid.cli.synth import make_folder
-    from flysid.flightwriter import write_atomically
+    from flysid.files import write_atomically
     from flysid.ingest.synth.plans import plan_named
     from flysid.ingest.synth.synth import WRITERS, Order, flights
 

@@ -169,7 +169,7 @@ def fly_all(order: Order, folder: Path, suffixes: tuple[str, ...], jobs: int) ->
 
 def fly_and_write(order: Order, index: int, folder: Path, suffixes: Sequence[str]) -> list[Path]:
     """Fly one flight and write it in every format; each log appears whole."""
-    from flysid.flightwriter import write_atomically, writing_to
+    from flysid.files import write_atomically, writing_to
     from flysid.ingest.synth.synth import WRITERS, fly_one
     from flysid.ingest.synth.truth import truth_bytes
 
@@ -214,7 +214,7 @@ def parse_gust(text: str) -> Gust:
 
 def make_folder(folder: Path) -> None:
     """Create the folder for the logs."""
-    from flysid.flightwriter import writing_to
+    from flysid.files import writing_to
 
     if folder.exists() and not folder.is_dir():
         raise UsageError("the target is not a folder", path=folder, hint="choose another with -o")

@@ -7,7 +7,6 @@ what cannot be read cannot be cleaned. Rules: `scrub_rules`.
 from __future__ import annotations
 
 import importlib
-import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +15,8 @@ import numpy as np
 import pyarrow as pa
 
 from flysid.errors import UsageError
+from flysid.files import new_file, writing_to
 from flysid.flight import field_scale
-from flysid.flightwriter import sync, writing_to
 from flysid.ingest.formats.base import HEAD_BYTES, Format, Limits, open_log
 from flysid.ingest.formats.common.scrub_rules import (
     Column,
@@ -91,17 +90,9 @@ def scrub_log(log: str | Path, out: str | Path, *, gps: Gps = "shift", force: bo
 
 
 def _write(out: Path, pieces: Iterator[bytes]) -> None:
-    temporary = out.with_name(f".{out.name}.{os.getpid()}")
-    try:
-        with writing_to(out), temporary.open("wb") as file:
-            for piece in pieces:
-                file.write(piece)
-        with writing_to(out):
-            sync(temporary)
-            temporary.replace(out)
-            sync(out.parent)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with new_file(out) as temporary, writing_to(out), temporary.open("wb") as file:
+        for piece in pieces:
+            file.write(piece)
 
 
 def middle(view: memoryview, name: str, fmt: Format) -> Fix | None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from flysid.dataset import Dataset
-from flysid.flightwriter import exchange, put_in_place
+from flysid.files import exchange, put_in_place
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.model.arx import ARX
@@ -139,7 +139,7 @@ def test_no_memory_to_align_costs_that_channel_only(tmp_path: Path, monkeypatch:
 def test_a_folder_takes_the_place_of_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for has_exchange in (True, False):
         if not has_exchange:
-            monkeypatch.setattr("flysid.flightwriter.exchange", lambda *_: False)
+            monkeypatch.setattr("flysid.files.exchange", lambda *_: False)
         for name in ("new", "old"):
             (tmp_path / name).mkdir()
             (tmp_path / name / "is").write_text(name)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from flysid.datasetfile import write_dataset
-from flysid.flightwriter import slug
+from flysid.files import slug
 from flysid.ingest.lake.batch import find_logs, ingest_logs
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.synth import WRITERS, Order, flights

@@ -11,7 +11,7 @@ import pytest
 
 from flysid.dataset import Dataset, Signal
 from flysid.errors import DataError, UsageError
-from flysid.flightwriter import write_atomically
+from flysid.files import write_atomically
 from flysid.ingest.lake.batch import find_logs, ingest_logs
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.synth import WRITERS, Order, flights

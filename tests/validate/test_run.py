@@ -17,7 +17,7 @@ from flysid.cli.fit import transfer_lines
 from flysid.cli.output import finish
 from flysid.dataset import Signal
 from flysid.errors import DataError, StoreError, UsageError
-from flysid.flightwriter import write_atomically
+from flysid.files import replacing_folder, write_atomically
 from flysid.ingest.lake.batch import find_logs, ingest_logs
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.synth import WRITERS, Order, flights
@@ -32,7 +32,7 @@ from flysid.validate.comparison import Comparison, Entry
 from flysid.validate.expected import expected_of_run
 from flysid.validate.fitting import fit_run
 from flysid.validate.judge import judge_run, write_judgement
-from flysid.validate.run import FitSettings, HeldOut, Run, asked_for, held_out, open_run, replacing_folder
+from flysid.validate.run import FitSettings, HeldOut, Run, asked_for, held_out, open_run
 from flysid.validate.words import number
 from tests.fakes import FirstOrder, fields_of, flown
 

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from flysid.cli.tf import command
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
-from flysid.flightwriter import write_atomically
+from flysid.files import write_atomically
 from flysid.ingest.align.align import dataset
 from flysid.ingest.formats.registry import read
 from flysid.ingest.lake.batch import find_logs, ingest_logs

@@ -20,7 +20,7 @@ from markupsafe import Markup
 
 import flysid
 from flysid.errors import StoreError
-from flysid.flightwriter import write_atomically
+from flysid.files import write_atomically
 from flysid.validate.cautions import cautions
 from flysid.validate.compare import FUZZY
 from flysid.validate.comparison import Comparison, ModelInfo, Pair
