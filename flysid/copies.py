@@ -2,8 +2,8 @@
 
 Three tests, the quick one first:
 
-1. Stretches of 16 rows, rounded to a thousandth of each signal's standard deviation, are hashed and looked
-   up: the same samples on the same grid, also where two formats round them differently.
+1. Windows of 16 rows, rounded to a thousandth of each signal's standard deviation, are hashed and looked
+   up: the same samples on the same grid, all at one lag, also where two formats round them differently.
 2. What a linear model of inputs and past outputs leaves, e, is correlated between flights over all lags. One
    flight recorded twice, at other rates or by formats that round coarsely, shares its noise and its wind,
    so that e agrees wherever the two overlap. Two flights of the same plan do not, however alike their
@@ -14,8 +14,9 @@ Three tests, the quick one first:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -23,21 +24,25 @@ import numpy.typing as npt
 from flysid.stretch import FloatArray, Stretch
 
 Hashes = npt.NDArray[np.uint64]
+Indices = npt.NDArray[np.int64]
 
 COPY_ROWS = 16  # rows that must agree to count as copied
 COPY_ROUNDING = 1e-3  # of a signal's standard deviation
 COPY_SHARE = 0.2  # of a flight that is found in another: the two overlap
+COPY_STEPS = 10  # changes of an output in what is found: standing still, all flights agree
+COPY_WHOLE = 0.9  # of a flight: where all of it agrees, it need not change so often
 MAX_HASHES = 1_000_000
 LAGS = 10  # past outputs and inputs of the linear model whose remainder is compared
 FIT_ROWS = 50_000  # at most, of all flights together, to fit that model
-LEAST_OVERLAP = 100  # samples
+LEAST_NOISE = 40  # samples whose noise is compared
+LEAST_OVERLAP = 15  # samples whose outputs are compared
 LEAST_CORRELATION = (
     0.3  # of the remainders of two recordings of one flight, at rates that differ by up to ten
 )
 SAME_OUTPUT = 0.02  # of its spread
 SAME_SHARE = 0.5  # of a flight whose outputs agree so well
-FRACTIONS = 9  # lags tried between two samples
-SIGMAS = 8.0  # chance reaches about 5 over the lags of the longest flights
+SAME_INPUT = 0.5  # of its spread: steps fall between the samples of the other recorder
+SIGMAS = 3.5  # of a correlation beyond the largest that chance makes over all lags
 LONGEST_PAUSE = 1000  # samples: longer pauses are shortened, so that a day between two boots costs no memory
 
 
@@ -65,40 +70,72 @@ def find_copy(train: Sequence[Stretch], test: Sequence[Stretch], dt_s: float) ->
 # ------------------------------------------------------------------------------------- equal samples
 
 
+@dataclass(frozen=True, eq=False)
+class _Windows:
+    """Every COPY_ROWS rows of some flights that are not all alike, in the order of their hashes.
+
+    Attributes
+    ----------
+    hashes, flight, row : (n,) of every window: hash, number of its flight, its first row in that flight.
+    counts : (flights,) how many windows each flight has.
+    steps : per flight the rows, rising, at which an output changes.
+    """
+
+    hashes: Hashes
+    flight: Indices
+    row: Indices
+    counts: Indices
+    steps: Mapping[int, Indices]
+
+
 def _same_samples(train: Sequence[Stretch], test: Sequence[Stretch]) -> Copy | None:
-    """Stretches in which an output mostly stands still count for nothing: on the ground all flights agree."""
+    """Windows of a held-out flight that stand in one training flight, all moved by the same number of rows.
+
+    A window may be alike by chance, where signals are coarse or the vehicle stands; many at one lag are
+    not. What stands still in both says nothing: some outputs must change, or all of the flight must agree.
+    """
     names = list(dict.fromkeys(s.flight for s in (*train, *test)))
     both = [*train, *test]
     step, thin = _rounding(both), max(1, sum(len(s.y) for s in both) // MAX_HASHES)
-    known, owners = _hashed(train, names, step, thin)
-    held, holders = _hashed(test, names, step, thin)
-    if len(known) == 0 or len(held) == 0:
+    known, held = (_windows(part, names, step, thin) for part in (train, test))
+    if len(known.hashes) == 0 or len(held.hashes) == 0:
         return None
-    at = np.minimum(np.searchsorted(known, held), len(known) - 1)
-    copied = (known[at] == held) & (owners[at] != holders)
-    for i in np.unique(holders[copied]).tolist():
-        share = float(copied[holders == i].mean())
-        if share > COPY_SHARE:
-            other = int(np.bincount(owners[at][copied & (holders == i)]).argmax())
-            return Copy(names[i], names[other], f"{share:.0%} of its samples are the same")
+    at = np.minimum(np.searchsorted(known.hashes, held.hashes), len(known.hashes) - 1)
+    copied = (known.hashes[at] == held.hashes) & (known.flight[at] != held.flight)
+    found = np.stack([held.flight, known.flight[at], known.row[at] - held.row], axis=1)[copied]
+    rows = held.row[copied]
+    groups, of, sizes = np.unique(found, axis=0, return_inverse=True, return_counts=True)
+    for i in np.argsort(-sizes, kind="stable"):
+        mine, theirs, _ = groups[i]
+        share = sizes[i] / held.counts[mine]
+        if share <= COPY_SHARE:
+            continue
+        seen = np.unique(rows[of.ravel() == i][:, None] + np.arange(1, COPY_ROWS))
+        changes = len(np.intersect1d(seen, held.steps[mine]))
+        if changes >= COPY_STEPS or (share > COPY_WHOLE and changes):
+            return Copy(names[mine], names[theirs], f"{min(share, 1.0):.0%} of its samples are the same")
     return None
 
 
-def _hashed(
-    stretches: Sequence[Stretch], names: Sequence[str], step: FloatArray, thin: int
-) -> tuple[Hashes, npt.NDArray[np.int64]]:
-    """Sorted hashes, and the flight each is from. Of many millions, the same sample of hashes is taken."""
+def _windows(stretches: Sequence[Stretch], names: Sequence[str], step: FloatArray, thin: int) -> _Windows:
+    """All windows; of many millions, the same sample of hashes is taken."""
     number = {name: i for i, name in enumerate(names)}
-    hashes: list[Hashes] = [np.empty(0, dtype=np.uint64)]
-    owners: list[npt.NDArray[np.int64]] = [np.empty(0, dtype=np.int64)]
-    for stretch in stretches:
-        found = np.unique(_row_hashes(stretch, step))
-        found = found[found % np.uint64(thin) == 0]
-        hashes.append(found)
-        owners.append(np.full(len(found), number[stretch.flight]))
-    joined, of = np.concatenate(hashes), np.concatenate(owners)
+    counts, length = np.zeros(len(names), dtype=np.int64), dict.fromkeys(names, 0)
+    parts: list[tuple[Hashes, Indices, Indices]] = []
+    steps: dict[int, list[Indices]] = {i: [] for i in range(len(names))}
+    for s in stretches:
+        flight, first = number[s.flight], length[s.flight]
+        hashes, rows = _row_hashes(s, step)
+        kept = hashes % np.uint64(thin) == 0
+        counts[flight] += int(kept.sum())
+        parts.append((hashes[kept], np.full(int(kept.sum()), flight), first + rows[kept]))
+        changed = np.flatnonzero((np.diff(np.rint(s.y / step[-s.y.shape[1] :]), axis=0) != 0).any(axis=1))
+        steps[flight].append(first + 1 + changed)
+        length[s.flight] += len(s.y)
+    joined, flights, at = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(joined, kind="stable")
-    return joined[order], of[order]
+    found = {i: np.concatenate(own) for i, own in steps.items() if own}
+    return _Windows(joined[order], flights[order], at[order], counts, found)
 
 
 def _rounding(stretches: Sequence[Stretch]) -> FloatArray:
@@ -114,11 +151,11 @@ def _rounding(stretches: Sequence[Stretch]) -> FloatArray:
     return np.asarray(np.where(step > 0, step, 1.0), dtype=np.float64)
 
 
-def _row_hashes(stretch: Stretch, step: FloatArray) -> Hashes:
-    """Hashes of every COPY_ROWS rows that move; the order of rows counts."""
+def _row_hashes(stretch: Stretch, step: FloatArray) -> tuple[Hashes, Indices]:
+    """Hash and first row of every COPY_ROWS rows that are not all alike; the order of rows counts."""
     rows = np.concatenate([stretch.u, stretch.y], axis=1)
     if len(rows) < COPY_ROWS:
-        return np.empty(0, dtype=np.uint64)
+        return np.empty(0, dtype=np.uint64), np.empty(0, dtype=np.int64)
     words = np.ascontiguousarray(np.rint(rows / step).astype(np.int64)).view(np.uint64)
     keys = np.random.default_rng(20).integers(1, 1 << 63, size=(COPY_ROWS, rows.shape[1]), dtype=np.uint64)
     mixed = np.zeros(len(rows) - COPY_ROWS + 1, dtype=np.uint64)
@@ -126,9 +163,9 @@ def _row_hashes(stretch: Stretch, step: FloatArray) -> Hashes:
         part = words[i : len(words) - COPY_ROWS + 1 + i]
         folded = (part ^ (part >> np.uint64(29))) * (keys[i] | np.uint64(1))
         mixed += (folded ^ (folded >> np.uint64(32))).sum(axis=1, dtype=np.uint64)
-    moves = (np.diff(stretch.y, axis=0) != 0).all(axis=1)
-    count = np.convolve(moves, np.ones(COPY_ROWS - 1, dtype=int), mode="valid")
-    return np.asarray(mixed[2 * count > COPY_ROWS])
+    changes = (np.diff(words, axis=0) != 0).any(axis=1)
+    alive = np.flatnonzero(np.convolve(changes, np.ones(COPY_ROWS - 1, dtype=int), mode="valid"))
+    return mixed[alive], alive
 
 
 # ---------------------------------------------------------------------------------------- equal noise
@@ -137,8 +174,6 @@ def _row_hashes(stretch: Stretch, step: FloatArray) -> Hashes:
 def _same_flight(train: Sequence[Stretch], test: Sequence[Stretch], dt_s: float) -> Copy | None:
     """Tests 2 and 3, flight by flight."""
     theta = _linear_model([*train, *test])
-    if theta is None:
-        return None
     known, held = (_on_grids(part, theta, dt_s) for part in (train, test))
     for name, mine in held.items():
         for other, theirs in known.items():
@@ -149,53 +184,117 @@ def _same_flight(train: Sequence[Stretch], test: Sequence[Stretch], dt_s: float)
 
 
 @dataclass(frozen=True, eq=False)
-class _Grid:
-    """One flight on a grid of time: (N, n_y) outputs and what the model leaves of them, NaN in gaps."""
+class _Signal:
+    """(N,) one signal of a flight; NaN in gaps, which count as 0 in its spectrum."""
 
+    x: FloatArray
+    spectra: dict[int, npt.NDArray[np.complex128]] = field(default_factory=dict)
+
+    def spectrum(self, size: int) -> npt.NDArray[np.complex128]:
+        """Of the signal without its mean, filled up to `size`; kept, as every flight meets many others."""
+        if size not in self.spectra:
+            known = np.isfinite(self.x)
+            mean = self.x[known].mean() if known.any() else 0.0
+            self.spectra[size] = np.fft.rfft(np.where(known, self.x - mean, 0.0), size)
+        return self.spectra[size]
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """One flight on a grid of time: (N, n_u) inputs, (N, n_y) outputs and what the model leaves of them, NaN
+    in gaps."""
+
+    u: FloatArray
     y: FloatArray
     e: FloatArray
 
-    @property
+    @cached_property
     def samples(self) -> int:
         return int(np.isfinite(self.e[:, 0]).sum())
+
+    @cached_property
+    def outputs(self) -> tuple[_Signal, ...]:
+        return tuple(_Signal(column) for column in self.y.T)
+
+    @cached_property
+    def remainders(self) -> tuple[_Signal, ...]:
+        return tuple(_Signal(column) for column in self.e.T)
+
+    @cached_property
+    def flown(self) -> int:
+        """Samples in which the outputs move."""
+        return int(np.isfinite(self.y[:, 0]).sum())
 
 
 def _same_noise(theirs: _Grid, mine: _Grid) -> str:
     """How two flights share their noise, or ''."""
-    for a, b in zip(theirs.e.T, mine.e.T, strict=True):
-        x, z = _overlapping(a, b, _best_lag(a, b))
-        if len(x) < max(LEAST_OVERLAP, COPY_SHARE * mine.samples):
+    if min(theirs.samples, mine.samples) < LEAST_NOISE:
+        return ""
+    for a, b in zip(theirs.remainders, mine.remainders, strict=True):
+        x, z = _overlapping(a.x, b.x, _best_lag(a, b))
+        if len(x) < max(LEAST_NOISE, COPY_SHARE * mine.samples):
             continue
         x, z = x - x.mean(), z - z.mean()
         if not (x.any() and z.any()):
             continue
         x, z = x / np.abs(x).max(), z / np.abs(z).max()  # squares of tiny units would vanish
         rho = float(x @ z / np.sqrt((x @ x) * (z @ z)))
-        if rho > LEAST_CORRELATION and rho * np.sqrt(len(x)) > SIGMAS:
+        chance = np.sqrt(
+            2.0 * np.log(len(a.x) + len(b.x))
+        )  # the largest of so many lags, in standard deviations
+        if rho > LEAST_CORRELATION and rho * np.sqrt(len(x)) > chance + SIGMAS:
             return f"its noise is the same over {len(x) / mine.samples:.0%} of it (correlation {rho:.2f})"
     return ""
 
 
 def _same_output(theirs: _Grid, mine: _Grid) -> str:
-    """How the outputs of two flights agree, or ''."""
-    shares: list[float] = []
-    if min(theirs.samples, mine.samples) < LEAST_OVERLAP:
+    """How the outputs of two flights agree, or ''; their inputs must agree roughly."""
+    lag, shares = 0, list[float]()
+    if min(theirs.flown, mine.flown) < LEAST_OVERLAP:
         return ""
-    for a, b in zip(theirs.y.T, mine.y.T, strict=True):
-        lag, spread = _best_lag(a - np.nanmean(a), b - np.nanmean(b)), float(np.nanstd(b))
-        x, z = _overlapping(a, b, lag)
-        if len(x) < max(LEAST_OVERLAP, SAME_SHARE * mine.samples) or spread == 0.0:
+    for a, b in zip(theirs.outputs, mine.outputs, strict=True):
+        size = float(np.nanmax(np.abs(b.x))) or 1.0  # squares of huge units would overflow
+        spread = float(np.nanstd(b.x / size))
+        if spread == 0.0:
+            continue
+        lag = _best_lag(a, b)
+        x, z = _overlapping(a.x, b.x, lag)
+        if len(x) < max(LEAST_OVERLAP, SAME_SHARE * mine.flown):
             return ""
-        if min(_apart(x, z, f) for f in np.linspace(-0.5, 0.5, FRACTIONS)) > SAME_OUTPUT * spread:
+        if _apart(x / size, z / size) > SAME_OUTPUT * spread:
             return ""
-        shares.append(len(x) / mine.samples)
+        shares.append(len(x) / mine.flown)
+    if not shares or not all(
+        _alike(*_overlapping(a, b, lag)) for a, b in zip(theirs.u.T, mine.u.T, strict=True)
+    ):
+        return ""
     return f"its outputs are the same to within {SAME_OUTPUT:.0%} over {min(1.0, *shares, 1.0):.0%} of it"
 
 
-def _apart(x: FloatArray, z: FloatArray, fraction: float) -> float:
-    """RMS difference of two records, one moved by a fraction of a sample."""
-    at = np.arange(1, len(x) - 1, dtype=np.float64)
-    return float(np.sqrt(np.mean((x[1:-1] - np.interp(at + fraction, np.arange(len(z)), z)) ** 2)))
+def _apart(x: FloatArray, z: FloatArray) -> float:
+    """RMS difference of two records, one of them moved by the fraction of a sample that suits them best.
+
+    Which of them a recorder brought to other times is not known, so that each is moved in turn, linearly
+    between its samples; the best fraction is then a least squares fit.
+    """
+    ways = [(a, b, step) for a, b in ((x, z), (z, x)) for step in (0, 2)]
+    return min(
+        _moved_apart(one[1:-1], other[1:-1], other[step : len(other) - 2 + step]) for one, other, step in ways
+    )
+
+
+def _moved_apart(x: FloatArray, z: FloatArray, beside: FloatArray) -> float:
+    """RMS difference of x and what lies between z and the samples beside it."""
+    gap, towards = x - z, beside - z
+    power = float(towards @ towards)
+    fraction = float(np.clip(gap @ towards / power, 0.0, 1.0)) if power > 0.0 else 0.0
+    rest = gap - fraction * towards
+    return float(np.sqrt(rest @ rest / len(rest)))
+
+
+def _alike(x: FloatArray, z: FloatArray) -> bool:
+    """Whether two records of an input are: a step may be a sample late, where values are held."""
+    return _apart(x, z) <= SAME_INPUT * float(np.std(z)) or not np.any(x != z)
 
 
 def _regressors(s: Stretch) -> FloatArray:
@@ -225,30 +324,35 @@ def _linear_model(stretches: Sequence[Stretch]) -> FloatArray | None:
     return np.asarray(theta * scale[-n_y:] / scale[:-n_y, None])
 
 
-def _on_grids(stretches: Sequence[Stretch], theta: FloatArray, dt_s: float) -> dict[str, _Grid]:
+def _on_grids(stretches: Sequence[Stretch], theta: FloatArray | None, dt_s: float) -> dict[str, _Grid]:
     flights: dict[str, list[Stretch]] = {}
     for s in stretches:
-        if len(s.y) > 3 * LAGS:
-            flights.setdefault(s.flight, []).append(s)
+        flights.setdefault(s.flight, []).append(s)
     return {name: _on_grid(own, theta, dt_s) for name, own in flights.items()}
 
 
-def _on_grid(stretches: Sequence[Stretch], theta: FloatArray, dt_s: float) -> _Grid:
+def _on_grid(stretches: Sequence[Stretch], theta: FloatArray | None, dt_s: float) -> _Grid:
     ordered = sorted(stretches, key=lambda s: s.t0_ns)
     starts, stop, end_ns = [], 0, ordered[0].t0_ns
     for s in ordered:
         pause = max(0, round((s.t0_ns - end_ns) * 1e-9 / dt_s))
         starts.append(stop + min(pause, LONGEST_PAUSE))
         stop, end_ns = starts[-1] + len(s.y), s.t0_ns + round(len(s.y) * dt_s * 1e9)
-    left = [s.y[LAGS:] - _regressors(s) @ theta for s in ordered]
+    n_u, n_y = ordered[0].u.shape[1], ordered[0].y.shape[1]
+    u, y, e = (np.full((stop, n), np.nan) for n in (n_u, n_y, n_y))
+    moving = [np.flatnonzero(_moving(s.y)) for s in ordered]  # on the ground all flights agree
+    for start, s, rows in zip(starts, ordered, moving, strict=True):
+        u[start + rows], y[start + rows] = s.u[rows], s.y[rows]
+    long = [k for k, s in enumerate(ordered) if theta is not None and len(s.y) > 3 * LAGS]
+    if theta is None or not long:
+        return _Grid(u, y, e)
+    left = [ordered[k].y[LAGS:] - _regressors(ordered[k]) @ theta for k in long]
     white = _whitener(left)
-    y, e = (np.full((stop, theta.shape[1]), np.nan) for _ in range(2))
-    for start, s, rest in zip(starts, ordered, left, strict=True):
-        rows = np.flatnonzero(_moving(s.y)[2 * LAGS :])  # on the ground all flights agree
-        e[start + 2 * LAGS + rows] = _whitened(rest, white)[rows]
-        y[start + 2 * LAGS + rows] = s.y[2 * LAGS + rows]
+    for k, rest in zip(long, left, strict=True):
+        rows = moving[k][moving[k] >= 2 * LAGS]
+        e[starts[k] + rows] = _whitened(rest, white)[rows - 2 * LAGS]
     known = e[np.isfinite(e[:, 0])]
-    return _Grid(y, np.clip(e, *_bounds(known)) if len(known) else e)
+    return _Grid(u, y, np.clip(e, *_bounds(known)) if len(known) else e)
 
 
 def _moving(y: FloatArray) -> npt.NDArray[np.bool_]:
@@ -286,13 +390,11 @@ def _bounds(e: FloatArray) -> tuple[FloatArray, FloatArray]:
     return middle - reach, middle + reach
 
 
-def _best_lag(a: FloatArray, b: FloatArray) -> int:
-    """The lag of b behind a at which their product is largest; NaN counts as 0."""
-    size = 1 << int(np.ceil(np.log2(len(a) + len(b))))
-    a, b = np.nan_to_num(a), np.nan_to_num(b)
-    product = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
-    at = int(np.argmax(product))
-    return at if at < len(a) else at - size
+def _best_lag(theirs: _Signal, mine: _Signal) -> int:
+    """The lag of mine behind theirs at which their product is largest; NaN counts as 0."""
+    size = 1 << int(np.ceil(np.log2(len(theirs.x) + len(mine.x))))
+    at = int(np.argmax(np.fft.irfft(theirs.spectrum(size) * np.conj(mine.spectrum(size)), size)))
+    return at if at < len(theirs.x) else at - size
 
 
 def _overlapping(a: FloatArray, b: FloatArray, lag: int) -> tuple[FloatArray, FloatArray]:

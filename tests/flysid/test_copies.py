@@ -1,5 +1,7 @@
 """One flight under two names is found whatever the recorder did; flights that are only alike are not."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -114,3 +116,69 @@ def outcome(data: Dataset, seed: int) -> tuple[str, set[str]]:
         return error.message, set()
     both = {"log.bin", "log.tlog"} & set(train.flights)
     return "", set(test.flights) if both else set()
+
+
+def short(seed: int, rows: int, weather: int = 0, noise: float = 0.05) -> tuple[FloatArray, FloatArray]:
+    """A short flight at one rate: commands held for eight samples, noise on the output."""
+    u = np.repeat(np.random.default_rng(seed).normal(size=rows // 8 + 1), 8)[:rows]
+    y = lfilter([0.0, 0.1, 0.1], [1.0, -1.5, 0.6], u)
+    rng = np.random.default_rng((seed, weather))
+    return u[:, None], (y + y.std() * noise * rng.normal(size=rows))[:, None]
+
+
+def coarse(y: FloatArray, share: float = 1.0) -> FloatArray:
+    step = share * np.std(y)
+    return np.asarray(np.round(y / step) * step)
+
+
+Recorder = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+
+
+def as_it_is(u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return u, y
+
+
+SHORT: dict[str, Recorder] = {
+    "exact": as_it_is,
+    "exact, coarse": lambda u, y: (u, coarse(y)),
+    "exact, the output stands still half of the time": lambda u, y: (
+        u,
+        np.where(np.arange(len(y))[:, None] < len(y) // 2, 0.0, y),
+    ),
+    "exact, a second output stands still": lambda u, y: (u, np.hstack([y, np.round(y / (6 * np.std(y)))])),
+}
+MOVED: dict[str, Recorder] = {
+    "half a sample later": lambda u, y: (u[:-1], (y[:-1] + y[1:]) / 2),
+    "a third of a sample later": lambda u, y: (u[:-1], (2 * y[:-1] + y[1:]) / 3),
+    "half a sample later, inputs too": lambda u, y: ((u[:-1] + u[1:]) / 2, (y[:-1] + y[1:]) / 2),
+    "the end of it": lambda u, y: (u[len(u) // 4 :], y[len(u) // 4 :]),
+}
+
+
+@pytest.mark.parametrize("rows", [24, 40, 90, 150, 400, 1000])
+@pytest.mark.parametrize("case", [*SHORT, *MOVED])
+def test_a_copy_of_a_short_flight_is_found(case: str, rows: int) -> None:
+    for seed in range(3):
+        record = SHORT.get(case, as_it_is)
+        flight, other = record(*short(seed, rows)), record(*short(seed + 50, rows))
+        copy = MOVED.get(case, as_it_is)(*flight)
+        first, second, third = (
+            [Segment(u, y, flight=name)]
+            for name, (u, y) in zip(("a", "b", "other"), (flight, copy, other), strict=True)
+        )
+        for known, held in (([*first, *third], second), (second, [*first, *third])):
+            found = find_copy(known, held, DT_S)
+            assert found is not None
+            assert {found.held_out, found.training} == {"a", "b"}
+
+
+@pytest.mark.parametrize("rows", [24, 40, 90, 150, 400])
+@pytest.mark.parametrize("step", [1e-6, 0.3])
+def test_short_flights_that_are_only_alike_are_no_copies(rows: int, step: float) -> None:
+    for seed in range(3):
+        first, again = short(seed, rows, noise=0.1), short(seed, rows, weather=1, noise=0.1)
+        a, b, c = (
+            Segment(u, coarse(y, step), flight=name)
+            for name, (u, y) in zip("abc", (first, again, short(seed + 50, rows)), strict=True)
+        )
+        assert find_copy([a], [b, c], DT_S) is None
