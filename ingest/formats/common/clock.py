@@ -53,9 +53,71 @@ def _median_of_three(a: IntArray, b: IntArray, c: IntArray) -> IntArray:
     return np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
 
 
+def out_of_place(time_ns: IntArray, tolerance_ns: int) -> BoolArray:
+    """(n,) True where the times of one clock, read in order, are absurd: as `is_outlier` finds, or zero.
+
+    A zero is one of a clock that was not set, unless the next time that is set is near zero.
+    """
+    flagged = is_outlier(time_ns, tolerance_ns)
+    zero = time_ns == 0
+    if zero.any() and not zero.all():
+        is_set = np.flatnonzero(~zero)
+        near = np.minimum(np.searchsorted(is_set, np.flatnonzero(zero)), len(is_set) - 1)
+        flagged[zero] |= time_ns[is_set[near]] > tolerance_ns
+    return flagged
+
+
+@dataclass(frozen=True)
+class Fall:
+    """A clock that steps back: last position before, first position after, and by how much."""
+
+    before: int
+    after: int
+    size_ns: int
+
+
+@dataclass(frozen=True)
+class Extent:
+    """From where to where a stream stands, and the usual step of its time."""
+
+    first: int
+    last: int
+    step_ns: int
+
+
+def usual_step(time_ns: IntArray) -> int:
+    """The median of the steps forward; 0 where there is none."""
+    steps = np.diff(time_ns)
+    forward = steps[steps > 0]
+    return int(np.median(forward)) if len(forward) else 0
+
+
 def back_steps(time_ns: IntArray) -> IntArray:
-    """Indices i where time_ns[i] lies more than a second before time_ns[i - 1]."""
-    return np.flatnonzero(np.diff(time_ns) < -BACK_STEP_NS) + 1
+    """Indices i before which a stream's clock began anew.
+
+    It steps back, and goes on by its usual steps until it is past where it was. Messages that are only late
+    end with a leap ahead instead: within a few messages where the step was more than a second, as the link of
+    a vehicle that began anew may break off too.
+    """
+    steps = np.diff(time_ns)
+    back = np.flatnonzero(steps < 0) + 1
+    if not len(back):
+        return back
+    usual = 1.5 * usual_step(time_ns)
+    follows = (
+        np.append(steps, np.inf)[back] <= usual
+    )  # the next message, too, is where it would be after a reboot
+    long = steps[back - 1] < -BACK_STEP_NS
+    found = back[long | follows]
+    return np.array([i for i in found.tolist() if not _is_late(time_ns, i, usual)], dtype=np.int64)
+
+
+def _is_late(time_ns: IntArray, at: int, usual_ns: float) -> bool:
+    """Whether the clock leaps past what it said before `at`."""
+    is_long = time_ns[at] < time_ns[at - 1] - BACK_STEP_NS
+    after = time_ns[at : at + SIDE + 1] if is_long else time_ns[at:]
+    past = np.flatnonzero(after > time_ns[at - 1])
+    return bool(len(past) and after[past[0]] - after[past[0] - 1] > usual_ns)
 
 
 def wrap_points(counter_ns: IntArray, period_ns: int) -> IntArray:
@@ -65,26 +127,37 @@ def wrap_points(counter_ns: IntArray, period_ns: int) -> IntArray:
     return np.flatnonzero(high[:-3] & high[1:-2] & low[2:-1] & low[3:]) + 2
 
 
-def split_points(intervals: list[tuple[int, int]], streams: int) -> list[int]:
-    """Positions where boots begin, from the steps back of several streams.
+def split_points(falls: list[Fall], streams: list[Extent]) -> list[int]:
+    """Positions where boots begin, from the falls of several streams.
 
-    Parameters
-    ----------
-    intervals : (last position before, first position after) of every step back of every stream.
-    streams : number of streams that could have stepped back.
-
-    Overlapping intervals tell of the same reboot. A split that fewer than half of the streams saw is one
-    stream's own fault, and no reboot.
+    Overlapping falls tell of the same reboot. Half of the streams must have seen it, of those that could:
+    they stand on both sides, and their steps are shorter than the fall. What one stream saw alone is its own
+    fault.
     """
     splits: list[int] = []
-    group: list[tuple[int, int]] = []
-    for interval in [*sorted(intervals, key=lambda i: i[1]), (1 << 62, 1 << 62)]:
-        if group and interval[0] >= group[0][1]:
-            if 2 * len(group) >= streams:
-                splits.append(group[0][1])
+    group: list[Fall] = []
+    for fall in [*sorted(falls, key=lambda f: f.after), Fall(1 << 62, 1 << 62, 0)]:
+        if group and fall.before >= group[0].after:
+            at, size = group[0].after, max(f.size_ns for f in group)
+            able = sum(s.first < at <= s.last and s.step_ns <= size for s in streams)
+            if 2 * len(group) >= able:
+                splits.append(at)
             group = []
-        group.append(interval)
+        group.append(fall)
     return splits
+
+
+def leaps(time_ns: IntArray, arrival_ns: IntArray, least_ns: int) -> IntArray:
+    """Indices i before which a clock leapt ahead of the arrivals by more than `least_ns`.
+
+    What the arrivals explain is their step times the rate of this record: replays run up to 27 times as fast.
+    """
+    steps = np.diff(time_ns)
+    if not (steps > least_ns).any():
+        return np.empty(0, np.int64)
+    _, rate, _ = fit_line(arrival_ns, time_ns)
+    explained = max(rate, 1.0) * np.maximum(np.diff(arrival_ns), 0)
+    return np.flatnonzero(steps - explained > least_ns) + 1
 
 
 def interpolate(at: IntArray, knots: IntArray, values: IntArray, slope: float) -> IntArray:

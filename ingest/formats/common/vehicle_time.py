@@ -9,6 +9,9 @@ Messages that carry a time are believed where it agrees with the knots: MAVLink'
 boot in some messages and from 1970 in others, and a companion computer counts from its own boot. A system
 without a clock (a ground station), or with one that disagrees and no autopilot, is placed on the clock of
 the main vehicle. A format with a single source of messages (DataFlash) is one system.
+
+No clock is followed where it is absurd: single times that are years off, or zero, are counted and placed.
+Where it begins anew, or leaps ahead of the arrivals, a boot ends.
 """
 
 from __future__ import annotations
@@ -20,11 +23,18 @@ import numpy as np
 
 from flysid.ingest.formats.common.clock import (
     SECOND_NS,
+    SIDE,
+    BoolArray,
+    Extent,
+    Fall,
     IntArray,
     UtcFit,
     back_steps,
     is_outlier,
+    leaps,
+    out_of_place,
     split_points,
+    usual_step,
     wrap_points,
 )
 
@@ -87,7 +97,7 @@ class _System:
     component: int
     boot: int = 0
     last: dict[Source, int] = field(default_factory=dict)
-    knot: tuple[int, int] | None = None  # arrival (or row), time
+    tail: tuple[IntArray, IntArray] = (np.empty(0, np.int64), np.empty(0, np.int64))  # arrivals, last times
     fit: UtcFit = field(default_factory=UtcFit)
 
 
@@ -98,17 +108,27 @@ class VehicleTime:
     Parameters
     ----------
     vehicles : systems known to be vehicles (filled by the reader from heartbeats).
+    has_one_clock : every stated time is of one and the same clock, and zero is a time like others.
+
+    Attributes
+    ----------
+    outliers, out_of_order : records per stream whose time was rejected; whose time runs backwards.
+    leapt : by how much a system's clock leapt ahead where a boot begins: system -> boot -> ns.
     """
 
     vehicles: set[int] = field(default_factory=set)
+    has_one_clock: bool = False
     main: int | None = None
     outliers: dict[Source, int] = field(default_factory=dict)
+    out_of_order: dict[Source, int] = field(default_factory=dict)
+    leapt: dict[int, dict[int, int]] = field(default_factory=dict)
     sources: dict[Source, str] = field(default_factory=dict)
     _systems: dict[int, _System] = field(default_factory=dict)
     _wraps: dict[Source, int] = field(default_factory=dict)
     _knots: dict[int, Knots] = field(default_factory=dict)
     _arrival: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     _utc: bool = False
+    _last: dict[Source, tuple[int, int]] = field(default_factory=dict)
 
     def unwrapped(self, stream: Clocked) -> Clocked:
         """The stream with wraps of its own counter undone, those of earlier batches included.
@@ -145,6 +165,17 @@ class VehicleTime:
         Its own times are taken where they agree with their place among the knots. Rows that disagree alone
         are counted as outliers, unless they say 0 ("not set").
         """
+        time_ns, boots = self._times(source, rows, stated)
+        if len(rows) and stated is not None:
+            last_ns, boot = self._last.get(source, (0, -1))
+            back = int(((np.diff(time_ns) < 0) & (np.diff(boots) == 0)).sum())
+            back += int(boots[0] == boot and time_ns[0] < last_ns)
+            self._last[source] = int(time_ns[-1]), int(boots[-1])
+            if back:
+                self.out_of_order[source] = self.out_of_order.get(source, 0) + back
+        return time_ns, boots
+
+    def _times(self, source: Source, rows: IntArray, stated: Clocked | None) -> tuple[IntArray, IntArray]:
         owner = self._owner(source[0])
         if owner is None:
             return self._arrival[rows], np.zeros(len(rows), dtype=np.int64)
@@ -161,9 +192,10 @@ class VehicleTime:
         if stream.period_ns:
             own = own + np.rint((placed_ns - own) / stream.period_ns).astype(np.int64) * stream.period_ns
         apart = np.abs(own - placed_ns)
-        is_set = stream.time_ns > 0
+        is_trusted = self.has_one_clock and stream.is_boot_clock
+        is_set = (stream.time_ns > 0) | is_trusted
         if stream.source not in self.sources:
-            agrees = is_set.any() and np.median(apart[is_set]) <= AGREES_NS
+            agrees = is_trusted or (is_set.any() and np.median(apart[is_set]) <= AGREES_NS)
             self.sources[stream.source] = stream.field if agrees else "arrival-mapped"
         if self.sources[stream.source] != stream.field:
             return placed_ns
@@ -199,38 +231,61 @@ class VehicleTime:
         if state is None:
             state = self._systems[system] = _System(_clock_component(system, clocked))
         streams = _clock_streams(system, state.component, clocked)
-        good = [_without_outliers(s) for s in streams]
-        splits = split_points([i for s in good for i in self._steps(state, s)], len(good))
-        times = np.full(len(self._arrival), NO_TIME, dtype=np.int64)
-        for stream in good:
-            times[stream.rows] = stream.time_ns
-        rows = np.flatnonzero(times != NO_TIME)
-        times = times[rows]
+        good = self._without_absurd(state, [_without_outliers(s) for s in streams])
+        splits = _boots(state, [s for s in good if len(s.rows)])
+        rows, times = self._in_order(good)
+        splits = sorted({*splits, *self._leaps(system, state, rows, times, splits)})
         edges = [0, *np.searchsorted(rows, splits).tolist(), len(rows)]
         for number, (start, stop) in enumerate(pairwise(edges)):
             np.maximum.accumulate(times[start:stop], out=times[start:stop])
             arrival = self._arrival[rows[start:stop]] if self._utc else None
             state.fit.add(state.boot + number, times[start:stop], arrival)
         first_boot, state.boot = state.boot, state.boot + len(splits)
+        if len(rows):
+            state.tail = self._arrival[rows[-SIDE:]], times[-SIDE:].copy()
         whole = frozenset(s.source for s, g in zip(streams, good, strict=True) if s is g)
         return Knots(rows, times, tuple(splits), first_boot, whole)
 
-    def _steps(self, state: _System, stream: Clocked) -> list[tuple[int, int]]:
-        """Intervals of positions in which a stream steps back, the step from the last batch included."""
-        steps = back_steps(stream.time_ns).tolist()
-        intervals = [(int(stream.rows[i - 1]), int(stream.rows[i])) for i in steps]
-        last = state.last.get(stream.source)
-        if last is not None and stream.time_ns[0] < last - SECOND_NS:
-            intervals.append((-1, int(stream.rows[0])))
-        state.last[stream.source] = int(stream.time_ns[-1])
-        return intervals
+    def _in_order(self, streams: list[Clocked]) -> tuple[IntArray, IntArray]:
+        """The rows that state a time, rising, and their times."""
+        times = np.full(len(self._arrival), NO_TIME, dtype=np.int64)
+        for stream in streams:
+            times[stream.rows] = stream.time_ns
+        rows = np.flatnonzero(times != NO_TIME)
+        return rows, times[rows]
+
+    def _without_absurd(self, state: _System, streams: list[Clocked]) -> list[Clocked]:
+        """The streams without times that are absurd among those of all of them."""
+        rows, times = self._in_order(streams)
+        before = state.tail[1]
+        wrong = out_of_place(np.concatenate([before, times]), OUTLIER_NS)[len(before) :] | (times >= UNIX_NS)
+        if not wrong.any():
+            return streams
+        bad = np.zeros(len(self._arrival), dtype=np.bool_)
+        bad[rows[wrong]] = True
+        return [_picked(stream, ~bad[stream.rows]) for stream in streams]
+
+    def _leaps(
+        self, system: int, state: _System, rows: IntArray, times: IntArray, splits: list[int]
+    ) -> list[int]:
+        """Rows at which a system's clock leaps ahead of the arrivals."""
+        if not self._utc or not len(rows):
+            return []
+        arrival = np.concatenate([state.tail[0], self._arrival[rows]])
+        joined = np.concatenate([state.tail[1], times])
+        found = leaps(joined, arrival, OUTLIER_NS) - len(state.tail[0])
+        steps = np.diff(joined)
+        for at in found.tolist():
+            boot = state.boot + int(np.searchsorted(splits, rows[at])) + 1
+            self.leapt.setdefault(system, {})[boot] = int(steps[at + len(state.tail[0]) - 1])
+        return [int(row) for row in rows[found]]
 
     def _between(self, owner: int, rows: IntArray, knots: Knots | None) -> tuple[IntArray, IntArray]:
         """Time and boot of messages between the knots of `owner`."""
         state, arrival = self._systems[owner], self._arrival
         slope = 1.0 / state.fit.slope(state.boot) if self._utc else 0.0
         if knots is None or not len(knots.rows):
-            at, time = state.knot or (int(arrival[0]), 0)
+            at, time = (int(a[-1]) for a in state.tail) if len(state.tail[0]) else (int(arrival[0]), 0)
             ahead = ((arrival[rows] - at) * slope).astype(np.int64)
             return time + np.maximum(ahead, 0), np.full(len(rows), state.boot, dtype=np.int64)
         after = np.searchsorted(knots.rows, rows, side="right")
@@ -244,7 +299,6 @@ class VehicleTime:
         beyond = np.where(after == 0, np.minimum(beyond, 0), np.maximum(beyond, 0))
         inside = (right > left) & (after > 0)
         time_ns = knots.time_ns[left] + np.where(inside, (share * step).astype(np.int64), beyond)
-        state.knot = (int(arrival[knots.rows[-1]]), int(knots.time_ns[-1]))
         return time_ns, boots
 
 
@@ -268,6 +322,30 @@ def _clock_streams(system: int, component: int, clocked: list[Clocked]) -> list[
 
 def _without_outliers(stream: Clocked) -> Clocked:
     keep = ~is_outlier(stream.time_ns)
-    if keep.all() or not keep.any():
-        return stream
-    return replace(stream, rows=stream.rows[keep], time_ns=stream.time_ns[keep])
+    return stream if not keep.any() else _picked(stream, keep)
+
+
+def _picked(stream: Clocked, keep: BoolArray) -> Clocked:
+    """The rows of a stream to keep; the stream itself where that is all of them."""
+    return stream if keep.all() else replace(stream, rows=stream.rows[keep], time_ns=stream.time_ns[keep])
+
+
+def _boots(state: _System, streams: list[Clocked]) -> list[int]:
+    """Rows at which boots begin, the step from the last batch included."""
+    falls: list[Fall] = []
+    joined = []
+    for stream in streams:
+        last = state.last.get(stream.source)
+        rows, times = stream.rows, stream.time_ns
+        if last is not None:
+            rows, times = np.append(-1, rows), np.append(last, times)
+        state.last[stream.source] = int(times[-1])
+        joined.append((rows, times))
+        falls += [
+            Fall(int(rows[i - 1]), int(rows[i]), int(times[i - 1] - times[i]))
+            for i in back_steps(times).tolist()
+        ]
+    if not falls:
+        return []
+    extents = [Extent(int(rows[0]), int(rows[-1]), usual_step(times)) for rows, times in joined]
+    return split_points(falls, extents)

@@ -9,6 +9,7 @@ of the format; instances stay in one table, whose schema metadata names the `ins
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -22,7 +23,7 @@ from flysid.flight import ClockMap, Damage
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common.clock import SECOND_NS, IntArray, UtcFit
 from flysid.ingest.formats.common.columns import ByteMatrix, Layout, decode, gather, message_schema, numbers
-from flysid.ingest.formats.common.vehicle_time import Clocked, VehicleTime
+from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
 from flysid.ingest.formats.dataflash.frames import LOOK_AHEAD, Messages, Walker
 from flysid.ingest.formats.dataflash.inner import HEAD
 from flysid.ingest.formats.dataflash.layouts import FMT_ID, HEADER_BYTES, Definition, Units
@@ -54,7 +55,7 @@ class _Reader:
 
     walker: Walker = field(default_factory=Walker)
     units: Units = field(default_factory=Units)
-    time: VehicleTime = field(default_factory=lambda: VehicleTime(vehicles={SYSTEM}))
+    time: VehicleTime = field(default_factory=lambda: VehicleTime({SYSTEM}, has_one_clock=True))
     schemas: dict[str, pa.Schema] = field(default_factory=dict)
     undecoded: dict[str, int] = field(default_factory=dict)
     dropped: int = 0
@@ -206,8 +207,7 @@ def stated_time(records: npt.NDArray[np.void], gps_zero: list[int]) -> tuple[str
             continue
         if records.dtype[name].kind not in "iu" or records.dtype[name].shape:
             continue
-        stated = records[name].astype(np.int64)  # 2^63 and more become negative, and are cut to 0
-        time_ns = np.clip(stated, 0, MAX_NS // unit) * unit
+        time_ns = np.clip(records[name], 0, MAX_NS // unit).astype(np.int64) * unit
         return name, time_ns, True, (1 << 32) * unit if records.dtype[name].itemsize == 4 else 0
     gps_ns = _gps_ns(records, names)
     if gps_ns is None:
@@ -283,10 +283,6 @@ def _table(reader: _Reader, code: int, matrix: ByteMatrix, time_ns: IntArray, bo
 def _summary(reader: _Reader) -> Summary:
     walker = reader.walker
     items = walker.definitions.items
-    outliers: dict[str, int] = {}
-    for source, count in reader.time.outliers.items():
-        key = items[source[2]].stream
-        outliers[key] = outliers.get(key, 0) + count
     unknown = {f"#{number}": count for number, count in sorted(walker.unknown.items())}
     found = walker.damage()
     damage = Damage(
@@ -295,11 +291,20 @@ def _summary(reader: _Reader) -> Summary:
         region_count=found.region_count,
         truncated=found.truncated,
         undecoded={**reader.undecoded, **unknown},
-        time_outliers=dict(sorted(outliers.items())),
+        time_outliers=by_stream(reader.time.outliers, items),
+        out_of_order=by_stream(reader.time.out_of_order, items),
         dropouts={"messages": reader.dropped} if reader.dropped else {},
     )
     padding = {"padding_bytes": str(walker.padding)} if walker.padding else {}
     return Summary(damage, _clocks(reader), {"autopilot": "ardupilot", **reader.info, **padding})
+
+
+def by_stream(counts: dict[Source, int], items: list[Definition]) -> dict[str, int]:
+    """Counts per definition as counts per stream."""
+    found: Counter[str] = Counter()
+    for source, count in counts.items():
+        found[items[source[2]].stream] += count
+    return dict(sorted(found.items()))
 
 
 def _clocks(reader: _Reader) -> tuple[ClockMap, ...]:

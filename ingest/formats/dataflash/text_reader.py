@@ -33,7 +33,14 @@ from flysid.ingest.formats.dataflash.layouts import (
     Units,
     packed_length,
 )
-from flysid.ingest.formats.dataflash.reader import SYSTEM, TIME_COLUMNS, firmware_in, note_utc, stated_time
+from flysid.ingest.formats.dataflash.reader import (
+    SYSTEM,
+    TIME_COLUMNS,
+    by_stream,
+    firmware_in,
+    note_utc,
+    stated_time,
+)
 
 FMT_LINE = re.compile(rb"(?:^|\n)FMT, ?\d+, ?\d+, ?\w+, ?\w+, ?\w")
 WHOLE, REAL, DIVIDED = frozenset("bBhHiIqQ"), frozenset("fdgcCeEL"), frozenset("cCeEL")
@@ -60,7 +67,7 @@ class _Reader:
     definitions: Definitions = field(default_factory=Definitions)
     by_name: dict[str, int] = field(default_factory=dict)
     units: Units = field(default_factory=Units)
-    time: VehicleTime = field(default_factory=lambda: VehicleTime(vehicles={SYSTEM}))
+    time: VehicleTime = field(default_factory=lambda: VehicleTime({SYSTEM}, has_one_clock=True))
     schemas: dict[str, pa.Schema] = field(default_factory=dict)
     undecoded: dict[str, int] = field(default_factory=dict)
     regions: list[Region] = field(default_factory=list)
@@ -323,17 +330,14 @@ def _described(reader: _Reader, definition: Definition) -> tuple[Layout, str]:
 
 
 def _summary(reader: _Reader) -> Summary:
-    outliers = {
-        reader.definitions.items[source[2]].stream: count
-        for source, count in sorted(reader.time.outliers.items())
-    }
     damage = Damage(
         bytes_skipped=sum(r.size for r in reader.regions),
         regions=tuple(reader.regions[: Damage.MAX_REGIONS]),
         region_count=len(reader.regions),
         truncated=reader.truncated,
         undecoded=reader.undecoded,
-        time_outliers=outliers,
+        time_outliers=by_stream(reader.time.outliers, reader.definitions.items),
+        out_of_order=by_stream(reader.time.out_of_order, reader.definitions.items),
     )
     clocks = reader.time.fit().clocks() or (ClockMap(0, 0, max(0, reader.row - 1)),)
     return Summary(damage, clocks, {"autopilot": "ardupilot", **reader.info})

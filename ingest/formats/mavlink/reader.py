@@ -21,7 +21,7 @@ import pyarrow as pa
 from flysid.errors import FormatError
 from flysid.flight import ClockMap, Damage
 from flysid.ingest.formats.base import HEAD_BYTES, Limits, Parts, StreamPart, Summary, release
-from flysid.ingest.formats.common.clock import SECOND_NS, IntArray, is_outlier
+from flysid.ingest.formats.common.clock import SECOND_NS, SIDE, BoolArray, IntArray, is_outlier
 from flysid.ingest.formats.common.columns import (
     ByteMatrix,
     Layout,
@@ -143,7 +143,7 @@ class _Reader:
     surplus: int = 0
     last_sequence: dict[int, int] = field(default_factory=dict)
     gaps: dict[int, int] = field(default_factory=dict)
-    last_stamp: int = 0
+    last_stamps: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     bad_stamps: int = 0
     row: int = 0
     info: dict[str, str] = field(default_factory=dict)
@@ -197,7 +197,7 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
     """The tables of one batch."""
     if not len(frames):
         return
-    arrival, has_utc = _arrival(reader, frames)
+    arrival, placing, has_utc = _arrival(reader, frames)
     groups = _admitted(reader, dict(_streams(frames)))
     _count_gaps(reader, frames)
     clocked: dict[Source, Clocked] = {}
@@ -209,7 +209,7 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
             _note_firmware(reader, _matrix(frames, rows, layout), layout)
         if (name := _time_field(layout)) is not None:
             clocked[source] = reader.time.unwrapped(_clocked(source, name, rows, frames, layout))
-    reader.time.begin(list(clocked.values()), arrival, utc=has_utc)
+    reader.time.begin(list(clocked.values()), placing, utc=has_utc)
     for source, rows in groups.items():
         time_ns, boots = reader.time.times(source, rows, clocked.get(source))
         matrix = _matrix(frames, rows, reader.dialect.layout(source[2]))
@@ -236,26 +236,36 @@ def _matrix(frames: Frames, rows: IntArray, layout: Layout) -> ByteMatrix:
     return gather(frames.buffer, frames.payload[rows], frames.length[rows], layout.size)
 
 
-def _arrival(reader: _Reader, frames: Frames) -> tuple[IntArray, bool]:
-    """Arrival in ns UTC, or the frames' positions where the log has no timestamps.
+def _arrival(reader: _Reader, frames: Frames) -> tuple[IntArray, IntArray, bool]:
+    """Arrival in ns UTC as stated, the arrival to place frames by, and whether there is any.
 
-    Frames whose timestamp damage took get their predecessor's; stamps that stand an hour apart from their
-    neighbours are kept as they are and counted.
+    Frames whose timestamp damage took get their predecessor's. Stamps that stand apart from their
+    neighbours are kept as they are and counted; their frames are placed by the stamp before. Frames of a
+    log without timestamps are placed by their position.
     """
     if frames.stamp_us is None:
-        return np.arange(reader.row, reader.row + len(frames), dtype=np.int64), False
-    micros = frames.stamp_us
-    missing = micros < 0
-    if missing.any():
-        index = np.where(missing, -1, np.arange(len(micros)))
-        index = np.maximum.accumulate(index)
-        micros = np.where(index < 0, reader.last_stamp, micros[np.maximum(index, 0)])
-    reader.last_stamp = int(micros[-1])
-    arrival = micros * 1000
-    reader.bad_stamps += int(is_outlier(arrival, 3600 * SECOND_NS).sum()) + int(missing.sum())
-    low, high = reader.arrival_span or (int(arrival[0]), int(arrival[-1]))
-    reader.arrival_span = (min(low, int(arrival.min())), max(high, int(arrival.max())))
-    return arrival, True
+        order = np.arange(reader.row, reader.row + len(frames), dtype=np.int64)
+        return order, order, False
+    stated = np.concatenate([reader.last_stamps, frames.stamp_us * 1000])
+    missing = stated < 0
+    stated = _last_good(stated, missing)
+    wrong = is_outlier(stated)
+    placing = _last_good(stated, wrong)[len(reader.last_stamps) :]
+    reader.bad_stamps += int((missing | wrong)[len(reader.last_stamps) :].sum())
+    stated = stated[len(reader.last_stamps) :]
+    reader.last_stamps = placing[-SIDE:].copy()
+    low, high = reader.arrival_span or (int(placing[0]), int(placing[0]))
+    reader.arrival_span = (min(low, int(placing.min())), max(high, int(placing.max())))
+    return stated, placing, True
+
+
+def _last_good(values: IntArray, is_bad: BoolArray) -> IntArray:
+    """Every bad value replaced by the last good one before it, or by the first good one."""
+    if not is_bad.any() or is_bad.all():
+        return values
+    index = np.maximum.accumulate(np.where(is_bad, -1, np.arange(len(values))))
+    filled: IntArray = values[np.where(index < 0, int(np.argmin(is_bad)), index)]
+    return filled
 
 
 def _streams(frames: Frames) -> Iterator[tuple[Source, IntArray]]:
@@ -380,6 +390,7 @@ def _table(
 def _summary(reader: _Reader) -> Summary:
     scanner = reader.scanner
     outliers = {_key(reader, source): n for source, n in sorted(reader.time.outliers.items())}
+    late = {_key(reader, source): n for source, n in sorted(reader.time.out_of_order.items())}
     if reader.bad_stamps:
         outliers["recv_ns"] = reader.bad_stamps
     undecoded = {_key(reader, source): n for source, n in sorted(scanner.unknown.items())}
@@ -393,6 +404,7 @@ def _summary(reader: _Reader) -> Summary:
         truncated=scanner.truncated,
         undecoded=undecoded,
         time_outliers=outliers,
+        out_of_order=late,
         sequence_gaps={f"{who >> 8}.{who & 255}": n for who, n in sorted(reader.gaps.items())},
     )
     return Summary(damage, _clocks(reader), _info(reader))
@@ -412,4 +424,9 @@ def _clocks(reader: _Reader) -> tuple[ClockMap, ...]:
 def _info(reader: _Reader) -> Mapping[str, str]:
     stamps = "arrival" if reader.scanner.stamp else "none"
     main = "" if reader.time.main is None else str(reader.time.main)
-    return {"dialect": reader.dialect.name, "timestamps": stamps, "clock_system": main, **reader.info}
+    note = {}
+    if found := reader.time.leapt.get(reader.time.main or 0):
+        sizes = ", ".join(f"{ns / SECOND_NS:,.1f} s before boot {boot}" for boot, ns in sorted(found.items()))
+        note = {"clock_note": f"the vehicle's clock leapt ahead of the arrivals by {sizes}; cut there"}
+    about = {"dialect": reader.dialect.name, "timestamps": stamps, "clock_system": main}
+    return {**about, **note, **reader.info}

@@ -10,11 +10,14 @@ from hypothesis import strategies as st
 from flysid.ingest.formats.common.clock import (
     MAX_KNOTS,
     SECOND_NS,
+    Extent,
+    Fall,
     UtcFit,
     back_steps,
     fit_line,
     interpolate,
     is_outlier,
+    leaps,
     split_points,
     wrap_points,
 )
@@ -44,9 +47,32 @@ def test_a_reboot_is_no_outlier() -> None:
 
 
 def test_steps_of_one_stream_alone_do_not_split() -> None:
-    assert split_points([(10, 12)], streams=4) == []
-    assert split_points([(10, 12), (9, 15), (8, 13), (40, 41)], streams=4) == [12]
-    assert split_points([(10, 12), (40, 41)], streams=1) == [12, 41]
+    four, falls = [Extent(0, 99, 1)] * 4, [Fall(10, 12, 9), Fall(9, 15, 9), Fall(8, 13, 9), Fall(40, 41, 9)]
+    assert split_points(falls[:1], four) == []
+    assert split_points(falls, four) == [12]
+    assert split_points([falls[0], falls[3]], four[:1]) == [12, 41]
+
+
+def test_streams_that_cannot_have_seen_a_reboot_have_no_say() -> None:
+    over, slow = Extent(50, 99, 1), Extent(0, 99, 10)
+    assert split_points([Fall(10, 12, 9)], [Extent(0, 99, 1), over, over, slow, slow]) == [12]
+
+
+def test_a_clock_that_begins_anew_within_a_second_is_told_from_late_messages() -> None:
+    steps = np.arange(10, dtype=np.int64) * 100 * MS
+    assert back_steps(np.concatenate([steps, steps])).tolist() == [10]
+    late = np.array([0, 1, 2, 1, 3, 4, 3, 4, 6, 7], dtype=np.int64) * 100 * MS
+    assert back_steps(late).tolist() == []
+    slow = np.array([800, 100, 1100, 2100, 3100], dtype=np.int64) * MS
+    assert back_steps(slow).tolist() == [1]
+
+
+def test_a_leap_is_what_the_arrivals_do_not_explain() -> None:
+    vehicle = np.arange(100, dtype=np.int64) * SECOND_NS
+    gap, leap = vehicle + (vehicle > 50 * SECOND_NS) * 600 * SECOND_NS, vehicle.copy()
+    leap[60:] += 7200 * SECOND_NS
+    assert leaps(gap, gap // 27, 10 * SECOND_NS).tolist() == []
+    assert leaps(leap, vehicle // 27, 10 * SECOND_NS).tolist() == [60]
 
 
 def test_a_wrap_is_told_from_an_outlier() -> None:

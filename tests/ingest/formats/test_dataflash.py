@@ -102,6 +102,40 @@ def test_a_definition_that_changes_begins_a_new_stream() -> None:
     assert flight.tables["ABC~2"].column_names[2:] == ["TimeUS", "A", "B"]
 
 
+@pytest.mark.parametrize("time_us", [0, 1 << 63, (1 << 64) - 1, 3 * 31_557_600 * 10**6])
+@pytest.mark.parametrize("at", [0, 1, 17, 39])
+@pytest.mark.parametrize("is_alone", [True, False])
+def test_an_absurd_time_moves_nothing(time_us: int, at: int, is_alone: bool) -> None:
+    blob = (
+        define(128, *TYPES[128])
+        + define(20, "ATT", "Qc", "TimeUS,Roll")
+        + define(21, "ONE", "Qc", "TimeUS,A")
+    )
+    for i in range(40):
+        wrong = message(21 if is_alone else 20, "Qc", time_us, i) if i == at else b""
+        blob += wrong or message(20, "Qc", 500_000_000 + 100_000 * i, i)
+    flight = read(blob)
+    assert flight.damage.time_outliers == {"ONE" if is_alone else "ATT": 1}
+    times = np.concatenate([t["time_ns"].to_numpy() for s, t in flight.tables.items() if s != "FMT"])
+    assert times.min() >= 499 * SECOND_NS
+    assert times.max() <= 505 * SECOND_NS
+    (clock,) = flight.clocks
+    assert (clock.first_ns, clock.last_ns) == (
+        (500_000 + 100 * (at == 0)) * 10**6,
+        (503_900 - 100 * (at == 39)) * 10**6,
+    )
+
+
+def test_times_that_run_backwards_are_counted() -> None:
+    blob = define(128, *TYPES[128]) + define(20, "ATT", "Qc", "TimeUS,Roll")
+    order = [*range(10), 11, 10, *range(12, 40)]
+    blob += b"".join(message(20, "Qc", 5_000_000 + 100_000 * i, i) for i in order)
+    flight = read(blob)
+    assert flight.damage.out_of_order == {"ATT": 1}
+    assert [c.boot for c in flight.clocks] == [0]
+    assert not flight.damage.lossy
+
+
 def test_milliseconds_serve_where_there_are_no_microseconds() -> None:
     blob = define(128, *TYPES[128]) + define(20, "ATT", "Ic", "TimeMS,Roll") + define(21, "CMD", "B", "Num")
     for i in range(20):

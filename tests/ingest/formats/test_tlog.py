@@ -235,6 +235,55 @@ def test_a_reboot_begins_a_boot_and_an_absurd_time_does_not() -> None:
     ]
 
 
+@pytest.mark.parametrize("stamp", [0, EPOCH_US - 50 * 31_557_600 * 10**6, 2**63 - 1])
+def test_a_damaged_arrival_ahead_of_the_first_clock_moves_no_row(stamp: int) -> None:
+    vehicle = sender()
+    frames = [frame(vehicle, vehicle.heartbeat_encode(2, 3, 0, i, 4)) for i in range(3)]
+    blob = bytearray(log_of(frames + flying(vehicle, 60), 20_000))
+    blob[:8] = stamp.to_bytes(8, "big")
+    flight = read(bytes(blob))
+    assert flight["HEARTBEAT"]["time_ns"].to_pylist()[0] == pytest.approx(960 * MS, abs=41 * MS)
+    assert flight.damage.time_outliers == {"recv_ns": 1}
+    assert flight.clocks[0].slope == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("batch_bytes", [1 << 20, 2000])
+def test_a_clock_that_leaps_is_cut_there_and_said(batch_bytes: int) -> None:
+    vehicle = sender()
+    frames = flying(vehicle, 100) + flying(vehicle, 200, 7_203_000)
+    flight = read(log_of(frames, 20_000), batch_bytes=batch_bytes)
+    assert flight["ATTITUDE"]["boot"].to_pylist() == [0] * 100 + [1] * 200
+    assert "leapt ahead of the arrivals by 7,200.0 s before boot 1" in flight.info["clock_note"]
+    first, second = (c.utc_offset_ns or 0 for c in flight.clocks)
+    assert first - second == pytest.approx(7200 * 10**9, abs=10**9)
+    assert not flight.damage.lossy
+
+
+def test_a_gap_in_the_record_is_no_leap() -> None:
+    vehicle = sender()
+    early, late = log_of(flying(vehicle, 100), 20_000), log_of(flying(vehicle, 100, 603_000), 20_000)
+    size = len(late) // 100
+    moved = bytearray(late)
+    for at in range(0, len(late), size):
+        moved[at : at + 8] = (int.from_bytes(late[at : at + 8], "big") + 602 * 10**6).to_bytes(8, "big")
+    flight = read(early + bytes(moved))
+    assert len(flight.clocks) == 1
+    assert "clock_note" not in flight.info
+
+
+def test_late_messages_are_counted_and_a_reboot_within_a_second_is_one() -> None:
+    vehicle = sender()
+    late = flying(vehicle, 60)
+    late[20], late[21] = late[21], late[20]
+    flight = read(log_of(late, 20_000))
+    assert flight.damage.out_of_order == {"1.1/ATTITUDE": 1}
+    assert set(flight["ATTITUDE"]["boot"].to_pylist()) == {0}
+    rebooted = flying(vehicle, 40, 100) + flying(vehicle, 60, 100)
+    flight = read(log_of(rebooted, 20_000))
+    assert flight["ATTITUDE"]["boot"].to_pylist() == [0] * 40 + [1] * 60
+    assert flight.damage.out_of_order == {}
+
+
 def test_milliseconds_that_wrap_after_49_days_go_on() -> None:
     vehicle = sender()
     wrap = 1 << 32
