@@ -18,17 +18,16 @@ def flysid_tables(path: Path) -> Any:
 def flysid_parquet(path: Path) -> Any:
     """The log as parquet on disk, in bounded memory."""
     from flysid import store
-    from flysid.ingest.formats.base import Limits, open_log, source_of
+    from flysid.ingest.formats.base import Limits, source_of
+    from flysid.ingest.formats.opening import open_log
     from flysid.ingest.formats.registry import detect
 
     folder = Path(tempfile.mkdtemp(dir=path.parent))
     try:
-        with open_log(path) as view:
-            fmt = detect(bytes(view[:65536]), path.name)
+        with open_log(path) as log:
+            fmt = detect(log.head, log.name)
             data = store.create_data_folder(folder / "data")
-            return store.write_flight(
-                data, source_of(view, path.name, fmt), fmt.read(view, path.name, Limits())
-            )
+            return store.write_flight(data, source_of(log.view, log.name, fmt), log.read(fmt, Limits()))
     finally:
         shutil.rmtree(folder)
 

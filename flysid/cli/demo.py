@@ -129,7 +129,8 @@ def fly(stages: Stages, plant: str, seed: int, progress: Callable[[str], None]) 
 
 def take_in(stages: Stages) -> str:
     """Ingest the logs."""
-    from flysid.ingest.lake.batch import find_logs, ingest_logs
+    from flysid.ingest.lake.batch import ingest_logs
+    from flysid.ingest.lake.finding import find_logs
 
     results = list(ingest_logs(find_logs([stages.logs]), stages.data, bounds=None))
     manifests = [r.manifest for r in results if r.manifest is not None]

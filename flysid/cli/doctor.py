@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.ls import aligned, clock_text
-from flysid.cli.output import REASONS_SHOWN, say
+from flysid.cli.output import REASONS_SHOWN, say, say_passed_over
 from flysid.cli.source import time_unit_option
 
 if TYPE_CHECKING:
@@ -52,44 +53,47 @@ def command(
     Ends with 3 when something was lost or a log cannot be read, and with 1 when none can.
     """
     from flysid.ingest.formats.base import Limits
-    from flysid.ingest.lake.batch import find_logs
+    from flysid.ingest.formats.opening import short_name
+    from flysid.ingest.lake.finding import find_logs
     from flysid.ingest.lake.survey import survey_or_reason
     from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 
-    found, unreadable = find_logs(logs), 0
-    surveys = []
-    for skipped in found.unreadable:
+    found = find_logs(logs)
+    unreadable = len(found.unread)
+    surveys: dict[Path, Survey] = {}
+    for skipped in found.unread:
         say(f"skipped: {skipped.path}: {skipped.reason}")
-        unreadable += 1
     look = partial(survey_or_reason, limits=Limits(time_unit=time_unit))
     for path, outcome in run_bounded(look, found.paths, 1, Bounds(max_memory, max_time)):
         if isinstance(outcome, (str, Lost)):
             say(f"skipped: {path}: {outcome if isinstance(outcome, str) else outcome.reason}")
             unreadable += 1
         else:
-            surveys.append(outcome)
+            surveys[path] = outcome
     if as_json:
-        click.echo(json.dumps({"logs": [as_document(s) for s in surveys]}, indent=1))
+        click.echo(json.dumps({"logs": [as_document(path, s) for path, s in surveys.items()]}, indent=1))
     elif surveys:
-        click.echo("\n".join(aligned([HEADINGS, *(row(s) for s in surveys)])))
-    for found_in in surveys:
-        if "clock_note" in found_in.info:
-            say(f"note: {found_in.source.name}: {found_in.info['clock_note']}", quiet)
-        for stream, why in list(found_in.damage.reasons.items())[:REASONS_SHOWN]:
-            say(f"lost: {found_in.source.name}: {stream}: {why}")
+        click.echo("\n".join(aligned([HEADINGS, *(row(path, s) for path, s in surveys.items())])))
+    for path, survey in surveys.items():
+        if "clock_note" in survey.info:
+            say(f"note: {short_name(path)}: {survey.info['clock_note']}", quiet)
+        for stream, why in list(survey.damage.reasons.items())[:REASONS_SHOWN]:
+            say(f"lost: {short_name(path)}: {stream}: {why}")
+    say_passed_over(found.passed_over, quiet)
     say(f"{len(surveys)} looked over" + (f", {unreadable} skipped" if unreadable else ""), quiet)
     if not surveys:
         return 1
-    return 3 if unreadable or any(s.damage.lossy for s in surveys) else 0
+    return 3 if unreadable or any(s.damage.lossy for s in surveys.values()) else 0
 
 
-def row(found: Survey) -> tuple[str, ...]:
+def row(path: Path, found: Survey) -> tuple[str, ...]:
     """One log as the cells of a table."""
+    from flysid.ingest.formats.opening import short_name
     from flysid.ingest.lake.survey import verdict
 
     words, advice = verdict(found)
     return (
-        found.source.name,
+        short_name(path),
         found.source.format,
         found.info.get("vehicle") or found.info.get("autopilot") or "-",
         found.info.get("firmware") or "-",
@@ -125,15 +129,16 @@ def lost_text(damage: Damage) -> str:
     return ", ".join(parts) or "0"
 
 
-def as_document(found: Survey) -> dict[str, Any]:
+def as_document(path: Path, found: Survey) -> dict[str, Any]:
     """One log for `--json`."""
     import msgspec
 
+    from flysid.ingest.formats.opening import short_name
     from flysid.ingest.lake.survey import ROLES, verdict
 
     words, advice = verdict(found)
     return {
-        "file": found.source.name,
+        "file": short_name(path),
         "format": found.source.format,
         "size_bytes": found.source.size_bytes,
         "info": dict(found.info),

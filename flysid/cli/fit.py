@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.output import check_target, cores, say, status
-from flysid.cli.source import Words, lost_on_the_way, opened, words_options
+from flysid.cli.source import Words, is_log, lost_on_the_way, opened, words_options
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def command(
     asked = Words(recipe, inputs, outputs, dt, time_unit)
     if is_dataset:
         check_no_words(data, asked)
-    place = fresh_place(output, force) if data.is_file() and not is_dataset else None
+    place = fresh_place(output, force) if not is_dataset and is_log(data) else None
     from flysid.ingest.align.doubts import REMARKS
     from flysid.validate.fitting import fit_file, fit_run
     from flysid.validate.run import FitSettings

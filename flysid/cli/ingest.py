@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.bounds import memory_option, time_option
-from flysid.cli.output import REASONS_SHOWN, printable, say
+from flysid.cli.output import REASONS_SHOWN, printable, say, say_passed_over
 from flysid.cli.source import time_unit_option
 
 if TYPE_CHECKING:
@@ -45,12 +45,14 @@ def command(
 
     Logs whose content is there already are skipped. Prints the id of each flight that was ingested.
     Ends with 3 when something was lost or skipped, and says what and where. A log that needs more
-    memory or time than it may have is skipped and named; the others are read.
+    memory or time than it may have is skipped and named; the others are read. In folders and .zip
+    archives, notes, pictures and other files that are no logs are named and passed over.
 
     With --time-unit, logs that are there already are read again: what they say may change.
     """
     from flysid.ingest.formats.base import Limits
-    from flysid.ingest.lake.batch import find_logs, ingest_logs
+    from flysid.ingest.lake.batch import ingest_logs
+    from flysid.ingest.lake.finding import find_logs
     from flysid.ingest.lake.workers import Bounds
 
     found = find_logs(logs)
@@ -64,11 +66,14 @@ def command(
             advance(result)
     results.sort(key=lambda r: str(r.path))
     if as_json:
-        click.echo(json.dumps({"data": data, "logs": [as_document(r) for r in results]}, indent=1))
+        passed = [{"path": str(item.path), "kind": item.kind} for item in found.passed_over]
+        document = {"data": data, "logs": [as_document(r) for r in results], "passed_over": passed}
+        click.echo(json.dumps(document, indent=1))
     else:
         for result in results:
             if result.manifest and not result.unchanged:
                 click.echo(printable(result.manifest.id))
+    say_passed_over(found.passed_over, quiet)
     report(results, quiet)
     return exit_code(results)
 
@@ -103,7 +108,9 @@ def progress(total: int, quiet: bool) -> Iterator[Callable[[Result], None]]:
 
 def describe(result: Result) -> str:
     """What became of one log, in one line."""
-    name = result.path.name
+    from flysid.ingest.formats.opening import short_name
+
+    name = short_name(result.path)
     if result.manifest is None:
         return f"{name}: skipped: {result.reason}"
     if result.unchanged:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,10 +13,12 @@ import click
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
+    from flysid.ingest.lake.finding import PassedOver
     from flysid.validate.judge import Judgement
 
 F = TypeVar("F", bound=Callable[..., Any])
 REASONS_SHOWN = 5
+NAMES_SHOWN = 3
 FORMS = ("json", "markdown", "csv")
 
 
@@ -29,6 +31,22 @@ def say(text: str, quiet: bool = False) -> None:
     """A line for people, on stderr."""
     if not quiet:
         click.echo(printable(text), err=True)
+
+
+def say_passed_over(files: Sequence[PassedOver], quiet: bool) -> None:
+    """One line about the files that are no logs: how many of each kind, and the first of them by name."""
+    if not files:
+        return
+    kinds: dict[str, list[str]] = {}
+    for file in files:
+        kinds.setdefault(file.kind, []).append(file.path.name)
+    told = [f"{len(names)} {kind}{_some(names)}" for kind, names in kinds.items()]
+    say(f"passed over, no logs: {', '.join(told)}", quiet)
+
+
+def _some(names: Sequence[str]) -> str:
+    rest = len(names) - NAMES_SHOWN
+    return f" ({', '.join(names[:NAMES_SHOWN])}{f' and {rest} more' if rest > 0 else ''})"
 
 
 def cores() -> int:

@@ -85,7 +85,7 @@ def opened(data: Path, words: Words, place: Path | None, quiet: bool) -> Iterato
         target = place or Path(folder) / "data"
         recipe = Path(folder) / "quick.toml"
         try:
-            lake = open_lake(_taken_in(data, target, words.time_unit, quiet) if data.is_file() else data)
+            lake = open_lake(_taken_in(data, target, words.time_unit, quiet) if is_log(data) else data)
             if not words.recipe:
                 recipe.write_text(_written(words, lake), "utf-8")
             yield lake, words.recipe or str(recipe)
@@ -95,9 +95,16 @@ def opened(data: Path, words: Words, place: Path | None, quiet: bool) -> Iterato
             raise
 
 
+def is_log(data: Path) -> bool:
+    """Whether a path names a log, an archive of logs or a member of one."""
+    from flysid.ingest.formats.opening import names_log
+
+    return not data.is_dir() and names_log(data)
+
+
 def lost_on_the_way(data: Path, lake: Lake) -> bool:
     """Whether `data` is a log that was read with losses; those of an ingested folder were told before."""
-    return data.is_file() and any(flight.damage.lossy for flight in lake.flights)
+    return is_log(data) and any(flight.damage.lossy for flight in lake.flights)
 
 
 def _written(words: Words, lake: Lake) -> str:
@@ -116,7 +123,8 @@ def _taken_in(log: Path, place: Path, time_unit: str, quiet: bool) -> Path:
     """Ingest one log; raises FormatError where nothing of it can be read."""
     from flysid.cli.ingest import report
     from flysid.ingest.formats.base import Limits
-    from flysid.ingest.lake.batch import find_logs, ingest_logs
+    from flysid.ingest.lake.batch import ingest_logs
+    from flysid.ingest.lake.finding import find_logs
 
     results = list(ingest_logs(find_logs([log]), place, jobs=1, limits=Limits(time_unit=time_unit)))
     report(results, quiet)

@@ -97,8 +97,8 @@ class Format:
 
 
 @contextmanager
-def open_log(path: Path) -> Iterator[memoryview]:
-    """The bytes of a log, memory-mapped. Raises FormatError where it is not a readable regular file."""
+def map_file(path: Path) -> Iterator[memoryview]:
+    """The bytes of a file, memory-mapped. Raises FormatError where it is not a readable regular file."""
     try:
         if not path.is_file():
             raise FormatError("not a regular file", path=path, hint="give a log file")

@@ -13,7 +13,8 @@ from pathlib import Path
 
 from flysid.errors import FormatError, UsageError
 from flysid.flight import Flight
-from flysid.ingest.formats.base import HEAD_BYTES, WHOLE_BATCH_BYTES, Format, Limits, collect, open_log
+from flysid.ingest.formats.base import WHOLE_BATCH_BYTES, Format, Limits, collect
+from flysid.ingest.formats.opening import members_of, open_log, own_name
 
 ENTRY_POINTS = "flysid.formats"
 CERTAIN = 0.95
@@ -101,11 +102,7 @@ def detect(head: bytes, name: str) -> Format:
     for likely in FORMATS.values():
         if lower.endswith(likely.suffixes) and likely.sniff(head, name) >= CERTAIN:
             return likely  # the usual case: no other reader is imported
-    scored = [
-        (f.sniff(head, name) + (0.05 if lower.endswith(f.suffixes) else 0.0), f)
-        for f in all_formats().values()
-    ]
-    confidence, best = max(scored, key=lambda pair: pair[0])
+    confidence, best = _most_likely(head, name)
     if confidence < PLAUSIBLE:
         raise FormatError(
             "not a flight log that flysid knows",
@@ -114,6 +111,20 @@ def detect(head: bytes, name: str) -> Format:
             hint="formats read: " + ", ".join(f.title for f in all_formats().values()),
         )
     return best
+
+
+def confidence_of(head: bytes, name: str) -> float:
+    """How sure the format is that is most likely of a file; see `Format.sniff`."""
+    return _most_likely(head, name)[0]
+
+
+def _most_likely(head: bytes, name: str) -> tuple[float, Format]:
+    lower = name.lower()
+    scored = [
+        (f.sniff(head, name) + (0.05 if lower.endswith(f.suffixes) else 0.0), f)
+        for f in all_formats().values()
+    ]
+    return max(scored, key=lambda pair: pair[0])
 
 
 def read(
@@ -127,7 +138,8 @@ def read(
 
     Parameters
     ----------
-    path : the log.
+    path : the log; also packed (.gz, .zst), or in a .zip archive: `flights.zip/one.tlog`, or the archive
+        itself where it holds one log.
     format : name of its format; found from its bytes when None.
     time_unit : of a table's times that state none: "s", "ms", "us" or "ns".
     limits : bounds for hostile input.
@@ -137,8 +149,22 @@ def read(
     FormatError : not a log, empty or unreadable; a table whose times may be in several units.
     UsageError : `format` or `time_unit` is not a name that flysid knows.
     """
-    path = Path(path)
-    with open_log(path) as view:
-        fmt = detect(bytes(view[:HEAD_BYTES]), path.name) if format is None else find_format(format)
-        told = limits or Limits(batch_bytes=WHOLE_BATCH_BYTES)
-        return collect(view, path.name, fmt, replace(told, time_unit=time_unit or told.time_unit))
+    limits = limits or Limits(batch_bytes=WHOLE_BATCH_BYTES)
+    limits = replace(limits, time_unit=time_unit or limits.time_unit)
+    with open_log(sole_log(Path(path)), limits) as log:
+        fmt = detect(log.head, log.name) if format is None else find_format(format)
+        return log.told(collect(log.view, log.name, fmt, limits))
+
+
+def known_suffixes() -> tuple[str, ...]:
+    """How the names of logs end, in lower case."""
+    return tuple({suffix for fmt in all_formats().values() for suffix in fmt.suffixes})
+
+
+def sole_log(path: Path) -> Path:
+    """`path`, or, for a .zip archive, its only member that is called like a log.
+
+    Where that says nothing, `path` comes back: opening it names the members.
+    """
+    named = [name for name in members_of(path) if own_name(name).lower().endswith(known_suffixes())]
+    return path / named[0] if len(named) == 1 else path

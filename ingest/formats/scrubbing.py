@@ -17,8 +17,9 @@ import pyarrow as pa
 from flysid.errors import UsageError
 from flysid.files import new_file, writing_to
 from flysid.flight import field_scale
-from flysid.ingest.formats.base import HEAD_BYTES, Format, Limits, open_log
+from flysid.ingest.formats.base import Format, Limits
 from flysid.ingest.formats.common.scrub_rules import (
+    UNREADABLE,
     Column,
     Fix,
     FloatArray,
@@ -28,7 +29,8 @@ from flysid.ingest.formats.common.scrub_rules import (
     has_fix,
     places,
 )
-from flysid.ingest.formats.registry import all_formats, detect
+from flysid.ingest.formats.opening import open_log, packed_as
+from flysid.ingest.formats.registry import all_formats, detect, sole_log
 
 Function = Callable[[memoryview, Scrubber, Limits], Iterator[bytes]]
 OTHERS = ("ADSB", "AIS_", "TRANSPONDER", "TRAFFIC")  # where others were
@@ -60,9 +62,11 @@ def scrubbers() -> Mapping[str, Function]:
 def scrub_log(log: str | Path, out: str | Path, *, gps: Gps = "shift", force: bool = False) -> Scrubbed:
     """Write a copy of a log without what should not be shared. The copy appears whole or not at all.
 
+    A packed log is unpacked first. The copy is packed as its name says: .gz, .zst, or not at all.
+
     Parameters
     ----------
-    log : the log; it is not changed.
+    log : the log; it is not changed. A member of an archive as `flights.zip/one.tlog`.
     out : the copy's path.
     gps : "shift" moves all positions so that their median lies off the coast of Africa, "remove" empties
         them.
@@ -70,22 +74,31 @@ def scrub_log(log: str | Path, out: str | Path, *, gps: Gps = "shift", force: bo
 
     Raises
     ------
-    FormatError : not a log. UsageError : no scrubber for its format, or `out` is the log or exists.
+    FormatError : not a log. UsageError : no scrubber for its format, `out` is the log or exists, or is
+        called .zip.
     WriteError : `out` cannot be written.
     """
     log, out = Path(log), Path(out)
     if out.exists() and log.exists() and out.samefile(log):
         raise UsageError("the copy would replace the log", path=out, hint="choose another name with -o")
+    if out.suffix.lower() == ".zip":
+        raise UsageError(
+            "a copy is one log, not an archive",
+            path=out,
+            hint="-o with the log's own suffix, or that and .gz",
+        )
     if out.exists() and not force:
         raise UsageError("the target exists", path=out, hint="choose another with -o, or add --force")
-    with open_log(log) as view:
-        fmt = detect(bytes(view[:HEAD_BYTES]), log.name)
+    with open_log(sole_log(log)) as opened:
+        fmt = detect(opened.head, opened.name)
         if fmt.name not in scrubbers():
             raise UsageError(
                 f"{fmt.title} cannot be scrubbed yet", path=log, hint="formats: " + ", ".join(scrubbers())
             )
-        scrubber = Scrubber(gps, middle(view, log.name, fmt))
-        _write(out, scrubbers()[fmt.name](view, scrubber, Limits()))
+        scrubber = Scrubber(gps, middle(opened.view, opened.name, fmt))
+        _write(out, packed_as(out.name, scrubbers()[fmt.name](opened.view, scrubber, Limits())))
+        if opened.lost:
+            scrubber.note(UNREADABLE, f"in its packing: {opened.lost}", 1)
     return Scrubbed(fmt.name, dict(sorted(scrubber.removed.items())), tuple(scrubber.notes))
 
 

@@ -1,4 +1,4 @@
-"""Many logs into one folder: found, hashed, read in parallel; one bad log never stops the rest.
+"""Many logs into one folder: hashed, read in parallel; one bad log never stops the rest.
 
 Logs whose content is in the folder already are recognised by their hash before any worker starts. Each
 worker reads one log at a time, within bounds of memory and time (`workers`). A log that breaks them, or the
@@ -7,23 +7,23 @@ process that reads it, is named; it costs no other log.
 
 from __future__ import annotations
 
-import glob
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from flysid.errors import FlysidError, FormatError, UsageError, WriteError
+from flysid.errors import FlysidError, FormatError, WriteError
 from flysid.flight import Source
-from flysid.ingest.formats.base import HEAD_BYTES, Limits, hash_log, open_log
-from flysid.ingest.formats.registry import all_formats, detect
+from flysid.ingest.formats.base import Limits, hash_log
+from flysid.ingest.formats.opening import locate, open_log
+from flysid.ingest.formats.registry import detect
+from flysid.ingest.lake.finding import Found
 from flysid.ingest.lake.workers import Bounds, Lost, memory_reason, run_bounded
 from flysid.manifest import Manifest, list_flights
 from flysid.store import clean, create_data_folder, discard, locked, write_flight
 
 ONE_WORKER_BYTES = 12 << 20
-GLOB_MARKS = frozenset("*?[")
 NO_MEMORY = "needs more memory than there is"
 
 
@@ -51,75 +51,6 @@ class Job:
     modified_ns: int
 
 
-@dataclass(frozen=True)
-class Found:
-    """Logs found, and places that could not be looked into."""
-
-    paths: tuple[Path, ...]
-    unreadable: tuple[Result, ...] = field(default=())
-
-
-# -------------------------------------------------------------------------------------------- finding
-
-
-def find_logs(given: Sequence[str | Path]) -> Found:
-    """The logs that files, folders and patterns name, in order, each once.
-
-    In folders, files with the suffix of a known format count as logs; hidden files do not.
-
-    Raises
-    ------
-    UsageError : a path does not exist, a pattern matches nothing, a folder holds no log.
-    """
-    paths: dict[Path, None] = {}
-    unreadable: list[Result] = []
-    for item in given:
-        for path in _expand(str(item)):
-            if path.is_dir():
-                inside = sorted(_logs_in(path, unreadable))
-                if not inside and not unreadable:
-                    raise UsageError(
-                        "no flight log in this folder",
-                        path=path,
-                        hint="suffixes looked for: " + " ".join(sorted(_suffixes())),
-                    )
-                paths.update(dict.fromkeys(inside))
-            else:
-                paths[path] = None
-    unique = {os.path.realpath(path): path for path in reversed(paths)}
-    return Found(
-        tuple(path for path in paths if unique.get(os.path.realpath(path)) is path), tuple(unreadable)
-    )
-
-
-def _expand(item: str) -> list[Path]:
-    if os.path.lexists(item):
-        return [Path(item)]
-    if GLOB_MARKS & set(item):
-        found = sorted(glob.glob(item, recursive=True))
-        if found:
-            return [Path(name) for name in found]
-        raise UsageError("the pattern matches nothing", path=item)
-    raise UsageError("no such file or folder", path=item)
-
-
-def _suffixes() -> set[str]:
-    return {suffix for fmt in all_formats().values() for suffix in fmt.suffixes}
-
-
-def _logs_in(folder: Path, unreadable: list[Result]) -> Iterator[Path]:
-    suffixes = tuple(_suffixes())
-
-    def note(error: OSError) -> None:
-        unreadable.append(Result(Path(error.filename), reason=f"cannot be read: {error.strerror}"))
-
-    for parent, folders, files in os.walk(folder, onerror=note):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-        for name in files:
-            if not name.startswith(".") and name.lower().endswith(suffixes):
-                yield Path(parent, name)
-
-
 # ------------------------------------------------------------------------------------------ ingesting
 
 
@@ -136,7 +67,7 @@ def ingest_logs(
 
     Parameters
     ----------
-    logs : from `find_logs`.
+    logs : from `finding.find_logs`.
     data : the folder; made where it does not exist.
     jobs : worker processes; 0 means one per core, one where there is little to read.
     force : read again what is there unchanged.
@@ -150,7 +81,7 @@ def ingest_logs(
     UsageError : `data` is something else.
     """
     folder = create_data_folder(data)
-    yield from logs.unreadable
+    yield from (Result(item.path, reason=item.reason) for item in logs.unread)
     with locked(folder):
         clean(folder)
         known = {} if force else {m.source.sha256: m for m in list_flights(folder)}
@@ -175,9 +106,9 @@ def ingest_logs(
 def _prepare(path: Path) -> Job | Result:
     """Hash a log, or say why it cannot be."""
     try:
-        with open_log(path) as view:
-            state = path.stat()
-            return Job(path, hash_log(view), len(view), state.st_mtime_ns)
+        with open_log(path) as log:
+            state = locate(path)[0].stat()
+            return Job(path, hash_log(log.view), len(log.view), state.st_mtime_ns)
     except (FormatError, OSError) as error:
         return Result(path, reason=getattr(error, "message", None) or str(error))
 
@@ -205,13 +136,13 @@ def _in_workers(
 def ingest_one(job: Job, data: Path, limits: Limits, replace: bool) -> Result:
     """Read one log into `data`. Only a folder that cannot be written to raises."""
     try:
-        with open_log(job.path) as view:
-            state = job.path.stat()
-            if (len(view), state.st_mtime_ns) != (job.size, job.modified_ns):
+        with open_log(job.path, limits) as log:
+            state = locate(job.path)[0].stat()
+            if (len(log.view), state.st_mtime_ns) != (job.size, job.modified_ns):
                 return Result(job.path, reason="changed while it was being read; is it still being written?")
-            fmt = detect(bytes(view[:HEAD_BYTES]), job.path.name)
-            source = Source(job.path.name, fmt.name, job.size, job.sha256)
-            parts = fmt.read(view, job.path.name, limits)
+            fmt = detect(log.head, log.name)
+            source = Source(log.name, fmt.name, job.size, job.sha256)
+            parts = log.read(fmt, limits)
             return Result(job.path, write_flight(data, source, parts, replace=replace))
     except WriteError as error:
         need = f"this log needs about {max(job.size // 10**6, 1)} MB; "

@@ -14,7 +14,8 @@ import pyarrow as pa
 
 from flysid.errors import FlysidError
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Source, field_scale, field_unit
-from flysid.ingest.formats.base import HEAD_BYTES, Limits, open_log, source_of
+from flysid.ingest.formats.base import Limits, source_of
+from flysid.ingest.formats.opening import open_log
 from flysid.ingest.formats.registry import detect
 from flysid.parts import exhausted
 
@@ -126,14 +127,15 @@ class Survey:
 
 def survey(path: Path, limits: Limits | None = None) -> Survey:
     """Look a log over. Raises FormatError where nothing can be read."""
-    with open_log(path) as view:
-        fmt = detect(bytes(view[:HEAD_BYTES]), path.name)
+    limits = limits or Limits()
+    with open_log(path, limits) as log:
+        fmt = detect(log.head, log.name)
         streams: dict[str, StreamCount] = {}
-        reader = fmt.read(view, path.name, limits or Limits())
+        reader = log.read(fmt, limits)
         summary = exhausted(
             reader, lambda part: _count(streams.setdefault(part.stream, StreamCount()), part.table)
         )
-        source = source_of(view, path.name, fmt)
+        source = source_of(log.view, log.name, fmt)
     return Survey(source, dict(sorted(streams.items())), summary.damage, summary.clocks, summary.info)
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from flysid.ingest.lake.batch import find_logs, ingest_logs
+from flysid.ingest.lake.batch import ingest_logs
+from flysid.ingest.lake.finding import find_logs
 from flysid.validate.compare import compare
 from flysid.validate.condition import check_condition
 from flysid.validate.document import to_json

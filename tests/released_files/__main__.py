@@ -11,7 +11,8 @@ import numpy as np
 
 from flysid.datasetfile import write_dataset
 from flysid.files import slug
-from flysid.ingest.lake.batch import find_logs, ingest_logs
+from flysid.ingest.lake.batch import ingest_logs
+from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.validate.fitting import fit_run

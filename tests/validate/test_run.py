@@ -18,7 +18,8 @@ from flysid.cli.output import finish
 from flysid.dataset import Signal
 from flysid.errors import DataError, StoreError, UsageError
 from flysid.files import replacing_folder, write_atomically
-from flysid.ingest.lake.batch import find_logs, ingest_logs
+from flysid.ingest.lake.batch import ingest_logs
+from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.model.anfis import ANFIS

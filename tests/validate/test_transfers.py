@@ -15,7 +15,8 @@ from flysid.errors import UsageError
 from flysid.files import write_atomically
 from flysid.ingest.align.align import dataset
 from flysid.ingest.formats.registry import read
-from flysid.ingest.lake.batch import find_logs, ingest_logs
+from flysid.ingest.lake.batch import ingest_logs
+from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.synth.plants import LOOPS
 from flysid.ingest.synth.rigid_body import Vehicle
 from flysid.ingest.synth.synth import WRITERS, Order, flights

@@ -305,6 +305,8 @@ def read_header(buffer: Buffer, q: int) -> Header | None:
 def _is_cut(buffer: Buffer, q: int) -> bool:
     """Does the buffer end inside a record whose marker is (or would be) at q?"""
     size = len(buffer)
+    if q < 0:
+        return False  # lost since an earlier buffer: longer than any record
     if q >= size:
         return True
     if buffer[q] not in (V1, V2) or (buffer[q] == V2 and q + 2 < size and buffer[q + 2] > SIGNED):

@@ -1,4 +1,4 @@
-"""ROS 2 bags in SQLite files (.db3, as they are or compressed with zstd): every topic a stream of its own.
+"""ROS 2 bags in SQLite files (.db3): every topic a stream of its own.
 
 Stream keys, clocks and columns are those of an MCAP file with the same topics. Tables used: `topics` (id,
 name, type, serialization format), `messages` (topic, time of recording in ns, CDR bytes) and, in bags since
@@ -14,13 +14,7 @@ from typing import Any
 
 from flysid.errors import FormatError
 from flysid.ingest.formats.base import Limits, Parts, Summary, release
-from flysid.ingest.formats.common.compression import (
-    ZSTD_MAGIC,
-    ChunkError,
-    first_bytes,
-    unpack_message,
-    unpacked,
-)
+from flysid.ingest.formats.common.compression import ZSTD_MAGIC, ChunkError, unpack_message
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.messages.channel import Channel, Schema
 from flysid.ingest.formats.messages.topics import Message, Topics, queued
@@ -46,14 +40,8 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     FormatError : it holds no row of messages, and no table that could.
     """
     tally = Tally()
-    if view[:4] != ZSTD_MAGIC:
-        return (yield from _read_database(view, name, limits, tally))
-    with unpacked(view, limits, tally) as data:
-        return (yield from _read_database(data, name, limits, tally))
-
-
-def _read_database(view: memoryview, name: str, limits: Limits, tally: Tally) -> Parts:
-    bag, topics = Bag(view, limits, tally), Topics(tally)
+    topics = Topics(tally)
+    bag = Bag(view, limits, tally)
     released = 0
 
     def passed() -> None:
@@ -148,8 +136,6 @@ def _has_texts(*places: int) -> Any:
 
 def sniff(head: bytes, name: str) -> float:
     """1 for an SQLite file with a table of messages; 0.5 for a .db3 whose first page is damaged."""
-    if head[:4] == ZSTD_MAGIC:
-        head = first_bytes(head)
     if head.startswith(MAGIC):
         return 1.0 if MARK in head else 0.5 if ".db3" in name.lower() else 0.1
     same = sum(a == b for a, b in zip(head, MAGIC, strict=False))

@@ -1,9 +1,9 @@
 """ROS 2 bags (.db3) without positions and identifiers: messages rewritten, in a database made anew.
 
 Left out: topics that cannot be decoded, corrections for receivers, metadata, qualities of service. Messages
-compressed one by one are written as they are when expanded; a file compressed as a whole stays so. The copy
-has the tables of ROS 2 Jazzy (schema 4) and the definitions with which the log was read. A metadata.yaml
-beside the log is not touched; `ros2 bag reindex` makes one for the copy.
+compressed one by one are written as they are when expanded. The copy has the tables of ROS 2 Jazzy (schema 4)
+and the definitions with which the log was read. A metadata.yaml beside the log is not touched;
+`ros2 bag reindex` makes one for the copy.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from pathlib import Path
 
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common import scrub_rules as rules
-from flysid.ingest.formats.common.compression import ZSTD_MAGIC, unpacked
 from flysid.ingest.formats.common.scrub_rules import Scrubber
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.messages.channel import Channel
@@ -40,16 +39,13 @@ INSERT INTO schema VALUES (4, 'jazzy');
 
 def scrub(view: memoryview, scrubber: Scrubber, limits: Limits) -> Iterator[bytes]:
     """The bag, scrubbed."""
-    tally, is_packed = Tally(), view[:4] == ZSTD_MAGIC
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "copy.db3")
-        if is_packed:
-            with unpacked(view, limits, tally) as data:
-                _fill(path, data, scrubber, limits)
-        else:
-            _fill(path, view, scrubber, limits)
+        _fill(path, view, scrubber, limits)
         scrubber.notes.append("Metadata is left out; pictures and point clouds stay.")
-        yield from _packed(path) if is_packed else _pieces(path)
+        with path.open("rb") as file:
+            while piece := file.read(PIECE_BYTES):
+                yield piece
 
 
 def _fill(path: Path, view: memoryview, scrubber: Scrubber, limits: Limits) -> None:
@@ -94,18 +90,3 @@ def _topic(
         new = (number, schema.name, schema.data.decode("utf-8", "replace"))
         link.execute("INSERT INTO message_definitions VALUES (?, ?, 'ros2msg', ?, '')", new)
     return number, clean
-
-
-def _pieces(path: Path) -> Iterator[bytes]:
-    with path.open("rb") as file:
-        while piece := file.read(PIECE_BYTES):
-            yield piece
-
-
-def _packed(path: Path) -> Iterator[bytes]:
-    import zstandard
-
-    packer = zstandard.ZstdCompressor().compressobj()
-    for piece in _pieces(path):
-        yield packer.compress(piece)
-    yield packer.flush()

@@ -23,7 +23,7 @@ from flysid.ingest.formats.mavlink import reader as tlog
 from flysid.ingest.formats.mavlink.dialect import load_dialect
 from flysid.ingest.formats.mavlink.frames import Scanner, plain_chain
 from flysid.ingest.formats.registry import FORMATS
-from tests.samplelogs.tlog import EPOCH_US, frame, sender, stamped
+from tests.samplelogs.tlog import EPOCH_US, build, frame, sender, stamped
 
 LOGS = Path(__file__).resolve().parents[4] / "shared" / "logs" / "tlog"
 MS = 1_000_000
@@ -386,3 +386,10 @@ def test_a_log_that_names_every_sender_there_can_be_is_bounded() -> None:
     flight = read(b"".join(frames))
     assert len(flight.streams) == tlog.MAX_STREAMS
     assert flight.damage.undecoded == {"streams beyond 2,000": (1 << 14) - tlog.MAX_STREAMS}
+
+
+def test_zeros_behind_a_log_are_skipped_however_many() -> None:
+    zeros = bytes(20 << 20)  # more than two batches
+    flight = read(build() + zeros)
+    assert flight.rows == read(build()).rows
+    assert flight.damage.bytes_skipped == len(zeros)

@@ -18,7 +18,8 @@ from flysid.errors import UsageError, WriteError
 from flysid.ingest.formats import registry
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.lake import batch
-from flysid.ingest.lake.batch import Result, find_logs, ingest_logs
+from flysid.ingest.lake.batch import Result, ingest_logs
+from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.workers import Bounds
 from tests.samplelogs import dataflash, tlog
 

@@ -1,0 +1,226 @@
+"""The members of a .zip archive: from its list, or, where that is lost, from the headers before each member.
+
+Members are named by cleaned paths: no member's name leads out of its archive.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from flysid.ingest.formats.base import Limits, map_file
+from flysid.ingest.formats.common.compression import (
+    FREE_BYTES,
+    ChunkError,
+    inflated_pieces,
+    unpacked_pieces,
+)
+
+ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06", b"PK\x07\x08PK\x03\x04")
+STORED, DEFLATED, ZSTANDARD = 0, 8, 93
+_LOCAL = struct.Struct("<4s5H3I2H")
+_IS_ENCRYPTED, _SIZES_FOLLOW, _IS_UTF8 = 1, 8, 1 << 11
+_IN_ZIP64 = 0xFFFFFFFF
+_PIECE = 1 << 20
+_ZIP64 = struct.Struct("<QQ")
+_DRIVE = re.compile(r"^[A-Za-z]:")
+
+
+@dataclass(frozen=True)
+class Member:
+    """One file of an archive; `fault` says why it cannot be opened, `size` and `crc` None where unknown."""
+
+    name: str
+    header: int
+    packed: int
+    method: int
+    size: int | None = None
+    crc: int | None = None
+    fault: str = ""
+
+
+@dataclass(frozen=True)
+class Archive:
+    """The members of an archive by their names, and what is wrong with it ("" for nothing)."""
+
+    members: dict[str, Member]
+    fault: str = ""
+
+
+def read_archive(path: Path, limits: Limits) -> Archive:
+    """The members of an archive; nothing of them is expanded. Raises FormatError where it cannot be read."""
+    state = path.stat()
+    return _read_archive(path, state.st_size, state.st_mtime_ns, limits)
+
+
+@lru_cache(maxsize=4)  # each member is opened for itself, and asks again
+def _read_archive(path: Path, size: int, modified_ns: int, limits: Limits) -> Archive:  # noqa: ARG001
+    try:
+        with zipfile.ZipFile(path) as archive:
+            found = [_listed(info) for info in archive.infolist() if not info.is_dir()]
+        fault = ""
+    except (zipfile.BadZipFile, ValueError, NotImplementedError, struct.error, EOFError):
+        with map_file(path) as view:
+            found = list(_met(view))
+        fault = "the archive's list of members is cut off or damaged; some may be missing"
+    return Archive(_named(_bounded(found, size, limits)), fault)
+
+
+def member_pieces(view: memoryview, member: Member) -> Iterator[bytes]:
+    """What a member expands to; raises ChunkError where it is cut, damaged or not what the archive says."""
+    if member.fault:
+        raise ChunkError(member.fault)
+    start = _data_start(view, member)
+    packed = view[start : start + member.packed]
+    total, crc = 0, 0
+    for piece in _unpacked(packed, member.method):
+        total += len(piece)
+        crc = zlib.crc32(piece, crc)
+        yield piece
+        if member.size is not None and total > member.size:
+            raise ChunkError(f"it is larger than the {member.size} bytes that the archive states")
+    if len(packed) < member.packed:
+        raise ChunkError("the archive ends inside it")
+    if member.size is not None and total < member.size:
+        raise ChunkError(f"{member.size - total} of its {member.size} bytes are missing")
+    if member.crc is not None and crc != member.crc:
+        raise ChunkError("its checksum is wrong: some of its bytes are damaged")
+
+
+def _unpacked(packed: memoryview, method: int) -> Iterator[bytes]:
+    if method == DEFLATED:
+        return inflated_pieces(packed)
+    if method == ZSTANDARD:
+        return unpacked_pieces(packed)
+    return (bytes(packed[at : at + _PIECE]) for at in range(0, len(packed), _PIECE))
+
+
+def _data_start(view: memoryview, member: Member) -> int:
+    head = bytes(view[member.header : member.header + _LOCAL.size])
+    if len(head) < _LOCAL.size or head[:4] != ZIP_MAGICS[0]:
+        raise ChunkError(f"its header at byte {member.header} of the archive is damaged")
+    *_, name, extra = _LOCAL.unpack(head)
+    return int(member.header + _LOCAL.size + name + extra)
+
+
+# ------------------------------------------------------------------------------------------ what there is
+
+
+def _listed(info: zipfile.ZipInfo) -> Member:
+    fault = _fault(info.compress_type, info.flag_bits)
+    return Member(
+        info.filename,
+        info.header_offset,
+        info.compress_size,
+        info.compress_type,
+        info.file_size,
+        info.CRC,
+        fault,
+    )
+
+
+def _fault(method: int, flags: int) -> str:
+    if flags & _IS_ENCRYPTED:
+        return "is encrypted; unpack it first"
+    if method not in (STORED, DEFLATED, ZSTANDARD):
+        named = zipfile.compressor_names.get(method, f"method {method}")  # type: ignore[attr-defined]
+        return f"is packed in a way that is not read here ({named}); unpack it first"
+    return ""
+
+
+def _met(view: memoryview) -> Iterator[Member]:
+    """The members of an archive without a list, by the headers that stand before them."""
+    at = 0
+    for match in re.finditer(re.escape(ZIP_MAGICS[0]), view):
+        if match.start() < at:
+            continue
+        member = _at_header(view, match.start())
+        if member is not None:
+            at = _data_start(view, member) + member.packed
+            if not member.name.endswith("/"):
+                yield member
+
+
+def _at_header(view: memoryview, at: int) -> Member | None:
+    """The member whose header stands at `at`; None where what stands there is no header."""
+    head = bytes(view[at : at + _LOCAL.size])
+    if len(head) < _LOCAL.size:
+        return None
+    _, version, flags, method, _, _, crc, packed, size, name_bytes, extra_bytes = _LOCAL.unpack(head)
+    name_at = at + _LOCAL.size
+    raw = bytes(view[name_at : name_at + name_bytes])
+    if not raw or len(raw) < name_bytes or version & 0xFF > 100 or b"\0" in raw:
+        return None
+    name = raw.decode("utf-8" if flags & _IS_UTF8 else "cp437", "replace")
+    start = name_at + name_bytes + extra_bytes
+    extra = bytes(view[name_at + name_bytes : start])
+    if _IN_ZIP64 in (packed, size):
+        size, packed = _zip64(extra, size, packed)
+    if flags & _SIZES_FOLLOW and not packed:
+        return Member(name, at, _end_of_data(view, start) - start, method, fault=_fault(method, flags))
+    return Member(name, at, packed, method, size, crc, _fault(method, flags))
+
+
+def _zip64(extra: bytes, size: int, packed: int) -> tuple[int, int]:
+    at = extra.find(b"\x01\x00")
+    if at < 0 or len(extra) < at + 4 + _ZIP64.size:
+        return size, packed
+    large: tuple[int, int] = _ZIP64.unpack_from(extra, at + 4)
+    return large
+
+
+def _end_of_data(view: memoryview, start: int) -> int:
+    """Where a member ends whose size stands behind it; the end of the archive where nothing tells."""
+    for match in re.finditer(rb"PK\x07\x08|PK\x03\x04|PK\x01\x02", view[start:]):
+        at = start + match.start()
+        if match[0] == b"PK\x07\x08":
+            stated = int.from_bytes(view[at + 8 : at + 12], "little")
+            if stated == match.start():
+                return at
+        elif int.from_bytes(view[at - 8 : at - 4], "little") == match.start() - 12:
+            return at - 12
+    return len(view)
+
+
+def _bounded(found: list[Member], archive_bytes: int, limits: Limits) -> list[Member]:
+    """Mark as faulty what states more than `Limits` allow, or gives the same bytes twice."""
+    stated = sum(member.size or 0 for member in found)
+    if stated > max(FREE_BYTES, int(limits.max_ratio * archive_bytes)):
+        why = f"its archive states {stated} bytes, more than {limits.max_ratio:g} times its own size"
+        return [_faulty(member, why) for member in found]
+    bounded: list[Member] = []
+    end = 0
+    for member in sorted(found, key=lambda member: member.header):
+        overlaps = member.header < end
+        end = max(end, member.header + _LOCAL.size + member.packed)
+        bounded.append(_faulty(member, "it shares bytes with another member") if overlaps else member)
+    return bounded
+
+
+def _faulty(member: Member, why: str) -> Member:
+    return Member(member.name, member.header, member.packed, member.method, member.size, member.crc, why)
+
+
+def _named(found: list[Member]) -> dict[str, Member]:
+    """Members by cleaned names; the second of a name gets a number."""
+    named: dict[str, Member] = {}
+    for member in found:
+        name = label = _cleaned(member.name)
+        count = 1
+        while label in named:
+            count += 1
+            label = f"{name}#{count}"
+        named[label] = member
+    return named
+
+
+def _cleaned(name: str) -> str:
+    """A relative path with forward slashes that stays inside its archive."""
+    parts = _DRIVE.sub("", name.replace("\\", "/").replace("\0", "")).split("/")
+    return "/".join(part for part in parts if part not in ("", ".", "..")) or "(no name)"

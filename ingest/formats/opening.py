@@ -1,0 +1,213 @@
+"""Logs as bytes: as they are, packed (.gz, .zst), or members of a .zip archive.
+
+A member is addressed as if its archive were a folder: `flights.zip/monday/one.tlog`. A log may be packed
+twice: a .gz or .zst file inside a .zip archive. What is packed in any other way is refused with the way out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import TypeVar
+
+from flysid.errors import FormatError
+from flysid.flight import Flight
+from flysid.ingest.formats.base import HEAD_BYTES, Format, Limits, Parts, Summary, map_file
+from flysid.ingest.formats.common.compression import (
+    GZIP_MAGIC,
+    ZSTD_MAGIC,
+    Expanded,
+    expanded,
+    first_bytes,
+    packer_for,
+    unpacked_pieces,
+)
+from flysid.ingest.formats.common.zip_members import ZIP_MAGICS, Member, member_pieces, read_archive
+
+PACKED_SUFFIXES = (".gz", ".zst", ".zstd")
+TAR_MAGIC = b"ustar"
+TAR_MAGIC_AT = 257
+
+T = TypeVar("T", Flight, Summary)
+
+
+@dataclass(frozen=True)
+class OpenLog:
+    """A log that can be read.
+
+    Attributes
+    ----------
+    name : the log's own name, without what packing added to it.
+    view : its bytes, expanded.
+    lost : what was lost while it was unpacked; "" for nothing.
+    """
+
+    name: str
+    view: memoryview
+    lost: str = ""
+
+    @property
+    def head(self) -> bytes:
+        """What formats are recognised by."""
+        return bytes(self.view[:HEAD_BYTES])
+
+    def read(self, fmt: Format, limits: Limits) -> Parts:
+        """The parts of the log; what its packing lost counts as damage."""
+        return self.told((yield from fmt.read(self.view, self.name, limits)))
+
+    def told(self, found: T) -> T:
+        """What was found in the log, with what its packing lost."""
+        if not self.lost:
+            return found
+        reasons = {**found.damage.reasons, "packing": self.lost}
+        return replace(found, damage=replace(found.damage, truncated=True, reasons=reasons))
+
+
+@contextmanager
+def open_log(path: Path, limits: Limits | None = None) -> Iterator[OpenLog]:
+    """The bytes of a log, unpacked where it is packed, mapped into memory.
+
+    Parameters
+    ----------
+    path : a file, or a member of a .zip archive: `flights.zip/one.tlog`.
+    limits : how far packed logs may expand.
+
+    Raises
+    ------
+    FormatError : not a readable file, an archive of several files, packed too often, or nothing is in it.
+    """
+    limits = limits or Limits()
+    file, inside = locate(path)
+    with ExitStack() as stack:
+        log = OpenLog(file.name, stack.enter_context(map_file(file)))
+        if inside or is_archive(log.view):
+            member = _member(file, inside, limits)
+            name = PurePosixPath(inside or member.name.replace("\\", "/")).name
+            packing = expanded(member_pieces(log.view, member), member.packed, limits)
+            log = _unpacked(name, stack.enter_context(packing))
+        if is_compressed(log.view):
+            packing = expanded(unpacked_pieces(log.view), len(log.view), limits)
+            log = _unpacked(own_name(log.name), stack.enter_context(packing), log.lost)
+        _check(log, path)
+        yield log
+
+
+def _unpacked(name: str, found: Expanded, lost_before: str = "") -> OpenLog:
+    return OpenLog(name, found.view, "; ".join(filter(None, (lost_before, found.lost))))
+
+
+def _check(log: OpenLog, path: Path) -> None:
+    if not log.view:
+        raise FormatError(
+            log.lost or "the file is empty",
+            path=path,
+            byte=0,
+            hint="check that the download or copy finished",
+        )
+    if is_archive(log.view) or is_compressed(log.view):
+        raise FormatError("packed more often than is unpacked here", path=path, hint="unpack it first")
+    if bytes(log.view[TAR_MAGIC_AT : TAR_MAGIC_AT + len(TAR_MAGIC)]) == TAR_MAGIC:
+        raise FormatError("a tar archive", path=path, hint="unpack it first: tar xf")
+
+
+def _member(file: Path, inside: str, limits: Limits) -> Member:
+    """The member that is meant; the only one where none is named."""
+    members = read_archive(file, limits).members
+    if inside in members:
+        return members[inside]
+    if inside:
+        raise FormatError(f"the archive has no member {inside!r}", path=file, hint=_shown(file, members))
+    if len(members) != 1:
+        raise FormatError(f"an archive of {len(members)} files", path=file, hint=_shown(file, members))
+    return next(iter(members.values()))
+
+
+def _shown(file: Path, members: dict[str, Member]) -> str:
+    shown = ", ".join(f"{file.name}/{name}" for name in list(members)[:5])
+    return f"name one: {shown}" if shown else "the archive is empty"
+
+
+def locate(path: Path) -> tuple[Path, str]:
+    """The file that holds a log, and which member of it; "" for the file itself."""
+    if not path.exists():
+        for parent in path.parents:
+            if parent.is_file():
+                return parent, path.relative_to(parent).as_posix()
+    return path, ""
+
+
+def members_of(path: Path, limits: Limits | None = None) -> Mapping[str, Member]:
+    """The members of a .zip archive, by name; none for any other file. Raises FormatError and OSError."""
+    if not path.is_file() or not _begins_archive(path):
+        return {}
+    return read_archive(path, limits or Limits()).members
+
+
+def _begins_archive(path: Path) -> bool:
+    with path.open("rb") as file:
+        return is_archive(file.read(8))
+
+
+def names_log(path: Path) -> bool:
+    """Whether a path names a file or a member of an archive, not a folder or nothing."""
+    return locate(path)[0].is_file()
+
+
+def is_archive(head: bytes | memoryview) -> bool:
+    """Whether these bytes begin a .zip archive."""
+    return bytes(head[:8]).startswith(ZIP_MAGICS)
+
+
+def is_compressed(head: bytes | memoryview) -> bool:
+    """Whether these bytes begin a gzip or zstd file."""
+    return bytes(head[:4]).startswith((GZIP_MAGIC, ZSTD_MAGIC))
+
+
+def is_packed(name: str) -> bool:
+    """Whether a name ends as those of packed logs do."""
+    return name.lower().endswith(PACKED_SUFFIXES)
+
+
+def short_name(path: Path) -> str:
+    """The name of a log's file, and of the member where it is one of an archive."""
+    file, inside = locate(path)
+    return f"{file.name}/{inside}" if inside else file.name
+
+
+def own_name(name: str) -> str:
+    """A log's name without the suffix of its packing."""
+    suffix = PurePosixPath(name).suffix
+    return name[: -len(suffix)] if suffix.lower() in PACKED_SUFFIXES and len(name) > len(suffix) else name
+
+
+def packed_as(name: str, pieces: Iterator[bytes]) -> Iterator[bytes]:
+    """The pieces of a file, packed as its name says: .gz, .zst, .zstd, or as they are."""
+    suffix = PurePosixPath(name).suffix.lower()
+    if suffix not in PACKED_SUFFIXES:
+        yield from pieces
+        return
+    packer = packer_for(suffix)
+    for piece in pieces:
+        yield packer.compress(piece)
+    yield packer.flush()
+
+
+def head_of(path: Path, limits: Limits | None = None) -> tuple[str, bytes]:
+    """The own name and first bytes of a log, without unpacking more than that.
+
+    Raises FormatError and OSError as reading does.
+    """
+    limits = limits or Limits()
+    file, inside = locate(path)
+    if not inside:
+        with file.open("rb") as opened:
+            name, head = file.name, opened.read(HEAD_BYTES)
+    else:
+        member = _member(file, inside, limits)
+        with map_file(file) as view:
+            name, head = PurePosixPath(inside).name, first_bytes(member_pieces(view, member), HEAD_BYTES)
+    if is_compressed(head):
+        name, head = own_name(name), first_bytes(unpacked_pieces(memoryview(head)), HEAD_BYTES)
+    return name, head
