@@ -213,11 +213,8 @@ def test_an_archive_without_its_list_gives_its_members(
 def test_no_damage_ends_in_anything_but_words(
     tmp_path: Path, suffix: str, edits: list[tuple[int, int]], cut: int
 ) -> None:
-    pack = (
-        PACKINGS[suffix]
-        if suffix in PACKINGS
-        else lambda blob: zipped({"a.tlog": blob, "b.ulg": ulog.build()})
-    )
+    members = {"b.ulg": ulog.build()}
+    pack = PACKINGS[suffix] if suffix in PACKINGS else lambda log: zipped({"a.tlog": log, **members})
     blob = bytearray(pack(LOG[:4000]))
     for at, value in edits:
         blob[4 + at % (len(blob) - 4)] = value  # the magic stays: without it, it is no packed log
