@@ -5,7 +5,6 @@ matplotlib is imported only here, and only when a picture is asked for.
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,22 +12,13 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.errors import UsageError, WriteError
 from flysid.model.frequency.response import MeasuredResponse
+from flysid.validate.pictures import check_picture, save_picture
 from flysid.validate.transfers import ChannelTransfers
 
-SUFFIXES = (".png", ".svg", ".pdf")
 SHOWN = 0.3
 """Points of less coherence than this are left out of gain and phase."""
 MEASURED, MODEL, SHADE = "#222222", "#c2570c", "#e8f0e8"
-
-
-def check_picture(path: str | Path) -> None:
-    """Raise UsageError where no picture can be drawn into `path`: an unknown ending, no matplotlib."""
-    if Path(path).suffix.lower() not in SUFFIXES:
-        raise UsageError(f"no picture format {Path(path).suffix!r}", path=path, hint=", ".join(SUFFIXES))
-    if importlib.util.find_spec("matplotlib") is None:
-        raise UsageError("matplotlib is not installed", hint='pip install "flysid[plot]"')
 
 
 def draw_bode(channels: Sequence[ChannelTransfers], path: str | Path) -> None:
@@ -55,10 +45,7 @@ def draw_bode(channels: Sequence[ChannelTransfers], path: str | Path) -> None:
     panels[0, 0].set_ylabel("gain, dB")
     panels[1, 0].set_ylabel("phase, deg")
     panels[2, 0].set_ylabel("coherence")
-    try:
-        figure.savefig(path, dpi=110, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
-    except OSError as error:
-        raise WriteError(f"cannot be written: {error.strerror}", path=path) from error
+    save_picture(figure, path)
 
 
 def _column(panels: Any, channel: ChannelTransfers, output: int, source: int) -> None:

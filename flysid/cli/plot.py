@@ -1,34 +1,127 @@
-"""What `flysid show DATA [FLIGHT] --plot FILE` draws: the channels of a recipe, segment by segment."""
+"""`flysid plot LOG|DATA STREAM.FIELD...`: fields over time, with modes, messages and parameter changes."""
 
 from __future__ import annotations
 
+import shutil
+import webbrowser
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+if TYPE_CHECKING:
+    from flysid.ingest.lake.lake import Lake, StoredLog
+    from flysid.ingest.lake.timeline import Curve
 
-def plot_flight(data: str, flight: str | None, recipe: str | None, path: str, force: bool) -> None:
-    """Draw every channel that the flights can serve, and print the picture's path.
+PAIRS = ("attitude", "rate", "velocity")
+
+
+@click.command("plot")
+@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("fields", nargs=-1, metavar="STREAM.FIELD...")
+@click.option("--flight", "flights", multiple=True, help="Flights of a folder, by id or its beginning.")
+@click.option("--pair", type=click.Choice(PAIRS), help="Setpoint and measurement together.")
+@click.option("-r", "--recipe", default="", help="The channels of this recipe instead of fields.")
+@click.option(
+    "-o", "--out", type=click.Path(dir_okay=False, path_type=Path), help="x.html, .png, .svg or .pdf."
+)
+@click.option("--term", is_flag=True, help="Draw in the terminal.")
+@click.option("--open/--no-open", "show", default=False, help="Open the page in the browser.")
+@click.option("--force", is_flag=True, help="Replace the file if it is there.")
+def command(
+    source: Path,
+    fields: tuple[str, ...],
+    flights: tuple[str, ...],
+    pair: str | None,
+    recipe: str,
+    out: Path | None,
+    term: bool,
+    show: bool,
+    force: bool,
+) -> None:
+    """Plot fields of a log, or of flights of an ingested folder, over time.
+
+    Each argument is one panel. It is STREAM.FIELD with wildcards; commas join several in one panel. Without
+    fields, the setpoints and measurements of the first recipe that fits are drawn.
+
+    \b
+    flysid plot flight.bin ATT.DesRoll,ATT.Roll 'RCOU.C*'
+    flysid plot data --flight 0042 --pair attitude -o roll.png
+    """
+    from flysid.cli.output import check_target
+    from flysid.cli.source import opened_flights
+    from flysid.errors import UsageError
+    from flysid.ingest.lake.timeline import lay_out
+
+    if sum(map(bool, (fields, pair, recipe))) > 1:
+        raise UsageError("fields, --pair and --recipe each say what to draw", hint="give one of them")
+    target = out or Path(f"{source.name or 'flights'}.html".replace("/", "_"))
+    if not term:
+        check_target(target, force)
+    with opened_flights(source) as lake:
+        timelines = [
+            lay_out(log, choose_curves(log, fields, pair, recipe)) for log in choose_logs(lake, flights)
+        ]
+    if term:
+        from flysid.validate.flightplot import flights_as_text
+
+        click.echo(flights_as_text(timelines, shutil.get_terminal_size().columns))
+        return
+    title = ", ".join(t.name for t in timelines[:3]) + (
+        f" and {len(timelines) - 3} more" if len(timelines) > 3 else ""
+    )
+    if target.suffix.lower() in (".html", ".htm"):
+        from flysid.validate.report.flight_page import render_flights
+        from flysid.validate.report.html import write_page
+
+        write_page(target, render_flights(timelines, title))
+    else:
+        from flysid.validate.flightplot import draw_flights
+
+        draw_flights(timelines, target, title)
+    click.echo(str(target))
+    if show:
+        webbrowser.open(target.resolve().as_uri())
+
+
+def choose_logs(lake: Lake, names: Sequence[str]) -> list[StoredLog]:
+    """The flights of these ids, or beginnings of ids; all where none is named.
 
     Raises
     ------
-    UsageError : no recipe serves the flights, several do and none was chosen, the target exists.
+    UsageError : a name is of no flight, or of several.
     """
-    from flysid.cli.output import check_target
-    from flysid.errors import UsageError
-    from flysid.ingest.align.picture import draw
-    from flysid.ingest.lake.lake import Lake
-    from flysid.ingest.lake.lake import open as open_lake
     from flysid.manifest import find_flight
 
-    check_target(Path(path), force)
-    lake = open_lake(data)
-    if flight is not None:
-        lake = Lake(lake.folder, (find_flight(data, flight),))
-    served = [recipe] if recipe else list(lake.recipes())
-    if len(served) != 1:
-        raise UsageError(
-            f"{len(served)} shipped recipes fit", hint="--recipe " + (", ".join(served) or "PATH of your own")
-        )
-    draw(lake.datasets(served[0]), path, title=f"{', '.join(m.id for m in lake.flights[:3])}: {served[0]}")
-    click.echo(path)
+    if not names:
+        return list(lake.logs)
+    wanted = [find_flight(lake.folder, name).id for name in names]
+    by_id = {log.name: log for log in lake.logs}
+    return [by_id[name] for name in dict.fromkeys(wanted)]
+
+
+def choose_curves(log: StoredLog, fields: Sequence[str], pair: str | None, recipe: str) -> list[list[Curve]]:
+    """What to draw of a log: the fields named, or the channels of a recipe that it can serve.
+
+    Raises
+    ------
+    UsageError : a field is not there; no shipped recipe serves the log.
+    """
+    from flysid.errors import UsageError
+    from flysid.ingest.align.recipe import load_recipe, shipped_recipes
+    from flysid.ingest.lake.timeline import read_channels, read_fields
+
+    if fields:
+        return read_fields(log, fields)
+    for name in [recipe] if recipe else [n for n in shipped_recipes() if pair is None or pair in n]:
+        panels = read_channels(log, load_recipe(name))
+        if panels:
+            return panels
+    raise UsageError(
+        f"the log has no {pair or 'setpoint'} beside a measurement that a shipped recipe knows"
+        if not recipe
+        else f"the log has no channel of {recipe}",
+        path=log.name,
+        hint="name the fields: flysid plot LOG STREAM.FIELD; 'flysid show' lists them",
+    )

@@ -22,18 +22,12 @@ if TYPE_CHECKING:
 @click.argument("stream", required=False)
 @click.option("--json", "as_json", is_flag=True, help="Print the manifest (or the stream's entry) as JSON.")
 @click.option("-n", "--rows", default=5, show_default=True, help="First rows of the stream to print.")
-@click.option("--plot", type=click.Path(dir_okay=False), help="Draw a recipe's channels into this file.")
-@click.option("-r", "--recipe", help="Recipe to draw, where several fit.")
-@click.option("--force", is_flag=True, help="Replace the picture if it is there.")
 def command(
     data: str,
     flight: str | None,
     stream: str | None,
     as_json: bool,
     rows: int,
-    plot: str | None,
-    recipe: str | None,
-    force: bool,
 ) -> None:
     """Show one flight, or one stream of it: columns, units, rates, what was lost, the first rows.
 
@@ -41,11 +35,6 @@ def command(
     """
     from flysid.manifest import find_flight, list_flights
 
-    if plot is not None:
-        from flysid.cli.plot import plot_flight
-
-        plot_flight(data, flight, recipe, plot, force)
-        return
     if flight is None:
         flights = list_flights(data)
         flight = flights[0].id if len(flights) == 1 else ""

@@ -95,6 +95,25 @@ def opened(data: Path, words: Words, place: Path | None, quiet: bool) -> Iterato
             raise
 
 
+@contextmanager
+def opened_flights(source: Path) -> Iterator[Lake]:
+    """The flights of an ingested folder, of a log, or of a folder of logs; logs are read for this block only.
+
+    Raises
+    ------
+    UsageError : there is no such file or folder, or no log in it.
+    FormatError : nothing of a log can be read.
+    """
+    from flysid.ingest.lake.lake import open as open_lake
+    from flysid.manifest import DATA_FILE
+
+    if (source / DATA_FILE).is_file():
+        yield open_lake(source)
+        return
+    with TemporaryDirectory() as folder:
+        yield open_lake(_taken_in(source, Path(folder) / "data", "", quiet=True))
+
+
 def is_log(data: Path) -> bool:
     """Whether a path names a log, an archive of logs or a member of one."""
     from flysid.ingest.formats.opening import names_log
@@ -128,6 +147,6 @@ def _taken_in(log: Path, place: Path, time_unit: str, quiet: bool) -> Path:
 
     results = list(ingest_logs(find_logs([log]), place, jobs=1, limits=Limits(time_unit=time_unit)))
     report(results, quiet)
-    if results[0].skipped:
+    if all(result.skipped for result in results):
         raise FormatError("nothing could be read", path=log, hint=f"flysid doctor {log}")
     return place

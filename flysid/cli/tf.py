@@ -89,7 +89,7 @@ def command(
     from flysid.validate.transfers import identify
 
     if plot is not None:
-        from flysid.validate.bodeplot import check_picture
+        from flysid.validate.pictures import check_picture
 
         check_picture(plot)
         check_target(plot, force)

@@ -1,14 +1,11 @@
-"""The page in a real browser: Debian's chromium, driven by selenium; skipped, with a word why, without them.
+"""The page in a real browser.
 
 axe-core (npm, MPL-2.0) is not part of this repository: point FLYSID_AXE at its axe.min.js to run that check.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,37 +14,11 @@ import pytest
 
 from flysid.validate.compare import across_channels, compare
 from flysid.validate.report import ReportContext, Sweep, write_report
+from tests.browser import needs_browser, opened
 from tests.fakes import FirstOrder, flown
 from tests.validate.test_report import HOSTILE, hostile_context
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-DRIVER = shutil.which("chromedriver")
-FLAGS = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--hide-scrollbars",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    "--window-size=1280,1000",
-)  # fmt: skip
-
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None or DRIVER is None,
-    reason="no chromium or chromedriver: apt-get install chromium chromium-driver",
-)
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    webdriver = pytest.importorskip(
-        "selenium.webdriver", reason="selenium is not installed: pip install selenium"
-    )
-    options = webdriver.ChromeOptions()
-    options.binary_location = str(CHROMIUM)
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(str(DRIVER)))
-    driver.set_page_load_timeout(30)
-    yield driver
-    driver.quit()
+pytestmark = needs_browser
 
 
 @pytest.fixture(scope="module")
@@ -64,20 +35,6 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
         sweeps[name] = Sweep((1, 2, 3), (0.4, 0.3, 0.29), (0.02, 0.02, 0.02), 3, (0.41, 0.03), "by hand")
     context = ReportContext(across_channels(comparisons), train, sweeps, "flysid validate run -o report")
     return write_report(tmp_path_factory.mktemp("report") / "report.html", context)
-
-
-def opened(browser: Any, path: Path) -> list[str]:
-    """Opens a page; what went wrong: errors in the console, requests that left the file."""
-    browser.get_log("performance")
-    browser.get_log("browser")
-    browser.get(path.as_uri())
-    requests = []
-    for entry in browser.get_log("performance"):
-        message = json.loads(entry["message"])["message"]
-        if message["method"] == "Network.requestWillBeSent":
-            requests.append(message["params"]["request"]["url"])
-    left = [f"request {url}" for url in requests if url != path.as_uri()]
-    return left + [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
 
 
 def scroll_to_charts(browser: Any) -> None:

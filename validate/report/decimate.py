@@ -49,3 +49,18 @@ def rounded(values: FloatArray, digits: int = 4) -> list[float | None]:
     places = int(np.clip(digits - np.ceil(np.log10(reach)), 0, 12))
     out = np.round(values, places)
     return [float(v) + 0.0 if np.isfinite(v) else None for v in out]
+
+
+def extremes(values: FloatArray, size: int) -> npt.NDArray[np.intp]:
+    """Indices of the lowest and the highest of every `size` values, and of the NaNs, in order; (M,)."""
+    n = len(values)
+    if size <= 2:
+        return np.arange(n)
+    starts = np.arange(0, n, size)
+    padded = np.full(len(starts) * size, np.nan)
+    padded[:n] = values
+    table = padded.reshape(-1, size)
+    lows = np.argmin(np.where(np.isnan(table), np.inf, table), axis=1) + starts
+    highs = np.argmax(np.where(np.isnan(table), -np.inf, table), axis=1) + starts
+    kept = np.unique(np.concatenate([lows, highs, np.flatnonzero(np.isnan(values))]))
+    return kept[kept < n]

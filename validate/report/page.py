@@ -1,26 +1,14 @@
-"""The page as a string: template, styles, script and data in one file that loads nothing.
-
-Safety: names come from logs. The template escapes everything; the data block is JSON with <, > and & written
-as \\u escapes; the Content-Security-Policy allows this page's own script and styles by hash and nothing else.
-"""
+"""The page of a comparison as a string."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
-from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 import flysid
-from flysid.errors import StoreError
-from flysid.files import write_atomically
 from flysid.validate.cautions import cautions
 from flysid.validate.compare import FUZZY
 from flysid.validate.comparison import Comparison, ModelInfo, Pair
@@ -28,6 +16,7 @@ from flysid.validate.diagnostics import Diagnosis
 from flysid.validate.report import narrative
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.figures import interval_bar
+from flysid.validate.report.html import environment, load_asset, script_json, security_policy, write_page
 from flysid.validate.report.overlay import MOST_SEGMENTS
 from flysid.validate.report.sections import Section, sections
 from flysid.validate.report.source import Source
@@ -36,19 +25,12 @@ from flysid.validate.words import (
     change_words,
     horizon_words,
     interval_words,
-    number,
     one_line,
-    percentage,
 )
 
 NUMBERS_ON_PAGE = 90_000
 VERSION = "version of "
 LONG = 400  # characters of a fact that are read in passing
-
-
-@cache
-def _asset(name: str) -> str:
-    return (resources.files("flysid.validate.report") / "assets" / name).read_text("utf-8")
 
 
 def write_report(path: str | Path, context: ReportContext) -> Path:
@@ -58,18 +40,7 @@ def write_report(path: str | Path, context: ReportContext) -> Path:
     ------
     StoreError : the file cannot be written.
     """
-    path = Path(path)
-    text = render(context)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, text.encode())
-    except OSError as error:
-        raise StoreError(
-            f"the report cannot be written: {error.strerror}",
-            path=path,
-            hint="choose another folder, or free some space",
-        ) from error
-    return path
+    return write_page(path, render(context))
 
 
 def render(context: ReportContext) -> str:
@@ -78,16 +49,16 @@ def render(context: ReportContext) -> str:
     diagnoses = context.diagnoses
     parts = _sections(context, diagnoses)
     pairs, idle = narrative.heads(comparisons), narrative.as_good_as_constant(comparisons)
-    styles = _asset("uPlot.min.css") + "\n" + _asset("page.css")
-    scripts = [_asset("uPlot.iife.min.js"), _asset("page.js")]
+    styles = load_asset("uPlot.min.css") + "\n" + load_asset("page.css")
+    scripts = [load_asset("uPlot.iife.min.js"), load_asset("page.js")]
     return (
-        _environment()
+        environment()
         .get_template("page.html.j2")
         .render(
-            csp=_policy(scripts, styles),
+            csp=security_policy(scripts, styles),
             styles=Markup(styles),
             scripts=[Markup(s) for s in scripts],
-            data=Markup(_json([s.data for s in parts])),
+            data=Markup(script_json([s.data for s in parts])),
             remark=one_line(context.remark),
             title=narrative.title(pairs, idle),
             subtitle=narrative.subtitle(pairs, idle) if pairs else narrative.alone(comparisons),
@@ -103,40 +74,6 @@ def render(context: ReportContext) -> str:
             version=flysid.__version__,
         )
     )
-
-
-@cache
-def _environment() -> Environment:
-    from jinja2 import FunctionLoader
-
-    environment = Environment(
-        loader=FunctionLoader(_asset),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["number"] = number
-    environment.filters["percentage"] = percentage
-    return environment
-
-
-def _policy(scripts: Sequence[str], styles: str) -> str:
-    allowed = " ".join(_hash(s) for s in scripts)
-    return (
-        f"default-src 'none'; script-src {allowed}; style-src {_hash(styles)}; "
-        "img-src 'none'; base-uri 'none'; form-action 'none'"
-    )
-
-
-def _hash(content: str) -> str:
-    return "'sha256-" + base64.b64encode(hashlib.sha256(content.encode()).digest()).decode() + "'"
-
-
-def _json(value: Any) -> str:
-    """JSON that cannot end its <script> block nor start a comment in it."""
-    text = json.dumps(value, allow_nan=False, separators=(",", ":"), ensure_ascii=True)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _sections(context: ReportContext, diagnoses: Mapping[str, Diagnosis]) -> list[Section]:

@@ -1,0 +1,122 @@
+"""What a log says beside its numbers: flight modes, text messages, parameters and their changes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from flysid.flight import BOOT, TIME, matching_streams
+from flysid.ingest.align.modes import mode_names
+from flysid.ingest.align.signals import Log, find_stream
+
+MODES = (
+    ("MODE", "ModeNum"),
+    ("MODE", "Mode"),
+    ("vehicle_status", "nav_state"),
+    ("HEARTBEAT", "custom_mode"),
+)
+MESSAGES = (("MSG", "Message"), ("STATUSTEXT", "text"), ("messages", "text"))
+PARAMETERS = (
+    ("PARM", "Name", "Value"),
+    ("PARAM_VALUE", "param_id", "param_value"),
+    ("parameters", "name", "value"),
+)
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that the log states at one moment.
+
+    Attributes
+    ----------
+    boot, time_ns : when, on the vehicle's clock.
+    kind : "mode", "message" or "parameter".
+    text : a mode's name, a message, or "NAME = value (was value)".
+    """
+
+    boot: int
+    time_ns: int
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A parameter as the log stated it at one moment."""
+
+    boot: int
+    time_ns: int
+    name: str
+    value: float | str
+
+
+def events(log: Log) -> list[Event]:
+    """Mode changes, messages and parameter changes of a log, in order of boot and time."""
+    found = [*mode_changes(log), *messages(log), *parameter_changes(settings(log))]
+    return sorted(found, key=lambda e: (e.boot, e.time_ns))
+
+
+def mode_changes(log: Log) -> list[Event]:
+    """The first mode of every boot, and each change after it. Numbers without a known name stay numbers."""
+    for message, column in MODES:
+        stream = find_stream(message, log.rows)
+        if stream is None or column not in log.columns(stream):
+            continue
+        table = log.table(stream, [BOOT, TIME, column])
+        boots = table[BOOT].to_numpy()
+        values = table[column].to_numpy(zero_copy_only=False)
+        names = mode_names(stream, column, log.info)
+        starts = np.flatnonzero((np.diff(values, prepend=values[0]) != 0) | (np.diff(boots, prepend=-1) != 0))
+        times = table[TIME].to_numpy()
+        return [
+            Event(int(boots[i]), int(times[i]), "mode", names.get(int(values[i]), str(values[i])))
+            for i in starts
+        ]
+    return []
+
+
+def messages(log: Log) -> list[Event]:
+    """Text messages, of every system that the log holds."""
+    return [
+        Event(boot, time_ns, "message", str(text).strip())
+        for message, column in MESSAGES
+        for boot, time_ns, text in _rows(log, message, [column])
+        if str(text).strip()
+    ]
+
+
+def settings(log: Log) -> list[Setting]:
+    """Every statement of a parameter, in the order of the log's streams."""
+    return [
+        Setting(boot, time_ns, str(name), value)
+        for message, column, content in PARAMETERS
+        for boot, time_ns, name, value in _rows(log, message, [column, content])
+    ]
+
+
+def parameter_changes(stated: Sequence[Setting]) -> list[Event]:
+    """The statements that differ from the one before it of the same name and boot."""
+    latest: dict[tuple[int, str], float | str] = {}
+    changes = []
+    for setting in sorted(stated, key=lambda s: (s.boot, s.time_ns)):
+        key = (setting.boot, setting.name)
+        before = latest.get(key, setting.value)
+        if before != setting.value:
+            text = f"{setting.name} = {_written(setting.value)} (was {_written(before)})"
+            changes.append(Event(setting.boot, setting.time_ns, "parameter", text))
+        latest[key] = setting.value
+    return changes
+
+
+def _rows(log: Log, message: str, columns: Sequence[str]) -> Iterator[tuple[Any, ...]]:
+    for stream in matching_streams(message, log.rows):
+        if log.rows[stream] and set(columns) <= set(log.columns(stream)):
+            table = log.table(stream, [BOOT, TIME, *columns])
+            yield from zip(*(table[c].to_pylist() for c in (BOOT, TIME, *columns)), strict=True)
+
+
+def _written(value: float | str) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

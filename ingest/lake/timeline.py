@@ -1,0 +1,282 @@
+"""Fields of a log over time, for pictures: values in units, gaps, and the events beside them."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from flysid.dataset import FloatArray
+from flysid.errors import RecipeError, UsageError
+from flysid.flight import BOOT, RECEIVED, TIME, field_scale, field_unit
+from flysid.ingest.align.recipe import Recipe
+from flysid.ingest.align.resample import GAP_PERIODS, period_ns
+from flysid.ingest.align.signals import Log, Samples, load_signal
+from flysid.ingest.lake.events import events
+
+_OWN = (TIME, BOOT, RECEIVED)
+SHOWN = 8  # names in a hint
+MOST_LINES = 8  # of one panel: as many as there are colours
+_ELEMENT = re.compile(r"^(.+)\[(\d+)\]$")
+
+
+Boots = Mapping[int, Samples]
+"""Boot number -> samples as recorded."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One field over time.
+
+    Attributes
+    ----------
+    name : `STREAM.FIELD`, or the name of a recipe's signal.
+    unit : as the log states it; "" where it does not.
+    time_s : (N,) seconds since the timeline's start.
+    values : (N,) in `unit`. A NaN stands inside every pause of the stream, and at the end of every boot.
+    """
+
+    name: str
+    unit: str
+    time_s: FloatArray
+    values: FloatArray
+
+
+@dataclass(frozen=True)
+class Moment:
+    """An event, in seconds since the timeline's start."""
+
+    time_s: float
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """Panels of traces of one log on one axis of time. Boots follow one another: their clocks do not compare.
+
+    Attributes
+    ----------
+    name : the log.
+    panels : traces that share an axis.
+    modes : (start, end, name) of the flight modes, in seconds.
+    moments : messages and parameter changes.
+    """
+
+    name: str
+    panels: tuple[tuple[Trace, ...], ...]
+    modes: tuple[tuple[float, float, str], ...]
+    moments: tuple[Moment, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One field as recorded: what a trace is made of."""
+
+    name: str
+    unit: str
+    boots: Boots
+
+
+def read_fields(log: Log, arguments: Sequence[str]) -> list[list[Curve]]:
+    """One panel per argument; fields of another unit, or too many to tell apart, go to panels of their own.
+
+    Parameters
+    ----------
+    arguments : patterns as `find_fields` takes them, several of one panel joined by commas.
+
+    Raises
+    ------
+    UsageError : as `find_fields`.
+    """
+    panels: list[list[Curve]] = []
+    for argument in arguments:
+        by_unit: dict[str, list[Curve]] = {}
+        for stream, field in find_fields(log, argument.split(",")):
+            curve = _read_field(log, stream, field)
+            by_unit.setdefault(curve.unit, []).append(curve)
+        for curves in by_unit.values():
+            panels += [curves] if len(curves) <= MOST_LINES else [[curve] for curve in curves]
+    return panels
+
+
+def read_channels(log: Log, recipe: Recipe) -> list[list[Curve]]:
+    """The channels of a recipe that the log holds: what was asked for and what came, in one panel.
+
+    Inputs and outputs of different units stand in panels of their own, one below the other.
+    """
+    panels: list[list[Curve]] = []
+    for channel in recipe.channels:
+        by_unit: dict[str, list[Curve]] = {}
+        try:
+            for name in recipe.signals_of(channel):
+                spec = recipe.signals[name]
+                curve = Curve(name, spec.unit, load_signal(name, spec, log).boots)
+                by_unit.setdefault(spec.unit, []).append(curve)
+        except RecipeError:
+            continue  # this log lacks one of the channel's signals
+        panels += by_unit.values()
+    return panels
+
+
+def find_fields(log: Log, patterns: Sequence[str]) -> list[tuple[str, str]]:
+    """The (stream, field) pairs that patterns name, each once, in the order of the patterns.
+
+    Parameters
+    ----------
+    patterns : `STREAM.FIELD` with wildcards, e.g. `ATT.Des*`, `1.1/ATTITUDE.roll`, `vehicle_attitude.q[0]`. A
+        stream is named by its key or its message name; `STREAM` alone means all of its fields, and an array
+        all of its elements.
+
+    Raises
+    ------
+    UsageError : a pattern names no number of this log; the hint has what is near.
+    """
+    found: dict[tuple[str, str], None] = {}
+    for pattern in patterns:
+        element = _ELEMENT.match(pattern)
+        base = element[1] if element else pattern
+        hits: dict[str, list[str]] = {}
+        for stream, column in _columns(log):
+            if _is_named(base, stream, column):
+                hits.setdefault(stream, []).append(column)
+        fields = [(s, f) for s, columns in hits.items() for f in _numbers(log, s, columns)]
+        if element:
+            fields = [(s, f) for s, f in fields if f.endswith(f"[{element[2]}]")]
+        if not fields:
+            raise _nothing(pattern, log)
+        found.update(dict.fromkeys(fields))
+    return list(found)
+
+
+def lay_out(log: Log, panels: Sequence[Sequence[Curve]]) -> Timeline:
+    """Curves on one axis of time, with the modes, messages and parameter changes of the log."""
+    curves = [curve for panel in panels for curve in panel]
+    offsets = _boot_offsets([curve.boots for curve in curves])
+    drawn = tuple(tuple(_trace(curve, offsets) for curve in panel) for panel in panels)
+    end_s = max((float(t.time_s[-1]) for panel in drawn for t in panel if len(t.time_s)), default=0.0)
+    seen = [(e.time_ns * 1e-9 + offsets[e.boot], e) for e in events(log) if e.boot in offsets]
+    modes = [(max(0.0, at), e.text) for at, e in seen if e.kind == "mode"]
+    bands = [(start, end, name) for (start, name), (end, _) in pairwise([*modes, (end_s, "")])]
+    return Timeline(
+        log.name,
+        drawn,
+        tuple(band for band in bands if band[0] < band[1]),
+        tuple(Moment(at, e.kind, e.text) for at, e in seen if e.kind != "mode" and 0.0 <= at <= end_s),
+    )
+
+
+def _columns(log: Log) -> list[tuple[str, str]]:
+    return [(s, c) for s, rows in log.rows.items() if rows for c in log.columns(s) if c not in _OWN]
+
+
+def _numbers(log: Log, stream: str, columns: Sequence[str]) -> list[str]:
+    """Those columns that can be drawn, arrays element by element; not the stream's own clock."""
+    table = log.table(stream, columns)
+    clock = (table.schema.metadata or {}).get(b"time_source", b"").decode()
+    fields = []
+    for column in table.schema:
+        if len(columns) > 1 and column.name == clock:
+            continue
+        if _is_number(column.type):
+            fields.append(column.name)
+        elif pa.types.is_fixed_size_list(column.type) and _is_number(column.type.value_type):
+            fields += [f"{column.name}[{i}]" for i in range(column.type.list_size)]
+    return fields
+
+
+def _is_number(kind: Any) -> bool:
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind))
+
+
+def _is_named(pattern: str, stream: str, field: str) -> bool:
+    message = stream.rpartition("/")[2]
+    full = (f"{stream}.{field}", f"{message}.{field}")
+    return pattern in (stream, message) or any(fnmatchcase(name, pattern) for name in full)
+
+
+def _nothing(pattern: str, log: Log) -> UsageError:
+    """The error for a pattern that names nothing: the fields of its stream, else what is spelt alike."""
+    names = [f"{s.rpartition('/')[2]}.{c}" for s, c in _columns(log)]
+    streams = list(dict.fromkeys(name.partition(".")[0] for name in names))
+    inside = [n for n in names if n.partition(".")[0] == pattern.partition(".")[0]]
+    near = inside or difflib.get_close_matches(pattern, [*names, *streams], n=5, cutoff=0.4) or streams
+    more = f" and {len(near) - SHOWN} more" if len(near) > SHOWN else ""
+    return UsageError(f"no number {pattern!r} in the log", path=log.name, hint=", ".join(near[:SHOWN]) + more)
+
+
+def _column(field: str) -> str:
+    match = _ELEMENT.match(field)
+    return match[1] if match else field
+
+
+def _read_field(log: Log, stream: str, field: str) -> Curve:
+    """Samples of one field, in the unit that the log states; boots kept apart, each in order of time."""
+    name = _column(field)
+    table = log.table(stream, [TIME, BOOT, name])
+    column = table.schema.field(name)
+    values = _numbers_of(table[name].combine_chunks(), field) * field_scale(column)
+    boots = table[BOOT].to_numpy()
+    times_ns = table[TIME].to_numpy()
+    samples = {}
+    for boot in np.unique(boots):
+        inside = np.flatnonzero(boots == boot)
+        order = inside[np.argsort(times_ns[inside], kind="stable")]
+        samples[int(boot)] = Samples(times_ns[order], values[order])
+    return Curve(f"{stream}.{field}", field_unit(column), samples)
+
+
+def _numbers_of(column: pa.Array, field: str) -> FloatArray:
+    element = _ELEMENT.match(field)
+    picked = pc.list_element(column, int(element[2])) if element else column
+    return np.asarray(picked.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=np.float64)
+
+
+def _boot_offsets(curves: Sequence[Boots]) -> dict[int, float]:
+    """Boot -> seconds to add to its vehicle time, so that boots follow one another from zero on."""
+    firsts: dict[int, int] = {}
+    lasts: dict[int, int] = {}
+    for boots in curves:
+        for boot, samples in boots.items():
+            if len(samples.t_ns):
+                firsts[boot] = min(firsts.get(boot, int(samples.t_ns[0])), int(samples.t_ns[0]))
+                lasts[boot] = max(lasts.get(boot, int(samples.t_ns[-1])), int(samples.t_ns[-1]))
+    offsets = {}
+    start_s = 0.0
+    for boot in sorted(firsts):
+        offsets[boot] = start_s - firsts[boot] * 1e-9
+        start_s += (lasts[boot] - firsts[boot]) * 1e-9
+    return offsets
+
+
+def _trace(curve: Curve, offsets: Mapping[int, float]) -> Trace:
+    parts = [
+        _with_gaps(np.asarray(samples.t_ns * 1e-9 + offsets[boot]), samples.x)
+        for boot, samples in sorted(curve.boots.items())
+        if len(samples.t_ns)
+    ]
+    if not parts:
+        return Trace(curve.name, curve.unit, np.zeros(0), np.zeros(0))
+    times, values = zip(*parts, strict=True)
+    return Trace(curve.name, curve.unit, np.concatenate(times), np.concatenate(values))
+
+
+def _with_gaps(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A NaN inside every pause, and at the end, so that no line crosses either."""
+    cuts = np.zeros(0, dtype=np.intp)
+    if len(time_s) > 2:
+        longest_s = 2.0 * GAP_PERIODS * period_ns(np.asarray(time_s * 1e9, dtype=np.int64)) * 1e-9
+        cuts = np.flatnonzero(np.diff(time_s) > longest_s) + 1
+    middles = (time_s[cuts - 1] + time_s[cuts]) / 2.0
+    return (
+        np.append(np.insert(time_s, cuts, middles), time_s[-1]),
+        np.append(np.insert(values, cuts, np.nan), np.nan),
+    )

@@ -1,0 +1,37 @@
+"""A real browser for tests of pages: Debian's chromium, driven by selenium; `conftest.browser` starts it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+DRIVER = shutil.which("chromedriver")
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--hide-scrollbars",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--window-size=1280,1000",
+)  # fmt: skip
+
+needs_browser = pytest.mark.skipif(
+    CHROMIUM is None or DRIVER is None,
+    reason="no chromium or chromedriver: apt-get install chromium chromium-driver",
+)
+
+
+def opened(browser: Any, path: Path) -> list[str]:
+    """Opens a page; what went wrong: errors in the console, requests that left the file."""
+    browser.get_log("performance")
+    browser.get_log("browser")
+    browser.get(path.as_uri())
+    requests = []
+    for entry in browser.get_log("performance"):
+        message = json.loads(entry["message"])["message"]
+        if message["method"] == "Network.requestWillBeSent":
+            requests.append(message["params"]["request"]["url"])
+    left = [f"request {url}" for url in requests if url != path.as_uri()]
+    return left + [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
