@@ -111,7 +111,6 @@ def opened_flights(source: Path) -> Iterator[Lake]:
         yield open_lake(source)
         return
     with TemporaryDirectory() as folder:
-<<<<<<< HEAD
         yield open_lake(_taken_in(source, Path(folder) / "data", "", quiet=True))
 
 
@@ -120,9 +119,6 @@ def is_log(data: Path) -> bool:
     from flysid.ingest.formats.opening import names_log
 
     return not data.is_dir() and names_log(data)
-=======
-        yield open_lake(_taken_in(source, Path(folder) / "data", time_unit="", quiet=True))
->>>>>>> f75a5f4 (plot: a log is read as other verbs do)
 
 
 def lost_on_the_way(data: Path, lake: Lake) -> bool:
