@@ -15,6 +15,7 @@ from flysid.errors import FormatError, UsageError
 from flysid.flight import Flight
 from flysid.ingest.formats.base import WHOLE_BATCH_BYTES, Format, Limits, collect
 from flysid.ingest.formats.opening import members_of, open_log, own_name
+from flysid.ingest.formats.recognised import stranger
 
 ENTRY_POINTS = "flysid.formats"
 CERTAIN = 0.95
@@ -92,12 +93,14 @@ def find_format(name: str) -> Format:
 def detect(head: bytes, name: str) -> Format:
     """The format of a file by its first bytes; its name only breaks ties.
 
-    Raises FormatError when no format recognises it.
+    Raises FormatError when no format recognises it, or when it is known to be something else.
     """
     if not head:
         raise FormatError(
             "the file is empty", path=name, byte=0, hint="check that the download or copy finished"
         )
+    if (kind := stranger(head)) is not None:
+        raise FormatError(f"this is {kind.title}, not a log", path=name, byte=0, hint=kind.hint)
     lower = name.lower()
     for likely in FORMATS.values():
         if lower.endswith(likely.suffixes) and likely.sniff(head, name) >= CERTAIN:
