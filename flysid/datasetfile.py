@@ -240,6 +240,17 @@ class DatasetFile:
         )
 
 
+def is_dataset(path: Path) -> bool:
+    """Whether a file is a dataset, or may be one and is damaged; False for parquet files of other origin."""
+    try:
+        with path.open("rb") as file:
+            if file.read(4) != b"PAR1":
+                return False
+        return tabular.META in (pq.read_schema(path).metadata or {})
+    except (OSError, pa.ArrowException):
+        return True
+
+
 def open_dataset(path: str | Path) -> DatasetFile:
     """Open a dataset file; only its head is read.
 

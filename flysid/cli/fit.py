@@ -90,7 +90,7 @@ def command(
     or a log was read with losses.
     """
     check_target(output, force)
-    is_dataset = data.suffix == DATASET and data.is_file()
+    is_dataset = _is_dataset(data)
     asked = Words(recipe, inputs, outputs, dt, time_unit)
     if is_dataset:
         check_no_words(data, asked)
@@ -129,6 +129,14 @@ def command(
         say(f"channel {name} skipped: {why}")
     say(f"next: flysid validate {output}", quiet)
     return 3 if lost or set(channels) & set(run.skipped) else 0
+
+
+def _is_dataset(data: Path) -> bool:
+    if data.suffix != DATASET or not data.is_file():
+        return False
+    from flysid.datasetfile import is_dataset
+
+    return is_dataset(data)
 
 
 def check_no_words(data: Path, asked: Words) -> None:

@@ -49,7 +49,7 @@ def _is_mpeg(head: bytes) -> bool:
 
 
 def _is_dji_dat(head: bytes) -> bool:
-    return head[16:21] == b"BUILD" or b"DJI_LOG_V3" in head[:512] or head.startswith(b"LOGH")
+    return head[16:21] == b"BUILD" or b"DJI_LOG_V3" in head[:512]
 
 
 def _is_office(head: bytes) -> bool:
@@ -64,7 +64,13 @@ STRANGERS = (
         "decrypt it first, with the private key: PX4-Autopilot/Tools/log_encryption/decrypt_logs.py",
         _begins(b"ULogEnc"),
     ),
+    Stranger(
+        "an encrypted DJI flight log (.DAT)",
+        "only DJI can read it; its app's own record can be exported as a .csv, which flysid reads",
+        _begins(b"LOGH"),
+    ),
     Stranger("a DJI flight log (.DAT)", DJI_WAY, _is_dji_dat),
+    Stranger("an encrypted parquet file", "decrypt it first", _begins(b"PARE")),
     Stranger("a video (MP4, MOV)", VIDEO, _is_iso_media),
     Stranger("a video (AVI)", VIDEO, lambda head: head[:4] == b"RIFF" and head[8:12] == b"AVI "),
     Stranger("a video (Matroska, WebM)", VIDEO, _begins(b"\x1aE\xdf\xa3")),

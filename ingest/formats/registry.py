@@ -48,6 +48,7 @@ FORMATS: Mapping[str, Format] = {
             "ardrone.reader",
             "ardrone.scrub",
         ),
+        _row("parquet", "table in parquet (.parquet)", ".parquet .pq", "parquet.reader", None),
         _row("rosbag", "ROS 1 bag", ".bag", "rosbag1.reader", "rosbag1.scrub"),
         _row("rosbag2", "ROS 2 bag (SQLite)", ".db3 .db3.zstd", "rosbag2.reader", "rosbag2.scrub"),
         _row(

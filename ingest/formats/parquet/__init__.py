@@ -1,0 +1,1 @@
+"""Tables in parquet files."""

@@ -1,0 +1,189 @@
+"""The columns of a parquet file as a log's: plain types, units, and which of them tells the time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from flysid.flight import BOOT, TIME
+from flysid.ingest.formats.common.arrow_arrays import free_name
+from flysid.ingest.formats.common.table_columns import named_and_measured, time_unit_of
+from flysid.ingest.formats.common.table_times import TIME_UNITS_NS, FloatArray
+
+UNNAMED = "__index_level_"  # what pandas calls an index without a name
+UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
+KEPT_KEYS = (b"scale", b"enum", b"description")  # of flysid's own tables
+DATES = "date and time"
+DEEPEST = 8  # structs in structs
+MOSTLY = 0.9  # of the steps of a time go forwards
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the file.
+
+    Attributes
+    ----------
+    path : of its values: the file's column, then the fields of its structs.
+    field : name, plain type and metadata in the table that is made of it.
+    """
+
+    path: tuple[str, ...]
+    field: pa.Field
+
+
+@dataclass(frozen=True)
+class TimeColumn:
+    """Which column of the file tells the time.
+
+    Attributes
+    ----------
+    unit : of its numbers; "" where nothing states it, DATES for stamps.
+    ticks : (first, step) of an index that pandas stored as a rule instead of a column.
+    """
+
+    name: str
+    unit: str
+    why: str = "stated"
+    ticks: tuple[int, int] | None = None
+
+    @property
+    def shown(self) -> str:
+        """As a person calls it."""
+        return "the index" if self.name.startswith(UNNAMED) else self.name
+
+
+def columns_of(schema: pa.Schema) -> tuple[list[Column], dict[str, str]]:
+    """The columns that can be kept, structs taken apart; and the types of those that cannot."""
+    found: list[Column] = []
+    refused: dict[str, str] = {}
+    taken: set[str] = {TIME, BOOT}
+    for path, field in _leaves(schema, ()):
+        label = ".".join(path)
+        kind = plain_type(field.type)
+        if kind is None:
+            refused[label] = str(field.type)
+            continue
+        name, unit = named_and_measured("index" if label.startswith(UNNAMED) else label, len(found))
+        name = free_name(name, taken)
+        taken.add(name)
+        found.append(Column(path, pa.field(name, kind, metadata=_metadata(field, unit))))
+    return found, refused
+
+
+def _leaves(fields: Sequence[pa.Field], above: tuple[str, ...]) -> list[tuple[tuple[str, ...], pa.Field]]:
+    found = []
+    for field in fields:
+        path = (*above, field.name)
+        if pa.types.is_struct(field.type) and len(path) <= DEEPEST:
+            found += _leaves(list(field.type), path)
+        else:
+            found.append((path, field))
+    return found
+
+
+def _metadata(field: pa.Field, named: str) -> dict[bytes, bytes] | None:
+    """What the file says of a column; its name tells the unit where nothing else does."""
+    told = field.metadata or {}
+    kept = {key: told[key] for key in KEPT_KEYS if key in told}
+    unit = next((told[key] for key in UNIT_KEYS if told.get(key)), named.encode())
+    if pa.types.is_timestamp(field.type) or pa.types.is_duration(field.type):
+        unit = b"ns"
+    return {**({b"unit": unit} if unit else {}), **kept} or None
+
+
+def plain_type(kind: pa.DataType) -> pa.DataType | None:
+    """The type that a column of this type is kept in; None where it cannot be kept."""
+    types = pa.types
+    tests: list[tuple[Callable[[pa.DataType], bool], pa.DataType]] = [
+        (types.is_boolean, kind),
+        (types.is_integer, kind),
+        (types.is_floating, kind),
+        (types.is_timestamp, pa.int64()),
+        (types.is_duration, pa.int64()),
+        (types.is_decimal, pa.float64()),
+        (types.is_null, pa.float64()),
+        (types.is_date, pa.string()),
+        (types.is_time, pa.string()),
+        (lambda k: types.is_string(k) or types.is_large_string(k), pa.string()),
+        (lambda k: types.is_binary(k) or types.is_large_binary(k), pa.binary()),
+    ]
+    if types.is_dictionary(kind):
+        return plain_type(kind.value_type)
+    if types.is_fixed_size_list(kind) or types.is_list(kind) or types.is_large_list(kind):
+        inner = kind.value_type
+        if not (types.is_integer(inner) or types.is_floating(inner)):
+            return None
+        return kind if types.is_fixed_size_list(kind) else pa.list_(inner)
+    return next((plain for test, plain in tests if test(kind)), None)
+
+
+def plain(column: pa.Array, wanted: pa.DataType) -> pa.Array:
+    """A column in its plain type. Raises pa.ArrowInvalid where a value does not fit it."""
+    if pa.types.is_dictionary(column.type):
+        column = column.cast(column.type.value_type)
+    if pa.types.is_timestamp(column.type):
+        column = column.cast(pa.timestamp("ns", column.type.tz))
+    elif pa.types.is_duration(column.type):
+        column = column.cast(pa.duration("ns"))
+    return column if column.type.equals(wanted) else column.cast(wanted)
+
+
+def time_candidates(schema: pa.Schema) -> list[TimeColumn]:
+    """The columns that may tell the time, the likeliest first: the index, then names, then other stamps."""
+    told = _index_of_pandas(schema)
+    index = [name for name in told if isinstance(name, str) and name in schema.names]
+    others = [name for name in schema.names if name not in index]
+    found = [time for rule in told if isinstance(rule, dict) and (time := _time_by_rule(rule))]
+    late: list[TimeColumn] = []
+    for name in [*index, *others]:
+        if schema.names.count(name) != 1:
+            continue
+        field = schema.field(name)
+        kind = field.type
+        named = time_unit_of(named_and_measured(name, 0)[0])
+        if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+            (found if name in index or named is not None else late).append(TimeColumn(name, DATES))
+        elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+            continue
+        elif named is not None or (name.startswith(UNNAMED) and pa.types.is_floating(kind)):
+            metadata = _metadata(field, named_and_measured(name, 0)[1]) or {}
+            stated = metadata.get(b"unit", b"").decode("utf-8", "replace")
+            found.append(TimeColumn(name, stated if stated in TIME_UNITS_NS else named or ""))
+    return found + late
+
+
+def _index_of_pandas(schema: pa.Schema) -> list[Any]:
+    """What pandas says of its index: names of columns, and rules for those that stand in none."""
+    try:
+        told = json.loads((schema.metadata or {}).get(b"pandas", b"{}"))
+        return list(told.get("index_columns", []))
+    except (ValueError, AttributeError, TypeError):
+        return []
+
+
+def _time_by_rule(rule: dict[str, Any]) -> TimeColumn | None:
+    """The time that a rule for an evenly spaced index tells; None where its name is that of no time."""
+    name = rule.get("name")
+    first = rule.get("start")
+    step = rule.get("step")
+    unit = time_unit_of(name) if isinstance(name, str) else None
+    if unit is None or not isinstance(first, int) or not isinstance(step, int) or step <= 0:
+        return None
+    return TimeColumn(str(name), unit, ticks=(first, step))
+
+
+def as_floats(column: pa.Array) -> FloatArray:
+    """(n,) values of a column of numbers, without its gaps."""
+    return np.asarray(pc.drop_null(column).cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
+
+
+def rises(values: FloatArray) -> bool:
+    """Whether values go forwards as a time does."""
+    return len(values) > 0 and bool(np.mean(np.diff(values, append=np.inf) >= 0) >= MOSTLY)
