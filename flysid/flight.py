@@ -175,7 +175,7 @@ def resolve_stream(name: str, streams: Mapping[str, Any], where: str) -> str:
         )
     import difflib
 
-    near = difflib.get_close_matches(name, [*streams, *{k.rpartition("/")[2] for k in streams}], n=3)
+    near = difflib.get_close_matches(name, {*streams, *(k.rpartition("/")[2] for k in streams)}, n=3)
     hint = f"{', '.join(near)}" if near else f"one of {', '.join(sorted(streams)[:8])}"
     raise UsageError(f"no stream {name!r} in the log", path=where, hint=hint)
 
