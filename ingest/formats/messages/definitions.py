@@ -1,7 +1,8 @@
 """ROS message definitions (ros1msg, ros2msg) as trees of types.
 
 A definition is the text of a .msg file, then, after lines of `=`, `MSG: package/Type` and the text of every
-type it refers to. Constants, comments and default values do not change the layout and are left out.
+type it refers to. Constants and default values do not change the layout and are left out. Of comments, a unit
+in brackets is kept (`float32 vx  # [m/s] ...`).
 Definitions come from the log, so they are hostile: types may recurse or blow up (A holds ten B, B ten C ...);
 both end in DefinitionError. Left out: wstring (its width on the wire is not agreed) and IDL schemas.
 """
@@ -9,8 +10,10 @@ both end in DefinitionError. Left out: wstring (its width on the wire is not agr
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from flysid.ingest.formats.common.units import is_known
 
 MAX_LEAVES = 20_000
 MAX_DEPTH = 24
@@ -35,10 +38,11 @@ class Text:
 
 @dataclass(frozen=True)
 class Record:
-    """A message type: named fields in order."""
+    """A message type: named fields in order, and units by name where comments state them."""
 
     name: str
     fields: tuple[tuple[str, Type], ...]
+    units: Mapping[str, str] = field(default_factory=dict, compare=False)
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,7 @@ _FIELD = re.compile(
     r"^(?P<type>[A-Za-z][\w/]*)(?:<=\d+)?(?P<array>\[(?:(?P<bound><=)?(?P<size>\d+))?\])?\s+(?P<name>[A-Za-z_]\w*)"
     r"\s*(?P<rest>.*)$"
 )
+_BRACKETS = re.compile(r"\[([^][]*)\]")
 _NEXT = re.compile(r"^={3,}[ \t]*$", re.MULTILINE)
 
 
@@ -97,6 +102,21 @@ def parse_definition(name: str, text: str, ros: int) -> Record:
     DefinitionError : a type is missing, unknown, recursive or too large.
     """
     return _Resolver(_split(name, text, ros), ros).record(_short(name), ())
+
+
+def units_of(kind: Type, path: str = "", unit: str = "") -> Iterator[tuple[str, str]]:
+    """Dotted path and unit, maybe "", of every column of numbers that a type gives."""
+    if isinstance(kind, Record):
+        for name, inner in kind.fields:
+            yield from units_of(inner, f"{path}.{name}" if path else name, kind.units.get(name, ""))
+    elif isinstance(kind, Number) or (isinstance(kind, Array) and isinstance(kind.element, Number)):
+        yield path, unit
+
+
+def _stated_unit(comment: str) -> str:
+    """The unit in brackets; "" where none or several are known."""
+    known = {text.strip() for text in _BRACKETS.findall(comment) if is_known(text.strip())} - {"", "1"}
+    return known.pop() if len(known) == 1 else ""
 
 
 def _split(name: str, text: str, ros: int) -> dict[str, str]:
@@ -131,15 +151,18 @@ class _Resolver:
             raise DefinitionError(f"types are nested more than {MAX_DEPTH} deep")
         if name not in self._texts:
             raise DefinitionError(f"type {name} is not defined")
-        fields = []
+        fields: list[tuple[str, Type]] = []
+        units: dict[str, str] = {}
         for raw in self._texts[name].splitlines():
-            line = raw.partition("#")[0].strip()
-            if line and not line.startswith("MSG:"):
-                field = self._field(line, name, (*above, name))
-                fields += [] if field is None else [field]
+            line, _, comment = raw.partition("#")
+            line = line.strip()
+            found = self._field(line, name, (*above, name)) if line and not line.startswith("MSG:") else None
+            if found is not None:
+                fields.append(found)
+                units[found[0]] = _stated_unit(comment)
         if not fields and self._ros == 2:  # rosidl gives an empty message this member
             fields = [("structure_needs_at_least_one_member", Number("u1"))]
-        return Record(name, tuple(fields))
+        return Record(name, tuple(fields), units)
 
     def _field(self, line: str, owner: str, above: tuple[str, ...]) -> tuple[str, Type] | None:
         """One line of a definition; None for a constant."""

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyarrow as pa
 
-from flysid.flight import BOOT, RECEIVED, TIME, ClockMap
+from flysid.flight import BOOT, RECEIVED, TIME, ClockMap, field_metadata
 from flysid.ingest.formats.base import StreamPart
 from flysid.ingest.formats.common import arrow_arrays
 from flysid.ingest.formats.common.gather import Bytes, Index
+from flysid.ingest.formats.common.px4_units import px4_topic, px4_unit
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.messages.cdr import (
     ROS1_WIRE,
@@ -23,7 +24,7 @@ from flysid.ingest.formats.messages.cdr import (
     plan,
 )
 from flysid.ingest.formats.messages.channel import Channel
-from flysid.ingest.formats.messages.definitions import DefinitionError, parse_definition
+from flysid.ingest.formats.messages.definitions import DefinitionError, Record, parse_definition, units_of
 from flysid.ingest.formats.messages.json_schema import decode_json, parse_json_schema
 from flysid.ingest.formats.messages.protobuf import decode_protobuf, parse_descriptors
 from flysid.ingest.formats.messages.protobuf_wire import LeftToLibrary, decode_wire
@@ -116,19 +117,21 @@ def _protobuf_decoder(name: str, raw: bytes) -> Decoder:
 
 
 def _ros1_decoder(name: str, text: str) -> Decoder:
-    steps = plan(parse_definition(name, text, 1))
+    kind = parse_definition(name, text, 1)
+    steps, notes = plan(kind), _unit_notes(name, kind)
     zeros = largest_run(steps)
 
     def decode_batch(messages: Messages) -> Decoded:
         data = _padded(messages.data, zeros)
         columns, kept, longer = decode(data, messages.at, messages.size, steps, ROS1_WIRE)
-        return Decoded(_taken(columns, kept), kept, {}, longer)
+        return Decoded(_taken(columns, kept), kept, notes, longer)
 
     return decode_batch
 
 
 def _cdr_decoder(name: str, text: str) -> Decoder:
-    steps = plan(parse_definition(name, text, 2))
+    kind = parse_definition(name, text, 2)
+    steps, notes = plan(kind), _unit_notes(name, kind)
     zeros = largest_run(steps)
 
     def decode_batch(messages: Messages) -> Decoded:
@@ -143,9 +146,18 @@ def _cdr_decoder(name: str, text: str) -> Decoder:
                 columns, kept, surplus = decode(data, at, size, steps, wire)
                 groups.append((_taken(columns, kept), which[kept]))
                 longer += surplus
-        return replace(_merged(groups), longer=longer)
+        return replace(_merged(groups), notes=notes, longer=longer)
 
     return decode_batch
+
+
+def _unit_notes(name: str, kind: Record) -> dict[str, dict[bytes, bytes] | None]:
+    """Units as the definition's comments state them; for PX4's messages, else as PX4 does."""
+    topic = px4_topic(name) if name.startswith("px4_msgs/") else ""
+    return {
+        path: field_metadata(unit or (px4_unit(topic, path) if topic else ""))
+        for path, unit in units_of(kind)
+    }
 
 
 # second byte of the encapsulation header; parameter lists (2, 3, 10, 11) have no fixed order
@@ -237,7 +249,7 @@ class Topic:
         return key
 
     def _table(self, log_ns: Index, decoded: Decoded, tally: Tally) -> pa.Table:
-        stamps = own_times(dict(decoded.columns), decoded.notes, self.channel)
+        stamps = own_times(dict(decoded.columns), decoded.notes)
         if self._clock is None:
             self._clock = next((n for n, t in stamps.items() if t.any()), "log_time")
         time_ns = stamps.get(self._clock, log_ns)
@@ -298,7 +310,7 @@ _UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 
 
 def own_times(
-    columns: Mapping[str, pa.Array], notes: Mapping[str, dict[bytes, bytes] | None], channel: Channel
+    columns: Mapping[str, pa.Array], notes: Mapping[str, dict[bytes, bytes] | None]
 ) -> dict[str, Index]:
     """Times that the messages state themselves, in ns, the preferred one first."""
     found: dict[str, Index] = {}
@@ -307,18 +319,10 @@ def own_times(
             s, f = columns.get(f"{stamp}.{seconds}"), columns.get(f"{stamp}.{fraction}")
             if _is_whole(s) and _is_whole(f):
                 found[stamp] = _integers(s) * 10**9 + _integers(f)
-        unit = _stated_unit(stamp, notes, channel)
-        if unit and _is_whole(columns.get(stamp)):
+        unit = ((notes.get(stamp) or {}).get(b"unit", b"")).decode()
+        if unit in _UNITS_NS and _is_whole(columns.get(stamp)):
             found[stamp] = _integers(columns[stamp]) * _UNITS_NS[unit]
     return found
-
-
-def _stated_unit(name: str, notes: Mapping[str, dict[bytes, bytes] | None], channel: Channel) -> str | None:
-    """The unit of an integer stamp: as its schema says, or as PX4's ROS messages agree on."""
-    if channel.schema is not None and channel.schema.name.startswith("px4_msgs/"):
-        return "us"
-    unit = ((notes.get(name) or {}).get(b"unit", b"")).decode()
-    return unit if unit in _UNITS_NS else None
 
 
 def _is_whole(array: pa.Array | None) -> bool:

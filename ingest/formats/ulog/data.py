@@ -14,11 +14,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from flysid.flight import BOOT, TIME
+from flysid.flight import BOOT, TIME, field_metadata
 from flysid.ingest.formats.base import StreamPart
 from flysid.ingest.formats.common import arrow_arrays
 from flysid.ingest.formats.common.clock import UtcFit
 from flysid.ingest.formats.common.gather import Bytes, Index, Values, numbers, rows
+from flysid.ingest.formats.common.px4_units import px4_unit
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.ulog.layouts import NUMBERS, UlogField, UlogLayout
 from flysid.ingest.formats.ulog.records import DataRun
@@ -153,7 +154,11 @@ def _schema(subscription: Subscription, arrays: list[pa.Array]) -> pa.Schema:
         "topic": subscription.topic,
         "instance": str(subscription.instance),
     }
-    fields = [pa.field(name, array.type) for name, array in zip(names, arrays, strict=True)]
+    units = ["", "", *(px4_unit(subscription.topic, spec.name) for spec in layout.fields)]
+    fields = [
+        pa.field(name, array.type, metadata=field_metadata(unit))
+        for name, array, unit in zip(names, arrays, units, strict=True)
+    ]
     return pa.schema(fields, metadata=about)
 
 

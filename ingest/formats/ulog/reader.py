@@ -2,8 +2,9 @@
 
 Stream keys: `vehicle_attitude` for instance 0, `vehicle_attitude#1` for instance 1; a topic that is
 subscribed again goes on in its table, and under `~2` if its format has changed. `time_ns` is the
-field `timestamp`, the vehicle's microseconds since boot. Framing and recovery: `ulog_records`; formats:
-`ulog_formats`; tables and their times: `ulog_data`. Units are not in the file.
+field `timestamp`, the vehicle's microseconds since boot. Framing and recovery: `records`; formats:
+`layouts`; tables and their times: `data`. Units are not in the file: those that PX4's definitions state are
+in `px4_units`.
 """
 
 from __future__ import annotations
