@@ -6,11 +6,15 @@ a flight folder without one does not exist for any reader.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import msgspec
+from msgspec import field
 
 from flysid.errors import StoreError, UsageError
 from flysid.flight import ClockMap, Damage, Source, resolve_stream
@@ -23,9 +27,11 @@ DATA_FILE = "flysid-data.json"
 FLIGHTS = "flights"
 MANIFEST_FILE = "manifest.json"
 
+Stamp = tuple[int, int]
+"""Size of a manifest in bytes and its time of change in ns: what differs where the manifest does."""
 
-@dataclass(frozen=True)
-class Column:
+
+class Column(msgspec.Struct, frozen=True, omit_defaults=True):
     """One column of a stream: physical value = raw value * scale, in `unit`."""
 
     name: str
@@ -36,8 +42,7 @@ class Column:
     description: str = ""
 
 
-@dataclass(frozen=True)
-class StreamEntry:
+class StreamEntry(msgspec.Struct, frozen=True, omit_defaults=True):
     """One stream of a flight.
 
     Attributes
@@ -63,8 +68,7 @@ class StreamEntry:
     metadata: Mapping[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Manifest:
+class Manifest(msgspec.Struct, frozen=True):
     """An ingested flight: where it came from, its streams, its clocks and what was lost."""
 
     id: str
@@ -93,9 +97,19 @@ class Manifest:
         return entries[resolve_stream(name, entries, self.id)]
 
 
+class _StoredEntry(StreamEntry, frozen=True):
+    """An entry whose columns are still text: those of a message are the same in many flights."""
+
+    columns: msgspec.Raw  # type: ignore[assignment]
+
+
+class _Stored(Manifest, frozen=True):
+    streams: tuple[_StoredEntry, ...]
+
+
 def to_json(manifest: Manifest) -> bytes:
-    """The manifest as indented JSON; equal manifests give equal bytes."""
-    return msgspec.json.format(msgspec.json.encode(manifest, order="deterministic"), indent=1) + b"\n"
+    """The manifest as JSON; equal manifests give equal bytes."""
+    return msgspec.json.encode(manifest, order="deterministic") + b"\n"
 
 
 def read_manifest(folder: str | Path) -> Manifest:
@@ -106,11 +120,23 @@ def read_manifest(folder: str | Path) -> Manifest:
     StoreError : missing, damaged, or written by a newer flysid.
     """
     path = Path(folder) / MANIFEST_FILE
-    document = _read_document(path, FLIGHT_FORMAT)
+    text = _read_document(path, FLIGHT_FORMAT)
     try:
-        return msgspec.convert(document, Manifest)
+        facts = msgspec.structs.asdict(msgspec.json.decode(text, type=_Stored))
+        return Manifest(**{**facts, "streams": tuple(_entry(stored) for stored in facts["streams"])})
     except msgspec.ValidationError as error:
         raise StoreError(f"damaged manifest: {error}", path=path, hint="ingest the log again") from error
+
+
+def _entry(stored: _StoredEntry) -> StreamEntry:
+    facts = msgspec.structs.asdict(stored)
+    return StreamEntry(**{**facts, "columns": _columns(bytes(facts["columns"]))})
+
+
+@lru_cache(maxsize=1 << 12)
+def _columns(text: bytes) -> tuple[Column, ...]:
+    """Columns, once for all flights that have the same: ten thousand flights would not fit otherwise."""
+    return msgspec.json.decode(text, type=tuple[Column, ...])
 
 
 def check_data_folder(data: str | Path) -> Path:
@@ -139,20 +165,31 @@ def check_data_folder(data: str | Path) -> Path:
 def list_flights(data: str | Path) -> list[Manifest]:
     """Manifests of all flights of an ingested folder, by id. Unfinished flights do not show.
 
+    Each is read; `flysid.catalogue` tells most of it without.
+
     Raises
     ------
     UsageError, StoreError : as `check_data_folder` and `read_manifest`.
     """
-    return [read_manifest(folder) for folder in flight_folders(check_data_folder(data))]
+    data = check_data_folder(data)
+    return [read_manifest(data / FLIGHTS / name) for name in sorted(stamps(data))]
 
 
-def flight_folders(data: Path) -> list[Path]:
-    """Folders of all complete flights, by name."""
-    return sorted(
-        folder
-        for folder in (data / FLIGHTS).glob("*")
-        if not folder.name.startswith(".") and (folder / MANIFEST_FILE).is_file()
-    )
+def folder_names(data: Path) -> Iterator[str]:
+    """Names of the folders that may hold flights, finished or not, in no order."""
+    with suppress(FileNotFoundError), os.scandir(data / FLIGHTS) as entries:
+        yield from (entry.name for entry in entries if entry.is_dir())
+
+
+def stamps(data: Path) -> dict[str, Stamp]:
+    """Every finished flight -> size and time of change of its manifest; no file is opened."""
+    found: dict[str, Stamp] = {}
+    for name in folder_names(data):
+        if not name.startswith("."):
+            with suppress(OSError):
+                state = os.stat(os.path.join(data, FLIGHTS, name, MANIFEST_FILE))
+                found[name] = (state.st_size, state.st_mtime_ns)
+    return found
 
 
 def find_flight(data: str | Path, flight: str) -> Manifest:
@@ -162,30 +199,42 @@ def find_flight(data: str | Path, flight: str) -> Manifest:
     ------
     UsageError : no such flight, or several.
     """
-    folders = {folder.name: folder for folder in flight_folders(check_data_folder(data))}
-    found = (
-        [flight] if flight in folders else [name for name in folders if name.startswith(flight) and flight]
-    )
+    data = check_data_folder(data)
+    names = {name for name in folder_names(data) if not name.startswith(".")}
+    near = [flight] if flight in names else [name for name in names if name.startswith(flight) and flight]
+    found = sorted(name for name in near if (data / FLIGHTS / name / MANIFEST_FILE).is_file())
     if len(found) == 1:
-        return read_manifest(folders[found[0]])
+        return read_manifest(data / FLIGHTS / found[0])
     if found:
         raise UsageError(f"{flight!r} names {len(found)} flights", path=data, hint=", ".join(found[:5]))
     import difflib
 
-    near = difflib.get_close_matches(flight, folders, n=3, cutoff=0.3) or sorted(folders)[:3]
+    names = {name for name in names if (data / FLIGHTS / name / MANIFEST_FILE).is_file()}
+    alike = difflib.get_close_matches(flight, names, n=3, cutoff=0.3) or sorted(names)[:3]
     raise UsageError(
-        f"no flight {flight!r}", path=data, hint=", ".join(near) or "the folder holds no flights"
+        f"no flight {flight!r}", path=data, hint=", ".join(alike) or "the folder holds no flights"
     )
 
 
-def _read_document(path: Path, expected: str) -> dict[str, object]:
+class _Head(msgspec.Struct):
+    """What tells whether the rest of a document can be understood."""
+
+    format: Any = None
+    version: Any = None
+
+
+def _read_document(path: Path, expected: str) -> bytes:
+    """A document's text, once it is known to be of the format that is expected, and of a known version."""
     try:
-        document = msgspec.json.decode(path.read_bytes())
+        text = path.read_bytes()
+        head = msgspec.json.decode(text, type=_Head)
     except OSError as error:
         raise StoreError(f"cannot be read: {error.strerror}", path=path) from error
+    except msgspec.ValidationError as error:
+        raise StoreError(f"not a {expected} file", path=path, hint="ingest the log again") from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise StoreError("damaged: not JSON", path=path, hint="ingest the log again") from error
-    if not isinstance(document, dict) or document.get("format") != expected:
+    if head.format != expected:
         raise StoreError(f"not a {expected} file", path=path, hint="ingest the log again")
-    check_version(document.get("version"), VERSION, expected, path)
-    return document
+    check_version(head.version, VERSION, expected, path)
+    return text

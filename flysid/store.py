@@ -17,6 +17,7 @@ from typing import Protocol
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from flysid.catalogue import CATALOGUE_FILE
 from flysid.errors import StoreError, UsageError
 from flysid.files import filling, put_in_place, slug, write_atomically, writing_to
 from flysid.files import locked as locked_file
@@ -33,8 +34,10 @@ from flysid.manifest import (
     StreamEntry,
     check_data_folder,
     find_flight,
+    folder_names,
     list_flights,
     read_manifest,
+    stamps,
     to_json,
 )
 from flysid.parts import exhausted
@@ -128,13 +131,13 @@ def locked(data: Path) -> AbstractContextManager[None]:
 
 def clean(data: Path) -> int:
     """Remove what killed writers left behind; returns the number of folders removed."""
-    removed = 0
-    for folder in (data / FLIGHTS).glob("*"):
-        if folder.is_dir() and (folder.name.startswith(".") or not (folder / MANIFEST_FILE).is_file()):
-            with writing_to(folder):
-                shutil.rmtree(folder)
-            removed += 1
-    return removed
+    unfinished = set(folder_names(data)) - set(stamps(data))
+    for name in unfinished:
+        with writing_to(data / FLIGHTS / name):
+            shutil.rmtree(data / FLIGHTS / name)
+    for file in data.glob(f".{CATALOGUE_FILE}.*"):
+        file.unlink(missing_ok=True)
+    return len(unfinished)
 
 
 def discard(data: Path, pid: int) -> None:

@@ -173,7 +173,7 @@ def fit_run(
             folder=out,
             data=os.path.abspath(lake.folder),
             recipe=recipe.name,
-            flights=tuple(m.id for m in lake.flights),
+            flights=tuple(f.id for f in lake.facts),
             settings=settings,
             channels=tuple(c for c in fitted if isinstance(c, ChannelRun)),
             skipped=skipped,

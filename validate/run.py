@@ -240,7 +240,7 @@ def held_out(run: Run, data: str | Path | None = None) -> list[HeldOut]:
         file = open_dataset(place)
         return [_held_out_channel(run, c, file if c.on_disk else file.read()) for c in run.channels]
     lake = open_lake(place)
-    then = Lake(lake.folder, tuple(m for m in lake.flights if m.id in run.flights))
+    then = lake.only(run.flights)
     recipe = load_recipe(run.folder / RECIPE_FILE)
     return [_held_out_of_lake(run, channel, then, recipe) for channel in run.channels]
 

@@ -1,4 +1,4 @@
-"""`flysid ls DATA`: the flights of an ingested folder, from their manifests alone."""
+"""`flysid ls DATA`: the flights of an ingested folder, from its catalogue alone."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import click
 from flysid.cli.output import printable
 
 if TYPE_CHECKING:
-    from flysid.manifest import Manifest
+    from flysid.catalogue import FlightFacts
 
 HEADINGS = ("FLIGHT", "FORMAT", "VEHICLE", "TIME", "STREAMS", "RECORDS", "LOST")
 
@@ -24,31 +24,31 @@ HEADINGS = ("FLIGHT", "FORMAT", "VEHICLE", "TIME", "STREAMS", "RECORDS", "LOST")
 )
 def command(data: str, as_json: bool, suggest: bool) -> None:
     """List the flights of an ingested folder."""
-    from flysid.manifest import list_flights
+    from flysid.catalogue import catalogue
 
     if suggest:
         from flysid.cli.suggest import print_suggestions
 
         print_suggestions(data, as_json)
         return
-    flights = list_flights(data)
+    flights = catalogue(data)
     if as_json:
         click.echo(json.dumps({"flights": [as_document(f) for f in flights]}, indent=1))
     else:
         click.echo("\n".join(aligned([HEADINGS, *(row(f) for f in flights)])))
 
 
-def row(flight: Manifest) -> tuple[str, ...]:
+def row(flight: FlightFacts) -> tuple[str, ...]:
     """One flight as the cells of a table."""
     vehicle = flight.info.get("vehicle") or flight.info.get("autopilot") or "-"
     return (
         flight.id,
-        flight.source.format,
+        flight.format,
         vehicle,
         clock_text(flight.duration_s),
         str(len(flight.streams)),
         f"{flight.rows:,}",
-        "yes" if flight.damage.lossy else "-",
+        "yes" if flight.lossy else "-",
     )
 
 
@@ -66,16 +66,16 @@ def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     return ["  ".join(c.ljust(w) for c, w in zip(cells, widths, strict=True)).rstrip() for cells in clean]
 
 
-def as_document(flight: Manifest) -> dict[str, Any]:
+def as_document(flight: FlightFacts) -> dict[str, Any]:
     """One flight for `--json`."""
     return {
         "id": flight.id,
-        "format": flight.source.format,
-        "sha256": flight.source.sha256,
-        "size_bytes": flight.source.size_bytes,
+        "format": flight.format,
+        "sha256": flight.sha256,
+        "size_bytes": flight.size_bytes,
         "duration_s": flight.duration_s,
         "records": flight.rows,
-        "lossy": flight.damage.lossy,
+        "lossy": flight.lossy,
         "info": dict(flight.info),
-        "streams": {s.stream: s.rows for s in flight.streams},
+        "streams": dict(flight.streams),
     }

@@ -33,11 +33,11 @@ def command(
 
     FLIGHT may be the beginning of an id, and is not needed where the folder holds one flight.
     """
-    from flysid.manifest import find_flight, list_flights
+    from flysid.manifest import check_data_folder, find_flight, stamps
 
     if flight is None:
-        flights = list_flights(data)
-        flight = flights[0].id if len(flights) == 1 else ""
+        flights = list(stamps(check_data_folder(data)))
+        flight = flights[0] if len(flights) == 1 else ""
     manifest = find_flight(data, flight)
     if stream is None:
         click.echo(flight_json(manifest) if as_json else flight_text(manifest))
@@ -47,10 +47,12 @@ def command(
 
 
 def flight_json(manifest: Manifest) -> str:
-    """The manifest as it is stored."""
+    """The manifest as it is stored, indented."""
+    import msgspec
+
     from flysid.manifest import to_json
 
-    return to_json(manifest).decode().rstrip()
+    return msgspec.json.format(to_json(manifest), indent=1).decode()
 
 
 def stream_json(entry: StreamEntry) -> str:

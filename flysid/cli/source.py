@@ -123,7 +123,7 @@ def is_log(data: Path) -> bool:
 
 def lost_on_the_way(data: Path, lake: Lake) -> bool:
     """Whether `data` is a log that was read with losses; those of an ingested folder were told before."""
-    return is_log(data) and any(flight.damage.lossy for flight in lake.flights)
+    return is_log(data) and any(flight.lossy for flight in lake.facts)
 
 
 def _written(words: Words, lake: Lake) -> str:

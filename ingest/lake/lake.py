@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import overload
 
 import pyarrow as pa
 
+from flysid.catalogue import FlightFacts, catalogue
 from flysid.dataset import Dataset
 from flysid.errors import DataError, RecipeError, UsageError
 from flysid.flight import Flight
@@ -17,30 +19,35 @@ from flysid.ingest.align.recipe import Recipe, load_recipe, shipped_recipes
 from flysid.ingest.align.report import AlignReport
 from flysid.ingest.align.signals import find_source
 from flysid.ingest.lake.suggest import Suggestion, suggest
-from flysid.manifest import FLIGHTS, Manifest, check_data_folder, find_flight, list_flights
+from flysid.manifest import FLIGHTS, Manifest, check_data_folder, find_flight, read_manifest
 from flysid.store import read_entry, read_flight
 
 
 @dataclass(frozen=True, eq=False)
 class StoredLog:
-    """A stored flight for alignment: columns are read when they are needed."""
+    """A stored flight for alignment: its manifest and its columns are read when they are needed."""
 
     folder: Path
-    manifest: Manifest
+    facts: FlightFacts
 
     @property
     def name(self) -> str:
-        return self.manifest.id
+        return self.facts.id
 
-    @cached_property
+    @property
     def rows(self) -> Mapping[str, int]:
         """Rows of every stream, by key."""
-        return {s.stream: s.rows for s in self.manifest.streams}
+        return self.facts.streams
 
     @property
     def info(self) -> Mapping[str, str]:
         """Facts about the vehicle."""
-        return self.manifest.info
+        return self.facts.info
+
+    @cached_property
+    def manifest(self) -> Manifest:
+        """All that is known of the flight without its tables."""
+        return read_manifest(self.folder / FLIGHTS / self.facts.id)
 
     def columns(self, stream: str) -> Sequence[str]:
         """Names of a stream's columns."""
@@ -48,7 +55,26 @@ class StoredLog:
 
     def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
         """Some columns of a stream."""
-        return read_entry(self.folder / FLIGHTS / self.manifest.id, self.manifest.stream(stream), columns)
+        return read_entry(self.folder / FLIGHTS / self.name, self.manifest.stream(stream), columns)
+
+
+class Manifests(Sequence[Manifest]):
+    """Manifests of flights, each read from its folder when it is asked for, and not kept."""
+
+    def __init__(self, folder: Path, ids: Sequence[str]) -> None:
+        self._folder, self._ids = folder, ids
+
+    def __len__(self) -> int:
+        return len(self._ids)
+
+    @overload
+    def __getitem__(self, index: int) -> Manifest: ...
+    @overload
+    def __getitem__(self, index: slice) -> Manifests: ...
+    def __getitem__(self, index: int | slice) -> Manifest | Manifests:
+        if isinstance(index, slice):
+            return Manifests(self._folder, self._ids[index])
+        return read_manifest(self._folder / FLIGHTS / self._ids[index])
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,22 +84,32 @@ class Lake:
     Attributes
     ----------
     folder : where it is.
-    flights : the manifests of its flights, by id.
+    facts : what its catalogue holds of its flights, by id.
     """
 
     folder: Path
-    flights: tuple[Manifest, ...]
+    facts: tuple[FlightFacts, ...]
 
     def __len__(self) -> int:
-        return len(self.flights)
+        return len(self.facts)
 
     def __iter__(self) -> Iterator[Manifest]:
         return iter(self.flights)
 
     @property
+    def flights(self) -> Manifests:
+        """The manifests of the flights, by id; each is read when it is asked for."""
+        return Manifests(self.folder, [facts.id for facts in self.facts])
+
+    @cached_property
     def logs(self) -> tuple[StoredLog, ...]:
         """The flights as alignment reads them."""
-        return tuple(StoredLog(self.folder, manifest) for manifest in self.flights)
+        return tuple(StoredLog(self.folder, facts) for facts in self.facts)
+
+    def only(self, flights: Collection[str]) -> Lake:
+        """The same folder with these flights alone, by their whole ids."""
+        wanted = frozenset(flights)
+        return Lake(self.folder, tuple(facts for facts in self.facts if facts.id in wanted))
 
     def flight(self, flight: str) -> Flight:
         """A flight in memory, by its id or the unambiguous beginning of it."""
@@ -87,7 +123,10 @@ class Lake:
     def channels(self, recipe: Recipe | str | Path) -> tuple[str, ...]:
         """Channels of a recipe that at least one flight holds all signals of."""
         recipe = _as_recipe(recipe)
-        return tuple(name for name in recipe.channels if any(_serves(log, recipe, name) for log in self.logs))
+        unlike = {
+            log.facts.layout: log for log in self.logs
+        }.values()  # of those with equal columns, one tells
+        return tuple(name for name in recipe.channels if any(_serves(log, recipe, name) for log in unlike))
 
     def align(self, recipe: Recipe | str | Path, channel: str) -> Aligned:
         """The dataset of a channel and how it was made; raises as `flysid.ingest.align.align`."""
@@ -169,7 +208,7 @@ def open(folder: str | Path) -> Lake:  # noqa: A001
     StoreError : a manifest is damaged or of another version.
     """
     path = check_data_folder(folder)
-    return Lake(path, tuple(list_flights(path)))
+    return Lake(path, catalogue(path))
 
 
 def _as_recipe(recipe: Recipe | str | Path) -> Recipe:
