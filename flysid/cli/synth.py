@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from flysid.ingest.synth.synth import Order
     from flysid.ingest.synth.telemetry import Recording
 
-TRUTH = ".truth.parquet"
 Writer = tuple[str, Callable[["Recording"], bytes]]
 
 
@@ -103,15 +102,17 @@ def command(
     if output is None:
         raise UsageError("no folder for the logs", hint="-o DIR, or --live udp:HOST:PORT")
     writers = writers_named(formats or ("tlog",))
+    from flysid.ingest.lake.strangers import TRUTH_SUFFIX
+
     if options["truth"]:
         from flysid.ingest.synth.truth import truth_bytes
 
-        writers.append((TRUTH, truth_bytes))
+        writers.append((TRUTH_SUFFIX, truth_bytes))
     check_paths(order, output, writers, force)
     make_folder(output)
     say(f"flying {order.plan} with {order.plant}: {order.duration_s:g} s each", quiet)
     for path in fly_all(order, output, tuple(s for s, _ in writers), options["jobs"]):
-        if path.name.endswith(TRUTH):
+        if path.name.endswith(TRUTH_SUFFIX):
             say(f"truth: {path}", quiet)  # not a log, so not among the paths that a pipe passes on
         else:
             click.echo(path)
@@ -170,10 +171,11 @@ def fly_all(order: Order, folder: Path, suffixes: tuple[str, ...], jobs: int) ->
 def fly_and_write(order: Order, index: int, folder: Path, suffixes: Sequence[str]) -> list[Path]:
     """Fly one flight and write it in every format; each log appears whole."""
     from flysid.files import write_atomically, writing_to
+    from flysid.ingest.lake.strangers import TRUTH_SUFFIX
     from flysid.ingest.synth.synth import WRITERS, fly_one
     from flysid.ingest.synth.truth import truth_bytes
 
-    encoders = {**dict(WRITERS.values()), TRUTH: truth_bytes}
+    encoders = {**dict(WRITERS.values()), TRUTH_SUFFIX: truth_bytes}
     recording = fly_one(order, index)
     paths = [folder / f"{recording.name}{suffix}" for suffix in suffixes]
     for path, suffix in zip(paths, suffixes, strict=True):

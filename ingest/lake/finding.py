@@ -24,7 +24,7 @@ from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common.zip_members import read_archive
 from flysid.ingest.formats.opening import head_of, is_archive, is_packed, names_log, own_name
 from flysid.ingest.formats.registry import confidence_of, known_suffixes
-from flysid.ingest.lake.strangers import TEXT, kind_of, packing_of
+from flysid.ingest.lake.strangers import TEXT, TRUTH_SUFFIX, kind_of, packing_of
 from flysid.manifest import DATA_FILE
 
 GLOB_MARKS = frozenset("*?[")
@@ -168,6 +168,8 @@ class _Search:
         name = own_name(path.name).lower()
         if path.name.startswith("."):
             self._pass(path, "hidden file")
+        elif name.endswith(TRUTH_SUFFIX):
+            self._pass(path, "truth of a simulated flight")
         elif name.endswith(known_suffixes()) and not name.endswith(ANYBODYS_SUFFIXES):
             self.paths[path] = None
         elif not is_member and not path.is_file():

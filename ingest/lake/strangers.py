@@ -13,6 +13,7 @@ from flysid.ingest.formats.common.zip_members import ZIP_MAGICS
 from flysid.ingest.formats.opening import TAR_MAGIC, TAR_MAGIC_AT
 
 TEXT = "text"
+TRUTH_SUFFIX = ".truth.parquet"  # what `flysid synth` lays beside a log: a table, and no log
 MAGICS: Mapping[bytes, str] = {
     b"\x89PNG": "picture",
     b"\xff\xd8\xff": "picture",

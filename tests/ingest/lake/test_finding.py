@@ -184,3 +184,12 @@ def test_what_may_not_be_opened_counts(tmp_path: Path) -> None:
     put(tmp_path / "secret", LOG).chmod(0)
     found = find_logs([tmp_path])
     assert [item.reason for item in found.unread] == ["cannot be read: Permission denied"]
+
+
+def test_the_truth_of_a_simulated_flight_is_no_log(tmp_path: Path) -> None:
+    put(tmp_path / "a.tlog", LOG)
+    put(tmp_path / "a.truth.parquet", b"PAR1" + bytes(100) + b"PAR1")
+    found = find_logs([tmp_path])
+    assert [path.name for path in found.paths] == ["a.tlog"]
+    assert [other.kind for other in found.passed_over] == ["truth of a simulated flight"]
+    assert not found.unread
