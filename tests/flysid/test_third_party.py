@@ -81,7 +81,7 @@ def test_its_logs_are_found_in_folders_and_ingested(installed: dict[str, str], t
 
 
 def test_models_of_its_structure_are_loaded(installed: dict[str, str], tmp_path: Path) -> None:
-    data = flown(FirstOrder(), [200])
+    data = flown(FirstOrder(), [200], noise=0.02)
     path = tmp_path / "model.json"
     flysid.Mean().fit(data).save(path)
     document = json.loads(path.read_text())
