@@ -25,6 +25,7 @@ VERBS = {
     "ingest": "Read flight logs into typed parquet tables.",
     "ls": "List the flights and streams of an ingested folder.",
     "plot": "Plot fields of a log over time, with modes and messages.",
+    "recipes": "List the recipes, or explain one; which ones fit a log.",
     "reproduce": "Print a paper's results beside what can be reproduced.",
     "runs": "List run folders and rank them by free-run error.",
     "scrub": "Write a copy of a log without positions, serial numbers and names.",

@@ -1,0 +1,97 @@
+"""`flysid recipes [NAME]`: the recipes that come with flysid, and what one of them takes from a log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from flysid.ingest.align.recipe import Recipe, Source
+
+HEADINGS = ("RECIPE", "CHANNELS", "FOR")
+
+
+@click.command("recipes")
+@click.argument("name", default="")
+@click.option(
+    "--for",
+    "source",
+    type=click.Path(path_type=Path),
+    metavar="LOG|DATA",
+    help="Only those that this log, or a flight of this folder, can serve, with the channels that it can.",
+)
+@click.option("--toml", is_flag=True, help="Print the recipe's text, to begin one of your own.")
+def command(name: str, source: Path | None, toml: bool) -> None:
+    """List the recipes, or explain one: its channels, signals, units and sources.
+
+    \b
+    flysid recipes --for flight.bin
+    flysid recipes px4-rates --toml > mine.toml
+    """
+    from flysid.cli.ls import aligned
+    from flysid.cli.output import say
+    from flysid.errors import UsageError
+    from flysid.ingest.align.recipe import load_recipe, recipe_text, shipped_recipes
+
+    if name and source is not None:
+        raise UsageError("a recipe's name and --for exclude each other", hint="give one of them")
+    if toml and not name:
+        raise UsageError("--toml prints one recipe", hint="flysid recipes NAME --toml")
+    if toml:
+        click.echo(recipe_text(name)[0], nl=False)
+    elif name:
+        click.echo("\n".join(explained(load_recipe(name))))
+    else:
+        served = _served(source)
+        rows = [(r, ", ".join(channels), load_recipe(r).description) for r, channels in served.items()]
+        if rows:
+            click.echo("\n".join(aligned([HEADINGS, *rows])))
+        else:
+            say(f"no recipe fits {source}; shipped ones: {', '.join(shipped_recipes())}")
+            say("from your own fields: flysid fit LOG --from FIELD --to FIELD -o run")
+
+
+def _served(source: Path | None) -> dict[str, tuple[str, ...]]:
+    """Recipe -> its channels; of a log, those that it can serve."""
+    from flysid.ingest.align.recipe import load_recipe, shipped_recipes
+
+    if source is None:
+        return {name: tuple(load_recipe(name).channels) for name in shipped_recipes()}
+    from flysid.cli.source import opened_flights
+
+    with opened_flights(source) as lake:
+        return lake.recipes()
+
+
+def explained(recipe: Recipe) -> Iterator[str]:
+    """A recipe in words: the channels first, then every signal with the places where it is looked for."""
+    yield f"{recipe.name}: {recipe.description}" if recipe.description else recipe.name
+    for name, channel in recipe.channels.items():
+        yield ""
+        yield f"channel {name}: {', '.join(channel.inputs)} -> {', '.join(channel.outputs)}"
+        if channel.description:
+            yield f"  {channel.description}"
+        if channel.min_rate_hz:
+            yield f"  needs at least {channel.min_rate_hz:g} Hz; {channel.remedy}".rstrip("; ")
+    for name, signal in recipe.signals.items():
+        yield ""
+        unit = f" [{signal.unit}]" if signal.unit else ""
+        yield f"signal {name}{unit}: {signal.description}".rstrip(": ")
+        yield from (f"  {_place(source)}" for source in signal.sources)
+
+
+def _place(source: Source) -> str:
+    """Where a signal comes from, and what is done to it."""
+    words = f"{source.stream}.{'/'.join(source.fields)}"
+    if source.transform != "none":
+        words += f", {source.transform}"
+    if source.scale != 1.0:
+        words += f", times {source.scale:g}"
+    if source.offset:
+        words += f", plus {source.offset:g}"
+    if source.where:
+        words += ", where " + " and ".join(f"{k} is {v}" for k, v in source.where.items())
+    return words
