@@ -31,6 +31,13 @@ def _row(name: str, title: str, suffixes: str, reader: str, scrubber: str | None
 FORMATS: Mapping[str, Format] = {
     row.name: row
     for row in (
+        _row(
+            "blackbox",
+            "Betaflight and INAV blackbox (.bbl, .bfl, .txt)",
+            ".bbl .bfl .txt",
+            "blackbox.reader",
+            None,
+        ),
         _row("csv", "table in text (.csv, .tsv)", ".csv .tsv", "csv.reader", None),
         _row("dataflash", "ArduPilot DataFlash (.bin)", ".bin", "dataflash.reader", "dataflash.scrub"),
         _row(

@@ -1,0 +1,1 @@
+"""Betaflight, INAV, Cleanflight and Rotorflight blackbox."""
