@@ -27,8 +27,8 @@ REAL = sorted(LOGS.glob("*")) if LOGS.is_dir() else []
 QUICK_BYTES = 60_000
 
 
-def read(blob: bytes, **limits: int) -> Flight:
-    return collect(memoryview(blob), "log.bbl", FORMATS["blackbox"], Limits(**limits))
+def read(blob: bytes, limits: Limits | None = None) -> Flight:
+    return collect(memoryview(blob), "log.bbl", FORMATS["blackbox"], limits or Limits())
 
 
 def matrix(flight: Flight, stream: str, boot: int = 0) -> np.ndarray:
@@ -362,7 +362,7 @@ def test_a_table_with_hostile_settings_takes_no_time_and_no_memory() -> None:
     changed = {"I interval": "2147483647", "P interval": "1/2147483647"}
     writer = Writer(kinds, {**SETTINGS, **changed})
     blob = b"".join([*writer.header(), b"I\x00\x05", b"P" * 50_000, END])
-    flight = read(blob, batch_bytes=1 << 16)
+    flight = read(blob, Limits(batch_bytes=1 << 16))
     assert flight["main"].num_rows == 50_001
 
 

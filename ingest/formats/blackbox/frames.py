@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from flysid.ingest.formats.blackbox import kernel
+from flysid.ingest.formats.blackbox import kernel, recovery
+from flysid.ingest.formats.blackbox.encodings import ByteArray, IntArray
 from flysid.ingest.formats.blackbox.header import MIN_PADDING, PADDING, START
-from flysid.ingest.formats.blackbox.kernel import ByteArray, IntArray
 from flysid.ingest.formats.blackbox.layouts import Layout
 from flysid.ingest.formats.common.tally import Tally
 
@@ -133,7 +133,7 @@ class Walker:
         """Go on at the next I frame behind damage, or at the End event, or at the end."""
         state, at = self._state, self._at
         self.rejected += kernel.close_group(state, reached != kernel.FALL)
-        self._at = kernel.find_intra(self._raw, at + 1, self._program, state, self._scratch, self._found)
+        self._at = recovery.find_intra(self._raw, at + 1, self._program, state, self._scratch, self._found)
         if self._at >= 0:
             self._tally.skip(at, self._at, "no frame here, up to the next I frame")
             return
@@ -147,7 +147,7 @@ class Walker:
     def _judge_seam(self) -> None:
         """An I frame that does not go on from its group: which of both is right?"""
         state, found = self._state, self._found
-        sure = kernel.is_confirmed(self._raw, self._at, self._program, state, self._scratch, found)
+        sure = recovery.is_confirmed(self._raw, self._at, self._program, state, self._scratch, found)
         falls = int(np.int32(np.uint32((int(found[1]) - int(state["us"])) & 0xFFFFFFFF))) < 0
         first = state["confirmed_us"] < 0
         after = (

@@ -16,9 +16,22 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-ByteArray = npt.NDArray[np.uint8]
+from flysid.ingest.formats.blackbox.encodings import (
+    PAST_END,
+    WRONG,
+    ByteArray,
+    IntArray,
+    byte,
+    old_tag8_4s16,
+    signed,
+    signed_vb,
+    tag2,
+    tag8_4s16,
+    tag8_8svb,
+    unsigned_vb,
+)
+
 Int32Array = npt.NDArray[np.int32]
-IntArray = npt.NDArray[np.int64]
 State = Any  # a record of STATE
 
 INTRA, INTER, SLOW, GPS, HOME, EVENT = range(6)
@@ -33,9 +46,7 @@ SYNC, ADJUSTMENT, RESUME, DISARM, MODE, IMU_FAILURE, CUSTOM_DATA, CUSTOM_STRING,
     0, 13, 14, 15, 30, 40, 100, 101, 255,
 )  # fmt: skip
 ROTORFLIGHT = (50, 51, 52)  # governor, rescue, airborne: one number each
-WRONG, PAST_END = -1, -2
 LONGEST_FRAME = 256
-LONGEST_JUMP = 5000
 LONGEST_PAUSE_US = 10_000_000
 
 # what `walk` says: it reached the limit; a table is full; no frame at this place; the log stops inside a
@@ -93,169 +104,7 @@ STATE = np.dtype(
 
 
 @numba.njit(cache=True, nogil=True)
-def _byte(raw: ByteArray, at: int) -> int:
-    return int(np.int64(raw[at]))  # signed, or sums with other numbers would be floats
-
-
-@numba.njit(cache=True, nogil=True)
-def _unsigned_vb(raw: ByteArray, at: int, stop: int) -> tuple[int, int]:
-    """(value, where it ends or an error): 7 bits a byte, the lowest first, bit 7 where more follow."""
-    value, shift = 0, 0
-    while shift < 35:
-        if at >= stop:
-            return 0, PAST_END
-        byte = _byte(raw, at)
-        at += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value & 0xFFFFFFFF, at
-        shift += 7
-    return 0, WRONG
-
-
-@numba.njit(cache=True, nogil=True)
-def _signed_vb(raw: ByteArray, at: int, stop: int) -> tuple[int, int]:
-    """The same with the sign in the lowest bit."""
-    value, at = _unsigned_vb(raw, at, stop)
-    return (value >> 1) ^ -(value & 1), at
-
-
-@numba.njit(cache=True, nogil=True)
-def _signed(value: int, bits: int) -> int:
-    """The lowest bits as a two's complement number."""
-    value &= (1 << bits) - 1
-    return value - ((value >> (bits - 1)) << bits)
-
-
-@numba.njit(cache=True, nogil=True)
-def _tag2(raw: ByteArray, at: int, stop: int, values: IntArray, variable: bool) -> int:
-    """Three values; the two highest bits of the first byte say how wide they are."""
-    if at >= stop:
-        return PAST_END
-    first = _byte(raw, at)
-    selector = first >> 6
-    if selector == 0:
-        values[0] = _signed(first >> 4, 2)
-        values[1] = _signed(first >> 2, 2)
-        values[2] = _signed(first, 2)
-        return at + 1
-    if selector == 3:
-        at += 1
-        for k in range(3):
-            size = (first >> (2 * k) & 3) + 1
-            if at + size > stop:
-                return PAST_END
-            value = 0
-            for j in range(size):
-                value |= _byte(raw, at + j) << (8 * j)
-            values[k] = _signed(value, 8 * size)
-            at += size
-        return at
-    if at + selector + 1 > stop:
-        return PAST_END
-    second = _byte(raw, at + 1)
-    if selector == 1:
-        if variable:
-            values[0] = _signed(first >> 1, 5)
-            values[1] = _signed((first & 1) << 4 | second >> 4, 5)
-        else:
-            values[0] = _signed(first, 4)
-            values[1] = _signed(second >> 4, 4)
-        values[2] = _signed(second, 4)
-        return at + 2
-    third = _byte(raw, at + 2)
-    if variable:
-        values[0] = _signed((first & 0x3F) << 2 | second >> 6, 8)
-        values[1] = _signed((second & 0x3F) << 1 | third >> 7, 7)
-        values[2] = _signed(third, 7)
-    else:
-        values[0] = _signed(first, 6)
-        values[1] = _signed(second, 6)
-        values[2] = _signed(third, 6)
-    return at + 3
-
-
-@numba.njit(cache=True, nogil=True)
-def _tag8_4s16(raw: ByteArray, at: int, stop: int, values: IntArray) -> int:
-    """Four values of 0, 4, 8 or 16 bits; the tag has two bits for each, the first field's lowest.
-
-    They stand in one stream of nibbles, the highest first, filled up to a byte.
-    """
-    if at >= stop:
-        return PAST_END
-    tag = _byte(raw, at)
-    at += 1
-    waiting = 0  # nibbles of the byte before `at` that are still to be read
-    for k in range(4):
-        kind = tag >> (2 * k) & 3
-        values[k] = 0
-        if kind == 0:
-            continue
-        left = (1 << (kind - 1)) - waiting  # nibbles that the next bytes must give
-        if at + (left + 1) // 2 > stop:
-            return PAST_END
-        value = _byte(raw, at - 1) & 0xF if waiting else 0
-        while left > 1:
-            value = value << 8 | _byte(raw, at)
-            at += 1
-            left -= 2
-        waiting = left
-        if left:
-            value = value << 4 | _byte(raw, at) >> 4
-            at += 1
-        values[k] = _signed(value, 2 << kind)
-    return at
-
-
-@numba.njit(cache=True, nogil=True)
-def _old_tag8_4s16(raw: ByteArray, at: int, stop: int, values: IntArray) -> int:
-    """The same in logs of data version 1: two values of 4 bits share a byte, 16 bits are little-endian."""
-    if at >= stop:
-        return PAST_END
-    tag = _byte(raw, at)
-    at += 1
-    k = 0
-    while k < 4:
-        kind = tag >> (2 * k) & 3
-        values[k] = 0
-        if at + (kind + 1) // 2 > stop:
-            return PAST_END
-        if kind == 1:
-            values[k] = _signed(_byte(raw, at), 4)
-            k += 1
-            if k < 4:
-                values[k] = _signed(_byte(raw, at) >> 4, 4)
-        elif kind == 2:
-            values[k] = _signed(_byte(raw, at), 8)
-        elif kind == 3:
-            values[k] = _signed(_byte(raw, at) | _byte(raw, at + 1) << 8, 16)
-        at += (kind + 1) // 2
-        k += 1
-    return at
-
-
-@numba.njit(cache=True, nogil=True)
-def _tag8_8svb(raw: ByteArray, at: int, stop: int, values: IntArray, span: int) -> int:
-    """Up to eight values; bit k of the tag is set where value k is not 0. A value alone has no tag."""
-    if at >= stop:
-        return PAST_END
-    tag = 1
-    if span > 1:
-        tag = _byte(raw, at)
-        at += 1
-        if tag >> span:
-            return WRONG
-    for k in range(span):
-        values[k] = 0
-        if tag >> k & 1:
-            values[k], at = _signed_vb(raw, at, stop)
-            if at < 0:
-                return at
-    return at
-
-
-@numba.njit(cache=True, nogil=True)
-def _next_iteration(state: State, iteration: int) -> int:
+def next_iteration(state: State, iteration: int) -> int:
     """The loop iteration after `iteration` that is logged: (i mod I + num - 1) mod den < num."""
     interval, share, of = state.interval, state.numerator, state.denominator
     place = iteration % interval + 1
@@ -270,7 +119,7 @@ def _next_iteration(state: State, iteration: int) -> int:
 
 
 @numba.njit(cache=True, nogil=True)
-def _fields(
+def read_fields(
     raw: ByteArray,
     at: int,
     stop: int,
@@ -290,31 +139,31 @@ def _fields(
     while k < count:
         encoding, span = program.encoding[kind, k], 1
         if program.predictor[kind, k] == INCREMENT:
-            values[k] = _next_iteration(state, before[k])
+            values[k] = next_iteration(state, before[k])
             if program.unsigned[kind, k]:
                 values[k] &= 0xFFFFFFFF
             k += 1
             continue
         if encoding == SIGNED_VB:
-            many[0], at = _signed_vb(raw, at, stop)
+            many[0], at = signed_vb(raw, at, stop)
         elif encoding == UNSIGNED_VB:
-            many[0], at = _unsigned_vb(raw, at, stop)
+            many[0], at = unsigned_vb(raw, at, stop)
         elif encoding == NULL:
             many[0] = 0
         elif encoding == NEG_14BIT:
-            many[0], at = _unsigned_vb(raw, at, stop)
-            many[0] = -_signed(many[0], 14)
+            many[0], at = unsigned_vb(raw, at, stop)
+            many[0] = -signed(many[0], 14)
         else:
             span = program.span[kind, k]
             if encoding == TAG8_8SVB:
-                at = _tag8_8svb(raw, at, stop, many, span)
+                at = tag8_8svb(raw, at, stop, many, span)
             elif encoding == TAG8_4S16:
                 if state.version < 2:
-                    at = _old_tag8_4s16(raw, at, stop, many)
+                    at = old_tag8_4s16(raw, at, stop, many)
                 else:
-                    at = _tag8_4s16(raw, at, stop, many)
+                    at = tag8_4s16(raw, at, stop, many)
             else:
-                at = _tag2(raw, at, stop, many, encoding == TAG2_3SVARIABLE)
+                at = tag2(raw, at, stop, many, encoding == TAG2_3SVARIABLE)
         if at < 0:
             return at
         for j in range(min(span, count - k)):
@@ -327,7 +176,7 @@ def _fields(
                 if unsigned:
                     value += (total & 0xFFFFFFFF) >> 1
                 else:
-                    total = _signed(total, 32)
+                    total = signed(total, 32)
                     value += (total + (total < 0)) >> 1
             elif predictor == STRAIGHT_LINE:
                 value += 2 * before[k] - earlier[k]
@@ -350,32 +199,32 @@ def _fields(
 
 
 @numba.njit(cache=True, nogil=True)
-def _event(raw: ByteArray, at: int, stop: int, found: IntArray) -> int:
+def read_event(raw: ByteArray, at: int, stop: int, found: IntArray) -> int:
     """Read an event from behind its letter: number, value, other value, place and size of its text."""
     if at >= stop:
         return PAST_END
-    kind = _byte(raw, at)
+    kind = byte(raw, at)
     at += 1
     found[:] = 0
     found[0] = kind
     if kind == ADJUSTMENT:
         if at >= stop:
             return PAST_END
-        found[2] = _byte(raw, at)
+        found[2] = byte(raw, at)
         at += 1
         if found[2] >= 0x80:
             if at + 4 > stop:
                 return PAST_END
             for j in range(4):
-                found[1] |= _byte(raw, at + j) << (8 * j)
+                found[1] |= byte(raw, at + j) << (8 * j)
             return at + 4
-        found[1], at = _signed_vb(raw, at, stop)
+        found[1], at = signed_vb(raw, at, stop)
         return at
     if kind in (CUSTOM_DATA, CUSTOM_STRING):
         if at >= stop:
             return PAST_END
-        found[3], found[4] = at + 1, _byte(raw, at)
-        at += 1 + _byte(raw, at)
+        found[3], found[4] = at + 1, byte(raw, at)
+        at += 1 + byte(raw, at)
         return at if at <= stop else PAST_END
     if kind == END:
         found[3] = at
@@ -392,15 +241,15 @@ def _event(raw: ByteArray, at: int, stop: int, found: IntArray) -> int:
                 return at
         return PAST_END if at >= stop else WRONG
     if kind in (SYNC, RESUME, DISARM, MODE, IMU_FAILURE) or kind in ROTORFLIGHT:
-        found[1], at = _unsigned_vb(raw, at, stop)
+        found[1], at = unsigned_vb(raw, at, stop)
         if at >= 0 and kind in (RESUME, MODE):
-            found[2], at = _unsigned_vb(raw, at, stop)
+            found[2], at = unsigned_vb(raw, at, stop)
         return at
     return WRONG
 
 
 @numba.njit(cache=True, nogil=True)
-def _kind(letter: int) -> int:
+def kind_of(letter: int) -> int:
     """The frame that a letter begins; -1 where it begins none."""
     for k in range(len(LETTERS)):
         if LETTERS[k] == letter:
@@ -409,15 +258,15 @@ def _kind(letter: int) -> int:
 
 
 @numba.njit(cache=True, nogil=True)
-def _may_end(raw: ByteArray, at: int, state: State) -> bool:
+def may_end(raw: ByteArray, at: int, state: State) -> bool:
     """Whether a frame may end here: another begins, or nothing follows."""
-    return at >= state.content_end or _kind(raw[at]) >= 0
+    return at >= state.content_end or kind_of(raw[at]) >= 0
 
 
 @numba.njit(cache=True, nogil=True)
-def _unwrapped(now: int, last_us: int) -> int:
+def unwrapped(now: int, last_us: int) -> int:
     """A 32-bit time as one that goes on from the last: it wraps after 71.6 minutes."""
-    return last_us + _signed(now - last_us, 32)
+    return last_us + signed(now - last_us, 32)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -472,11 +321,11 @@ def walk(
             or state.event == len(tables.event_us)
         ):
             return FULL, at
-        kind = _kind(raw[at])
+        kind = kind_of(raw[at])
         if kind < 0:
             return NO_FRAME, at
         if kind == EVENT:
-            end = _event(raw, at + 1, state.end, event)
+            end = read_event(raw, at + 1, state.end, event)
         elif kind == INTER and not state.has_group:
             return NO_FRAME, at
         else:
@@ -487,16 +336,16 @@ def walk(
                 place = free
             before = history[newest] if kind <= INTER else history[place]
             values = history[free]
-            end = _fields(raw, at + 1, state.end, kind, program, state, values, before, history[older])
+            end = read_fields(raw, at + 1, state.end, kind, program, state, values, before, history[older])
         if end == PAST_END and state.end <= at + 1 + LONGEST_FRAME:
             return CUT, at
-        if end < 0 or not (_may_end(raw, end, state) or (kind == EVENT and event[0] == END)):
+        if end < 0 or not (may_end(raw, end, state) or (kind == EVENT and event[0] == END)):
             return NO_FRAME, at
         if kind <= INTER:
             us = values[state.time_at]
             iteration = values[state.iteration_at] if state.iteration_at >= 0 else 0
             if state.us >= 0:
-                us = _unwrapped(us, state.us)
+                us = unwrapped(us, state.us)
             step_us = us - state.us
             if kind == INTER:
                 if step_us < 0 or step_us > LONGEST_PAUSE_US:
@@ -504,7 +353,7 @@ def walk(
                 state.older = newest
             else:
                 if state.has_group:
-                    due = _next_iteration(state, state.iteration)
+                    due = next_iteration(state, state.iteration)
                     goes_on = 0 <= step_us <= LONGEST_PAUSE_US and (
                         iteration == due or state.iteration_at < 0
                     )
@@ -527,7 +376,7 @@ def walk(
             history[place, : program.size[GPS]] = values[: program.size[GPS]]
             us = state.us
             if state.gps_time_at >= 0 and us >= 0:
-                us = _unwrapped(values[state.gps_time_at], us)
+                us = unwrapped(values[state.gps_time_at], us)
             if state.has_home:
                 _keep(tables.gps, tables.gps_us, state.gps, values, us)
                 state.gps += 1
@@ -548,75 +397,3 @@ def walk(
                 return ENDED, end
         at = end
     return LIMIT, at
-
-
-@numba.njit(cache=True, nogil=True)
-def is_confirmed(
-    raw: ByteArray, at: int, program: Program, state: State, scratch: IntArray, found: IntArray
-) -> int:
-    """Whether the frames behind an I frame at `at` bear it out.
-
-    2 : they lead without a gap to another I frame that goes on from it. 1 : they lead to the log's end.
-    0 : neither. `found` (2,) takes its iteration and its time (32 bits). `scratch` is (4, N).
-    """
-    event = np.empty(5, dtype=np.int64)
-    end = _fields(raw, at + 1, state.end, INTRA, program, state, scratch[0], scratch[0], scratch[0])
-    if end < 0 or not _may_end(raw, end, state):
-        return 0
-    found[0] = scratch[0, state.iteration_at] if state.iteration_at >= 0 else 0
-    found[1] = scratch[0, state.time_at]
-    iteration, us, newest, older = found[0], found[1], 0, 0
-    while end < state.content_end:
-        kind, at = _kind(raw[end]), end + 1
-        free = 3 - newest - older if newest != older else (newest + 1) % 3
-        if kind == EVENT:
-            end = _event(raw, at, state.end, event)
-            if end >= 0 and event[0] == END:
-                return 1
-            if end >= 0 and event[0] == RESUME:
-                return 2
-        elif kind <= INTER:
-            end = _fields(
-                raw, at, state.end, kind, program, state, scratch[free], scratch[newest], scratch[older]
-            )
-        else:
-            end = _fields(raw, at, state.end, kind, program, state, scratch[3], scratch[3], scratch[3])
-        if end < 0 or not _may_end(raw, end, state):
-            return 0
-        if kind <= INTER:
-            now = _unwrapped(scratch[free, state.time_at], us)
-            stated = scratch[free, state.iteration_at] if state.iteration_at >= 0 else 0
-            if now < us or now - us > LONGEST_PAUSE_US:
-                return 0
-            if kind == INTRA:
-                return 2 if state.iteration_at < 0 or stated == _next_iteration(state, iteration) else 0
-            older, newest, us, iteration = newest, free, now, stated
-    return 1
-
-
-@numba.njit(cache=True, nogil=True)
-def find_intra(
-    raw: ByteArray, at: int, program: Program, state: State, scratch: IntArray, found: IntArray
-) -> int:
-    """The next place that is, by all that can be told, an I frame or the log's End event; -1 where none is.
-
-    An I frame counts where the frames behind it bear it out and it lies behind the last frame that was kept.
-    """
-    event = np.empty(5, dtype=np.int64)
-    while at < state.content_end:
-        if raw[at] == LETTERS[EVENT]:
-            if _event(raw, at + 1, state.end, event) >= 0 and event[0] == END:
-                return at
-        elif raw[at] == LETTERS[INTRA]:
-            sure = is_confirmed(raw, at, program, state, scratch, found)
-            if sure and state.us < 0:
-                return at
-            step_us = _signed(found[1] - state.us, 32)
-            forward = step_us > 0 and (state.iteration_at < 0 or found[0] > state.iteration)
-            near = step_us <= LONGEST_PAUSE_US and (
-                state.iteration_at < 0 or found[0] - state.iteration <= LONGEST_JUMP
-            )
-            if sure and forward and (near or sure == 2):
-                return at
-        at += 1
-    return -1

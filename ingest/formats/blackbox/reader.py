@@ -24,6 +24,7 @@ from flysid.errors import FormatError
 from flysid.flight import BOOT, TIME, ClockMap, field_metadata
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.blackbox import kernel
+from flysid.ingest.formats.blackbox.encodings import ByteArray, IntArray
 from flysid.ingest.formats.blackbox.frames import Block, Rows, Walker, content_end
 from flysid.ingest.formats.blackbox.header import (
     START,
@@ -33,7 +34,6 @@ from flysid.ingest.formats.blackbox.header import (
     numbers_of,
     read_header,
 )
-from flysid.ingest.formats.blackbox.kernel import ByteArray, IntArray
 from flysid.ingest.formats.blackbox.layouts import (
     EVENTS,
     STREAMS,

@@ -1,0 +1,98 @@
+"""Where frames count again behind damage: at an I frame that the frames behind it bear out; compiled."""
+
+from __future__ import annotations
+
+import numba
+
+from flysid.ingest.formats.blackbox.encodings import ByteArray, IntArray, signed
+from flysid.ingest.formats.blackbox.kernel import (
+    END,
+    EVENT,
+    INTER,
+    INTRA,
+    LETTERS,
+    LONGEST_PAUSE_US,
+    RESUME,
+    Program,
+    State,
+    kind_of,
+    may_end,
+    next_iteration,
+    read_event,
+    read_fields,
+    unwrapped,
+)
+
+LONGEST_JUMP = 5000  # loop iterations
+
+
+@numba.njit(cache=True, nogil=True)
+def is_confirmed(
+    raw: ByteArray, at: int, program: Program, state: State, scratch: IntArray, found: IntArray
+) -> int:
+    """Whether the frames behind an I frame at `at` bear it out.
+
+    2 : they lead without a gap to another I frame that goes on from it. 1 : they lead to the log's end.
+    0 : neither. `found` (2,) takes its iteration and its time (32 bits). `scratch` is (4, N).
+    """
+    event = np.empty(5, dtype=np.int64)
+    end = read_fields(raw, at + 1, state.end, INTRA, program, state, scratch[0], scratch[0], scratch[0])
+    if end < 0 or not may_end(raw, end, state):
+        return 0
+    found[0] = scratch[0, state.iteration_at] if state.iteration_at >= 0 else 0
+    found[1] = scratch[0, state.time_at]
+    iteration, us, newest, older = found[0], found[1], 0, 0
+    while end < state.content_end:
+        kind, at = kind_of(raw[end]), end + 1
+        free = 3 - newest - older if newest != older else (newest + 1) % 3
+        if kind == EVENT:
+            end = read_event(raw, at, state.end, event)
+            if end >= 0 and event[0] == END:
+                return 1
+            if end >= 0 and event[0] == RESUME:
+                return 2
+        elif kind <= INTER:
+            end = read_fields(
+                raw, at, state.end, kind, program, state, scratch[free], scratch[newest], scratch[older]
+            )
+        else:
+            end = read_fields(raw, at, state.end, kind, program, state, scratch[3], scratch[3], scratch[3])
+        if end < 0 or not may_end(raw, end, state):
+            return 0
+        if kind <= INTER:
+            now = unwrapped(scratch[free, state.time_at], us)
+            stated = scratch[free, state.iteration_at] if state.iteration_at >= 0 else 0
+            if now < us or now - us > LONGEST_PAUSE_US:
+                return 0
+            if kind == INTRA:
+                return 2 if state.iteration_at < 0 or stated == next_iteration(state, iteration) else 0
+            older, newest, us, iteration = newest, free, now, stated
+    return 1
+
+
+@numba.njit(cache=True, nogil=True)
+def find_intra(
+    raw: ByteArray, at: int, program: Program, state: State, scratch: IntArray, found: IntArray
+) -> int:
+    """The next place that is, by all that can be told, an I frame or the log's End event; -1 where none is.
+
+    An I frame counts where the frames behind it bear it out and it lies behind the last frame that was kept.
+    """
+    event = np.empty(5, dtype=np.int64)
+    while at < state.content_end:
+        if raw[at] == LETTERS[EVENT]:
+            if read_event(raw, at + 1, state.end, event) >= 0 and event[0] == END:
+                return at
+        elif raw[at] == LETTERS[INTRA]:
+            sure = is_confirmed(raw, at, program, state, scratch, found)
+            if sure and state.us < 0:
+                return at
+            step_us = signed(found[1] - state.us, 32)
+            forward = step_us > 0 and (state.iteration_at < 0 or found[0] > state.iteration)
+            near = step_us <= LONGEST_PAUSE_US and (
+                state.iteration_at < 0 or found[0] - state.iteration <= LONGEST_JUMP
+            )
+            if sure and forward and (near or sure == 2):
+                return at
+        at += 1
+    return -1
