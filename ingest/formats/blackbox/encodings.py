@@ -1,7 +1,7 @@
 """How blackbox frames write numbers: bytes in, numbers and the place behind them out; compiled.
 
-Every function takes the bytes, where to begin and where to stop, and returns where it ended, or an error: WRONG
-where no writer would write such bytes, PAST_END where they stop short.
+Every function takes the bytes, where to begin and where to stop, and returns where it ended, or an error:
+WRONG where no writer would write such bytes, PAST_END where they stop short.
 
 Source: the firmwares' `blackbox_encoding.c`.
 """

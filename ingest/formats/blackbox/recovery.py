@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numba
+import numpy as np
 
 from flysid.ingest.formats.blackbox.encodings import ByteArray, IntArray, signed
 from flysid.ingest.formats.blackbox.kernel import (
