@@ -189,7 +189,8 @@ class _Job:
         """The signal with the longest period, and where it stands."""
         found = {n: load_signal(n, spec, log) for n, spec in self.specs.items()}
         name = max(found, key=lambda n: _period(found[n]))
-        return f"{name!r} ({found[name].stream}.{found[name].field})"
+        place = f"{found[name].stream}.{found[name].field}"
+        return f"{name!r} ({place}{'; '.join(['', *found[name].notes]) if not found[name].boots else ''})"
 
     def align_log(
         self, log: Log, dt_ns: int
@@ -201,7 +202,8 @@ class _Job:
         clocks = align_clocks(self.recipe.clocks, log)
         loaded = {n: clocks.apply(load_signal(n, spec, log)) for n, spec in self.specs.items()}
         reports = tuple(self._describe(name, found) for name, found in loaded.items())
-        reason = self._too_slow(loaded, dt_ns)
+        empty = [note for found in loaded.values() if not found.boots for note in found.notes]
+        reason = "; ".join(empty) or self._too_slow(loaded, dt_ns)
         if reason:
             return FlightReport(log.name, signals=reports, reason=reason), (), {}
         boots = sorted(set.intersection(*(set(found.boots) for found in loaded.values())))

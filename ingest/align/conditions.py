@@ -11,16 +11,21 @@ import numpy.typing as npt
 from flysid.errors import RecipeError
 from flysid.flight import BOOT, TIME
 from flysid.ingest.align import resample
-from flysid.ingest.align.labels import names_of, texts_of
 from flysid.ingest.align.recipe import Condition
 from flysid.ingest.align.resample import Span
-from flysid.ingest.align.signals import Log, column_values, find_source, load_source
+from flysid.ingest.align.signals import Log, find_source, load_source
+from flysid.ingest.align.values import (
+    MOST_VALUES,
+    base_column,
+    column_values,
+    is_one_of,
+    names_of,
+    texts_of,
+)
 
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 ALWAYS = -resample.FOREVER
-MOST_VALUES = 6
-Value = int | float | str
 
 
 @dataclass(frozen=True)
@@ -76,8 +81,8 @@ def _spans(condition: Condition, log: Log) -> tuple[dict[int, list[Span]], str]:
         seen = f"{min(ranges):.3g} to {max(ranges):.3g} {condition.unit}".rstrip() if ranges else "empty"
         return spans, f": {stream}.{loaded.field} is {seen}"
     column = source.fields[0]
-    table = log.table(stream, [TIME, BOOT, column])
-    values, names = column_values(table, column), names_of(table, stream, column, log)
+    table = log.table(stream, [TIME, BOOT, base_column(column, log.columns(stream))])
+    values, names = column_values(table, column), names_of(table, stream, column, log.info)
     boots, t_ns = np.asarray(table[BOOT].to_numpy()), np.asarray(table[TIME].to_numpy())
     spans = {}
     for boot in np.unique(boots).tolist():
@@ -115,18 +120,6 @@ def _is_wanted(values: npt.NDArray[np.generic], condition: Condition, names: Map
         bits = values.astype(np.int64) & condition.has_bits
         return np.asarray(bits == condition.has_bits)
     return is_one_of(values, condition.any_of, names)
-
-
-def is_one_of(
-    values: npt.NDArray[np.generic], wanted: Sequence[Value], names: Mapping[str, str]
-) -> BoolArray:
-    """(N,) whether each value is one of those wanted, which may be given by their names."""
-    if values.dtype.kind in "OUS":
-        texts = {str(w) for w in wanted}
-        return np.array([str(v) in texts for v in values], dtype=bool)
-    numbers = {name: float(number) for number, name in names.items()}
-    known = [numbers.get(w, np.nan) if isinstance(w, str) else float(w) for w in wanted]
-    return np.isin(values.astype(np.float64), [k for k in known if not np.isnan(k)])
 
 
 def _wanted(condition: Condition) -> str:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
 
 from flysid.flight import BOOT, TIME
-from flysid.ingest.align.modes import mode_names
 from flysid.ingest.align.recipe import Label
 from flysid.ingest.align.resample import Span
-from flysid.ingest.align.signals import Log, column_values, find_source
+from flysid.ingest.align.signals import Log, find_source
+from flysid.ingest.align.values import base_column, column_values, names_of, texts_of
 
 IntArray = npt.NDArray[np.int64]
 
@@ -73,8 +71,8 @@ def labels_of(labels: Sequence[Label], log: Log) -> Mapping[int, Labels]:
         if source is None:
             continue
         name = source[0].fields[0]
-        table = log.table(source[1], [TIME, BOOT, name])
-        texts = texts_of(column_values(table, name), names_of(table, source[1], name, log))
+        table = log.table(source[1], [TIME, BOOT, base_column(name, log.columns(source[1]))])
+        texts = texts_of(column_values(table, name), names_of(table, source[1], name, log.info))
         boots = np.asarray(table[BOOT].to_numpy())
         times = np.asarray(table[TIME].to_numpy(), dtype=np.int64)
         for boot in np.unique(boots):
@@ -88,15 +86,3 @@ def _steps(label: Label, t_ns: IntArray, values: Sequence[str]) -> Steps:
     """Only the times at which the value changes."""
     changed = [0, *(i for i in range(1, len(values)) if values[i] != values[i - 1])]
     return Steps(label.name, t_ns[changed], tuple(values[i] for i in changed), label.cut)
-
-
-def names_of(table: pa.Table, stream: str, column: str, log: Log) -> Mapping[str, str]:
-    """Number (as text) -> name of a column's values: the log's enumeration, else the known flight modes."""
-    metadata = table.schema.field(column).metadata or {}
-    logged: Mapping[str, str] = json.loads(metadata.get(b"enum", b"{}"))
-    return logged or {str(k): v for k, v in mode_names(stream, column, log.info).items()}
-
-
-def texts_of(values: npt.NDArray[np.generic], names: Mapping[str, str]) -> list[str]:
-    """Values as words, numbers where there is no word."""
-    return [names.get(str(v), str(v)) for v in values.tolist()]

@@ -21,11 +21,19 @@ from flysid.errors import RecipeError
 from flysid.flight import BOOT, ROW_NUMBER, TIME, Flight, field_scale, field_unit, matching_streams
 from flysid.ingest.align.recipe import SignalSpec, Source
 from flysid.ingest.align.transforms import TRANSFORMS
+from flysid.ingest.align.values import (
+    MOST_VALUES,
+    Value,
+    base_column,
+    column_values,
+    is_one_of,
+    names_of,
+    texts_of,
+)
 from flysid.ingest.formats.common.units import factor, is_known
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-_ELEMENT = re.compile(r"^(.+)\[(\d+)\]$")
 _VEHICLE = re.compile(r"^(\d+)\.(\d+)/")
 
 
@@ -166,15 +174,7 @@ def missing(signal: str, spec: Sequence[Source], logs: Sequence[Log]) -> RecipeE
 def _has_fields(source: Source, columns: Sequence[str]) -> bool:
     names = set(columns)
     needed = [*source.fields, *source.where, *([source.time] if source.time else [])]
-    return all(_column_of(name, names) is not None for name in needed)
-
-
-def _column_of(name: str, columns: set[str]) -> str | None:
-    """The column that holds `name`: itself, or the list that `name[i]` is an element of."""
-    if name in columns:
-        return name
-    match = _ELEMENT.match(name)
-    return match[1] if match and match[1] in columns else None
+    return all(base_column(name, names) for name in needed)
 
 
 # ------------------------------------------------------------------------------------------- values
@@ -198,7 +198,12 @@ def load_signal(name: str, spec: SignalSpec, log: Log) -> Loaded:
 
 def load_source(source: Source, stream: str, unit: str, log: Log) -> Loaded:
     """The samples of one source, converted to `unit`, sign and scale applied; boots kept apart."""
-    rows = _rows_where(source, _read(source, stream, log))
+    rows = _read(source, stream, log)
+    for column, wanted in source.where.items():
+        rows, logged = _rows_where(column, wanted, rows, stream, log.info)
+        if rows.num_rows == 0:
+            told = f"no row of {stream} has {column} = {wanted}: {column} is {logged}"
+            return Loaded({}, stream, "/".join(source.fields), notes=(told,))
     table = _in_order(source, _rows_timed(source, rows))
     boots, t_ns = _integers(table[BOOT]), _times(source, table)
     columns = _matrix(source, table)
@@ -251,53 +256,21 @@ def _column_quantum(columns: FloatArray, gain: float) -> float:
 def _read(source: Source, stream: str, log: Log) -> pa.Table:
     known = set(log.columns(stream))
     wanted = [*source.fields, *source.where, *([source.time] if source.time else [])]
-    columns = dict.fromkeys(c for name in wanted if (c := _column_of(name, known)) is not None)
+    columns = dict.fromkeys(base_column(name, known) for name in wanted)
     return log.table(stream, [*dict.fromkeys([TIME, BOOT, *columns])])
 
 
-def _rows_where(source: Source, table: pa.Table) -> pa.Table:
-    """The rows whose columns have the wanted values; an enumeration's name stands for its number."""
-    if not source.where:
-        return table
-    keep = np.ones(table.num_rows, dtype=bool)
-    for name, wanted in source.where.items():
-        keep &= np.asarray(column_values(table, name)) == wanted
-    return table.filter(pa.array(keep))
-
-
-def column_values(table: pa.Table, name: str) -> npt.NDArray[np.generic]:
-    """(N,) or (N, k) raw values of a column, or of one element of a list column."""
-    element = None
-    if name not in table.column_names:
-        match = _ELEMENT.match(name)
-        assert match is not None  # _has_fields saw to it
-        name, element = match[1], int(match[2])
-    column = table[name].combine_chunks()
-    if isinstance(column, pa.ChunkedArray):
-        column = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
-    if pa.types.is_fixed_size_list(column.type):
-        matrix = column.flatten().to_numpy(zero_copy_only=False).reshape(-1, column.type.list_size)
-        if element is not None and element >= matrix.shape[1]:
-            raise RecipeError(f"{name!r} has {matrix.shape[1]} elements, no [{element}]")
-        return np.asarray(matrix if element is None else matrix[:, element])
-    if pa.types.is_list(column.type):
-        return _ragged(column, name, element)
-    return np.asarray(column.to_numpy(zero_copy_only=False))
-
-
-def _ragged(column: pa.Array, name: str, element: int | None) -> npt.NDArray[np.generic]:
-    """Lists of varying length: one element of each (NaN where it is too short), or all where equal."""
-    lengths = np.diff(column.offsets.to_numpy())
-    flat = column.values.to_numpy(zero_copy_only=False)
-    starts = column.offsets.to_numpy()[:-1]
-    if element is not None:
-        values = np.full(len(lengths), np.nan)
-        has = lengths > element
-        values[has] = flat[starts[has] + element]
-        return values
-    if len(lengths) and (lengths != lengths[0]).any():
-        raise RecipeError(f"{name!r} holds lists of different lengths", hint=f"name one element: {name}[0]")
-    return np.asarray(flat[starts[0] :].reshape(len(lengths), -1) if len(lengths) else flat.reshape(0, 1))
+def _rows_where(
+    name: str, wanted: Value, table: pa.Table, stream: str, info: Mapping[str, str]
+) -> tuple[pa.Table, str]:
+    """The rows whose column has a value, which may be the name of a number; and what there is instead."""
+    values = column_values(table, name)
+    if values.ndim > 1:
+        raise RecipeError(f"'where' cannot compare the list {name!r}", hint=f"name one element: {name}[0]")
+    names = names_of(table, stream, name, info)
+    there = list(dict.fromkeys(texts_of(values, names)))
+    listed = ", ".join(there[:MOST_VALUES]) + (", ..." if len(there) > MOST_VALUES else "")
+    return table.filter(pa.array(is_one_of(values, [wanted], names))), listed or "never logged"
 
 
 def _matrix(source: Source, table: pa.Table) -> FloatArray:
@@ -320,8 +293,7 @@ def _matrix(source: Source, table: pa.Table) -> FloatArray:
 
 
 def _schema(table: pa.Table, name: str) -> pa.Field:
-    column = _column_of(name, set(table.column_names))
-    return table.schema.field(column)
+    return table.schema.field(base_column(name, table.column_names))
 
 
 def _gain(source: Source, stream: str, unit: str, table: pa.Table) -> tuple[float, tuple[str, ...]]:

@@ -298,6 +298,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedStateSpace:
         innovation=array("innovation", n_y, n_y),
         state=array("state", n, n),
     )
+    _check_predictor(realisation)
     return FittedStateSpace(
         dt_s=float(document["dt_s"]),
         inputs=inputs,
@@ -315,6 +316,13 @@ def from_dict(document: Mapping[str, Any]) -> FittedStateSpace:
         notes=tuple(str(n) for n in document["notes"]),
         scores={str(k): float(v) for k, v in document["scores"].items()},
     )
+
+
+def _check_predictor(system: Realisation) -> None:
+    """Where K is not zero it stabilises the predictor: its errors die away, they never grow to infinity."""
+    radius = np.abs(np.linalg.eigvals(system.a - system.k @ system.c)).max(initial=0.0)
+    if system.k.any() and not radius < 1.0:
+        raise ValueError(f"its predictor is not stable: radius {radius:.4g}")
 
 
 def _square(rows: Any) -> FloatArray:

@@ -60,6 +60,15 @@ def test_what_a_model_divides_by_and_points_to_is_looked_at(
     assert caught.value.path == str(path)
 
 
+@pytest.mark.parametrize("factor", [20.0, 1e3, 1e6])
+def test_a_state_space_whose_predictor_runs_away_is_refused(tmp_path: Path, factor: float) -> None:
+    document = json.loads(TS.with_name("statespace.json").read_text())
+    document["k"] = [[factor * value for value in row] for row in document["k"]]
+    (tmp_path / "m.json").write_text(json.dumps(document))
+    with pytest.raises(StoreError, match="its predictor is not stable"):
+        load(tmp_path / "m.json")
+
+
 def forged(path: Path, spot: tuple[str | int, ...], value: object) -> object:
     """The model file's document with another value in one place."""
     document = json.loads(path.read_text())

@@ -73,6 +73,50 @@ def test_equal_rates_come_through_bit_for_bit() -> None:
     assert (data.inputs[0].name, data.inputs[0].unit) == ("u", "deg")
 
 
+def enumerated(t_ns: Any, names: Mapping[int, str], **columns: Any) -> pa.Table:
+    """A table whose first column is an enumeration."""
+    made = table(t_ns, **columns)
+    field = made.schema.field(2).with_metadata(field_metadata(enum=names))
+    return made.set_column(2, field, made.column(2))
+
+
+@pytest.mark.parametrize("wanted", ["MAIN", 1, 1.0])
+def test_where_keeps_rows_by_number_or_name(wanted: object) -> None:
+    core = np.tile([0, 1], 500)
+    t_ns = np.repeat(T50, 2)
+    state = enumerated(t_ns, {0: "SPARE", 1: "MAIN"}, core=core, y=np.where(core, np.repeat(Y50, 2), 99.0))
+    source = {"stream": "STATE", "field": "y", "unit": "m/s", "where": {"core": wanted}}
+    data = dataset([flight_of(CMD=table(T50, u=U50), STATE=state)], recipe(y={"sources": [source]}), "c")
+    np.testing.assert_array_equal(data.segments[0].y[:, 0], Y50)
+
+
+@pytest.mark.parametrize("wanted", ["NOWHERE", 7])
+def test_where_that_matches_no_row_says_what_there_is(wanted: object) -> None:
+    state = enumerated(T50, {0: "SPARE", 1: "MAIN"}, core=np.arange(500) % 2, y=Y50)
+    other = enumerated(T50, {7: "NOWHERE"}, core=np.full(500, 7), y=Y50)
+    source = {"stream": "STATE", "field": "y", "unit": "m/s", "where": {"core": wanted}}
+    wanting = flight_of("a", CMD=table(T50, u=U50), STATE=state)
+    with pytest.raises(DataError, match=f"no row of STATE has core = {wanted}: core is SPARE, MAIN"):
+        dataset([wanting], recipe(y={"sources": [source]}), "c")
+    having = flight_of("b", CMD=table(T50, u=U50), STATE=other)
+    aligned = align([wanting, having], recipe(y={"sources": [source]}), "c")
+    assert [len(s) for s in aligned.dataset.segments] == [500]
+    assert aligned.report.flights[0].reason.startswith("no row of STATE has core")
+
+
+def test_where_and_conditions_take_elements_of_lists() -> None:
+    state = table(T50, y=Y50, flags=np.column_stack([np.arange(500) < 250, np.ones(500)]).astype(np.int8))
+    source = {"stream": "STATE", "field": "y", "unit": "m/s", "where": {"flags[0]": 1}}
+    logs = [flight_of(CMD=table(T50, u=U50), STATE=state)]
+    data = dataset(logs, recipe(y={"sources": [source]}), "c")
+    assert [len(s) for s in data.segments] == [250]
+    condition = {"name": "on", "sources": [{"stream": "STATE", "field": "flags[0]"}], "any_of": [1]}
+    assert [len(s) for s in dataset(logs, recipe(conditions=[condition]), "c").segments] == [250]
+    whole = {**source, "where": {"flags": 1}}
+    with pytest.raises(RecipeError, match="cannot compare the list 'flags'"):
+        dataset(logs, recipe(y={"sources": [whole]}), "c")
+
+
 def test_a_gap_cuts_and_short_pieces_are_dropped_and_counted() -> None:
     keep = np.ones(500, dtype=bool)
     keep[200:230] = False

@@ -1,0 +1,86 @@
+"""Raw values of columns: single elements of lists, and the names that enumerations give to numbers."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from flysid.errors import RecipeError
+from flysid.ingest.align.modes import mode_names
+
+BoolArray = npt.NDArray[np.bool_]
+Value = int | float | str
+MOST_VALUES = 6  # shown of those that a column has
+ELEMENT = re.compile(r"^(.+)\[(\d+)\]$")
+
+
+def base_column(name: str, columns: Collection[str]) -> str:
+    """The column that holds `name`: itself, or the list that `name[i]` is an element of; "" for neither."""
+    if name in columns:
+        return name
+    match = ELEMENT.match(name)
+    return match[1] if match and match[1] in columns else ""
+
+
+def column_values(table: pa.Table, name: str) -> npt.NDArray[np.generic]:
+    """(N,) or (N, k) raw values of a column, or of one element of a list column."""
+    element = None
+    if name not in table.column_names:
+        match = ELEMENT.match(name)
+        assert match is not None  # _has_fields saw to it
+        name, element = match[1], int(match[2])
+    column = table[name].combine_chunks()
+    if isinstance(column, pa.ChunkedArray):
+        column = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
+    if pa.types.is_fixed_size_list(column.type):
+        matrix = column.flatten().to_numpy(zero_copy_only=False).reshape(-1, column.type.list_size)
+        if element is not None and element >= matrix.shape[1]:
+            raise RecipeError(f"{name!r} has {matrix.shape[1]} elements, no [{element}]")
+        return np.asarray(matrix if element is None else matrix[:, element])
+    if pa.types.is_list(column.type):
+        return _ragged(column, name, element)
+    return np.asarray(column.to_numpy(zero_copy_only=False))
+
+
+def _ragged(column: pa.Array, name: str, element: int | None) -> npt.NDArray[np.generic]:
+    """Lists of varying length: one element of each (NaN where it is too short), or all where equal."""
+    lengths = np.diff(column.offsets.to_numpy())
+    flat = column.values.to_numpy(zero_copy_only=False)
+    starts = column.offsets.to_numpy()[:-1]
+    if element is not None:
+        values = np.full(len(lengths), np.nan)
+        has = lengths > element
+        values[has] = flat[starts[has] + element]
+        return values
+    if len(lengths) and (lengths != lengths[0]).any():
+        raise RecipeError(f"{name!r} holds lists of different lengths", hint=f"name one element: {name}[0]")
+    return np.asarray(flat[starts[0] :].reshape(len(lengths), -1) if len(lengths) else flat.reshape(0, 1))
+
+
+def names_of(table: pa.Table, stream: str, column: str, info: Mapping[str, str]) -> Mapping[str, str]:
+    """Number (as text) -> name of a column's values: the log's enumeration, else the known flight modes."""
+    metadata = table.schema.field(base_column(column, table.column_names)).metadata or {}
+    logged: Mapping[str, str] = json.loads(metadata.get(b"enum", b"{}"))
+    return logged or {str(k): v for k, v in mode_names(stream, column, info).items()}
+
+
+def texts_of(values: npt.NDArray[np.generic], names: Mapping[str, str]) -> list[str]:
+    """Values as words, numbers where there is no word."""
+    return [names.get(str(v), str(v)) for v in values.tolist()]
+
+
+def is_one_of(
+    values: npt.NDArray[np.generic], wanted: Sequence[Value], names: Mapping[str, str]
+) -> BoolArray:
+    """(N,) whether each value is one of those wanted, which may be given by their names."""
+    if values.dtype.kind in "OUS":
+        texts = {str(w) for w in wanted}
+        return np.array([str(v) in texts for v in values], dtype=bool)
+    numbers = {name: float(number) for number, name in names.items()}
+    known = [numbers.get(w, np.nan) if isinstance(w, str) else float(w) for w in wanted]
+    return np.isin(values.astype(np.float64), [k for k in known if not np.isnan(k)])
