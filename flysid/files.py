@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import re
@@ -51,9 +52,16 @@ def writing_to(path: Path) -> Iterator[None]:
         raise
     except _refusals() as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise WriteError(
-            f"cannot be written: {reason}", path=path, hint="free space or choose another folder"
-        ) from error
+        raise WriteError(f"cannot be written: {reason}", path=path, hint=_remedy(error)) from error
+
+
+def _remedy(error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    if number == errno.ENOENT:
+        return "make the folder that it is to be in first"
+    if number in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR):
+        return "choose another folder"
+    return "free space or choose another folder"
 
 
 def _refusals() -> tuple[type[Exception], ...]:

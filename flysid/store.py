@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Protocol
 
@@ -112,6 +112,16 @@ def create_data_folder(data: str | Path) -> Path:
         document = f'{{"format": "{DATA_FORMAT}", "version": {VERSION}}}\n'
         write_atomically(data / DATA_FILE, document.encode())
     return data
+
+
+def remove_empty(data: Path) -> None:
+    """Remove an ingested folder that holds no flight, and nothing that is not flysid's own."""
+    with suppress(OSError):
+        (data / FLIGHTS).rmdir()
+        for path in data.iterdir():
+            if path.name == DATA_FILE or path.name.startswith("."):
+                path.unlink()
+        data.rmdir()
 
 
 def _is_own(path: Path) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.bounds import memory_option, time_option
-from flysid.cli.output import REASONS_SHOWN, printable, say, say_passed_over
+from flysid.cli.output import REASONS_SHOWN, counted, printable, say, say_passed_over
 from flysid.cli.source import time_unit_option
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def progress(total: int, quiet: bool) -> Iterator[Callable[[Result], None]]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("ingest"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, TextColumn("{task.fields[last]}"), console=console) as bar:
+    with Progress(*columns, TextColumn("{task.fields[last]}", markup=False), console=console) as bar:
         task = bar.add_task("ingest", total=total, last="")
         yield lambda result: bar.update(task, advance=1, last=printable(result.path.name))
 
@@ -147,18 +147,19 @@ def losses(damage: Damage) -> list[str]:
         more = damage.region_count - min(len(damage.regions), REGIONS_SHOWN)
         tail = f" and {more:,} more" if more > 0 else ""
         lines.append(
-            f"{damage.bytes_skipped:,} bytes skipped in {damage.region_count:,} places: {places}{tail}"
+            f"{counted(damage.bytes_skipped, 'byte')} skipped in {counted(damage.region_count, 'place')}: "
+            f"{places}{tail}"
         )
     if damage.bad_checksums:
-        lines.append(f"{damage.bad_checksums:,} bad checksums")
+        lines.append(counted(damage.bad_checksums, "bad checksum"))
     if damage.truncated:
         lines.append("the file ends inside a record")
     for label, counts in (
-        ("records of unknown layout", damage.undecoded),
-        ("records with rejected times", damage.time_outliers),
+        ("of unknown layout", damage.undecoded),
+        ("with rejected times", damage.time_outliers),
     ):
         if counts:
-            lines.append(f"{sum(counts.values()):,} {label}: " + _counts(dict(counts)))
+            lines.append(f"{counted(sum(counts.values()), 'record')} {label}: " + _counts(dict(counts)))
     lines += [f"{stream}: {why}" for stream, why in list(damage.reasons.items())[:REASONS_SHOWN]]
     return lines
 

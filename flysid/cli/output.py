@@ -40,13 +40,18 @@ def say_passed_over(files: Sequence[PassedOver], quiet: bool) -> None:
     kinds: dict[str, list[str]] = {}
     for file in files:
         kinds.setdefault(file.kind, []).append(file.path.name)
-    told = [f"{len(names)} {kind}{_some(names)}" for kind, names in kinds.items()]
-    say(f"passed over, no logs: {', '.join(told)}", quiet)
+    told = [f"{kind} ({len(names)}): {_some(names)}" for kind, names in kinds.items()]
+    say(f"passed over, {counted(len(files), 'file')} that are no logs: {'; '.join(told)}", quiet)
 
 
 def _some(names: Sequence[str]) -> str:
     rest = len(names) - NAMES_SHOWN
-    return f" ({', '.join(names[:NAMES_SHOWN])}{f' and {rest} more' if rest > 0 else ''})"
+    return ", ".join(names[:NAMES_SHOWN]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def counted(count: int, noun: str) -> str:
+    """A number and its noun: "1 boot", "2,000 boots"."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
 def cores() -> int:
@@ -100,12 +105,13 @@ def finish(judgement: Judgement, condition: str | None, report: Path | None, qui
 def status(quiet: bool = False) -> Iterator[Callable[[str], None]]:
     """A function that shows what is being done: one changing line on a terminal, plain lines elsewhere."""
     from rich.console import Console
+    from rich.text import Text
 
     console = Console(stderr=True)
     if quiet:
         yield lambda _: None
     elif console.is_terminal:
         with console.status("") as spinner:
-            yield lambda text: spinner.update(printable(text))
+            yield lambda text: spinner.update(Text(printable(text)))  # plain: names may hold brackets
     else:
         yield say

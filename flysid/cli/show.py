@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,8 @@ import click
 
 from flysid.cli.ingest import losses
 from flysid.cli.ls import aligned, clock_text
-from flysid.cli.output import printable
+from flysid.cli.output import counted, printable
+from flysid.errors import UsageError
 
 if TYPE_CHECKING:
     from flysid.manifest import Manifest, StreamEntry
@@ -36,14 +38,23 @@ def command(
     from flysid.manifest import check_data_folder, find_flight, stamps
 
     if flight is None:
-        flights = list(stamps(check_data_folder(data)))
-        flight = flights[0] if len(flights) == 1 else ""
+        flight = only_flight(data, list(stamps(check_data_folder(data))))
     manifest = find_flight(data, flight)
     if stream is None:
         click.echo(flight_json(manifest) if as_json else flight_text(manifest))
     else:
         entry = manifest.stream(stream)
         click.echo(stream_json(entry) if as_json else stream_text(Path(data), manifest, entry, rows))
+
+
+def only_flight(data: str, flights: Sequence[str]) -> str:
+    """The flight of a folder that holds one; raises UsageError that names those it holds otherwise."""
+    if len(flights) == 1:
+        return flights[0]
+    if not flights:
+        raise UsageError("the folder holds no flights", path=data, hint=f"flysid ingest LOG... -o {data}")
+    some = ", ".join(flights[:3]) + (", ..." if len(flights) > 3 else "")
+    raise UsageError(f"the folder holds {len(flights)} flights", path=data, hint=f"name one: {some}")
 
 
 def flight_json(manifest: Manifest) -> str:
@@ -69,7 +80,7 @@ def flight_text(manifest: Manifest) -> str:
         f"flight        {printable(manifest.id)}",
         f"log           {printable(source.name)} ({source.format}, {source.size_bytes:,} bytes)",
         f"sha256        {source.sha256}",
-        f"time          {clock_text(manifest.duration_s)} in {len(manifest.clocks)} boots",
+        f"time          {clock_text(manifest.duration_s)} in {counted(len(manifest.clocks), 'boot')}",
     ]
     lines += [f"{printable(k):13} {printable(v)}" for k, v in sorted(manifest.info.items()) if v]
     lines += [f"lost          {printable(line)}" for line in losses(manifest.damage)]

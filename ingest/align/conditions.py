@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -63,8 +63,15 @@ def condition_spans(conditions: Sequence[Condition], log: Log) -> Allowed:
         for boot, own in found.items():
             spans[boot] = resample.intersect(spans[boot], own) if boot in spans else own
         if not any(found.values()):
-            never.append(f"condition {name!r} never holds{seen}")
+            never.append(f"condition {name!r} {_how_short(condition, log) or f'never holds{seen}'}")
     return Allowed(spans, tuple(notes), tuple(never))
+
+
+def _how_short(condition: Condition, log: Log) -> str:
+    """That a condition holds, but only for less than its margins; "" where it never does."""
+    if not any(_spans(replace(condition, margin_s=0.0), log)[0].values()):
+        return ""
+    return f"never holds for longer than its margins, 2 x {condition.margin_s:g} s"
 
 
 def _spans(condition: Condition, log: Log) -> tuple[dict[int, list[Span]], str]:

@@ -71,7 +71,8 @@ def names_of(table: pa.Table, stream: str, column: str, info: Mapping[str, str])
 
 def texts_of(values: npt.NDArray[np.generic], names: Mapping[str, str]) -> list[str]:
     """Values as words, numbers where there is no word."""
-    return [names.get(str(v), str(v)) for v in values.tolist()]
+    numbers = values.astype(np.int8) if values.dtype.kind == "b" else values
+    return [names.get(str(v), str(v)) for v in numbers.tolist()]
 
 
 def is_one_of(

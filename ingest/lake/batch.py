@@ -21,7 +21,7 @@ from flysid.ingest.formats.registry import detect
 from flysid.ingest.lake.finding import Found
 from flysid.ingest.lake.workers import Bounds, Lost, memory_reason, run_bounded
 from flysid.manifest import Manifest, list_flights
-from flysid.store import clean, create_data_folder, discard, locked, write_flight
+from flysid.store import clean, create_data_folder, discard, locked, remove_empty, write_flight
 
 ONE_WORKER_BYTES = 12 << 20
 NO_MEMORY = "needs more memory than there is"
@@ -80,7 +80,18 @@ def ingest_logs(
     WriteError : the folder cannot be written to; logs finished before stay.
     UsageError : `data` is something else.
     """
+    is_new = not Path(data).exists()
     folder = create_data_folder(data)
+    try:
+        yield from _ingest_into(folder, logs, jobs, force, limits or Limits(), bounds)
+    finally:
+        if is_new:
+            remove_empty(folder)  # an error, or no log could be read
+
+
+def _ingest_into(
+    folder: Path, logs: Found, jobs: int, force: bool, limits: Limits, bounds: Bounds | None
+) -> Iterator[Result]:
     yield from (Result(item.path, reason=item.reason) for item in logs.unread)
     with locked(folder):
         clean(folder)
@@ -96,7 +107,7 @@ def ingest_logs(
                 yield Result(path, reason="the same content as another log of this run")
             else:
                 waiting.append(prepared)
-        read = partial(ingest_one, data=folder, limits=limits or Limits(), replace=force)
+        read = partial(ingest_one, data=folder, limits=limits, replace=force)
         if bounds is None:
             yield from map(read, waiting)
         else:

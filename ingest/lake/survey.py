@@ -57,6 +57,7 @@ ROLES: Mapping[str, tuple[str, ...]] = {
 ANGLES = {"r": ("roll", "Roll", "rotX"), "p": ("pitch", "Pitch", "rotY"), "y": ("yaw", "Yaw", "rotZ")}
 RADIANS = {"rad": 1.0, "deg": np.pi / 180, "degheading": np.pi / 180}
 MOVED_RAD = np.radians(2.0)
+SENSELESS_RAD = 1e6  # no heading unwraps to this; NaN and infinity are no angles either
 SLOW_ATTITUDE_HZ = 20.0
 SLOW_VELOCITY_HZ = 4.5
 SHORT_S = 30.0
@@ -164,8 +165,8 @@ def _count(count: StreamCount, table: pa.Table) -> None:
             continue
         column = table.schema.field(name)
         factor = field_scale(column) * RADIANS.get(field_unit(column) or _unit_of(column), np.pi / 180)
-        values = np.unwrap(table[name].to_numpy().astype(np.float64) * factor)
-        values = values[np.isfinite(values)]
+        angles = table[name].to_numpy().astype(np.float64) * factor
+        values = np.unwrap(angles[np.abs(angles) < SENSELESS_RAD])
         n, total, squares = count.angles.get(axis, (0, 0.0, 0.0))
         count.angles[axis] = (
             n + len(values),

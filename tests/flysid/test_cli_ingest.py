@@ -9,6 +9,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from flysid.cli import root
+from flysid.cli.output import status
+from flysid.errors import UsageError, WriteError
+from flysid.files import writing_to
+from flysid.ingest.lake.survey import survey
 from tests.samplelogs import dataflash, tlog
 
 LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
@@ -51,7 +55,7 @@ def test_losses_are_named_with_their_bytes(tmp_path: Path, logs: Path) -> None:
     (logs / "bad.tlog").write_bytes(blob[:cut] + b"garbage" + blob[cut:])
     result = flysid("ingest", logs, "-o", tmp_path / "data", "-q")
     assert code(result) == 3
-    assert f"7 bytes skipped in 1 places: {cut}-{cut + 7}" in result.stderr
+    assert f"7 bytes skipped in 1 place: {cut}-{cut + 7}" in result.stderr
     assert len(result.stdout.splitlines()) == 3
 
 
@@ -119,6 +123,59 @@ def test_doctor_gives_one_line_per_log(logs: Path) -> None:
     document = json.loads(flysid("doctor", logs / "one.tlog", "--json").stdout)["logs"][0]
     assert document["rates_hz"]["attitude"] == {"1.1/ATTITUDE": pytest.approx(50.0)}
     assert document["moved"] == "r"
+
+
+def test_a_failed_ingest_leaves_no_folder(tmp_path: Path, logs: Path) -> None:
+    (tmp_path / "no.tlog").write_text("hello\n" * 50)
+    assert code(flysid("ingest", tmp_path / "no.tlog", "-o", tmp_path / "data")) == 1
+    assert not (tmp_path / "data").exists()
+    code(flysid("ingest", logs, "-o", tmp_path / "data"))
+    assert code(flysid("ingest", tmp_path / "no.tlog", "-o", tmp_path / "data")) == 1
+    assert len(flysid("ls", tmp_path / "data").stdout.splitlines()) == 3
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "flysid").mkdir()
+    with pytest.raises(UsageError, match="not an ingested folder"):
+        code(flysid("ingest", tmp_path / "no.tlog", "-o", tmp_path / "mine"))
+    assert (tmp_path / "mine" / "flysid").is_dir()
+
+
+def test_names_with_brackets_are_no_markup(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    path = tmp_path / "[red]flight[bold.tlog"
+    path.write_bytes(tlog.build())
+    assert code(flysid("ingest", path, "-o", tmp_path / "data")) == 0
+    with status() as show:
+        show("fitting [/red] of [bold]")
+
+
+def test_show_names_the_flights_where_it_is_not_told_which(tmp_path: Path, logs: Path) -> None:
+    code(flysid("ingest", logs, "-o", tmp_path / "data"))
+    with pytest.raises(UsageError, match="the folder holds 2 flights") as caught:
+        code(flysid("show", tmp_path / "data"))
+    assert caught.value.hint.startswith("name one: one-")
+    shown = flysid("show", tmp_path / "data", "two")
+    assert " in 1 boot\n" in shown.stdout
+    with pytest.raises(UsageError, match="no stream 'ATTT'") as caught:
+        code(flysid("show", tmp_path / "data", "two", "ATTT"))
+    near = caught.value.hint.split(", ")
+    assert len(near) == len(set(near))
+
+
+def test_what_cannot_be_written_says_what_would_help(tmp_path: Path) -> None:
+    path = tmp_path / "nowhere" / "copy.tlog"
+    with pytest.raises(WriteError, match="No such file") as caught, writing_to(path):
+        path.write_bytes(b"")
+    assert caught.value.hint == "make the folder that it is to be in first"
+
+
+def test_angles_that_are_no_numbers_make_no_noise(tmp_path: Path) -> None:
+    rows = "\n".join(
+        f"{k * 0.02:.2f},{'nan' if k % 7 else 'inf'},{1e300 if k % 2 else 0.1}" for k in range(200)
+    )
+    (tmp_path / "a.csv").write_text("t,roll,pitch\n" + rows + "\n")
+    found = survey(tmp_path / "a.csv")
+    assert found.streams
+    assert found.excited() in ("-", "?")
 
 
 @pytest.mark.skipif(not LOGS.is_dir(), reason="../shared/logs is not there")

@@ -104,6 +104,18 @@ def test_where_that_matches_no_row_says_what_there_is(wanted: object) -> None:
     assert aligned.report.flights[0].reason.startswith("no row of STATE has core")
 
 
+def test_a_condition_that_holds_for_less_than_its_margins_says_so() -> None:
+    landed = table(T50, landed=np.arange(500) % 50 != 0)
+    logs = [flight_of(CMD=table(T50, u=U50), STATE=table(T50, y=Y50), L=landed)]
+    source = {"stream": "L", "field": "landed"}
+    condition = {"name": "airborne", "sources": [source], "any_of": [0], "margin_s": 2.0}
+    with pytest.raises(DataError, match="'airborne' never holds for longer than its margins, 2 x 2 s"):
+        dataset(logs, recipe(conditions=[condition]), "c")
+    still = [flight_of(CMD=table(T50, u=U50), STATE=table(T50, y=Y50), L=table(T50, landed=T50 > 0))]
+    with pytest.raises(DataError, match=r"'airborne' never holds \(0\): L.landed is 1 in this log"):
+        dataset(still, recipe(conditions=[condition]), "c")
+
+
 def test_where_and_conditions_take_elements_of_lists() -> None:
     state = table(T50, y=Y50, flags=np.column_stack([np.arange(500) < 250, np.ones(500)]).astype(np.int8))
     source = {"stream": "STATE", "field": "y", "unit": "m/s", "where": {"flags[0]": 1}}

@@ -83,9 +83,10 @@ def test_a_real_folder_is_read_and_the_rest_is_named(tmp_path: Path) -> None:
     assert done.return_value == 0, done.stderr
     assert len(done.stdout.split()) == 6
     (line,) = [line for line in done.stderr.splitlines() if line.startswith("passed over")]
-    assert "7 text (" in line
+    assert "passed over, 18 files that are no logs: " in line
+    assert "text (7): " in line
     assert "and 4 more" in line
-    assert "2 picture (map.png, photo.JPG)" in line
+    assert "picture (2): map.png, photo.JPG" in line
     document = json.loads(cli("ingest", tmp_path / "logs", "-o", tmp_path / "data", "--json").stdout)
     assert len(document["passed_over"]) == len(found.passed_over)
     assert {"path": str(tmp_path / "logs" / "empty"), "kind": "empty file"} in document["passed_over"]
