@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: audit lock locked bench-model bench-ingest soak demo test check unit lint clean samples bench-accuracy
+.PHONY: docs audit lock locked bench-model bench-ingest soak demo test check unit lint clean samples bench-accuracy
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "flysid needs Python 3.11 or newer; try: make PYTHON=python3.12")'
@@ -42,6 +42,9 @@ bench-model: $(VENV)/.installed  ## linear and fuzzy models against their peers 
 bench-accuracy: $(VENV)/.installed  ## free-run accuracy on ../shared/benchmarks, default settings
 	$(BIN)/python -m bench.accuracy
 
+docs: $(VENV)/.installed  ## the documentation as a site in docs/_build, without network; warnings are errors
+	$(BIN)/python -m sphinx -n -W --keep-going -q -b html docs docs/_build
+
 audit: $(VENV)/.installed  ## licences, locked versions, vendored files; needs no network
 	$(BIN)/python -m tests.audit
 
@@ -58,7 +61,7 @@ locked:  ## an environment of exactly the locked versions, every hash checked
 	touch $(VENV)/.installed
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache flysid-demo .bench
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache flysid-demo .bench docs/_build
 
 samples: $(VENV)/.installed  ## sample_logs/, bit for bit
 	$(BIN)/python -m flysid synth -o sample_logs --force --no-truth --plan multisine --seed 1 --duration 30 --format tlog

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+import flysid
+from flysid.cli import VERBS
 from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
 from flysid.validate.compare import compare
@@ -47,3 +51,22 @@ def test_the_guards_of_report_md_are_understood() -> None:
     assert len(expressions) > 15
     for expression in expressions:
         check_condition(expression, document)
+
+
+def test_the_site_is_built_without_a_warning_and_knows_every_verb_and_name(tmp_path: Path) -> None:
+    pytest.importorskip("furo")
+    command = [sys.executable, "-m", "sphinx", "-n", "-W", "--keep-going", "-q", "-b", "html"]
+    done = subprocess.run(
+        [*command, "docs", str(tmp_path)], cwd=ROOT, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    verbs = (tmp_path / "reference" / "verbs.html").read_text("utf-8")
+    for verb in VERBS:
+        assert f"flysid {verb}" in verbs
+    names = (tmp_path / "reference" / "python.html").read_text("utf-8")
+    for name in set(flysid.__all__) - {"__version__"}:
+        assert f".{name}" in names
+    for page in tmp_path.rglob("*.html"):
+        assert not re.search(r'(src|href)="https?://[^"]*\.(js|css)', page.read_text("utf-8")), (
+            "nothing from elsewhere"
+        )
