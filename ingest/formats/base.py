@@ -152,12 +152,13 @@ def collect(view: memoryview, name: str, fmt: Format, limits: Limits) -> Flight:
     parts: dict[str, list[pa.Table]] = {}
     reader = fmt.read(view, name, limits)
     summary = exhausted(reader, lambda part: parts.setdefault(part.stream, []).append(part.table))
-    tables = {stream: _joined(pa.concat_tables(parts.pop(stream))) for stream in sorted(parts)}
+    tables = {stream: _joined(parts.pop(stream)) for stream in sorted(parts)}
     return Flight(source_of(view, name, fmt), tables, summary.damage, summary.clocks, summary.info)
 
 
-def _joined(table: pa.Table) -> pa.Table:
+def _joined(parts: list[pa.Table]) -> pa.Table:
     """One chunk per column where that is cheap; a large table keeps its few parts, which are not copied."""
+    table = parts[0] if len(parts) == 1 else pa.concat_tables(parts)
     if table.num_columns == 0 or table.column(0).num_chunks <= 1:
         return table  # every column of a table has as many
     return table.combine_chunks() if table.nbytes <= JOIN_BYTES else table

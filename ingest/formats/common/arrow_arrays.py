@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -36,10 +38,16 @@ def numeric(values: Values) -> pa.Array:
     if kind.kind == "b":
         packed = np.packbits(values, bitorder="little")
         return pa.Array.from_buffers(pa.bool_(), len(values), [None, pa.py_buffer(packed)])
-    native = np.ascontiguousarray(values, dtype=kind.newbyteorder("="))
+    native, arrow = _types(kind)
     return pa.Array.from_buffers(
-        ARROW_TYPES[f"{kind.kind}{kind.itemsize}"], len(native), [None, pa.py_buffer(native)]
+        arrow, len(values), [None, pa.py_buffer(np.ascontiguousarray(values, dtype=native))]
     )
+
+
+@cache
+def _types(kind: np.dtype[Any]) -> tuple[np.dtype[Any], pa.DataType]:
+    """The type of numbers in this machine's byte order, and Arrow's."""
+    return kind.newbyteorder("="), ARROW_TYPES[f"{kind.kind}{kind.itemsize}"]
 
 
 def whole_numbers(array: pa.Array) -> Index:

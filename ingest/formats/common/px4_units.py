@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, lru_cache
 
 from flysid.ingest.formats.common.table_columns import unit_behind
 
@@ -170,6 +170,7 @@ _SAME: Mapping[str, str] = {
 }
 
 
+@lru_cache(maxsize=1 << 13)
 def px4_unit(topic: str, field: str) -> str:
     """The unit of a field of a PX4 topic; "" where none is stated.
 

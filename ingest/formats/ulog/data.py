@@ -109,19 +109,20 @@ class DataDecoder:
     def _part(self, index: int, at: Index, time_us: Index) -> StreamPart:
         subscription = self.subscriptions[index]
         layout = subscription.layout
-        table = rows(self.data, at, layout.size).view(layout.dtype())
+        records = rows(self.data, at, layout.size)
+        columns = [layout.values(records, spec) for spec in layout.fields]
         time_ns = time_us * 1000
-        self._observe(index, table, time_ns)
+        self._observe(index, columns, time_ns)
         arrays = [
             arrow_arrays.numeric(time_ns),
             arrow_arrays.numeric(np.zeros(len(time_ns), dtype=np.int32)),
-            *(_column(spec, table[str(k)]) for k, spec in enumerate(layout.fields)),
+            *map(_column, layout.fields, columns),
         ]
         if index not in self._schemas:
             self._schemas[index] = _schema(subscription, arrays)
         return StreamPart(subscription.stream, pa.Table.from_arrays(arrays, schema=self._schemas[index]))
 
-    def _observe(self, index: int, table: Values, time_ns: Index) -> None:
+    def _observe(self, index: int, columns: Sequence[Values], time_ns: Index) -> None:
         """Count steps back and collect pairs of vehicle time and UTC."""
         subscription = self.subscriptions[index]
         back = int((np.diff(time_ns) < 0).sum()) + int(time_ns[0] < self._previous_ns.get(index, 0))
@@ -129,9 +130,9 @@ class DataDecoder:
         if back:
             self.tally.out_of_order[subscription.stream] += back
         self.utc.add(0, time_ns, None)
-        for k, spec in enumerate(subscription.layout.fields):
+        for spec, values in zip(subscription.layout.fields, columns, strict=True):
             if spec.name == "time_utc_usec" and not spec.count:
-                utc_us = table[str(k)].astype(np.int64)
+                utc_us = values.astype(np.int64)
                 good = (utc_us > FIRST_UTC_US) & (utc_us < MAX_TIME_US)
                 self.utc.add(0, time_ns[good], utc_us[good] * 1000)
 
@@ -146,9 +147,9 @@ def _column(spec: UlogField, values: Values) -> pa.Array:
 
 def _schema(subscription: Subscription, arrays: list[pa.Array]) -> pa.Schema:
     layout = subscription.layout
-    names = [TIME, BOOT]
+    names = dict.fromkeys((TIME, BOOT))
     for spec in layout.fields:
-        names.append(arrow_arrays.free_name(spec.name, set(names)))
+        names[arrow_arrays.free_name(spec.name, names)] = None
     about = {
         "time_source": "timestamp" if layout.time else "neighbours",
         "topic": subscription.topic,

@@ -10,9 +10,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
+
+from flysid.ingest.formats.common.gather import Values
 
 MAX_RECORD_BYTES = 0xFFFF
 MAX_FIELDS = 4000
@@ -32,6 +34,9 @@ NUMBERS: Mapping[str, str] = {
     "bool": "u1",
     "char": "i1",
 }
+_KINDS = {kind: np.dtype(code) for kind, code in NUMBERS.items()}
+MAX_FIELD_TEXTS = 1 << 12
+MAX_FIELD_CHARS = 1 << 10
 _FIELD = re.compile(r"^\s*(?P<type>[^\s\[\]]+)(?:\[(?P<size>\d{1,5})\])?\s+(?P<name>\S.*?)\s*$")
 
 
@@ -48,10 +53,10 @@ class UlogField:
     kind: str
     count: int
 
-    @cached_property
+    @property
     def size(self) -> int:
         """Bytes of all elements."""
-        return int(np.dtype(NUMBERS[self.kind]).itemsize) * max(self.count, 1)
+        return _KINDS[self.kind].itemsize * max(self.count, 1)
 
 
 @dataclass(frozen=True)
@@ -73,6 +78,13 @@ class UlogLayout:
             if field.name == "timestamp" and not field.count and NUMBERS[field.kind].strip("<")[0] in "iu":
                 return field
         return None
+
+    def values(self, records: Values, field: UlogField) -> Values:
+        """A field of (n,) records of `size` bytes each, as a view: (n,), or (n, count) of an array."""
+        kind = _KINDS[field.kind]
+        shape = (len(records), field.count) if field.count else (len(records),)
+        strides = (self.size, kind.itemsize)[: len(shape)]
+        return np.ndarray(shape, dtype=kind, buffer=records.data, offset=field.offset, strides=strides)
 
     def dtype(self) -> np.dtype[np.void]:
         """Structured type of one record; columns are numbered."""
@@ -118,7 +130,7 @@ def _flatten_into(name: str, prefix: str, at: int, state: _State) -> int:
     for raw in formats[name].split(";"):
         if not raw.strip():
             continue
-        found = _FIELD.match(raw)
+        found = parse_field(raw) if len(raw) <= MAX_FIELD_CHARS else None
         if found is None:
             raise LayoutError(f"cannot read field {raw[:60]!r} of format {name}")
         at = _place(found, prefix, at, inner)
@@ -127,16 +139,26 @@ def _flatten_into(name: str, prefix: str, at: int, state: _State) -> int:
     return at
 
 
-def _place(found: re.Match[str], prefix: str, at: int, state: _State) -> int:
+@lru_cache(maxsize=MAX_FIELD_TEXTS)
+def parse_field(text: str) -> tuple[str, int | None, str] | None:
+    """Type, number of elements (None: no array) and name of a field; None where it is malformed."""
+    found = _FIELD.match(text)
+    if found is None:
+        return None
+    return found["type"], None if found["size"] is None else int(found["size"]), found["name"]
+
+
+def _place(found: tuple[str, int | None, str], prefix: str, at: int, state: _State) -> int:
     """Add one field at `at`; returns where the next one begins."""
-    kind, count, path = found["type"], int(found["size"] or 0), prefix + found["name"]
+    kind, size, name = found
+    count, path = size or 0, prefix + name
     if kind in NUMBERS:
-        if found["size"] and not count:
+        if size == 0:
             return at
         field = UlogField(path, at, kind, count)
         state[1].append(field)
         return at + field.size
-    if not found["size"]:
+    if size is None:
         return _flatten_into(kind, f"{path}.", at, state)
     for k in range(count):
         at = _flatten_into(kind, f"{path}[{k}].", at, state)

@@ -28,7 +28,7 @@ from flysid.ingest.formats.ulog.layouts import (
     flatten,
     parse_format,
 )
-from flysid.ingest.formats.ulog.records import FILE_HEAD_BYTES, MAGIC, DataRun, Framer
+from flysid.ingest.formats.ulog.records import DATA, FILE_HEAD_BYTES, MAGIC, DataRun, Framer
 from flysid.ingest.formats.ulog.texts import Words
 
 MAX_SUBSCRIPTIONS = 5000
@@ -56,6 +56,7 @@ class UlogReader:
         self._formats: dict[str, str] = {}
         self._decoder = DataDecoder(self._framer.data, tally)
         self._subscriptions = self._decoder.subscriptions
+        self._versions: dict[tuple[str, int], list[int]] = {}  # subscriptions by topic and instance
         self._lost: dict[int, str] = {}  # ids of subscriptions without a layout
         self._time_us = self._doubtful_us = 0  # of the last data record
         self._batch = _Batch()
@@ -88,9 +89,10 @@ class UlogReader:
         batch, since = _Batch(), at
         self._batch = batch
         while at < framer.stop:
-            run = framer.data_run(at) if framer.head(at)[0] == ord("D") else None
+            head = framer.head(at)
+            run = framer.data_run(at) if head[0] == DATA else None
             if run is None:
-                at = self._other(at)
+                at = self._keyed(at) or self._other(at, head)
                 continue
             batch.runs.append(run)
             at = self._end_of(run)
@@ -118,12 +120,19 @@ class UlogReader:
         if self._time_us < time_us < MAX_TIME_US and (near or not self._time_us):
             self._time_us = time_us
 
-    def _other(self, at: int) -> int:
+    def _keyed(self, at: int) -> int:
+        """Take in a run of information and parameters; returns where to go on, 0 without any."""
+        end = 0
+        for kind, body, end in self._framer.keyed_run(at):
+            self._take(kind, self.view[body:end])
+        return end
+
+    def _other(self, at: int, head: tuple[int, int, int]) -> int:
         """One record that is not data, or damage; returns where to go on."""
         framer = self._framer
-        kind, body, end = framer.head(at)
+        kind, body, end = head
         if framer.is_sound(at):
-            resume = end if framer.is_exact(at) else framer.next_record(at + 1, end)
+            resume = end if framer.is_exact(head) else framer.next_record(at + 1, end)
             if resume < end:
                 self._tally.skip(at, resume, "record of a wrong size")
                 return resume
@@ -173,20 +182,28 @@ class UlogReader:
 
     def _take(self, kind: int, body: memoryview) -> None:
         """Take in a sound record that is not data."""
-        own = self._OWN.get(kind)
-        if own is not None:
-            own(self, body)
-        elif kind == ord("I"):
-            self._count(self.words.add_info(body), "information")
-        elif kind == ord("M"):
-            self._count(self.words.add_multiple(body, self._now_ns), "information")
-        elif kind == ord("P"):
-            origin = 1 if self._subscriptions or self._lost else 0
-            self._count(self.words.add_parameter(body, self._now_ns, origin), "parameters")
-        elif kind == ord("Q"):
-            self._count(self.words.add_default(body, self._now_ns), "parameters")
-        elif kind in b"LC":
-            self.words.add_message(body, kind == ord("C"))
+        take = self._TAKE.get(kind)
+        if take is not None:
+            take(self, body)
+
+    def _add_info(self, body: memoryview) -> None:
+        self._count(self.words.add_info(body), "information")
+
+    def _add_multiple(self, body: memoryview) -> None:
+        self._count(self.words.add_multiple(body, self._now_ns), "information")
+
+    def _add_parameter(self, body: memoryview) -> None:
+        origin = 1 if self._subscriptions or self._lost else 0
+        self._count(self.words.add_parameter(body, self._now_ns, origin), "parameters")
+
+    def _add_default(self, body: memoryview) -> None:
+        self._count(self.words.add_default(body, self._now_ns), "parameters")
+
+    def _add_message(self, body: memoryview) -> None:
+        self.words.add_message(body, tagged=False)
+
+    def _add_tagged(self, body: memoryview) -> None:
+        self.words.add_message(body, tagged=True)
 
     def _count(self, good: bool, name: str) -> None:
         if not good:
@@ -249,17 +266,16 @@ class UlogReader:
 
     def _subscription(self, topic: str, instance: int, layout: UlogLayout) -> int:
         """The number of a subscription; the same one for the same topic, instance and layout."""
-        version = 1
-        for index, known in enumerate(self._subscriptions):
-            if (known.topic, known.instance) == (topic, instance):
-                if known.layout == layout:
-                    return index
-                version += 1
+        versions = self._versions.setdefault((topic, instance), [])
+        for index in versions:
+            if self._subscriptions[index].layout == layout:
+                return index
         if len(self._subscriptions) >= MAX_SUBSCRIPTIONS:
             return -1
-        stream = topic + (f"#{instance}" if instance else "") + (f"~{version}" if version > 1 else "")
+        stream = topic + (f"#{instance}" if instance else "") + (f"~{len(versions) + 1}" if versions else "")
+        versions.append(len(self._subscriptions))
         self._subscriptions.append(Subscription(stream, topic, instance, layout))
-        return len(self._subscriptions) - 1
+        return versions[-1]
 
     def _unsubscribe(self, body: memoryview) -> None:
         self._framer.sizes.remove(body[0] | body[1] << 8)
@@ -269,12 +285,18 @@ class UlogReader:
         self._tally.dropouts["records"] += 1
         self._tally.dropouts["ms"] += self.words.add_dropout(body, self._now_ns)
 
-    _OWN: ClassVar[Mapping[int, Callable[[UlogReader, memoryview], None]]] = {
+    _TAKE: ClassVar[Mapping[int, Callable[[UlogReader, memoryview], None]]] = {
         ord("F"): _add_format,
         ord("A"): _subscribe,
         ord("R"): _unsubscribe,
         ord("B"): _add_flags,
         ord("O"): _add_dropout,
+        ord("I"): _add_info,
+        ord("M"): _add_multiple,
+        ord("P"): _add_parameter,
+        ord("Q"): _add_default,
+        ord("L"): _add_message,
+        ord("C"): _add_tagged,
     }
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 import struct
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +27,12 @@ FILE_HEAD_BYTES = 16
 HEAD_BYTES = 3
 HEAD = struct.Struct("<HB")
 OTHER_TYPES = frozenset(b"BFIMPQARSOLC")
+FIRST_WINDOW_BYTES = 1 << 18  # after every change of subscriptions; then larger ones up to
 WINDOW_BYTES = 8 << 20
 MAX_TEXT = 300
 MAX_UNKNOWN = 4
+MAX_KEYS = 1 << 13
+ANY_SIZE = -1
 FLAGS, FORMAT_TYPE, ADDED, LOGGED, TAGGED, SYNC_TYPE, DATA = b"BFALCSD"
 _KEY = re.compile(rb"[a-z0-9_]+(\[\d+\])? [\x21-\x7e]+")
 _SIZED = re.compile(rb"(\w+?)(?:\[(\d{1,5})\])? ")
@@ -83,10 +87,13 @@ class Framer:
         self.topics: set[bytes] = set()  # names of formats, which subscriptions name
         self.data = as_bytes(view)
         self._window: _Window | None = None
+        self._reach = FIRST_WINDOW_BYTES
+        self._sound_at = -1  # a place where a sound record is known to lie
 
     def changed(self) -> None:
         """Subscriptions changed: candidates must be looked for again."""
         self._window = None
+        self._sound_at = -1
 
     def data_run(self, at: int) -> DataRun | None:
         """The run of data records that begins at `at`; None where none does."""
@@ -105,13 +112,43 @@ class Framer:
         return kind, at + HEAD_BYTES, at + HEAD_BYTES + size
 
     def is_sound(self, at: int) -> bool:
-        """Whether a record of fitting size or shape lies at `at`."""
+        """Whether a record of fitting size or shape lies at `at`.
+
+        Asked twice of most records: as what follows another, then on its own.
+        """
+        if at == self._sound_at:
+            return True
         kind, body, end = self.head(at)
         if end > self.stop:
             return False
         if kind == DATA:
             return self._fits(body, end)
-        return kind in OTHER_TYPES and has_shape(kind, self.view[body:end])
+        if kind in OTHER_TYPES and has_shape(kind, self.view[body:end]):
+            self._sound_at = at
+            return True
+        return False
+
+    def keyed_run(self, at: int) -> list[tuple[int, int, int]]:
+        """Heads of the records of a key and its value from `at` on that are exact and followed by one more.
+
+        A log begins with some thousand of these.
+        """
+        found = []
+        while at + HEAD_BYTES < self.stop:
+            size, kind = HEAD.unpack_from(self.view, at)
+            body, end = at + HEAD_BYTES, at + HEAD_BYTES + size
+            key = body + (kind in b"MQ")
+            if kind not in b"IMPQ" or not key + 2 <= end <= self.stop:
+                break
+            width = self.view[key]
+            value = end - key - 1 - width
+            if width < 3 or value < 1:
+                break
+            if _value_size(bytes(self.view[key + 1 : key + 1 + width])) not in (ANY_SIZE, value):
+                break
+            found.append((kind, body, end))
+            at = end
+        return found[:-1]
 
     def is_followed(self, end: int) -> bool:
         """Whether at `end` is the end, a sound record, one that the end cuts, or data of a known id.
@@ -120,7 +157,7 @@ class Framer:
         """
         if end >= self.stop:
             return end == self.stop
-        if self.is_cut(end):
+        if self.is_sound(end) or self.is_cut(end):
             return True
         for _ in range(MAX_UNKNOWN):
             if self.is_sound(end):
@@ -149,12 +186,12 @@ class Framer:
         sizes = (numbers(self.data, places, "<u2").astype(np.int64) - 2).tolist()
         return sum(size in ours for size in sizes) > sum(size in theirs for size in sizes)
 
-    def is_exact(self, at: int) -> bool:
+    def is_exact(self, head: tuple[int, int, int]) -> bool:
         """Whether a sound record, not of data, is as long as its content asks and another one follows.
 
         Texts and values take any length: where a wrong one swallows records, only this tells.
         """
-        kind, body, end = self.head(at)
+        kind, body, end = head
         content = self.view[body:end]
         if kind in b"LC" and not is_text(content[_TEXT_AT[kind] :]):
             return False
@@ -240,7 +277,8 @@ class Framer:
 
     def _window_at(self, at: int) -> _Window:
         if self._window is None or not self._window.start <= at < self._window.end:
-            self._window = self._candidates(at, min(at + WINDOW_BYTES, self.stop))
+            self._reach = FIRST_WINDOW_BYTES if self._window is None else min(4 * self._reach, WINDOW_BYTES)
+            self._window = self._candidates(at, min(at + self._reach, self.stop))
         return self._window
 
     def _candidates(self, start: int, end: int) -> _Window:
@@ -283,18 +321,24 @@ def has_shape(kind: int, body: memoryview) -> bool:
     return _has_key(body[1:] if kind in b"MQ" else body)
 
 
-def _has_its_value(body: memoryview) -> bool:
-    """Whether the value behind "type name" has the size of its type; any size where the type is unknown."""
-    key = bytes(body[1 : 1 + body[0]])
-    found = _SIZED.match(key)
-    size = NUMBERS.get(found[1].decode("latin-1")) if found else None
-    if found is None or size is None:
-        return True
-    return len(body) - 1 - len(key) == np.dtype(size).itemsize * int(found[2] or 1)
-
-
 def _has_key(body: memoryview) -> bool:
     """u8 length, "type name", value."""
     if len(body) < 2 or not 3 <= body[0] < len(body):
         return False
-    return _KEY.fullmatch(bytes(body[1 : 1 + body[0]])) is not None
+    return _value_size(bytes(body[1 : 1 + body[0]])) is not None
+
+
+def _has_its_value(body: memoryview) -> bool:
+    """Whether the value behind a key has the size of its type; any size where the type is unknown."""
+    size = _value_size(bytes(body[1 : 1 + body[0]]))
+    return size in (ANY_SIZE, len(body) - 1 - body[0])
+
+
+@lru_cache(maxsize=MAX_KEYS)
+def _value_size(key: bytes) -> int | None:
+    """Bytes of the value behind "type name", or ANY_SIZE; None where this is no key."""
+    if _KEY.fullmatch(key) is None:
+        return None
+    found = _SIZED.match(key)
+    kind = NUMBERS.get(found[1].decode("latin-1")) if found else None
+    return ANY_SIZE if found is None or kind is None else np.dtype(kind).itemsize * int(found[2] or 1)

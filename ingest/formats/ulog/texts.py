@@ -5,6 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -13,15 +15,20 @@ from flysid.flight import BOOT, TIME, field_metadata
 from flysid.ingest.formats.common import arrow_arrays
 from flysid.ingest.formats.common.gather import Values
 from flysid.ingest.formats.ulog.layouts import NUMBERS
+from flysid.ingest.formats.ulog.records import MAX_KEYS
 
 MAX_INFO = 500
 MAX_INFO_CHARS = 4096
 LEVELS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+_VALUES = {
+    kind: struct.Struct("<" + {"i8": "q", "u8": "Q"}.get(code.lstrip("<"), np.dtype(code).char))
+    for kind, code in NUMBERS.items()
+    if kind != "char"
+}
 ORIGINS = {0: "initial", 1: "changed", 2: "system default", 3: "setup default"}
 
 
-@dataclass(frozen=True)
-class Named:
+class Named(NamedTuple):
     """A "type name" key and its value: a number, text, or bytes."""
 
     kind: str
@@ -32,19 +39,22 @@ class Named:
 def parse_named(body: memoryview) -> Named | None:
     """u8 key length, key, value; None where the value does not fit its type."""
     width = body[0] if len(body) else 0
-    key = bytes(body[1 : 1 + width]).decode("utf-8", "replace")
-    kind, _, name = key.partition(" ")
+    kind, name = _kind_and_name(bytes(body[1 : 1 + width]))
     raw = bytes(body[1 + width :])
     if not name:
         return None
     if kind.startswith("char["):
         return Named(kind, name, raw.decode("utf-8", "replace"))
-    if kind not in NUMBERS or kind == "char":
+    layout = _VALUES.get(kind)
+    if layout is None:
         return Named(kind, name, raw)
-    size = np.dtype(NUMBERS[kind]).itemsize
-    if len(raw) < size:
-        return None
-    return Named(kind, name, np.frombuffer(raw[:size], dtype=NUMBERS[kind])[0].item())
+    return Named(kind, name, layout.unpack_from(raw)[0]) if len(raw) >= layout.size else None
+
+
+@lru_cache(maxsize=MAX_KEYS)
+def _kind_and_name(key: bytes) -> tuple[str, str]:
+    kind, _, name = key.decode("utf-8", "replace").partition(" ")
+    return kind, name
 
 
 @dataclass
