@@ -19,8 +19,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.fitted_states import FittedTSStateSpace
 from flysid.model.rules.free_run_error import Body
 from flysid.model.rules.realisation import initial_states
-from flysid.model.rules.state_error import StateProblem
-from flysid.model.rules.state_growth import StateStage, refine
+from flysid.model.rules.state_growth import StateStage, refine, unmoved
 from flysid.model.rules.state_layout import runs_of
 from flysid.model.rules.state_uncertainty import uncertainty
 from flysid.model.ts_state_space import TSStateSpace
@@ -48,8 +47,7 @@ def refitted(truth: FittedTSStateSpace, data: Dataset) -> FittedTSStateSpace:
     """The truth's numbers refined on one record."""
     layout, p = truth.layout, truth.parameters
     runs = runs_of(layout, data.segments, truth.n_init + 2)
-    metric = np.zeros((p.theta[0].size,) * 2)
-    problem = StateProblem(layout, runs, p.z_range, p.limits, metric)
+    problem = unmoved(layout, runs, p.z_range, p.limits)
     body = Body(p.theta.copy(), p.centre.copy(), p.width.copy())
     stage = StateStage(problem, body, initial_states(layout, runs, p, truth.prior, 400), np.inf)
     stage = refine(stage, 40, 1e-10)

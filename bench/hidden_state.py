@@ -30,8 +30,6 @@ SAMPLES = 1024
 RULES = 4
 STRATEGIES = {
     "free run at once": Training(ridge=0.01),
-    "windows of 64 first": Training(ridge=0.01, horizons=(64,)),
-    "windows of 32, 128 first": Training(ridge=0.01, horizons=(32, 128)),
     "one place tried": Training(ridge=0.01, tries=1),
     "ridge 0.1": Training(ridge=0.1),
     "ridge 1": Training(ridge=1.0),

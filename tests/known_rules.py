@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from bench.ts_intervals import experiment
 from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.free_run_error import runs_of
-from flysid.model.rules.growth import Stage, unrefined
+from flysid.model.rules.free_run_error import Stage, runs_of
+from flysid.model.rules.growth import unrefined
 from flysid.model.rules.refit import restated
 from flysid.model.rules.search_context import Workshop
 from flysid.model.ts import TS

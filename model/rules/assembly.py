@@ -10,7 +10,8 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
 from flysid.model.noise import noise_models
 from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.growth import Stage, rule_support
+from flysid.model.rules.free_run_error import Stage
+from flysid.model.rules.growth import rule_support
 from flysid.model.rules.judging import initial_state_gain
 from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.start import estimate_start, start_window

@@ -25,8 +25,8 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.gram import Triangle, reduce_data
 from flysid.model.regressors import CHUNK_ROWS
-from flysid.model.rules.compiled import firing
 from flysid.model.rules.fitted_lags import FittedTS, refuse_other_models
+from flysid.model.rules.kernel import firing
 from flysid.model.stream import Source, blocks_of, windows
 from flysid.model.threads import on_one_thread
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.compiled import Lags, Parameters, free_run
+from flysid.model.rules.kernel import Lags, Parameters, free_run
 from flysid.model.rules.probe_inputs import stress_run
 
 _STEPS = (3000, 30_000)  # at least, and at most; between them as long as the training runs together

@@ -9,9 +9,9 @@ from itertools import combinations
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.compiled import Parameters
-from flysid.model.rules.free_run_error import Body
-from flysid.model.rules.growth import Stage, best_started
+from flysid.model.rules.free_run_error import Body, Stage
+from flysid.model.rules.growth import best_started
+from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.refit import restated
 from flysid.model.rules.regressor_layout import Layout
 

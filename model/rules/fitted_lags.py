@@ -21,12 +21,12 @@ from flysid.model.base import Rule
 from flysid.model.documents import array_or_none, head_of, signals_of, with_null
 from flysid.model.noise import output_error_ahead
 from flysid.model.regressors import lagged_name
-from flysid.model.rules.compiled import Parameters, firing, free_run, predict
-from flysid.model.rules.free_run_error import REACH, widened
+from flysid.model.rules.free_run_error import widened
 from flysid.model.rules.integrity import check
 from flysid.model.rules.judging import estimated_initial
+from flysid.model.rules.kernel import Parameters, firing, free_run, predict
 from flysid.model.rules.phrases import condition_in_words, equation, in_words
-from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders
+from flysid.model.rules.regressor_layout import REACH, Antecedent, Layout, Orders
 from flysid.model.rules.rule_model import Ruled
 from flysid.model.rules.rule_poles import pole_radius, unheld
 from flysid.model.start import estimate_start, full_window

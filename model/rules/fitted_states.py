@@ -15,11 +15,12 @@ from flysid.model.base import Rule
 from flysid.model.documents import array_or_none, head_of, signals_of, with_null
 from flysid.model.noise import output_error_ahead
 from flysid.model.regressors import lagged_name
-from flysid.model.rules.compiled import Parameters, firing
 from flysid.model.rules.fitted_lags import time_constant, values_at
+from flysid.model.rules.free_run_error import started_run
 from flysid.model.rules.integrity import check_states
+from flysid.model.rules.kernel import Parameters, firing
 from flysid.model.rules.phrases import condition_in_words, equation, in_words
-from flysid.model.rules.realisation import Prior, initial_states, simulated
+from flysid.model.rules.realisation import Prior, initial_states
 from flysid.model.rules.regressor_layout import Antecedent
 from flysid.model.rules.rule_model import Ruled
 from flysid.model.rules.state_layout import StateLayout
@@ -301,7 +302,7 @@ class FittedTSStateSpace(Ruled):
             return W
         known = max(min(rows, len(W)) - depth + 1, 1)
         x = initial_states(self.layout, [W], self.parameters, self.prior, known)[0]
-        return simulated(self.layout, W, x, self.parameters)
+        return started_run(self.layout, W, x, self.parameters)
 
     def outputs_of(self, W: FloatArray) -> FloatArray:
         """(N, n_y) physical outputs of a run, inside the output limits."""

@@ -10,21 +10,13 @@ refines the most promising ones of every antecedent a little and the best ones f
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.errors import FitError
-from flysid.model.refine import levenberg_marquardt
-from flysid.model.rules.compiled import firing
-from flysid.model.rules.free_run_error import (
-    Body,
-    Problem,
-    SimulationError,
-    antecedent_range,
-    simulate_runs,
-)
+from flysid.model.rules.free_run_error import Body, Problem, Stage, antecedent_range
+from flysid.model.rules.kernel import firing
 from flysid.model.rules.regressor_layout import Antecedent, Layout
 
 _PLACES = (0.15, 0.5, 0.85)
@@ -32,22 +24,9 @@ _RIDGE = 0.01  # of the mean square error: as if a hundred samples said that the
 _PIECE = 1000  # rows of a piece, where long records are thinned
 _FEW = 5000  # rows for ranking insertions and for trying the best ones
 _START_STEPS = 4  # of a search over the first outputs alone; a linear model needs one
+NOTHING = np.zeros(0, dtype=np.int64)
+"""Of a body that stays as it is while the runs' starts are searched for."""
 _MORE = 1  # insertions tried beyond the best one along every antecedent
-
-
-@dataclass(frozen=True, eq=False)
-class Stage:
-    """A refined model: its problem, its numbers, the first outputs, and the cost reached in training."""
-
-    problem: Problem
-    body: Body
-    initial: FloatArray
-    cost: float
-
-    @property
-    def rules(self) -> int:
-        """Number of rules."""
-        return len(self.body.a)
 
 
 def first_basis(layout: Layout, runs: tuple[FloatArray, ...], *, integrating: bool = False) -> FloatArray:
@@ -90,10 +69,7 @@ def linear_stage(problem: Problem, iterations: int, more: tuple[Stage, ...] = ()
 def unrefined(problem: Problem, body: Body | None = None, initial: FloatArray | None = None) -> Stage:
     """A stage that has not seen its simulation error; one-step least squares where no body is given."""
     body = next(_linear_starts(problem)) if body is None else body
-    if initial is None:
-        return best_started(problem, body)
-    error = SimulationError(problem, body, _free(body))
-    return Stage(problem, body, initial, error.cost(error.start(initial)))
+    return best_started(problem, body) if initial is None else Stage(problem, body, initial).priced()
 
 
 def best_started(problem: Problem, body: Body) -> Stage:
@@ -102,13 +78,11 @@ def best_started(problem: Problem, body: Body) -> Stage:
     Whichever simulates better is where a search over the first outputs alone begins: noisy ones start a
     model of high order, or one that integrates, so badly that a good model would look hopeless.
     """
-    starts, plain = (
-        (problem.measured_initial(), problem.smooth_initial()),
-        replace(problem, ridge=0.0, stress=None),
-    )
+    starts = problem.measured_initial(), problem.smooth_initial()
+    plain = replace(problem, ridge=0.0, stress=None)
     stage = min((unrefined(plain, body, initial) for initial in starts), key=lambda s: s.cost)
-    stage = refined(stage, np.zeros(body.size), _START_STEPS, 1e-3)
-    return unrefined(problem, body, stage.initial)
+    found = stage.descended(_START_STEPS, 1e-3, NOTHING)
+    return unrefined(problem, body, found.initial)
 
 
 def embedded_start(stage: Stage, problem: Problem) -> tuple[Stage, ...]:
@@ -119,21 +93,11 @@ def embedded_start(stage: Stage, problem: Problem) -> tuple[Stage, ...]:
     theta = np.zeros((1, problem.layout.n_y, len(new)))
     theta[:, :, [new.index(term) for term in old]] = stage.problem.parameters(stage.body).theta
     body = Body(np.zeros((1, problem.layout.n_y, len(problem.basis))), stage.body.centre, stage.body.width)
-    depth, n_y = problem.layout.depth, problem.layout.n_y
-    runs = simulate_runs(stage.problem, stage.body, stage.initial)
-    initial = np.stack([run[:depth, :n_y] for run in runs])
+    initial = problem.starts(stage.simulated())
     wider = replace(problem, offset=theta[0])
     # from the simulated start the lower order is a saddle that no gradient leaves; from the measured one
     # the search is pushed off it, but a noisy start may be hopeless: try both
     return unrefined(wider, body, initial), unrefined(wider, body)
-
-
-def _free(body: Body) -> FloatArray:
-    """Which unknowns move: memberships only where there are several rules."""
-    free = np.ones(body.size)
-    if len(body.a) == 1:
-        free[body.a.size :] = 0.0
-    return free
 
 
 def _linear_starts(problem: Problem) -> Iterator[Body]:
@@ -149,33 +113,14 @@ def _linear_starts(problem: Problem) -> Iterator[Body]:
     for _ in range(6):
         body = Body(np.ascontiguousarray(a.T[None]), problem.z_range.mean(axis=0)[None], np.ones((1, n_z)))
         yield body
-        runs = simulate_runs(problem, body, problem.measured_initial())
+        runs = problem.simulate(body, problem.measured_initial())
         Z = np.vstack([problem.layout.regressor_values(W) for W in runs]) @ problem.basis.T
         a = np.asarray(np.linalg.lstsq(Z.T @ E, Z.T @ Y, rcond=1e-12)[0], dtype=np.float64)
 
 
 def refine(stage: Stage, iterations: int, tolerance: float) -> Stage:
     """Levenberg-Marquardt on the simulation error from where the stage is."""
-    found = refined(stage, _free(stage.body), iterations, tolerance)
-    return replace(stage, cost=float("inf")) if found is stage else found
-
-
-def refined(stage: Stage, free: FloatArray, iterations: int, tolerance: float) -> Stage:
-    """The stage with those of its numbers moved that are `free`, and its first outputs; itself where
-    sensitivities overflow."""
-    error = SimulationError(stage.problem, stage.body, free)
-    try:
-        found = levenberg_marquardt(
-            error.normal,
-            error.start(stage.initial),
-            cost=error.cost,
-            max_iterations=iterations,
-            tolerance=tolerance,
-        )
-    except FitError:
-        return stage
-    body, initial = error.split(found.theta)
-    return Stage(stage.problem, body, initial, found.cost)
+    return stage.descended(iterations, tolerance)
 
 
 def rebased(stage: Stage) -> Stage:
@@ -183,8 +128,7 @@ def rebased(stage: Stage) -> Stage:
 
     Where its sensitivities overflow it is no start: its cost becomes infinite.
     """
-    error = SimulationError(stage.problem, stage.body, _free(stage.body))
-    _, whole, _ = error.normal(error.start(stage.initial))
+    _, whole, _ = stage.normal()
     if not whole.is_finite():
         return replace(stage, cost=float("inf"))
     H = whole.corner
@@ -206,7 +150,7 @@ def with_variables(stage: Stage, antecedents: tuple[Antecedent, ...]) -> Stage:
     layout = replace(stage.problem.layout, antecedents=antecedents)
     problem = stage.problem.with_antecedents(layout)
     if any(a.minus >= 0 for a in antecedents):  # of measured outputs, differences are mostly noise
-        simulated = antecedent_range(layout, simulate_runs(stage.problem, stage.body, stage.initial))
+        simulated = antecedent_range(layout, stage.simulated())
         change = np.array([a.minus >= 0 for a in antecedents])
         problem = replace(problem, z_range=np.where(change, simulated, problem.z_range))
     old = stage.problem.layout.antecedents
@@ -217,7 +161,10 @@ def with_variables(stage: Stage, antecedents: tuple[Antecedent, ...]) -> Stage:
         if antecedent in old:
             centre[:, j] = stage.body.centre[:, old.index(antecedent)]
             width[:, j] = stage.body.width[:, old.index(antecedent)]
-    return replace(stage, problem=problem, body=Body(stage.body.a, centre, width))
+    initial = stage.initial
+    if problem.layout.moving > stage.layout.moving or problem.layout.depth != stage.layout.depth:
+        initial = problem.starts(stage.simulated())  # an antecedent that looks back further than any lag
+    return Stage(problem, Body(stage.body.a, centre, width), initial, stage.cost)
 
 
 def inserted(stage: Stage, centre: FloatArray, width: FloatArray) -> Stage:
@@ -253,7 +200,7 @@ def insertions(stage: Stage, antecedent: Antecedent) -> list[Stage]:
     known = stage.problem.layout.antecedents
     wide = stage if antecedent in known else with_variables(stage, (*known, antecedent))
     j = wide.problem.layout.antecedents.index(antecedent)
-    z, phi = _z_and_firing(wide, simulate_runs(wide.problem, wide.body, wide.initial))
+    z, phi = _z_and_firing(wide, wide.simulated())
     span = float(np.ptp(z[:, j]))
     options: list[Stage] = []
     for rule in range(stage.rules):
@@ -289,19 +236,18 @@ def thinned(stage: Stage, samples: int) -> Stage:
     pieces, initial = [], []
     every = max(1, round(total / samples))
     count = 0
-    for W, run in zip(problem.runs, simulate_runs(problem, stage.body, stage.initial), strict=True):
+    for W, run in zip(problem.runs, stage.simulated(), strict=True):
         for begin in range(0, max(1, len(W) - length // 2), length):
             if count % every == 0:
                 pieces.append(np.ascontiguousarray(W[begin : begin + length]))
-                initial.append(run[begin : begin + depth, : problem.layout.n_y])
+                initial.append(run[begin : begin + depth])
             count += 1
-    return replace(stage, problem=replace(problem, runs=tuple(pieces)), initial=np.stack(initial))
+    return replace(stage, problem=replace(problem, runs=tuple(pieces)), initial=problem.starts(initial))
 
 
 def expected_cost(stage: Stage) -> float:
     """The cost that one regularised Gauss-Newton step on all unknowns promises; inf where it cannot."""
-    error = SimulationError(stage.problem, stage.body, _free(stage.body))
-    cost, H, g = error.normal(error.start(stage.initial))
+    cost, H, g = stage.normal()
     if not (H.is_finite() and np.isfinite(g).all()):
         return float("inf")
     diagonal = H.diagonal()

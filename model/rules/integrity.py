@@ -13,7 +13,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import StoreError
 from flysid.model.documents import monic
-from flysid.model.rules.compiled import Parameters
+from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.regressor_layout import Antecedent, Layout
 
 if TYPE_CHECKING:

@@ -15,10 +15,9 @@ from functools import cached_property
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
-from flysid.model.rules.compiled import Parameters, free_run
 from flysid.model.rules.contraction import forgets_start
-from flysid.model.rules.free_run_error import simulate_runs, widened
-from flysid.model.rules.growth import Stage
+from flysid.model.rules.free_run_error import Stage, widened
+from flysid.model.rules.kernel import Parameters, free_run
 from flysid.model.rules.linear_starts import LinearModel
 from flysid.model.rules.probe_inputs import stress_run
 from flysid.model.rules.rule_poles import unheld
@@ -73,7 +72,7 @@ def initial_state_gain(stage: Stage) -> FloatArray:
     problem, d = stage.problem, stage.problem.layout.depth
     n_y = problem.layout.n_y
     features, targets = [], []
-    for run, W in zip(simulate_runs(problem, stage.body, stage.initial), problem.runs, strict=True):
+    for run, W in zip(stage.simulated(), problem.runs, strict=True):
         features.append(_windows(W, d))
         targets.append(_windows(run[:, :n_y] - W[:, :n_y], d))
     X = np.vstack(features)
@@ -215,7 +214,7 @@ def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
     if problem.integrates:
         if not _rules_settle(stage):
             return False
-        runs = simulate_runs(problem, stage.body, stage.initial)
+        runs = stage.simulated()
         usual = np.concatenate([np.diff(run[:, :n_y], axis=0) for run in runs])
         y, limits = np.diff(y, axis=0), widened(np.stack([usual.min(axis=0), usual.max(axis=0)]), _FAR)
     if not _share_at(y, limits) < 0.02:
@@ -250,7 +249,7 @@ def _share_at(y: FloatArray, limits: FloatArray) -> float:
 
 def _forgets_start(stage: Stage) -> bool:
     problem, layout = stage.problem, stage.problem.layout
-    y = np.vstack([run[:, : layout.n_y] for run in simulate_runs(problem, stage.body, stage.initial)])
+    y = np.vstack([run[:, : layout.n_y] for run in stage.simulated()])
     seen = np.stack([y.min(axis=0), y.max(axis=0)])
     return forgets_start(problem.runs, seen, layout.depth, layout.lags, problem.parameters(stage.body))
 

@@ -11,8 +11,8 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.arguments import is_count
 from flysid.model.linear.settings import check_hint
-from flysid.model.rules.free_run_error import runs_of
-from flysid.model.rules.growth import Stage, ordered
+from flysid.model.rules.free_run_error import Stage, runs_of
+from flysid.model.rules.growth import ordered
 from flysid.model.rules.judging import INTEGRATES, Candidate, choose, hold_out
 from flysid.model.rules.merge_split import exchanged
 from flysid.model.rules.pruning import fewer_words

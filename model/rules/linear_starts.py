@@ -17,8 +17,8 @@ from flysid.errors import FlysidError
 from flysid.model.arx import ARX
 from flysid.model.freerun import Difference
 from flysid.model.linear.model import FittedLinear
-from flysid.model.rules.free_run_error import Body, Problem
-from flysid.model.rules.growth import Stage, unrefined
+from flysid.model.rules.free_run_error import Body, Problem, Stage
+from flysid.model.rules.growth import unrefined
 from flysid.model.rules.regressor_layout import Layout, Orders
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.model import FittedStateSpace

@@ -43,13 +43,3 @@ def _lengths(steps: int, longest: int, rng: np.random.Generator) -> npt.NDArray[
     """Lengths from 2 to `longest`, evenly spread in logarithms, that make at least `steps` together."""
     lengths = np.exp(rng.uniform(np.log(2.0), np.log(longest + 1.0), size=steps // 2 + 1)).astype(np.int64)
     return lengths[: int(np.searchsorted(np.cumsum(lengths), steps)) + 1]
-
-
-def beyond(y: FloatArray, limits: FloatArray) -> FloatArray:
-    """How far (N, n_y) outputs are on their way out of the training range to its limits; 0 inside.
-
-    Half of the margin is free: a plant may well go a little further under inputs it has not seen.
-    """
-    margin = (limits[1] - limits[0]) / 6.0
-    low, high = limits[0] + margin, limits[1] - margin
-    return np.asarray(np.maximum(y - high, 0.0) + np.minimum(y - low, 0.0))

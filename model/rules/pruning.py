@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from flysid.model.rules.edits import edits, staged
-from flysid.model.rules.growth import Stage, ordered, refine, rule_support, with_ridge
+from flysid.model.rules.free_run_error import Stage
+from flysid.model.rules.growth import ordered, refine, rule_support, with_ridge
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.search_context import Workshop
 

@@ -15,14 +15,14 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.linear.model import FittedLinear
-from flysid.model.rules.compiled import Parameters, free_run
-from flysid.model.rules.start_state import start_state
+from flysid.model.rules.kernel import Fixed, Parameters, Sizes, descend
 from flysid.model.rules.state_layout import StateLayout
 
 _SINGULAR = 1e-6  # coordinates closer to dependent than this are not offered
 PLAIN = "plain"
 """The coordinates that a realisation comes in; hidden states are then made uncorrelated."""
 PLAIN_WORDS = "uncorrelated with the outputs and with each other"
+_STEPS, _SETTLED = 12, 1e-10  # of the search for the state before a run, which one step nearly finds
 _CLOSED = 60  # rows that suffice to start a run while fitting
 
 
@@ -197,31 +197,48 @@ class Prior:
 def initial_states(
     layout: StateLayout, runs: Sequence[FloatArray], par: Parameters, prior: Prior, rows: int = _CLOSED
 ) -> FloatArray:
-    """(S, n) the most likely state before every run, from its first `rows` rows."""
-    d, n, n_y = layout.depth, layout.n, layout.n_y
-    found = np.empty((len(runs), n))
-    for s, W in enumerate(runs):
+    """(S, 1, n) the most likely state before every run, from its first `rows` rows.
+
+    Hidden states are not measured. They are inferred as a Bayesian estimate with Gaussian noise and prior:
+
+        weight * sum_k |y(k) - yhat(k; x)|^2 + (x - mean)' inverse (x - mean)
+    """
+    d, n_y = layout.depth, layout.n_y
+    found = []
+    for W in runs:
         part = np.ascontiguousarray(W[: d - 1 + max(rows, 1)])
-        best = np.inf
         guesses = (prior.mean, _measured(prior.mean, part[d - 1, :n_y]))
-        for guess in guesses if len(par.theta) > 1 else guesses[:1]:
-            x, cost = start_state(
-                part, d, n_y, layout.lags, par, guess, prior.mean, prior.inverse, prior.weight
-            )
-            if not cost >= best:
-                found[s], best = x, cost
-    return found
+        tried = [_likely(layout, part, par, prior, x) for x in guesses[: 2 if len(par.theta) > 1 else 1]]
+        found.append(min(tried, key=lambda t: t[0])[1])
+    return np.stack(found)[:, None]
+
+
+def _likely(
+    layout: StateLayout, W: FloatArray, par: Parameters, prior: Prior, guess: FloatArray
+) -> tuple[float, FloatArray]:
+    """Cost and state (n,) that a search from a guess ends in; the guess where the model runs away from it."""
+    samples, n_x, none = float((len(W) - layout.depth + 1) * layout.n_y), par.theta.shape[2], np.zeros((0, 0))
+    fixed = Fixed(
+        np.eye(n_x),
+        np.zeros(par.theta.shape[1:]),
+        none,
+        par.centre,
+        par.width,
+        par.z_range,
+        np.zeros(0, dtype=np.int64),
+        W,
+        np.array([0, len(W)]),
+        np.zeros((0, W.shape[1])),
+        np.ascontiguousarray(prior.mean),
+        np.ascontiguousarray(prior.inverse / (prior.weight * samples)),
+    )
+    sizes = Sizes(layout.depth, 1, layout.n_y, samples, 0.0)
+    p = np.concatenate([np.zeros(par.theta.size + 2 * par.centre.size), guess])
+    cost, _ = descend(p, layout.lags, par, fixed, sizes, _STEPS, _SETTLED)
+    return (float(cost) if np.isfinite(cost) else np.inf), p[-layout.n :].copy()
 
 
 def _measured(mean: FloatArray, y: FloatArray) -> FloatArray:
     guess = mean.copy()
     guess[: len(y)] = y
     return guess
-
-
-def simulated(layout: StateLayout, W: FloatArray, x: FloatArray, par: Parameters) -> FloatArray:
-    """W with its states simulated from x in row depth - 1."""
-    run = W.copy()
-    run[layout.depth - 1, : layout.n] = x
-    free_run(run, layout.depth, layout.lags, par)
-    return run

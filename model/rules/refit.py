@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.rules.compiled import Parameters
-from flysid.model.rules.free_run_error import REACH, Body, Problem, antecedent_range, widened
-from flysid.model.rules.growth import Stage, best_started, first_basis, refine
+from flysid.model.rules.free_run_error import Body, Problem, Stage, antecedent_range, widened
+from flysid.model.rules.growth import best_started, first_basis, refine
 from flysid.model.rules.integrator import holds_integrator, rings_on
 from flysid.model.rules.judging import Candidate, is_bounded
+from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.linear_starts import as_stage
-from flysid.model.rules.regressor_layout import Layout
+from flysid.model.rules.regressor_layout import REACH, Layout
 
 
 def refit(chosen: Candidate, data: Dataset, runs: Sequence[FloatArray], iterations: int) -> Stage:

@@ -17,8 +17,9 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.regressors import lagged_name
-from flysid.model.rules.compiled import Lags
+from flysid.model.rules.kernel import Lags
 
+REACH = 0.25  # of the range of an antecedent: so far beyond the training data its rules go on as they are
 _STILL = 1e-9  # of the signal: what a sum of rounding errors may move an antecedent by
 
 
@@ -110,6 +111,27 @@ class Layout:
     def n_y(self) -> int:
         """Number of outputs."""
         return len(self.outputs)
+
+    @property
+    def n(self) -> int:
+        """Simulated columns: the outputs."""
+        return len(self.outputs)
+
+    @property
+    def moving(self) -> int:
+        """Past outputs that the free run depends on: so many rows before the first computed one."""
+        z = (max(a.lag, a.minus) for a in self.antecedents if a.column < self.n_y)
+        return min(self.depth, max(self.orders.na, *z, 0))
+
+    @property
+    def uncompared(self) -> int:
+        """First rows of a run that count for nothing: those before the unknown ones agree with the data."""
+        return 0
+
+    @property
+    def reach(self) -> float:
+        """Of its range in training, by which rules go on as they are beyond it."""
+        return REACH
 
     @property
     def signals(self) -> tuple[Signal, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.model.base import write_document
-from flysid.model.rules.compiled import Parameters
+from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.physical import Scaled, physical_consequents, physical_partition
 from flysid.model.rules.regressor_layout import Antecedent

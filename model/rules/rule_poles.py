@@ -6,7 +6,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.freerun import far
-from flysid.model.rules.compiled import Lags, Parameters
+from flysid.model.rules.kernel import Lags, Parameters
 
 
 def pole_radius(A: FloatArray) -> float:

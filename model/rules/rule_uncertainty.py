@@ -21,9 +21,10 @@ from flysid.errors import DataError, UsageError
 from flysid.model.covariance import root_of
 from flysid.model.noise import coloured_gram, noise_model
 from flysid.model.polynomials import Z95
-from flysid.model.rules.compiled import Parameters, sensitivities
 from flysid.model.rules.fitted_lags import FittedTS, dc_gain, refuse_other_models, time_constant
-from flysid.model.rules.free_run_error import Body, Problem, SimulationError, runs_of, swept
+from flysid.model.rules.free_run_error import Body, Problem, Stage, run_sensitivities, runs_of, swept
+from flysid.model.rules.growth import NOTHING
+from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.refit import restated
 from flysid.model.rules.rule_poles import pole_radius
 from flysid.model.threads import on_one_thread
@@ -148,7 +149,7 @@ def uncertainty(model: FittedTS, train: Dataset) -> RuleUncertainty:
         raise DataError("fewer samples than numbers in the model: nothing can be said about its uncertainty")
     problem, body = restated(model.layout, model.parameters, runs)
     jacobians, errors = [], []
-    for W, initial in zip(runs, _starts(problem, body), strict=True):
+    for W, initial in zip(runs, _started(problem, body).initial, strict=True):
         J, e = _sensitivities(problem, body, W, initial)
         jacobians.append(J)
         errors.append(e)
@@ -180,18 +181,16 @@ def shortened(runs: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
     return tuple(kept)
 
 
-def _starts(problem: Problem, body: Body) -> FloatArray:
-    """(S, depth, n_y) first outputs, one Gauss-Newton step from the measured ones."""
-    error = SimulationError(problem, body, np.zeros(body.size))
-    measured = problem.measured_initial()
-    start = error.start(measured)
-    _, H, g = error.normal(start)
+def _started(problem: Problem, body: Body) -> Stage:
+    """The model with the first outputs one Gauss-Newton step from the measured ones, where that is better."""
+    stage = Stage(problem, body, problem.measured_initial()).priced()
+    _, H, g = stage.normal(NOTHING)
     if not H.is_finite():
-        return measured
+        return stage
     own = g.reshape(len(H.blocks), -1)
     steps = [np.linalg.lstsq(D, r, rcond=1e-10)[0] for D, r in zip(H.blocks, own, strict=True)]
-    better = start - np.concatenate(steps)
-    return error.split(better)[1] if error.cost(better) < error.cost(start) else measured
+    moved = replace(stage, initial=stage.initial - np.reshape(steps, stage.initial.shape)).priced()
+    return moved if moved.cost < stage.cost else stage
 
 
 def _sensitivities(
@@ -204,27 +203,6 @@ def _sensitivities(
     rest = flat[:, : body.size]
     rest = rest - own @ (own.T @ rest)
     return rest.reshape(*error.shape, -1), error
-
-
-def run_sensitivities(
-    problem: Problem, body: Body, W: FloatArray, initial: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(N, n_y, P + depth n_y) sensitivities of a free run, those to its first outputs last, and errors.
-
-    Parameters
-    ----------
-    W : (N, n_y + n_u) measured run, normalised.
-    initial : (depth, n_y) first outputs.
-    """
-    depth, n_y = initial.shape
-    run = W.copy()
-    run[:depth, :n_y] = initial
-    J = np.zeros((len(W), n_y, body.size + depth * n_y))
-    for k in range(depth):
-        J[k, :, body.size + k * n_y :][:, :n_y] = np.eye(n_y)
-    basis = np.ascontiguousarray(problem.basis)
-    sensitivities(run, (depth, len(W), 0), problem.layout.lags, problem.parameters(body), basis, J)
-    return J, W[:, :n_y] - run[:, :n_y]
 
 
 def covariance_of(body: Body, jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> FloatArray:

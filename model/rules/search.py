@@ -15,8 +15,8 @@ import numpy as np
 
 from flysid.errors import DataError
 from flysid.model.rules.clustered_start import clustered_stage
-from flysid.model.rules.free_run_error import runs_of
-from flysid.model.rules.growth import Stage, one_rule_more, refine, thinned, with_ridge
+from flysid.model.rules.free_run_error import Stage, runs_of
+from flysid.model.rules.growth import one_rule_more, refine, thinned, with_ridge
 from flysid.model.rules.judging import Candidate, choose
 from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, scaling

@@ -9,16 +9,8 @@ from typing import Literal, Protocol
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.rules.free_run_error import Problem, runs_of
-from flysid.model.rules.growth import (
-    Stage,
-    embedded_start,
-    first_basis,
-    linear_stage,
-    rebased,
-    refine,
-    unrefined,
-)
+from flysid.model.rules.free_run_error import Problem, Stage, runs_of
+from flysid.model.rules.growth import embedded_start, first_basis, linear_stage, rebased, refine, unrefined
 from flysid.model.rules.integrator import looks_integrating, with_integrator
 from flysid.model.rules.judging import Candidate, choose, judged
 from flysid.model.rules.linear_starts import LinearModel, arx_start, as_stage, linear_models

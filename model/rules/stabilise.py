@@ -17,16 +17,16 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.rules.assembly import finished, free_run_rmse
-from flysid.model.rules.compiled import IntArray
 from flysid.model.rules.consequents import refuse_few, refuse_other_data
 from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.free_run_error import REACH, Body, Problem, runs_of, widened
-from flysid.model.rules.growth import Stage, best_started, ordered, refined
+from flysid.model.rules.free_run_error import Body, Problem, Stage, runs_of, widened
+from flysid.model.rules.growth import best_started, ordered
 from flysid.model.rules.integrator import holds_integrator
 from flysid.model.rules.judging import is_bounded
+from flysid.model.rules.kernel import IntArray
 from flysid.model.rules.local_models import certificate_of
 from flysid.model.rules.phrases import from_to
-from flysid.model.rules.regressor_layout import Layout
+from flysid.model.rules.regressor_layout import REACH, Layout
 from flysid.model.rules.rule_poles import companion, output_lags, pole_radius
 from flysid.model.threads import on_one_thread
 
@@ -150,7 +150,7 @@ def _refined(model: FittedTS, theta: FloatArray, runs: tuple[FloatArray, ...]) -
     free[: a.size] = np.tile(~past, a.size // len(past))
     if start.rules == 1:
         free[a.size :] = 0.0
-    found = refined(start, free, _ITERATIONS, 1e-6)
+    found = start.descended(_ITERATIONS, 1e-6, np.flatnonzero(free))
     return found if found.cost < start.cost and is_bounded(found) else start
 
 

@@ -10,7 +10,7 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError
 from flysid.model.noise import noise_models
 from flysid.model.rules.fitted_states import FittedTSStateSpace
-from flysid.model.rules.state_growth import StateStage, rule_support
+from flysid.model.rules.state_growth import StateStage, prior_of, rule_support
 from flysid.model.rules.state_uncertainty import uncertainty
 from flysid.model.start import start_window
 
@@ -26,7 +26,7 @@ def finished(
         dt_s=train.dt_s,
         layout=layout,
         parameters=stage.problem.parameters(stage.body),
-        prior=stage.prior(),
+        prior=prior_of(stage),
         n_init=layout.depth + 2 * -(-layout.n // n_y),
         output_limits=np.stack([low - (high - low), high + (high - low)]),
         support=rule_support(stage),

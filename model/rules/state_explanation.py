@@ -6,9 +6,9 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.arguments import as_record
-from flysid.model.rules.compiled import firing
 from flysid.model.rules.explanation import Explanation, is_outside, refuse_row, taken_apart
 from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.kernel import firing
 
 
 def explain(model: FittedTSStateSpace, u: FloatArray, y: FloatArray, row: int) -> Explanation:

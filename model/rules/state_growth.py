@@ -15,13 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import FloatArray
-from flysid.errors import FitError
-from flysid.model.refine import levenberg_marquardt
-from flysid.model.rules.compiled import firing
-from flysid.model.rules.free_run_error import Body
+from flysid.model.rules.free_run_error import Body, RuleProblem, RuleStage, antecedent_range
+from flysid.model.rules.kernel import firing
 from flysid.model.rules.realisation import Prior, Realisation, initial_states, uncorrelated
 from flysid.model.rules.regressor_layout import Antecedent
-from flysid.model.rules.state_error import StateError, StateProblem, antecedent_range
 from flysid.model.rules.state_layout import StateLayout, windows
 
 _PLACES = (0.15, 0.5, 0.85)
@@ -36,41 +33,14 @@ _FEWEST = 10  # samples of a region that takes another rule
 _MARGIN = 0.1  # of its range, by which a hidden antecedent's range is widened
 
 
-@dataclass(frozen=True, eq=False)
-class StateStage:
-    """A refined model: its problem, its numbers, initial states, and the cost reached in training."""
+StateProblem = RuleProblem[StateLayout]
+StateStage = RuleStage[StateLayout]
 
-    problem: StateProblem
-    body: Body
-    initial: FloatArray
-    cost: float
 
-    @property
-    def rules(self) -> int:
-        """Number of rules."""
-        return len(self.body.a)
-
-    @property
-    def layout(self) -> StateLayout:
-        """States, lags, antecedents."""
-        return self.problem.layout
-
-    def prior(self) -> Prior:
-        """What training says about states, for starting other runs."""
-        runs = [run[self.layout.depth - 1 :] for run in self.simulated()]
-        return Prior.of(runs, self.layout.n, self.mean_square())
-
-    def simulated(self) -> list[FloatArray]:
-        """W of every run, simulated."""
-        return self.problem.simulate(self.body, self.initial)
-
-    def mean_square(self) -> float:
-        """Mean squared simulation error, without the ridge."""
-        d, n_y, total = self.layout.depth, self.layout.n_y, 0.0
-        for run, W in zip(self.simulated(), self.problem.runs, strict=True):
-            gap = run[d - 1 :, :n_y] - W[d - 1 :, :n_y]
-            total += float((gap * gap).sum())
-        return total / self.problem.samples
+def prior_of(stage: StateStage) -> Prior:
+    """What training says about states, for starting other runs."""
+    runs = [run[stage.layout.depth - 1 :] for run in stage.simulated()]
+    return Prior.of(runs, stage.layout.n, stage.mean_square())
 
 
 def linear_stage(
@@ -94,8 +64,7 @@ def linear_stage(
     y = np.vstack([W[d - 1 :, :n_y] for W in runs])
     margin, limits = np.ptp(y, axis=0), np.full((2, n), np.inf) * np.array([[-1.0], [1.0]])
     limits[:, :n_y] = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
-    metric = np.zeros((n * len(layout.regressors),) * 2)
-    problem = StateProblem(layout, runs, np.zeros((2, 0)), limits, metric)
+    problem = unmoved(layout, runs, np.zeros((2, 0)), limits)
     nowhere = Prior(np.zeros(n), 1e-6 * np.eye(n), 1.0)
     stage = _linear(problem, real, nowhere)
     states = np.vstack([r[d - 1 :, :n] for r in stage.simulated()])
@@ -113,11 +82,9 @@ def linear_stage(
     limits[1, :n_y] = np.minimum(limits[1, :n_y], ends[1])
     stage = _linear(problem, real, nowhere)
     stage = refine(stage, iterations, 1e-6) if iterations else stage
-    error = _error(stage)
-    H = error.normal(error.start())[1]
-    m = stage.body.a.size
-    diagonal = np.diag(H)[:m]
-    metric = H[:m, :m] + np.diag(_FLOOR * diagonal + 1e-9 * diagonal.max())
+    H = stage.normal()[1].corner
+    diagonal = np.diag(H)
+    metric = H + np.diag(_FLOOR * diagonal + 1e-9 * diagonal.max())
     return replace(stage, problem=replace(stage.problem, metric=metric))
 
 
@@ -130,32 +97,24 @@ def _linear(problem: StateProblem, real: Realisation, prior: Prior) -> StateStag
     return StateStage(problem, body, initial, np.inf)
 
 
-def _error(stage: StateStage) -> StateError:
-    free = np.ones(stage.body.size)
-    if stage.rules == 1:
-        free[stage.body.a.size :] = 0.0
-    return StateError(stage.problem, stage.body, free, stage.initial)
+def unmoved(
+    layout: StateLayout, runs: tuple[FloatArray, ...], z_range: FloatArray, limits: FloatArray
+) -> StateProblem:
+    """A problem whose consequents stand as they are, without a ridge."""
+    n_x = len(layout.regressors)
+    return StateProblem(layout, runs, np.eye(n_x), np.zeros((layout.n, n_x)), z_range, limits)
 
 
 def refine(stage: StateStage, iterations: int, tolerance: float) -> StateStage:
     """Levenberg-Marquardt on the simulation error from where the stage is."""
-    error = _error(stage)
-    try:  # without a cheaper cost: nine trial points in ten are accepted, and need their derivatives anyhow
-        found = levenberg_marquardt(
-            error.normal, error.start(), max_iterations=iterations, tolerance=tolerance
-        )
-    except FitError:
-        return replace(stage, cost=float("inf"))
-    body, initial = error.split(found.theta)
-    return replace(stage, body=body, initial=initial, cost=found.cost)
+    return stage.descended(iterations, tolerance)
 
 
 def in_windows(stage: StateStage, rows: int) -> StateStage:
     """The stage over windows of about `rows` rows, each started where the free run is."""
-    d, n = stage.layout.depth, stage.layout.n
+    d = stage.layout.depth
     data = windows(stage.problem.runs, d, rows)
-    states = windows(stage.simulated(), d, rows)
-    initial = np.stack([W[d - 1, :n] for W in states])
+    initial = stage.problem.starts(windows(stage.simulated(), d, rows))
     return replace(stage, problem=replace(stage.problem, runs=data), initial=initial)
 
 
@@ -169,7 +128,7 @@ def on_runs_of(stage: StateStage, other: StateStage) -> StateStage:
 def on_other_runs(stage: StateStage, runs: tuple[FloatArray, ...]) -> StateStage:
     """A stage's model on other runs, from the most likely states."""
     problem = replace(stage.problem, runs=runs)
-    initial = initial_states(stage.layout, runs, problem.parameters(stage.body), stage.prior(), 100)
+    initial = initial_states(stage.layout, runs, problem.parameters(stage.body), prior_of(stage), 100)
     return replace(stage, problem=problem, initial=initial)
 
 
@@ -181,7 +140,7 @@ def with_ridge(stage: StateStage, ridge: float) -> StateStage:
 def with_variables(stage: StateStage, antecedents: tuple[Antecedent, ...]) -> StateStage:
     """The same model looking at more antecedents, in which every rule covers everything."""
     old, layout = stage.layout.antecedents, replace(stage.layout, antecedents=antecedents)
-    z_range = antecedent_range(layout, stage.simulated(), stage.problem.runs)
+    z_range = antecedent_range(layout, _seen(stage))
     span = z_range[1] - z_range[0]
     hidden = np.array([layout.n_y <= a.column < layout.n for a in antecedents])
     z_range = z_range + np.outer([-1.0, 1.0], np.where(hidden, _MARGIN * span, 0.0))
@@ -194,6 +153,16 @@ def with_variables(stage: StateStage, antecedents: tuple[Antecedent, ...]) -> St
             z_range[:, j] = stage.problem.z_range[:, i]
     problem = replace(stage.problem, layout=layout, z_range=z_range)
     return replace(stage, problem=problem, body=Body(stage.body.a, centre, width))
+
+
+def _seen(stage: StateStage) -> list[FloatArray]:
+    """Training runs as measured, with the hidden states as simulated."""
+    hidden, found = slice(stage.layout.n_y, stage.layout.n), []
+    for run, W in zip(stage.simulated(), stage.problem.runs, strict=True):
+        both = W.copy()
+        both[:, hidden] = run[:, hidden]
+        found.append(both)
+    return found
 
 
 @dataclass(frozen=True)
@@ -273,14 +242,12 @@ def z_and_firing(stage: StateStage) -> tuple[FloatArray, FloatArray]:
 
 def expected_cost(stage: StateStage) -> float:
     """The cost that one regularised Gauss-Newton step on all unknowns promises; inf where it cannot."""
-    error = _error(stage)
-    cost, H, g = error.normal(error.start())
-    if not (np.isfinite(H).all() and np.isfinite(g).all()):
+    cost, H, g = stage.normal()
+    if not (H.is_finite() and np.isfinite(g).all()):
         return float("inf")
-    d = 1.0 / np.sqrt(np.maximum(H.diagonal(), 1e-9 * H.diagonal().max()))
-    scaled = H * d[:, None] * d[None, :]
-    scaled[np.diag_indices_from(scaled)] += 1e-3
-    return cost - float((d * g) @ np.linalg.solve(scaled, d * g))
+    diagonal = H.diagonal()
+    step = H.damped_step(np.sqrt(np.maximum(diagonal, 1e-9 * diagonal.max())), 1e-3, g)
+    return float("inf") if step is None else cost + float(step @ g)
 
 
 @dataclass(frozen=True)
@@ -290,13 +257,11 @@ class Training:
     Attributes
     ----------
     ridge : of the mean square error: 0.01 is as if one more sample in a hundred said that rules are equal.
-    horizons : window lengths in rows that come before the whole runs.
     tries : insertions tried out.
     iterations, tolerance : Levenberg-Marquardt steps of the last refinement, and when it has converged.
     """
 
     ridge: float = 0.01
-    horizons: tuple[int, ...] = ()
     tries: int = 3
     iterations: int = 30
     tolerance: float = 1e-6
@@ -320,7 +285,7 @@ def best_insertion(
         return stage, None
     order = np.argsort([expected_cost(option) for _, option in options], kind="stable")[: how.tries]
     more = thinned(stage, _MORE)
-    trials = [trained(_on(options[i][1], more), how, max(6, how.iterations // 3)) for i in order]
+    trials = [refine(_on(options[i][1], more), max(6, how.iterations // 3), 1e-5) for i in order]
     at = int(np.argmin([t.cost for t in trials]))
     best = trials[at]
     if more is not stage:
@@ -354,18 +319,6 @@ def thinned(stage: StateStage, samples: int) -> StateStage:
     every = max(1, round(total / samples))
     runs = cut.problem.runs[::every]
     return replace(cut, problem=replace(cut.problem, runs=runs), initial=cut.initial[::every])
-
-
-def trained(start: StateStage, how: Training, iterations: int) -> StateStage:
-    """Refined over every horizon in turn, then over the whole runs."""
-    stage = start
-    longest = max(len(W) for W in start.problem.runs)
-    for rows in how.horizons:
-        if rows * 2 <= longest:
-            stage = refine(in_windows(stage, rows), iterations, 1e-4)
-    if stage.problem.runs is not start.problem.runs:
-        stage = on_runs_of(stage, start)
-    return refine(stage, iterations, 1e-5)
 
 
 def ordered(stage: StateStage) -> StateStage:

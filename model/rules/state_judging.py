@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.rules.compiled import free_run
 from flysid.model.rules.contraction import forgets_start
+from flysid.model.rules.free_run_error import started_run
 from flysid.model.rules.judging import blocks, judging_window
+from flysid.model.rules.kernel import free_run
 from flysid.model.rules.probe_inputs import stress_run
-from flysid.model.rules.realisation import initial_states, simulated
-from flysid.model.rules.state_growth import StateStage
+from flysid.model.rules.realisation import initial_states
+from flysid.model.rules.state_growth import StateStage, prior_of
 from flysid.model.rules.state_layout import windows
 
 _AT_END = 2e-3  # of an output's range: this near the extreme counts as at it
@@ -54,9 +55,9 @@ def free_run_errors(stage: StateStage, runs: Sequence[FloatArray], window: int) 
     """(N - window, n_y) simulated minus measured outputs of every run, started from its first rows."""
     par, n_y = stage.problem.parameters(stage.body), stage.layout.n_y
     rows = window - stage.layout.depth + 1
-    first = initial_states(stage.layout, runs, par, stage.prior(), rows)
+    first = initial_states(stage.layout, runs, par, prior_of(stage), rows)
     pairs = zip(runs, first, strict=True)
-    return [(simulated(stage.layout, W, x, par) - W)[window:, :n_y] for W, x in pairs]
+    return [(started_run(stage.layout, W, x, par) - W)[window:, :n_y] for W, x in pairs]
 
 
 def judged(stage: StateStage, runs: Sequence[FloatArray], least: int) -> Judged:

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from flysid.dataset import FloatArray, Segment, Signal
-from flysid.model.rules.compiled import Lags
+from flysid.model.rules.kernel import Lags
 from flysid.model.rules.regressor_layout import Antecedent, antecedent_values, lags_of, regressor_names
 
 HIDDEN = "hidden"
@@ -65,6 +65,21 @@ class StateLayout:
     def depth(self) -> int:
         """Row that the first step computes; the state before it stands in row depth - 1."""
         return max([1, *(lag for lags in self.input_lags for lag in lags)])
+
+    @property
+    def moving(self) -> int:
+        """The free run hangs on one row before the first computed one: the state there."""
+        return 1
+
+    @property
+    def uncompared(self) -> int:
+        """First rows of a run, from before there is a state."""
+        return self.depth - 1
+
+    @property
+    def reach(self) -> float:
+        """Antecedents stay where the range of training ends: hidden ones have a margin in theirs."""
+        return 0.0
 
     @property
     def regressors(self) -> list[tuple[int, int]]:

@@ -13,8 +13,8 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.model.rules.compiled import free_run
 from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.kernel import free_run
 from flysid.model.rules.local_models import Certificate, StateSpace, certificate_of, refuse_limit
 
 _NEWTON = 40  # steps

@@ -21,10 +21,10 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
 from flysid.model.rules.fitted_lags import time_constant
 from flysid.model.rules.fitted_states import FittedTSStateSpace
-from flysid.model.rules.free_run_error import Body
+from flysid.model.rules.free_run_error import Body, RuleProblem, run_sensitivities, swept
 from flysid.model.rules.realisation import initial_states
 from flysid.model.rules.rule_uncertainty import Uncertainty, check_signals, covariance_of, shortened
-from flysid.model.rules.state_error import StateProblem, swept
+from flysid.model.rules.state_growth import StateProblem, unmoved
 from flysid.model.rules.state_layout import runs_of
 from flysid.model.threads import on_one_thread
 
@@ -65,14 +65,11 @@ class StateUncertainty(Uncertainty[FittedTSStateSpace]):
         rows = len(W) - len(middle)
         run = model.run(W, rows if y0 is None else model.n_init)
         half = np.zeros_like(middle)
-        at = max(layout.depth - 1, 0)
-        for J, _ in swept(self.problem_of_states, self.body, W, run[at, : layout.n]):
-            J = J[..., : self.body.size]
+        for within, J in swept(self.problem_of_states, self.body, run):
             part = np.sqrt(np.maximum(np.einsum("kip,pq,kiq->ki", J, self.covariance, J), 0.0))
-            first, last = max(at - rows, 0), at - rows + len(part)
+            first, last = max(within.start - rows, 0), within.stop - rows
             if last > 0:
                 half[first:last] = part[len(part) - (last - first) :]
-            at += len(part)
         half *= _Z95 * layout.scale[: layout.n_y]
         if y0 is not None:
             half[: model.n_init] = 0.0
@@ -82,7 +79,7 @@ class StateUncertainty(Uncertainty[FittedTSStateSpace]):
     @property
     def problem_of_states(self) -> StateProblem:
         """The problem, as what it is."""
-        assert isinstance(self.problem, StateProblem)
+        assert isinstance(self.problem, RuleProblem)
         return self.problem
 
     @cached_property
@@ -138,8 +135,7 @@ def uncertainty(model: FittedTSStateSpace, train: Dataset) -> StateUncertainty:
     if sum(len(W) - layout.depth for W in runs) * layout.n_y <= model.n_parameters:
         raise DataError("fewer samples than numbers in the model: nothing can be said about its uncertainty")
     body = Body(par.theta.copy(), par.centre.copy(), par.width.copy())
-    metric = np.zeros((par.theta[0].size,) * 2)
-    problem = StateProblem(layout, runs, par.z_range, par.limits, metric)
+    problem = unmoved(layout, runs, par.z_range, par.limits)
     starts = initial_states(layout, runs, par, model.prior, _START_ROWS)
     found = [_sensitivities(problem, body, W, x) for W, x in zip(runs, starts, strict=True)]
     covariance = covariance_of(body, [J for J, _ in found], [e for _, e in found])
@@ -150,10 +146,9 @@ def _sensitivities(
     problem: StateProblem, body: Body, W: FloatArray, initial: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(N, n_y, P) sensitivities of a free run, its own initial state projected out, and (N, n_y) errors."""
-    pieces = [(J.copy(), e) for J, e in swept(problem, body, W, initial)]
-    J, error = (np.concatenate(part) for part in zip(*pieces, strict=True))
+    J, error = (part[problem.layout.uncompared :] for part in run_sensitivities(problem, body, W, initial))
     flat = J.reshape(-1, J.shape[2])
     own = np.linalg.qr(flat[:, body.size :])[0]
     rest = flat[:, : body.size]
     rest = rest - own @ (own.T @ rest)
-    return rest.reshape(len(J), J.shape[1], -1), -error
+    return rest.reshape(len(J), J.shape[1], -1), error

@@ -20,17 +20,17 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.rules.assembly import free_run_rmse, with_noise_model
-from flysid.model.rules.compiled import Parameters, firing
 from flysid.model.rules.consequents import refuse_other_data, weighted
 from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.free_run_error import runs_of
-from flysid.model.rules.growth import Stage, best_started
+from flysid.model.rules.free_run_error import Stage, run_sensitivities, runs_of
+from flysid.model.rules.growth import best_started
 from flysid.model.rules.judging import is_bounded
+from flysid.model.rules.kernel import Parameters, firing
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.refit import restated
 from flysid.model.rules.regressor_layout import Layout
 from flysid.model.rules.rule_poles import output_lags, pole_radius
-from flysid.model.rules.rule_uncertainty import run_sensitivities, steep
+from flysid.model.rules.rule_uncertainty import steep
 from flysid.model.threads import on_one_thread
 
 Error = Literal["free run", "one step"]
@@ -219,7 +219,7 @@ def _random_steps(stage: Stage) -> Stage:
     for column in range(layout.n_y, len(layout.signals)):
         lengths = np.exp(rng.uniform(0.0, np.log(0.1 * _USUAL), _USUAL)).astype(int) + 1
         W[:, column] = np.repeat(rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), _USUAL), lengths)[:_USUAL]
-    initial = np.zeros((1, layout.depth, layout.n_y))
+    initial = np.zeros((1, layout.moving, layout.n_y))
     return replace(stage, problem=replace(stage.problem, runs=(W,)), initial=initial)
 
 

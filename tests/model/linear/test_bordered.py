@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from flysid.dataset import Dataset
 from flysid.model.bordered import Bordered
-from flysid.model.rules.free_run_error import Problem, SimulationError, runs_of
+from flysid.model.rules.free_run_error import Body, Problem, Stage, runs_of
 from flysid.model.rules.growth import first_basis, insertions, linear_stage
-from flysid.model.rules.probe_inputs import beyond, stress_run
+from flysid.model.rules.probe_inputs import stress_run
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, scaling
 
 P, SEGMENTS, Q = 4, 3, 2
@@ -56,24 +57,37 @@ def test_gradient_and_matrix_hold_ridge_first_outputs_and_stress() -> None:
     limits = np.array([[-4.0], [4.0]])
     stress = 2.0 * stress_run(grown.problem.runs, 1, 100, 3)  # leaves the range
     problem = replace(grown.problem, ridge=0.01, limits=limits, stress=stress)
-    body = grown.body
-    error = SimulationError(problem, body, np.ones(body.size))
-    start = error.start(grown.initial)
+    stage = replace(grown, problem=problem)
     rng = np.random.default_rng(2)
-    point = start + 1e-3 * rng.normal(size=len(start))
-    cost, H, g = error.normal(point)
-    assert abs(cost - error.cost(point)) < 1e-12
-    calm = SimulationError(replace(problem, stress=None), body, np.ones(body.size))
-    assert cost > calm.cost(point) + 1e-6
-    assert len(H.blocks) == 2
+    point = stage.unknowns + 1e-3 * rng.normal(size=len(stage.unknowns))
+    cost, (_, _, blocks, g) = stage.descent(point, 0)
+    assert abs(cost - stage.descent(point, -1)[0]) < 1e-12
+    calm = replace(stage, problem=replace(problem, stress=None))
+    assert cost > calm.descent(point, -1)[0] + 1e-6
+    assert len(blocks) == 2
     for column in range(len(point)):
         shift = np.zeros(len(point))
         shift[column] = 1e-6
-        slope = (error.cost(point + shift) - error.cost(point - shift)) / 2e-6
+        slope = (stage.descent(point + shift, -1)[0] - stage.descent(point - shift, -1)[0]) / 2e-6
         assert abs(slope / 2 - g[column]) < 1e-5 * max(1.0, np.abs(g).max()), column
 
 
 def test_only_what_leaves_the_range_counts() -> None:
-    y = np.array([[-3.0], [-1.9], [0.0], [1.9], [2.5]])
-    over = beyond(y, np.array([[-3.0], [3.0]]))
-    assert np.allclose(over[:, 0], [-1.0, 0.0, 0.0, 0.0, 0.5])
+    """Half of the margin between the training range and the limits is free."""
+    layout = replace(_problem().layout, orders=Orders(0, (1,), (0,)), shift=np.zeros(2), scale=np.ones(2))
+    stress = np.array([[0.0, u] for u in (-3.0, -1.9, 0.0, 1.9, 2.5)])
+    own = replace(_problem(), layout=layout, runs=(np.zeros((3, 2)),), basis=np.eye(2))
+    limits = np.array([[-3.0], [3.0]])
+    problem = replace(own, offset=np.zeros((1, 2)), limits=limits, stress=stress)
+    same = Body(np.array([[[1.0, 0.0]]]), np.zeros((1, 0)), np.zeros((1, 0)))  # y(k) = u(k)
+    cost = Stage(problem, same, np.zeros((1, 0, 1))).priced().cost
+    # row 0 is before the first simulated one
+    assert cost == pytest.approx(0.5**2 / 5)
+
+
+def test_a_rule_that_looks_back_further_than_the_lags_starts_from_what_it_sees() -> None:
+    stage = linear_stage(_problem(), 5)
+    (grown, *_) = insertions(stage, Antecedent(0, 5))
+    assert grown.layout.depth == grown.layout.moving == grown.initial.shape[1] == 5
+    before = stage.simulated()[0][3:5, :1]
+    assert np.allclose(grown.initial[0, 3:], before)

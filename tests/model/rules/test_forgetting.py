@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray, Signal
-from flysid.model.rules.compiled import Parameters
 from flysid.model.rules.contraction import forgets_start
+from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders
 
 SEEN = np.array([[-1.0], [1.0]])

@@ -7,9 +7,9 @@ import pytest
 from scipy.signal import lfilter
 
 from flysid.dataset import FloatArray, Signal
-from flysid.model.rules.compiled import Parameters
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.judging import is_bounded
+from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.probe_inputs import stress_run
 from flysid.model.rules.refit import restated
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders

@@ -9,7 +9,8 @@ import pytest
 
 from bench.ts_intervals import known_model
 from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.growth import Stage, inserted, unrefined
+from flysid.model.rules.free_run_error import Stage
+from flysid.model.rules.growth import inserted, unrefined
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.learning import rule_verdict
 from flysid.model.rules.merge_split import exchanged

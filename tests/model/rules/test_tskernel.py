@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.compiled import Lags, Parameters, firing, free_run, predict, sensitivities
+from flysid.model.rules.kernel import Lags, Parameters, firing, free_run, predict, sweep
 
 LAGS = Lags(  # two outputs, one input; z = (y1(k-1), u(k-1), y2(k-1) - y2(k-2))
     np.array([0, 0, 1, 2, -1]),
@@ -89,7 +89,17 @@ def test_sensitivities_are_the_derivatives_of_the_free_run() -> None:
     for k in range(depth):
         for i in range(2):
             J[k, i, size + 2 * k + i] = 1.0
-    sensitivities(inputs(n), (depth, n, 0), LAGS, p, basis, J)
+    ring = J[:depth].copy()
+    W, later = inputs(n), J[depth:].copy()
+    H, g = np.zeros((len(v), len(v))), np.zeros(len(v))
+    square = sweep(inputs(n), W, (depth, n), LAGS, p, basis, depth * 2, ring, later, H, g)
+    J[depth:] = later
+    flat, gaps = later.reshape(-1, len(v)), inputs(n)
+    free_run(gaps, depth, LAGS, p)
+    error = (gaps - W)[depth:, :2].ravel()
+    assert square == pytest.approx(error @ error)
+    assert np.allclose(np.tril(H), np.tril(flat.T @ flat), rtol=1e-9, atol=1e-9)
+    assert np.allclose(g, flat.T @ error, rtol=1e-9, atol=1e-9)
     step = 1e-6
     for column in range(len(v)):
         shift = np.zeros(len(v))
