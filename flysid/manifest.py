@@ -187,9 +187,14 @@ def stamps(data: Path) -> dict[str, Stamp]:
     for name in folder_names(data):
         if not name.startswith("."):
             with suppress(OSError):
-                state = os.stat(os.path.join(data, FLIGHTS, name, MANIFEST_FILE))
-                found[name] = (state.st_size, state.st_mtime_ns)
+                found[name] = stamp_of(os.path.join(data, FLIGHTS, name))
     return found
+
+
+def stamp_of(folder: str | Path) -> Stamp:
+    """Size and time of change of a flight's manifest. Raises OSError where there is none."""
+    state = os.stat(os.path.join(folder, MANIFEST_FILE))
+    return state.st_size, state.st_mtime_ns
 
 
 def find_flight(data: str | Path, flight: str) -> Manifest:

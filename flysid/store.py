@@ -128,7 +128,7 @@ def _is_own(path: Path) -> bool:
     """Whether an entry of a folder is what a writer leaves that is killed while it makes a data folder."""
     if path.name == FLIGHTS:
         return path.is_dir() and not any(path.iterdir())
-    return path.name == LOCK_FILE or path.name.startswith(f".{DATA_FILE}.")
+    return path.name in (LOCK_FILE, CATALOGUE_FILE) or path.name.startswith(f".{DATA_FILE}.")
 
 
 def locked(data: Path) -> AbstractContextManager[None]:

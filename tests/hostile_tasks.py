@@ -9,7 +9,7 @@ from pathlib import Path
 
 from flysid.errors import WriteError
 from flysid.ingest.formats.base import Limits
-from flysid.ingest.lake.batch import Job, Result, ingest_one
+from flysid.ingest.lake.batch import Job, Result, Task, ingest_one
 
 
 def act(kind: str) -> str:
@@ -37,8 +37,9 @@ def act(kind: str) -> str:
     return kind
 
 
-def read_or_act(job: Job, data: Path) -> Result:
+def read_or_act(job: Task, data: Path) -> Result:
     """Ingest a log, unless its name says what to do instead."""
+    assert isinstance(job, Job)
     if job.path.stem in ("endless", "grows", "crash", "killed", "exit"):
         (data / "flights" / f".incoming-{job.path.stem}-{os.getpid()}").mkdir()
         act(job.path.stem)

@@ -133,9 +133,9 @@ def take_in(stages: Stages) -> str:
     from flysid.ingest.lake.finding import find_logs
 
     results = list(ingest_logs(find_logs([stages.logs]), stages.data, bounds=None))
-    manifests = [r.manifest for r in results if r.manifest is not None]
-    lost = sum(m.damage.lossy for m in manifests) + sum(r.skipped for r in results)
-    return f"{len(manifests)} logs, {sum(m.rows for m in manifests):,} records, {lost} with losses"
+    taken = [r.flight for r in results if r.flight is not None]
+    lost = sum(flight.lossy for flight in taken) + sum(r.skipped for r in results)
+    return f"{len(taken)} logs, {sum(flight.rows for flight in taken):,} records, {lost} with losses"
 
 
 def fit(stages: Stages, seed: int, progress: Callable[[str], None]) -> Run:

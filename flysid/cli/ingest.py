@@ -71,8 +71,8 @@ def command(
         click.echo(json.dumps(document, indent=1))
     else:
         for result in results:
-            if result.manifest and not result.unchanged:
-                click.echo(printable(result.manifest.id))
+            if result.flight and not result.unchanged:
+                click.echo(printable(result.flight.id))
     say_passed_over(found.passed_over, quiet)
     report(results, quiet)
     return exit_code(results)
@@ -86,7 +86,7 @@ def exit_code(results: list[Result]) -> int:
 
 
 def is_lossy(result: Result) -> bool:
-    return result.manifest is not None and not result.unchanged and result.manifest.damage.lossy
+    return result.damage.lossy
 
 
 @contextmanager
@@ -111,13 +111,13 @@ def describe(result: Result) -> str:
     from flysid.ingest.formats.opening import short_name
 
     name = short_name(result.path)
-    if result.manifest is None:
+    if result.flight is None:
         return f"{name}: skipped: {result.reason}"
     if result.unchanged:
         return f"{name}: unchanged"
-    flight = result.manifest
+    flight = result.flight
     return (
-        f"{name}: {flight.source.format}, {flight.rows:,} records in {len(flight.streams)} streams, "
+        f"{name}: {flight.format}, {flight.rows:,} records in {len(flight.streams)} streams, "
         f"{flight.duration_s:.1f} s"
     )
 
@@ -125,13 +125,13 @@ def describe(result: Result) -> str:
 def report(results: list[Result], quiet: bool) -> None:
     """Losses and skipped logs by name (even when quiet), then the sums."""
     for result in results:
-        if is_lossy(result) and result.manifest is not None:
-            for line in losses(result.manifest.damage):
+        if is_lossy(result):
+            for line in losses(result.damage):
                 say(f"lost: {result.path}: {line}")
-        elif result.manifest is None:
+        elif result.skipped:
             say(f"skipped: {result.path}: {result.reason}")
-    new = [r.manifest for r in results if r.manifest and not r.unchanged]
-    counts = [f"{len(new)} ingested, {sum(m.rows for m in new):,} records"]
+    new = [r.flight for r in results if r.flight and not r.unchanged]
+    counts = [f"{len(new)} ingested, {sum(flight.rows for flight in new):,} records"]
     if unchanged := sum(r.unchanged for r in results):
         counts.append(f"{unchanged} unchanged")
     if skipped := sum(r.skipped for r in results):
@@ -173,19 +173,18 @@ def _counts(counts: dict[str, int]) -> str:
 def as_document(result: Result) -> dict[str, Any]:
     """One log for `--json`."""
     document: dict[str, Any] = {"path": str(result.path)}
-    if result.manifest is None:
+    if result.flight is None:
         return {**document, "status": "skipped", "reason": result.reason}
-    flight = result.manifest
     import msgspec
 
-    return {
-        **document,
+    flight = result.flight
+    document |= {
         "status": "unchanged" if result.unchanged else "ingested",
         "id": flight.id,
-        "format": flight.source.format,
+        "format": flight.format,
         "records": flight.rows,
         "streams": len(flight.streams),
         "duration_s": flight.duration_s,
-        "lossy": flight.damage.lossy,
-        "damage": msgspec.to_builtins(flight.damage),
+        "lossy": flight.lossy,
     }
+    return document if result.unchanged else {**document, "damage": msgspec.to_builtins(result.damage)}

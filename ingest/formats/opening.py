@@ -6,6 +6,7 @@ twice: a .gz or .zst file inside a .zip archive. What is packed in any other way
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ from typing import TypeVar
 
 from flysid.errors import FormatError
 from flysid.flight import Flight
-from flysid.ingest.formats.base import HEAD_BYTES, Format, Limits, Parts, Summary, map_file
+from flysid.ingest.formats.base import HEAD_BYTES, Format, Limits, Parts, Summary, hash_log, map_file
 from flysid.ingest.formats.common.compression import (
     GZIP_MAGIC,
     ZSTD_MAGIC,
@@ -92,6 +93,27 @@ def open_log(path: Path, limits: Limits | None = None) -> Iterator[OpenLog]:
             log = _unpacked(own_name(log.name), stack.enter_context(packing), log.lost)
         _check(log, path)
         yield log
+
+
+def identify(path: Path, limits: Limits) -> tuple[str, int]:
+    """sha256 and size of a log's bytes, unpacked where it is packed; raises as `open_log`.
+
+    A log that is not packed is read, not mapped: it may be cut meanwhile without harm to this process.
+    """
+    file, inside = locate(path)
+    if inside or not file.is_file():
+        return _identify_opened(path, limits)
+    with file.open("rb") as opened:
+        head = opened.read(8)
+        if not head or is_archive(head) or is_compressed(head):
+            return _identify_opened(path, limits)
+        opened.seek(0)
+        return hashlib.file_digest(opened, "sha256").hexdigest(), opened.tell()
+
+
+def _identify_opened(path: Path, limits: Limits) -> tuple[str, int]:
+    with open_log(path, limits) as log:
+        return hash_log(log.view), len(log.view)
 
 
 def _unpacked(name: str, found: Expanded, lost_before: str = "") -> OpenLog:

@@ -1,26 +1,29 @@
 """Many logs into one folder: hashed, read in parallel; one bad log never stops the rest.
 
-Logs whose content is in the folder already are recognised by their hash before any worker starts. Each
-worker reads one log at a time, within bounds of memory and time (`workers`). A log that breaks them, or the
-process that reads it, is named; it costs no other log.
+Each worker hashes or reads one log at a time, within bounds of memory and time (`workers`). First all logs
+are hashed: those whose content is in the folder already, or in another log of the run, are not read. A log
+that breaks the bounds, or the process that is at it, is named; it costs no other log.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from flysid.catalogue import FlightFacts, catalogue, facts_of
 from flysid.errors import FlysidError, FormatError, WriteError
-from flysid.flight import Source
-from flysid.ingest.formats.base import Limits, hash_log
-from flysid.ingest.formats.opening import locate, open_log
+from flysid.flight import Damage, Source
+from flysid.ingest.formats.base import Limits
+from flysid.ingest.formats.opening import identify, locate, open_log
 from flysid.ingest.formats.registry import detect
 from flysid.ingest.lake.finding import Found
 from flysid.ingest.lake.workers import Bounds, Lost, memory_reason, run_bounded
-from flysid.manifest import Manifest, list_flights
+from flysid.manifest import FLIGHTS, stamp_of
 from flysid.store import clean, create_data_folder, discard, locked, remove_empty, write_flight
 
 ONE_WORKER_BYTES = 12 << 20
@@ -29,16 +32,24 @@ NO_MEMORY = "needs more memory than there is"
 
 @dataclass(frozen=True)
 class Result:
-    """What became of one log: ingested (`manifest`), `unchanged`, or skipped for a `reason`."""
+    """What became of one log.
+
+    Attributes
+    ----------
+    flight : the flight it became, or became earlier (`unchanged`); None where it was skipped.
+    reason : why it was skipped.
+    damage : what of it was lost, where it has been read.
+    """
 
     path: Path
-    manifest: Manifest | None = None
+    flight: FlightFacts | None = None
     unchanged: bool = False
     reason: str = ""
+    damage: Damage = Damage()  # noqa: RUF009 - frozen
 
     @property
     def skipped(self) -> bool:
-        return self.manifest is None
+        return self.flight is None
 
 
 @dataclass(frozen=True)
@@ -49,6 +60,10 @@ class Job:
     sha256: str
     size: int
     modified_ns: int
+
+
+Task = Path | Job
+"""A log to hash, or to read."""
 
 
 # ------------------------------------------------------------------------------------------ ingesting
@@ -95,53 +110,85 @@ def _ingest_into(
     yield from (Result(item.path, reason=item.reason) for item in logs.unread)
     with locked(folder):
         clean(folder)
-        known = {} if force else {m.source.sha256: m for m in list_flights(folder)}
-        waiting: list[Job] = []
-        for path in logs.paths:
-            prepared = _prepare(path)
-            if isinstance(prepared, Result):
-                yield prepared
-            elif prepared.sha256 in known:
-                yield Result(path, known[prepared.sha256], unchanged=True)
-            elif any(job.sha256 == prepared.sha256 for job in waiting):
-                yield Result(path, reason="the same content as another log of this run")
-            else:
-                waiting.append(prepared)
-        read = partial(ingest_one, data=folder, limits=limits, replace=force)
-        if bounds is None:
-            yield from map(read, waiting)
+        present = () if force else catalogue(folder)
+        known = {facts.sha256: facts for facts in present}
+        work = partial(work_on, data=folder, limits=limits, replace=force)
+        tasks: deque[Task] = deque(logs.paths)
+        hashed: dict[Path, Job | Result] = {}
+        for task, outcome in _done(work, tasks, _workers(logs.paths, jobs), bounds, folder):
+            if isinstance(outcome, Result) and isinstance(task, Job):
+                yield outcome
+                continue
+            hashed[outcome.path] = outcome
+            if len(hashed) == len(logs.paths):
+                waiting, settled = _sorted_out([hashed[path] for path in logs.paths], known)
+                yield from settled
+                tasks.extend(waiting)
+        catalogue(folder)
+
+
+def _sorted_out(
+    hashed: Sequence[Job | Result], known: Mapping[str, FlightFacts]
+) -> tuple[list[Job], list[Result]]:
+    """The logs to read, the largest first, so that none is begun when all others are done; the other logs."""
+    waiting: dict[str, Job] = {}
+    settled: list[Result] = []
+    for found in hashed:
+        if isinstance(found, Result):
+            settled.append(found)
+        elif found.sha256 in known:
+            settled.append(Result(found.path, known[found.sha256], unchanged=True))
+        elif found.sha256 in waiting:
+            settled.append(Result(found.path, reason="the same content as another log of this run"))
         else:
-            yield from _in_workers(read, waiting, _workers(waiting, jobs), bounds, folder)
+            waiting[found.sha256] = found
+    return sorted(waiting.values(), key=lambda job: -job.size), settled
 
 
-def _prepare(path: Path) -> Job | Result:
+def _workers(paths: Sequence[Path], jobs: int) -> int:
+    cores = jobs or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    size = 0
+    for path in paths:
+        with suppress(OSError):
+            size += locate(path)[0].stat().st_size
+    small = not jobs and size <= ONE_WORKER_BYTES
+    return 1 if small else max(1, min(cores, len(paths)))
+
+
+def _done(
+    work: Callable[[Task], Job | Result], tasks: deque[Task], workers: int, bounds: Bounds | None, data: Path
+) -> Iterator[tuple[Task, Job | Result]]:
+    """Each task with what it came to, as they finish; tasks may be added meanwhile."""
+    if bounds is None:
+        while tasks:
+            task = tasks.popleft()
+            yield task, work(task)
+        return
+    for task, outcome in run_bounded(work, tasks, workers, bounds):
+        path = task if isinstance(task, Path) else task.path
+        if isinstance(outcome, Lost):
+            discard(data, outcome.pid)
+            yield task, Result(path, reason=outcome.reason)
+        elif isinstance(outcome, Result) and outcome.reason == NO_MEMORY and bounds.memory_bytes is not None:
+            yield task, Result(path, reason=memory_reason(bounds.memory_bytes))
+        else:
+            yield task, outcome
+
+
+def work_on(task: Task, data: Path, limits: Limits, replace: bool) -> Job | Result:
+    """Hash a log or read it."""
+    return hash_one(task, limits) if isinstance(task, Path) else ingest_one(task, data, limits, replace)
+
+
+def hash_one(path: Path, limits: Limits) -> Job | Result:
     """Hash a log, or say why it cannot be."""
     try:
-        with open_log(path) as log:
-            state = locate(path)[0].stat()
-            return Job(path, hash_log(log.view), len(log.view), state.st_mtime_ns)
+        state = locate(path)[0].stat()
+        return Job(path, *identify(path, limits), state.st_mtime_ns)
+    except MemoryError:
+        return Result(path, reason=NO_MEMORY)
     except (FormatError, OSError) as error:
         return Result(path, reason=getattr(error, "message", None) or str(error))
-
-
-def _workers(waiting: Sequence[Job], jobs: int) -> int:
-    cores = jobs or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    small = not jobs and sum(job.size for job in waiting) <= ONE_WORKER_BYTES
-    return 1 if small else max(1, min(cores, len(waiting)))
-
-
-def _in_workers(
-    read: Callable[[Job], Result], waiting: Sequence[Job], workers: int, bounds: Bounds, data: Path
-) -> Iterator[Result]:
-    """Large logs first, so that none is begun when all others are done."""
-    for job, result in run_bounded(read, sorted(waiting, key=lambda job: -job.size), workers, bounds):
-        if isinstance(result, Lost):
-            discard(data, result.pid)
-            yield Result(job.path, reason=result.reason)
-        else:
-            memory = bounds.memory_bytes
-            lacks = result.reason == NO_MEMORY and memory is not None
-            yield Result(job.path, reason=memory_reason(memory or 0)) if lacks else result
 
 
 def ingest_one(job: Job, data: Path, limits: Limits, replace: bool) -> Result:
@@ -154,7 +201,9 @@ def ingest_one(job: Job, data: Path, limits: Limits, replace: bool) -> Result:
             fmt = detect(log.head, log.name)
             source = Source(log.name, fmt.name, job.size, job.sha256)
             parts = log.read(fmt, limits)
-            return Result(job.path, write_flight(data, source, parts, replace=replace))
+            manifest = write_flight(data, source, parts, replace=replace)
+            facts = facts_of(manifest, stamp_of(data / FLIGHTS / manifest.id))
+            return Result(job.path, facts, damage=manifest.damage)
     except WriteError as error:
         need = f"this log needs about {max(job.size // 10**6, 1)} MB; "
         raise WriteError(error.message, hint=need + error.hint, path=error.path) from error

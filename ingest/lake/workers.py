@@ -21,7 +21,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -62,7 +62,7 @@ class Lost:
 
 
 def run_bounded(
-    function: Callable[[Task], Outcome], tasks: Sequence[Task], workers: int, bounds: Bounds
+    function: Callable[[Task], Outcome], tasks: Iterable[Task], workers: int, bounds: Bounds
 ) -> Iterator[tuple[Task, Outcome | Lost]]:
     """Do tasks in worker processes; yields each with its outcome, or `Lost`, as they finish.
 
@@ -70,13 +70,14 @@ def run_bounded(
     ----------
     function : does one task; importable, as are its tasks and outcomes picklable. What it raises is raised
         here and ends the run.
+    tasks : in the order in which they are begun. A deque is emptied; what is added to it is done too.
     workers : processes at a time.
 
     Raises
     ------
     UsageError : a worker could not be started.
     """
-    waiting = deque(tasks)
+    waiting = tasks if isinstance(tasks, deque) else deque(tasks)
     crew: list[_Worker[Task, Outcome]] = []
     try:
         while waiting or any(w.is_busy for w in crew):
@@ -197,6 +198,8 @@ def ended_how(code: int | None) -> str:
         return "stopped answering"
     if code == -getattr(signal, "SIGKILL", 9):
         return "was killed by the system (out of memory?)"
+    if code == -getattr(signal, "SIGBUS", 7):
+        return "lost the file that it was reading (cut short meanwhile, or the disk failed)"
     if code < 0:
         with suppress(ValueError):
             return f"crashed ({signal.Signals(-code).name}); please report"

@@ -47,7 +47,7 @@ def run(*given: Path | str, data: Path, jobs: int = 1, force: bool = False) -> l
 def tree_hash(data: Path) -> str:
     """Of all visible files, names and contents."""
     digest = hashlib.sha256()
-    for path in sorted(p for p in data.rglob("*") if p.is_file() and p.name != ".lock"):
+    for path in sorted(p for p in data.rglob("*") if p.is_file() and not p.name.startswith(".")):
         digest.update(str(path.relative_to(data)).encode() + path.read_bytes())
     return digest.hexdigest()
 
@@ -74,7 +74,7 @@ def test_one_and_two_workers_write_the_same_bytes(tmp_path: Path) -> None:
     write_logs(tmp_path / "logs", 3)
     for jobs in (1, 2):
         results = run(tmp_path / "logs", data=tmp_path / f"data{jobs}", jobs=jobs)
-        assert all(r.manifest for r in results)
+        assert all(r.flight for r in results)
     assert tree_hash(tmp_path / "data1") == tree_hash(tmp_path / "data2")
 
 
@@ -96,7 +96,7 @@ def test_the_same_log_twice_in_one_run_is_read_once(tmp_path: Path) -> None:
     (log,) = write_logs(tmp_path, 1)
     (tmp_path / "copy.tlog").write_bytes(log.read_bytes())
     results = run(log, tmp_path / "copy.tlog", data=tmp_path / "data")
-    assert sum(r.manifest is not None and not r.unchanged for r in results) == 1
+    assert sum(r.flight is not None and not r.unchanged for r in results) == 1
     assert [m.source.name for m in store.list_flights(tmp_path / "data")] == [log.name]
 
 
@@ -165,7 +165,7 @@ def test_a_folder_that_cannot_be_written_stops_the_batch(
 
 def test_a_log_that_is_still_growing_is_left_alone(tmp_path: Path) -> None:
     (log,) = write_logs(tmp_path, 1)
-    prepared = batch._prepare(log)
+    prepared = batch.hash_one(log, Limits())
     assert isinstance(prepared, batch.Job)
     log.write_bytes(log.read_bytes() + b"more")
     data = store.create_data_folder(tmp_path / "data")
@@ -188,3 +188,40 @@ def test_a_killed_ingest_goes_on_where_it_was(tmp_path: Path) -> None:
     assert all(m.rows for m in store.list_flights(data))
     subprocess.run([*command, str(data)], cwd=ROOT, capture_output=True, check=True)
     assert tree_hash(data) == tree_hash(tmp_path / "whole")
+
+
+CUT = """
+import sys, threading, time
+from pathlib import Path
+from flysid.ingest.formats.base import Limits
+from flysid.ingest.lake.batch import hash_one
+path = Path(sys.argv[1])
+with path.open("wb") as file:
+    file.write(b"log")
+    file.truncate(1 << 30)
+found = []
+hashing = threading.Thread(target=lambda: found.append(hash_one(path, Limits())))
+hashing.start()
+time.sleep(0.1)
+assert hashing.is_alive()
+with path.open("r+b") as file:
+    file.truncate(10)
+hashing.join()
+print(found[0].size)
+"""
+
+
+def test_a_log_that_is_cut_while_it_is_hashed_ends_no_process(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", CUT, str(tmp_path / "a.tlog")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert 0 < int(done.stdout) < 1 << 30
+
+
+def test_of_copies_the_first_is_read_however_many_workers_there_are(tmp_path: Path) -> None:
+    (log,) = write_logs(tmp_path / "logs", 1)
+    for name in ("a", "b", "c"):
+        (tmp_path / "logs" / f"{name}.tlog").write_bytes(log.read_bytes())
+    results = run(tmp_path / "logs", data=tmp_path / "data", jobs=2)
+    assert [r.path.name for r in results if not r.skipped] == ["a.tlog"]
+    assert sum("the same content" in r.reason for r in results) == 3

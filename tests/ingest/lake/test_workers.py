@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import struct
 import subprocess
 import sys
 import time
+from collections import deque
 from functools import partial
 from pathlib import Path
 
@@ -18,7 +20,7 @@ from flysid.errors import WriteError
 from flysid.ingest.formats.base import Limits, Parts
 from flysid.ingest.formats.mavlink import reader
 from flysid.ingest.lake import batch
-from flysid.ingest.lake.workers import Bounds, Lost, anonymous_bytes, run_bounded
+from flysid.ingest.lake.workers import Bounds, Lost, anonymous_bytes, ended_how, run_bounded
 from tests.hostile_tasks import act, read_or_act
 from tests.samplelogs import mcap, tlog
 
@@ -66,11 +68,11 @@ def test_what_a_task_raises_ends_the_run() -> None:
 def test_one_hostile_log_does_not_take_the_batch_down(tmp_path: Path) -> None:
     for name in (*WHY, "good", "better"):
         (tmp_path / f"{name}.tlog").write_bytes(tlog.build() + name.encode())
-    jobs = [
-        job for path in sorted(tmp_path.glob("*.tlog")) if isinstance(job := batch._prepare(path), batch.Job)
-    ]
+    hashed = [batch.hash_one(path, Limits()) for path in sorted(tmp_path.glob("*.tlog"))]
+    jobs = deque[batch.Task](job for job in hashed if isinstance(job, batch.Job))
     data = store.create_data_folder(tmp_path / "data")
-    results = list(batch._in_workers(partial(read_or_act, data=data), jobs, 2, TIGHT, data))
+    done = list(batch._done(partial(read_or_act, data=data), jobs, 2, TIGHT, data))
+    results = [found for _, found in done if isinstance(found, batch.Result)]
     reasons = {r.path.stem: r.reason for r in results}
     assert set(reasons) == {*WHY, "good", "better"}
     assert {name: r for name, r in reasons.items() if WHY.get(name, "") not in r} == {}
@@ -90,12 +92,12 @@ def test_a_log_that_memory_is_too_small_for_is_named_and_leaves_nothing(
         raise MemoryError
 
     (tmp_path / "a.tlog").write_bytes(tlog.build())
-    job = batch._prepare(tmp_path / "a.tlog")
+    job = batch.hash_one(tmp_path / "a.tlog", Limits())
     assert isinstance(job, batch.Job)
     monkeypatch.setattr(reader, "read", starved)
     data = store.create_data_folder(tmp_path / "data")
     result = batch.ingest_one(job, data, Limits(), replace=False)
-    assert (result.manifest, result.reason) == (None, batch.NO_MEMORY)
+    assert (result.flight, result.reason) == (None, batch.NO_MEMORY)
     assert not list((data / "flights").iterdir())
 
 
@@ -203,3 +205,17 @@ def test_a_file_of_33_kB_that_expands_to_1_GiB_is_refused_within_the_bound(tmp_p
     assert found.returncode == 3, found.stderr
     assert f"chunk declares {size} bytes" in found.stderr
     assert "120 records" in found.stderr
+
+
+def test_tasks_may_be_added_while_the_run_goes_on() -> None:
+    tasks = deque(["first", "second"])
+    seen = []
+    for task, _ in run_bounded(act, tasks, 2, Bounds()):
+        seen.append(task)
+        if len(seen) == 2:
+            tasks.append("third")
+    assert sorted(seen) == ["first", "second", "third"]
+
+
+def test_a_file_that_is_cut_while_it_is_read_is_named_as_the_reason() -> None:
+    assert "cut short" in ended_how(-signal.SIGBUS)
