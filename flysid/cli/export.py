@@ -37,13 +37,13 @@ def command(
     flysid export data --flight 0042 --rate 50 -o flight.csv
     """
     from flysid.cli.output import check_target
-    from flysid.cli.plot import choose_logs
     from flysid.cli.source import opened_flights
     from flysid.errors import UsageError
     from flysid.ingest.lake.export import GRID, export_tables, gridded_table, physical_tables
+    from flysid.ingest.lake.selection import Selection, select
 
     with opened_flights(source) as lake:
-        logs = choose_logs(lake, [flight] if flight else [])
+        logs = select(lake, Selection(flights=(flight,) if flight else ())).logs
         if len(logs) != 1:
             raise UsageError(
                 f"{source} holds {len(logs)} flights",

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.output import check_target, cores, say, status
-from flysid.cli.source import Words, is_log, lost_on_the_way, opened, words_options
+from flysid.cli.source import Words, is_log, lost_on_the_way, opened, selection_options, words_options
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
+    from flysid.ingest.lake.selection import Selection
     from flysid.split import By
     from flysid.validate.run import ChannelRun, Run
 
@@ -30,6 +31,7 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
 @click.command("fit")
 @click.argument("data", type=click.Path(path_type=Path))
 @words_options
+@selection_options
 @click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
 @click.option("--channel", "-c", "channels", multiple=True, help="Fit this channel only; may be repeated.")
 @click.option(
@@ -62,6 +64,7 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
 @click.option("--quiet", "-q", is_flag=True)
 def command(
     data: Path,
+    selection: Selection,
     recipe: str,
     inputs: tuple[str, ...],
     outputs: tuple[str, ...],
@@ -106,7 +109,7 @@ def command(
         with status(quiet) as progress:
             run = fit_file(data, output, settings, progress=progress)
     else:
-        with opened(data, asked, place, quiet) as (lake, chosen), status(quiet) as progress:
+        with opened(data, asked, selection, place, quiet) as (lake, chosen), status(quiet) as progress:
             run = fit_run(lake, chosen, output, settings, jobs=jobs or cores(), progress=progress)
             lost = lost_on_the_way(data, lake)
     if as_json:

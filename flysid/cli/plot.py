@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING
 
 import click
 
+from flysid.cli.source import opened_flights, selection_options
+
 if TYPE_CHECKING:
-    from flysid.ingest.lake.lake import Lake, StoredLog
+    from flysid.ingest.lake.lake import StoredLog
+    from flysid.ingest.lake.selection import Selection
     from flysid.ingest.lake.timeline import Curve
 
 PAIRS = ("attitude", "rate", "velocity")
@@ -20,7 +23,7 @@ PAIRS = ("attitude", "rate", "velocity")
 @click.command("plot")
 @click.argument("source", type=click.Path(path_type=Path))
 @click.argument("fields", nargs=-1, metavar="STREAM.FIELD...")
-@click.option("--flight", "flights", multiple=True, help="Flights of a folder, by id or its beginning.")
+@selection_options
 @click.option("--pair", type=click.Choice(PAIRS), help="Setpoint and measurement together.")
 @click.option("-r", "--recipe", default="", help="The channels of this recipe instead of fields.")
 @click.option(
@@ -32,7 +35,7 @@ PAIRS = ("attitude", "rate", "velocity")
 def command(
     source: Path,
     fields: tuple[str, ...],
-    flights: tuple[str, ...],
+    selection: Selection,
     pair: str | None,
     recipe: str,
     out: Path | None,
@@ -50,8 +53,8 @@ def command(
     flysid plot data --flight 0042 --pair attitude -o roll.png
     """
     from flysid.cli.output import check_target
-    from flysid.cli.source import opened_flights
     from flysid.errors import UsageError
+    from flysid.ingest.lake.selection import select
     from flysid.ingest.lake.timeline import lay_out
 
     if sum(map(bool, (fields, pair, recipe))) > 1:
@@ -61,7 +64,7 @@ def command(
         check_target(target, force)
     with opened_flights(source) as lake:
         timelines = [
-            lay_out(log, choose_curves(log, fields, pair, recipe)) for log in choose_logs(lake, flights)
+            lay_out(log, choose_curves(log, fields, pair, recipe)) for log in select(lake, selection).logs
         ]
     if term:
         from flysid.validate.flightplot import flights_as_text
@@ -83,22 +86,6 @@ def command(
     click.echo(str(target))
     if show:
         webbrowser.open(target.resolve().as_uri())
-
-
-def choose_logs(lake: Lake, names: Sequence[str]) -> list[StoredLog]:
-    """The flights of these ids, or beginnings of ids; all where none is named.
-
-    Raises
-    ------
-    UsageError : a name is of no flight, or of several.
-    """
-    from flysid.manifest import find_flight
-
-    if not names:
-        return list(lake.logs)
-    wanted = [find_flight(lake.folder, name).id for name in names]
-    by_id = {log.name: log for log in lake.logs}
-    return [by_id[name] for name in dict.fromkeys(wanted)]
 
 
 def choose_curves(log: StoredLog, fields: Sequence[str], pair: str | None, recipe: str) -> list[list[Curve]]:

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -16,6 +17,7 @@ from flysid.errors import FormatError, UsageError
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.lake import Lake
+    from flysid.ingest.lake.selection import Selection
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -59,16 +61,55 @@ def words_options(function: F) -> F:
     return function
 
 
+def selection_options(function: F) -> F:
+    """Adds --flight, --exclude, --vehicle and --pool; the verb takes them as one `selection`."""
+
+    @wraps(function)
+    def verb(
+        *args: Any,
+        only_flights: tuple[str, ...],
+        exclude: tuple[str, ...],
+        vehicle: str,
+        pool: bool,
+        **options: Any,
+    ) -> Any:
+        from flysid.ingest.lake.selection import Selection
+
+        return function(*args, selection=Selection(only_flights, exclude, vehicle, pool), **options)
+
+    decorated: Any = verb
+    for option in (
+        click.option("--pool", is_flag=True, help="Put flights of several vehicles together."),
+        click.option(
+            "--vehicle", default="", metavar="NAME", help="Its flights alone; a part of its name will do."
+        ),
+        click.option("--exclude", multiple=True, metavar="FLIGHT", help="Not this flight; may be repeated."),
+        click.option(
+            "--flight",
+            "only_flights",
+            multiple=True,
+            metavar="FLIGHT",
+            help="This flight alone, by its id or the beginning of it; may be repeated.",
+        ),
+    ):
+        decorated = option(decorated)
+    chosen: F = decorated
+    return chosen
+
+
 @contextmanager
-def opened(data: Path, words: Words, place: Path | None, quiet: bool) -> Iterator[tuple[Lake, str]]:
-    """The ingested folder, and the name of a recipe; both hold until the block ends.
+def opened(
+    data: Path, words: Words, selection: Selection, place: Path | None, quiet: bool
+) -> Iterator[tuple[Lake, str]]:
+    """The flights that are meant, and the name of a recipe; both hold until the block ends.
 
     A log is ingested first, into the new folder `place`, which goes again where the block fails; for as long
     as the block lasts where `place` is None.
 
     Raises
     ------
-    UsageError : neither a recipe nor fields, or both; no such folder; a unit of time for a folder.
+    UsageError : neither a recipe nor fields, or both; no such folder; a unit of time for a folder; flights
+        of several vehicles that are not to be pooled.
     RecipeError : a field is not there.
     """
     if words.recipe and (words.inputs or words.outputs or words.dt is not None):
@@ -80,12 +121,16 @@ def opened(data: Path, words: Words, place: Path | None, quiet: bool) -> Iterato
             hint="flysid ingest --time-unit reads a table again",
         )
     from flysid.ingest.lake.lake import open as open_lake
+    from flysid.ingest.lake.selection import require_one_vehicle, select
 
     with TemporaryDirectory() as folder:
         target = place or Path(folder) / "data"
         recipe = Path(folder) / "quick.toml"
         try:
-            lake = open_lake(_taken_in(data, target, words.time_unit, quiet) if is_log(data) else data)
+            whole = open_lake(_taken_in(data, target, words.time_unit, quiet) if is_log(data) else data)
+            lake = select(whole, selection)
+            if not selection.pool:
+                require_one_vehicle(lake)
             if not words.recipe:
                 recipe.write_text(_written(words, lake), "utf-8")
             yield lake, words.recipe or str(recipe)

@@ -10,9 +10,10 @@ import click
 
 from flysid.cli.ls import aligned
 from flysid.cli.output import check_target, say, status
-from flysid.cli.source import Words, lost_on_the_way, opened, words_options
+from flysid.cli.source import Words, lost_on_the_way, opened, selection_options, words_options
 
 if TYPE_CHECKING:
+    from flysid.ingest.lake.selection import Selection
     from flysid.validate.transfers import ChannelTransfers
 
 
@@ -31,6 +32,7 @@ def _auto_or(kind: type) -> Any:
 @click.command("tf")
 @click.argument("data", type=click.Path(path_type=Path))
 @words_options
+@selection_options
 @click.option("--channel", "-c", "channels", multiple=True, help="This channel only; may be repeated.")
 @click.option("--poles", default="auto", callback=_auto_or(int), show_default=True, help="Of every output.")
 @click.option("--zeros", default="auto", callback=_auto_or(int), show_default=True, help="Of every input.")
@@ -66,6 +68,7 @@ def _auto_or(kind: type) -> Any:
 @click.option("--quiet", "-q", is_flag=True)
 def command(
     data: Path,
+    selection: Selection,
     recipe: str,
     inputs: tuple[str, ...],
     outputs: tuple[str, ...],
@@ -105,7 +108,7 @@ def command(
         method=settings["method"],
     )
     words = Words(recipe, inputs, outputs, dt, time_unit)
-    with opened(data, words, None, quiet) as (lake, chosen), status(quiet) as progress:
+    with opened(data, words, selection, None, quiet) as (lake, chosen), status(quiet) as progress:
         found, skipped = identify(lake, chosen, estimator, channels=channels, progress=progress)
         lost = lost_on_the_way(data, lake)
     if as_json:

@@ -28,6 +28,7 @@ from flysid.ingest.align.recipe import Recipe, SignalSpec, load_recipe
 from flysid.ingest.align.report import AlignReport, FlightReport, SignalReport
 from flysid.ingest.align.resample import Series, Span
 from flysid.ingest.align.signals import FlightLog, Loaded, Log, Samples, find_source, load_signal, missing
+from flysid.ingest.align.vehicle import vehicle_of
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -217,7 +218,7 @@ class _Job:
             name = log.name if len(boots) == 1 else f"{log.name}#{boot}"
             series = {n: self._tidy(n, f.boots[boot]) for n, f in loaded.items()}
             if all(len(s.t_ns) for s in series.values()):
-                part = _Boot(self, name, series, dt_ns, labels.get(boot, Labels()), _vehicle(log))
+                part = _Boot(self, name, series, dt_ns, labels.get(boot, Labels()), vehicle_of(log.info))
                 found, counts = part.segments(conditions.spans.get(boot))
                 segments += found
                 report = report.plus(counts)
@@ -363,12 +364,6 @@ def _period(found: Loaded) -> float:
     """Shortest of the boots' sample times, ns: a boot of two samples must not decide."""
     longest = max(found.boots.values(), key=lambda b: len(b.t_ns), default=None)
     return float("inf") if longest is None else resample.period_ns(longest.t_ns)
-
-
-def _vehicle(log: Log) -> str:
-    """What tells vehicles apart: the board's own number, else autopilot and frame."""
-    info = log.info
-    return info.get("sys_uuid", "") or " ".join(info[k] for k in ("autopilot", "vehicle") if info.get(k))
 
 
 def _too_short(report: AlignReport, min_samples: int) -> DataError:

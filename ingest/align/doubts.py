@@ -98,7 +98,7 @@ def _pooled(data: Dataset) -> Iterator[Doubt]:
         yield Doubt(
             "pooled",
             f"flights of {len(vehicles)} vehicles are pooled ({_few(vehicles)}): a model is their average",
-            "ingest each vehicle into a folder of its own and compare their runs",
+            "--vehicle fits one of them; flysid compare sets two runs side by side",
         )
 
 

@@ -1,0 +1,118 @@
+"""Which flights are meant, and whose they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import flysid
+from flysid.cli import root
+from flysid.errors import UsageError
+from flysid.flight import Source
+from flysid.ingest.align.vehicle import vehicle_of
+from flysid.ingest.formats.base import Parts, Summary
+from flysid.ingest.lake.lake import Lake
+from flysid.ingest.lake.selection import Selection, require_one_vehicle, select, vehicles
+from flysid.store import create_data_folder, write_flight
+from tests.ingest.lake.test_lake import stream
+
+SERIALS = ("0006000000003736323032335111002f0022", "0006000000003535323734325116003d0021")
+
+
+def parts(seed: int, info: dict[str, str]) -> Parts:
+    rng = np.random.default_rng(seed)
+    yield stream(
+        "1.1/NAV_CONTROLLER_OUTPUT", "deg", nav_roll=rng.normal(size=1000), nav_pitch=rng.normal(size=1000)
+    )
+    yield stream("1.1/ATTITUDE", "rad", roll=rng.normal(size=1000), pitch=rng.normal(size=1000))
+    return Summary(info=info)
+
+
+def folder_of(tmp_path: Path, infos: list[dict[str, str]]) -> Path:
+    data = create_data_folder(tmp_path / "data")
+    for i, info in enumerate(infos):
+        write_flight(data, Source(f"flight{i}.tlog", "tlog", 1, f"{i}" * 64), parts(i, info))
+    return data
+
+
+@pytest.fixture
+def mixed(tmp_path: Path) -> Path:
+    """Two flights of one vehicle, one of another, one that does not say."""
+    return folder_of(
+        tmp_path,
+        [{"autopilot": "px4", "sys_uuid": SERIALS[i]} for i in (0, 0, 1)] + [{}],
+    )
+
+
+@pytest.mark.parametrize(
+    ("info", "name"),
+    [
+        ({"autopilot": "ardupilotmega", "vehicle": "quadrotor"}, "ardupilot copter"),
+        ({"autopilot": "ardupilot", "vehicle": "copter"}, "ardupilot copter"),
+        ({"autopilot": "ardupilotmega", "vehicle": "fixed_wing"}, "ardupilot plane"),
+        ({"autopilot": "px4", "sys_uuid": "ab"}, "px4 ab"),
+        ({}, ""),
+    ],
+)
+def test_one_vehicle_has_one_name_in_every_kind_of_log(info: dict[str, str], name: str) -> None:
+    assert vehicle_of(info) == name
+
+
+def numbers(lake: Lake) -> list[int]:
+    return [int(facts.id.removeprefix("flight")[0]) for facts in lake.facts]
+
+
+def test_flights_are_chosen_and_left_out(mixed: Path) -> None:
+    lake = flysid.open(mixed)
+    assert [f.id[:7] for f in select(lake, Selection(("flight2", "flight0"))).facts] == ["flight0", "flight2"]
+    assert [f.id[:7] for f in select(lake, Selection(exclude=("flight1",))).facts] == [
+        "flight0",
+        "flight2",
+        "flight3",
+    ]
+    assert len(select(lake, Selection(vehicle="2f0022"))) == 2
+    assert {name: len(ids) for name, ids in vehicles(lake).items()} == {
+        f"px4 {SERIALS[0]}": 2,
+        f"px4 {SERIALS[1]}": 1,
+        "": 1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("selection", "words"),
+    [
+        (Selection(("flight9",)), "no flight 'flight9'"),
+        (Selection(("flight",)), "names 4 flights"),
+        (Selection(("flight0",), ("flight0",)), "no flight is left"),
+        (Selection(vehicle="px4"), "'px4' names 2 vehicles"),
+        (Selection(vehicle="heli"), "no vehicle 'heli'"),
+    ],
+)
+def test_what_names_nothing_or_too_much_is_refused(mixed: Path, selection: Selection, words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        select(flysid.open(mixed), selection)
+
+
+def test_several_vehicles_are_not_one(mixed: Path) -> None:
+    lake = flysid.open(mixed)
+    with pytest.raises(UsageError, match="flights of 2 vehicles") as caught:
+        require_one_vehicle(lake)
+    named = str(caught.value.hint).split("'")[1]
+    require_one_vehicle(select(lake, Selection(vehicle=named)))
+    require_one_vehicle(select(lake, Selection(("flight0", "flight1", "flight3"))))
+
+
+def test_a_transfer_function_is_of_one_vehicle_unless_asked(mixed: Path) -> None:
+    def tf(*arguments: str) -> object:
+        done = CliRunner().invoke(
+            root, ["tf", str(mixed), "-r", "ardupilot-attitude", "-c", "roll", "-q", *arguments]
+        )
+        return done.exception or done.stdout
+
+    assert "flights of 2 vehicles" in str(tf())
+    assert "3 flights" not in str(tf("--vehicle", SERIALS[0]))
+    assert "2 flights" in str(tf("--vehicle", SERIALS[0]))
+    assert "4 flights" in str(tf("--pool"))
