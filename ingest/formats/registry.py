@@ -38,6 +38,7 @@ FORMATS: Mapping[str, Format] = {
             "blackbox.reader",
             None,
         ),
+        _row("crazyflie", "Crazyflie uSD-card log", ".usd", "crazyflie.reader", None),
         _row("csv", "table in text (.csv, .tsv)", ".csv .tsv", "csv.reader", None),
         _row("dataflash", "ArduPilot DataFlash (.bin)", ".bin", "dataflash.reader", "dataflash.scrub"),
         _row(

@@ -1,0 +1,1 @@
+"""Logs that a Crazyflie writes to its uSD card."""

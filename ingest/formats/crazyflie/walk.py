@@ -1,0 +1,131 @@
+"""From event to event through a Crazyflie log, and back into step behind damage.
+
+Events carry no mark and no checksum of their own: one begins where the one before ends. An event counts where
+the head behind it is sound, too: a known kind, and a time that goes on from the last one.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.ingest.formats.common.clock import BACK_STEP_NS, JUMP_NS, IntArray
+from flysid.ingest.formats.crazyflie.layouts import ID_BYTES, TIME_BYTES, TIME_NS, Header
+
+WINDOW_BYTES = 1 << 16
+LATEST_NS = 1 << 62
+
+
+@dataclass(frozen=True)
+class Lost:
+    """Bytes [start, end) that are no event, and why."""
+
+    start: int
+    end: int
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Events:
+    """Events in order: (n,) where each begins, its kind, and its time in ns."""
+
+    at: IntArray
+    kind: IntArray
+    time_ns: IntArray
+
+
+def walk(view: memoryview, header: Header, stop: int, batch: int) -> Iterator[Events | Lost]:
+    """The events up to `stop` in batches of about `batch` bytes, and what is lost between them."""
+    return _Walk(view, header, stop).run(batch)
+
+
+class _Walk:
+    def __init__(self, view: memoryview, header: Header, stop: int) -> None:
+        self.view = view
+        self.stop = stop
+        self.start = header.end
+        self.sizes = {kind: header.size_of(kind) for kind in header.kinds}
+        self.spans = set(self.sizes.values())
+        self.head = struct.Struct("<HI" if TIME_BYTES[header.version] == 4 else "<HQ")
+        self.unit_ns = TIME_NS[header.version]
+        self.ids = np.array(sorted(self.sizes), dtype=np.uint16)
+
+    def run(self, batch: int) -> Iterator[Events | Lost]:
+        found: list[tuple[int, int, int]] = []
+        at = self.start
+        due = at + batch
+        last: int | None = None
+        while at < self.stop:
+            kind, time_ns, end = self.event(at)
+            is_timely = end > 0 and timely(time_ns, last)
+            if is_timely and (end == self.stop or self.is_head(end, time_ns)):
+                found.append((at, kind, time_ns))
+                last = time_ns
+                at = end
+            elif end and not is_timely and (end == self.stop or self.is_head(end, last)) and last is not None:
+                yield from _handed(found)
+                yield Lost(at, end, "an event out of time")
+                at = end
+            else:
+                near = time_ns if last is None and end else last
+                ahead = self.in_step(at + 1, near)
+                if is_timely and ahead >= end and (ahead - end in self.spans or ahead == self.stop):
+                    found.append((at, kind, time_ns))
+                    last = time_ns
+                    at = end
+                yield from _handed(found)
+                if ahead > at:
+                    yield Lost(at, ahead, "no event")
+                at = max(at, ahead)
+            if at >= due:
+                yield from _handed(found)
+                due = at + batch
+        yield from _handed(found)
+
+    def event(self, at: int) -> tuple[int, int, int]:
+        """(kind, ns, end) of the event at a place; end 0 where there is none."""
+        if at + self.head.size > self.stop:
+            return 0, 0, 0
+        kind, count = self.head.unpack_from(self.view, at)
+        end = at + self.sizes.get(kind, self.stop + 1)
+        return (kind, count * self.unit_ns, end) if end <= self.stop else (0, 0, 0)
+
+    def is_head(self, at: int, last: int | None) -> bool:
+        """Whether a known kind and a timely time stand here; the event itself may be cut."""
+        if at + self.head.size > self.stop:
+            return False
+        kind, count = self.head.unpack_from(self.view, at)
+        return kind in self.sizes and timely(count * self.unit_ns, last)
+
+    def in_step(self, start: int, last: int | None) -> int:
+        """The first place from `start` on where two events follow each other or the log ends."""
+        for begin in range(start, self.stop, WINDOW_BYTES):
+            piece = self.view[begin : min(begin + WINDOW_BYTES + 1, self.stop)]
+            window = np.frombuffer(piece, dtype=np.uint8)
+            if len(window) < ID_BYTES:
+                break
+            pairs = window[:-1].astype(np.uint16) | window[1:].astype(np.uint16) << 8
+            for offset in np.flatnonzero(np.isin(pairs, self.ids)).tolist():
+                _, time_ns, end = self.event(begin + offset)
+                if end and timely(time_ns, last) and (end == self.stop or self.is_head(end, time_ns)):
+                    return begin + int(offset)
+        return self.stop
+
+
+def timely(time_ns: int, last: int | None) -> bool:
+    """Whether a time goes on from the last one: at most a second back, at most an hour ahead.
+
+    The first is not 0: the deck starts after the vehicle, and zeros are what an unwritten page holds.
+    """
+    return 0 < time_ns < LATEST_NS if last is None else -BACK_STEP_NS <= time_ns - last <= JUMP_NS
+
+
+def _handed(found: list[tuple[int, int, int]]) -> Iterator[Events]:
+    """What was found so far, as arrays; the list is empty afterwards."""
+    if found:
+        at, kind, time_ns = (np.array(values, dtype=np.int64) for values in zip(*found, strict=True))
+        found.clear()
+        yield Events(at, kind, time_ns)
