@@ -9,7 +9,7 @@ import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.errors import FlysidError
-from flysid.model.base import Fitted
+from flysid.model.base import Fitted, HasCertificate, HasSimplifications
 from flysid.validate.conditioning import conditions
 from flysid.validate.parameters import Intervals, intervals
 from flysid.validate.robustness import Robustness, robustness
@@ -78,24 +78,16 @@ def check(model: Fitted, test: Dataset, train: Dataset | None = None) -> Checks:
 
 def _simpler(model: Fitted, train: Dataset) -> tuple[Simpler, ...]:
     """Edits of rules over lags; none where the data are too many or too short."""
-    from flysid.model.rules.fitted_lags import FittedTS
-    from flysid.model.rules.simplify import simplifications
-
-    if not isinstance(model, FittedTS) or len(model.rules()) < 2 or len(train) > MOST_SAMPLES:
+    if not isinstance(model, HasSimplifications) or len(model.rules()) < 2 or len(train) > MOST_SAMPLES:
         return ()
     try:
-        return tuple(Simpler(s.what, s.loss_pct) for s in simplifications(model, train))
+        return tuple(Simpler(s.what, s.loss_pct) for s in model.simplifications(train))
     except (FlysidError, np.linalg.LinAlgError):
         return ()
 
 
 def _certificate(model: Fitted) -> tuple[bool, str]:
-    from flysid.model.rules.fitted_lags import FittedTS
-    from flysid.model.rules.fitted_states import FittedTSStateSpace
-    from flysid.model.rules.local_models import certificate
-    from flysid.model.rules.state_local_models import certificate as of_states
-
-    if not isinstance(model, FittedTS | FittedTSStateSpace) or len(model.rules()) < 2:
+    if not isinstance(model, HasCertificate) or len(model.rules()) < 2:
         return False, ""
-    found = certificate(model) if isinstance(model, FittedTS) else of_states(model)
+    found = model.certificate()
     return found.proved, found.reason

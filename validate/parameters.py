@@ -14,13 +14,11 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FlysidError
-from flysid.model.base import Fitted
+from flysid.model.base import Fitted, HasIntervals
 from flysid.model.linear.model import FittedLinear
 from flysid.model.regressors import lagged_name
 
 if TYPE_CHECKING:
-    from flysid.model.rules.fitted_lags import FittedTS
-    from flysid.model.rules.fitted_states import FittedTSStateSpace
     from flysid.model.rules.rule_uncertainty import Uncertainty
     from flysid.model.subspace.model import FittedStateSpace
 
@@ -57,28 +55,22 @@ class Intervals:
 
 
 def intervals(model: Fitted, train: Dataset | None) -> Intervals | None:
-    """What the structure offers: linear difference equations, and TS beside its training data."""
-    from flysid.model.rules.fitted_lags import FittedTS
-    from flysid.model.rules.fitted_states import FittedTSStateSpace
+    """What the model offers: linear ones by themselves, rules beside their training data."""
     from flysid.model.subspace.model import FittedStateSpace
 
     if isinstance(model, FittedLinear):
         return _linear(model)
     if isinstance(model, FittedStateSpace):
         return _state_space(model)
-    if isinstance(model, FittedTS | FittedTSStateSpace) and train is not None:
-        return _fuzzy(model, train)
+    if isinstance(model, HasIntervals) and train is not None:
+        return _of_rules(model, train)
     return None
 
 
-def _fuzzy(model: FittedTS | FittedTSStateSpace, train: Dataset) -> Intervals | None:
-    """Of rules over lags or over states; None where the data cannot tell."""
-    from flysid.model.rules.fitted_lags import FittedTS
-    from flysid.model.rules.rule_uncertainty import uncertainty
-    from flysid.model.rules.state_uncertainty import uncertainty as of_states
-
+def _of_rules(model: Any, train: Dataset) -> Intervals | None:
+    """Of a model of rules; None where the data cannot tell."""
     try:
-        sure = uncertainty(model, train) if isinstance(model, FittedTS) else of_states(model, train)
+        sure: Uncertainty[Any] = model.uncertainty(train)
         with np.errstate(all="ignore"):
             gain, slow = sure.gain_interval, sure.time_constant_interval_s
     except (FlysidError, np.linalg.LinAlgError):

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from flysid.model.rules.explanation import Explanation
     from flysid.model.rules.local_models import Certificate, StateSpace
     from flysid.model.rules.rule_uncertainty import RuleUncertainty
+    from flysid.model.rules.simplify import Simplification
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,6 +281,12 @@ class FittedTS(Ruled):
         from flysid.model.rules.local_models import certificate
 
         return certificate(self)
+
+    def simplifications(self, train: Dataset) -> list[Simplification]:
+        """What could be said more simply, cheapest first; see `simplify.simplifications`."""
+        from flysid.model.rules.simplify import simplifications
+
+        return simplifications(self, train)
 
     def uncertainty(self, train: Dataset) -> RuleUncertainty:
         """How sure the model is of its numbers, from the data that it was fitted to; see `uncertainty`."""
