@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
+# By a path, not by an import hook: hooks are asked last, after the folder of a script beside a clone named flysid.
+EDITABLE := --config-settings editable_mode=compat
 
 .PHONY: docs audit lock locked bench-model bench-ingest soak demo test check unit lint clean samples bench-accuracy
 
@@ -9,7 +11,7 @@ $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "flysid needs Python 3.11 or newer; try: make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet -e '.[dev]'
+	$(BIN)/python -m pip install --quiet -e '.[dev]' $(EDITABLE)
 	touch $@
 
 demo: $(VENV)/.installed  ## the main job on embedded data, ends with a report
@@ -57,7 +59,7 @@ lock: $(VENV)/.installed  ## requirements.lock anew, for all platforms
 locked:  ## an environment of exactly the locked versions, every hash checked
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --no-deps -e .
+	$(BIN)/python -m pip install --no-deps -e . $(EDITABLE)
 	touch $(VENV)/.installed
 
 clean:

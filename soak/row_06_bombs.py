@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import io
 import struct
+import tempfile
+import zipfile
+import zlib
 from collections.abc import Iterator
+from pathlib import Path
 
 import lz4.frame
 import zstandard
 
+import flysid
 from flysid.errors import FormatError
+from flysid.flight import Flight
+from flysid.ingest.formats.common.compression import Packer
+from flysid.ingest.formats.opening import members_of
 from soak import Budget, Campaign, Outcome, peak_memory
 from soak.readers import MEMORY_MB
-from tests.format_trials import intact, read
+from tests.format_trials import intact, read, sample
 from tests.ingest.formats.test_mcap_damage import bombs, definitions, message, whole
 from tests.samplelogs import rosbag, rosbag2
 
 SLOWEST_S = 10.0
 GIBIBYTE = 1 << 30
+STEP = 1 << 24
+PACKED = "packed logs"
 
 
 def mcap_bombs() -> Iterator[tuple[bytes, int]]:
@@ -37,18 +48,56 @@ def bag_bombs() -> Iterator[tuple[bytes, int]]:
 
 
 def bag2_bombs() -> Iterator[tuple[bytes, int]]:
-    """A message and a file that expand to a gibibyte."""
-    packer = zstandard.ZstdCompressor(level=1).compressobj()
-    packed = b"".join([*(packer.compress(bytes(1 << 24)) for _ in range(GIBIBYTE >> 24)), packer.flush()])
+    """A message that expands to a gibibyte."""
+    packed = _packed(zstandard.ZstdCompressor(level=1).compressobj(), b"")
     yield rosbag2.database(rosbag2.TOPICS, [(1, 5, packed), rosbag2.payload(1)]), 1
-    yield packed, 0
+
+
+def packed_bombs() -> Iterator[tuple[bytes, int]]:
+    """Logs with a gibibyte of zeros behind them: gzip, zstd, zip that owns up to it, zip that does not."""
+    log = sample("tlog")
+    rows = intact("tlog").rows
+    yield _packed(zlib.compressobj(wbits=31), log), rows
+    yield _packed(zstandard.ZstdCompressor(level=1).compressobj(), log), rows
+    whole = io.BytesIO()
+    with (
+        zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("bomb.tlog", "w", force_zip64=True) as member,
+    ):
+        for piece in (log, *[bytes(STEP)] * (GIBIBYTE // STEP)):
+            member.write(piece)
+    blob = whole.getvalue()
+    yield blob, 0
+    yield blob[: blob.rindex(b"PK\x01\x02")], 0  # its header still states what it expands to
+    header = bytearray(blob[: blob.rindex(b"PK\x01\x02")])
+    at = header.index(b"\x01\x00\x10\x00") + 4  # the extended sizes, in the header
+    header[at : at + 8] = (1 << 20).to_bytes(8, "little")
+    yield bytes(header), rows
+    yield _shared(1000), 0
+
+
+def _packed(packer: Packer, log: bytes) -> bytes:
+    zeros = (packer.compress(bytes(STEP)) for _ in range(GIBIBYTE // STEP))
+    return b"".join([packer.compress(log), *zeros, packer.flush()])
+
+
+def _shared(count: int) -> bytes:
+    """An archive whose list names the same bytes many times, each as a member of its own."""
+    one = io.BytesIO()
+    with zipfile.ZipFile(one, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a0000.tlog", bytes(200_000))
+    blob = one.getvalue()
+    start, end = blob.index(b"PK\x01\x02"), blob.index(b"PK\x05\x06")
+    entries = b"".join(blob[start:end].replace(b"a0000", b"a%04d" % k) for k in range(count))
+    tail = struct.pack("<4s4H2IH", b"PK\x05\x06", 0, 0, count, count, len(entries), start, 0)
+    return blob[:start] + entries + tail
 
 
 def run(budget: Budget) -> Iterator[Outcome]:  # noqa: ARG001 - a dozen files
     """One outcome per container."""
-    sources = {"mcap": mcap_bombs, "rosbag": bag_bombs, "rosbag2": bag2_bombs}
+    sources = {"mcap": mcap_bombs, "rosbag": bag_bombs, "rosbag2": bag2_bombs, PACKED: packed_bombs}
     for name, files in sources.items():
-        intact(name)
+        intact("tlog" if name == PACKED else name)
         outcome = Outcome(name)
         for blob, rows in files():
             with peak_memory(outcome), outcome.trial():
@@ -63,13 +112,21 @@ def run(budget: Budget) -> Iterator[Outcome]:  # noqa: ARG001 - a dozen files
 
 def _rows(name: str, blob: bytes, outcome: Outcome) -> int:
     try:
-        flight = read(name, blob)
+        flight = _read_packed(blob) if name == PACKED else read(name, blob)
     except FormatError:
         outcome.raised += 1
         return 0
     if not flight.damage.lossy:
         outcome.failures.append(f"{len(blob)} bytes: refused in silence")
     return flight.rows
+
+
+def _read_packed(blob: bytes) -> Flight:
+    with tempfile.NamedTemporaryFile() as file:
+        file.write(blob)
+        file.flush()
+        path = Path(file.name)
+        return flysid.read(path / next(iter(members_of(path)), ""))
 
 
 CAMPAIGN = Campaign(6, "decompression bombs", run)

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import gzip
+import io
 import os
 import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import zstandard
+
 from soak import Budget, Campaign, Outcome
-from tests.format_trials import FORMATS, module_of, sample
+from tests.format_trials import FORMATS, module_of, read_or_none, sample
 
 ROOT = Path(__file__).resolve().parents[1]
 LOGS, BAD = 200, 10
@@ -19,12 +24,13 @@ TIMEOUT_S = 900
 
 
 def fill(folder: Path) -> list[str]:
-    """190 readable logs of all formats, each of its own content, and 10 others; returns what to ingest."""
+    """190 readable logs of all formats that bear zeros at their end, each of its own content, and 10 others; returns what to ingest."""
     names: list[str] = []
+    kinds = [kind for kind in FORMATS if read_or_none(kind, sample(kind) + b"\0", Outcome("")) is not None]
     for k in range(LOGS - BAD):
-        kind = FORMATS[k % len(FORMATS)]
+        kind = kinds[k % len(kinds)]
         path = folder / f"good{k:03}{module_of(kind).SUFFIX}"
-        path.write_bytes(sample(kind) + bytes(k // len(FORMATS)))  # a few stray zeros make each its own
+        path.write_bytes(sample(kind) + bytes(k // len(kinds)))  # a few stray zeros make each its own
         names.append(str(path))
     return names + [str(path) for path in unreadable(folder)]
 
@@ -49,12 +55,65 @@ def unreadable(folder: Path) -> list[Path]:
     return paths + others
 
 
-def run(budget: Budget) -> Iterator[Outcome]:  # noqa: ARG001 - one trial
-    """One outcome."""
-    outcome = Outcome("200 logs, 10 unreadable")
+def fill_packed(folder: Path) -> list[str]:
+    """The same logs, a third each as .gz, as .zst and in one archive, and 10 that cannot be unpacked."""
+    plain = folder / "plain"
+    plain.mkdir()
+    logs = [Path(name) for name in fill(plain)[: LOGS - BAD]]
+    names: list[str] = []
+    with zipfile.ZipFile(folder / "flights.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for k, log in enumerate(logs):
+            if k % 3 == 0:
+                archive.write(log, log.name)
+                continue
+            pack, suffix = (gzip.compress, ".gz") if k % 3 == 1 else (zstandard.compress, ".zst")
+            names.append(str(folder / (log.name + suffix)))
+            Path(names[-1]).write_bytes(pack(log.read_bytes()))
+    bad = not_unpacked()
+    for name, blob in bad.items():
+        (folder / name).write_bytes(blob)
+    return [*names, str(folder / "flights.zip"), *(str(folder / name) for name in bad)]
+
+
+def not_unpacked() -> dict[str, bytes]:
+    """Empty, cut, damaged, packed too often, encrypted, not a log, not an archive."""
+    log = sample("tlog")
+    one = _zipped("one.tlog", log)
+    encrypted = bytearray(one)
+    encrypted[6] |= 1
+    encrypted[one.index(b"PK\x01\x02") + 8] |= 1
+    return {
+        "empty.tlog.gz": gzip.compress(b""),
+        "cut.tlog.gz": gzip.compress(log)[:12],
+        "damaged.tlog.zst": zstandard.compress(log)[:9] + bytes(500),
+        "twice.tlog.gz": gzip.compress(gzip.compress(log)),
+        "inside.tlog.zst": zstandard.compress(one),
+        "outer.zip": _zipped("inner.zip", one),
+        "encrypted.zip": bytes(encrypted),
+        "notes.txt.gz": gzip.compress(b"windy\n" * 99),
+        "empty.zip": b"PK\x05\x06" + bytes(18),
+        "page.zip": b"<!doctype html><title>Sign in</title>" * 9,
+    }
+
+
+def _zipped(name: str, blob: bytes) -> bytes:
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(name, blob)
+    return whole.getvalue()
+
+
+def run(budget: Budget) -> Iterator[Outcome]:  # noqa: ARG001 - two trials
+    """One outcome for logs as they are, one for packed ones."""
+    yield batch(Outcome("200 logs, 10 unreadable"), fill)
+    yield batch(Outcome("200 packed logs, 10 unreadable"), fill_packed)
+
+
+def batch(outcome: Outcome, filling: Callable[[Path], list[str]]) -> Outcome:
+    """One `flysid ingest` of everything."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        names = fill(folder)
+        names = filling(folder)
         command = [sys.executable, "-m", "flysid", "ingest", *names, "-o", str(folder / "data")]
         with outcome.trial():
             done = subprocess.run(
@@ -68,7 +127,7 @@ def run(budget: Budget) -> Iterator[Outcome]:  # noqa: ARG001 - one trial
             outcome.failures.append(outcome.remark + ": " + done.stderr[-300:])
         if "Traceback" in done.stderr:
             outcome.failures.append("a traceback")
-    yield outcome
+    return outcome
 
 
 CAMPAIGN = Campaign(12, "a batch of 200", run)

@@ -35,6 +35,29 @@ def test_every_package_folder_is_in_the_wheel() -> None:
     assert set(listed) == on_disk
 
 
+@pytest.mark.skipif(
+    any("editable" in name and "flysid" in name for name in sys.modules),
+    reason="installed with setuptools' import hook; make installs by a path, see CONTRIBUTING.md",
+)
+def test_a_script_beside_a_clone_imports_the_installed_package(tmp_path: Path) -> None:
+    (tmp_path / "flysid").symlink_to(ROOT)
+    script = tmp_path / "script.py"
+    script.write_text("import flysid; print(flysid.__file__, flysid.ARX, sep='\\n')")
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, cwd=tmp_path, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert Path(done.stdout.splitlines()[0]).name == "__init__.py"
+
+
+def test_make_installs_by_a_path() -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    lines = [line for line in makefile.splitlines() if "pip install" in line and " -e " in line]
+    assert lines
+    assert all(line.endswith("$(EDITABLE)") for line in lines)
+    assert "editable_mode=compat" in makefile
+
+
 @pytest.mark.parametrize("name", ["ingest", "model", "validate"])
 def test_package_links_resolve_to_the_folders_at_the_top(name: str) -> None:
     link = ROOT / "flysid" / name
