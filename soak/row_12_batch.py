@@ -24,7 +24,10 @@ TIMEOUT_S = 900
 
 
 def fill(folder: Path) -> list[str]:
-    """190 readable logs of all formats that bear zeros at their end, each of its own content, and 10 others; returns what to ingest."""
+    """190 readable logs of all formats that bear zeros at their end, and 10 others; what to ingest.
+
+    Each log has a content of its own.
+    """
     names: list[str] = []
     kinds = [kind for kind in FORMATS if read_or_none(kind, sample(kind) + b"\0", Outcome("")) is not None]
     for k in range(LOGS - BAD):
