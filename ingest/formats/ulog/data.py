@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 import pyarrow as pa
@@ -157,10 +158,16 @@ def _schema(subscription: Subscription, arrays: list[pa.Array]) -> pa.Schema:
     }
     units = ["", "", *(px4_unit(subscription.topic, spec.name) for spec in layout.fields)]
     fields = [
-        pa.field(name, array.type, metadata=field_metadata(unit))
+        pa.field(name, array.type, metadata=_unit_note(unit))
         for name, array, unit in zip(names, arrays, units, strict=True)
     ]
     return pa.schema(fields, metadata=about)
+
+
+@cache
+def _unit_note(unit: str) -> pa.KeyValueMetadata | None:
+    """The metadata of a column of this unit; made once, as that costs more than the column's field."""
+    return pa.KeyValueMetadata(field_metadata(unit)) if unit else None
 
 
 def far_ahead(time_us: Index) -> NDArray[np.bool_]:

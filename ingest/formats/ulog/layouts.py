@@ -44,19 +44,18 @@ class LayoutError(ValueError):
     """A format that gives no layout; the message says why."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class UlogField:
-    """A column: dotted name, byte offset, element type as in the format, number of elements (0: a scalar)."""
+    """A column: dotted name, byte offset, element type as in the format, number of elements (0: a scalar).
+
+    `size` is the bytes of all elements.
+    """
 
     name: str
     offset: int
     kind: str
     count: int
-
-    @property
-    def size(self) -> int:
-        """Bytes of all elements."""
-        return _KINDS[self.kind].itemsize * max(self.count, 1)
+    size: int
 
 
 @dataclass(frozen=True)
@@ -155,9 +154,9 @@ def _place(found: tuple[str, int | None, str], prefix: str, at: int, state: _Sta
     if kind in NUMBERS:
         if size == 0:
             return at
-        field = UlogField(path, at, kind, count)
-        state[1].append(field)
-        return at + field.size
+        bytes_taken = _KINDS[kind].itemsize * max(count, 1)
+        state[1].append(UlogField(path, at, kind, count, bytes_taken))
+        return at + bytes_taken
     if size is None:
         return _flatten_into(kind, f"{path}.", at, state)
     for k in range(count):

@@ -39,22 +39,21 @@ class Named(NamedTuple):
 def parse_named(body: memoryview) -> Named | None:
     """u8 key length, key, value; None where the value does not fit its type."""
     width = body[0] if len(body) else 0
-    kind, name = _kind_and_name(bytes(body[1 : 1 + width]))
-    raw = bytes(body[1 + width :])
+    kind, name, layout = _parse_key(bytes(body[1 : 1 + width]))
+    raw = body[1 + width :]
     if not name:
         return None
-    if kind.startswith("char["):
-        return Named(kind, name, raw.decode("utf-8", "replace"))
-    layout = _VALUES.get(kind)
-    if layout is None:
-        return Named(kind, name, raw)
-    return Named(kind, name, layout.unpack_from(raw)[0]) if len(raw) >= layout.size else None
+    if layout is not None:
+        return Named(kind, name, layout.unpack_from(raw)[0]) if len(raw) >= layout.size else None
+    value = bytes(raw)
+    return Named(kind, name, value.decode("utf-8", "replace") if kind.startswith("char[") else value)
 
 
 @lru_cache(maxsize=MAX_KEYS)
-def _kind_and_name(key: bytes) -> tuple[str, str]:
+def _parse_key(key: bytes) -> tuple[str, str, struct.Struct | None]:
+    """Type, name, and how a number of that type lies."""
     kind, _, name = key.decode("utf-8", "replace").partition(" ")
-    return kind, name
+    return kind, name, _VALUES.get(kind)
 
 
 @dataclass
