@@ -48,6 +48,7 @@ FORMATS: Mapping[str, Format] = {
             "dataflash.text_reader",
             "dataflash.scrub_text",
         ),
+        _row("mavlogdump", "JSON lines of pymavlink's mavlogdump", "", "mavlogdump.reader", None),
         _row("mcap", "MCAP (ROS 1, ROS 2, protobuf, JSON)", ".mcap", "mcap.reader", "mcap.scrub"),
         _row(
             "navdata",

@@ -23,12 +23,14 @@ from flysid.errors import FormatError, UsageError
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common.zip_members import read_archive
 from flysid.ingest.formats.opening import head_of, is_archive, is_packed, names_log, own_name
+from flysid.ingest.formats.recognised import stranger
 from flysid.ingest.formats.registry import confidence_of, known_suffixes
 from flysid.ingest.lake.strangers import TEXT, TRUTH_SUFFIX, kind_of, packing_of
 from flysid.manifest import DATA_FILE
 
 GLOB_MARKS = frozenset("*?[")
 ANYBODYS_SUFFIXES = (".log", ".txt")  # any program's notes end so, too
+UNKNOWN = "binary data that no reader knows"
 NOTHING = "no flight log in there"
 SURE = 0.6  # more than a table in text can claim
 
@@ -195,7 +197,9 @@ class _Search:
         elif kind:
             self._pass(path, kind)
         else:
-            self._fail(path, "binary data that no reader knows")
+            known = stranger(head)
+            told = f"this is {known.title}, not a log; try: {known.hint}" if known else UNKNOWN
+            self._fail(path, told)
 
 
 def reason_of(error: FormatError | OSError) -> str:

@@ -11,7 +11,9 @@ from tests.samplelogs import Record, record_at
 SUFFIX = ".usd"
 KNOWS_ITS_END = True
 UNCHECKED = True
-RESYNC_BYTES = 29  # an event counts where the head behind it is sound
+RESYNC_BYTES = (
+    33  # an event counts where the head behind it is sound; garbage at the end takes the checksum along
+)
 FIXED, RANGE, MARK = 0xFFFF, 0, 7
 KINDS: dict[int, tuple[str, list[str]]] = {
     FIXED: (

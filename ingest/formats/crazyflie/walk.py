@@ -72,7 +72,8 @@ class _Walk:
             else:
                 near = time_ns if last is None and end else last
                 ahead = self.in_step(at + 1, near)
-                if is_timely and ahead >= end and (ahead - end in self.spans or ahead == self.stop):
+                follows = ahead == self.stop or (ahead - end in self.spans and self.is_head(ahead, time_ns))
+                if is_timely and ahead >= end and follows:
                     found.append((at, kind, time_ns))
                     last = time_ns
                     at = end

@@ -1,0 +1,294 @@
+"""JSON lines as pymavlink's `mavlogdump --format json` prints them, of telemetry and of DataFlash logs.
+
+    {"meta": {"type": "ATTITUDE", "timestamp": 1.5, "srcSystem": 1, "srcComponent": 1}, "data": {"roll": 0.1}}
+
+Messages that the MAVLink dialect knows get its types, units and enumerations; those of DataFlash get the
+types that its FMT lines state. The sender stands in a line only where `--show-source` was asked for. Vehicle
+time is made as for a .tlog. A line that is no such object, or that does not fit its message, is counted.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from flysid.errors import FormatError
+from flysid.flight import BOOT, RECEIVED, TIME
+from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
+from flysid.ingest.formats.common.columns import Field, IntArray, decode, numbers, schema_field
+from flysid.ingest.formats.common.line_batches import whole_lines
+from flysid.ingest.formats.common.tally import Tally
+from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
+from flysid.ingest.formats.mavlink.dialect import load_dialect
+
+MAX_LINE_BYTES = 1 << 20
+MAX_NS = 1 << 62
+HEADS = (TIME, BOOT, RECEIVED)
+BAD_DATA = "BAD_DATA"  # what mavlogdump prints for bytes that it could not read
+UNKNOWN_SYSTEM = 0  # no line says who sent it
+FIRST_OTHER = 1 << 24  # beyond the ids of MAVLink
+TIME_FIELDS: Mapping[str, int] = {
+    "TimeUS": 1000,
+    "time_boot_ms": 1_000_000,
+    "time_boot_us": 1000,
+    "time_usec": 1000,
+    "time_us": 1000,
+}
+BOOT_FIELDS = ("TimeUS", "time_boot_ms", "time_boot_us")
+# letters of FMT: text, and whole numbers; all others are printed as fractions
+TEXT_LETTERS = frozenset("nNZ")
+WHOLE_LETTERS = frozenset("bBhHiIMqQ")
+LIST_LETTER = "a"
+
+
+def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
+    """Certain where the first whole line is such an object."""
+    line, end, _ = head.partition(b"\n")
+    return 0.99 if end and line.startswith(b'{"meta"') and _message_of(line) is not None else 0.0
+
+
+@dataclass(frozen=True)
+class _Message:
+    """One line: its type, who sent it, when it arrived, and its fields."""
+
+    kind: str
+    sender: tuple[int, int]
+    stamp_ns: int
+    data: Mapping[str, Any]
+
+
+@dataclass
+class _Reader:
+    """What is remembered between batches."""
+
+    tally: Tally = field(default_factory=Tally)
+    time: VehicleTime = field(default_factory=VehicleTime)
+    schemas: dict[Source, pa.Schema] = field(default_factory=dict)
+    ids: dict[str, int] = field(default_factory=dict)
+    formats: dict[str, dict[str, pa.DataType]] = field(default_factory=dict)
+    lost_to: int = -1
+
+
+def read(view: memoryview, name: str, limits: Limits) -> Parts:
+    """Parts of a log; see `Format.read`."""
+    reader = _Reader()
+    count = 0
+    for lines in whole_lines(view, 0, limits.batch_bytes, MAX_LINE_BYTES):
+        messages = list(_messages(reader, lines.data, lines.start))
+        count += len(messages)
+        yield from _parts(reader, messages)
+        reader.tally.truncated |= lines.is_cut
+        reader.tally.skip(lines.end, lines.stop, lines.fault)
+    if not count:
+        raise FormatError("no line is a message of mavlogdump", path=name, byte=0)
+    for source, rejected in reader.time.outliers.items():
+        reader.tally.time_outliers[_stream(reader, source)] += rejected
+    for source, late in reader.time.out_of_order.items():
+        reader.tally.out_of_order[_stream(reader, source)] += late
+    return Summary(reader.tally.freeze(), reader.time.fit().clocks(), {"printed_by": "mavlogdump"})
+
+
+# ----------------------------------------------------------------------------------------------- lines
+
+
+def _messages(reader: _Reader, data: bytes, base: int) -> Iterator[_Message]:
+    """The messages of some lines; blank lines count as lost only beside lines that are."""
+    at = base
+    sound_to = base
+    for line in data.splitlines(keepends=True):
+        at += len(line)
+        message = _message_of(line)
+        if message is not None:
+            sound_to = at
+        if message is not None and message.kind == BAD_DATA:
+            reader.tally.undecode(BAD_DATA, 1, "bytes that mavlogdump could not read")
+        elif message is not None:
+            yield message
+        elif line.strip() or reader.lost_to == at - len(line):
+            reader.tally.skip(sound_to, at, "no message")
+            sound_to = at
+            reader.lost_to = at
+
+
+def _message_of(line: bytes) -> _Message | None:
+    """The message in a line; None where there is none."""
+    try:
+        found = json.loads(line)
+        meta = found["meta"]
+        data = found["data"]
+        stamp_ns = round(meta["timestamp"] * 1e9)
+        sender = (int(meta.get("srcSystem", UNKNOWN_SYSTEM)), int(meta.get("srcComponent", UNKNOWN_SYSTEM)))
+        kind = meta["type"]
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+        return None
+    sound = isinstance(kind, str) and kind.isprintable() and kind and isinstance(data, dict)
+    within = abs(stamp_ns) < MAX_NS and all(0 <= part < 256 for part in sender)
+    return _Message(kind, sender, stamp_ns, data) if sound and within else None
+
+
+# --------------------------------------------------------------------------------------------- streams
+
+
+def _parts(reader: _Reader, messages: list[_Message]) -> Iterator[StreamPart]:
+    """The messages of a batch, stream by stream."""
+    groups: dict[Source, list[int]] = {}
+    for row, message in enumerate(messages):
+        if message.kind == "FMT":
+            _note_format(reader, message.data)
+        groups.setdefault(_source(reader, message), []).append(row)
+        if message.kind == "HEARTBEAT" and message.data.get("autopilot") != 8:
+            reader.time.vehicles.add(message.sender[0])
+    arrival = np.array([message.stamp_ns for message in messages], dtype=np.int64)
+    clocked = {}
+    for source, rows in groups.items():
+        found = _clocked(source, rows, messages)
+        if found is not None:
+            clocked[source] = reader.time.unwrapped(found)
+    if len(messages):
+        reader.time.begin(list(clocked.values()), arrival, utc=True)
+    for source, rows in groups.items():
+        picked = np.array(rows, dtype=np.int64)
+        times = reader.time.times(source, picked, clocked.get(source))
+        yield _part(reader, source, [messages[row] for row in rows], times, arrival[picked])
+
+
+def _source(reader: _Reader, message: _Message) -> Source:
+    known = _mavlink_ids().get(message.kind)
+    number = reader.ids.setdefault(message.kind, FIRST_OTHER + len(reader.ids) if known is None else known)
+    return (*message.sender, number)
+
+
+def _stream(reader: _Reader, source: Source) -> str:
+    kind = next(name for name, number in reader.ids.items() if number == source[2])
+    return f"{source[0]}.{source[1]}/{kind}" if source[0] or source[1] else kind
+
+
+def _clocked(source: Source, rows: list[int], messages: list[_Message]) -> Clocked | None:
+    """The times that a stream states, where all its rows do."""
+    name = next((name for name in TIME_FIELDS if name in messages[rows[0]].data), None)
+    if name is None:
+        return None
+    unit = TIME_FIELDS[name]
+    stated = [messages[row].data.get(name) for row in rows]
+    fits = [isinstance(value, int) and 0 <= value < MAX_NS // unit for value in stated]
+    if not any(fits):
+        return None
+    chosen = [row for row, fit in zip(rows, fits, strict=True) if fit]
+    if len(chosen) < len(rows):
+        return None
+    time_ns = np.array(stated, dtype=np.int64) * unit
+    period = (1 << 32) * unit if name in ("time_boot_ms", "time_boot_us") else 0
+    return Clocked(source, name, np.array(rows, dtype=np.int64), time_ns, name in BOOT_FIELDS, period)
+
+
+def _note_format(reader: _Reader, data: Mapping[str, Any]) -> None:
+    """The types of a DataFlash message, as its FMT line states them."""
+    name, letters, columns = (data.get(key) for key in ("Name", "Format", "Columns"))
+    if isinstance(name, str) and isinstance(letters, str) and isinstance(columns, str):
+        kinds = {
+            column: _kind_of(letter) for column, letter in zip(columns.split(","), letters, strict=False)
+        }
+        reader.formats.setdefault(name, kinds)
+
+
+def _kind_of(letter: str) -> pa.DataType:
+    if letter in TEXT_LETTERS:
+        return pa.string()
+    if letter == LIST_LETTER:
+        return pa.list_(pa.int64())
+    return pa.int64() if letter in WHOLE_LETTERS else pa.float64()
+
+
+@cache
+def _mavlink_ids() -> Mapping[str, int]:
+    module = load_dialect()._module
+    return {str(kind.msgname): int(number) for number, kind in module.mavlink_map.items()}
+
+
+# --------------------------------------------------------------------------------------------- columns
+
+
+def _part(
+    reader: _Reader,
+    source: Source,
+    messages: list[_Message],
+    times: tuple[IntArray, IntArray],
+    arrival: IntArray,
+) -> StreamPart:
+    stream = _stream(reader, source)
+    if source not in reader.schemas:
+        reader.schemas[source] = _schema(reader, source, messages[0])
+    schema = reader.schemas[source]
+    own = [(item, item.name.removesuffix("_") if item.name[:-1] in HEADS else item.name) for item in schema]
+    own = own[len(HEADS) :]
+    columns = [_column(reader, stream, item, [m.data.get(key) for m in messages]) for item, key in own]
+    _count_strangers(reader, stream, {key for _, key in own}, messages)
+    heads = [numbers(times[0]), numbers(times[1].astype(np.int32)), numbers(arrival)]
+    return StreamPart(stream, pa.Table.from_arrays([*heads, *columns], schema=schema))
+
+
+def _schema(reader: _Reader, source: Source, first: _Message) -> pa.Schema:
+    """time_ns, boot, recv_ns, then the message's fields."""
+    own = _dialect_fields(source[2]) if source[2] < FIRST_OTHER else []
+    if not own:
+        kinds = reader.formats.get(first.kind) or {name: _guessed(v) for name, v in first.data.items()}
+        own = [schema_field(Field(name), kind) for name, kind in kinds.items()]
+    heads = [pa.field(TIME, pa.int64()), pa.field(BOOT, pa.int32()), pa.field(RECEIVED, pa.int64())]
+    fields = [item.with_name(item.name + "_") if item.name in HEADS else item for item in own]
+    metadata = {"time_source": reader.time.source_of(source), "message": first.kind}
+    if any(first.sender):
+        metadata |= {"system": str(source[0]), "component": str(source[1])}
+    return pa.schema(heads + fields, metadata=metadata)
+
+
+@cache
+def _dialect_fields(number: int) -> list[pa.Field]:
+    """The fields of a MAVLink message with their types, units and enumerations."""
+    layout = load_dialect().layout(number)
+    empty = decode(np.zeros((1, layout.size), dtype=np.uint8), layout)
+    return [schema_field(spec, column.type) for spec, column in zip(layout.fields, empty, strict=True)]
+
+
+def _guessed(value: object) -> pa.DataType:
+    """The type of a column of which one value is known."""
+    if isinstance(value, list):
+        return pa.list_(pa.float64())
+    return pa.string() if isinstance(value, str) else pa.float64()
+
+
+def _column(reader: _Reader, stream: str, item: pa.Field, values: list[Any]) -> pa.Array:
+    """A column; null where a value does not fit its type, and counted."""
+    try:
+        return pa.array(values, item.type)
+    except (pa.ArrowException, OverflowError, TypeError, ValueError):
+        fits = [_fits(value, item.type) for value in values]
+    reader.tally.undecode(f"{stream}.{item.name}", fits.count(False), f"not {item.type}")
+    return pa.array([v if fit else None for v, fit in zip(values, fits, strict=True)], item.type)
+
+
+def _fits(value: object, kind: pa.DataType) -> bool:
+    try:
+        pa.array([value], kind)
+    except (pa.ArrowException, OverflowError, TypeError, ValueError):
+        return False
+    return True
+
+
+def _count_strangers(reader: _Reader, stream: str, names: set[str], messages: list[_Message]) -> None:
+    """Fields that the message does not have: names that damage made, or those of another dialect."""
+    for message in messages:
+        for name in message.data.keys() - names:
+            reader.tally.undecode(
+                f"{stream}.{printable(name)[:40]}", 1, "a field that the message does not have"
+            )
+
+
+def printable(name: str) -> str:
+    """A name without control characters."""
+    return "".join(c if c.isprintable() else "?" for c in name)
