@@ -186,6 +186,7 @@ class UtcFit:
     last_ns: dict[int, int] = field(default_factory=dict)
     _pairs: dict[int, list[tuple[IntArray, IntArray]]] = field(default_factory=dict)
     _held: dict[int, int] = field(default_factory=dict)  # pairs of each boot
+    _fitted: dict[int, tuple[int, float, int]] = field(default_factory=dict)  # until more pairs come
 
     def add(self, boot: int, vehicle_ns: IntArray, utc_ns: IntArray | None = None) -> None:
         """More pairs of a boot, in order; `utc_ns` None where nothing anchors them."""
@@ -203,6 +204,7 @@ class UtcFit:
         Some are kept: copies, as a view would keep the whole batch; and every other one of them again where
         they become many.
         """
+        self._fitted.pop(boot, None)
         every = max(1, len(vehicle_ns) // KNOTS_PER_FIT)
         kept = self._pairs.setdefault(boot, [])
         kept.append((vehicle_ns[::every].copy(), utc_ns[::every].copy()))
@@ -228,9 +230,10 @@ class UtcFit:
         pairs = self._pairs.get(boot)
         if not pairs:
             return None
-        vehicle = np.concatenate([p[0] for p in pairs])
-        utc = np.concatenate([p[1] for p in pairs])
-        return fit_line(vehicle, utc)
+        if boot not in self._fitted:
+            vehicle, utc = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+            self._fitted[boot] = fit_line(vehicle, utc)
+        return self._fitted[boot]
 
 
 def fit_line(x: IntArray, y: IntArray) -> tuple[int, float, int]:

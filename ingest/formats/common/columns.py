@@ -147,10 +147,12 @@ def gather(buffer: npt.NDArray[np.uint8], starts: IntArray, lengths: IntArray, s
     beyond = np.flatnonzero(starts > len(buffer) - size)
     if len(beyond):
         return _gather_tail(buffer, starts, lengths, size, beyond)
-    rows = np.lib.stride_tricks.sliding_window_view(buffer, size)[starts]
-    short = np.flatnonzero(lengths < size)
-    if len(short):
-        rows[short] *= np.arange(size, dtype=np.int64) < lengths[short, None]
+    # one copy a row: a window of single bytes would be copied byte by byte
+    windows = np.ndarray((len(buffer) - size + 1,), dtype=f"V{size}", buffer=buffer, strides=(1,))
+    rows: ByteMatrix = windows[starts].view(np.uint8).reshape(len(starts), size)
+    shortest = int(lengths.min())
+    if shortest < size:
+        rows[:, shortest:] *= np.arange(shortest, size) < lengths[:, None]
     return rows
 
 

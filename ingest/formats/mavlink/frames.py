@@ -30,14 +30,25 @@ SIGNATURE_BYTES = 13
 LOOK_AHEAD = 8192
 MAX_UNKNOWN_IN_A_ROW = 16
 STAMP_BYTES = 8
-LONGEST = 512
-PLAIN_STEP = 1 << 16
+FIRST_STRETCH = 1 << 12
+LONGEST_STRETCH = 1 << 20
 HEADER_BLOCK = 1 << 14
 
 IntArray = npt.NDArray[np.int64]
 ByteArray = npt.NDArray[np.uint8]
 Chain = Callable[[ByteArray, int, int, int], tuple[IntArray, int]]
 Buffer = bytes | memoryview
+
+
+def crc_table() -> npt.NDArray[np.uint16]:
+    """(256,) table of CRC-16/MCRF4XX: polynomial 0x1021, reflected."""
+    table = np.arange(256, dtype=np.uint16)
+    for _ in range(8):
+        table = (table >> 1) ^ np.where(table & 1, np.uint16(0x8408), np.uint16(0))
+    return table
+
+
+CRC_TABLE = crc_table()
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,64 +90,77 @@ class Header:
 
 
 def plain_chain(crc_extra: npt.NDArray[np.int16]) -> Chain:
-    """A chain function in plain Python: no compilation, about 1 us a frame.
+    """A chain function without compilation: about 0.4 us a frame.
 
     chain(raw, position, limit, stamp) walks valid records from `position`. It returns the
     frames' offsets and where it stopped: at the first record that starts at or after `limit`, or is not a
     complete valid frame of a known id.
     """
-    import fastcrc
-
-    crc16 = fastcrc.crc16.mcrf4xx
-    seeds = {int(i): bytes([crc_extra[i]]) for i in np.flatnonzero(crc_extra != UNKNOWN)}
 
     def chain(raw: ByteArray, position: int, limit: int, stamp: int) -> tuple[IntArray, int]:
-        size = len(raw)
-        # a few kilobytes at a time: after damage the chain is often entered only to stop again
-        starts: list[int] = []
-        first = position
-        while first < limit:
-            buffer = raw[first : min(first + PLAIN_STEP, size)].tobytes()
-            some, stopped = walk(buffer, 0, min(limit - first, PLAIN_STEP - LONGEST), stamp)
-            starts.extend([first + q for q in some])
-            first += stopped
-            if stopped < PLAIN_STEP - LONGEST:
-                break
-        return np.array(starts, dtype=np.int64), first
-
-    def walk(buffer: bytes, position: int, limit: int, stamp: int) -> tuple[list[int], int]:
-        size = len(buffer)
-        starts: list[int] = []
+        found: list[IntArray] = []
+        size = FIRST_STRETCH  # after damage the chain is often entered only to stop again
         while position < limit:
-            q = position + stamp
-            if q + 8 > size:
+            starts, ends = _linked(raw, position, min(position + size, limit), stamp)
+            good = _checked(raw, starts, ends, crc_extra)
+            found.append(starts[:good])
+            if not good:
                 break
-            marker = buffer[q]
-            if marker == V2:
-                flags = buffer[q + 2]
-                crc_at = q + 10 + buffer[q + 1]
-                end = crc_at + (2 if flags == 0 else 2 + SIGNATURE_BYTES)
-                if flags > SIGNED or end > size:
-                    break
-                seed = seeds.get(buffer[q + 7] | buffer[q + 8] << 8 | buffer[q + 9] << 16)
-            elif marker == V1:
-                crc_at = q + 6 + buffer[q + 1]
-                end = crc_at + 2
-                if end > size:
-                    break
-                seed = seeds.get(buffer[q + 5])
-            else:
+            position = int(ends[good - 1])
+            if good < len(starts):
                 break
-            if (
-                seed is None
-                or crc16(buffer[q + 1 : crc_at] + seed) != buffer[crc_at] | buffer[crc_at + 1] << 8
-            ):
-                break
-            starts.append(q)
-            position = end
-        return starts, position
+            size = min(4 * size, LONGEST_STRETCH)
+        return np.concatenate(found) if found else np.empty(0, np.int64), position
 
     return chain
+
+
+def _linked(raw: ByteArray, position: int, limit: int, stamp: int) -> tuple[IntArray, IntArray]:
+    """Frames that follow each other by their lengths alone from `position` on, where they start and end."""
+    first, size = position + stamp, len(raw)
+    window = raw[first : limit + stamp]
+    at = np.flatnonzero(window + 3 < 2) + first  # the markers FD and FE, in 8 bits
+    at = at[at + 8 <= size]
+    is_v2, flags = raw[at] == V2, raw[at + 2]
+    ends = at + raw[at + 1] + np.where(is_v2, 12 + SIGNATURE_BYTES * (flags & SIGNED).astype(np.int64), 8)
+    whole = (ends <= size) & ~(is_v2 & (flags > SIGNED))
+    at, ends = at[whole], ends[whole]
+    place = np.full(len(window) + 1, -1, dtype=np.int32)
+    place[at - first] = np.arange(len(at))
+    following = place[np.minimum(ends + stamp - first, len(window))].tolist()
+    index = int(place[0]) if len(window) else -1
+    chain: list[int] = []
+    while index >= 0:
+        chain.append(index)
+        index = following[index]
+    return at[chain], ends[chain]
+
+
+def _checked(raw: ByteArray, starts: IntArray, ends: IntArray, crc_extra: npt.NDArray[np.int16]) -> int:
+    """How many of these frames, from the first on, are of known ids and have the right CRC."""
+    import fastcrc
+
+    if not len(starts):
+        return 0
+    is_v2 = raw[starts] == V2
+    at = starts + np.where(is_v2, 7, 5)
+    number = raw[at].astype(np.int64)
+    wide = np.flatnonzero(is_v2)
+    number[wide] |= (raw[at[wide] + 1].astype(np.int64) << 8) | (raw[at[wide] + 2].astype(np.int64) << 16)
+    seed = crc_extra[np.minimum(number, len(crc_extra) - 1)]
+    unknown = (number >= len(crc_extra)) | (seed == UNKNOWN)
+    count = int(unknown.argmax()) if unknown.any() else len(starts)
+    starts, seed, is_v2 = starts[:count], seed[:count], is_v2[:count]
+    crc_at = starts + raw[starts + 1] + np.where(is_v2, 10, 6)
+    base = int(starts[0]) if count else 0
+    body = raw[base : int(ends[count - 1])].tobytes() if count else b""
+    crc16 = fastcrc.crc16.mcrf4xx
+    spans = zip((starts + 1 - base).tolist(), (crc_at - base).tolist(), strict=True)
+    crc = np.array([crc16(body[a:b]) for a, b in spans], dtype=np.uint16)
+    crc = (crc >> 8) ^ CRC_TABLE[(crc ^ seed.astype(np.uint16)) & 0xFF]
+    stated = raw[crc_at] | raw[crc_at + 1].astype(np.uint16) << 8
+    wrong = crc != stated
+    return int(wrong.argmax()) if wrong.any() else count
 
 
 @dataclass

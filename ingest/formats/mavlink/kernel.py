@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.ingest.formats.common.clock import IntArray
-from flysid.ingest.formats.mavlink.frames import Chain
+from flysid.ingest.formats.mavlink.frames import CRC_TABLE, Chain
 
 ByteArray = npt.NDArray[np.uint8]
 TableArray = npt.NDArray[np.uint16]
@@ -24,11 +24,7 @@ def crc_tables() -> TableArray:
     generators", 2005.
     """
     tables = np.zeros((4, 256), dtype=np.uint16)
-    for byte in range(256):
-        crc = byte
-        for _ in range(8):
-            crc = (crc >> 1) ^ (0x8408 if crc & 1 else 0)
-        tables[0, byte] = crc
+    tables[0] = CRC_TABLE
     for k in range(1, 4):
         before = tables[k - 1]
         tables[k] = (before >> 8) ^ tables[0, before & 0xFF]
