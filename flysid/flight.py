@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from flysid.errors import UsageError
@@ -73,6 +73,17 @@ class Damage:
     dropouts: Mapping[str, int] = field(default_factory=dict)
     out_of_order: Mapping[str, int] = field(default_factory=dict)
     reasons: Mapping[str, str] = field(default_factory=dict)
+
+    def behind_zeros(self, count: int) -> Damage:
+        """This damage in a log that `count` zero bytes stand ahead of."""
+        moved = (replace(r, start=r.start + count, end=r.end + count) for r in self.regions)
+        regions = (Region(0, count, "zeros"), *moved)[: self.MAX_REGIONS]
+        return replace(
+            self,
+            bytes_skipped=self.bytes_skipped + count,
+            regions=regions,
+            region_count=self.region_count + 1,
+        )
 
     @property
     def lossy(self) -> bool:

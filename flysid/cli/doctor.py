@@ -12,7 +12,7 @@ import click
 from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.ls import aligned, clock_text
 from flysid.cli.output import REASONS_SHOWN, say, say_passed_over
-from flysid.cli.source import time_unit_option
+from flysid.cli.source import format_option, time_unit_option
 
 if TYPE_CHECKING:
     from flysid.flight import Damage
@@ -37,6 +37,7 @@ HEADINGS = (
 @click.argument("logs", nargs=-1, required=True, metavar="LOG...")
 @memory_option
 @time_option
+@format_option
 @time_unit_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-q", "--quiet", is_flag=True, help="No words on stderr but for logs that cannot be read.")
@@ -44,6 +45,7 @@ def command(
     logs: tuple[str, ...],
     max_memory: int | None,
     max_time: float | None,
+    format_: str,
     time_unit: str,
     as_json: bool,
     quiet: bool,
@@ -63,7 +65,7 @@ def command(
     surveys: dict[Path, Survey] = {}
     for skipped in found.unread:
         say(f"skipped: {skipped.path}: {skipped.reason}")
-    look = partial(survey_or_reason, limits=Limits(time_unit=time_unit))
+    look = partial(survey_or_reason, limits=Limits(time_unit=time_unit, format=format_))
     for path, outcome in run_bounded(look, found.paths, 1, Bounds(max_memory, max_time)):
         if isinstance(outcome, (str, Lost)):
             say(f"skipped: {path}: {outcome if isinstance(outcome, str) else outcome.reason}")

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from flysid.cli.source import format_option, opened_flights
+
 KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
 
 
@@ -18,6 +20,7 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
 @click.option("--flight", default="", help="The flight of a folder, by id or its beginning.")
 @click.option("--rate", "rate_hz", type=float, help="One table on a grid of this many rows a second.")
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="File, or folder for several tables.")
+@format_option
 @click.option("--force", is_flag=True, help="Replace the target if it is there.")
 def command(
     source: Path,
@@ -27,6 +30,7 @@ def command(
     rate_hz: float | None,
     out: Path | None,
     force: bool,
+    format_: str,
 ) -> None:
     """Write a flight's streams for other programs, in physical units.
 
@@ -37,12 +41,11 @@ def command(
     flysid export data --flight 0042 --rate 50 -o flight.csv
     """
     from flysid.cli.output import check_target
-    from flysid.cli.source import opened_flights
     from flysid.errors import UsageError
     from flysid.ingest.lake.export import GRID, export_tables, gridded_table, physical_tables
     from flysid.ingest.lake.selection import Selection, select
 
-    with opened_flights(source) as lake:
+    with opened_flights(source, format_) as lake:
         logs = select(lake, Selection(flights=(flight,) if flight else ())).logs
         if len(logs) != 1:
             raise UsageError(

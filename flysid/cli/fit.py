@@ -70,6 +70,7 @@ def command(
     outputs: tuple[str, ...],
     dt: float | None,
     time_unit: str,
+    format_: str,
     output: Path,
     channels: tuple[str, ...],
     models: str,
@@ -94,7 +95,7 @@ def command(
     """
     check_target(output, force)
     is_dataset = _is_dataset(data)
-    asked = Words(recipe, inputs, outputs, dt, time_unit)
+    asked = Words(recipe, inputs, outputs, dt, time_unit, format_)
     if is_dataset:
         check_no_words(data, asked)
     place = fresh_place(output, force) if not is_dataset and is_log(data) else None

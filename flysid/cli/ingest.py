@@ -11,7 +11,7 @@ import click
 
 from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.output import REASONS_SHOWN, counted, printable, say, say_passed_over
-from flysid.cli.source import time_unit_option
+from flysid.cli.source import format_option, time_unit_option
 
 if TYPE_CHECKING:
     from flysid.flight import Damage
@@ -26,6 +26,7 @@ REGIONS_SHOWN = 12
 @click.option("-j", "--jobs", default=0, metavar="N", help="Worker processes; one per core when not given.")
 @memory_option
 @time_option
+@format_option
 @time_unit_option
 @click.option("--force", is_flag=True, help="Read logs again that are there unchanged.")
 @click.option("--json", "as_json", is_flag=True, help="Print what happened to every log as JSON.")
@@ -36,6 +37,7 @@ def command(
     jobs: int,
     max_memory: int | None,
     max_time: float | None,
+    format_: str,
     time_unit: str,
     force: bool,
     as_json: bool,
@@ -48,7 +50,7 @@ def command(
     memory or time than it may have is skipped and named; the others are read. In folders and .zip
     archives, notes, pictures and other files that are no logs are named and passed over.
 
-    With --time-unit, logs that are there already are read again: what they say may change.
+    With --format or --time-unit, logs that are there already are read again: what they say may change.
     """
     from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.batch import ingest_logs
@@ -59,8 +61,8 @@ def command(
     results = []
     with progress(len(found.paths), quiet) as advance:
         bounds = Bounds(max_memory, max_time)
-        again = force or bool(time_unit)
-        told = Limits(time_unit=time_unit)
+        again = force or bool(time_unit or format_)
+        told = Limits(time_unit=time_unit, format=format_)
         for result in ingest_logs(found, data, jobs=jobs, force=again, limits=told, bounds=bounds):
             results.append(result)
             advance(result)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.source import opened_flights, selection_options
+from flysid.cli.source import format_option, opened_flights, selection_options
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.lake import StoredLog
@@ -31,6 +31,7 @@ PAIRS = ("attitude", "rate", "velocity")
 )
 @click.option("--term", is_flag=True, help="Draw in the terminal.")
 @click.option("--open/--no-open", "show", default=False, help="Open the page in the browser.")
+@format_option
 @click.option("--force", is_flag=True, help="Replace the file if it is there.")
 def command(
     source: Path,
@@ -42,6 +43,7 @@ def command(
     term: bool,
     show: bool,
     force: bool,
+    format_: str,
 ) -> None:
     """Plot fields of a log, or of flights of an ingested folder, over time.
 
@@ -62,7 +64,7 @@ def command(
     target = out or Path(f"{source.name or 'flights'}.html".replace("/", "_"))
     if not term:
         check_target(target, force)
-    with opened_flights(source) as lake:
+    with opened_flights(source, format_) as lake:
         timelines = [
             lay_out(log, choose_curves(log, fields, pair, recipe)) for log in select(lake, selection).logs
         ]

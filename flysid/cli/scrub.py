@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.output import printable, say
+from flysid.cli.source import format_option
 
 if TYPE_CHECKING:
     from flysid.ingest.formats.common.scrub_rules import Gps
@@ -25,20 +26,22 @@ if TYPE_CHECKING:
     show_default=True,
     help="Move all positions to a neutral place, keeping the motion; or empty them.",
 )
+@format_option
 @click.option("--force", is_flag=True, help="Replace the copy if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was removed as JSON.")
 @click.option("--quiet", "-q", is_flag=True)
-def command(log: Path, output: Path, gps: Gps, force: bool, as_json: bool, quiet: bool) -> int:
+def command(log: Path, output: Path, gps: Gps, format_: str, force: bool, as_json: bool, quiet: bool) -> int:
     """Write a copy of a log without what should not be shared, in its own format.
 
     Positions are moved or removed; serial numbers, names, passwords, paths, texts with identifiers and
     embedded files are taken out; bytes that cannot be read are left out. Says what was removed, and where.
     Ends with 3 when something could not be read.
     """
+    from flysid.ingest.formats.base import Limits
     from flysid.ingest.formats.common.scrub_rules import UNREADABLE
     from flysid.ingest.formats.scrubbing import KEPT, scrub_log
 
-    done = scrub_log(log, output, gps=gps, force=force)
+    done = scrub_log(log, output, gps=gps, force=force, limits=Limits(format=format_))
     click.echo(as_json_text(done, output) if as_json else table(done))
     for note in done.notes:
         say(note, quiet)

@@ -31,8 +31,23 @@ class Words:
     outputs: tuple[str, ...]
     dt: float | None
     time_unit: str = ""
+    format: str = ""
 
 
+def _known_format(_ctx: click.Context, _param: click.Parameter, name: str) -> str:
+    from flysid.ingest.formats.registry import find_format
+
+    return find_format(name).name if name else ""
+
+
+format_option = click.option(
+    "--format",
+    "format_",
+    default="",
+    metavar="NAME",
+    callback=_known_format,
+    help="Of the log, where its bytes do not tell: tlog, csv, ...",
+)
 time_unit_option = click.option(
     "--time-unit",
     default="",
@@ -45,6 +60,7 @@ time_unit_option = click.option(
 def words_options(function: F) -> F:
     """Adds --recipe, --from, --to, --dt and --time-unit."""
     for option in (
+        format_option,
         time_unit_option,
         click.option("--dt", type=float, metavar="SECONDS", help="Between rows, where a table has no time."),
         click.option("--to", "outputs", multiple=True, metavar="FIELD", help="Output; see --from."),
@@ -114,11 +130,11 @@ def opened(
     """
     if words.recipe and (words.inputs or words.outputs or words.dt is not None):
         raise UsageError("--recipe says what --from, --to and --dt would", hint="leave out one or the other")
-    if words.time_unit and data.is_dir():
+    if (words.time_unit or words.format) and data.is_dir():
         raise UsageError(
-            "what is ingested has its times already",
+            "what is ingested has its format and times already",
             path=data,
-            hint="flysid ingest --time-unit reads a table again",
+            hint="flysid ingest --format, or --time-unit, reads a log again",
         )
     from flysid.ingest.lake.lake import open as open_lake
     from flysid.ingest.lake.selection import require_one_vehicle, select
@@ -127,10 +143,14 @@ def opened(
         target = place or Path(folder) / "data"
         recipe = Path(folder) / "quick.toml"
         try:
+<<<<<<< HEAD
             whole = open_lake(_taken_in(data, target, words.time_unit, quiet) if is_log(data) else data)
             lake = select(whole, selection)
             if not selection.pool:
                 require_one_vehicle(lake)
+=======
+            lake = open_lake(_taken_in(data, target, words, quiet) if is_log(data) else data)
+>>>>>>> 19a66c6 (Zeros ahead of a log are damage, not another format; --format on every verb that takes a log)
             if not words.recipe:
                 recipe.write_text(_written(words, lake), "utf-8")
             yield lake, words.recipe or str(recipe)
@@ -141,7 +161,7 @@ def opened(
 
 
 @contextmanager
-def opened_flights(source: Path) -> Iterator[Lake]:
+def opened_flights(source: Path, format_: str = "") -> Iterator[Lake]:
     """The flights of an ingested folder, of a log, or of a folder of logs; logs are read for this block only.
 
     Raises
@@ -156,7 +176,8 @@ def opened_flights(source: Path) -> Iterator[Lake]:
         yield open_lake(source)
         return
     with TemporaryDirectory() as folder:
-        yield open_lake(_taken_in(source, Path(folder) / "data", "", quiet=True))
+        words = Words("", (), (), None, format=format_)
+        yield open_lake(_taken_in(source, Path(folder) / "data", words, quiet=True))
 
 
 def is_log(data: Path) -> bool:
@@ -183,14 +204,15 @@ def _written(words: Words, lake: Lake) -> str:
     return quick_recipe(lake.logs, words.inputs, words.outputs, words.dt)
 
 
-def _taken_in(log: Path, place: Path, time_unit: str, quiet: bool) -> Path:
+def _taken_in(log: Path, place: Path, words: Words, quiet: bool) -> Path:
     """Ingest one log; raises FormatError where nothing of it can be read."""
     from flysid.cli.ingest import report
     from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.batch import ingest_logs
     from flysid.ingest.lake.finding import find_logs
 
-    results = list(ingest_logs(find_logs([log]), place, jobs=1, limits=Limits(time_unit=time_unit)))
+    told = Limits(time_unit=words.time_unit, format=words.format)
+    results = list(ingest_logs(find_logs([log]), place, jobs=1, limits=told))
     report(results, quiet)
     if all(result.skipped for result in results):
         raise FormatError("nothing could be read", path=log, hint=f"flysid doctor {log}")

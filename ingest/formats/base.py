@@ -12,7 +12,7 @@ import importlib
 import mmap
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pyarrow as pa
@@ -35,12 +35,14 @@ class Limits:
     ----------
     max_chunk_bytes : of one decompressed chunk.
     time_unit : of a table's times that state none: "s", "ms", "us" or "ns"; "" where the caller cannot tell.
+    format : the log's format, by name; "" where its bytes shall tell.
     """
 
     max_chunk_bytes: int = 1 << 30
     max_ratio: float = 200.0
     batch_bytes: int = 8 << 20
     time_unit: str = ""
+    format: str = ""
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ class Format:
     suffixes : usual file name endings, lower case; a hint for folders, never proof.
     reader : module with `sniff(head, name)` and `read(view, name, limits)`.
     scrubber : module with `scrub(view, scrubber, limits)`; None where the format cannot be scrubbed.
+    zeros : how many zero bytes a sound log may begin with. More are what a lost write left.
     """
 
     name: str
@@ -81,6 +84,7 @@ class Format:
     suffixes: tuple[str, ...]
     reader: str
     scrubber: str | None = None
+    zeros: int = 0
 
     def sniff(self, head: bytes, name: str) -> float:
         """Confidence from 0 to 1 that a file with these first `HEAD_BYTES` bytes is of this format."""
@@ -88,12 +92,33 @@ class Format:
         return confidence
 
     def read(self, view: memoryview, name: str, limits: Limits) -> Parts:
-        """The parts of a whole log.
+        """The parts of a whole log. Zeros ahead of it count as damage.
 
         Damage never raises: it is counted. FormatError is raised only where nothing at all can be read.
         """
-        parts: Parts = importlib.import_module(self.reader).read(view, name, limits)
-        return parts
+        skipped = self.zeros_ahead(view)
+        try:
+            summary: Summary = yield from importlib.import_module(self.reader).read(
+                view[skipped:], name, limits
+            )
+        except FormatError as error:
+            error.byte = None if error.byte is None else error.byte + skipped
+            raise
+        return replace(summary, damage=summary.damage.behind_zeros(skipped)) if skipped else summary
+
+    def zeros_ahead(self, view: memoryview) -> int:
+        """Zero bytes that a log begins with, those that belong to it left out."""
+        return max(0, count_zeros(view) - self.zeros)
+
+
+def count_zeros(view: memoryview) -> int:
+    """How many zero bytes a log begins with: a file system leaves them where a write was lost."""
+    for start in range(0, len(view), HEAD_BYTES):
+        piece = bytes(view[start : start + HEAD_BYTES])
+        if rest := piece.lstrip(b"\0"):
+            return start + len(piece) - len(rest)
+        release(view, start, start + len(piece))
+    return len(view)
 
 
 @contextmanager

@@ -11,11 +11,20 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import TypeVar
+from typing import BinaryIO, TypeVar
 
 from flysid.errors import FormatError
 from flysid.flight import Flight
-from flysid.ingest.formats.base import HEAD_BYTES, Format, Limits, Parts, Summary, hash_log, map_file
+from flysid.ingest.formats.base import (
+    HEAD_BYTES,
+    Format,
+    Limits,
+    Parts,
+    Summary,
+    count_zeros,
+    hash_log,
+    map_file,
+)
 from flysid.ingest.formats.common.compression import (
     GZIP_MAGIC,
     ZSTD_MAGIC,
@@ -30,6 +39,7 @@ from flysid.ingest.formats.common.zip_members import ZIP_MAGICS, Member, member_
 PACKED_SUFFIXES = (".gz", ".zst", ".zstd")
 TAR_MAGIC = b"ustar"
 TAR_MAGIC_AT = 257
+LEAST_ZEROS = 16  # fewer may belong to a log: a tlog's stamp begins with one
 
 T = TypeVar("T", Flight, Summary)
 
@@ -51,8 +61,10 @@ class OpenLog:
 
     @property
     def head(self) -> bytes:
-        """What formats are recognised by."""
-        return bytes(self.view[:HEAD_BYTES])
+        """What formats are recognised by: the first bytes, behind what zeros a lost write left."""
+        zeros = count_zeros(self.view)
+        first = zeros if zeros > LEAST_ZEROS else 0
+        return bytes(self.view[first : first + HEAD_BYTES])
 
     def read(self, fmt: Format, limits: Limits) -> Parts:
         """The parts of the log; what its packing lost counts as damage."""
@@ -225,7 +237,7 @@ def head_of(path: Path, limits: Limits | None = None) -> tuple[str, bytes]:
     file, inside = locate(path)
     if not inside:
         with file.open("rb") as opened:
-            name, head = file.name, opened.read(HEAD_BYTES)
+            name, head = file.name, _head(opened)
     else:
         member = _member(file, inside, limits)
         with map_file(file) as view:
@@ -233,3 +245,17 @@ def head_of(path: Path, limits: Limits | None = None) -> tuple[str, bytes]:
     if is_compressed(head):
         name, head = own_name(name), first_bytes(unpacked_pieces(memoryview(head)), HEAD_BYTES)
     return name, head
+
+
+def _head(file: BinaryIO) -> bytes:
+    """The first bytes of a file, behind what zeros a lost write left."""
+    start = 0
+    head = file.read(HEAD_BYTES)
+    while head and not head.strip(b"\0"):
+        start += len(head)
+        head = file.read(HEAD_BYTES)
+    zeros = len(head) - len(head.lstrip(b"\0"))
+    if start + zeros <= LEAST_ZEROS:
+        return head
+    file.seek(start + zeros)
+    return file.read(HEAD_BYTES)

@@ -14,7 +14,7 @@ from pathlib import Path
 from flysid.errors import FormatError, UsageError
 from flysid.flight import Flight
 from flysid.ingest.formats.base import WHOLE_BATCH_BYTES, Format, Limits, collect
-from flysid.ingest.formats.opening import members_of, open_log, own_name
+from flysid.ingest.formats.opening import OpenLog, members_of, open_log, own_name
 from flysid.ingest.formats.recognised import stranger
 
 ENTRY_POINTS = "flysid.formats"
@@ -22,10 +22,10 @@ CERTAIN = 0.95
 PLAUSIBLE = 0.3
 
 
-def _row(name: str, title: str, suffixes: str, reader: str, scrubber: str | None) -> Format:
+def _row(name: str, title: str, suffixes: str, reader: str, scrubber: str | None, zeros: int = 0) -> Format:
     home = "flysid.ingest.formats"
     scrub = f"{home}.{scrubber}" if scrubber else None
-    return Format(name, title, tuple(suffixes.split()), f"{home}.{reader}", scrub)
+    return Format(name, title, tuple(suffixes.split()), f"{home}.{reader}", scrub, zeros)
 
 
 FORMATS: Mapping[str, Format] = {
@@ -66,6 +66,7 @@ FORMATS: Mapping[str, Format] = {
             ".tlog .rlog .mavlink .raw",
             "mavlink.reader",
             "mavlink.scrub",
+            zeros=8,
         ),
         _row("ulog", "PX4 ULog", ".ulg", "ulog.reader", "ulog.scrub"),
     )
@@ -126,6 +127,20 @@ def detect(head: bytes, name: str) -> Format:
     return best
 
 
+def format_of(log: OpenLog, limits: Limits) -> Format:
+    """The format that the caller names, or the one that the log's first bytes tell."""
+    if limits.format:
+        return find_format(limits.format)
+    if not log.head:
+        raise FormatError(
+            "nothing but zeros",
+            path=log.name,
+            byte=0,
+            hint="the log was lost before it was written; copy it again",
+        )
+    return detect(log.head, log.name)
+
+
 def confidence_of(head: bytes, name: str) -> float:
     """How sure the format is that is most likely of a file; see `Format.sniff`."""
     return _most_likely(head, name)[0]
@@ -163,9 +178,9 @@ def read(
     UsageError : `format` or `time_unit` is not a name that flysid knows.
     """
     limits = limits or Limits(batch_bytes=WHOLE_BATCH_BYTES)
-    limits = replace(limits, time_unit=time_unit or limits.time_unit)
+    limits = replace(limits, time_unit=time_unit or limits.time_unit, format=format or limits.format)
     with open_log(sole_log(Path(path)), limits) as log:
-        fmt = detect(log.head, log.name) if format is None else find_format(format)
+        fmt = format_of(log, limits)
         return log.told(collect(log.view, log.name, fmt, limits))
 
 

@@ -30,7 +30,7 @@ from flysid.ingest.formats.common.scrub_rules import (
     places,
 )
 from flysid.ingest.formats.opening import open_log, packed_as
-from flysid.ingest.formats.registry import all_formats, detect, sole_log
+from flysid.ingest.formats.registry import all_formats, format_of, sole_log
 
 Function = Callable[[memoryview, Scrubber, Limits], Iterator[bytes]]
 OTHERS = ("ADSB", "AIS_", "TRANSPONDER", "TRAFFIC")  # where others were
@@ -59,7 +59,9 @@ def scrubbers() -> Mapping[str, Function]:
     }
 
 
-def scrub_log(log: str | Path, out: str | Path, *, gps: Gps = "shift", force: bool = False) -> Scrubbed:
+def scrub_log(
+    log: str | Path, out: str | Path, *, gps: Gps = "shift", force: bool = False, limits: Limits | None = None
+) -> Scrubbed:
     """Write a copy of a log without what should not be shared. The copy appears whole or not at all.
 
     A packed log is unpacked first. The copy is packed as its name says: .gz, .zst, or not at all.
@@ -71,6 +73,7 @@ def scrub_log(log: str | Path, out: str | Path, *, gps: Gps = "shift", force: bo
     gps : "shift" moves all positions so that their median lies off the coast of Africa, "remove" empties
         them.
     force : replace `out` where it exists.
+    limits : what the reader is told.
 
     Raises
     ------
@@ -79,6 +82,7 @@ def scrub_log(log: str | Path, out: str | Path, *, gps: Gps = "shift", force: bo
     WriteError : `out` cannot be written.
     """
     log, out = Path(log), Path(out)
+    limits = limits or Limits()
     if out.exists() and log.exists() and out.samefile(log):
         raise UsageError("the copy would replace the log", path=out, hint="choose another name with -o")
     if out.suffix.lower() == ".zip":
@@ -90,13 +94,16 @@ def scrub_log(log: str | Path, out: str | Path, *, gps: Gps = "shift", force: bo
     if out.exists() and not force:
         raise UsageError("the target exists", path=out, hint="choose another with -o, or add --force")
     with open_log(sole_log(log)) as opened:
-        fmt = detect(opened.head, opened.name)
+        fmt = format_of(opened, limits)
         if fmt.name not in scrubbers():
             raise UsageError(
                 f"{fmt.title} cannot be scrubbed yet", path=log, hint="formats: " + ", ".join(scrubbers())
             )
         scrubber = Scrubber(gps, middle(opened.view, opened.name, fmt))
-        _write(out, packed_as(out.name, scrubbers()[fmt.name](opened.view, scrubber, Limits())))
+        zeros = fmt.zeros_ahead(opened.view)
+        _write(out, packed_as(out.name, scrubbers()[fmt.name](opened.view[zeros:], scrubber, limits)))
+        if zeros:
+            scrubber.note(UNREADABLE, "zeros ahead of the log", zeros)
         if opened.lost:
             scrubber.note(UNREADABLE, f"in its packing: {opened.lost}", 1)
     return Scrubbed(fmt.name, dict(sorted(scrubber.removed.items())), tuple(scrubber.notes))

@@ -20,7 +20,7 @@ from flysid.errors import FlysidError, FormatError, WriteError
 from flysid.flight import Damage, Source
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.opening import identify, locate, open_log
-from flysid.ingest.formats.registry import detect
+from flysid.ingest.formats.registry import format_of
 from flysid.ingest.lake.finding import Found
 from flysid.ingest.lake.workers import Bounds, Lost, memory_reason, run_bounded
 from flysid.manifest import FLIGHTS, stamp_of
@@ -198,7 +198,7 @@ def ingest_one(job: Job, data: Path, limits: Limits, replace: bool) -> Result:
             state = locate(job.path)[0].stat()
             if (len(log.view), state.st_mtime_ns) != (job.size, job.modified_ns):
                 return Result(job.path, reason="changed while it was being read; is it still being written?")
-            fmt = detect(log.head, log.name)
+            fmt = format_of(log, limits)
             source = Source(log.name, fmt.name, job.size, job.sha256)
             parts = log.read(fmt, limits)
             manifest = write_flight(data, source, parts, replace=replace)

@@ -16,7 +16,7 @@ from flysid.errors import FlysidError
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Source, field_scale, field_unit
 from flysid.ingest.formats.base import Limits, source_of
 from flysid.ingest.formats.opening import open_log
-from flysid.ingest.formats.registry import detect
+from flysid.ingest.formats.registry import format_of
 from flysid.parts import exhausted
 
 ROLES: Mapping[str, tuple[str, ...]] = {
@@ -130,7 +130,7 @@ def survey(path: Path, limits: Limits | None = None) -> Survey:
     """Look a log over. Raises FormatError where nothing can be read."""
     limits = limits or Limits()
     with open_log(path, limits) as log:
-        fmt = detect(log.head, log.name)
+        fmt = format_of(log, limits)
         streams: dict[str, StreamCount] = {}
         reader = log.read(fmt, limits)
         summary = exhausted(

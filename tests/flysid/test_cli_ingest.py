@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 from pathlib import Path
 
 import pytest
@@ -185,3 +186,18 @@ def test_the_shared_tlogs_are_ingested(tmp_path: Path) -> None:
     assert len(result.stdout.splitlines()) == 6
     assert "2,565 bytes skipped in 10 places: 0-1359" in result.stderr
     assert "sitl_x27_two_boots_stray_bytes.tlog" in result.stderr
+
+
+@pytest.mark.parametrize("verb", ["doctor LOG", "ingest LOG -o OUT", "scrub LOG -o OUT", "export LOG -o OUT"])
+def test_a_format_can_be_named_on_every_verb(tmp_path: Path, logs: Path, verb: str) -> None:
+    log = tmp_path / "unknown"
+    log.write_bytes(random.Random(2).randbytes(200_000) + (logs / "one.tlog").read_bytes())
+    words = [{"LOG": log, "OUT": tmp_path / "out"}.get(word, word) for word in verb.split()]
+
+    def ends_with(*more: str) -> int:
+        done = flysid(*words, *more)
+        return int(getattr(done.exception, "exit_code", 0) or done.return_value or 0)
+
+    assert ends_with() == 1
+    assert ends_with("--format", "tlogs") == 2
+    assert ends_with("--format", "tlog") == (0 if verb.startswith("export") else 3)

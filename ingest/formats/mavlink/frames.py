@@ -42,9 +42,9 @@ Buffer = bytes | memoryview
 
 def crc_table() -> npt.NDArray[np.uint16]:
     """(256,) table of CRC-16/MCRF4XX: polynomial 0x1021, reflected."""
-    table = np.arange(256, dtype=np.uint16)
+    table: npt.NDArray[np.uint16] = np.arange(256, dtype=np.uint16)
     for _ in range(8):
-        table = (table >> 1) ^ np.where(table & 1, np.uint16(0x8408), np.uint16(0))
+        table = (table >> np.uint16(1)) ^ np.where(table & 1, np.uint16(0x8408), np.uint16(0))
     return table
 
 

@@ -67,9 +67,9 @@ def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
     return 0.95 if frames >= 3 else 0.6 if frames else 0.0
 
 
-def _may_chain(head: bytes, stamp: int) -> bool:
+def _may_chain(head: bytes, stamp: int, stop: int = 16384) -> bool:
     """Cheap test before the dialect is imported: do three markers follow one another by their lengths?"""
-    for match in MARKER.finditer(head, stamp if stamp else 0, 16384):
+    for match in MARKER.finditer(head, stamp if stamp else 0, stop):
         at, hops = match.start(), 0
         while hops < 3 and at + 8 <= len(head) and head[at] in (V1, V2):
             is_v2 = head[at] == V2
@@ -81,6 +81,19 @@ def _may_chain(head: bytes, stamp: int) -> bool:
                 return True
             at += stamp
     return False
+
+
+def _first_stamp_bytes(view: memoryview) -> int:
+    """`_stamp_bytes` where the frames begin: garbage ahead of them would decide by chance."""
+    for start in range(
+        0, len(view), HEAD_BYTES // 2
+    ):  # half of each stretch again: frames may begin at its end
+        stretch = bytes(view[start : start + HEAD_BYTES])
+        if any(_may_chain(stretch, stamp, len(stretch)) for stamp in (STAMP_BYTES, 0)):
+            stamp = _stamp_bytes(stretch)
+            if _count_frames(stretch, stamp)[0] >= 3:
+                return stamp
+    return _stamp_bytes(bytes(view[:HEAD_BYTES]))
 
 
 def _stamp_bytes(head: bytes) -> int:
@@ -152,7 +165,7 @@ class _Reader:
 
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
     """Parts of a tlog or raw MAVLink file; see `Format.read`."""
-    stamp = _stamp_bytes(bytes(view[:HEAD_BYTES]))
+    stamp = _first_stamp_bytes(view)
     reader = _Reader(load_dialect(), _scanner(DEFAULT, stamp, len(view)))
     position = 0
     while position < len(view):
@@ -172,7 +185,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
 
 def frame_batches(view: memoryview, limits: Limits) -> Iterator[tuple[Frames, Dialect, int]]:
     """Valid frames batch by batch, the dialect that knows them, and where in the file the batch ends."""
-    stamp, name = _stamp_bytes(bytes(view[:HEAD_BYTES])), DEFAULT
+    stamp, name = _first_stamp_bytes(view), DEFAULT
     scanner = _scanner(name, stamp, len(view))
     frames, position = _next_frames(scanner, view, 0, limits)
     if scanner.bad_checksums or scanner.unknown:

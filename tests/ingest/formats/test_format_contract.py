@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import random
 from itertools import pairwise
+from pathlib import Path
 
 import pyarrow as pa
 import pytest
 
+import flysid
 from flysid.errors import FormatError
 from flysid.flight import BOOT, TIME
 from flysid.ingest.formats.base import HEAD_BYTES
@@ -63,6 +65,19 @@ def test_it_is_recognised_by_its_bytes_alone(name: str) -> None:
     head = sample(name)[:HEAD_BYTES]
     for file_name in ("log", "log.bin", "log.txt", "log" + module_of(name).SUFFIX):
         assert detect(head, file_name).name == name
+
+
+@each_format
+@pytest.mark.parametrize("size", [17, 300_000])
+def test_zeros_ahead_of_a_log_are_damage_and_hide_nothing(name: str, size: int, tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    path.write_bytes(bytes(size) + sample(name))
+    harmless = b"\0" in getattr(module_of(name), "HARMLESS", b"")
+    flight = flysid.read(path)
+    assert (flight.source.format, flight.rows) == (name, intact(name).rows)
+    assert flight.damage.lossy or harmless
+    assert flight.damage.bytes_skipped == size
+    assert flysid.read(path, format=name).rows == flight.rows
 
 
 @each_format

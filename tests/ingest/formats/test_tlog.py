@@ -393,3 +393,13 @@ def test_zeros_behind_a_log_are_skipped_however_many() -> None:
     flight = read(build() + zeros)
     assert flight.rows == read(build()).rows
     assert flight.damage.bytes_skipped == len(zeros)
+
+
+@pytest.mark.parametrize("ahead", [bytes(2_900_000), bytes(100_001), random.Random(4).randbytes(200_000)])
+def test_whether_frames_carry_stamps_is_decided_where_frames_begin(ahead: bytes) -> None:
+    log = log_of(flying(sender(), 1000))
+    flight = read(ahead + log)
+    assert (flight.rows, flight.info["timestamps"]) == (1000, "arrival")
+    assert flight.damage.bytes_skipped == len(ahead)
+    raw = read(ahead + b"".join(flying(sender(), 1000)))
+    assert (raw.rows, raw.info["timestamps"]) == (1000, "none")
