@@ -143,14 +143,10 @@ def opened(
         target = place or Path(folder) / "data"
         recipe = Path(folder) / "quick.toml"
         try:
-<<<<<<< HEAD
-            whole = open_lake(_taken_in(data, target, words.time_unit, quiet) if is_log(data) else data)
+            whole = open_lake(_taken_in(data, target, words, quiet) if is_log(data) else data)
             lake = select(whole, selection)
             if not selection.pool:
                 require_one_vehicle(lake)
-=======
-            lake = open_lake(_taken_in(data, target, words, quiet) if is_log(data) else data)
->>>>>>> 19a66c6 (Zeros ahead of a log are damage, not another format; --format on every verb that takes a log)
             if not words.recipe:
                 recipe.write_text(_written(words, lake), "utf-8")
             yield lake, words.recipe or str(recipe)

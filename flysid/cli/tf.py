@@ -108,13 +108,8 @@ def command(
         band=settings["band"] or None,
         method=settings["method"],
     )
-<<<<<<< HEAD
-    words = Words(recipe, inputs, outputs, dt, time_unit)
-    with opened(data, words, selection, None, quiet) as (lake, chosen), status(quiet) as progress:
-=======
     words = Words(recipe, inputs, outputs, dt, time_unit, format_)
-    with opened(data, words, None, quiet) as (lake, chosen), status(quiet) as progress:
->>>>>>> 19a66c6 (Zeros ahead of a log are damage, not another format; --format on every verb that takes a log)
+    with opened(data, words, selection, None, quiet) as (lake, chosen), status(quiet) as progress:
         found, skipped = identify(lake, chosen, estimator, channels=channels, progress=progress)
         lost = lost_on_the_way(data, lake)
     if as_json:
