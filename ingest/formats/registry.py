@@ -53,7 +53,7 @@ FORMATS: Mapping[str, Format] = {
         _row(
             "navdata",
             "AR.Drone navdata (packets or pcap)",
-            ".navdata .pcap .cap",
+            ".navdata .pcap .pcapng .cap",
             "ardrone.reader",
             "ardrone.scrub",
         ),
@@ -62,8 +62,8 @@ FORMATS: Mapping[str, Format] = {
         _row("rosbag2", "ROS 2 bag (SQLite)", ".db3 .db3.zstd", "rosbag2.reader", "rosbag2.scrub"),
         _row(
             "tlog",
-            "MAVLink telemetry (.tlog)",
-            ".tlog .rlog .mavlink .raw",
+            "MAVLink telemetry (.tlog, raw, pcap)",
+            ".tlog .rlog .mavlink .raw .pcap .pcapng .cap",
             "mavlink.reader",
             "mavlink.scrub",
             zeros=8,

@@ -35,9 +35,9 @@ from flysid.ingest.formats.ardrone.frames import (
 from flysid.ingest.formats.ardrone.layouts import NOT_FLIGHT_DATA, Option, option_of
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common import arrow_arrays
+from flysid.ingest.formats.common.capture import Payload, datagrams, is_capture
 from flysid.ingest.formats.common.clock import UtcFit, interpolate
 from flysid.ingest.formats.common.gather import Bytes, Index, Values, as_bytes, numbers, rows
-from flysid.ingest.formats.common.pcap import Datagram, datagrams, is_pcap
 from flysid.ingest.formats.common.tally import Tally
 
 NAVDATA_PORT, AT_PORT = 5554, 5556
@@ -279,14 +279,14 @@ def _note_cut(data: Bytes, batch: Batch, found: Sorted, tally: Tally) -> None:
 
 def _read_capture(view: memoryview, limits: Limits, decoder: Decoder) -> Iterator[StreamPart]:
     commands = Commands()
-    held: list[Datagram] = []
+    held: list[Payload] = []
     size = 0
     for datagram in datagrams(view, decoder.tally):
         if datagram.target_port == AT_PORT:
-            commands.add(datagram.payload, datagram.time_ns)
-        elif NAVDATA_PORT in (datagram.source_port, datagram.target_port) and len(datagram.payload) > 16:
+            commands.add(datagram.content, datagram.time_ns)
+        elif NAVDATA_PORT in (datagram.source_port, datagram.target_port) and len(datagram.content) > 16:
             held.append(datagram)
-            size += len(datagram.payload)
+            size += len(datagram.content)
             if size >= limits.batch_bytes:
                 yield from _decode_datagrams(held, decoder)
                 held, size = [], 0
@@ -295,11 +295,11 @@ def _read_capture(view: memoryview, limits: Limits, decoder: Decoder) -> Iterato
     yield from _command_parts(commands, decoder)
 
 
-def _decode_datagrams(held: list[Datagram], decoder: Decoder) -> Iterator[StreamPart]:
+def _decode_datagrams(held: list[Payload], decoder: Decoder) -> Iterator[StreamPart]:
     if not held:
         return
-    data = as_bytes(b"".join(d.payload for d in held))
-    stop = np.cumsum([len(d.payload) for d in held])
+    data = as_bytes(b"".join(d.content for d in held))
+    stop = np.cumsum([len(d.content) for d in held])
     at = np.append(0, stop[:-1])
     received = np.array([d.time_ns for d in held], dtype=np.int64)
     marked = np.isin(numbers(data, at, "<u4"), (0x55667788, 0x55667789))
@@ -341,7 +341,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     FormatError : there is not one valid packet.
     """
     decoder = Decoder(Tally())
-    capture = is_pcap(bytes(view[:24]))
+    capture = is_capture(bytes(view[:24]))
     rows_seen = 0
     for part in (_read_capture if capture else _read_raw)(view, limits, decoder):
         rows_seen += part.table.num_rows
@@ -361,8 +361,8 @@ def _about(capture: bool) -> Mapping[str, str]:
 
 def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
     """1 for a first packet that adds up, 0.8 for one further in; less for captures (see the ports)."""
-    if is_pcap(head):
-        return 0.6 if _has_port(head) else 0.2
+    if is_capture(head):
+        return 0.95 if _holds_navdata(head) else 0.2
     data = as_bytes(head)
     candidates = find_headers(data, 0, len(data))[:64]
     if not len(candidates):
@@ -384,6 +384,7 @@ def _is_good_or_long(data: Bytes) -> bool:
     return makeup is not None and bool((sort_packets(data, zero, stop).fate == GOOD).all())
 
 
-def _has_port(head: bytes) -> bool:
-    """Whether the first packets of a capture name one of the vehicle's ports."""
-    return any(port.to_bytes(2, "big") in head for port in (NAVDATA_PORT, AT_PORT))
+def _holds_navdata(head: bytes) -> bool:
+    """Whether the first datagrams of a capture are navdata or AT commands."""
+    found = (datagram.content for datagram in datagrams(memoryview(head), Tally()))
+    return any(content.startswith((*HEADERS, b"AT*")) for content in found)

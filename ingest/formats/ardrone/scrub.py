@@ -16,8 +16,8 @@ from flysid.ingest.formats.ardrone.frames import GOOD, MAX_PACKET_BYTES, MakeUp,
 from flysid.ingest.formats.ardrone.layouts import NOT_FLIGHT_DATA, option_of
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common import scrub_rules as rules
+from flysid.ingest.formats.common.capture import is_capture
 from flysid.ingest.formats.common.gather import as_bytes
-from flysid.ingest.formats.common.pcap import is_pcap
 from flysid.ingest.formats.common.scrub_rules import Column, Scrubber
 
 CHECKSUM_BYTES = 8
@@ -25,7 +25,7 @@ CHECKSUM_BYTES = 8
 
 def scrub(view: memoryview, scrubber: Scrubber, limits: Limits) -> Iterator[bytes]:  # noqa: ARG001
     """The packets, scrubbed. Raises UsageError for a capture."""
-    if is_pcap(bytes(view[:24])):
+    if is_capture(bytes(view[:24])):
         raise UsageError(
             "captures cannot be scrubbed", hint="they hold more than navdata; share the ingested flight"
         )

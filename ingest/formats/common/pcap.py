@@ -1,17 +1,15 @@
-"""UDP datagrams of a classic pcap capture, over IPv4, with fragments put together.
+"""Packets of a classic pcap capture.
 
 File: u32 magic (a1b2c3d4: microseconds, a1b23c4d: nanoseconds, either byte order), u16 major, u16 minor,
 i32 zone, u32 accuracy, u32 snap length, u32 link type; then records of u32 seconds, u32 fraction, u32
-captured, u32 length, bytes. Link types: Ethernet (with VLAN tags), Linux cooked (1 and 2), raw IP, BSD
-loopback. Left out: pcapng, IPv6, radiotap. AR.Drone navdata with all options exceed an Ethernet frame, so
-that fragments are the rule.
+captured, u32 length, bytes.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from flysid.ingest.formats.base import release
 from flysid.ingest.formats.common.tally import Tally
@@ -21,21 +19,25 @@ RECORD_HEAD_BYTES = 16
 MAX_CAPTURED = 1 << 18
 RELEASE_BYTES = 16 << 20
 MAX_STEP_S = 86_400
-MAX_PENDING = 64
-LOOPBACK, ETHERNET, RAW_BSD, RAW_OPENBSD, RAW, SLL, SLL2 = 0, 1, 12, 14, 101, 113, 276
-VLAN_TYPES = (0x8100, 0x88A8)
-UDP = 17
 
 
 @dataclass(frozen=True)
-class Datagram:
-    """A UDP payload; `at` is where its (first) record begins in the file."""
+class Packet:
+    """A captured frame.
+
+    Attributes
+    ----------
+    at : where its record begins in the file.
+    time_ns : when it was captured, UTC.
+    link : what kind of frame it is (LINKTYPE).
+    start, stop : its bytes in the file.
+    """
 
     at: int
     time_ns: int
-    source_port: int
-    target_port: int
-    payload: bytes
+    link: int
+    start: int
+    stop: int
 
 
 @dataclass(frozen=True)
@@ -61,12 +63,11 @@ def _style(head: bytes) -> _Style | None:
     return None
 
 
-def datagrams(view: memoryview, tally: Tally) -> Iterator[Datagram]:
-    """UDP datagrams in file order; damaged records are skipped and counted."""
+def packets(view: memoryview, tally: Tally) -> Iterator[Packet]:
+    """Packets in file order; damaged records are skipped and counted."""
     style = _style(bytes(view[:FILE_HEAD_BYTES]))
     if style is None:
         return
-    pending = _Fragments()
     at, last_s, released = FILE_HEAD_BYTES, -1, 0
     while at < len(view):
         if at - released > RELEASE_BYTES:
@@ -77,9 +78,7 @@ def datagrams(view: memoryview, tally: Tally) -> Iterator[Datagram]:
             at = _recover(view, at, (style, last_s), tally)
             continue
         last_s, time_ns, end = head
-        found = _udp(bytes(view[at + RECORD_HEAD_BYTES : end]), style.link, pending, (at, time_ns))
-        if found is not None:
-            yield found
+        yield Packet(at, time_ns, style.link, at + RECORD_HEAD_BYTES, end)
         at = end
 
 
@@ -108,73 +107,3 @@ def _recover(view: memoryview, at: int, known: tuple[_Style, int], tally: Tally)
     tally.truncated = True
     tally.skip(at, len(view), "cut off inside a record")
     return len(view)
-
-
-def _ip_start(frame: bytes, link: int) -> int:
-    """Where the IPv4 packet begins in a frame; -1 where there is none."""
-    if link in (RAW, RAW_BSD, RAW_OPENBSD):
-        return 0
-    if link == LOOPBACK:
-        return 4
-    if link == SLL:
-        return 16 if frame[14:16] == b"\x08\x00" else -1
-    if link == SLL2:
-        return 20 if frame[:2] == b"\x08\x00" else -1
-    if link != ETHERNET:
-        return -1
-    at = 12
-    while at + 2 <= len(frame) and int.from_bytes(frame[at : at + 2], "big") in VLAN_TYPES:
-        at += 4
-    return at + 2 if frame[at : at + 2] == b"\x08\x00" else -1
-
-
-@dataclass
-class _Fragments:
-    """Fragments of datagrams by (source, target, id): offset -> bytes, total size once known, first place."""
-
-    parts: dict[bytes, dict[int, bytes]] = field(default_factory=dict)
-    totals: dict[bytes, int] = field(default_factory=dict)
-    places: dict[bytes, tuple[int, int]] = field(default_factory=dict)
-
-    def add(
-        self, key: bytes, piece: tuple[int, bytes, bool], place: tuple[int, int]
-    ) -> tuple[bytes, tuple[int, int]] | None:
-        """The whole datagram and its first place, once its last missing piece has come."""
-        offset, data, more = piece
-        if key not in self.parts and len(self.parts) >= MAX_PENDING:
-            self._forget(next(iter(self.parts)))
-        self.places.setdefault(key, place)
-        held = self.parts.setdefault(key, {})
-        held[offset] = data
-        if not more:
-            self.totals[key] = offset + len(data)
-        if self.totals.get(key) != sum(map(len, held.values())):
-            return None
-        whole = b"".join(held[o] for o in sorted(held))
-        first = self.places[key]
-        self._forget(key)
-        return whole, first
-
-    def _forget(self, key: bytes) -> None:
-        for store in (self.parts, self.totals, self.places):
-            store.pop(key, None)
-
-
-def _udp(frame: bytes, link: int, pending: _Fragments, place: tuple[int, int]) -> Datagram | None:
-    start = _ip_start(frame, link)
-    if start < 0 or len(frame) < start + 20 or frame[start] >> 4 != 4 or frame[start + 9] != UDP:
-        return None
-    head = 4 * (frame[start] & 15)
-    total = int.from_bytes(frame[start + 2 : start + 4], "big")
-    flags = int.from_bytes(frame[start + 6 : start + 8], "big")
-    body = frame[start + head : start + total]
-    if flags & 0x3FFF:  # more to come, or not the first
-        key = frame[start + 12 : start + 20] + frame[start + 4 : start + 6]
-        whole = pending.add(key, ((flags & 0x1FFF) * 8, body, bool(flags & 0x2000)), place)
-        if whole is None:
-            return None
-        body, place = whole
-    if len(body) < 8:
-        return None
-    source, target, size = struct.unpack_from(">3H", body)
-    return Datagram(place[0], place[1], source, target, body[8 : max(size, 8)])

@@ -280,12 +280,7 @@ class Scanner:
         return message < len(self.crc_extra) and self.crc_extra[message] != UNKNOWN
 
     def _is_valid(self, buffer: Buffer, q: int, head: Header) -> bool:
-        """True where the CRC of a known message holds."""
-        import fastcrc
-
-        seed = bytes([self.crc_extra[head.message]])
-        stated = int.from_bytes(buffer[head.crc_at : head.crc_at + 2], "little")
-        return bool(fastcrc.crc16.mcrf4xx(bytes(buffer[q + 1 : head.crc_at]) + seed) == stated)
+        return is_valid(buffer, q, head, int(self.crc_extra[head.message]))
 
     def _is_confirmed(self, buffer: Buffer, position: int) -> bool:
         """Does a checked frame follow exactly, perhaps after more unknown ones?"""
@@ -324,6 +319,24 @@ def read_header(buffer: Buffer, q: int) -> Header | None:
     else:
         return None
     return head if head.end <= size else None
+
+
+def is_valid(buffer: Buffer, q: int, head: Header, seed: int) -> bool:
+    """True where the CRC of a known message holds."""
+    import fastcrc
+
+    stated = int.from_bytes(buffer[head.crc_at : head.crc_at + 2], "little")
+    return bool(fastcrc.crc16.mcrf4xx(bytes(buffer[q + 1 : head.crc_at]) + bytes([seed])) == stated)
+
+
+def is_checked(buffer: Buffer, q: int, crc_extra: npt.NDArray[np.int16]) -> bool:
+    """Whether a whole frame of a known message stands at q, and its CRC holds."""
+    if q + 8 > len(buffer) or buffer[q] not in (V1, V2):
+        return False
+    head = read_header(buffer, q)
+    if head is None or head.message >= len(crc_extra) or crc_extra[head.message] == UNKNOWN:
+        return False
+    return is_valid(buffer, q, head, int(crc_extra[head.message]))
 
 
 def _is_cut(buffer: Buffer, q: int) -> bool:

@@ -1,4 +1,4 @@
-"""MAVLink telemetry logs (.tlog) and raw MAVLink -> one table per (system, component, message).
+"""MAVLink telemetry logs (.tlog), raw MAVLink and captures -> one table per (system, component, message).
 
 Layout and framing: see `mavframes`. The file is read in batches: frames are found, sorted by stream, gathered
 into byte matrices and viewed as the message's packed dtype (`columns`); vehicle time comes from `mavclock`.
@@ -11,8 +11,7 @@ knows are counted as undecoded.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +20,7 @@ import pyarrow as pa
 from flysid.errors import FormatError
 from flysid.flight import ClockMap, Damage
 from flysid.ingest.formats.base import HEAD_BYTES, Limits, Parts, StreamPart, Summary, release
+from flysid.ingest.formats.common.capture import is_capture
 from flysid.ingest.formats.common.clock import SECOND_NS, SIDE, BoolArray, IntArray, is_outlier
 from flysid.ingest.formats.common.columns import (
     ByteMatrix,
@@ -32,21 +32,19 @@ from flysid.ingest.formats.common.columns import (
     numbers,
 )
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
-from flysid.ingest.formats.mavlink.dialect import DEFAULT, OTHERS, Dialect, load_dialect
-from flysid.ingest.formats.mavlink.frames import (
-    LOOK_AHEAD,
-    MARKER,
-    STAMP_BYTES,
-    V1,
-    V2,
-    Chain,
-    Frames,
-    Scanner,
-    plain_chain,
+from flysid.ingest.formats.mavlink.capture import Capture, holds_mavlink, scan_batch
+from flysid.ingest.formats.mavlink.dialect import DEFAULT, Dialect, load_dialect
+from flysid.ingest.formats.mavlink.frames import LOOK_AHEAD, STAMP_BYTES, Frames, Scanner
+from flysid.ingest.formats.mavlink.probing import (
+    choose_dialect,
+    count_frames,
+    first_stamp_bytes,
+    make_scanner,
+    may_chain,
+    stamp_bytes,
 )
 
 PROBE_BYTES = 1 << 20
-COMPILE_ABOVE_BYTES = 64 << 20  # the compiled walk takes 1 s to load and saves 14 ms a megabyte
 MAX_STREAMS = 2000
 HEARTBEAT = 0
 AUTOPILOT_VERSION = 148
@@ -61,84 +59,12 @@ MAX_NS = (1 << 63) - 1
 
 def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
     """Confidence that these bytes begin a tlog or raw MAVLink: do checked frames chain?"""
-    if not any(_may_chain(head, stamp) for stamp in (STAMP_BYTES, 0)):
+    if is_capture(head):
+        return 0.95 if holds_mavlink(head, load_dialect().crc_extra) else 0.0
+    if not any(may_chain(head, stamp) for stamp in (STAMP_BYTES, 0)):
         return 0.0
-    frames, _ = _count_frames(head, _stamp_bytes(head))
+    frames, _ = count_frames(head, stamp_bytes(head))
     return 0.95 if frames >= 3 else 0.6 if frames else 0.0
-
-
-def _may_chain(head: bytes, stamp: int, stop: int = 16384) -> bool:
-    """Cheap test before the dialect is imported: do three markers follow one another by their lengths?"""
-    for match in MARKER.finditer(head, stamp if stamp else 0, stop):
-        at, hops = match.start(), 0
-        while hops < 3 and at + 8 <= len(head) and head[at] in (V1, V2):
-            is_v2 = head[at] == V2
-            if is_v2 and head[at + 2] > 1:
-                break
-            at += head[at + 1] + (12 + 13 * (head[at + 2] & 1) if is_v2 else 8)
-            hops += 1
-            if at == len(head) or hops == 3:
-                return True
-            at += stamp
-    return False
-
-
-def _first_stamp_bytes(view: memoryview) -> int:
-    """`_stamp_bytes` where the frames begin: garbage ahead of them would decide by chance."""
-    for start in range(
-        0, len(view), HEAD_BYTES // 2
-    ):  # half of each stretch again: frames may begin at its end
-        stretch = bytes(view[start : start + HEAD_BYTES])
-        if any(_may_chain(stretch, stamp, len(stretch)) for stamp in (STAMP_BYTES, 0)):
-            stamp = _stamp_bytes(stretch)
-            if _count_frames(stretch, stamp)[0] >= 3:
-                return stamp
-    return _stamp_bytes(bytes(view[:HEAD_BYTES]))
-
-
-def _stamp_bytes(head: bytes) -> int:
-    """8 where frames with timestamps chain better than frames without, else 0."""
-    frames, chained = _count_frames(head, STAMP_BYTES)
-    if frames >= 3 and chained >= 0.9 * frames:
-        return STAMP_BYTES
-    return STAMP_BYTES if chained >= _count_frames(head, 0)[1] else 0
-
-
-def _count_frames(head: bytes, stamp: int) -> tuple[int, int]:
-    """(valid frames, valid frames less lost regions) in `head` under one hypothesis."""
-    scanner = _scanner(DEFAULT, stamp)
-    frames, _ = scanner.scan(as_array(head), 0, len(head))
-    return len(frames), len(frames) - scanner.region_count - scanner.unstamped
-
-
-def _scanner(dialect: str, stamp: int, size: int = 0) -> Scanner:
-    """A scanner for a log of `size` bytes: large ones are walked by compiled code."""
-    chain = _compiled_chain(dialect) if size > COMPILE_ABOVE_BYTES else _plain_chain(dialect)
-    return Scanner(load_dialect(dialect).crc_extra, stamp, chain)
-
-
-@cache
-def _compiled_chain(dialect: str) -> Chain:
-    from flysid.ingest.formats.mavlink.kernel import compiled_chain
-
-    return compiled_chain(load_dialect(dialect).crc_extra)
-
-
-@cache
-def _plain_chain(dialect: str) -> Chain:
-    return plain_chain(load_dialect(dialect).crc_extra)
-
-
-def choose_dialect(sample: bytes, stamp: int) -> str:
-    """ardupilotmega unless another dialect fails on fewer frames (bad CRCs and unknown ids)."""
-    misses = {}
-    for name in (DEFAULT, *OTHERS):
-        scanner = _scanner(name, stamp)
-        scanner.scan(as_array(sample), 0, len(sample))
-        misses[name] = scanner.bad_checksums + sum(scanner.unknown.values())
-        if misses[name] == 0:
-            break
-    return min(misses, key=lambda name: misses[name])
 
 
 # -------------------------------------------------------------------------------------------- reading
@@ -161,12 +87,15 @@ class _Reader:
     row: int = 0
     info: dict[str, str] = field(default_factory=dict)
     arrival_span: tuple[int, int] | None = None
+    stamps: str = ""  # where arrivals come from, if not from the frames' stamps
 
 
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
-    """Parts of a tlog or raw MAVLink file; see `Format.read`."""
-    stamp = _first_stamp_bytes(view)
-    reader = _Reader(load_dialect(), _scanner(DEFAULT, stamp, len(view)))
+    """Parts of a tlog, a raw MAVLink file or a capture; see `Format.read`."""
+    if is_capture(bytes(view[:HEAD_BYTES])):
+        return (yield from _read_capture(view, name, limits))
+    stamp = first_stamp_bytes(view)
+    reader = _Reader(load_dialect(), make_scanner(DEFAULT, stamp, len(view)))
     position = 0
     while position < len(view):
         start = position
@@ -174,7 +103,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
         if start == 0 and (reader.scanner.bad_checksums or reader.scanner.unknown):
             dialect = choose_dialect(bytes(view[:PROBE_BYTES]), stamp)
             if dialect != DEFAULT:
-                reader = _Reader(load_dialect(dialect), _scanner(dialect, stamp, len(view)))
+                reader = _Reader(load_dialect(dialect), make_scanner(dialect, stamp, len(view)))
                 frames, position = _next_frames(reader.scanner, view, start, limits)
         yield from _parts(reader, frames)
         release(view, start, position)
@@ -183,14 +112,32 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     return _summary(reader)
 
 
+def _read_capture(view: memoryview, name: str, limits: Limits) -> Parts:
+    """Parts of the MAVLink that a capture holds."""
+    capture, reader = Capture(load_dialect().crc_extra), None
+    for batch, base in capture.batches(view, limits.batch_bytes):
+        if reader is None:
+            dialect = choose_dialect(bytes(batch.data[:PROBE_BYTES]), 0)
+            reader = _Reader(load_dialect(dialect), make_scanner(dialect, 0, len(view)), stamps="capture")
+        yield from _parts(reader, scan_batch(reader.scanner, batch, base))
+    if reader is None:
+        raise FormatError(
+            "no MAVLink in the capture",
+            path=name,
+            hint="UDP and TCP over IPv4 are looked into, where nothing encrypts them",
+        )
+    summary = _summary(reader)
+    return replace(summary, damage=capture.located(summary.damage))
+
+
 def frame_batches(view: memoryview, limits: Limits) -> Iterator[tuple[Frames, Dialect, int]]:
     """Valid frames batch by batch, the dialect that knows them, and where in the file the batch ends."""
-    stamp, name = _first_stamp_bytes(view), DEFAULT
-    scanner = _scanner(name, stamp, len(view))
+    stamp, name = first_stamp_bytes(view), DEFAULT
+    scanner = make_scanner(name, stamp, len(view))
     frames, position = _next_frames(scanner, view, 0, limits)
     if scanner.bad_checksums or scanner.unknown:
         name = choose_dialect(bytes(view[:PROBE_BYTES]), stamp)
-        scanner = _scanner(name, stamp, len(view))
+        scanner = make_scanner(name, stamp, len(view))
         frames, position = _next_frames(scanner, view, 0, limits)
     yield frames, load_dialect(name), position
     while position < len(view):
@@ -435,7 +382,7 @@ def _clocks(reader: _Reader) -> tuple[ClockMap, ...]:
 
 
 def _info(reader: _Reader) -> Mapping[str, str]:
-    stamps = "arrival" if reader.scanner.stamp else "none"
+    stamps = reader.stamps or ("arrival" if reader.scanner.stamp else "none")
     main = "" if reader.time.main is None else str(reader.time.main)
     note = {}
     if found := reader.time.leapt.get(reader.time.main or 0):

@@ -13,9 +13,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from flysid.errors import UsageError
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common import scrub_rules as rules
+from flysid.ingest.formats.common.capture import is_capture
 from flysid.ingest.formats.common.columns import Layout, gather
+from flysid.ingest.formats.common.pcap import FILE_HEAD_BYTES
 from flysid.ingest.formats.common.scrub_rules import Column, Place, Scrubber
 from flysid.ingest.formats.mavlink.dialect import Dialect
 from flysid.ingest.formats.mavlink.frames import SIGNATURE_BYTES, V1, V2, Frames
@@ -51,7 +54,11 @@ OPERATOR = ("operator_latitude", "operator_longitude", "operator_altitude_geo")
 
 
 def scrub(view: memoryview, scrubber: Scrubber, limits: Limits) -> Iterator[bytes]:
-    """The log's records, scrubbed."""
+    """The log's records, scrubbed. Raises UsageError for a capture."""
+    if is_capture(bytes(view[:FILE_HEAD_BYTES])):
+        raise UsageError(
+            "captures cannot be scrubbed", hint="they hold more than MAVLink; share the ingested flight"
+        )
     read = signed = 0
     for frames, dialect, _ in frame_batches(view, limits):
         payloads = _payloads(frames, dialect, scrubber)

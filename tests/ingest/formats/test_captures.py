@@ -1,0 +1,169 @@
+"""MAVLink inside captures: pcap and pcapng, UDP and TCP, told from navdata and other traffic by content."""
+
+from __future__ import annotations
+
+import random
+import struct
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import flysid
+from flysid.errors import FormatError, UsageError
+from flysid.flight import Flight
+from flysid.ingest.formats.base import Limits, collect
+from flysid.ingest.formats.registry import FORMATS, detect
+from flysid.ingest.formats.scrubbing import scrub_log
+from tests.ingest.formats.test_tlog import flying
+from tests.samplelogs import navdata
+from tests.samplelogs.tlog import frame, sender
+
+START_NS = 1_700_000_000 * 10**9
+VEHICLE, STATION = (b"\x0a\x00\x00\x01", 14550), (b"\x0a\x00\x00\x02", 14550)
+Packet = tuple[int, bytes]
+
+
+def ip(protocol: int, source: bytes, target: bytes, body: bytes) -> bytes:
+    head = struct.pack(">BBHHHBBH", 0x45, 0, 20 + len(body), 1, 0, 64, protocol, 0)
+    return b"\0" * 12 + b"\x08\x00" + head + source + target + body
+
+
+def udp(content: bytes, source: tuple[bytes, int] = VEHICLE, target: tuple[bytes, int] = STATION) -> bytes:
+    body = struct.pack(">4H", source[1], target[1], 8 + len(content), 0) + content
+    return ip(17, source[0], target[0], body)
+
+
+def tcp(content: bytes, number: int) -> bytes:
+    body = struct.pack(">2H2IBBHHH", 5760, 40000, number % 2**32, 0, 0x50, 0x18, 1000, 0, 0) + content
+    return ip(6, VEHICLE[0], STATION[0], body)
+
+
+def pcap(packets: list[Packet]) -> bytes:
+    records = [
+        struct.pack("<4I", t // 10**9, t % 10**9 // 1000, len(data), len(data)) + data for t, data in packets
+    ]
+    return struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1) + b"".join(records)
+
+
+def block(kind: int, body: bytes, order: str) -> bytes:
+    padded = body + bytes(-len(body) % 4)
+    size = struct.pack(order + "I", 12 + len(padded))
+    return struct.pack(order + "I", kind) + size + padded + size
+
+
+def pcapng(packets: list[Packet], order: str = "<", nano: bool = True) -> bytes:
+    resolution = struct.pack(order + "2HB3x", 9, 1, 9) + bytes(4) if nano else b""
+    out = [block(0x0A0D0D0A, struct.pack(order + "I2Hq", 0x1A2B3C4D, 1, 0, -1), order)]
+    out.append(block(1, struct.pack(order + "2HI", 1, 0, 65535) + resolution, order))
+    out.append(block(5, bytes(12), order))  # statistics of the interface
+    for time_ns, data in packets:
+        ticks = time_ns if nano else time_ns // 1000
+        head = struct.pack(order + "5I", 0, ticks >> 32, ticks & 0xFFFFFFFF, len(data), len(data))
+        out.append(block(6, head + data, order))
+    return b"".join(out)
+
+
+def read(blob: bytes) -> Flight:
+    return collect(memoryview(blob), "x.pcap", FORMATS["tlog"], Limits())
+
+
+def over_udp(frames: list[bytes]) -> list[Packet]:
+    """Two frames a datagram, among traffic of others."""
+    noise = random.Random(1)
+    packets = []
+    for i in range(0, len(frames), 2):
+        packets.append((START_NS + i * 20 * 10**6, udp(b"".join(frames[i : i + 2]))))
+        other = (b"\x0a\x00\x00\x09", noise.randrange(1024, 60000))
+        packets.append((START_NS + i * 20 * 10**6 + 1000, udp(noise.randbytes(40), other)))
+    return packets
+
+
+def over_tcp(frames: list[bytes]) -> list[Packet]:
+    """The stream cut anywhere; a segment sent twice; numbers that wrap."""
+    stream, at, packets, rng = b"".join(frames), 0, [], random.Random(2)
+    first = 2**32 - 500
+    while at < len(stream):
+        size = rng.randrange(1, 90)
+        segment = (START_NS + at * 10**6, tcp(stream[at : at + size], first + at))
+        packets += [segment, segment] if rng.random() < 0.1 else [segment]
+        at += size
+    return packets
+
+
+@pytest.mark.parametrize("pack", [pcap, pcapng, lambda p: pcapng(p, ">"), lambda p: pcapng(p, "<", False)])
+@pytest.mark.parametrize("carry", [over_udp, over_tcp])
+def test_frames_of_a_capture_are_those_of_the_vehicle(pack: object, carry: object, tmp_path: Path) -> None:
+    frames = flying(sender(), 200)
+    path = tmp_path / "flight"
+    path.write_bytes(pack(carry(frames)))  # type: ignore[operator]
+    flight = flysid.read(path)
+    table = flight["ATTITUDE"]
+    assert flight.source.format == "tlog"
+    assert table["time_ns"].to_pylist() == [(1000 + 20 * i) * 10**6 for i in range(200)]
+    assert table["recv_ns"].to_pylist()[0] == pytest.approx(START_NS, abs=10**9)
+    assert flight.info["timestamps"] == "capture"
+    assert not flight.damage.lossy
+    assert flight.damage.sequence_gaps == {}
+
+
+def test_a_capture_of_navdata_stays_navdata_and_one_of_neither_is_refused() -> None:
+    packets = over_udp(flying(sender(), 20))
+    assert detect(pcap(packets), "a.pcap").name == "tlog"
+    neither = pcap([(START_NS, udp(random.Random(3).randbytes(60))) for _ in range(50)])
+    with pytest.raises(FormatError, match="not a flight log"):
+        detect(neither, "a.pcap")
+    with pytest.raises(FormatError, match="no MAVLink in the capture"):
+        read(neither)
+    drone = udp(navdata.packet(1, {0: navdata.demo(1)}), (VEHICLE[0], 5554))
+    assert detect(pcapng([(START_NS + i, drone) for i in range(9)]), "a.pcap").name == "navdata"
+
+
+def test_damage_in_a_capture_is_counted_in_bytes_of_the_file() -> None:
+    frames = flying(sender(), 60)
+    packets = over_udp(frames)
+    blob = bytearray(pcapng(packets))
+    at = blob.index(frames[30])
+    blob[at + 10] ^= 1
+    flight = read(bytes(blob))
+    assert (flight.rows, flight.damage.bad_checksums, flight.damage.bytes_skipped) == (59, 1, len(frames[30]))
+    assert at - 200 < flight.damage.regions[0].start <= at
+    cut = read(bytes(blob[: len(blob) * 2 // 3]))
+    assert cut.damage.truncated
+    assert 35 <= cut.rows <= 41
+    hole = bytes(blob[:at]) + bytes(50) + bytes(blob[at + 50 :])
+    assert read(hole).rows >= 57
+
+
+def test_two_systems_on_two_flows_are_told_apart() -> None:
+    one, two = sender(), sender(2)
+    packets = []
+    for i, (first, second) in enumerate(zip(flying(one, 50), flying(two, 50), strict=True)):
+        packets += [(START_NS + i * 10**7, udp(first)), (START_NS + i * 10**7, udp(second, STATION, VEHICLE))]
+    heartbeat = frame(one, one.heartbeat_encode(2, 3, 0, 0, 4))
+    flight = read(pcap([*packets, (START_NS + 10**9, udp(heartbeat))]))
+    assert {s: t.num_rows for s, t in flight.tables.items()} == {
+        "1.1/ATTITUDE": 50,
+        "1.1/HEARTBEAT": 1,
+        "2.1/ATTITUDE": 50,
+    }
+
+
+def test_captures_are_not_scrubbed(tmp_path: Path) -> None:
+    path = tmp_path / "a.pcapng"
+    path.write_bytes(pcapng(over_udp(flying(sender(), 20))))
+    with pytest.raises(UsageError, match="captures cannot be scrubbed"):
+        scrub_log(path, tmp_path / "b.pcapng")
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.binary(max_size=60)), min_size=1, max_size=4))
+@settings(max_examples=60, deadline=None)
+def test_no_damage_to_a_capture_crashes_the_reader(edits: list[tuple[float, bytes]]) -> None:
+    blob = bytearray(pcapng(over_tcp(flying(sender(), 40)) + over_udp(flying(sender(3), 40))))
+    for share, content in edits:
+        at = int(share * len(blob))
+        blob[at : at + len(content)] = content
+    with suppress(FormatError):
+        read(bytes(blob))
