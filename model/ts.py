@@ -14,6 +14,7 @@ from flysid.dataset import Dataset
 from flysid.model.rules.assembly import finished
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.learning import learn
+from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.rules.stabilise import with_stable_rules
 from flysid.model.threads import on_one_thread
 
@@ -38,6 +39,7 @@ class TS:
         (`flysid.ingest.excitation.dead_time`).
     stable : no rule keeps a pole outside the unit circle (`rules.stabilise`); without it a rule may,
         as long as the blend comes back from random inputs. The pole at one of an integrating process stays.
+    search : what the search weighs and how long it looks, see `SearchSettings`.
     """
 
     rules: int | Literal["auto"] = "auto"
@@ -50,6 +52,7 @@ class TS:
     iterations: int = 30
     nk_hint: Sequence[int] = ()
     stable: bool = False
+    search: SearchSettings = NORMAL
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:

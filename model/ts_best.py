@@ -28,6 +28,7 @@ from flysid.model.rules.learning import learn as learn_lagged
 from flysid.model.rules.refit import on_all_runs
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.search_context import SPARE_ROWS
+from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.rules.state_assembly import finished
 from flysid.model.rules.state_learning import Learned as LearnedStates
 from flysid.model.rules.state_learning import learn
@@ -51,13 +52,14 @@ class BestTS:
 
     Parameters
     ----------
-    rules, antecedents, most_rules, nk_hint : see `TS`.
+    rules, antecedents, most_rules, nk_hint, search : see `TS`.
     """
 
     rules: int | Literal["auto"] = "auto"
     antecedents: Sequence[str] | Literal["auto"] = "auto"
     most_rules: int = 5
     nk_hint: Sequence[int] = ()
+    search: SearchSettings = NORMAL
 
     def fit(self, train: Dataset, validation: Dataset | None = None) -> Fitted:
         """Fit the model over lags, and the other one where that may help; keep the better.
@@ -110,10 +112,12 @@ class Contest:
 @on_one_thread
 def contest(settings: BestTS, train: Dataset, validation: Dataset | None = None) -> Contest:
     """Both kinds, the second where the first hints at it."""
-    asked = {name: getattr(settings, name) for name in ("rules", "antecedents", "most_rules", "nk_hint")}
+    asked = {
+        name: getattr(settings, name) for name in ("rules", "antecedents", "most_rules", "nk_hint", "search")
+    }
     known = learn_lagged(TS(**asked), train, validation)
     lagged = finished_lagged(known.stage, train, known.notes)
-    if not hints_at_hidden_state(lagged, train):
+    if not (settings.search.hidden_states and hints_at_hidden_state(lagged, train)):
         return Contest(lagged)
     try:
         learned = learn(TSStateSpace(**asked), train, validation)

@@ -15,6 +15,7 @@ from typing import Literal
 
 from flysid.dataset import Dataset
 from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.rules.state_assembly import finished
 from flysid.model.rules.state_learning import learn
 from flysid.model.threads import on_one_thread
@@ -35,6 +36,7 @@ class TSStateSpace:
     ridge : weight on the difference of the rules, in shares of the error that is left, or "auto".
     nk_hint : delays that "auto" tries as well, one per input: the dead time that the log shows
         (`flysid.ingest.excitation.dead_time`).
+    search : what the search weighs and how long it looks, see `SearchSettings`.
     """
 
     states: int | Literal["auto"] = "auto"
@@ -45,6 +47,7 @@ class TSStateSpace:
     iterations: int = 30
     ridge: float | Literal["auto"] = "auto"
     nk_hint: Sequence[int] = ()
+    search: SearchSettings = NORMAL
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTSStateSpace:

@@ -65,6 +65,7 @@ def estimators(
     from flysid.model.line import Line
     from flysid.model.mean import Mean
     from flysid.model.persistence import Persistence
+    from flysid.model.rules.search_settings import SearchSettings
     from flysid.model.static_ts import StaticTS
     from flysid.model.transfer_function import TF
     from flysid.model.ts import TS
@@ -73,6 +74,8 @@ def estimators(
 
     antecedents: Any = settings.antecedents or "auto"
     rules: Any = settings.rules
+    asked: Any = {"rules": rules, "antecedents": antecedents, "nk_hint": nk_hint}
+    asked["search"] = SearchSettings.of(settings.effort)  # type: ignore[arg-type]
     known: dict[str, Estimator] = {
         "mean": Mean(),
         "persistence": Persistence(),
@@ -82,15 +85,15 @@ def estimators(
         "iv": IV(nk_hint=nk_hint),
         "tf": TF(nk_hint=nk_hint),
         "static_ts": StaticTS(seed=settings.seed),
-        "ts": BestTS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
-        "ts_lags": TS(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
-        "ts_ss": TSStateSpace(rules=rules, antecedents=antecedents, nk_hint=nk_hint),
+        "ts": BestTS(**asked),
+        "ts_lags": TS(**asked),
+        "ts_ss": TSStateSpace(**asked),
         "anfis": ANFIS(
             rules=ANFIS.rules if rules == "auto" else rules,
             nk=max([ANFIS.nk, *nk_hint]),
             antecedents=settings.antecedents or (),
         ),
-        "ensemble": Ensemble(of=TS(rules=rules, antecedents=antecedents, nk_hint=nk_hint)),
+        "ensemble": Ensemble(of=TS(**asked)),
     }
     for label in settings.models:
         if label not in known:

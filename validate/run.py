@@ -57,6 +57,7 @@ class FitSettings:
     channels : names to fit; all of the recipe's when empty.
     models : labels to fit besides the references, ARX, OE and the baseline; the usual ones when empty.
     memory_mb : samples of a channel that may be in memory; a channel with more is fitted from disk.
+    effort : of the search for rules, "quick", "normal" or "thorough".
     """
 
     holdout: float = 0.3
@@ -67,6 +68,7 @@ class FitSettings:
     channels: tuple[str, ...] = ()
     models: tuple[str, ...] = ()
     memory_mb: float = 64.0
+    effort: str = "normal"
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,13 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
 @click.option("--rules", default="auto", callback=_rules, show_default=True, help="Rules of the TS model.")
 @click.option("--antecedent", "-a", "antecedents", multiple=True, help="Variable that chooses between rules.")
 @click.option(
+    "--effort",
+    default="normal",
+    show_default=True,
+    type=click.Choice(["quick", "normal", "thorough"]),
+    help="Of the search for rules.",
+)
+@click.option(
     "--holdout", default=0.3, show_default=True, type=click.FloatRange(0.05, 0.8), help="Share kept back."
 )
 @click.option("--by", default="auto", show_default=True, type=click.Choice(["auto", "flight", "time"]))
@@ -76,6 +83,7 @@ def command(
     models: str,
     rules: int | str,
     antecedents: tuple[str, ...],
+    effort: str,
     holdout: float,
     by: By,
     seed: int,
@@ -104,7 +112,7 @@ def command(
     from flysid.validate.run import FitSettings
 
     labels = tuple(label for label in models.replace(" ", "").lower().split(",") if label)
-    settings = FitSettings(holdout, by, seed, rules, antecedents, channels, labels, memory)
+    settings = FitSettings(holdout, by, seed, rules, antecedents, channels, labels, memory, effort)
     lost = False
     if is_dataset:
         with status(quiet) as progress:

@@ -27,14 +27,10 @@ from flysid.model.rules.regressor_layout import (
 from flysid.model.rules.search import affords, cross_validated, search
 from flysid.model.rules.search_context import SPARE_ROWS, Settings, Workshop
 
-_HIGHEST_ORDER = 4
 _HIGHEST_LINEAR = 12  # samples of lags that the linear side may choose on short records,
 _DEEPEST_DELAY = 40  # and on long ones, delay included
 _SHARE = 20  # a segment must be so many times longer than what the linear side looks back
 _LATE = 2  # samples of delay from which a dead time is tried as such
-_RULE_GAIN = 0.05  # of the mean square: what a rule must win, about 2.5 % of the error
-_SMALL = 4000  # samples below which every quarter is held out in turn,
-_SMALL_GAIN = 0.2  # and a rule must win more: the choice itself overfits
 _ON_ALL = "The model was refined once more on the held-out part together with the rest."
 _AS_IT_WAS = (
     "The held-out part only chose the model: refined once more on all the data, it was no longer stable."
@@ -59,16 +55,17 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     FitError : no stable model was found.
     """
     check(settings)
+    settings.search.check()
     check_hint(settings.nk_hint, len(train.inputs))
     choices = order_choices(settings, len(train.inputs))
     named = _named(settings, train)
-    deepest = _deepest(train) if len(choices) > 1 else 0
+    deepest = _deepest(settings, train) if len(choices) > 1 else 0
     depths = [deepest, *(o.depth for o in choices), *(max(a.lag, a.minus) for a in named)]
     least = max(depths) + SPARE_ROWS
     fit_part, check_part, own = _parts(train, validation, least)
     shift, scale = scaling(fit_part)
-    small = own and settings.rules == "auto" and settings.refine and len(train) < _SMALL
-    folds = tuple(hold_out(train, least, fold) for fold in (1, 2, 3)) if small else ()
+    small = own and settings.rules == "auto" and settings.refine and len(train) < settings.search.short
+    folds = tuple(hold_out(train, least, fold) for fold in range(1, settings.search.folds)) if small else ()
     workshop = Workshop(settings, fit_part, check_part, shift, scale, least, folds=folds)
     candidates, notes = workshop.linear(choices)
     workshop = replace(workshop, must_be_bounded=any(c.stable for c in candidates))
@@ -76,8 +73,9 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         candidates = [replace(c, stable=True) for c in candidates]
         notes.append(f"{INTEGRATES} Boundedness was not asked for.")
     if folds:
-        notes.append("Little data: every quarter of it was held out in turn to choose the number of rules.")
-    models, at = _chosen(workshop, candidates, named)
+        notes.append("Little data: parts of it were held out in turn to choose the number of rules.")
+    gain = settings.search.short_rule_gain if small else settings.search.rule_gain
+    models, at = _chosen(workshop, candidates, named, gain)
     chosen = models[at]
     if not chosen.stable:
         raise FitError(
@@ -99,18 +97,17 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     return Learned(stage, (*notes, *rule_verdict(settings, models, at), _method(settings)))
 
 
-def _deepest(train: Dataset) -> int:
+def _deepest(settings: Settings, train: Dataset) -> int:
     """Samples that the linear side's models may look back."""
     longest = max((len(s) for s in train.segments), default=0)
-    return min(_DEEPEST_DELAY if len(train) > _SMALL else _HIGHEST_LINEAR, longest // _SHARE)
+    return min(_DEEPEST_DELAY if len(train) > settings.search.short else _HIGHEST_LINEAR, longest // _SHARE)
 
 
 def _chosen(
-    workshop: Workshop, linear: Sequence[Candidate], named: tuple[Antecedent, ...]
+    workshop: Workshop, linear: Sequence[Candidate], named: tuple[Antecedent, ...], gain: float
 ) -> tuple[list[Candidate], int]:
-    """Models by number of rules, and which of them is offered."""
+    """Models by number of rules, and which of them is offered; a rule must win `gain` of the mean square."""
     settings = workshop.settings
-    gain = _SMALL_GAIN if workshop.folds else _RULE_GAIN
     if settings.rules != "auto" and not any(affords(c, settings.rules) for c in linear):
         raise _too_many(settings.rules, linear)  # before an hour of growing
     models = search(workshop, linear, named)
@@ -175,14 +172,16 @@ def _per_input(value: int | Sequence[int], inputs: int, name: str) -> tuple[int,
 
 
 def order_choices(settings: Settings, inputs: int) -> list[Orders]:
-    """Orders to try, simplest first: n outputs and n + 1 inputs from the present one on, n = 1..4.
+    """Orders to try, simplest first: n outputs and n + 1 inputs from the present one on.
+
+    n goes from 1 to `search.highest_order`.
 
     Raises
     ------
     UsageError : orders that leave nothing to learn, or another number of them than of inputs.
     """
     choices: list[Orders] = []
-    for n in range(1, _HIGHEST_ORDER + 1):
+    for n in range(1, settings.search.highest_order + 1):
         na = n if settings.na == "auto" else int(settings.na)
         nk = 0 if settings.nk == "auto" else settings.nk
         more = 1 if settings.nk == "auto" else 0

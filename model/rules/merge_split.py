@@ -18,7 +18,6 @@ from flysid.model.rules.search import one_more
 from flysid.model.rules.search_context import Workshop
 
 _LEAST_GAIN = 0.01  # of the validation's mean square, and one standard error
-_ROUNDS = 3
 
 
 def exchanged(
@@ -32,7 +31,7 @@ def exchanged(
     chosen, larger = models[at], list(models[at + 1 : at + 2])
     if workshop.folds or chosen.stage.rules < 2:
         return chosen
-    for _ in range(_ROUNDS):
+    for _ in range(workshop.settings.search.exchanges):
         found = _again(workshop, chosen, larger or one_more(workshop, chosen, named))
         if found is chosen:
             break

@@ -23,7 +23,7 @@ def fewer_words(workshop: Workshop, chosen: Candidate) -> tuple[Candidate, list[
     """The chosen model without what validation does not miss, and a sentence about every edit."""
     # `chosen` may have been judged on other parts too, harder or easier ones; the edits are not
     limit, said = workshop.judge(chosen.stage).mean, list[str]()
-    while chosen.stage.rules > 1:
+    while workshop.settings.search.prune and chosen.stage.rules > 1:
         offers = [(what, workshop.judge(stage)) for what, stage in refined_edits(workshop, chosen.stage)]
         good = [(what, c) for what, c in offers if c.stable and c.mean <= limit]
         if not good:

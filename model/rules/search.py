@@ -23,7 +23,6 @@ from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, scal
 from flysid.model.rules.search_context import Workshop
 
 _MOST_ROWS = 12000  # of training data while searching; the chosen model is refined on all
-_LANES = 2  # go on from two rules to three, and so forth
 _RIDGES = (1.0, 1e3)  # where freedom made a model unstable; the last one leaves the rules equal
 _HOPELESS = 4.0  # times the mean square of the best linear model: such orders are not grown
 _ASTRAY = 1.5  # times the training mean square of a fit from elsewhere: the search on a fold has failed
@@ -51,7 +50,7 @@ def search(workshop: Workshop, linear: Sequence[Candidate], named: tuple[Anteced
         if not kids:
             break
         models.append(representative(kids))
-        lanes = _survivors(kids)
+        lanes = _survivors(kids, settings.search.lanes)
         if settings.rules == "auto" and has_stalled(models):
             break
     return models
@@ -108,9 +107,9 @@ def _rank(candidate: Candidate) -> tuple[bool, float]:
     return not candidate.stable, candidate.mean
 
 
-def _survivors(kids: Sequence[Candidate]) -> list[Candidate]:
+def _survivors(kids: Sequence[Candidate], most: int) -> list[Candidate]:
     """The best on validation, and the best in training if it is another: a lucky validation is not all."""
-    lanes = sorted(kids, key=_rank)[:_LANES]
+    lanes = sorted(kids, key=_rank)[:most]
     stable = [kid for kid in kids if kid.stable] or list(kids)
     trained = min(stable, key=lambda kid: kid.stage.cost)
     return lanes if trained in lanes else [*lanes, trained]

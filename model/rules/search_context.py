@@ -17,6 +17,7 @@ from flysid.model.rules.linear_starts import LinearModel, arx_start, as_stage, l
 from flysid.model.rules.probe_inputs import stress_run
 from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import Layout, Orders
+from flysid.model.rules.search_settings import SearchSettings
 
 SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
 _ORDER_GAIN, _ORDER_LOSS = 0.01, 0.05  # of the mean square: never, and at most, worth an order
@@ -50,6 +51,8 @@ class Settings(Protocol):
     def iterations(self) -> int: ...
     @property
     def nk_hint(self) -> Sequence[int]: ...
+    @property
+    def search(self) -> SearchSettings: ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.realisation import PLAIN, PLAIN_WORDS, Realisation, coordinates
 from flysid.model.rules.regressor_layout import Antecedent, parse_antecedents
+from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.rules.state_choice import Family
 from flysid.model.rules.state_growth import (
     StateStage,
@@ -45,6 +46,8 @@ class Settings(Protocol):
     def iterations(self) -> int: ...
     @property
     def ridge(self) -> float | Literal["auto"]: ...
+    @property
+    def search(self) -> SearchSettings: ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,8 +23,6 @@ from flysid.model.rules.state_search import searched
 from flysid.model.rules.state_systems import Settings as SystemSettings
 from flysid.model.rules.state_systems import System, linear_systems
 
-_SMALL = 4000  # samples below which every quarter is held out in turn
-
 
 class Settings(SystemSettings, GrowthSettings, Protocol):
     """What `learn` needs to know; `TSStateSpace` is one."""
@@ -73,11 +71,12 @@ def check(settings: Settings) -> None:
 def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Learned:
     """Choose states and coordinates, then rules, by the validation free run; then learn from all data."""
     check(settings)
+    settings.search.check()
     scaled = scaling(train)
     systems = linear_systems(settings, train, validation, scaled)
     least = _least(systems, train)
     bench = Bench(settings, least, ends_of_travel(train), scaled)
-    found = searched(bench, systems, _parts(train, validation, least))
+    found = searched(bench, systems, _parts(settings, train, validation, least))
     at = fewest_rules(found.best, found.plain) if settings.rules == "auto" else settings.rules - 1
     _check_count(settings, found.best)
     family = found.plain if at == 0 else found.best
@@ -124,11 +123,13 @@ def _check_count(settings: Settings, family: Family) -> None:
         )
 
 
-def _parts(train: Dataset, validation: Dataset | None, least: int) -> list[tuple[Dataset, Dataset]]:
+def _parts(
+    settings: Settings, train: Dataset, validation: Dataset | None, least: int
+) -> list[tuple[Dataset, Dataset]]:
     """Fitting and judging parts: the given validation, else one held-out quarter, or every one in turn."""
     if validation is not None and any(len(s) >= least for s in validation.segments):
         return [(train, validation)]
-    folds = range(4 if len(train) < _SMALL else 1)
+    folds = range(settings.search.folds if len(train) < settings.search.short else 1)
     return [hold_out(train, least, fold) for fold in folds]
 
 

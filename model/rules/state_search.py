@@ -29,13 +29,11 @@ from flysid.model.rules.state_growth import (
 from flysid.model.rules.state_judging import Judged
 from flysid.model.rules.state_systems import System
 
-_RIDGES = (0.1, 0.01)  # the first for every start, the second for the best one
 _SCREEN_ROWS = 3000  # of the first fitting part, and of the first judging part
 _SEARCH_ROWS = 20_000  # of a fitting part, where data are longer: a plant that integrates needs its whole
 _PIECES = 4  # that a long part is cut into at least, each of
 _PIECE = 1000  # rows at least
 _KEPT = 2  # starts that are grown over all parts
-_SYSTEMS = 4  # linear systems whose coordinates are tried
 _MOST_STATES = 8  # of a system that rules are grown from
 _LEVEL = 1.02  # times the least error: as good, if it has fewer states
 _RAN_AWAY = 1e2  # error of a single rule, in standard deviations of the output
@@ -90,8 +88,8 @@ def searched(bench: Bench, systems: Sequence[System], parts: Parts) -> Found:
     able = [x for x in able if x.error < _RAN_AWAY] or able[:1]
     if bench.most == 1 or not able:
         return Found(plain, plain)
-    kept = _screened(bench, able[:_SYSTEMS], parts)[: 1 if many else _KEPT]
-    ridges = _RIDGES if bench.settings.ridge == "auto" else (bench.settings.ridge,)
+    kept = _screened(bench, able[: bench.settings.search.linear_systems], parts)[: 1 if many else _KEPT]
+    ridges = bench.settings.search.ridges if bench.settings.ridge == "auto" else (bench.settings.ridge,)
     families = [(grown(bench, start, x.stages, parts, ridges[0]), x) for start, x in kept]
     families.sort(key=lambda f: _error(bench, f[0]))
     again = families[: _again(bench, families, linear[0].error)] if not many else []

@@ -1,0 +1,92 @@
+"""How the search for rules weighs and how long it looks: one record, which `TS(search=...)` takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from flysid.errors import UsageError
+from flysid.model.arguments import is_count
+
+Effort = Literal["quick", "normal", "thorough"]
+_QUARTERS = 4
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """What the search for rules weighs; the defaults were measured (docs/measured/search.md).
+
+    Parameters
+    ----------
+    folds : quarters of a short record that are held out in turn to choose the number of rules, 1 to 4.
+    short : samples below which a record is short.
+    rule_gain : share of the validation's mean square that a rule must win; 0.05 is about 2.5 % of the error.
+    short_rule_gain : the same on short records, where the choice itself overfits.
+    highest_order : lags of the outputs up to which linear models are tried.
+    lanes : models that go on from two rules to three, and so forth.
+    exchanges : rounds in which a chosen model of long records is found again by way of one rule more.
+    prune : rules and conditions that validation does not miss are left out in the end.
+    hidden_states : rules over hidden states compete where the data hint at them (`BestTS`).
+    linear_systems : linear state spaces, best first, whose coordinates hidden rules are grown in.
+    ridges : weights on the difference of hidden rules, in shares of the error that is left; the first is for
+        every start, the others for the best one.
+
+    Examples
+    --------
+    >>> SearchSettings().lanes
+    2
+    >>> SearchSettings.of("quick").hidden_states
+    False
+    """
+
+    folds: int = 4
+    short: int = 4000
+    rule_gain: float = 0.05
+    short_rule_gain: float = 0.2
+    highest_order: int = 4
+    lanes: int = 2
+    exchanges: int = 3
+    prune: bool = True
+    hidden_states: bool = True
+    linear_systems: int = 4
+    ridges: tuple[float, ...] = (0.1, 0.01)
+
+    @classmethod
+    def of(cls, effort: Effort) -> SearchSettings:
+        """The settings of an effort.
+
+        "quick" looks at one part, one lane and lags only; "thorough" at more lanes, orders and systems.
+
+        Raises
+        ------
+        UsageError : no such effort.
+        """
+        if effort not in EFFORTS:
+            raise UsageError(f"effort={effort!r}", hint="one of " + ", ".join(EFFORTS))
+        return EFFORTS[effort]
+
+    def check(self) -> None:
+        """Raise UsageError for settings that cannot be."""
+        for name in ("folds", "highest_order", "lanes", "linear_systems"):
+            if not is_count(getattr(self, name), 1):
+                raise UsageError(f"{name}={getattr(self, name)!r}", hint="give a whole number, at least 1")
+        for name in ("short", "exchanges"):
+            if not is_count(getattr(self, name), 0):
+                raise UsageError(f"{name}={getattr(self, name)!r}", hint="give a whole number, 0 or more")
+        if self.folds > _QUARTERS:
+            raise UsageError(f"folds={self.folds!r}", hint="a record has four quarters")
+        gains = (self.rule_gain, self.short_rule_gain, *self.ridges)
+        if not self.ridges or not all(isinstance(g, int | float) and 0.0 <= g < float("inf") for g in gains):
+            raise UsageError(f"gains and ridges {gains}", hint="numbers of 0 or more, and one ridge at least")
+
+
+NORMAL = SearchSettings()
+"""What the models take by themselves."""
+_MORE = SearchSettings(highest_order=6, lanes=4, exchanges=6, linear_systems=8, ridges=(0.1, 1.0, 0.01))
+EFFORTS: Mapping[str, SearchSettings] = {
+    "quick": SearchSettings(folds=1, highest_order=3, lanes=1, exchanges=0, hidden_states=False),
+    "normal": NORMAL,
+    "thorough": _MORE,
+}
+"""Settings by effort, as `flysid fit --effort` takes them."""
