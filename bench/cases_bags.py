@@ -342,6 +342,6 @@ CASES = (
         {"SQLite and rosbags": (f"{HERE}:peer_rosbags", 0.0)},
         needs=PARQUET,
     ),
-    _mcap("MCAP protobuf", "proto.mcap", build_protobuf, ("mcap-protobuf", "peer_protobuf", 3.0)),
+    _mcap("MCAP protobuf", "proto.mcap", build_protobuf, ("mcap-protobuf", "peer_protobuf", 1.5)),
     _mcap("MCAP JSON", "json.mcap", build_json, ("mcap and json", "peer_json", 2.0)),
 )

@@ -46,8 +46,7 @@ class ProtoField:
     """A field of a message: its own name and dotted path, and what its values are.
 
     `shape` is "one", "many" (repeated) or "map"; `dtype` a NumPy type, or "str", "bytes" or "message", whose
-    own columns are `inner`. `metadata` is that of the column. `number`, `wire` (descriptor.proto's type) and
-    `default` are what reading from the wire needs.
+    own columns are `inner`. `metadata` is that of the column.
     """
 
     name: str
@@ -56,9 +55,6 @@ class ProtoField:
     dtype: str
     metadata: dict[bytes, bytes] | None = None
     inner: tuple[ProtoField, ...] = ()
-    number: int = 0
-    wire: int = 0
-    default: float | int | bool = 0
 
     def inner_names(self) -> list[str]:
         """Names of the columns of the nested message."""
@@ -138,26 +134,20 @@ def _fields(descriptor: Any, path: str, above: tuple[str, ...], leaves: list[int
         here = f"{path}.{field.name}" if path else field.name
         dtype = "bytes" if field.type == _BYTES_TYPE else _TYPES[field.cpp_type]
         if dtype != "message":
-            shape = "many" if _repeated(field) else "one"
-            default = 0 if dtype in ("str", "bytes") or shape == "many" else field.default_value
-            if dtype in ("str", "bytes") and shape == "one" and field.default_value:
-                raise DefinitionError("text defaults of proto2 are not read")
             yield ProtoField(
-                field.name, here, shape, dtype, _enum_names(field), (), field.number, field.type, default
+                field.name, here, "many" if _repeated(field) else "one", dtype, _enum_names(field)
             )
             continue
         kind = field.message_type
         if kind.full_name in above or len(above) >= MAX_DEPTH:
-            yield ProtoField(
-                field.name, here, "many" if _repeated(field) else "one", "serial", number=field.number
-            )
+            yield ProtoField(field.name, here, "many" if _repeated(field) else "one", "serial")
         elif not _repeated(field):
             inner = tuple(_fields(kind, here, (*above, kind.full_name), leaves))
-            yield ProtoField(field.name, here, "one", "message", None, inner, field.number)
+            yield ProtoField(field.name, here, "one", "message", None, inner)
         else:
             inner = tuple(_fields(kind, "", (*above, kind.full_name), leaves))
             shape = "map" if kind.GetOptions().map_entry else "many"
-            yield ProtoField(field.name, here, shape, "message", None, inner, field.number)
+            yield ProtoField(field.name, here, shape, "message", None, inner)
 
 
 def _repeated(field: Any) -> bool:

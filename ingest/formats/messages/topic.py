@@ -27,7 +27,6 @@ from flysid.ingest.formats.messages.channel import Channel
 from flysid.ingest.formats.messages.definitions import DefinitionError, Record, parse_definition, units_of
 from flysid.ingest.formats.messages.json_schema import decode_json, parse_json_schema
 from flysid.ingest.formats.messages.protobuf import decode_protobuf, parse_descriptors
-from flysid.ingest.formats.messages.protobuf_wire import LeftToLibrary, decode_wire
 
 MAX_LAGS = 4096
 MAX_COLUMNS = 20_000
@@ -105,12 +104,7 @@ def _protobuf_decoder(name: str, raw: bytes) -> Decoder:
     notes = dict(layout.columns())
 
     def decode_batch(messages: Messages) -> Decoded:
-        try:
-            arrays, kept = decode_wire(messages.data, messages.at, messages.size, layout.fields)
-            which = arrow_arrays.numeric(kept) if len(kept) < len(messages.at) else None
-            arrays = arrays if which is None else [array.take(which) for array in arrays]
-        except LeftToLibrary:
-            arrays, kept = decode_protobuf(messages.data, messages.at, messages.size, layout)
+        arrays, kept = decode_protobuf(messages.data, messages.at, messages.size, layout)
         return Decoded(list(zip(notes, arrays, strict=True)), kept, notes)
 
     return decode_batch
