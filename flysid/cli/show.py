@@ -1,9 +1,11 @@
-"""`flysid show DATA FLIGHT [STREAM]`: one flight from its manifest, or one stream with its first rows."""
+"""`flysid show LOG|DATA [FLIGHT] [STREAM]`: a flight, a stream of it, its parameters, events or track."""
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,40 +13,123 @@ import click
 
 from flysid.cli.ingest import losses
 from flysid.cli.ls import aligned, clock_text
-from flysid.cli.output import counted, printable
-from flysid.errors import UsageError
+from flysid.cli.output import counted, printable, say
+from flysid.errors import StoreError, UsageError
 
 if TYPE_CHECKING:
+    from flysid.flight import ClockMap
+    from flysid.ingest.lake.lake import StoredLog
     from flysid.manifest import Manifest, StreamEntry
+
+HEADINGS = ("COLUMN", "TYPE", "UNIT", "SCALE", "MIN", "MEAN", "MAX", "MISSING", "VALUES")
 
 
 @click.command("show")
-@click.argument("data")
-@click.argument("flight", required=False)
-@click.argument("stream", required=False)
+@click.argument("source", type=click.Path(path_type=Path), metavar="LOG|DATA")
+@click.argument("names", nargs=-1, metavar="[FLIGHT] [STREAM]")
 @click.option("--json", "as_json", is_flag=True, help="Print the manifest (or the stream's entry) as JSON.")
 @click.option("-n", "--rows", default=5, show_default=True, help="First rows of the stream to print.")
+@click.option("--params", is_flag=True, help="Print the parameters as the log leaves them.")
+@click.option("--events", is_flag=True, help="Print modes, messages and parameter changes, in order.")
+@click.option("--track", is_flag=True, help="Print the positions as CSV.")
 def command(
-    data: str,
-    flight: str | None,
-    stream: str | None,
-    as_json: bool,
-    rows: int,
+    source: Path, names: tuple[str, ...], as_json: bool, rows: int, params: bool, events: bool, track: bool
 ) -> None:
-    """Show one flight, or one stream of it: columns, units, rates, what was lost, the first rows.
+    """Show one flight, or one stream of it: columns with units and ranges, rates, what was lost.
 
-    FLIGHT may be the beginning of an id, and is not needed where the folder holds one flight.
+    FLIGHT may be the beginning of an id. It is not needed for a log, nor for a folder that holds one flight.
+
+    \b
+    flysid show flight.bin
+    flysid show flight.bin ATT
+    flysid show data 0042 --params
     """
-    from flysid.manifest import check_data_folder, find_flight, stamps
+    from flysid.cli.source import opened_flights
+    from flysid.ingest.lake.selection import Selection, select
 
-    if flight is None:
-        flight = only_flight(data, list(stamps(check_data_folder(data))))
-    manifest = find_flight(data, flight)
-    if stream is None:
-        click.echo(flight_json(manifest) if as_json else flight_text(manifest))
+    if params + events + track > 1:
+        raise UsageError("--params, --events and --track are one at a time", hint="run it once for each")
+    with opened_flights(source) as lake:
+        flight, stream = _split(str(source), names, [facts.id for facts in lake.facts])
+        [log] = select(lake, Selection(flights=(flight,))).logs
+        if params:
+            _print_parameters(log)
+        elif events:
+            _print_events(log)
+        elif track:
+            _print_track(log)
+        elif stream is None:
+            click.echo(flight_json(log.manifest) if as_json else flight_text(log.manifest, mode_times(log)))
+        else:
+            entry = log.manifest.stream(stream)
+            click.echo(stream_json(entry) if as_json else stream_text(log, entry, rows))
+
+
+def _split(source: str, names: Sequence[str], flights: Sequence[str]) -> tuple[str, str | None]:
+    """The flight and the stream that are meant: one name is the stream's where there is one flight."""
+    if len(names) > 2:
+        raise UsageError(f"{len(names)} names", hint="flysid show LOG [STREAM], or DATA FLIGHT [STREAM]")
+    if len(names) == 2:
+        return names[0], names[1]
+    if len(names) == 1 and not (len(flights) == 1 and not flights[0].startswith(names[0])):
+        return names[0], None
+    return only_flight(source, flights), names[0] if names else None
+
+
+def mode_times(log: StoredLog) -> list[str]:
+    """The flight modes in the order in which they were first flown, each with its time.
+
+    Nothing where the tables are damaged or gone: the rest of a flight is shown from its manifest.
+    """
+    from flysid.ingest.lake.events import mode_changes
+
+    try:
+        changes = mode_changes(log)
+    except StoreError:
+        return []
+    ends = {clock.boot: clock.last_ns for clock in log.manifest.clocks}
+    flown: dict[str, float] = {}
+    for i, change in enumerate(changes):
+        after = changes[i + 1] if i + 1 < len(changes) else None
+        lasts = after is not None and after.boot == change.boot
+        end_ns = after.time_ns if after and lasts else ends.get(change.boot, change.time_ns)
+        flown[change.text] = flown.get(change.text, 0.0) + max(0, end_ns - change.time_ns) * 1e-9
+    return [f"{name} {clock_text(seconds)}" for name, seconds in flown.items()]
+
+
+def _print_parameters(log: StoredLog) -> None:
+    from flysid.ingest.lake.events import settings
+
+    last = {setting.name: setting.value for setting in settings(log)}
+    if not last:
+        say("the log holds no parameters")
+    for name in sorted(last):
+        value = last[name]
+        click.echo(printable(f"{name} {value:.9g}" if isinstance(value, float) else f"{name} {value}"))
+
+
+def _print_events(log: StoredLog) -> None:
+    from flysid.ingest.lake.events import events
+
+    rows = [(f"{e.time_ns / 1e9:.3f} s", e.kind, e.text) for e in events(log)]
+    if rows:
+        click.echo("\n".join(aligned(rows)))
     else:
-        entry = manifest.stream(stream)
-        click.echo(stream_json(entry) if as_json else stream_text(Path(data), manifest, entry, rows))
+        say("the log holds no modes, messages or parameter changes")
+
+
+def _print_track(log: StoredLog) -> None:
+    from pyarrow import csv
+
+    from flysid.ingest.lake.track import read_track
+
+    track = read_track(log)
+    if track is None:
+        say("the log holds no positions")
+    else:
+        text = io.BytesIO()
+        csv.write_csv(track, text)
+        click.echo(text.getvalue().decode(), nl=False)
 
 
 def only_flight(data: str, flights: Sequence[str]) -> str:
@@ -73,7 +158,7 @@ def stream_json(entry: StreamEntry) -> str:
     return json.dumps(msgspec.to_builtins(entry), indent=1)
 
 
-def flight_text(manifest: Manifest) -> str:
+def flight_text(manifest: Manifest, modes: Sequence[str] = ()) -> str:
     """Source, facts, losses and streams of a flight."""
     source = manifest.source
     lines = [
@@ -82,6 +167,8 @@ def flight_text(manifest: Manifest) -> str:
         f"sha256        {source.sha256}",
         f"time          {clock_text(manifest.duration_s)} in {counted(len(manifest.clocks), 'boot')}",
     ]
+    lines += [f"date          {when}" for when in dates(manifest.clocks)]
+    lines += [f"modes         {printable(', '.join(modes))}"] if modes else []
     lines += [f"{printable(k):13} {printable(v)}" for k, v in sorted(manifest.info.items()) if v]
     lines += [f"lost          {printable(line)}" for line in losses(manifest.damage)]
     for source_name, count in sorted(manifest.damage.sequence_gaps.items()):
@@ -105,25 +192,30 @@ def rate_text(rate_hz: float | None) -> str:
     return "-" if rate_hz is None else f"{rate_hz:.1f} Hz" if rate_hz < 100 else f"{rate_hz:.0f} Hz"
 
 
-def stream_text(data: Path, manifest: Manifest, entry: StreamEntry, count: int) -> str:
-    """Columns of a stream with units, and its first rows."""
-    columns = [("COLUMN", "TYPE", "UNIT", "SCALE", "VALUES")]
+def dates(clocks: Sequence[ClockMap]) -> list[str]:
+    """When the boots began that the log ties to UTC."""
+    return [
+        f"{datetime.fromtimestamp((c.utc_offset_ns + c.slope * c.first_ns) / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC"
+        for c in clocks
+        if c.utc_offset_ns is not None
+    ]
+
+
+def stream_text(log: StoredLog, entry: StreamEntry, count: int) -> str:
+    """Columns of a stream with units and ranges, and its first rows."""
+    from flysid.ingest.lake.ranges import column_ranges
+
+    table = log.table(entry.stream, [c.name for c in entry.columns])
+    ranges = column_ranges(table)
+    columns: list[tuple[str, ...]] = [HEADINGS]
     for c in entry.columns:
-        names = ", ".join(f"{k}={v}" for k, v in list(c.enum.items())[:3]) + (
-            ", ..." if len(c.enum) > 3 else ""
-        )
-        columns.append((c.name, c.type, c.unit, "" if c.scale == 1.0 else f"{c.scale:g}", names))
+        names = ", ".join([*(f"{k}={v}" for k, v in list(c.enum.items())[:3]), *["..."][: len(c.enum) > 3]])
+        found = ranges[c.name]
+        numbers = ["" if x is None else f"{x:.6g}" for x in (found.low, found.mean, found.high)]
+        scale = "" if c.scale == 1.0 else f"{c.scale:g}"
+        missing = f"{found.missing:,}" if found.missing else ""
+        columns.append((c.name, c.type, c.unit, scale, *numbers, missing, names))
     title = f"{printable(entry.stream)}: {entry.rows:,} rows, {rate_text(entry.rate_hz)}"
-    return "\n".join([title, "", *aligned(columns), "", *aligned(first_rows(data, manifest, entry, count))])
-
-
-def first_rows(data: Path, manifest: Manifest, entry: StreamEntry, count: int) -> list[tuple[str, ...]]:
-    """The first rows as cells, cut to a readable width."""
-    from flysid.manifest import FLIGHTS
-    from flysid.store import read_entry
-
-    names = tuple(c.name for c in entry.columns)
-    if count <= 0:
-        return [names]
-    table = read_entry(data / FLIGHTS / manifest.id, entry).slice(0, count)
-    return [names, *(tuple(str(row[n])[:24] for n in names) for row in table.to_pylist())]
+    first = [tuple(c.name for c in entry.columns)]
+    first += [tuple(str(value)[:24] for value in row.values()) for row in table.slice(0, count).to_pylist()]
+    return "\n".join([title, "", *aligned(columns), "", *aligned(first)])

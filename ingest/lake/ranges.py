@@ -1,0 +1,44 @@
+"""The range of every column of a stream, in physical values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+
+from flysid.flight import field_scale
+
+
+@dataclass(frozen=True)
+class Range:
+    """Lowest, mean and highest value in the column's unit; None where it holds no number.
+
+    `missing` counts rows without a value: empty, or not finite.
+    """
+
+    low: float | None
+    mean: float | None
+    high: float | None
+    missing: int
+
+
+def column_ranges(table: pa.Table) -> dict[str, Range]:
+    """The range of every column, over all elements where it holds arrays."""
+    return {
+        field.name: _range(table[field.name].combine_chunks(), field_scale(field)) for field in table.schema
+    }
+
+
+def _range(column: pa.Array, scale: float) -> Range:
+    if pa.types.is_fixed_size_list(column.type):
+        column = column.flatten()
+    kind = column.type
+    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
+        return Range(None, None, None, column.null_count)
+    values = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+    finite = values[np.isfinite(values)]
+    missing = len(values) - len(finite)
+    if not len(finite):
+        return Range(None, None, None, missing)
+    return Range(finite.min() * scale, finite.mean() * scale, finite.max() * scale, missing)

@@ -1,0 +1,66 @@
+"""Where a vehicle flew, from the positions in its log."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+
+from flysid.dataset import FloatArray
+from flysid.flight import BOOT, TIME, field_scale
+from flysid.ingest.align.signals import Log
+from flysid.ingest.formats.common.scrub_rules import Column, Place, has_fix, places
+
+ESTIMATES = ("GLOBAL_POSITION_INT", "vehicle_global_position", "POS")
+"""Streams with the estimator's own position: smoother than a receiver's."""
+INTEGER_DEGREES = 1e-7
+
+
+def read_track(log: Log) -> pa.Table | None:
+    """`time_s`, `boot`, `lat_deg`, `lon_deg`, and `alt_m` where there is one; None without a position.
+
+    The estimator's position is taken where the log has it, else the stream with most rows. Rows without a fix
+    are left out.
+    """
+    found = [(stream, place) for stream in log.rows if (place := _place(log, stream)) is not None]
+    if not found:
+        return None
+
+    def preference(candidate: tuple[str, Place]) -> tuple[bool, int]:
+        message = candidate[0].rpartition("/")[2]
+        return message in ESTIMATES, log.rows[candidate[0]]
+
+    stream, place = max(found, key=preference)
+    altitudes = place.altitudes[:1]
+    names = [column.name for column in (place.lat, place.lon, *altitudes)]
+    table = log.table(stream, [TIME, BOOT, *names])
+    lat_deg, lon_deg = (_degrees(table, name) for name in names[:2])
+    kept = has_fix(lat_deg, lon_deg)
+    columns = {
+        "time_s": table[TIME].to_numpy()[kept] / 1e9,
+        "boot": table[BOOT].to_numpy()[kept],
+        "lat_deg": lat_deg[kept],
+        "lon_deg": lon_deg[kept],
+    }
+    if altitudes:
+        columns["alt_m"] = _numbers(table, names[2])[kept]
+    return pa.table(columns) if kept.any() else None
+
+
+def _place(log: Log, stream: str) -> Place | None:
+    if not log.rows[stream]:
+        return None
+    found = places([Column(name, name) for name in log.columns(stream)])
+    return found[0] if found else None
+
+
+def _numbers(table: pa.Table, name: str) -> FloatArray:
+    values = table[name].cast(pa.float64(), safe=False).to_numpy()
+    return np.asarray(values * field_scale(table.schema.field(name)))
+
+
+def _degrees(table: pa.Table, name: str) -> FloatArray:
+    """Degrees; whole numbers without a stated scale are 1e-7 deg, as MAVLink and receivers send them."""
+    values = _numbers(table, name)
+    field = table.schema.field(name)
+    is_raw = pa.types.is_integer(field.type) and field_scale(field) == 1.0
+    return np.asarray(values * INTEGER_DEGREES) if is_raw else values

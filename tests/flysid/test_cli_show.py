@@ -1,0 +1,86 @@
+"""`flysid show` on a log and on a folder: facts, ranges, parameters, events, the track."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from click.testing import CliRunner
+
+from flysid.cli import root
+from flysid.errors import UsageError
+from flysid.flight import ClockMap, Source, field_metadata
+from flysid.ingest.formats.base import Parts, StreamPart, Summary
+from flysid.store import create_data_folder, write_flight
+from tests.samplelogs import dataflash
+
+T_NS = np.arange(100, dtype=np.int64) * 100_000_000
+
+
+def stream(name: str, **columns: pa.Array) -> StreamPart:
+    n = len(next(iter(columns.values())))
+    fields = [pa.field("time_ns", pa.int64()), pa.field("boot", pa.int32())]
+    fields += [
+        pa.field(key, a.type, metadata=field_metadata(unit="deg", scale=0.5) if key == "Roll" else None)
+        for key, a in columns.items()
+    ]
+    return StreamPart(name, pa.table([T_NS[:n], np.zeros(n, np.int32), *columns.values()], pa.schema(fields)))
+
+
+def parts() -> Parts:
+    roll = np.arange(100.0)
+    roll[7] = np.nan
+    yield stream("ATT", Roll=pa.array(roll))
+    yield stream("MODE", ModeNum=pa.array([0] * 40 + [5] * 10))
+    yield stream("MSG", Message=pa.array(["Takeoff"]))
+    yield stream("PARM", Name=pa.array(["P", "P"]), Value=pa.array([0.25, 0.5]))
+    yield stream("GPS", Lat=pa.array([0, 521234567]), Lng=pa.array([0, 51234567]), Alt=pa.array([0.0, 8.5]))
+    clock = ClockMap(0, 0, int(T_NS[-1]), utc_offset_ns=1_700_000_000_000_000_000)
+    return Summary(clocks=(clock,), info={"autopilot": "ardupilot", "vehicle": "copter"})
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    folder = create_data_folder(tmp_path / "data")
+    write_flight(folder, Source("0001.BIN", "dataflash", 1, "0" * 64), parts())
+    return folder
+
+
+def show(*arguments: str | Path) -> str:
+    done = CliRunner().invoke(root, ["show", *map(str, arguments)], catch_exceptions=False)
+    assert done.exit_code == 0
+    return done.stdout
+
+
+def test_a_flight_says_when_it_was_and_which_modes_were_flown(data: Path) -> None:
+    text = show(data)
+    assert "date          2023-11-14 22:13:20 UTC" in text
+    assert "modes         STABILIZE 00:04, LOITER 00:06" in text
+
+
+def test_a_stream_says_its_ranges_in_units(data: Path) -> None:
+    [line] = [row for row in show(data, "ATT").splitlines() if row.startswith("Roll")]
+    assert line.split() == ["Roll", "double", "deg", "0.5", "0", "24.9646", "49.5", "1"]
+    assert show(data, "0001", "ATT") == show(data, "ATT")
+
+
+def test_parameters_events_and_track(data: Path) -> None:
+    assert show(data, "--params") == "P 0.5\n"
+    events = [line.split() for line in show(data, "--events").splitlines()]
+    assert [row[2] for row in events] == ["mode", "message", "parameter", "mode"]
+    assert events[2][3:] == ["P", "=", "0.5", "(was", "0.25)"]
+    assert show(data, "--track").splitlines()[1:] == ["0.1,0,52.1234567,5.1234567,8.5"]
+
+
+def test_a_log_is_shown_like_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "0001.BIN").write_bytes(dataflash.build())
+    assert "ATT" in show(tmp_path / "0001.BIN")
+    assert "Roll" in show(tmp_path / "0001.BIN", "ATT")
+
+
+def test_what_cannot_be_meant_is_refused(data: Path) -> None:
+    for arguments in (["--params", "--events"], ["a", "b", "c"], ["0001", "ATTT"], ["ATTT"]):
+        done = CliRunner().invoke(root, ["show", str(data), *arguments])
+        assert isinstance(done.exception, UsageError), arguments
