@@ -148,6 +148,12 @@ def check_data_folder(data: str | Path) -> Path:
     StoreError : damaged, or of a newer version.
     """
     data = Path(data)
+    if data.is_file():
+        raise UsageError(
+            "a file, not an ingested folder",
+            path=data,
+            hint=f"flysid doctor {data}; or flysid ingest {data} -o DATA first",
+        )
     if not data.is_dir():
         raise UsageError(
             "no such folder", path=data, hint="make it with: flysid ingest LOG... -o " + data.name

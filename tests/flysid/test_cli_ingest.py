@@ -162,6 +162,12 @@ def test_show_names_the_flights_where_it_is_not_told_which(tmp_path: Path, logs:
     assert len(near) == len(set(near))
 
 
+def test_a_log_where_a_folder_is_wanted_is_told_so(logs: Path) -> None:
+    with pytest.raises(UsageError, match="a file, not an ingested folder") as caught:
+        code(flysid("ls", logs / "one.tlog"))
+    assert f"flysid ingest {logs / 'one.tlog'} -o DATA" in caught.value.hint
+
+
 def test_what_cannot_be_written_says_what_would_help(tmp_path: Path) -> None:
     path = tmp_path / "nowhere" / "copy.tlog"
     with pytest.raises(WriteError, match="No such file") as caught, writing_to(path):
