@@ -16,6 +16,8 @@ from hypothesis import strategies as st
 import flysid
 from flysid.errors import FormatError
 from flysid.flight import Flight, field_scale, field_unit
+from flysid.ingest.align.align import dataset
+from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.formats.base import Limits, collect
 from flysid.ingest.formats.blackbox.header import numbers_of
 from flysid.ingest.formats.registry import FORMATS
@@ -392,3 +394,51 @@ def test_encodings_by_hand() -> None:
         flight = read(blob)
         assert not flight.damage.lossy, (code, flight.damage)
         assert matrix(flight, "main").tolist() == [[5, *values]], code
+
+
+# ------------------------------------------------------------------------------------------ the recipe
+
+
+@pytest.mark.skipif(not REAL, reason="no ../shared/logs/blackbox")
+@pytest.mark.parametrize("name", ["greenreaper_flight15.bfl", "hiro_lowP_lowD.bfl"])
+def test_the_computed_setpoint_is_the_one_that_the_controller_followed(name: str) -> None:
+    """P = 0.032029 Kp (setpoint - gyro): the log's own P term tells what the setpoint was."""
+    flight = flysid.read(LOGS / name)
+    gains = {row["name"]: row["values"] for row in flight["parameters"].to_pylist()}
+    for axis, key in enumerate(("rollPID", "pitchPID")):
+        asked = flight["setpoint"][f"setpoint[{axis}]"].to_numpy()
+        error = asked - flight["main"][f"gyroADC[{axis}]"].to_numpy()
+        term = flight["main"][f"axisP[{axis}]"].to_numpy()
+        slope, _ = np.polyfit(0.032029 * gains[key][0] * error, term, 1)
+        assert np.corrcoef(error, term)[0, 1] > 0.998
+        assert 0.97 < slope < 1.0  # below 1 where throttle takes gain away (TPA)
+
+
+@pytest.mark.skipif(not REAL, reason="no ../shared/logs/blackbox")
+@pytest.mark.parametrize("name", ["btfl_002.bbl", "hiro_lowP_lowD.bfl"])
+def test_the_recipe_takes_old_and_newer_logs(name: str) -> None:
+    flight = flysid.read(LOGS / name)
+    recipe = load_recipe("betaflight-rate")
+    for channel in ("pitch_pid", "yaw_motors"):  # btfl_002 has no axisD[2]
+        data = dataset([flight], recipe, channel)
+        assert 1 / data.dt_s == pytest.approx(250.0)
+        assert len(data) * data.dt_s > 40.0
+    roll = dataset([flight], recipe, "roll_rate")
+    asked, turned = np.concatenate([s.u for s in roll.segments]), np.concatenate([s.y for s in roll.segments])
+    assert np.corrcoef(asked[:, 0], turned[:, 0])[0, 1] > 0.95
+
+
+def test_the_sum_of_a_controllers_terms_and_the_difference_of_motors() -> None:
+    names = ["time", "axisP[0]", "axisI[0]", *(f"motor[{k}]" for k in range(4)), "gyroADC[0]"]
+    kinds = {"I": Fields(names, [0] * 8, [0] * 8, [1] * 8)}
+    writer = Writer(kinds, {**SETTINGS, "P interval": "1/16"})
+    rows = [[1000 * k, 100 + k % 7, 50, 10, 20, 130 + k % 5, 140, k % 11] for k in range(400)]
+    flight = read(b"".join([*writer.header(), *(writer.frame("I", row) for row in rows), END]))
+    recipe = dataclasses.replace(load_recipe("betaflight-rate"), max_rate_hz=1000.0, antialias=False)
+    (pid,) = dataset([flight], recipe, "roll_pid").segments
+    (motors,) = dataset([flight], recipe, "roll_motors").segments
+    values = np.array(rows)
+    np.testing.assert_allclose(pid.u[:, 0], 0.1 * (values[:, 1] + values[:, 2]))
+    np.testing.assert_allclose(
+        motors.u[:, 0], (values[:, 5] + values[:, 6] - values[:, 3] - values[:, 4]) / 4
+    )

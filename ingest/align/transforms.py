@@ -57,6 +57,12 @@ def _rates(columns: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatAr
     return derivative(columns[:, :1], time_s, time_s), derivative(columns[:, 1:2], time_s, time_s)
 
 
+def _difference(columns: FloatArray, time_s: FloatArray, yaw: FloatArray) -> FloatArray:  # noqa: ARG001
+    """The mean of the first half of the columns less that of the second: a torque of motors on two sides."""
+    half = columns.shape[1] // 2
+    return np.asarray(columns[:, :half].mean(axis=1) - columns[:, half:].mean(axis=1))
+
+
 def _of_quaternion(function: Callable[[FloatArray], FloatArray]) -> Transform:
     return Transform(lambda c, _t, _y: function(c), field_counts=(1, 4), unit="rad")
 
@@ -87,6 +93,7 @@ TRANSFORMS: Mapping[str, Transform] = {
         needs_yaw=True,
     ),
     "mean": Transform(lambda c, _t, _y: np.asarray(c.mean(axis=1)), field_counts=tuple(range(1, 17))),
+    "difference": Transform(_difference, field_counts=tuple(range(2, 17, 2))),
     "norm": Transform(
         lambda c, _t, _y: np.asarray(np.linalg.norm(c, axis=1)), field_counts=tuple(range(1, 17))
     ),

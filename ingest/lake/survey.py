@@ -53,6 +53,7 @@ ROLES: Mapping[str, tuple[str, ...]] = {
         "odometry",
         "state",
     ),
+    "rates": ("main", "RATE", "vehicle_angular_velocity"),
 }
 ANGLES = {"r": ("roll", "Roll", "rotX"), "p": ("pitch", "Pitch", "rotY"), "y": ("yaw", "Yaw", "rotZ")}
 RADIANS = {"rad": 1.0, "deg": np.pi / 180, "degheading": np.pi / 180}
@@ -60,9 +61,11 @@ MOVED_RAD = np.radians(2.0)
 SENSELESS_RAD = 1e6  # no heading unwraps to this; NaN and infinity are no angles either
 SLOW_ATTITUDE_HZ = 20.0
 SLOW_VELOCITY_HZ = 4.5
+SLOW_RATES_HZ = 200.0
 SHORT_S = 30.0
 
 ADVICE = {
+    "blackbox": "log every fourth loop or more: blackbox_sample_rate, before Betaflight 4.3 blackbox_p_ratio",
     "dataflash": "set LOG_BITMASK bit 0 (fast attitude); LOG_FILE_RATEMAX 0",
     "dataflash_text": "set LOG_BITMASK bit 0 (fast attitude)",
     "tlog": "use the vehicle's own .bin log, or raise SR0_EXTRA1 and SR0_POSITION",
@@ -186,6 +189,7 @@ def verdict(found: Survey) -> tuple[str, str]:
     share = found.damage.bytes_skipped / max(1, found.source.size_bytes)
     attitude, rate = found.role("attitude")
     velocity, velocity_rate = found.role("velocity")
+    rates, rates_hz = found.role("rates")
     if share > 0.05:
         return f"damaged: {share:.0%} of the bytes lost", "copy it from the vehicle again"
     if found.source.format == "csv":
@@ -193,10 +197,14 @@ def verdict(found: Survey) -> tuple[str, str]:
             "a table: its columns say nothing of their meaning",
             "flysid fit FILE --from FIELD --to FIELD -o RUN",
         )
-    if not attitude and not velocity:
+    if not attitude and not velocity and not rates:
         return "holds no attitude and no velocity", advice
     if found.duration_s < SHORT_S:
         return f"short: {found.duration_s:.0f} s", "fly at least a minute of manoeuvres"
+    if not attitude and not velocity:
+        return (
+            ("ok: body rates only", "") if rates_hz >= SLOW_RATES_HZ else ("too slow for body rates", advice)
+        )
     if attitude and rate < SLOW_ATTITUDE_HZ:
         return (
             "too slow for attitude, usable for velocity" if velocity_rate >= SLOW_VELOCITY_HZ else "too slow",

@@ -6,6 +6,9 @@ They are its boots, in order, as each has a header and maybe a clock of its own;
 count too, so that the numbers are those of other readers. Frames of a later log with other fields begin a
 stream with "~2".
 
+Logs of Betaflight before 4.0 hold sticks, not setpoints: the stream `setpoint` has what the header's rates
+make of them.
+
 `time_ns` is the field `time` where frames have one. Slow frames, events and header lines are written between
 main frames, and have the time of the main frame before them.
 """
@@ -42,6 +45,7 @@ from flysid.ingest.formats.blackbox.layouts import (
     layout_of,
     meanings,
 )
+from flysid.ingest.formats.blackbox.setpoint import rates_of
 from flysid.ingest.formats.common import arrow_arrays
 from flysid.ingest.formats.common.tally import Tally
 
@@ -187,11 +191,12 @@ class _Reader:
         """Rows that have been waiting for a time."""
         for stream, rows in log.waiting:
             time_us = np.where(rows.us < 0, max(log.first_us, 0), rows.us)
-            yield (
-                self._events(log, rows, time_us)
-                if stream == "event"
-                else self._fields(log, stream, rows, time_us)
-            )
+            if stream == "event":
+                yield self._events(log, rows, time_us)
+                continue
+            yield self._fields(log, stream, rows, time_us)
+            if stream == "main":
+                yield from self._setpoint(log, rows, time_us)
         log.waiting.clear()
 
     def _fields(self, log: _Log, stream: str, rows: Rows, time_us: IntArray) -> StreamPart:
@@ -204,6 +209,22 @@ class _Reader:
         ]
         notes = [m.metadata() for m in meanings(log.header, kind, definition.names)]
         return self._part(log, stream, time_us, definition.names, columns, notes)
+
+    def _setpoint(self, log: _Log, rows: Rows, time_us: IntArray) -> Iterator[StreamPart]:
+        """What the sticks asked for, where the log does not say so itself."""
+        assert log.layout is not None, "rows come from frames that are defined"
+        places = {name: k for k, name in enumerate(log.layout.definitions["I"].names)}
+        rates = rates_of(log.header)
+        sticks = [f"rcCommand[{axis}]" for axis in range(len(rates))]
+        if not rates or any(name not in places for name in sticks):
+            return
+        names = tuple(f"setpoint[{axis}]" for axis in range(len(rates)))
+        columns = [
+            arrow_arrays.numeric(axis.setpoint(rows.values[places[name]]).astype(np.float32))
+            for axis, name in zip(rates, sticks, strict=True)
+        ]
+        note = field_metadata("deg/s", description="computed from the sticks and the header's rates")
+        yield self._part(log, "setpoint", time_us, names, columns, [note] * len(names))
 
     def _events(self, log: _Log, rows: Rows, time_us: IntArray) -> StreamPart:
         number, value, other, at, size = rows.values
@@ -263,7 +284,7 @@ class _Reader:
             free = arrow_arrays.free_name(name, taken)
             taken.add(free)
             fields.append(pa.field(free, column.type, metadata=note))
-        own = stream in ("main", "gps") and "time" in names
+        own = stream == "setpoint" or (stream in ("main", "gps") and "time" in names)
         schema = pa.schema(fields, metadata={"time_source": "time" if own else "main frame before"})
         known = self._schemas.setdefault(stream, [])
         version = next((k for k, s in enumerate(known) if s.equals(schema, check_metadata=True)), len(known))
