@@ -24,7 +24,7 @@ from flysid.ingest.formats.registry import FORMATS
 from tests.samplelogs import blackbox as sample
 from tests.samplelogs.blackbox import END, KINDS, SETTINGS, START, Fields, Writer, signed_vb, unsigned_vb
 
-LOGS = Path(__file__).resolve().parents[2] / "shared" / "logs" / "blackbox"
+LOGS = Path(__file__).resolve().parents[4] / "shared" / "logs" / "blackbox"
 REAL = sorted(LOGS.glob("*")) if LOGS.is_dir() else []
 QUICK_BYTES = 60_000
 
