@@ -74,7 +74,7 @@ class Walker:
     ) -> None:
         self._raw, self._at, self._stop = raw, start, stop
         self._program, self._tally = layout.program, tally
-        self._state = np.zeros(1, dtype=kernel.STATE)[0]
+        self._state = np.zeros(1, dtype=kernel.STATE).view(np.recarray)[0]
         for name, value in layout.settings.items():
             self._state[name] = value
         self._state["end"] = stop

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 
 from flysid.errors import FormatError
@@ -45,7 +46,7 @@ from flysid.ingest.formats.blackbox.layouts import (
     layout_of,
     meanings,
 )
-from flysid.ingest.formats.blackbox.setpoint import rates_of
+from flysid.ingest.formats.blackbox.setpoint import Rates, rates_of
 from flysid.ingest.formats.common import arrow_arrays
 from flysid.ingest.formats.common.tally import Tally
 
@@ -220,7 +221,7 @@ class _Reader:
             return
         names = tuple(f"setpoint[{axis}]" for axis in range(len(rates)))
         columns = [
-            arrow_arrays.numeric(axis.setpoint(rows.values[places[name]]).astype(np.float32))
+            arrow_arrays.numeric(_looked_up(axis, rows.values[places[name]]))
             for axis, name in zip(rates, sticks, strict=True)
         ]
         note = field_metadata("deg/s", description="computed from the sticks and the header's rates")
@@ -292,6 +293,15 @@ class _Reader:
             known.append(schema)
         key = stream if version == 0 else f"{stream}~{version + 1}"
         return StreamPart(key, pa.Table.from_arrays([*heads, *columns], schema=known[version]))
+
+
+def _looked_up(rates: Rates, stick: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
+    """(n,) setpoints of (n,) sticks: whole numbers of a small range, so each is computed once."""
+    low, high = int(stick.min()), int(stick.max())
+    if high - low > len(stick):
+        return rates.setpoint(stick).astype(np.float32)
+    table = rates.setpoint(np.arange(low, high + 1)).astype(np.float32)
+    return table[stick - low]
 
 
 def _event_values(number: IntArray, value: IntArray, other: IntArray) -> np.ndarray:
