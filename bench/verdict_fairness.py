@@ -57,26 +57,26 @@ class Plant:
     coloured: float
 
 
-def flights(plant: Plant, count: int, rng: np.random.Generator, prefix: str) -> Dataset:
+def flights(plant: Plant, count: int, rng: np.random.Generator, prefix: str, rows: int = LENGTH) -> Dataset:
     """`count` flights of one plant: steps of random height and length, smoothed; white and coloured noise."""
     segments = []
     for i in range(count):
-        u = _input(rng)
-        y = plant.respond(u) + plant.white * rng.normal(size=LENGTH)
-        y = y + plant.coloured * _coloured(rng)
+        u = _input(rng, rows)
+        y = plant.respond(u) + plant.white * rng.normal(size=rows)
+        y = y + plant.coloured * _coloured(rng, rows)
         segments.append(Segment(u[:, None], y[:, None], flight=f"{prefix}{i}"))
     return Dataset(DT_S, (Signal("u", "deg"),), (Signal("y", "m/s"),), tuple(segments), name="y")
 
 
-def _input(rng: np.random.Generator) -> FloatArray:
-    lengths = rng.integers(8, 60, size=LENGTH // 8)
-    steps = np.repeat(rng.normal(size=len(lengths)), lengths)[:LENGTH]
+def _input(rng: np.random.Generator, rows: int) -> FloatArray:
+    lengths = rng.integers(8, 60, size=rows // 8)
+    steps = np.repeat(rng.normal(size=len(lengths)), lengths)[:rows]
     return np.convolve(np.concatenate([np.full(3, steps[0]), steps]), np.full(4, 0.25), mode="valid")
 
 
-def _coloured(rng: np.random.Generator) -> FloatArray:
+def _coloured(rng: np.random.Generator, rows: int) -> FloatArray:
     """Unit variance, correlated over half a second: gusts."""
-    return _filter([np.sqrt(1.0 - 0.81)], [1.0, -0.9], rng.normal(size=LENGTH))
+    return _filter([np.sqrt(1.0 - 0.81)], [1.0, -0.9], rng.normal(size=rows))
 
 
 def _filter(b: Sequence[float] | FloatArray, a: Sequence[float] | FloatArray, u: FloatArray) -> FloatArray:
@@ -109,8 +109,8 @@ def linear_plant(rng: np.random.Generator) -> Plant:
     return Plant("linear", linear_dynamics(rng), level, level * float(rng.random() < 0.5))
 
 
-def nonlinear_plant(rng: np.random.Generator) -> Plant:
-    """A saturating or dead-banded input, or drag; noise so that a perfect model is 20 % better."""
+def nonlinear_plant(rng: np.random.Generator, perfect: float = 0.8) -> Plant:
+    """Saturating or dead-banded input, or drag; noise so that a perfect model has `perfect` the error."""
     kind = str(rng.choice(["saturation", "dead band", "drag"]))
     while True:
         plant = Plant(kind, _nonlinear(kind, rng), 0.0, 0.0)
@@ -118,8 +118,8 @@ def nonlinear_plant(rng: np.random.Generator) -> Plant:
         error = compare([ARX().fit(train)], test, horizons=[FREE_RUN]).entry().models["arx"].scores
         if error.fit_pct is not None and error.fit_pct < 97.0:
             break
-    # rmse_linear^2 = bias^2 + s^2 and rmse_perfect = s = 0.8 rmse_linear
-    return Plant(kind, plant.respond, error.rmse * 0.8 / 0.6, 0.0)
+    # rmse_linear^2 = bias^2 + s^2 and rmse_perfect = s = perfect rmse_linear
+    return Plant(kind, plant.respond, error.rmse * perfect / float(np.sqrt(1.0 - perfect**2)), 0.0)
 
 
 def _nonlinear(kind: str, rng: np.random.Generator) -> Callable[[FloatArray], FloatArray]:

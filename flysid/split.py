@@ -7,7 +7,7 @@ training flight among the held-out ones are found by content and refused.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, Protocol, Self, TypeVar
 
@@ -156,11 +156,44 @@ def plan_split(
             hint="add flights, or shorten the guard",
         )
     refuse_copies(data, train, test)
+    return _split_of(data, way, seed, holdout, guard if way == "time" else 0.0, (train, test))
+
+
+def plan_folds(data: Splittable, folds: int, *, seed: int = 0) -> tuple[Split, ...]:
+    """Splits that hold out every flight once: at most `folds`, of about equal numbers of flights.
+
+    Raises
+    ------
+    DataError : there is one flight only; one flight is a copy of another.
+    """
+    flights = list(dict.fromkeys(s.flight for s in data.segments))
+    if len(flights) < 2:
+        raise DataError("one flight cannot be split by flight", hint='by="time", or add flights')
+    order = np.random.default_rng(seed).permutation(len(flights))
+    found = []
+    for some in np.array_split(order, min(folds, len(flights))):
+        held = {flights[i] for i in some}
+        train, test = _sides(data.segments, held)
+        refuse_copies(data, train, test)
+        share = sum(map(len, test)) / len(data)
+        found.append(_split_of(data, "flight", seed, share, 0.0, (train, test)))
+    return tuple(found)
+
+
+def _split_of(
+    data: Splittable,
+    by: str,
+    seed: int,
+    holdout: float,
+    guard_s: float,
+    sides: tuple[list[Piece], list[Piece]],
+) -> Split:
+    train, test = sides
     return Split(
-        by=way,
+        by=by,
         seed=seed,
         holdout=holdout,
-        guard_s=guard if way == "time" else 0.0,
+        guard_s=guard_s,
         train=tuple(train),
         test=tuple(test),
         data_sha256=data.content_hash(),
@@ -179,6 +212,10 @@ def _by_flight(
     """Whole flights, in random order, as long as each brings the held-out share nearer to `holdout`."""
     size = {f: sum(len(s.y) for s in segments if s.flight == f) for f in flights}
     held = flights_to_hold(size, holdout * sum(size.values()), rng)
+    return _sides(segments, held)
+
+
+def _sides(segments: Sequence[Stretch], held: Collection[str]) -> tuple[list[Piece], list[Piece]]:
     whole = [(s.flight in held, Piece(i, 0, len(s.y))) for i, s in enumerate(segments)]
     return [p for is_held, p in whole if not is_held], [p for is_held, p in whole if is_held]
 

@@ -307,7 +307,19 @@ def small_data(folder: Path) -> Path:
 
 def fit_verb(data: Path, *more: str) -> Verb:
     return Verb(
-        ("fit", str(data), "--recipe", "ardrone-synthetic", "--rules", "2", "-q", "--force", *more, "-o")
+        (
+            "fit",
+            str(data),
+            "--recipe",
+            "ardrone-synthetic",
+            "--rules",
+            "2",
+            "--no-rotate",
+            "-q",
+            "--force",
+            *more,
+            "-o",
+        )
     )
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from flysid.ingest.align.doubts import Doubt
 from flysid.model.feedback import BIASED, REMEDY
-from flysid.validate.bootstrap import MIN_FLIGHTS
 from flysid.validate.caution import Caution, Comparisons, Diagnoses, heads, join
 from flysid.validate.caution_data import in_the_data
 from flysid.validate.caution_models import (
@@ -18,8 +17,9 @@ from flysid.validate.caution_models import (
     unsure_gains,
     useless,
 )
-from flysid.validate.comparison import Comparison
+from flysid.validate.comparison import Comparison, Pair
 from flysid.validate.diagnostics import Diagnosis, Outside
+from flysid.validate.intervals import FEW, Scope
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
 from flysid.validate.words import one_line, percent
@@ -230,22 +230,23 @@ def _undecided(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cauti
 
 
 def _few(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    """Verdicts that rest on too few flights to speak of others, or not on flights at all."""
     del diagnoses
-    few = {
-        name: len(c.test.flights)
-        for name, c in comparisons.items()
-        if c.contender and len(c.test.flights) < MIN_FLIGHTS
-    }
+    few = {name: c for name, c in comparisons.items() if any(_is_few(p) for p in c.verdict.values())}
     if few:
-        counts = sorted(set(few.values()))
+        counts = sorted({len(c.test.flights) for c in few.values()})
         number = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else str(counts[0])
         yield Caution(
             "note",
-            f"Only {number} held-out flight{'s' if counts[-1] > 1 else ''} on {join(few)}: the intervals "
-            "come from blocks of time and do not speak of another day, battery or wind.",
-            f"hold out whole flights, {MIN_FLIGHTS} or more.",
+            f"Only {number} held-out flight{'s' if counts[-1] > 1 else ''} on {join(list(few))}: too few to "
+            "say much of another day, battery or wind.",
+            f"hold out whole flights, {FEW + 1} or more.",
             2.0 if counts[0] == 1 else 0.95,
         )
+
+
+def _is_few(pair: Pair) -> bool:
+    return pair.scope is not Scope.ANOTHER or pair.units <= FEW
 
 
 def _feedback(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:

@@ -7,25 +7,18 @@ is a loss.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flysid.dataset import Dataset, FloatArray
-from flysid.errors import UsageError
+from flysid.dataset import Dataset, FloatArray, Segment
+from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted
 from flysid.validate.baseline import LINEAR, REFERENCES
-from flysid.validate.bootstrap import (
-    Interval,
-    Units,
-    block_length,
-    change_interval,
-    diebold_mariano,
-    holm,
-    make_units,
-)
 from flysid.validate.comparison import Comparison, Entry, ModelInfo, ModelScore, Pair, SegmentScore
+from flysid.validate.intervals import Interval, change, holm
 from flysid.validate.metrics import pooled, resolution_of, scores
 from flysid.validate.trials import (
     FREE_RUN,
@@ -56,9 +49,13 @@ def compare(
     baseline: str | None = "arx",
     contender: str | None = None,
     train: Dataset | None = None,
-    seed: int = 0,
+    seen: Collection[str] = (),
+    turns: Sequence[Turn] = (),
 ) -> Comparison:
     """Compare fitted models on held-out data.
+
+    Where every held-out flight is one that the models have not seen, the verdict is of *another flight*, and
+    flights are its units; else of *these flights* or *this flight*, and its units are blocks of time.
 
     Parameters
     ----------
@@ -69,7 +66,9 @@ def compare(
     contender : the model the headline speaks of; when None, the first of CONTENDERS, else the first model
         that is no reference, a line last.
     train : training data; with it the mean and persistence stand beside the models, as lines to stay below.
-    seed : of the bootstrap.
+    seen : flights that the models were trained on, besides those of `train`.
+    turns : models fitted to all flights but some, and those; verdicts and changes rest on them where every
+        turn has both models, scores and figures on `models` and `test`.
 
     Raises
     ------
@@ -79,8 +78,9 @@ def compare(
     named = dict(models) if isinstance(models, Mapping) else _named(models)
     if train is not None:
         named = with_references(named, train)
+        seen = {*seen, *_in_both(train, test)}
     check_models(named, test)
-    sides = sides_of(named, baseline, contender, seed)
+    sides = sides_of(named, baseline, contender, seen)
     names = [horizon_name(h) for h in dict.fromkeys(horizons)]
     if not names:
         raise UsageError("no horizon given", hint="use 'free_run', 10 and 1")
@@ -92,7 +92,8 @@ def compare(
         scored = max(scored, len(trials))
         if horizon == FREE_RUN:
             start_s = max(t.first for t in trials) * test.dt_s
-        entries += _entries(trials, test, horizon, sides if horizon == head else replace(sides, rivals=()))
+        who = sides if horizon == head else replace(sides, rivals=())
+        entries += _entries((trials, test), _in_turn(turns, horizon), horizon, who)
     comparison = Comparison(
         channel=test.name,
         dt_s=test.dt_s,
@@ -147,7 +148,10 @@ def _with_pairs(entry: Entry, corrected: Mapping[int, Pair]) -> Entry:
 
 
 def sides_of(
-    models: Mapping[str, Fitted], baseline: str | None, contender: str | None = None, seed: int = 0
+    models: Mapping[str, Fitted],
+    baseline: str | None,
+    contender: str | None = None,
+    seen: Collection[str] = (),
 ) -> Sides:
     """Who is compared with whom; arguments and errors as `compare`.
 
@@ -158,10 +162,10 @@ def sides_of(
         raise UsageError(f"the contender {contender!r} is not among the models compared with {base!r}")
     contender = contender or _contender(models, base)
     if models[base].structure in FUZZY:
-        return Sides(base, contender, (), frozenset(), seed)
+        return Sides(base, contender, (), frozenset(), frozenset(seen))
     fuzzy = contender is not None and models[contender].structure in FUZZY
     rivals = [n for n, m in models.items() if n != base and m.structure in LINEAR] if fuzzy else []
-    return Sides(base, contender, tuple(rivals), _one_rule(models), seed)
+    return Sides(base, contender, tuple(rivals), _one_rule(models), frozenset(seen))
 
 
 def _one_rule(models: Mapping[str, Fitted]) -> frozenset[str]:
@@ -177,6 +181,25 @@ def with_references(models: Mapping[str, Fitted], train: Dataset) -> dict[str, F
     there = {m.structure for m in models.values()}
     found = {"mean": Mean().fit(train), "persistence": Persistence().fit(train)}
     return {**models, **{name: m for name, m in found.items() if name not in there}}
+
+
+def _in_both(train: Dataset, test: Dataset) -> set[str]:
+    """Flights of which other parts were trained on; one name at one time stands for two flights."""
+    spans: dict[str, list[tuple[int, int]]] = {}
+    for s in train.segments:
+        spans.setdefault(s.flight, []).append(_span(s, train.dt_s))
+    alike = {s.flight for s in test.segments if s.flight in spans}
+    return alike - {
+        s.flight
+        for s in test.segments
+        for first, last in spans.get(s.flight, ())
+        if first <= _span(s, test.dt_s)[1] and _span(s, test.dt_s)[0] <= last
+    }
+
+
+def _span(s: Segment, dt_s: float) -> tuple[int, int]:
+    """Time of the first and the last sample, ns."""
+    return s.t0_ns, s.t0_ns + round((len(s) - 1) * dt_s * 1e9)
 
 
 def _named(models: Sequence[Fitted]) -> dict[str, Fitted]:
@@ -222,25 +245,47 @@ class _Panel:
     still: bool
 
 
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """Models by label, and flights that they have not seen."""
+
+    models: Mapping[str, Fitted]
+    test: Dataset
+
+
+Judged = tuple[Sequence[Trial], Dataset]
+"""Free runs or predictions, and the data that they are of."""
+
+
 @dataclass(frozen=True)
 class Sides:
     """Who is compared with whom: the baseline, the contender and the other linear models, the fuzzy models of
-    one rule, the bootstrap's seed."""
+    one rule; flights that they were trained on."""
 
     base: str
     contender: str | None
     rivals: tuple[str, ...]
     one_rule: frozenset[str]
-    seed: int
+    seen: frozenset[str]
 
 
-def _entries(trials: Sequence[Trial], test: Dataset, horizon: str, sides: Sides) -> list[Entry]:
+def _in_turn(turns: Sequence[Turn], horizon: str) -> list[Judged]:
+    """What the models of every turn do with the flights left out, as far as these are long enough."""
+    found: list[Judged] = []
+    for turn in turns:
+        with suppress(DataError):
+            found.append((run_trials(turn.models, turn.test, horizon), turn.test))
+    return found
+
+
+def _entries(here: Judged, turns: Sequence[Judged], horizon: str, sides: Sides) -> list[Entry]:
     entries = []
-    for j, output in enumerate(test.outputs):
-        panel = _panel(trials, test, j)
-        pairs = {name: _pair(panel, sides, name) for name in panel.models if name != sides.base}
+    for j, output in enumerate(here[1].outputs):
+        panel = _panel([here], j)
+        rotated = _panel(turns, j) if len(turns) > 1 else None
+        pairs = {name: _pair(panel, rotated, sides, name) for name in panel.models if name != sides.base}
         rivals = {
-            name: _pair(panel, replace(sides, base=name), sides.contender)
+            name: _pair(panel, rotated, replace(sides, base=name), sides.contender)
             for name in sides.rivals
             if sides.contender is not None
         }
@@ -248,16 +293,20 @@ def _entries(trials: Sequence[Trial], test: Dataset, horizon: str, sides: Sides)
     return entries
 
 
-def _panel(trials: Sequence[Trial], test: Dataset, j: int) -> _Panel:
-    flights = [test.segments[t.segment].flight for t in trials]
-    names = list(trials[0].yh)
+def _panel(parts: Sequence[Judged], j: int) -> _Panel:
+    """Of the models that all parts have."""
+    trials = [t for some, _ in parts for t in some]
+    segments = [test.segments[t.segment] for some, test in parts for t in some]
+    flights = [s.flight for s in segments]
+    names = [name for name in trials[0].yh if all(name in t.yh for t in trials)]
+    output = parts[0][1].outputs[j]
     return _Panel(
         errors={name: [t.y[:, j] - t.yh[name][:, j] for t in trials] for name in names},
         models={name: _model_score(trials, flights, name, j) for name in names},
         flights=flights,
-        resolution=resolution_of([t.y[:, j] for t in trials], test.outputs[j].resolution),
-        dt_s=test.dt_s,
-        still=not np.ptp(np.concatenate([test.segments[t.segment].u for t in trials]), axis=0).any(),
+        resolution=resolution_of([t.y[:, j] for t in trials], output.resolution),
+        dt_s=parts[0][1].dt_s,
+        still=not np.ptp(np.concatenate([s.u for s in segments]), axis=0).any(),
     )
 
 
@@ -269,29 +318,30 @@ def _model_score(trials: Sequence[Trial], flights: Sequence[str], name: str, j: 
     return ModelScore(pooled([t.y[:, j] for t in trials], [t.yh[name][:, j] for t in trials]), segments)
 
 
-def _pair(panel: _Panel, sides: Sides, name: str) -> Pair:
+def _pair(panel: _Panel, rotated: _Panel | None, sides: Sides, name: str) -> Pair:
+    """The pair, judged in turn where every turn has both models."""
     base = sides.base
+    in_turn = rotated is not None and {name, base} <= rotated.models.keys()
+    panel = rotated if rotated is not None and in_turn else panel
     a, b = panel.models[base], panel.models[name]
     ea, eb = panel.errors[base], panel.errors[name]
     lost = bool(a.diverged or b.diverged)
-    units = make_units(ea, eb, panel.flights)
-    interval = None if lost else change_interval(units, sides.seed)
+    found = change(ea, eb, panel.flights, () if in_turn else sides.seen, rotated=in_turn)
+    interval = None if lost else found.interval
     evidence = replace(_evidence(a, b, panel.resolution, interval), still=panel.still)
     verdict, reason = decide(evidence)
-    change = None
-    if a.scores.rmse > 0.0 and not lost:
-        change = 100.0 * float(np.minimum(b.scores.rmse / a.scores.rmse, 1e300) - 1.0)
-    lags = units.length or block_length(ea, eb)
+    change_pct = interval.change_pct if interval else None
+    if interval is None and a.scores.rmse > 0.0 and not lost:
+        change_pct = 100.0 * float(np.minimum(b.scores.rmse / a.scores.rmse, 1e300) - 1.0)
     return Pair(
         model=name,
         baseline=base,
-        change_pct=change,
+        change_pct=change_pct,
         ci95=(interval.low_pct, interval.high_pct) if interval else None,
         p=interval.p if interval else None,
         p_holm=interval.p if interval else None,
-        p_dm=None if lost else diebold_mariano(ea, eb, lags),
-        units=len(units.a),
-        unit=_unit_words(units, panel.dt_s),
+        unit="flights" if not found.block else f"blocks of {found.block * panel.dt_s:.3g} s",
+        basis=found,
         evidence=evidence,
         verdict=verdict,
         reason=reason,
@@ -311,7 +361,3 @@ def _evidence(a: ModelScore, b: ModelScore, resolution: float, interval: Interva
         p=interval.p if interval else None,
         constant=a.scores.fit_pct is None,
     )
-
-
-def _unit_words(units: Units, dt_s: float) -> str:
-    return "flights" if units.kind == "flights" else f"blocks of {units.length * dt_s:.3g} s"

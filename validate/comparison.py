@@ -11,6 +11,7 @@ from flysid.dataset import Dataset, Signal
 from flysid.errors import UsageError
 from flysid.model.base import Fitted
 from flysid.validate.baseline import REFERENCES
+from flysid.validate.intervals import Change, Scope
 from flysid.validate.metrics import Scores
 from flysid.validate.trials import FREE_RUN, horizon_name
 from flysid.validate.verdict import Evidence, Verdict
@@ -50,12 +51,13 @@ class Pair:
 
     Attributes
     ----------
-    change_pct : 100 (RMSE - RMSE of baseline) / RMSE of baseline; below 0 the model is better. None where
-        the baseline's error is zero or a model diverged.
+    change_pct : 100 (RMSE - RMSE of baseline) / RMSE of baseline, below 0 the model is better: on a typical
+        flight (the geometric mean) where the scope is another flight, else of all samples together. None
+        where the baseline's error is zero or a model diverged.
     ci95 : its 95 % interval, or None.
-    p, p_holm : two-sided bootstrap p-value of no change, before and after Holm's correction.
-    p_dm : Diebold-Mariano p-value, a second opinion that no verdict uses.
-    units, unit : how many independent units, and what they are ("flights" or "blocks of 1.2 s").
+    p, p_holm : two-sided p-value of no change, before and after Holm's correction.
+    unit : what the interval's units are: "flights" or "blocks of 1.2 s".
+    basis : scope, number of units, change of every flight.
     short_of : linear models in the table that the contender is not shown to be better than, although it is
         better than the baseline: validation may have chosen the wrong one, and beating it proves little.
     one_rule : the model is a Takagi-Sugeno model of one rule: a linear model, so whatever it gains over the
@@ -68,14 +70,31 @@ class Pair:
     ci95: tuple[float, float] | None
     p: float | None
     p_holm: float | None
-    p_dm: float | None
-    units: int
     unit: str
+    basis: Change
     evidence: Evidence
     verdict: Verdict
     reason: str
     one_rule: bool = False
     short_of: tuple[str, ...] = ()
+
+    @property
+    def scope(self) -> Scope:
+        """What the verdict speaks of."""
+        return self.basis.scope
+
+    @property
+    def units(self) -> int:
+        """How many flights or blocks of time the interval rests on."""
+        return self.basis.units
+
+    @property
+    def pooled_pct(self) -> float | None:
+        """Change of the RMSE of all samples together; long or bad flights count more than others."""
+        e = self.evidence
+        if self.change_pct is None or e.rmse_baseline <= 0.0:
+            return None
+        return 100.0 * min(e.rmse_model / e.rmse_baseline - 1.0, 1e300)
 
     @property
     def contested(self) -> bool:

@@ -10,8 +10,10 @@
 
 Fields are the document's: change_pct, verdict, ci95.low, ci95.high, models.ts.rmse (or ts.rmse) and so on.
 A path without a channel is tried on every channel, and the condition holds when it holds on any. Nothing is
-evaluated but this grammar. A change that is null because a model diverged counts as infinitely large (verdict
-"worse") or small ("better"); a comparison with any other null is false.
+evaluated but this grammar. "better" and "same" are said of another flight: a verdict of these flights only is
+neither. A change that is null because a model diverged counts as infinitely large (verdict "worse") or small
+("better"). A guard that cannot judge fails: a condition that asks for any other number that does not exist,
+such as the change where both models diverged, holds, and says why.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from flysid.errors import UsageError
+from flysid.validate.intervals import Scope
 from flysid.validate.verdict import Verdict
 
 _TOKEN = re.compile(
@@ -46,14 +49,18 @@ _COMPARE: Mapping[str, Callable[[Any, Any], bool]] = {
     "!=": operator.ne,
 }
 DEEPEST = 50
+WIDE = (Verdict.BETTER, Verdict.SAME)
+"""Verdicts that are said of another flight without more words; "worse" is bad news whatever its scope."""
 EXAMPLE = "write for example 'free_run.change_pct > 5' or 'roll.free_run.verdict == worse'"
 
 Value = float | str | None
 Channels = Mapping[str, Mapping[str, Any]]
 
 
-def matching_channels(expression: str, document: Mapping[str, Any]) -> tuple[str, ...]:
+def matching_channels(expression: str, document: Mapping[str, Any]) -> dict[str, str]:
     """The channels of a `to_json` document on which the condition holds; all where it names its channels.
+
+    With each stands why it could not be judged, or "".
 
     Raises
     ------
@@ -61,7 +68,12 @@ def matching_channels(expression: str, document: Mapping[str, Any]) -> tuple[str
     """
     tokens, channels = _tokens(expression), document["channels"]
     skipped = document.get("skipped", {})
-    return tuple(name for name in channels if _Parser(tokens, channels, name, skipped).run())
+    found: dict[str, str] = {}
+    for name in channels:
+        parser = _Parser(tokens, channels, name, skipped)
+        if parser.run() or parser.unjudged:
+            found[name] = "; ".join(dict.fromkeys(parser.unjudged))
+    return found
 
 
 def check_condition(expression: str, expected: Mapping[str, Any]) -> None:
@@ -105,6 +117,7 @@ class _Parser:
         self._skipped = skipped
         self._at = 0
         self._depth = 0
+        self.unjudged: list[str] = []
 
     def run(self) -> bool:
         """Whether the condition holds; UsageError where something stands behind its end."""
@@ -164,7 +177,7 @@ class _Parser:
         end = self._at - 1
         self._check_sides(self._tokens[begin], self._tokens[end])
         if left is None or right is None:
-            return False
+            return True
         if isinstance(left, str) != isinstance(right, str):
             word, other = (begin, end) if isinstance(left, str) else (end, begin)
             raise UsageError(
@@ -211,7 +224,10 @@ class _Parser:
         if not parts:
             raise UsageError(f"{path!r} names a channel and nothing in it", hint=EXAMPLE)
         entry = _member(channel, parts.pop(0), "horizon")
-        return _field(entry, parts, path)
+        value = _field(entry, parts, path)
+        if value is None:
+            self.unjudged.append(f"{path} does not exist ({entry.get('reason', 'no number')})")
+        return value
 
 
 def _check_verdict(*sides: _Token) -> None:
@@ -220,13 +236,10 @@ def _check_verdict(*sides: _Token) -> None:
         return
     for token in sides:
         word = token.text.strip("\"'")
-        if token.kind in ("text", "word") and word not in list(Verdict):
-            near = difflib.get_close_matches(word, list(Verdict), n=1)
-            hint = (
-                f"did you mean {str(near[0])!r}?"
-                if near
-                else f"one of {', '.join(map(repr, map(str, Verdict)))}"
-            )
+        known = [*map(str, Verdict), *(f"{v} on {s}" for v in WIDE for s in Scope if s is not Scope.ANOTHER)]
+        if token.kind in ("text", "word") and word not in known:
+            near = difflib.get_close_matches(word, known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"one of {', '.join(map(repr, known))}"
             raise UsageError(f"no verdict {word!r}", hint=hint)
 
 
@@ -243,8 +256,12 @@ def _field(entry: Mapping[str, Any], parts: list[str], path: str) -> Value:
             raise UsageError(f"{path!r} goes on below a plain value", hint=EXAMPLE)
     if isinstance(value, bool) or not (value is None or isinstance(value, (int, float, str))):
         raise UsageError(f"{path!r} is not a single value", hint=EXAMPLE)
-    if value is None and parts[-1] == "change_pct":
-        return {"worse": math.inf, "better": -math.inf}.get(str(_owner(entry, parts).get("verdict")))
+    owner = _owner(entry, parts)
+    if value is None and parts[-1] in ("change_pct", "low", "high"):
+        verdict = entry.get("verdict") if parts[0] == "ci95" else owner.get("verdict")
+        return {"worse": math.inf, "better": -math.inf}.get(str(verdict))
+    if parts[-1] == "verdict" and value in WIDE and owner.get("scope") not in (None, Scope.ANOTHER):
+        return f"{value} on {owner['scope']}"
     return value
 
 
@@ -252,7 +269,8 @@ def _owner(entry: Mapping[str, Any], parts: Sequence[str]) -> Mapping[str, Any]:
     """The mapping that holds the last part of a path known to exist."""
     owner = entry
     for part in parts[:-1]:
-        owner = owner[part]
+        below = owner[part] if part in owner else owner["models"][part]
+        owner = below if isinstance(below, Mapping) else owner
     return owner
 
 

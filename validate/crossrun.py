@@ -59,7 +59,7 @@ def judge_runs(
     for name in shared:
         progress(f"{name}: comparing")
         try:
-            found[name] = _compare(theirs[name], ours[name], label, b.run.settings.seed)
+            found[name] = _compare(theirs[name], ours[name], label)
         except DataError as error:
             failed[name] = str(error)
     if not found:
@@ -93,7 +93,7 @@ def unseen(a: HeldOut, b: HeldOut) -> Dataset:
     _check_alike(a.train, b.test)
     if _same_split(a, b):
         return b.test
-    known = set(a.train.flights)
+    known = set(a.seen)
     left = b.test.with_segments([s for s in b.test.segments if s.flight not in known])
     if not left.segments:
         raise DataError(
@@ -136,10 +136,10 @@ def _check_alike(a: Dataset, b: Dataset) -> None:
         )
 
 
-def _compare(a: HeldOut, b: HeldOut, label: str | None, seed: int) -> Comparison:
+def _compare(a: HeldOut, b: HeldOut, label: str | None) -> Comparison:
     test = unseen(a, b)
     models, head = _both(a.models, b.models, label)
-    return compare(models, test, baseline=f"a:{head}", contender=f"b:{head}", seed=seed)
+    return compare(models, test, baseline=f"a:{head}", contender=f"b:{head}", seen={*a.seen, *b.seen})
 
 
 def _both(
@@ -181,7 +181,6 @@ def _provenance(
     """Where both runs are from; what they share is said once."""
     found = {"run A": str(a.folder), "run B": str(b.folder)}
     found |= _both_say("recipe", a.recipe, b.recipe)
-    found["bootstrap"] = f"seed {b.settings.seed}"
     for name, (theirs, ours) in sides.items():
         c = comparisons[name]
         one, other = theirs.channel.split, ours.channel.split

@@ -13,6 +13,7 @@ from flysid.validate.checks import Checks
 from flysid.validate.compare import Comparison, Entry, ModelScore, Pair
 from flysid.validate.diagnostics import Diagnosis
 from flysid.validate.residuals import Correlation
+from flysid.validate.words import judged_words
 
 DOCUMENT_VERSION = 1
 
@@ -24,6 +25,7 @@ def to_json(
 ) -> dict[str, Any]:
     """{"channels": {NAME: {HORIZON: {"models", "change_pct", "ci95", "verdict", ...}, "about": {...}}}}.
 
+    "scope" is what the verdict speaks of: "another flight", or only "these flights" or "this flight".
     A channel with several outputs is listed once per output, as "channel/output". "change_pct", "ci95"
     and "verdict" speak of the contender ("ts" where there is one) against the baseline, which "about" names;
     "one_rule": the contender has one rule, so it is a linear model. "pairs" holds every model against the
@@ -126,7 +128,8 @@ def _entry(entry: Entry, contender: str | None) -> dict[str, Any]:
         "change_pct": head.change_pct if head else None,
         "ci95": list(head.ci95) if head and head.ci95 else [None, None],
         "verdict": str(head.verdict) if head else None,
-        "reason": head.reason if head else "only one model was given",
+        "reason": judged_words(head) if head else "only one model was given",
+        "scope": str(head.scope) if head else None,
         "one_rule": bool(head and head.one_rule),
         "short_of": list(head.short_of) if head else [],
         "rivals": {name: _pair(pair) for name, pair in entry.rivals.items()},
@@ -154,11 +157,13 @@ def _pair(pair: Pair) -> dict[str, Any]:
         "change_pct": pair.change_pct,
         "ci95": list(pair.ci95) if pair.ci95 else [None, None],
         "verdict": str(pair.verdict),
-        "reason": pair.reason,
+        "reason": judged_words(pair),
         "one_rule": pair.one_rule,
         "p": pair.p,
         "p_holm": pair.p_holm,
-        "p_diebold_mariano": pair.p_dm,
+        "scope": str(pair.scope),
+        "pooled_pct": pair.pooled_pct,
+        "by_flight": [{"flight": f, "change_pct": c} for f, c in pair.basis.by_flight.items()],
         "units": pair.units,
         "unit": pair.unit,
     }

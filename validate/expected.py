@@ -15,6 +15,7 @@ from flysid.model.base import Fitted
 from flysid.validate.compare import HORIZONS, Sides, sides_of
 from flysid.validate.comparison import Entry, ModelScore, Pair
 from flysid.validate.document import channel_documents
+from flysid.validate.intervals import Change, Scope
 from flysid.validate.metrics import Scores
 from flysid.validate.run import Run, asked_for, models_of
 from flysid.validate.trials import FREE_RUN, horizon_name
@@ -64,6 +65,7 @@ def _entry(output: Signal, horizon: str, models: Mapping[str, Fitted], sides: Si
 
 def _pair(model: str, baseline: str) -> Pair:
     evidence = Evidence(1.0, 1.0, 1.0)
+    basis = Change(Scope.ANOTHER, 1, 0, None, {})
     return Pair(
-        *(model, baseline, 1.0, (1.0, 1.0), 1.0, 1.0, 1.0, 1, "flights"), evidence, Verdict.SAME, "expected"
+        *(model, baseline, 1.0, (1.0, 1.0), 1.0, 1.0, "flights"), basis, evidence, Verdict.SAME, "expected"
     )

@@ -10,7 +10,8 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,9 @@ from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.base import Estimator
 from flysid.split import plan_split
+from flysid.validate import folds
 from flysid.validate.baseline import REFERENCES, choose_baseline, confirmed, linear_estimators
-from flysid.validate.channeljob import ChannelJob
+from flysid.validate.channeljob import ChannelJob, Fits
 from flysid.validate.diskparts import LOOK_ROWS
 from flysid.validate.fitdisk import DiskJob
 from flysid.validate.fitone import reason
@@ -119,7 +121,22 @@ class MemoryJob(ChannelJob[Dataset]):
         linear = {n: model for n, model in fits.models.items() if n in (*BESIDE, choice.label)}
         if not linear:
             return fits.reasons
-        return self.told(fits, confirmed(choice, linear, train), split, train, late)
+        told = self.told(fits, confirmed(choice, linear, train), split, train, late)
+        if not folds.are_needed(split, self.data, settings):
+            return told
+        started = time.perf_counter()
+        turns = folds.fitted_in_turn(
+            self.data, partial(_of_a_fold, settings, fits), self.folder, settings.seed
+        )
+        spent = {"all flights in turn": time.perf_counter() - started}
+        return replace(told, folds=turns, fit_seconds=fits.seconds | spent)
+
+
+def _of_a_fold(settings: FitSettings, fits: Fits, train: Dataset) -> dict[str, Estimator]:
+    """The run's models again, with the delays that this fold's training part speaks for."""
+    hint = delays_to_try(dead_times(train), len(train.inputs))
+    every = {**linear_estimators(hint), **estimators(settings, BESIDE[0], hint)}
+    return {label: estimator for label, estimator in every.items() if label in fits.models}
 
 
 def fit_run(

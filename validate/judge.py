@@ -102,8 +102,11 @@ class Judgement:
         """What to beware of, worst first; as on the page."""
         return cautions(self.comparisons, self.context.diagnoses, self.context.doubts)
 
-    def violations(self, condition: str) -> tuple[str, ...]:
-        """The channels on which a `--fail-if` condition holds; UsageError where it is not understood."""
+    def violations(self, condition: str) -> dict[str, str]:
+        """The channels on which a `--fail-if` condition holds, each with why it could not be judged, or "".
+
+        Raises UsageError where it is not understood.
+        """
         return matching_channels(condition, self.document)
 
 
@@ -134,7 +137,8 @@ def judge_run(
                 item.test,
                 baseline=item.channel.baseline,
                 contender=asked_for(run.settings.models, item.models, item.channel.baseline),
-                seed=run.settings.seed,
+                seen=item.seen,
+                turns=item.turns,
             )
         except DataError as error:
             failed[item.channel.name] = str(error)
@@ -201,6 +205,7 @@ def fit_command(run: Run) -> str:
     words += [f"--antecedent '{a}'" for a in settings.antecedents]
     words += [f"--channel '{c}'" for c in settings.channels]
     words += [f"--models {','.join(settings.models)}"] if settings.models else []
+    words += [] if settings.rotate else ["--no-rotate"]
     words += [f"--memory {settings.memory_mb:g}"] if settings.memory_mb != FitSettings.memory_mb else []
     return " ".join(words)
 
@@ -216,6 +221,10 @@ def _provenance(run: Run, held: list[HeldOut]) -> dict[str, str]:
         split = item.channel.split
         name = item.channel.name
         found[f"{name}: split"] = split_words(split)
+        if item.turns:
+            found[f"{name}: verdict"] = (
+                f"all flights left out in turn, in {len(item.turns)} folds; models as split"
+            )
         found[f"{name}: data sha256"] = str(split["data_sha256"])
         found[f"{name}: held-out sha256"] = str(split["test_sha256"])
         aligned = (line.strip().replace("; ", ", ") for line in item.channel.aligned)  # folded line by line

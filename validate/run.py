@@ -30,7 +30,7 @@ from flysid.ingest.lake.lake import open as open_lake
 from flysid.manifest import DATA_FILE
 from flysid.model.base import Fitted, load
 from flysid.split import By, Split
-from flysid.validate.compare import CONTENDERS
+from flysid.validate.compare import CONTENDERS, Turn
 from flysid.validate.diskparts import LOOK_ROWS, parts_of
 from flysid.version import __version__, check_version
 
@@ -56,6 +56,8 @@ class FitSettings:
     antecedents : variables that choose between rules, or () for automatic choice.
     channels : names to fit; all of the recipe's when empty.
     models : labels to fit besides the references, ARX, OE and the baseline; the usual ones when empty.
+    rotate : where too few flights would be held out, judge each by models of the others
+        (`flysid.validate.folds`).
     memory_mb : samples of a channel that may be in memory; a channel with more is fitted from disk.
     effort : of the search for rules, "quick", "normal" or "thorough".
     """
@@ -69,6 +71,15 @@ class FitSettings:
     models: tuple[str, ...] = ()
     memory_mb: float = 64.0
     effort: str = "normal"
+    rotate: bool = True
+
+
+@dataclass(frozen=True)
+class FoldRun:
+    """Some flights left out, and the models fitted to all others: label -> file in the run's folder."""
+
+    split: Mapping[str, Any]
+    models: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -88,6 +99,7 @@ class ChannelRun:
     dead_times : what was found of the pairs' dead times and handed to the models, one sentence each.
     loops : where a loop is closed around the baseline's free run, one sentence per output.
     on_disk : fitted from disk; the split is of a dataset file (`flysid.validate.diskparts`).
+    folds : where all flights were left out in turn: the split and the models of every turn.
     """
 
     name: str
@@ -102,6 +114,7 @@ class ChannelRun:
     dead_times: tuple[str, ...] = ()
     loops: tuple[str, ...] = ()
     on_disk: bool = False
+    folds: tuple[FoldRun, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -120,12 +133,20 @@ class Run:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """One channel of a run, ready to be judged."""
+    """One channel of a run, ready to be judged.
+
+    Attributes
+    ----------
+    seen : flights that the models were trained on.
+    turns : the models of every fold, beside the flights that these have not seen.
+    """
 
     channel: ChannelRun
     models: Mapping[str, Fitted]
     train: Dataset
     test: Dataset
+    seen: tuple[str, ...]
+    turns: tuple[Turn, ...] = ()
 
 
 def versions() -> dict[str, str]:
@@ -214,7 +235,8 @@ def _run_from(folder: Path, body: Mapping[str, Any]) -> Run:
 def _channel_from(body: Mapping[str, Any]) -> ChannelRun:
     lists = {name: tuple(body.get(name, ())) for name in ("aligned", "dead_times", "loops")}
     doubts = tuple(Doubt(**d) for d in body.get("doubts", ()))
-    return ChannelRun(**{**body, **lists, "doubts": doubts})
+    folds = tuple(FoldRun(**f) for f in body.get("folds", ()))
+    return ChannelRun(**{**body, **lists, "doubts": doubts, "folds": folds})
 
 
 def held_out(run: Run, data: str | Path | None = None) -> list[HeldOut]:
@@ -260,9 +282,17 @@ def _held_out_channel(run: Run, channel: ChannelRun, data: Dataset | DatasetFile
     models = models_of(run, channel)
     split = Split.from_dict(channel.split)
     if isinstance(data, Dataset):
-        return HeldOut(channel, models, *split.apply(data))
+        seen, unseen = split.apply(data)
+        turns = tuple(_turn(run, fold, data) for fold in channel.folds)
+        return HeldOut(channel, models, seen, unseen, seen.flights, turns)
     train, test = parts_of(split, data)
-    return HeldOut(channel, models, train.head(LOOK_ROWS), test.read())
+    flights = tuple(dict.fromkeys(train.file.entries[p.segment].flight for p in train.pieces))
+    return HeldOut(channel, models, train.head(LOOK_ROWS), test.read(), flights)
+
+
+def _turn(run: Run, fold: FoldRun, data: Dataset) -> Turn:
+    models = {label: _load(run.folder, file) for label, file in fold.models.items()}
+    return Turn(models, Split.from_dict(fold.split).apply(data)[1])
 
 
 def models_of(run: Run, channel: ChannelRun) -> dict[str, Fitted]:

@@ -41,23 +41,23 @@ def table(comparisons: Mapping[str, Comparison], fit_seconds: Seconds | None = N
 
 
 def summary(comparisons: Mapping[str, Comparison]) -> str:
-    """One line per channel and output: the verdict, RMSE from and to and its horizon, change and interval."""
+    """One line per channel and output: verdict, RMSE from and to, change, interval, what it rests on."""
     rows = summary_cells(comparisons)
     if not rows:
         return ""
-    widths = [max(len(row[i]) for row in rows) for i in range(5)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return "\n".join("  ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)).rstrip() for r in rows)
 
 
 def summary_cells(comparisons: Mapping[str, Comparison]) -> list[Sequence[str]]:
-    """Output, verdict, RMSE from and to at its horizon, change and interval, per channel and output."""
+    """Output, verdict, RMSE from and to at its horizon, change, interval, units; per channel and output."""
     rows: list[Sequence[str]] = []
     outputs = [output for c in comparisons.values() for output in c.verdict]
     for channel, comparison in comparisons.items():
         for output, pair in comparison.verdict.items():
             entry = comparison.entry(output, comparison.head)
             horizon = horizon_words(entry.horizon, comparison.dt_s)
-            from_, to = (number(entry.models[m].scores.rmse) for m in (pair.baseline, pair.model))
+            from_, to = map(number, (pair.evidence.rmse_baseline, pair.evidence.rmse_model))
             rows.append(
                 (
                     one_line(output if outputs.count(output) == 1 else f"{channel}/{output}"),
@@ -65,6 +65,7 @@ def summary_cells(comparisons: Mapping[str, Comparison]) -> list[Sequence[str]]:
                     f"{horizon}: RMSE {from_} -> {to} {one_line(entry.output.unit)}".rstrip(),
                     change_words(pair),
                     interval_words(pair),
+                    f"({pair.units} {pair.unit})" if pair.ci95 else "",
                 )
             )
     return rows

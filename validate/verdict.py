@@ -6,13 +6,14 @@
 | same | both diverged |
 | not enough data | the measured output, or every input, does not vary |
 | same | the RMSEs differ by less than the data can resolve |
-| not enough data | fewer than 5 flights and fewer than 8 blocks, or nothing scored |
+| not enough data | an error is zero, so that there is no interval |
 | same | the 95 % interval of the change lies inside +-5 % |
 | better / worse | the interval excludes 0 and so does the test after Holm's correction over channels |
 | same | no difference shown, and the interval lies inside +-10 %: a large one is excluded |
 | not enough data | everything else: a difference that matters is neither shown nor excluded |
 
 "Better" and "worse" are said of the model, seen from the baseline; a change below 0 % is a smaller error.
+What a verdict speaks of, another flight or only these, is its scope (`flysid.validate.intervals.Scope`).
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def decide(e: Evidence) -> tuple[Verdict, str]:
     if abs(e.rmse_model - e.rmse_baseline) < e.resolution:
         return Verdict.SAME, "the difference is below what the data can resolve"
     if e.low_pct is None or e.high_pct is None or e.p is None:
-        return Verdict.NOT_ENOUGH, "too few independent flights or blocks for an interval"
+        return Verdict.NOT_ENOUGH, "an error is zero, so that there is no interval"
     return _from_interval(e.low_pct, e.high_pct, e.p)
 
 
@@ -86,5 +87,5 @@ def _from_interval(low: float, high: float, p: float) -> tuple[Verdict, str]:
     if p < ALPHA and low > 0.0:
         return Verdict.WORSE, "the interval lies above 0 %"
     if low > -LARGE_PCT and high < LARGE_PCT:
-        return Verdict.SAME, f"no difference shown, and one above {LARGE_PCT:g} % is excluded"
+        return Verdict.SAME, f"a difference above {LARGE_PCT:g} % is excluded, and none is shown"
     return Verdict.NOT_ENOUGH, "a difference that matters is neither shown nor excluded"

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from flysid.validate.compare import Pair
+from flysid.validate.comparison import Pair
+from flysid.validate.intervals import FEW, Scope
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import LARGE_PCT, MARGIN_PCT, Verdict
 
@@ -59,31 +60,82 @@ def change_words(pair: Pair) -> str:
 
 
 def verdict_words(pair: Pair) -> str:
-    """ "TS better", "no difference shown", "same within 5 %", "not enough data"; who diverged where one did.
+    """ "TS better", "TS better on this flight", "same within 5 %", "not enough data"; or who diverged.
 
-    "Same within 5 %" is a difference that was shown and does not matter.
+    Without more words a verdict is of another flight.
     """
     model, base = one_line(pair.model).upper(), one_line(pair.baseline).upper()
     if pair.evidence.diverged_baseline:
         return "both diverged" if pair.evidence.diverged_model else f"{model} better: {base} diverged"
     if pair.evidence.diverged_model:
         return f"{model} worse: it diverged"
+    where = "" if pair.scope is Scope.ANOTHER else f" on {pair.scope}"
     if pair.contested:
-        return f"{model} better than {base}, not shown against {named(pair.short_of)}"
+        return f"{model} better than {base}{where}, not shown against {named(pair.short_of)}"
     if pair.verdict in (Verdict.BETTER, Verdict.WORSE):
-        return f"{model} {pair.verdict}" + (" (one rule: linear)" if pair.one_rule else "")
-    if pair.verdict is Verdict.SAME:
-        small = pair.ci95 is not None and max(map(abs, pair.ci95)) < MARGIN_PCT
-        return f"same within {MARGIN_PCT:g} %" if small and _shown(pair) else "no difference shown"
+        return f"{model} {pair.verdict}{where}" + (" (one rule: linear)" if pair.one_rule else "")
+    if pair.verdict is Verdict.SAME and pair.ci95 is not None:
+        e = pair.evidence
+        reach = max(map(abs, pair.ci95))
+        told = abs(e.rmse_model - e.rmse_baseline) >= e.resolution
+        within = next((f" within {m:g} %" for m in (MARGIN_PCT, LARGE_PCT) if told and reach < m), "")
+        return f"{pair.verdict}{within}{where}"
     return str(pair.verdict)
 
 
-def _shown(pair: Pair) -> bool:
-    """Whether the interval excludes no difference, of errors that the data can tell apart."""
-    e = pair.evidence
-    if pair.ci95 is None or abs(e.rmse_model - e.rmse_baseline) < e.resolution:
-        return False
-    return not pair.ci95[0] <= 0.0 <= pair.ci95[1]
+def judged_words(pair: Pair) -> str:
+    """The reason of a verdict, and what has to be known of its scope."""
+    return "; ".join([pair.reason, *scope_words(pair)])
+
+
+def scope_words(pair: Pair) -> list[str]:
+    """What a verdict leaves open, by how many flights it rests on."""
+    if pair.ci95 is None:
+        return []
+    shown = pair.verdict in (Verdict.BETTER, Verdict.WORSE)
+    if pair.basis.rotated:
+        turns = f"models fitted to these {pair.units} flights, judged on flights that they had not seen"
+        return [f"{turns} (each left out once)", *_pooled_words(pair)]
+    if pair.scope is Scope.ANOTHER:
+        return [*_few_words(pair, shown), *_pooled_words(pair)]
+    said = []
+    if pair.scope is Scope.THESE:
+        said.append("these are parts of flights that the models trained on: another flight may differ")
+    else:
+        said.append("one flight cannot say whether another would agree")
+    if pair.basis.slow:
+        said.append(
+            f"the error changes slower than {pair.scope} last{'s' * (pair.scope is Scope.THIS)}: only a "
+        )
+        said[-1] += "large difference can be seen"
+    return said
+
+
+def _few_words(pair: Pair, shown: bool) -> list[str]:
+    changes = list(pair.basis.by_flight.values())
+    if len(changes) > FEW:
+        return []
+    if shown:
+        usual = "on other flights too, if luck differs between flights as it usually does"
+        return [f"{usual} ({pair.units} flights; more would show it without this 'if')"]
+    if pair.verdict is Verdict.SAME or pair.change_pct is None:
+        return []
+    lower = sum(c < 0.0 for c in changes)
+    return [
+        f"not enough flights to speak of another; on these {pair.units}: lower on {lower}, "
+        f"{percent(pair.change_pct)} typically"
+    ]
+
+
+def _pooled_words(pair: Pair) -> list[str]:
+    """Where all samples together say something else than a typical flight: one flight carries them."""
+    pooled = pair.pooled_pct
+    flights = pair.basis.by_flight
+    if pooled is None or not flights or pair.ci95 is None or pair.ci95[0] <= pooled <= pair.ci95[1]:
+        return []
+    side = 1.0 if pooled > pair.ci95[1] else -1.0
+    far = max(flights.items(), key=lambda flight: side * flight[1])
+    return [f"all samples together say {percent(pooled)}: flight {one_line(far[0])} carries it"]
 
 
 def named(models: Sequence[str]) -> str:

@@ -58,6 +58,13 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
 @click.option("--by", default="auto", show_default=True, type=click.Choice(["auto", "flight", "time"]))
 @click.option("--seed", default=7, show_default=True)
 @click.option(
+    "--rotate/--no-rotate",
+    default=True,
+    show_default=True,
+    help="Where fewer than 5 flights would be held out and 5 exist: leave every flight out once, in 5 folds, "
+    "and judge on all. Costs five more fits.",
+)
+@click.option(
     "--memory",
     default=64.0,
     show_default=True,
@@ -87,6 +94,7 @@ def command(
     holdout: float,
     by: By,
     seed: int,
+    rotate: bool,
     memory: float,
     jobs: int,
     force: bool,
@@ -112,7 +120,7 @@ def command(
     from flysid.validate.run import FitSettings
 
     labels = tuple(label for label in models.replace(" ", "").lower().split(",") if label)
-    settings = FitSettings(holdout, by, seed, rules, antecedents, channels, labels, memory, effort)
+    settings = FitSettings(holdout, by, seed, rules, antecedents, channels, labels, memory, effort, rotate)
     lost = False
     if is_dataset:
         with status(quiet) as progress:

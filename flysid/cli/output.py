@@ -93,10 +93,13 @@ def finish(judgement: Judgement, condition: str | None, report: Path | None, qui
         say(f"channel {name} not judged: {why}")
     if report is not None:
         say(f"report: {report}", quiet)
-    failed = judgement.violations(condition) if condition is not None else ()
+    failed = judgement.violations(condition) if condition is not None else {}
     if failed:
         where = f" on {', '.join(failed)}" if len(failed) < len(judgement.document["channels"]) else ""
         say(f"check failed{where}: {condition}")
+        for name, why in failed.items():
+            if why:
+                say(f"{name}: {why}: what cannot be judged fails")
         return 4
     return 3 if judgement.unjudged else 0
 

@@ -96,7 +96,19 @@ def test_from_synth_to_verdict_on_one_channel(tmp_path: Path) -> None:
     assert call("synth", "-o", "logs", "--duration", "20", "--format", "mcap", cwd=tmp_path).returncode == 2
     assert call("ingest", "logs", "-o", "data", cwd=tmp_path).returncode == 0
     fitted = call(
-        *("fit", "data", "-r", "ardrone-synthetic", "-c", "lateral", "--rules", "2", "-o", "run"),
+        *(
+            "fit",
+            "data",
+            "-r",
+            "ardrone-synthetic",
+            "-c",
+            "lateral",
+            "--rules",
+            "2",
+            "--no-rotate",
+            "-o",
+            "run",
+        ),
         cwd=tmp_path,
     )
     assert (fitted.returncode, fitted.stdout) == (0, "run\n"), fitted.stderr

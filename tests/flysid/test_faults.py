@@ -53,7 +53,7 @@ def test_no_room_is_named_and_nothing_partial_shows(
 
 def test_one_and_two_workers_fit_and_judge_alike(tmp_path: Path) -> None:
     lake = open_lake(small_data(tmp_path))
-    settings = FitSettings(channels=("vertical", "lateral"), rules=1)
+    settings = FitSettings(channels=("vertical", "lateral"), rules=1, rotate=False)
     found = []
     for jobs in (1, 2):
         run = fit_run(lake, "ardrone-synthetic", tmp_path / f"run{jobs}", settings, jobs=jobs)
@@ -130,7 +130,7 @@ def test_no_memory_to_align_costs_that_channel_only(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(Lake, "align", greedy)
     monkeypatch.setattr("flysid.validate.fitting.linear_estimators", lambda *_: {"arx": Greedy(())})
     monkeypatch.setattr("flysid.validate.fitting.estimators", lambda *_: {"arx": Greedy(())})
-    settings = FitSettings(channels=("vertical", "lateral"))
+    settings = FitSettings(channels=("vertical", "lateral"), rotate=False)
     run = fit_run(lake, "ardrone-synthetic", tmp_path / "run", settings)
     assert [channel.name for channel in run.channels] == ["lateral"]
     assert run.skipped["vertical"].startswith("out of memory. Try: ")

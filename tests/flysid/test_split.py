@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ from hypothesis import strategies as st
 
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import DataError, StoreError, UsageError
-from flysid.split import Split, plan_split
+from flysid.split import Split, plan_folds, plan_split
 
 DT = 0.02
 
@@ -147,3 +148,20 @@ def test_a_damaged_split_is_refused() -> None:
     for damage in ({"test": [[1]]}, {"seed": "x"}, {"data_sha256": None, "train": 5}):
         with pytest.raises(StoreError):
             Split.from_dict({**document, **damage})
+
+
+def test_folds_hold_out_every_flight_once() -> None:
+    whole = data(*(flight(f"f{i}", 100, seed=i) for i in range(7)))
+    folds = plan_folds(whole, 5, seed=2)
+    held = [fold.apply(whole)[1].flights for fold in folds]
+    assert sorted(len(some) for some in held) == [1, 1, 1, 2, 2]
+    assert sorted(f for some in held for f in some) == sorted(whole.flights)
+    assert all(
+        not set(fold.apply(whole)[0].flights) & set(some) for fold, some in zip(folds, held, strict=True)
+    )
+    assert plan_folds(whole, 5, seed=2) == folds
+    with pytest.raises(DataError, match="one flight"):
+        plan_folds(whole.with_segments(whole.segments[:1]), 5)
+    twin = replace(whole.segments[0], flight="twin")
+    with pytest.raises(DataError, match="repeats training flight"):
+        plan_folds(whole.with_segments([*whole.segments, twin]), 8)

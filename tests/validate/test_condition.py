@@ -42,7 +42,7 @@ DOCUMENT = {
         ("free_run.change_pct > 5", ("v z/odd",)),  # diverged counts as infinitely worse
         ("free_run.change_pct < -20", ("roll",)),
         ("roll.free_run.change_pct < -20", ("roll", "v z/odd")),
-        ("10.change_pct > 5", ("roll",)),
+        ("10.change_pct > 5", ("roll", "v z/odd")),  # what cannot be judged fails
         ("1.change_pct == 0", ("roll",)),
         ("free_run.verdict == worse", ("v z/odd",)),
         ("10.verdict == 'not enough data'", ("v z/odd",)),
@@ -50,21 +50,38 @@ DOCUMENT = {
         ("free_run.ts.rmse > 0.29 and free_run.models.arx.rmse >= 0.4", ("roll", "v z/odd")),
         ("(free_run.change_pct > 5 or 10.change_pct > 5) and 1.verdict == same", ("roll", "v z/odd")),
         ('"v z/odd".1.change_pct >= 1e0 and free_run.verdict != worse', ("roll",)),
-        ("free_run.ts.fit_pct < 50", ()),  # null
+        ("free_run.ts.fit_pct < 50", ("roll", "v z/odd")),  # null
         ("free_run.pairs.ts.change_pct > 1000", ("v z/odd",)),
     ],
 )
 def test_conditions(expression: str, channels: tuple[str, ...]) -> None:
-    assert matching_channels(expression, DOCUMENT) == channels
+    assert tuple(matching_channels(expression, DOCUMENT)) == channels
+
+
+def test_a_guard_that_cannot_judge_fails_and_says_why() -> None:
+    both = {**entry(None, "same"), "reason": "both diverged in free run: neither is usable"}
+    document = {"channels": {"roll": {"free_run": both}}}
+    for expression in ("free_run.change_pct > 5", "not free_run.change_pct > 5", "free_run.pairs.ts.p < 0.1"):
+        (why,) = matching_channels(expression, document).values()
+        assert "does not exist (both diverged in free run: neither is usable)" in why
+    assert matching_channels("free_run.ts.rmse > 1", document) == {}
+
+
+def test_better_without_more_words_is_said_of_another_flight() -> None:
+    here = {"channels": {"roll": {"free_run": {**entry(-30.0, "better"), "scope": "this flight"}}}}
+    assert matching_channels("free_run.verdict == better", here) == {}
+    assert matching_channels("free_run.verdict == 'better on this flight'", here) == {"roll": ""}
+    assert matching_channels('free_run.scope == "this flight"', here) == {"roll": ""}
+    bad = {"channels": {"roll": {"free_run": {**entry(30.0, "worse"), "scope": "this flight"}}}}
+    assert matching_channels("free_run.verdict == worse", bad) == {"roll": ""}
 
 
 def test_models_of_two_runs_need_no_quotes() -> None:
     two = {**entry(-30.0, "better"), "models": {"a:ts": {"rmse": 0.4}, "b:ts": {"rmse": 0.3}}}
     document = {"channels": {"roll": {"free_run": two}}}
-    assert matching_channels("free_run.b:ts.rmse < 0.35 and free_run.models.a:ts.rmse > 0.35", document) == (
-        "roll",
-    )
-    assert matching_channels('free_run."b:ts".rmse < 0.2', document) == ()
+    both = "free_run.b:ts.rmse < 0.35 and free_run.models.a:ts.rmse > 0.35"
+    assert matching_channels(both, document) == {"roll": ""}
+    assert matching_channels('free_run."b:ts".rmse < 0.2', document) == {}
 
 
 @pytest.mark.parametrize(

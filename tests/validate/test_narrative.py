@@ -38,11 +38,14 @@ def test_models_that_a_constant_equals_are_not_called_better() -> None:
 
 def test_units_of_all_channels_are_told() -> None:
     (pair,) = compared().verdict.values()
-    blocks = [replace(pair, units=n, unit=f"blocks of {s} s") for n, s in ((14, 8.5), (20, 5.9))]
+    blocks = [
+        replace(pair, basis=replace(pair.basis, units=n), unit=f"blocks of {s} s")
+        for n, s in ((4, 8.5), (12, 5.9))
+    ]
     for pairs, words in (
         ([pair], "6 flights"),
-        (blocks[:1], "14 blocks of 8.5 s"),
-        (blocks, "14 to 20 blocks of time"),
-        ([pair, pair, *blocks], "6 flights or 14 to 20 blocks of time"),
+        (blocks[:1], "4 blocks of 8.5 s"),
+        (blocks, "4 to 12 blocks of time"),
+        ([pair, pair, *blocks], "6 flights or 4 to 12 blocks of time"),
     ):
         assert narrative._units([("x", p) for p in pairs]) == words

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flysid.validate.residuals import autocorrelation, cross_correlation, spectrum
-from tests.validate.test_bootstrap import ar1
+from tests.validate.test_intervals import ar1
 
 
 def test_white_errors_pass_and_red_ones_fail() -> None:

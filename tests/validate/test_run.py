@@ -23,9 +23,12 @@ from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.model.anfis import ANFIS
+from flysid.model.arx import ARX
 from flysid.model.base import Estimator
 from flysid.model.ensemble import Ensemble
+from flysid.model.oe import OE
 from flysid.model.ts import TS
+from flysid.split import Split
 from flysid.validate import fitting, judge
 from flysid.validate.baseline import linear_estimators
 from flysid.validate.compare import compare, sides_of
@@ -33,6 +36,7 @@ from flysid.validate.comparison import Comparison, Entry
 from flysid.validate.expected import expected_of_run
 from flysid.validate.fitting import fit_run
 from flysid.validate.judge import judge_run, write_judgement
+from flysid.validate.report import render
 from flysid.validate.run import FitSettings, HeldOut, Run, asked_for, held_out, open_run
 from flysid.validate.words import number
 from tests.fakes import FirstOrder, fields_of, flown
@@ -65,8 +69,18 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def run(data: Path) -> Run:
-    settings = FitSettings(channels=(CHANNEL,), rules=2)
+    settings = FitSettings(channels=(CHANNEL,), rules=2, rotate=False)
     return fit_run(open_lake(data), "ardrone-synthetic", data.parent / "run", settings)
+
+
+@pytest.fixture(scope="module")
+def turned(data: Path) -> Run:
+    """With orders given: six fits of everything."""
+    settings = FitSettings(channels=(CHANNEL,), models=("line",))
+    given: dict[str, Estimator] = {"arx": ARX(na=2, nb=2, nk=1, refine=False), "oe": OE(na=1, nb=1, nk=1)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fitting, "linear_estimators", lambda _=(): given)
+        return fit_run(open_lake(data), "ardrone-synthetic", data.parent / "turned", settings)
 
 
 @pytest.fixture
@@ -84,6 +98,37 @@ def test_the_held_out_part_is_made_again_and_was_never_trained_on(run: Run) -> N
     assert held.channel.baseline in held.models
     assert not set(held.train.flights) & set(held.test.flights)
     assert len(held.test) / (len(held.train) + len(held.test)) == pytest.approx(0.3, abs=0.12)
+
+
+def test_all_six_flights_are_judged_by_models_that_have_not_seen_them(turned: Run) -> None:
+    """Two would be held out; they take turns instead, and the models of the run stay those of the split."""
+    assert open_run(turned.folder) == turned
+    (held,) = held_out(turned)
+    assert len(held.test.flights) <= 4
+    assert len(held.turns) == 5
+    left_out = [flight for turn in held.turns for flight in turn.test.flights]
+    assert sorted(left_out) == sorted({*held.train.flights, *held.test.flights})
+    for fold, turn in zip(held.channel.folds, held.turns, strict=True):
+        split = Split.from_dict(fold.split)
+        assert not {p.segment for p in split.train} & {p.segment for p in split.test}
+        assert set(turn.models) == set(held.models)
+        assert turn.models["arx"] != held.models["arx"]
+    judgement = judge_run(turned)
+    pair = judgement.document["channels"][CHANNEL]["free_run"]["pairs"]["line"]
+    assert (pair["scope"], pair["units"], pair["unit"]) == ("another flight", 6, "flights")
+    assert len(pair["by_flight"]) == 6
+    assert pair["verdict"] == "worse"
+    assert "each left out once" in pair["reason"]
+    page = render(judgement.context)
+    assert "odels fitted to these 6 flights, judged on flights that they had not seen" in page
+    assert "The models shown and saved are those of the split" in page
+
+
+def test_without_rotation_two_flights_are_judged_and_said_to_be_few(run: Run) -> None:
+    document = judge_run(run).document
+    pair = document["channels"][CHANNEL]["free_run"]["pairs"]["ts"]
+    assert (pair["scope"], pair["units"]) == ("another flight", 2)
+    assert any("Only 2 held-out flights" in c["text"] for c in document["cautions"])
 
 
 def test_the_judgement_finds_a_linear_model_enough_on_a_linear_plant(run: Run) -> None:
@@ -315,14 +360,16 @@ def test_segments_too_short_for_the_grid_are_named_and_nothing_is_left(data: Pat
     text = (Path(__file__).parents[2] / "ingest/align/recipes/ardrone-synthetic.toml").read_text()
     recipe.write_text("rate_hz = 0.5\n" + text)
     with pytest.raises(DataError, match=r"longitudinal: .*no segment of 20 samples"):
-        fit_run(open_lake(data), str(recipe), tmp_path / "run", FitSettings(channels=(CHANNEL,)))
+        fit_run(
+            open_lake(data), str(recipe), tmp_path / "run", FitSettings(channels=(CHANNEL,), rotate=False)
+        )
     assert [p.name for p in tmp_path.iterdir()] == ["tiny.toml"]
 
 
 def test_other_models_are_fitted_on_request(data: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no model 'arxx'"):
         fit_run(open_lake(data), "ardrone-synthetic", tmp_path / "run", FitSettings(models=("arxx",)))
-    settings = FitSettings(channels=(CHANNEL,), models=("tf",))
+    settings = FitSettings(channels=(CHANNEL,), models=("tf",), rotate=False)
     run = fit_run(open_lake(data), "ardrone-synthetic", tmp_path / "run", settings)
     assert {"mean", "arx", "oe", "tf"} <= set(run.channels[0].models)
     assert not {"ts", "static_ts"} & set(run.channels[0].models)
@@ -337,7 +384,7 @@ def test_other_models_are_fitted_on_request(data: Path, tmp_path: Path) -> None:
 
 
 def test_every_label_makes_an_estimator_that_knows_what_was_asked_for() -> None:
-    settings = FitSettings(rules=2, antecedents=("v_x(k-1)",), models=("anfis", "ensemble"))
+    settings = FitSettings(rules=2, antecedents=("v_x(k-1)",), models=("anfis", "ensemble"), rotate=False)
     found = fitting.estimators(settings, "arx", (4,))
     anfis, ensemble = found["anfis"], found["ensemble"]
     assert isinstance(anfis, ANFIS)

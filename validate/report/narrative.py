@@ -6,8 +6,17 @@ from collections.abc import Mapping, Sequence
 
 from flysid.validate.compare import FUZZY
 from flysid.validate.comparison import Comparison, Pair
+from flysid.validate.intervals import Scope
 from flysid.validate.verdict import Verdict
-from flysid.validate.words import horizon_words, named, number, one_line, percentage, verdict_words
+from flysid.validate.words import (
+    horizon_words,
+    named,
+    number,
+    one_line,
+    percentage,
+    scope_words,
+    verdict_words,
+)
 
 NAMES = {
     "ts": "fuzzy model",
@@ -98,8 +107,10 @@ def title(pairs: Heads, idle: Sequence[str] = ()) -> str:
     if not pairs:
         return "One model, nothing to compare it with."
     model, base = called(pairs[0][1].model), base_words(pairs)
+    scope = narrow_scope(pairs)
     worth = [(n, p) for n, p in pairs if n not in idle]
-    count = {v: sum(p.verdict is v for _, p in worth) for v in Verdict}
+    count = {v: sum(p.verdict is v and p.scope in (scope, Scope.ANOTHER) for _, p in worth) for v in Verdict}
+    count[Verdict.NOT_ENOUGH] = sum(p.verdict is Verdict.NOT_ENOUGH for _, p in worth)
     one_rule = sum(p.verdict is Verdict.BETTER and p.one_rule for _, p in worth)
     contested = [p for _, p in worth if p.contested]
     count[Verdict.BETTER] -= one_rule + len(contested)
@@ -107,6 +118,7 @@ def title(pairs: Heads, idle: Sequence[str] = ()) -> str:
     total = len(pairs)
     every = "both" if total == 2 else f"all {total}"
     on_all = f"on {every} channels" if total > 1 else f"on {pairs[0][0]}"
+    here = "" if scope is Scope.ANOTHER else f" on {scope}"
     if all(map(_both_diverged, pairs)):
         return f"Neither the {model} nor the {base} is usable {on_all}."
     if len(idle) == total:
@@ -114,25 +126,33 @@ def title(pairs: Heads, idle: Sequence[str] = ()) -> str:
     if count[Verdict.NOT_ENOUGH] == total:
         return "Not enough held-out data for a verdict."
     if count[Verdict.BETTER] == total:
-        return f"The {model} is better {on_all}."
+        return f"The {model} is better{here}{',' * bool(here)} {on_all}."
     if count[Verdict.BETTER]:
-        return f"The {model} is better on {count[Verdict.BETTER]} of {total} channels."
+        return f"The {model} is better{here} on {count[Verdict.BETTER]} of {total} channels."
     if contested:
         rest = f" on {len(contested)} of {total} channels" if total > 1 else ""
         rivals = named(tuple(dict.fromkeys(n for p in contested for n in p.short_of)))
         return f"The {model} is better than the chosen linear model{rest}, not shown against {rivals}."
     if count[Verdict.WORSE] == total:
-        return f"The {base} is better {on_all}."
+        return f"The {base} is better{here}{',' * bool(here)} {on_all}."
     if count[Verdict.WORSE]:
-        return f"The {base} is better on {count[Verdict.WORSE]} of {total} channels; the {model} on none."
+        return (
+            f"The {base} is better{here} on {count[Verdict.WORSE]} of {total} channels; the {model} on none."
+        )
     if count[Verdict.SAME] == total and _two_runs(pairs):
-        return f"The two runs show no difference {on_all}."
+        return f"The two runs are the same{here} {on_all}."
     if count[Verdict.SAME] == total:
-        return f"{'A' if one_rule else 'The'} {base} is enough {on_all}."
+        return f"{'A' if one_rule else 'The'} {base} is enough{here} {on_all}."
     left = total - count[Verdict.SAME]
     rest = f"on {'the other' if left == 1 else 'the others'}"
     rest = f"not enough data {rest}" if not idle else f"{rest} see below"
-    return f"No difference shown on {count[Verdict.SAME]} of {total} channels; {rest}."
+    return f"The same{here} on {count[Verdict.SAME]} of {total} channels; {rest}."
+
+
+def narrow_scope(pairs: Heads) -> Scope:
+    """The scope of all verdicts where they share one, else another flight, which "better" alone means."""
+    scopes = {p.scope for _, p in pairs}
+    return scopes.pop() if len(scopes) == 1 else Scope.ANOTHER
 
 
 def alone(comparisons: Mapping[str, Comparison]) -> str:
@@ -160,11 +180,12 @@ def subtitle(pairs: Heads, idle: Sequence[str] = ()) -> str:
         return f"Both models diverged in free run on {_listed(lost)}: see the cautions. {rest}".rstrip()
     if pairs and all(pair.verdict is Verdict.SAME for _, pair in pairs):
         both = f"the {called(pairs[0][1].model)} and the {base_words(pairs)}"
-        return f"In free run the flights show no difference between {both}: keep the simpler one."
-    sentences = [*_gains(pairs), *_diverged(pairs), *_contested(pairs), *_one_rule(pairs)]
+        said = f"In free run {both} are the same: keep the simpler one."
+        return " ".join([said, *_scopes(pairs)])
+    sentences = [*_gains(pairs), *_diverged(pairs), *_contested(pairs), *_one_rule(pairs), *_scopes(pairs)]
     base = base_words(pairs) if pairs else ""
     for verdict, text in (
-        (Verdict.SAME, "the flights show no difference in free run: keep the {base} there."),
+        (Verdict.SAME, "both are the same in free run: keep the {base} there."),
         (Verdict.WORSE, "the {base} is better in free run: keep it there."),
         (Verdict.NOT_ENOUGH, "there is not enough held-out data to tell."),
     ):
@@ -200,7 +221,19 @@ def _gains(pairs: Heads) -> list[str]:
         for name, p in pairs
         if p.earned and p.change_pct is not None and p.ci95 is not None
     ]
-    return [f"In free run its error is {_listed(said)}."] if 0 < len(said) <= 4 else []
+    typical = " on a typical flight" if narrow_scope(pairs) is Scope.ANOTHER else ""
+    return [f"In free run{typical} its error is {_listed(said)}."] if 0 < len(said) <= 4 else []
+
+
+def _scopes(pairs: Heads) -> list[str]:
+    """What the verdicts leave open of other flights, each reservation once."""
+    said: dict[str, list[str]] = {}
+    for name, pair in pairs:
+        for words in scope_words(pair):
+            said.setdefault(words, []).append(name)
+    if len(pairs) == 1:
+        return [f"{words[0].upper()}{words[1:]}." for words in said]
+    return [f"On {_listed(names)}: {words}." for words, names in said.items()]
 
 
 def _contested(pairs: Heads) -> list[str]:
@@ -248,8 +281,14 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
         words += f" after training on {duration(train_s)}"
     words += ", " + " and ".join(f"{r:g}" for r in rates) + " Hz."
     if pairs:
-        words += f" Judged on free-run error with a paired bootstrap over {_units(pairs)}"
+        words += f" Judged on free-run error over {_units(pairs)}"
+        words += ", each left out once" if any(p.basis.rotated for _, p in pairs) else ""
         words += ", corrected for several channels (Holm)." if len(pairs) > 1 else "."
+    if any(p.basis.rotated for _, p in pairs):
+        words += (
+            " The models shown and saved are those of the split; the verdict is of models fitted alike to "
+        )
+        words += " the other flights."
     return f"{words} {start_words(comparisons)}"
 
 

@@ -1,0 +1,145 @@
+"""Intervals and tests on data whose truth is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bench.verdict_coverage import Case, run
+from flysid.dataset import FloatArray
+from flysid.validate.intervals import Scope, across_flights, change, correlation_length, holm
+
+
+def ar1(n: int, rho: float, rng: np.random.Generator) -> FloatArray:
+    e = np.zeros(n)
+    for k in range(1, n):
+        e[k] = rho * e[k - 1] + rng.normal()
+    return e
+
+
+def test_correlation_length_of_an_ar1_process() -> None:
+    rng = np.random.default_rng(3)
+    assert correlation_length(rng.normal(size=20000)) == pytest.approx(1.0, abs=0.15)
+    assert correlation_length(ar1(20000, 0.9, rng)) == pytest.approx(19.0, rel=0.25)  # (1 + rho) / (1 - rho)
+
+
+def test_the_scope_is_another_flight_only_where_several_flights_are_unseen() -> None:
+    rng = np.random.default_rng(0)
+    ea, eb = ([rng.normal(size=300) for _ in range(4)] for _ in range(2))
+    flights = ["f", "f", "g", "h"]
+    assert (change(ea, eb, flights).scope, change(ea, eb, flights).units) == (Scope.ANOTHER, 3)
+    seen = change(ea, eb, flights, seen=["g", "x"])
+    assert (seen.scope, seen.units, seen.block) == (Scope.THESE, 12, 100)
+    assert change(ea, eb, ["f"] * 4).scope is Scope.THIS
+
+
+def test_a_typical_flight_is_the_geometric_mean_with_students_t() -> None:
+    """By hand: logs of 0.8, 0.9, 1.0, 0.7, 0.85; t of 4 degrees of freedom is 2.776."""
+    ratios = np.array([0.8, 0.9, 1.0, 0.7, 0.85])
+    e = [np.full(40, 1.0 + i) * np.resize([1.0, -1.0], 40) for i in range(5)]
+    found = change(e, [r * x for r, x in zip(ratios, e, strict=True)], list("abcde"))
+    logs = np.log(ratios)
+    half = 2.7764451 * logs.std(ddof=1) / np.sqrt(5)
+    assert found.interval is not None
+    assert found.interval.change_pct == pytest.approx(100 * np.expm1(logs.mean()))
+    assert found.interval.low_pct == pytest.approx(100 * np.expm1(logs.mean() - half))
+    assert found.interval.high_pct == pytest.approx(100 * np.expm1(logs.mean() + half))
+    assert found.by_flight["d"] == pytest.approx(-30.0)
+
+
+def test_up_to_four_flights_the_prior_widens_and_models_that_predict_alike_limit_it() -> None:
+    """By hand: two flights, the same ratio; squares 2 x 0.3^2, 3 degrees of freedom, over 2 flights."""
+    bare, helped = across_flights([-0.4, -0.4]), across_flights([-0.4, -0.4], 0.3)
+    assert bare.p == 0.0
+    half = 3.1824463 * np.sqrt(2 * 0.3**2 / 3 / 2)
+    assert helped.low_pct == pytest.approx(100 * np.expm1(-0.4 - half))
+    assert helped.p > 0.05
+    rng = np.random.default_rng(2)
+    e = [rng.normal(size=500) for _ in range(2)]
+    nearly = change(e, [1.01 * x for x in e], ["a", "b"]).interval
+    assert nearly is not None
+    assert -5.0 < nearly.low_pct < nearly.high_pct < 5.0
+
+
+def test_rotation_stretches_the_interval() -> None:
+    logs = [-0.5, -0.3, -0.4, -0.2, -0.4, -0.45]
+    plain, rotated = across_flights(logs, 0.3), across_flights(logs, 0.3, rotated=True)
+    widths = [np.log1p(i.high_pct / 100) - np.log1p(i.low_pct / 100) for i in (plain, rotated)]
+    assert widths[1] == pytest.approx(1.2 * widths[0])
+
+
+def test_one_flight_always_has_an_interval() -> None:
+    rng = np.random.default_rng(1)
+    found = change([ar1(300, 0.995, rng)], [0.5 * ar1(300, 0.995, rng)], ["f"])
+    assert found.interval is not None
+    assert found.interval.low_pct < found.interval.change_pct < found.interval.high_pct
+    assert found.slow
+
+
+def test_the_interval_is_the_same_whichever_model_is_the_baseline() -> None:
+    rng = np.random.default_rng(6)
+    ea, eb = ([rng.normal(size=300) for _ in range(3)] for _ in range(2))
+    for flights in (list("abc"), ["a"] * 3):
+        one, other = change(ea, eb, flights).interval, change(eb, ea, flights).interval
+        assert one is not None
+        assert other is not None
+        assert np.log1p(one.low_pct / 100) == pytest.approx(-np.log1p(other.high_pct / 100))
+
+
+def test_equal_models_and_hopeless_data() -> None:
+    rng = np.random.default_rng(1)
+    e = [rng.normal(size=2000)]
+    for flights in (["f"], ["f", "g"], list("abcdef")):
+        same = change(e * len(flights), e * len(flights), flights).interval
+        assert same is not None
+        assert (same.low_pct, same.high_pct, same.p) == (0.0, 0.0, 1.0)
+    assert change([np.zeros(2000)], e, ["f"]).interval is None
+    assert change(e, [np.zeros(2000)], ["f"]).interval is None
+
+
+@pytest.mark.parametrize("unit", [1e-200, 1e200])
+def test_units_do_not_matter(unit: float) -> None:
+    rng = np.random.default_rng(4)
+    ea, eb = ([rng.normal(size=200) for _ in range(3)] for _ in range(2))
+    one = change(ea, eb, list("abc")).interval
+    other = change([unit * e for e in ea], [unit * e for e in eb], list("abc")).interval
+    assert one is not None
+    assert other is not None
+    assert other.high_pct == pytest.approx(one.high_pct)
+
+
+@pytest.mark.parametrize("flights", [1, 2, 3, 7])
+@pytest.mark.parametrize("seed", range(6))
+def test_p_is_below_5_percent_where_the_interval_excludes_no_change(seed: int, flights: int) -> None:
+    rng = np.random.default_rng(seed)
+    ea = [ar1(400, 0.9, rng) for _ in range(flights)]
+    eb = [np.exp(rng.normal(-0.3, 0.2)) * ar1(400, 0.9, rng) for _ in range(flights)]
+    found = change(ea, eb, [str(i) for i in range(flights)]).interval
+    assert found is not None
+    assert (found.p < 0.05) == (not found.low_pct <= 0.0 <= found.high_pct)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [Case(n, luck=luck) for n in (2, 4, 6) for luck in (0.0, 0.15)]
+    + [Case(3, luck=0.3), Case(8, luck=0.15, kind="drift"), Case(5, kind="regimes", luck=0.15)]
+    + [Case(1, 500, 0.9), Case(1, 500, 0.98), Case(1, 500, 0.9, 0.98)],
+    ids=str,
+)
+def test_interval_covers_the_truth_about_as_often_as_it_says(case: Case) -> None:
+    """200 draws: two and a half standard errors are 4 %. The bench does this at length, for more cases."""
+    outcome = run(case, 200)
+    assert outcome.coverage >= 91.0
+    assert outcome.false <= 9.0
+
+
+def test_true_advantages_are_found() -> None:
+    assert run(Case(8, change_pct=-20.0), 100).better >= 90.0
+    assert run(Case(4, change_pct=-50.0, luck=0.15), 100).better >= 75.0
+    assert run(Case(1, 500, 0.9, 0.98, change_pct=-90.0), 100).better >= 90.0
+
+
+def test_holm_by_hand() -> None:
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert holm([]) == []
+    assert holm([0.9, 0.8]) == [1.0, 1.0]

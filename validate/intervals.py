@@ -1,0 +1,261 @@
+"""How sure: the change in error on another flight, or on these flights, with a 95 % interval.
+
+*Another flight* of this vehicle: every held-out flight gives one number, l = log(RMSE_b / RMSE_a), and
+Student's t an interval of its mean, the change on a typical flight. Four flights or fewer say little of how
+unlike flights are; a weak prior helps (Smyth 2004, moderated t), with the weight of two flights: a spread of
+l of half of what the two predictions differ by relative to the errors (their geometric mean). Models that
+predict alike cannot have unlike luck; models that are far apart, and both near the vehicle, can.
+
+*These flights*: the held-out parts are of flights that the models trained on, or there is one flight only.
+The units are 4 to 12 blocks of time, with t on their log ratios (Ibragimov & Mueller 2010), which needs no
+equal variances. Where the time is shorter than 25 correlation lengths of the errors, blocks are not
+independent; the interval then also covers that of an F ratio of two variances.
+
+Measured coverage: docs/measured/verdicts.md; why so: docs/adr/0014-verdicts-from-few-flights.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+
+FEW = 4  # flights, up to which a prior says how unlike they may be
+PRIOR_FLIGHTS = 2  # that it counts for
+LUCK = 0.5  # of the difference in predictions
+MOST_LUCK = 1.0  # in a log ratio
+STRETCH = 1.2  # of an interval of cross-fitted flights, whose models share their training data
+BLOCKS = (4, 12)
+BLOCK_LENGTHS = 15.0  # correlation lengths in a block
+LONG = 25.0  # correlation lengths from which on blocks alone suffice
+SLOW = 10.0  # correlation lengths below which only a large difference can be seen
+_TINY = 1e-300
+
+
+class Scope(StrEnum):
+    """What a verdict speaks of."""
+
+    ANOTHER = "another flight"
+    THESE = "these flights"
+    THIS = "this flight"
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A change of error in percent, its 95 % interval and the two-sided p-value of no change."""
+
+    change_pct: float
+    low_pct: float
+    high_pct: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Change:
+    """What held-out errors say of the change from a baseline to a model.
+
+    Attributes
+    ----------
+    scope : what it is a change on.
+    units : flights or blocks of time that it rests on.
+    block : samples per block; 0 where the units are flights.
+    interval : None where an error is zero.
+    by_flight : 100 (RMSE_b / RMSE_a - 1) of every flight, by name.
+    slow : the errors change slower than these flights last.
+    rotated : every flight was left out once, and judged by models of the others.
+    """
+
+    scope: Scope
+    units: int
+    block: int
+    interval: Interval | None
+    by_flight: dict[str, float]
+    slow: bool = False
+    rotated: bool = False
+
+
+def change(
+    ea: Sequence[FloatArray],
+    eb: Sequence[FloatArray],
+    flights: Sequence[str],
+    seen: Collection[str] = (),
+    *,
+    rotated: bool = False,
+) -> Change:
+    """The change from the errors of a baseline (ea) to those of a model (eb), one array per segment.
+
+    Parameters
+    ----------
+    flights : of every segment.
+    seen : flights that the models were trained on, other parts of them than these.
+    rotated : every flight was left out once, and judged by models of the others.
+    """
+    ea, eb = _scaled(ea, eb)
+    logs = flight_logs(ea, eb, flights)
+    by_flight = {name: _percent(value) for name, value in logs.items()}
+    lost = not (any(e.any() for e in ea) and any(e.any() for e in eb))
+    if len(logs) > 1 and not set(logs) & set(seen):
+        prior = _prior(ea, eb) if len(logs) <= FEW else None
+        found = None if lost else across_flights(list(logs.values()), prior, rotated=rotated)
+        return Change(Scope.ANOTHER, len(logs), 0, found, by_flight, rotated=rotated)
+    scope = Scope.THESE if len(logs) > 1 else Scope.THIS
+    if lost:
+        return Change(scope, 0, 0, None, by_flight)
+    a, b = np.concatenate(ea) ** 2, np.concatenate(eb) ** 2
+    tau = _Lengths.of(a, b)
+    blocks = int(np.clip(len(a) / (BLOCK_LENGTHS * tau.longest), *BLOCKS))
+    return Change(
+        scope,
+        blocks,
+        len(a) // blocks,
+        within_flights(a, b, blocks, tau),
+        by_flight,
+        slow=len(a) < SLOW * tau.longest,
+    )
+
+
+def flight_logs(
+    ea: Sequence[FloatArray], eb: Sequence[FloatArray], flights: Sequence[str]
+) -> dict[str, float]:
+    """log(RMSE_b / RMSE_a) of every flight."""
+    sums: dict[str, FloatArray] = {name: np.zeros(2) for name in flights}
+    for a, b, name in zip(ea, eb, flights, strict=True):
+        sums[name] += (a @ a, b @ b)
+    return {name: 0.5 * _log_ratio(b, a) for name, (a, b) in sums.items()}
+
+
+def _prior(ea: Sequence[FloatArray], eb: Sequence[FloatArray]) -> float:
+    """The spread of l to expect before flights tell it; the same whichever model is the baseline."""
+    apart, a, b = (
+        sum(float(e @ e) for e in some) for some in ([x - y for x, y in zip(ea, eb, strict=True)], ea, eb)
+    )
+    return min(MOST_LUCK, LUCK * float(np.sqrt(apart / max(np.sqrt(a) * np.sqrt(b), _TINY))))
+
+
+def across_flights(logs: Sequence[float], prior: float | None = None, *, rotated: bool = False) -> Interval:
+    """The mean of log ratios of flights, as a change in percent: a typical flight (the geometric mean).
+
+    Parameters
+    ----------
+    prior : spread of the log ratios to expect, with the weight of PRIOR_FLIGHTS; None for Student's t alone.
+    """
+    from scipy.special import stdtr, stdtrit
+
+    n, weight = len(logs), 0 if prior is None else PRIOR_FLIGHTS
+    mean, freedom = float(np.mean(logs)), weight + n - 1
+    squares = float(np.sum((np.array(logs) - mean) ** 2)) + weight * (prior or 0.0) ** 2
+    error = float(np.sqrt(squares / freedom / n)) * (STRETCH if rotated else 1.0)
+    half = float(stdtrit(freedom, 0.975)) * error
+    p = 2.0 * float(stdtr(freedom, -abs(mean) / error)) if error > 1e-12 else float(abs(mean) < 1e-9)
+    return Interval(_percent(mean), _percent(mean - half), _percent(mean + half), min(p, 1.0))
+
+
+@dataclass(frozen=True)
+class _Lengths:
+    """Correlation lengths, in samples, of two squared errors, and of their difference at equal means."""
+
+    a: float
+    b: float
+    difference: float
+
+    @classmethod
+    def of(cls, a: FloatArray, b: FloatArray) -> _Lengths:
+        return cls(*map(correlation_length, (a, b, b / b.mean() - a / a.mean())))
+
+    @property
+    def longest(self) -> float:
+        return max(self.a, self.b, self.difference)
+
+
+def within_flights(a: FloatArray, b: FloatArray, blocks: int, tau: _Lengths) -> Interval:
+    """The change of the RMSE over these very samples' process, from blocks of time.
+
+    Parameters
+    ----------
+    a, b : (N,) squared errors of baseline and model, in the order of time, flight after flight.
+    """
+    from scipy.special import stdtr, stdtrit
+
+    theta = 0.5 * _log_ratio(b.mean(), a.mean())
+    pairs = zip(np.array_split(a, blocks), np.array_split(b, blocks), strict=True)
+    logs = np.array([0.5 * _log_ratio(y.mean(), x.mean()) for x, y in pairs])
+    error = float(logs.std(ddof=1)) / np.sqrt(blocks)
+    centres = sorted((float(logs.mean()), theta))
+    half = float(stdtrit(blocks - 1, 0.975)) * error
+    low, high = centres[0] - half, centres[1] + half
+    nearest = min(map(abs, centres)) if centres[0] * centres[1] > 0.0 else 0.0
+    p = 2.0 * float(stdtr(blocks - 1, -nearest / error)) if error > 1e-12 else float(nearest < 1e-9)
+    if len(a) < LONG * tau.longest and error > 1e-12:
+        wide = _ratio_of_variances(a, b, theta, tau)
+        low, high, p = min(low, wide[0]), max(high, wide[1]), max(p, wide[2])
+    return Interval(_percent(theta), _percent(low), _percent(high), min(p, 1.0))
+
+
+def _ratio_of_variances(
+    a: FloatArray, b: FloatArray, theta: float, tau: _Lengths
+) -> tuple[float, float, float]:
+    """Low and high end of theta and its p-value, from the F distribution of two variances of so few lengths.
+
+    What both errors share cancels in their ratio, so that the spread is scaled by that of their difference.
+    """
+    from scipy.special import fdtr, fdtri
+
+    x, y = a / a.mean(), b / b.mean()
+    own = float(np.var(x)) * tau.a + float(np.var(y)) * tau.b
+    scale = min(1.0, float(np.sqrt(np.var(y - x) * tau.difference / max(own, _TINY))))
+    freedom = (len(a) / tau.b, len(a) / tau.a)
+    ends = [theta - 0.5 * scale * float(np.log(fdtri(*freedom, q))) for q in (0.975, 0.025)]
+    below = float(fdtr(*freedom, np.exp(np.clip(2.0 * theta / max(scale, 1e-9), -600.0, 600.0))))
+    return ends[0], ends[1], 2.0 * min(below, 1.0 - below)
+
+
+def correlation_length(x: FloatArray) -> float:
+    """Integrated autocorrelation time of a series (N,) in samples, 1 + 2 sum rho(k).
+
+    Summed over pairs of lags while their sum is positive (Geyer 1992), so noise in the tail does not add up.
+    """
+    covariance = _autocovariance(x - x.mean())
+    if covariance[0] <= 0.0:
+        return 1.0
+    rho = covariance / covariance[0]
+    pairs = rho[: 2 * (len(x) // 2)].reshape(-1, 2).sum(axis=1)
+    stop = np.flatnonzero(pairs <= 0.0)
+    kept = pairs[: stop[0]] if len(stop) else pairs
+    return max(1.0, 2.0 * float(kept.sum()) - 1.0)
+
+
+def _autocovariance(x: FloatArray) -> FloatArray:
+    """(N,) sum_i x(i) x(i+k), by FFT."""
+    size = 1 << (2 * len(x) - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft(x, size)) ** 2
+    covariance: FloatArray = np.fft.irfft(spectrum, size)[: len(x)]
+    return covariance
+
+
+def _scaled(ea: Sequence[FloatArray], eb: Sequence[FloatArray]) -> tuple[list[FloatArray], list[FloatArray]]:
+    """All errors divided by the largest one, so that their squares neither overflow nor vanish."""
+    largest = max(max(float(np.max(np.abs(e))) for e in (*ea, *eb)), _TINY)
+    return [e / largest for e in ea], [e / largest for e in eb]
+
+
+def _log_ratio(b: float, a: float) -> float:
+    return float(np.log(max(b, _TINY) / max(a, _TINY)))
+
+
+def _percent(theta: float) -> float:
+    return 100.0 * float(np.expm1(min(theta, 300.0)))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Holm's (1979) adjusted p-values, in the given order."""
+    order = np.argsort(p_values, kind="stable")
+    adjusted = [0.0] * len(p_values)
+    running = 0.0
+    for rank, i in enumerate(order):
+        running = max(running, min(1.0, (len(p_values) - rank) * float(p_values[i])))
+        adjusted[i] = running
+    return adjusted
