@@ -2,7 +2,7 @@
 
     python -m bench.bench_ingest [-n 3] [-k words] [--json]
     python -m bench.bench_ingest --memory [-k words] [--sizes 150,600]
-    python -m bench.bench_ingest --unchanged [-n 3]
+    python -m bench.bench_ingest --folder [-n 3]
 
 Cases live in the `CASES` of every `bench/cases_*.py`. Ours and each peer run in turn, `n` times, every
 run in a process of its own; the ratio of the medians is what counts, not the seconds of this machine. Files
@@ -18,7 +18,7 @@ import json
 import sys
 from typing import Any
 
-from bench import memory, unchanged
+from bench import many_flights, memory
 from bench.harness import LOGS, ROOT, WORK, Case, Measured, measure
 
 
@@ -84,10 +84,10 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--memory", action="store_true", help="peak memory of ingesting every format")
     parser.add_argument("--sizes", default="150,600", help="with --memory: sizes of the files in MB")
-    parser.add_argument("--unchanged", action="store_true", help="50 logs that were ingested before")
+    parser.add_argument("--folder", action="store_true", help="a folder of 10,000 flights; small logs")
     options = parser.parse_args()
-    if options.unchanged:
-        return unchanged.main(options.n)
+    if options.folder:
+        return many_flights.main(options.n)
     if options.memory:
         return memory.main(options.k, [int(size) for size in options.sizes.split(",")])
     rows: list[dict[str, Any]] = []

@@ -124,7 +124,8 @@ def _ingest_into(
                 waiting, settled = _sorted_out([hashed[path] for path in logs.paths], known)
                 yield from settled
                 tasks.extend(waiting)
-        catalogue(folder)
+        if any(isinstance(outcome, Job) and outcome.sha256 not in known for outcome in hashed.values()):
+            catalogue(folder)  # whoever lists next need not
 
 
 def _sorted_out(
