@@ -72,7 +72,7 @@ class _Reader:
 
 @dataclass(frozen=True)
 class _Group:
-    """A row group: its number, rows, and bytes [start, end) in the file."""
+    """A row group: its number, rows, and bytes [start, end) in the file; 0, 0 where these are not known."""
 
     number: int
     rows: int
@@ -133,25 +133,44 @@ def _groups(file: pq.ParquetFile, size: int, limits: Limits) -> Iterator[_Group]
     """The row groups, with what forbids to read them."""
     for number in range(file.metadata.num_row_groups):
         group = file.metadata.row_group(number)
-        chunks = [group.column(k) for k in range(group.num_columns)]
-        repeats = [file.metadata.schema.column(k).max_repetition_level for k in range(group.num_columns)]
-        starts = [c.data_page_offset for c in chunks]
-        starts += [c.dictionary_page_offset for c in chunks if c.dictionary_page_offset]
-        start = min(starts, default=0)
-        packed = sum(c.total_compressed_size for c in chunks)
-        plain_bytes = sum(c.total_uncompressed_size for c in chunks)
-        decoded = group.num_rows * len(chunks) * CELL_BYTES
-        flat = {c.num_values for c, repeat in zip(chunks, repeats, strict=True) if not repeat}
-        fault = ""
-        if start < 0 or packed < 0 or start + packed > size:
-            fault = "it lies outside the file"
-        elif group.num_rows < 0 or flat - {group.num_rows}:
-            fault = "its columns have unlike numbers of rows"
-        elif max(plain_bytes, decoded) > limits.max_chunk_bytes:
+        expanded = max(group.total_byte_size, group.num_rows * group.num_columns * CELL_BYTES)
+        if group.num_rows < 0 or expanded > limits.max_chunk_bytes:
             fault = f"it expands to more than {limits.max_chunk_bytes:,} bytes"
-        elif plain_bytes > max(FREE_BYTES, limits.max_ratio * packed):
-            fault = f"it expands to more than {limits.max_ratio:g} times its size"
-        yield _Group(number, max(0, group.num_rows), max(0, start), min(size, start + packed), fault)
+            yield _Group(number, max(0, group.num_rows), 0, 0, fault)
+        elif not _is_sound(file, number):
+            yield _Group(number, group.num_rows, 0, 0)
+        else:
+            yield _placed(file, number, size, limits)
+
+
+def _is_sound(file: pq.ParquetFile, number: int) -> bool:
+    """Whether a row group can be begun; asking Arrow for damaged metadata of a column ends the process."""
+    first = file.iter_batches(batch_size=1, row_groups=[number], use_threads=False)
+    try:
+        return next(first, None) is not None
+    except DAMAGE:
+        return False
+
+
+def _placed(file: pq.ParquetFile, number: int, size: int, limits: Limits) -> _Group:
+    """A row group with its place in the file."""
+    group = file.metadata.row_group(number)
+    chunks = [group.column(k) for k in range(group.num_columns)]
+    repeats = [file.metadata.schema.column(k).max_repetition_level for k in range(group.num_columns)]
+    starts = [c.data_page_offset for c in chunks]
+    starts += [c.dictionary_page_offset for c in chunks if c.dictionary_page_offset]
+    start = min(starts, default=0)
+    packed = sum(c.total_compressed_size for c in chunks)
+    plain_bytes = sum(c.total_uncompressed_size for c in chunks)
+    flat = {c.num_values for c, repeat in zip(chunks, repeats, strict=True) if not repeat}
+    fault = ""
+    if start < 0 or packed < 0 or start + packed > size:
+        fault = "it lies outside the file"
+    elif flat - {group.num_rows}:
+        fault = "its columns have unlike numbers of rows"
+    elif plain_bytes > max(FREE_BYTES, limits.max_ratio * packed):
+        fault = f"it expands to more than {limits.max_ratio:g} times its size"
+    return _Group(number, group.num_rows, max(0, start), min(size, start + packed), fault)
 
 
 def _first_line(error: BaseException) -> str:

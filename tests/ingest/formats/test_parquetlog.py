@@ -154,7 +154,7 @@ def test_what_expands_beyond_the_limits_is_left_alone() -> None:
     )
     flight = read(blob, max_chunk_bytes=1 << 20)
     assert flight.rows == 0
-    assert "expands to more than 1,048,576 bytes" in flight.damage.regions[0].reason
+    assert "expands to more than 1,048,576 bytes" in flight.damage.reasons["table"]
 
 
 def test_a_cut_file_is_refused_with_the_reason() -> None:
