@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,8 @@ from tests.model_examples import data
 from tests.samplelogs import parquet as sample
 
 LOGS = Path(__file__).resolve().parents[4] / "shared" / "logs" / "ardrone"
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def read(blob: bytes, **limits: Any) -> Flight:
@@ -193,3 +197,22 @@ def test_a_real_flight_is_what_pandas_reads_and_what_its_csv_says(name: str) -> 
         assert field_unit(text["table"].schema.field(column)) == field_unit(
             flight["table"].schema.field(column)
         )
+
+
+def test_no_damage_to_the_footer_ends_the_process() -> None:
+    """A damaged statistic of a column made Arrow's C++ end the process."""
+    code = (
+        "from flysid.errors import FormatError\n"
+        "from tests.format_trials import read\n"
+        "from tests.samplelogs import parquet\n"
+        "blob = parquet.build()\n"
+        "footer = int.from_bytes(blob[-8:-4], 'little')\n"
+        "for at in range(len(blob) - 8 - footer, len(blob) - 8, 7):\n"
+        "    for bit in (64,):\n"
+        "        try:\n"
+        "            read('parquet', blob[:at] + bytes([blob[at] ^ bit]) + blob[at + 1 :])\n"
+        "        except FormatError:\n"
+        "            pass\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr[-500:]
