@@ -19,7 +19,8 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.fitted_states import FittedTSStateSpace
 from flysid.model.rules.free_run_error import Body
 from flysid.model.rules.realisation import initial_states
-from flysid.model.rules.state_growth import StateStage, refine, unmoved
+from flysid.model.rules.stages import refine
+from flysid.model.rules.state_growth import StateStage, unmoved
 from flysid.model.rules.state_layout import runs_of
 from flysid.model.rules.state_uncertainty import uncertainty
 from flysid.model.ts_state_space import TSStateSpace

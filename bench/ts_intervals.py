@@ -15,9 +15,10 @@ from scipy.signal import lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.fitted_lags import FittedTS, dc_gain
 from flysid.model.rules.free_run_error import runs_of
-from flysid.model.rules.growth import best_started, refine
+from flysid.model.rules.growth import best_started
 from flysid.model.rules.refit import restated
 from flysid.model.rules.rule_uncertainty import uncertainty
+from flysid.model.rules.stages import refine
 from flysid.model.ts import TS
 
 DT_S = 0.05

@@ -18,8 +18,9 @@ from flysid.model.rules.assembly import finished
 from flysid.model.rules.clustering import cluster, project
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.free_run_error import Body, Problem, antecedent_range, runs_of
-from flysid.model.rules.growth import best_started, first_basis, ordered
+from flysid.model.rules.growth import best_started, first_basis
 from flysid.model.rules.regressor_layout import Layout, Orders, parse_antecedents, scaling
+from flysid.model.rules.stages import ordered
 from flysid.model.threads import on_one_thread
 
 _GROWTH, _SHRINKAGE = 1.1, 0.9  # of the step, Jang's heuristic rules

@@ -18,6 +18,7 @@ from flysid.dataset import FloatArray
 from flysid.model.rules.free_run_error import Body, Problem, Stage, antecedent_range
 from flysid.model.rules.kernel import firing
 from flysid.model.rules.regressor_layout import Antecedent, Layout
+from flysid.model.rules.stages import expected_cost, inserted, on_runs, refine, with_ridge
 
 _PLACES = (0.15, 0.5, 0.85)
 _RIDGE = 0.01  # of the mean square error: as if a hundred samples said that the rules are equal
@@ -118,11 +119,6 @@ def _linear_starts(problem: Problem) -> Iterator[Body]:
         a = np.asarray(np.linalg.lstsq(Z.T @ E, Z.T @ Y, rcond=1e-12)[0], dtype=np.float64)
 
 
-def refine(stage: Stage, iterations: int, tolerance: float) -> Stage:
-    """Levenberg-Marquardt on the simulation error from where the stage is."""
-    return stage.descended(iterations, tolerance)
-
-
 def rebased(stage: Stage) -> Stage:
     """The same one-rule model in the basis where its Gauss-Newton matrix is the identity.
 
@@ -165,30 +161,6 @@ def with_variables(stage: Stage, antecedents: tuple[Antecedent, ...]) -> Stage:
     if problem.layout.moving > stage.layout.moving or problem.layout.depth != stage.layout.depth:
         initial = problem.starts(stage.simulated())  # an antecedent that looks back further than any lag
     return Stage(problem, Body(stage.body.a, centre, width), initial, stage.cost)
-
-
-def inserted(stage: Stage, centre: FloatArray, width: FloatArray) -> Stage:
-    """One rule more, whose consequents are what the others conclude together at its centre.
-
-    The blend near the centre stays nearly what it was, so that nothing learned is lost, whereas replacing
-    a rule by two changes its weight against all others.
-    """
-    body, problem = stage.body, stage.problem
-    distance = (centre - body.centre) / body.width
-    strength = -0.5 * (distance * distance).sum(axis=1)
-    phi = np.exp(strength - strength.max())
-    phi = phi / phi.sum()
-    blend = np.einsum("r,rim->im", phi, body.a)
-    if stage.rules == 1:  # the first rule moves to the other side, or the two would be one
-        middle = problem.z_range.mean(axis=0)
-        away = np.where(width < 1.5 * np.ptp(problem.z_range, axis=0), 2.0 * middle - centre, centre)
-        body = Body(body.a, away[None], width[None])
-    grown = Body(
-        np.concatenate([body.a, blend[None]]),
-        np.vstack([body.centre, centre]),
-        np.vstack([body.width, width]),
-    )
-    return replace(stage, body=grown)
 
 
 def insertions(stage: Stage, antecedent: Antecedent) -> list[Stage]:
@@ -245,16 +217,6 @@ def thinned(stage: Stage, samples: int) -> Stage:
     return replace(stage, problem=replace(problem, runs=tuple(pieces)), initial=problem.starts(initial))
 
 
-def expected_cost(stage: Stage) -> float:
-    """The cost that one regularised Gauss-Newton step on all unknowns promises; inf where it cannot."""
-    cost, H, g = stage.normal()
-    if not (H.is_finite() and np.isfinite(g).all()):
-        return float("inf")
-    diagonal = H.diagonal()
-    step = H.damped_step(np.sqrt(np.maximum(diagonal, 1e-9 * diagonal.max())), 1e-3, g)
-    return float("inf") if step is None else cost + float(step @ g)
-
-
 def one_rule_more(
     stage: Stage, candidates: tuple[Antecedent, ...], iterations: int, keep: int = 2
 ) -> list[tuple[Stage, Stage]]:
@@ -274,8 +236,8 @@ def one_rule_more(
     for start, trial in trials[:keep]:
         best = refine(with_ridge(trial, _RIDGE * trial.cost), iterations, 1e-6)
         if few is not stage:
-            best = refine(with_ridge(_on(best, stage), _RIDGE * best.cost), iterations // 2, 1e-6)
-        found.append((_on(start, stage), best))
+            best = refine(with_ridge(on_runs(best, stage), _RIDGE * best.cost), iterations // 2, 1e-6)
+        found.append((on_runs(start, stage), best))
     return found
 
 
@@ -284,26 +246,6 @@ def _best_of_each(kinds: Sequence[Antecedent], costs: Sequence[float]) -> list[i
     order = [int(i) for i in np.argsort(costs, kind="stable") if np.isfinite(costs[i])]
     firsts = [i for at, i in enumerate(order) if kinds[i] not in {kinds[j] for j in order[:at]}]
     return firsts + [i for i in order if i not in firsts][:_MORE]
-
-
-def _on(stage: Stage, other: Stage) -> Stage:
-    """A stage's model on the runs of another stage."""
-    problem = replace(stage.problem, runs=other.problem.runs)
-    return replace(stage, problem=problem, initial=other.initial)
-
-
-def with_ridge(stage: Stage, ridge: float) -> Stage:
-    """The same stage under another ridge on the spread of its rules."""
-    return replace(stage, problem=replace(stage.problem, ridge=ridge))
-
-
-def ordered(stage: Stage) -> Stage:
-    """The same model with its rules in the order of their centres, first antecedent first."""
-    if stage.body.centre.shape[1] == 0:
-        return stage
-    order = np.lexsort(stage.body.centre.T[::-1])
-    body = stage.body
-    return replace(stage, body=Body(body.a[order], body.centre[order], body.width[order]))
 
 
 def rule_support(stage: Stage) -> FloatArray:

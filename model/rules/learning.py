@@ -12,7 +12,6 @@ from flysid.errors import DataError, FitError, UsageError
 from flysid.model.arguments import is_count
 from flysid.model.linear.settings import check_hint
 from flysid.model.rules.free_run_error import Stage, runs_of
-from flysid.model.rules.growth import ordered
 from flysid.model.rules.judging import INTEGRATES, Candidate, choose, hold_out
 from flysid.model.rules.merge_split import exchanged
 from flysid.model.rules.pruning import fewer_words
@@ -26,6 +25,7 @@ from flysid.model.rules.regressor_layout import (
 )
 from flysid.model.rules.search import affords, cross_validated, search
 from flysid.model.rules.search_context import SPARE_ROWS, Settings, Workshop
+from flysid.model.rules.stages import ordered
 
 _HIGHEST_LINEAR = 12  # samples of lags that the linear side may choose on short records,
 _DEEPEST_DELAY = 40  # and on long ones, delay included

@@ -43,6 +43,11 @@ class LinearModel:
     y_origin: FloatArray
     again: ARX | StateSpace
 
+    @property
+    def refined(self) -> bool:
+        """It was refined on the simulation error, as one rule is."""
+        return isinstance(self.again, ARX) and bool(self.again.refine)
+
     def refitted(self, data: Dataset) -> LinearModel | None:
         """The same orders on other data; None where they cannot be fitted."""
         return _fitted(self.name, self.again, data, None)
@@ -110,13 +115,6 @@ def as_stage(found: LinearModel, problem: Problem) -> Stage:
     still = np.zeros((1, problem.z_range.shape[1]))
     body = Body(np.zeros((1, problem.layout.n_y, len(problem.basis))), still, np.ones_like(still))
     return unrefined(replace(problem, offset=consequents(found, problem.layout)), body)
-
-
-def arx_start(problem: Problem, data: Dataset) -> tuple[Stage, ...]:
-    """ARX of `problem`'s orders, refined, as a stage; none where it cannot be fitted."""
-    orders = problem.layout.orders
-    found = _fitted("ARX", ARX(na=orders.na, nb=orders.nb, nk=orders.nk, refine=True), data, None)
-    return () if found is None else (as_stage(found, problem),)
 
 
 def consequents(found: LinearModel, layout: Layout) -> FloatArray:

@@ -11,9 +11,10 @@ from dataclasses import replace
 
 from flysid.model.rules.edits import edits, staged
 from flysid.model.rules.free_run_error import Stage
-from flysid.model.rules.growth import ordered, refine, rule_support, with_ridge
+from flysid.model.rules.growth import rule_support
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.search_context import Workshop
+from flysid.model.rules.stages import ordered, refine, with_ridge
 
 _TRIED = 3  # edits that are refined, of all ranked by their cost in training
 _RIDGE = 0.01  # of the mean square error, as in growth

@@ -9,17 +9,19 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.free_run_error import Body, Problem, Stage, antecedent_range, widened
-from flysid.model.rules.growth import best_started, first_basis, refine
+from flysid.model.rules.growth import best_started, first_basis
 from flysid.model.rules.integrator import holds_integrator, rings_on
 from flysid.model.rules.judging import Candidate, is_bounded
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.linear_starts import as_stage
 from flysid.model.rules.regressor_layout import REACH, Layout
+from flysid.model.rules.stages import refine
 
 
 def refit(chosen: Candidate, data: Dataset, runs: Sequence[FloatArray], iterations: int) -> Stage:
     """The chosen model on all data, by the method that found it: what was judged is what is offered."""
-    again = None if chosen.linear is None or chosen.moved else chosen.linear.refitted(data)
+    known = chosen.linear
+    again = None if known is None or known.refined or chosen.moved else known.refitted(data)
     problem = chosen.stage.problem
     if again is None or again.orders != problem.layout.orders:
         return on_all_runs(chosen.stage, runs, iterations)

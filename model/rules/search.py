@@ -16,11 +16,12 @@ import numpy as np
 from flysid.errors import DataError
 from flysid.model.rules.clustered_start import clustered_stage
 from flysid.model.rules.free_run_error import Stage, runs_of
-from flysid.model.rules.growth import one_rule_more, refine, thinned, with_ridge
+from flysid.model.rules.growth import one_rule_more, thinned
 from flysid.model.rules.judging import Candidate, choose
 from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, scaling
 from flysid.model.rules.search_context import Workshop
+from flysid.model.rules.stages import refine, with_ridge
 
 _MOST_ROWS = 12000  # of training data while searching; the chosen model is refined on all
 _RIDGES = (1.0, 1e3)  # where freedom made a model unstable; the last one leaves the rules equal
@@ -37,7 +38,8 @@ def search(workshop: Workshop, linear: Sequence[Candidate], named: tuple[Anteced
     Ends where growth stalls, where data run out, or at the number of rules that was asked for.
     """
     settings = workshop.settings
-    most = settings.most_rules if settings.rules == "auto" else settings.rules
+    most = workshop.most_rules
+    kept = workshop.lanes
     models, lanes = [linear[0]], _starts(workshop, linear)
     if not settings.refine:
         variables = named or found_antecedents(linear[0].stage.problem.layout)
@@ -45,12 +47,12 @@ def search(workshop: Workshop, linear: Sequence[Candidate], named: tuple[Anteced
         return [linear[0], *(workshop.judge(s) for s in plain)]
     while len(models) < most:
         rules = len(models) + 1
-        keep = 1 if rules == 2 else 2
+        keep = 1 if rules == 2 else kept
         kids = [kid for lane in lanes if affords(lane, rules) for kid in _grown(workshop, lane, named, keep)]
         if not kids:
             break
         models.append(representative(kids))
-        lanes = _survivors(kids, settings.search.lanes)
+        lanes = _survivors(kids, kept)
         if settings.rules == "auto" and has_stalled(models):
             break
     return models
@@ -126,7 +128,8 @@ def cross_validated(
 ) -> list[Candidate]:
     """The models with the validation errors of all further folds, as far as every fold reached.
 
-    On the folds only the orders of the chosen model, `models[at]`, are grown.
+    On the folds only the orders of the chosen model, `models[at]`, are grown, in one lane and up to as many
+    rules as there are models.
     """
     errors = [[m.errors] for m in models]
     orders = models[at].stage.problem.layout.orders
@@ -142,6 +145,7 @@ def cross_validated(
             shift=shift,
             scale=scale,
             folds=(),
+            fold_rules=len(models),
             integrates=models[at].stage.problem.integrates,
             known=models[0].linear,
         )

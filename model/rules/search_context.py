@@ -10,14 +10,15 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.free_run_error import Problem, Stage, runs_of
-from flysid.model.rules.growth import embedded_start, first_basis, linear_stage, rebased, refine, unrefined
+from flysid.model.rules.growth import embedded_start, first_basis, linear_stage, rebased, unrefined
 from flysid.model.rules.integrator import looks_integrating, with_integrator
 from flysid.model.rules.judging import Candidate, choose, judged
-from flysid.model.rules.linear_starts import LinearModel, arx_start, as_stage, linear_models
+from flysid.model.rules.linear_starts import LinearModel, as_stage, linear_models
 from flysid.model.rules.probe_inputs import stress_run
 from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import Layout, Orders
 from flysid.model.rules.search_settings import SearchSettings
+from flysid.model.rules.stages import refine
 
 SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
 _ORDER_GAIN, _ORDER_LOSS = 0.01, 0.05  # of the mean square: never, and at most, worth an order
@@ -63,6 +64,7 @@ class Workshop:
     ----------
     integrates : whether models keep a pole at one; None asks the data.
     known : the linear side's model to start from; None lets it search.
+    fold_rules : on a fold, the number of rules up to which it is grown; 0: this is none.
     """
 
     settings: Settings
@@ -75,6 +77,18 @@ class Workshop:
     folds: tuple[tuple[Dataset, Dataset], ...] = ()
     integrates: bool | None = None
     known: LinearModel | None = None
+    fold_rules: int = 0
+
+    @property
+    def most_rules(self) -> int:
+        """Where growth stops."""
+        asked = self.settings.rules
+        return self.fold_rules or (self.settings.most_rules if asked == "auto" else asked)
+
+    @property
+    def lanes(self) -> int:
+        """Models that go on from two rules to three; a fold only confirms, and grows one."""
+        return 1 if self.fold_rules else self.settings.search.lanes
 
     def problem(self, orders: Orders) -> Problem:
         """The problem of a linear model of these orders.
@@ -141,7 +155,6 @@ class Workshop:
             if self.settings.refine:
                 nested = (embedded_start(known, problem) for known in reversed(loose))
                 start = next(filter(None, nested), ())
-                start += arx_start(problem, self.fit_part)
                 stage = linear_stage(problem, self.settings.iterations, start)
             else:
                 stage = unrefined(problem)

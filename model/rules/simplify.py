@@ -17,9 +17,9 @@ from flysid.model.rules.consequents import refuse_few, refuse_other_data
 from flysid.model.rules.edits import edits, staged
 from flysid.model.rules.fitted_lags import FittedTS, refuse_other_models
 from flysid.model.rules.free_run_error import runs_of
-from flysid.model.rules.growth import ordered, refine, with_ridge
 from flysid.model.rules.judging import is_bounded
 from flysid.model.rules.phrases import from_to
+from flysid.model.rules.stages import ordered, refine, with_ridge
 from flysid.model.threads import on_one_thread
 
 _TRIED = 3  # of all edits, ranked by what they cost before refinement

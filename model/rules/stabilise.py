@@ -20,7 +20,7 @@ from flysid.model.rules.assembly import finished, free_run_rmse
 from flysid.model.rules.consequents import refuse_few, refuse_other_data
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.free_run_error import Body, Problem, Stage, runs_of, widened
-from flysid.model.rules.growth import best_started, ordered
+from flysid.model.rules.growth import best_started
 from flysid.model.rules.integrator import holds_integrator
 from flysid.model.rules.judging import is_bounded
 from flysid.model.rules.kernel import IntArray
@@ -28,6 +28,7 @@ from flysid.model.rules.local_models import certificate_of
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.regressor_layout import REACH, Layout
 from flysid.model.rules.rule_poles import companion, output_lags, pole_radius
+from flysid.model.rules.stages import ordered
 from flysid.model.threads import on_one_thread
 
 LARGEST = 0.999

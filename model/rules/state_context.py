@@ -12,16 +12,9 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.realisation import PLAIN, PLAIN_WORDS, Realisation, coordinates
 from flysid.model.rules.regressor_layout import Antecedent, parse_antecedents
 from flysid.model.rules.search_settings import SearchSettings
+from flysid.model.rules.stages import refine, with_ridge
 from flysid.model.rules.state_choice import Family
-from flysid.model.rules.state_growth import (
-    StateStage,
-    Training,
-    best_insertion,
-    linear_stage,
-    on_runs_of,
-    refine,
-    with_ridge,
-)
+from flysid.model.rules.state_growth import StateStage, Training, best_insertion, linear_stage, on_runs_of
 from flysid.model.rules.state_judging import Judged, is_bounded, judged
 from flysid.model.rules.state_layout import StateLayout, runs_of
 from flysid.model.rules.state_systems import System

@@ -2,7 +2,7 @@
 
 Every stage inserts one rule, within each rule's region and along each variable (states, hidden ones
 included, and inputs), ranks the places by the cost that one regularised Gauss-Newton step promises, refines
-the most promising ones a little, first over short windows and then over longer ones, and the best fully.
+the most promising ones a little and the best fully.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from flysid.model.rules.free_run_error import Body, RuleProblem, RuleStage, ante
 from flysid.model.rules.kernel import firing
 from flysid.model.rules.realisation import Prior, Realisation, initial_states, uncorrelated
 from flysid.model.rules.regressor_layout import Antecedent
+from flysid.model.rules.stages import expected_cost, inserted, on_runs, refine, with_ridge
 from flysid.model.rules.state_layout import StateLayout, windows
 
 _PLACES = (0.15, 0.5, 0.85)
@@ -105,11 +106,6 @@ def unmoved(
     return StateProblem(layout, runs, np.eye(n_x), np.zeros((layout.n, n_x)), z_range, limits)
 
 
-def refine(stage: StateStage, iterations: int, tolerance: float) -> StateStage:
-    """Levenberg-Marquardt on the simulation error from where the stage is."""
-    return stage.descended(iterations, tolerance)
-
-
 def in_windows(stage: StateStage, rows: int) -> StateStage:
     """The stage over windows of about `rows` rows, each started where the free run is."""
     d = stage.layout.depth
@@ -130,11 +126,6 @@ def on_other_runs(stage: StateStage, runs: tuple[FloatArray, ...]) -> StateStage
     problem = replace(stage.problem, runs=runs)
     initial = initial_states(stage.layout, runs, problem.parameters(stage.body), prior_of(stage), 100)
     return replace(stage, problem=problem, initial=initial)
-
-
-def with_ridge(stage: StateStage, ridge: float) -> StateStage:
-    """The same stage under another ridge on the spread of its rules."""
-    return replace(stage, problem=replace(stage.problem, ridge=ridge))
 
 
 def with_variables(stage: StateStage, antecedents: tuple[Antecedent, ...]) -> StateStage:
@@ -213,41 +204,12 @@ def insertions(stage: StateStage, candidates: Sequence[Antecedent]) -> list[tupl
     return options
 
 
-def inserted(stage: StateStage, centre: FloatArray, width: FloatArray) -> StateStage:
-    """One rule more, whose consequents are what the others conclude together at its centre."""
-    body, problem = stage.body, stage.problem
-    distance = (centre - body.centre) / body.width
-    strength = -0.5 * (distance * distance).sum(axis=1)
-    phi = np.exp(strength - strength.max())
-    blend = np.einsum("r,rim->im", phi / phi.sum(), body.a)
-    if stage.rules == 1:  # the first rule moves to the other side, or the two would be one
-        middle = problem.z_range.mean(axis=0)
-        away = np.where(width < 1.5 * np.ptp(problem.z_range, axis=0), 2.0 * middle - centre, centre)
-        body = Body(body.a, np.clip(away, *problem.z_range)[None], width[None])
-    grown = Body(
-        np.concatenate([body.a, blend[None]]),
-        np.vstack([body.centre, centre]),
-        np.vstack([body.width, width]),
-    )
-    return replace(stage, body=grown)
-
-
 def z_and_firing(stage: StateStage) -> tuple[FloatArray, FloatArray]:
     """Antecedents and firing strengths along the simulated runs."""
     lags, par, d = stage.layout.lags, stage.problem.parameters(stage.body), stage.layout.depth
     runs = stage.simulated()
     z = np.vstack([stage.layout.antecedent_values(W) for W in runs])
     return z, np.vstack([firing(W, d, lags, par)[d:] for W in runs])
-
-
-def expected_cost(stage: StateStage) -> float:
-    """The cost that one regularised Gauss-Newton step on all unknowns promises; inf where it cannot."""
-    cost, H, g = stage.normal()
-    if not (H.is_finite() and np.isfinite(g).all()):
-        return float("inf")
-    diagonal = H.diagonal()
-    step = H.damped_step(np.sqrt(np.maximum(diagonal, 1e-9 * diagonal.max())), 1e-3, g)
-    return float("inf") if step is None else cost + float(step @ g)
 
 
 @dataclass(frozen=True)
@@ -285,7 +247,7 @@ def best_insertion(
         return stage, None
     order = np.argsort([expected_cost(option) for _, option in options], kind="stable")[: how.tries]
     more = thinned(stage, _MORE)
-    trials = [refine(_on(options[i][1], more), max(6, how.iterations // 3), 1e-5) for i in order]
+    trials = [refine(on_runs(options[i][1], more), max(6, how.iterations // 3), 1e-5) for i in order]
     at = int(np.argmin([t.cost for t in trials]))
     best = trials[at]
     if more is not stage:
@@ -305,11 +267,6 @@ def settled(stage: StateStage, how: Training) -> StateStage:
     return refine(with_ridge(stage, how.ridge * stage.mean_square()), how.iterations, how.tolerance)
 
 
-def _on(stage: StateStage, other: StateStage) -> StateStage:
-    """A stage's model on the runs of another stage, started where that one starts."""
-    return replace(stage, problem=replace(stage.problem, runs=other.problem.runs), initial=other.initial)
-
-
 def thinned(stage: StateStage, samples: int) -> StateStage:
     """The stage on at most about `samples` rows: evenly spaced windows, started where the model is."""
     total = sum(len(W) for W in stage.problem.runs)
@@ -319,15 +276,6 @@ def thinned(stage: StateStage, samples: int) -> StateStage:
     every = max(1, round(total / samples))
     runs = cut.problem.runs[::every]
     return replace(cut, problem=replace(cut.problem, runs=runs), initial=cut.initial[::every])
-
-
-def ordered(stage: StateStage) -> StateStage:
-    """The same model with its rules in the order of their centres, first antecedent first."""
-    body = stage.body
-    if body.centre.shape[1] == 0:
-        return stage
-    order = np.lexsort(body.centre.T[::-1])
-    return replace(stage, body=Body(body.a[order], body.centre[order], body.width[order]))
 
 
 def rule_support(stage: StateStage) -> FloatArray:

@@ -13,10 +13,11 @@ from flysid.errors import DataError, UsageError
 from flysid.model.arguments import is_count
 from flysid.model.rules.judging import INTEGRATES, hold_out
 from flysid.model.rules.regressor_layout import scaling
+from flysid.model.rules.stages import ordered, refine
 from flysid.model.rules.state_choice import Family, fewest_rules
 from flysid.model.rules.state_context import SPARE_ROWS, Bench
 from flysid.model.rules.state_context import Settings as GrowthSettings
-from flysid.model.rules.state_growth import StateStage, on_other_runs, ordered, refine
+from flysid.model.rules.state_growth import StateStage, on_other_runs
 from flysid.model.rules.state_judging import ends_of_travel, is_bounded
 from flysid.model.rules.state_layout import runs_of
 from flysid.model.rules.state_search import searched

@@ -10,11 +10,12 @@ import pytest
 from bench.ts_intervals import known_model
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.free_run_error import Stage
-from flysid.model.rules.growth import inserted, unrefined
+from flysid.model.rules.growth import unrefined
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.learning import rule_verdict
 from flysid.model.rules.merge_split import exchanged
 from flysid.model.rules.search_context import Workshop
+from flysid.model.rules.stages import inserted
 from flysid.model.ts import TS
 from tests.known_rules import stage_of, workshop_of
 
