@@ -28,6 +28,7 @@ from flysid.model.base import (
 )
 from flysid.model.rules.explanation import Explanation, refuse_row
 from flysid.model.rules.phrases import in_words
+from flysid.model.start import FreeRuns
 from flysid.model.threads import on_one_thread
 from flysid.model.ts import TS
 
@@ -109,7 +110,7 @@ def without_block(data: Dataset, block: int, blocks: int) -> Dataset:
 
 
 @dataclass(frozen=True, eq=False)
-class FittedEnsemble:
+class FittedEnsemble(FreeRuns):
     """Models of the same signals and their mean; see the laws in flysid.model.base.
 
     Attributes

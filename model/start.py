@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from flysid.dataset import FloatArray
+from flysid.dataset import FloatArray, Segment
 
 WINDOW_S = 1.0
 WINDOW_LAGS = 5
@@ -40,6 +40,13 @@ class Runs(Protocol):
     @property
     def n_init(self) -> int: ...
     def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray: ...
+
+
+class Timed(Runs, Protocol):
+    """One that knows its sample time."""
+
+    @property
+    def dt_s(self) -> float: ...
 
 
 @runtime_checkable
@@ -82,6 +89,31 @@ def estimate_start(model: Runs, u: FloatArray, y: FloatArray) -> FloatArray:
             break
         best, cost, residual = trial, new_cost, new_residual
     return best
+
+
+class FreeRuns:
+    """What every fitted model can do, beside what its structure does."""
+
+    def free_run(self: Timed, segment: Segment) -> FloatArray:
+        """(N, n_y) free run of a segment as `flysid.compare` starts it.
+
+        The starting state is estimated from a window of measured samples: 1 s or five times the lags, at most
+        a tenth of the segment, as `start_window` counts them. No score should count that window. Started from
+        the first `n_init` measured samples alone, as `simulate` does, noise becomes a transient.
+
+        Example
+        -------
+        >>> run = model.free_run(test.segments[0])  # doctest: +SKIP
+        """
+        window = start_window(self.n_init, len(segment), self.dt_s)
+        return run_from_window(self, segment, window)
+
+
+def run_from_window(model: Runs, segment: Segment, window: int) -> FloatArray:
+    """(N, n_y) simulation of a segment whose first `window` samples only give the starting state."""
+    with np.errstate(over="ignore", invalid="ignore"):  # what breaks the laws is counted, not warned of
+        y0 = estimate_start(model, segment.u[:window], segment.y[:window])
+        return model.simulate(segment.u, y0)
 
 
 def _smooth_guesses(y: FloatArray, n_init: int) -> list[FloatArray]:

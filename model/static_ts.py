@@ -29,6 +29,7 @@ from flysid.model.rules.explanation import Explanation, refuse_row, taken_apart
 from flysid.model.rules.memberships import Conjunction, Partition, Shape
 from flysid.model.rules.phrases import condition_in_words, equation, in_words
 from flysid.model.rules.rule_tables import Row, if_then, parameters
+from flysid.model.start import FreeRuns
 from flysid.model.stream import Source, blocks_of
 from flysid.model.threads import on_one_thread
 
@@ -123,7 +124,7 @@ class StaticTS:
 
 
 @dataclass(frozen=True, eq=False)
-class FittedStaticTS:
+class FittedStaticTS(FreeRuns):
     """A memoryless TS model; see the laws in flysid.model.base.
 
     Attributes

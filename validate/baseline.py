@@ -8,7 +8,7 @@ noise there, and no worse over all of the training data once both are fitted to 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -69,7 +69,7 @@ def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Choi
     """
     try:
         fit, check = train.split(holdout=HELD_OUT)
-        errors = free_run_errors(_fitted(candidates, fit, check), check)
+        errors = _bounded_errors(_fitted(candidates, fit, check), check)
     except DataError:
         return Choice(_first(candidates), words="the training part is too short to choose on")
     label = _first(errors)
@@ -126,10 +126,20 @@ def _fitted(candidates: Mapping[str, Estimator], fit: Dataset, check: Dataset) -
 
 def free_run_errors(models: Mapping[str, Fitted], check: Dataset) -> dict[str, FloatArray]:
     """Mean squared free-run errors of blocks of the validation part, in variances of the outputs."""
+    return _errors_of(run_trials(models, check, FREE_RUN))
+
+
+def _bounded_errors(models: Mapping[str, Fitted], check: Dataset) -> dict[str, FloatArray]:
+    """Those of the models that reach their limits nowhere in it; of all where none is left."""
     trials = run_trials(models, check, FREE_RUN)
+    lost = {name for t in trials for name in t.diverged_s}
+    return {name: e for name, e in _errors_of(trials).items() if name not in lost or lost >= models.keys()}
+
+
+def _errors_of(trials: Sequence[Trial]) -> dict[str, FloatArray]:
     scale = np.std(np.concatenate([t.y for t in trials]), axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
-    return {name: block_means([_squares(t, name, scale) for t in trials]) for name in models}
+    return {name: block_means([_squares(t, name, scale) for t in trials]) for name in trials[0].yh}
 
 
 def _squares(trial: Trial, name: str, scale: FloatArray) -> FloatArray:

@@ -164,8 +164,10 @@ def sides_of(
     if models[base].structure in FUZZY:
         return Sides(base, contender, (), frozenset(), frozenset(seen))
     fuzzy = contender is not None and models[contender].structure in FUZZY
-    rivals = [n for n, m in models.items() if n != base and m.structure in LINEAR] if fuzzy else []
-    return Sides(base, contender, tuple(rivals), _one_rule(models), frozenset(seen))
+    one_rule = _one_rule(models)
+    linear = {n for n, m in models.items() if m.structure in LINEAR} | one_rule
+    rivals = [n for n in models if fuzzy and n in linear and n not in (base, contender)]
+    return Sides(base, contender, tuple(rivals), one_rule, frozenset(seen))
 
 
 def _one_rule(models: Mapping[str, Fitted]) -> frozenset[str]:

@@ -15,7 +15,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted
-from flysid.model.start import estimate_start, start_window
+from flysid.model.start import run_from_window, start_window
 
 FREE_RUN = "free_run"
 MIN_SCORED = 10
@@ -143,11 +143,7 @@ def _modelled(model: Fitted, segment: Segment, horizon: str, first: int) -> tupl
 
 def free_run(model: Fitted, segment: Segment, start: int) -> FloatArray:
     """(N - start, n_y) simulation of `segment`; its first `start` samples only give the initial state."""
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # a model that breaks the laws is counted, not warned of
-        y0 = estimate_start(model, segment.u[:start], segment.y[:start])
-        return model.simulate(segment.u, y0)[start:]
+    return run_from_window(model, segment, start)[start:]
 
 
 def _diverged_at(model: Fitted, yh: FloatArray) -> int | None:

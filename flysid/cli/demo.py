@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +25,8 @@ FLOWN = {
 }
 RECIPE = "ardrone-synthetic"
 DURATION_S = 60.0
+FLOWN_TIMES = 2  # the plan, so that
+HOLDOUT = 0.5  # leaves more than four flights to the verdict, which then speaks of another flight
 MARKER = ".flysid-demo"
 
 
@@ -107,17 +109,17 @@ def prepare(output: Path, force: bool) -> None:
 
 
 def fly(stages: Stages, plant: str, seed: int, progress: Callable[[str], None]) -> str:
-    """Fly the plant's plan; half of the flights are logged as tlog, the others as MCAP."""
+    """Fly the plan, each time with other signals; half of the flights are logged as tlog, half as MCAP."""
     from flysid.cli.synth import make_folder
     from flysid.files import write_atomically
     from flysid.ingest.synth.plans import plan_named
     from flysid.ingest.synth.synth import WRITERS, Order, flights
 
     order = Order(plant=plant, plan=PLANS[plant], duration_s=DURATION_S, seed=seed)
-    progress(f"flying {len(plan_named(order.plan))} flights")
+    progress(f"flying {FLOWN_TIMES * len(plan_named(order.plan))} flights")
     make_folder(stages.logs)
     writers = [WRITERS["tlog"], WRITERS["mcap"]]
-    recordings = flights(order)
+    recordings = [r for i in range(FLOWN_TIMES) for r in flights(replace(order, seed=seed + i))]
     for i, recording in enumerate(recordings):
         suffix, encode = writers[i % 2]
         write_atomically(stages.logs / f"{recording.name}{suffix}", encode(recording))
@@ -144,7 +146,7 @@ def fit(stages: Stages, seed: int, progress: Callable[[str], None]) -> Run:
     from flysid.validate.fitting import fit_run
     from flysid.validate.run import FitSettings
 
-    settings = FitSettings(seed=seed)
+    settings = FitSettings(seed=seed, holdout=HOLDOUT)
     return fit_run(open_lake(stages.data), RECIPE, stages.run, settings, jobs=cores(), progress=progress)
 
 

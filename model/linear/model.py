@@ -27,10 +27,11 @@ from flysid.model.linear.laws import always, is_stable, predicted
 from flysid.model.linear.text import conclusion, describe
 from flysid.model.noise import k_step_ahead
 from flysid.model.polynomials import ComplexArray
+from flysid.model.start import FreeRuns
 
 
 @dataclass(frozen=True, eq=False)
-class FittedLinear:
+class FittedLinear(FreeRuns):
     """A linear model; the laws of `flysid.model.base` hold.
 
     Attributes

@@ -14,6 +14,7 @@ from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.physical import Scaled, physical_consequents, physical_partition
 from flysid.model.rules.regressor_layout import Antecedent
+from flysid.model.start import FreeRuns
 
 
 class RuleLayout(Scaled, Protocol):
@@ -31,7 +32,7 @@ class RuleLayout(Scaled, Protocol):
     def regressor_names(self) -> tuple[str, ...]: ...
 
 
-class Ruled:
+class Ruled(FreeRuns):
     """A fitted model of R rules; a frozen dataclass that derives from it has these two fields.
 
     Attributes

@@ -27,13 +27,14 @@ from flysid.model.linear.laws import always, is_stable, predicted
 from flysid.model.linear.text import gains_text
 from flysid.model.noise import output_error_ahead
 from flysid.model.polynomials import ComplexArray, modes_of
+from flysid.model.start import FreeRuns
 from flysid.model.subspace.bands import frequency_response
 from flysid.model.subspace.kalman import ahead, filtered_states, free_states, output_of, resting_state
 from flysid.model.subspace.triangle import Realisation
 
 
 @dataclass(frozen=True, eq=False)
-class FittedStateSpace:
+class FittedStateSpace(FreeRuns):
     """A linear model in state space; the laws of `flysid.model.base` hold.
 
     Attributes

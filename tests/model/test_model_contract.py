@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flysid.dataset import FloatArray
+from flysid.dataset import FloatArray, Segment
 from flysid.errors import UsageError
 from flysid.model.base import Fitted, all_structures, load
 from tests.model_examples import EXAMPLES, SCALING_TOLERANCE, scaled
@@ -42,6 +42,17 @@ seeds = st.integers(0, 2**31)
 def test_every_structure_has_an_example() -> None:
     tried = {fitted(name).structure for name in EXAMPLES}
     assert set(all_structures()) <= tried
+
+
+@every_model
+def test_a_free_run_starts_from_a_window_and_keeps_to_the_limits(name: str) -> None:
+    model = fitted(name)
+    u, y = signals(model, 3)
+    run = model.free_run(Segment(u, y))  # type: ignore[attr-defined]
+    low, high = model.output_limits
+    assert run.shape == y.shape
+    assert np.isfinite(run).all()
+    assert ((run[model.n_init :] >= low) & (run[model.n_init :] <= high)).all()
 
 
 @every_model

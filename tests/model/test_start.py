@@ -69,3 +69,20 @@ def test_a_window_with_no_more_equations_than_unknowns_gives_the_measured_lags()
 )
 def test_window(n_init: int, n: int, dt: float, expected: int) -> None:
     assert start_window(n_init, n, dt) == expected
+
+
+def test_every_structure_runs_freely_as_the_comparison_starts_it() -> None:
+    """From the window, not from the first noisy samples; the function that scores is the same one."""
+    from flysid.dataset import Dataset
+    from flysid.model.arx import ARX
+    from flysid.validate.trials import free_run
+
+    rng = np.random.default_rng(5)
+    u = np.repeat(rng.normal(size=60), 20)[:, None]
+    truth = Oscillator(radius=0.98).simulate(u, np.zeros((2, 1)))
+    data = Dataset.from_arrays(u, truth + 0.02 * np.std(truth) * rng.standard_normal(truth.shape), DT)
+    model = ARX(na=4, nb=4, nk=1, refine=False).fit(data)
+    (segment,) = data.segments
+    window = start_window(model.n_init, len(segment), DT)
+    np.testing.assert_array_equal(model.free_run(segment)[window:], free_run(model, segment, window))
+    assert model.free_run(segment).shape == segment.y.shape

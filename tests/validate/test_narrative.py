@@ -49,3 +49,15 @@ def test_units_of_all_channels_are_told() -> None:
         ([pair, pair, *blocks], "6 flights or 4 to 12 blocks of time"),
     ):
         assert narrative._units([("x", p) for p in pairs]) == words
+
+
+def test_a_baseline_worse_than_the_mean_is_said_first() -> None:
+    test, train = flown(TS, [300] * 6, noise=0.02), flown(TS, [300], noise=0.02, seed=5)
+    c = compare([replace(ARX, c=0.9), TS], test, train=train)
+    (words,) = narrative.worse_than_constant({"roll": c})
+    rmse = {name: score.scores.rmse for name, score in c.entry().models.items()}
+    assert rmse["ts"] < rmse["mean"] < rmse["arx"]
+    assert words.startswith("On roll the linear model is worse than the ")
+    assert f"to {number(rmse['ts'])}." in words
+    assert words in Page(render(ReportContext.of({"roll": c}))).words
+    assert narrative.worse_than_constant({"roll": compare([ARX, TS], test, train=train)}) == []

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from flysid.validate.compare import FUZZY
 from flysid.validate.comparison import Comparison, Pair
 from flysid.validate.intervals import Scope
@@ -13,6 +15,7 @@ from flysid.validate.words import (
     named,
     number,
     one_line,
+    percent,
     percentage,
     scope_words,
     verdict_words,
@@ -41,6 +44,7 @@ CSS = {
     Verdict.NOT_ENOUGH: "unsure",
 }
 
+CONSTANTS = {"mean": "mean of the training data", "persistence": "starting value, held"}
 CONTESTED = ("△", "unsure")
 """Symbol and CSS class of "better than the baseline, not shown against another linear model"."""
 
@@ -86,6 +90,26 @@ def as_good_as_constant(comparisons: Mapping[str, Comparison]) -> list[str]:
             if constants and min(constants) <= min(rmse[pair.baseline], rmse[pair.model]):
                 found.append(_label(channel, output, c))
     return found
+
+
+def worse_than_constant(comparisons: Mapping[str, Comparison]) -> list[str]:
+    """Where the baseline errs more than a constant: said first, as beating it proves little."""
+    said = []
+    for channel, c in comparisons.items():
+        for output, pair in c.verdict.items():
+            rmse = {name: score.scores.rmse for name, score in c.entry(output, c.head).models.items()}
+            constants = {rmse[name]: name for name, info in c.models.items() if info.reference}
+            best = min(constants, default=np.inf)
+            if not rmse[pair.model] < best < rmse[pair.baseline]:
+                continue
+            less = percent(100.0 * (rmse[pair.model] / best - 1.0))
+            constant = CONSTANTS[c.models[constants[best]].structure]
+            said.append(
+                f"On {_label(channel, output, c)} the {base_words([('', pair)])} is worse than the "
+                f"{constant}: against that, the RMSE of the {called(pair.model)} changes by {less}, "
+                f"{number(best)} to {number(rmse[pair.model])}."
+            )
+    return said
 
 
 def called(model: str) -> str:

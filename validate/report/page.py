@@ -61,7 +61,9 @@ def render(context: ReportContext) -> str:
             data=Markup(script_json([s.data for s in parts])),
             remark=one_line(context.remark),
             title=narrative.title(pairs, idle),
-            subtitle=narrative.subtitle(pairs, idle) if pairs else narrative.alone(comparisons),
+            subtitle=" ".join([*narrative.worse_than_constant(comparisons), narrative.subtitle(pairs, idle)])
+            if pairs
+            else narrative.alone(comparisons),
             basis=narrative.basis(comparisons, _seconds_of_training(context)),
             skipped=[(one_line(name), one_line(why)) for name, why in context.skipped.items()],
             cards=_cards(comparisons),
