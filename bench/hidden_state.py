@@ -20,9 +20,9 @@ from flysid.model.base import Fitted
 from flysid.model.rules.realisation import coordinates
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.state_assembly import finished
-from flysid.model.rules.state_context import Bench
+from flysid.model.rules.state_context import StateContext
 from flysid.model.rules.state_growth import StateStage, Training, one_rule_more
-from flysid.model.rules.state_judging import ends_of_travel
+from flysid.model.rules.state_judging import saturation_limits
 from flysid.model.rules.state_systems import linear_systems
 from flysid.model.ts_state_space import TSStateSpace
 
@@ -47,7 +47,7 @@ def gap(model: Fitted, test: Dataset, truth: list[FloatArray]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)) / np.std(np.concatenate(truth)))
 
 
-def grown(bench: Bench, start: StateStage, how: Training) -> list[StateStage]:
+def grown(bench: StateContext, start: StateStage, how: Training) -> list[StateStage]:
     """Models with 1 to RULES rules."""
     stages = [start]
     while len(stages) < RULES:
@@ -69,7 +69,7 @@ def _compare(name: str, noise: float, seed: int) -> None:
     test, truth = PLANTS[name].dataset((100 + seed, 101 + seed), SAMPLES, noise)
     settings = TSStateSpace(states=STATES.get(name, 2), nk=1)
     scaled = scaling(train)
-    bench = Bench(settings, 40, ends_of_travel(train), scaled)
+    bench = StateContext(settings, 40, saturation_limits(train), scaled)
     print(f"{name}, noise {noise:.0%}, recording {seed}: ARX {gap(ARX().fit(train), test, truth):.4f}")
     system = linear_systems(settings, train, None, scaled)[0]
     linear = bench.linear(system, train)

@@ -16,7 +16,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.fitted_lags import FittedTS, dc_gain
 from flysid.model.rules.free_run_error import runs_of
 from flysid.model.rules.growth import best_started
-from flysid.model.rules.refit import restated
+from flysid.model.rules.refit import as_problem
 from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.rules.stages import refine
 from flysid.model.ts import TS
@@ -54,7 +54,7 @@ def experiment(truth: FittedTS, seed: int) -> Dataset:
 def refitted(truth: FittedTS, data: Dataset) -> FittedTS:
     """The truth's numbers refined on one record."""
     runs = runs_of(truth.layout, data.segments, truth.n_init + 2)
-    problem, body = restated(truth.layout, truth.parameters, runs)
+    problem, body = as_problem(truth.layout, truth.parameters, runs)
     stage = refine(best_started(problem, body), 30, 1e-10)
     return replace(truth, parameters=stage.problem.parameters(stage.body))
 

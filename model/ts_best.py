@@ -139,7 +139,7 @@ def _judged(
     fits = advantage([block_errors((lagged, found), train)]).gain < 0.0
     if validation is not None:
         return compared(lambda _: lagged, lambda _: found, [(train, validation)]), fits
-    least = max(known.stage.problem.layout.depth + SPARE_ROWS, learned.bench.least)
+    least = max(known.stage.problem.layout.depth + SPARE_ROWS, learned.context.least)
 
     def over_lags(data: Dataset) -> FittedTS:
         stage = on_all_runs(known.stage, runs_of(lagged.layout, data.segments, least), _STEPS)

@@ -6,21 +6,21 @@ from bench.ts_intervals import experiment
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.free_run_error import Stage, runs_of
 from flysid.model.rules.growth import unrefined
-from flysid.model.rules.refit import restated
-from flysid.model.rules.search_context import Workshop
+from flysid.model.rules.refit import as_problem
+from flysid.model.rules.search_context import SearchContext
 from flysid.model.ts import TS
 
 
-def workshop_of(truth: FittedTS) -> Workshop:
+def context_of(truth: FittedTS) -> SearchContext:
     """One record of the model to fit and another to check."""
     layout = truth.layout
-    return Workshop(
+    return SearchContext(
         TS(), experiment(truth, 1), experiment(truth, 2), layout.shift, layout.scale, truth.n_init + 10
     )
 
 
-def stage_of(workshop: Workshop, truth: FittedTS, share: float) -> Stage:
+def stage_of(context: SearchContext, truth: FittedTS, share: float) -> Stage:
     """The true rules, `share` of the way to being equal, unrefined."""
     theta = (1.0 - share) * truth.parameters.theta + share * truth.parameters.theta.mean(axis=0)
-    runs = runs_of(truth.layout, workshop.fit_part.segments, workshop.least)
-    return unrefined(*restated(truth.layout, truth.parameters._replace(theta=theta), runs))
+    runs = runs_of(truth.layout, context.fit_part.segments, context.least)
+    return unrefined(*as_problem(truth.layout, truth.parameters._replace(theta=theta), runs))

@@ -14,14 +14,14 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.kernel import Lags, Parameters, free_run
-from flysid.model.rules.probe_inputs import stress_run
+from flysid.model.rules.probe_inputs import probe_run
 
 _STEPS = (3000, 30_000)  # at least, and at most; between them as long as the training runs together
 _APART = 0.25  # of what was seen, in the end of a run; starts at its ends are half of it from the middle
 _RARELY = 0.02  # of the samples
 
 
-def forgets_start(
+def is_contracting(
     runs: Sequence[FloatArray], seen: FloatArray, depth: int, lags: Lags, par: Parameters
 ) -> bool:
     """Whether runs from the ends of what was seen come together under the training inputs, shuffled.
@@ -34,7 +34,7 @@ def forgets_start(
     """
     n = seen.shape[1]
     steps = int(np.clip(sum(len(W) for W in runs), *_STEPS))
-    W = stress_run(runs, n, steps, seed=0)[steps:]
+    W = probe_run(runs, n, steps, seed=0)[steps:]
     middle, last = seen.mean(axis=0), len(W) - len(W) // 4
     reach = np.where(seen[1] > seen[0], seen[1] - seen[0], 1.0)
     reference = _run(W, middle, depth, lags, par)[last:]

@@ -12,7 +12,7 @@ from flysid.dataset import FloatArray
 from flysid.model.rules.free_run_error import Body, Stage
 from flysid.model.rules.growth import best_started
 from flysid.model.rules.kernel import Parameters
-from flysid.model.rules.refit import restated
+from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import Layout
 
 
@@ -60,7 +60,7 @@ def _kept(p: Parameters, rules: np.ndarray[tuple[int], np.dtype[np.int64]]) -> P
 def staged(layout: Layout, p: Parameters, runs: tuple[FloatArray, ...]) -> Iterator[Stage]:
     """The edited model as a stage of refinement; nothing where there are no runs."""
     if runs:
-        problem, body = restated(layout, p, runs)
+        problem, body = as_problem(layout, p, runs)
         yield best_started(problem, _apart(body))
 
 

@@ -24,17 +24,9 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Segment
 from flysid.model.bordered import Bordered
-from flysid.model.rules.kernel import (
-    Fixed,
-    IntArray,
-    Lags,
-    Normal,
-    Parameters,
-    Sizes,
-    descend,
-    free_run,
-    sweep,
-)
+from flysid.model.rules.bordered_step import Normal
+from flysid.model.rules.descent import Fixed, Sizes, descend
+from flysid.model.rules.kernel import IntArray, Lags, Parameters, free_run, sweep
 from flysid.model.rules.regressor_layout import Antecedent, Layout
 
 _DRIFT = 1e-5  # on the hidden states' scale and origin, which no output shows

@@ -15,11 +15,11 @@ from functools import cached_property
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
-from flysid.model.rules.contraction import forgets_start
+from flysid.model.rules.contraction import is_contracting
 from flysid.model.rules.free_run_error import Stage, widened
 from flysid.model.rules.kernel import Parameters, free_run
 from flysid.model.rules.linear_starts import LinearModel
-from flysid.model.rules.probe_inputs import stress_run
+from flysid.model.rules.probe_inputs import probe_run
 from flysid.model.rules.rule_poles import unheld
 from flysid.model.start import MAX_SHARE, estimate_start
 
@@ -204,7 +204,7 @@ def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
     First random steps over the whole range of the training inputs, which may push any plant far out; then
     blocks of the training inputs in random order. In that second part no more than one sample in fifty
     may lie on an output limit (the range of training, widened by itself on each side), and the model
-    must forget how it was started (`forgets_start`); rules must also stay off the limits most of the time
+    must forget how it was started (`is_contracting`); rules must also stay off the limits most of the time
     where random inputs are held for long. Of a model that holds an integrator the changes of the
     output are asked instead (the range widened tenfold), as its output may go anywhere. Lags are held at
     the limits here, those of a single rule too (`unheld`): one that stays there is too near to instability.
@@ -219,7 +219,7 @@ def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
         y, limits = np.diff(y, axis=0), widened(np.stack([usual.min(axis=0), usual.max(axis=0)]), _FAR)
     if not _share_at(y, limits) < 0.02:
         return False
-    return problem.integrates or (_returns(stage, steps) and _forgets_start(stage))
+    return problem.integrates or (_returns(stage, steps) and _is_contracting(stage))
 
 
 def _returns(stage: Stage, steps: int) -> bool:
@@ -235,9 +235,9 @@ def _returns(stage: Stage, steps: int) -> bool:
 
 
 def _pushed(stage: Stage, steps: int, seed: int, longest: int | None = None) -> FloatArray:
-    """(2 steps, n_y) outputs under the inputs of `stress_run`, held at the limits."""
+    """(2 steps, n_y) outputs under the inputs of `probe_run`, held at the limits."""
     problem, n_y = stage.problem, stage.problem.layout.n_y
-    W = stress_run(problem.runs, n_y, steps, seed, longest)
+    W = probe_run(problem.runs, n_y, steps, seed, longest)
     free_run(W, problem.layout.depth, problem.layout.lags, problem.parameters(stage.body))
     return W[:, :n_y]
 
@@ -247,11 +247,11 @@ def _share_at(y: FloatArray, limits: FloatArray) -> float:
     return float(((y <= limits[0]) | (y >= limits[1])).any(axis=1).mean())
 
 
-def _forgets_start(stage: Stage) -> bool:
+def _is_contracting(stage: Stage) -> bool:
     problem, layout = stage.problem, stage.problem.layout
     y = np.vstack([run[:, : layout.n_y] for run in stage.simulated()])
     seen = np.stack([y.min(axis=0), y.max(axis=0)])
-    return forgets_start(problem.runs, seen, layout.depth, layout.lags, problem.parameters(stage.body))
+    return is_contracting(problem.runs, seen, layout.depth, layout.lags, problem.parameters(stage.body))
 
 
 def _rules_settle(stage: Stage) -> bool:

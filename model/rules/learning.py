@@ -13,8 +13,8 @@ from flysid.model.arguments import is_count
 from flysid.model.linear.settings import check_hint
 from flysid.model.rules.free_run_error import Stage, runs_of
 from flysid.model.rules.judging import INTEGRATES, Candidate, choose, hold_out
-from flysid.model.rules.merge_split import exchanged
-from flysid.model.rules.pruning import fewer_words
+from flysid.model.rules.merge_split import merge_and_split
+from flysid.model.rules.pruning import prune
 from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import (
     Antecedent,
@@ -24,7 +24,7 @@ from flysid.model.rules.regressor_layout import (
     scaling,
 )
 from flysid.model.rules.search import affords, cross_validated, search
-from flysid.model.rules.search_context import SPARE_ROWS, Settings, Workshop
+from flysid.model.rules.search_context import SPARE_ROWS, SearchContext, Settings
 from flysid.model.rules.stages import ordered
 
 _HIGHEST_LINEAR = 12  # samples of lags that the linear side may choose on short records,
@@ -66,16 +66,16 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     shift, scale = scaling(fit_part)
     small = own and settings.rules == "auto" and settings.refine and len(train) < settings.search.short
     folds = tuple(hold_out(train, least, fold) for fold in range(1, settings.search.folds)) if small else ()
-    workshop = Workshop(settings, fit_part, check_part, shift, scale, least, folds=folds)
-    candidates, notes = workshop.linear(choices)
-    workshop = replace(workshop, must_be_bounded=any(c.stable for c in candidates))
-    if not workshop.must_be_bounded:
+    context = SearchContext(settings, fit_part, check_part, shift, scale, least, folds=folds)
+    candidates, notes = context.linear(choices)
+    context = replace(context, must_be_bounded=any(c.stable for c in candidates))
+    if not context.must_be_bounded:
         candidates = [replace(c, stable=True) for c in candidates]
         notes.append(f"{INTEGRATES} Boundedness was not asked for.")
     if folds:
         notes.append("Little data: parts of it were held out in turn to choose the number of rules.")
     gain = settings.search.short_rule_gain if small else settings.search.rule_gain
-    models, at = _chosen(workshop, candidates, named, gain)
+    models, at = _chosen(context, candidates, named, gain)
     chosen = models[at]
     if not chosen.stable:
         raise FitError(
@@ -84,7 +84,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         )
     notes += _changed_orders(models, at) + _unstable(models)
     if settings.refine and settings.rules == "auto" and settings.antecedents == "auto":
-        chosen, simpler = fewer_words(workshop, exchanged(workshop, models, at, named))
+        chosen, simpler = prune(context, merge_and_split(context, models, at, named))
         notes += simpler
     stage = known = ordered(chosen.stage)
     if settings.refine:
@@ -92,7 +92,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         stage = refit(replace(chosen, stage=stage), train if own else fit_part, runs, settings.iterations)
     if own and settings.refine:
         notes.append(_AS_IT_WAS if stage is known else _ON_ALL)
-    if stage.problem.integrates and workshop.must_be_bounded:
+    if stage.problem.integrates and context.must_be_bounded:
         notes.append(INTEGRATES)
     return Learned(stage, (*notes, *rule_verdict(settings, models, at), _method(settings)))
 
@@ -104,19 +104,19 @@ def _deepest(settings: Settings, train: Dataset) -> int:
 
 
 def _chosen(
-    workshop: Workshop, linear: Sequence[Candidate], named: tuple[Antecedent, ...], gain: float
+    context: SearchContext, linear: Sequence[Candidate], named: tuple[Antecedent, ...], gain: float
 ) -> tuple[list[Candidate], int]:
     """Models by number of rules, and which of them is offered; a rule must win `gain` of the mean square."""
-    settings = workshop.settings
+    settings = context.settings
     if settings.rules != "auto" and not any(affords(c, settings.rules) for c in linear):
         raise _too_many(settings.rules, linear)  # before an hour of growing
-    models = search(workshop, linear, named)
+    models = search(context, linear, named)
     if settings.rules != "auto":
         if len(models) < settings.rules:
             raise _too_many(settings.rules, models)
         return models, len(models) - 1
-    if workshop.folds and len(models) > 1:
-        models = cross_validated(workshop, models, named, max(1, choose(models, least_gain=gain)))
+    if context.folds and len(models) > 1:
+        models = cross_validated(context, models, named, max(1, choose(models, least_gain=gain)))
     return models, choose(models, least_gain=gain)
 
 

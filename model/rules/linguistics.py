@@ -17,7 +17,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.memberships import Partition
-from flysid.model.rules.vocabulary import Axis, Name, Tongue, signed, tongue_of, unsigned
+from flysid.model.rules.vocabulary import Axis, Name, Vocabulary, signed, tongue_of, unsigned
 
 _AT_ZERO = 0.08  # of the range: a centre nearer to zero is at zero
 _AROUND_ZERO = 0.15  # of the range: a piece around zero that reaches no farther is at zero
@@ -116,7 +116,9 @@ def _around_one(found: Sequence[Piece], centre: Sequence[float], axis: Axis) -> 
     return [f"{'away from' if i == outer else 'near'} {axis.place(at)}" for i in range(2)]
 
 
-def _named_pieces(found: Sequence[Piece], axis: Axis, tongue: Tongue | None) -> list[tuple[int, Name]] | None:
+def _named_pieces(
+    found: Sequence[Piece], axis: Axis, tongue: Vocabulary | None
+) -> list[tuple[int, Name]] | None:
     """(level, name) of every piece in order; None where there are more than words."""
     if tongue is None:
         scale = unsigned(axis).get(len(found))
@@ -140,7 +142,7 @@ def _signs(piece: Piece, span: float) -> tuple[int, ...]:
     return (-1, 1)
 
 
-def _joined(names: Sequence[Name], tongue: Tongue | None) -> str:
+def _joined(names: Sequence[Name], tongue: Vocabulary | None) -> str:
     """ "slow or fast to the left", "backward or slow forward", "low or high"."""
     if tongue is None:
         return " or ".join(size for _, size in names)

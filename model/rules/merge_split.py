@@ -15,13 +15,13 @@ from flysid.model.rules.judging import Candidate
 from flysid.model.rules.pruning import refined_edits
 from flysid.model.rules.regressor_layout import Antecedent
 from flysid.model.rules.search import one_more
-from flysid.model.rules.search_context import Workshop
+from flysid.model.rules.search_context import SearchContext
 
 _LEAST_GAIN = 0.01  # of the validation's mean square, and one standard error
 
 
-def exchanged(
-    workshop: Workshop, models: Sequence[Candidate], at: int, named: tuple[Antecedent, ...]
+def merge_and_split(
+    context: SearchContext, models: Sequence[Candidate], at: int, named: tuple[Antecedent, ...]
 ) -> Candidate:
     """`models[at]`, or one with as many rules that training and validation both prefer.
 
@@ -29,23 +29,23 @@ def exchanged(
     more choice by the same quarters gained nothing on plants with known truth.
     """
     chosen, larger = models[at], list(models[at + 1 : at + 2])
-    if workshop.folds or chosen.stage.rules < 2:
+    if context.folds or chosen.stage.rules < 2:
         return chosen
-    for _ in range(workshop.settings.search.exchanges):
-        found = _again(workshop, chosen, larger or one_more(workshop, chosen, named))
+    for _ in range(context.settings.search.exchanges):
+        found = _again(context, chosen, larger or one_more(context, chosen, named))
         if found is chosen:
             break
         chosen, larger = found, []
     return chosen
 
 
-def _again(workshop: Workshop, chosen: Candidate, larger: Sequence[Candidate]) -> Candidate:
+def _again(context: SearchContext, chosen: Candidate, larger: Sequence[Candidate]) -> Candidate:
     """The best of the larger models' mergers with as many rules as `chosen`; itself where none is better."""
-    known = workshop.judge(chosen.stage)
+    known = context.judge(chosen.stage)
     found = [
-        workshop.judge(stage)
+        context.judge(stage)
         for more in larger
-        for _, stage in refined_edits(workshop, more.stage, fewer_rules=True)
+        for _, stage in refined_edits(context, more.stage, fewer_rules=True)
         if stage.cost < chosen.stage.cost
     ]
     better = [kid for kid in found if kid.stable and _is_better(kid, known)]

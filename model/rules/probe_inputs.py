@@ -15,7 +15,7 @@ import numpy.typing as npt
 from flysid.dataset import FloatArray
 
 
-def stress_run(
+def probe_run(
     runs: Sequence[FloatArray], n_y: int, steps: int, seed: int, longest: int | None = None
 ) -> FloatArray:
     """W (2 steps, n_y + n_u): `steps` random inputs in the training range, then training ones shuffled.

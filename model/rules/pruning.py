@@ -13,19 +13,19 @@ from flysid.model.rules.edits import edits, staged
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import rule_support
 from flysid.model.rules.judging import Candidate
-from flysid.model.rules.search_context import Workshop
+from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.stages import ordered, refine, with_ridge
 
 _TRIED = 3  # edits that are refined, of all ranked by their cost in training
 _RIDGE = 0.01  # of the mean square error, as in growth
 
 
-def fewer_words(workshop: Workshop, chosen: Candidate) -> tuple[Candidate, list[str]]:
+def prune(context: SearchContext, chosen: Candidate) -> tuple[Candidate, list[str]]:
     """The chosen model without what validation does not miss, and a sentence about every edit."""
     # `chosen` may have been judged on other parts too, harder or easier ones; the edits are not
-    limit, said = workshop.judge(chosen.stage).mean, list[str]()
-    while workshop.settings.search.prune and chosen.stage.rules > 1:
-        offers = [(what, workshop.judge(stage)) for what, stage in refined_edits(workshop, chosen.stage)]
+    limit, said = context.judge(chosen.stage).mean, list[str]()
+    while context.settings.search.prune and chosen.stage.rules > 1:
+        offers = [(what, context.judge(stage)) for what, stage in refined_edits(context, chosen.stage)]
         good = [(what, c) for what, c in offers if c.stable and c.mean <= limit]
         if not good:
             break
@@ -35,7 +35,7 @@ def fewer_words(workshop: Workshop, chosen: Candidate) -> tuple[Candidate, list[
 
 
 def refined_edits(
-    workshop: Workshop, stage: Stage, *, fewer_rules: bool = False
+    context: SearchContext, stage: Stage, *, fewer_rules: bool = False
 ) -> Iterator[tuple[str, Stage]]:
     """The most promising edits, or only those that leave fewer rules, refined on the training part."""
     stage = ordered(stage)
@@ -48,4 +48,4 @@ def refined_edits(
     ]
     tried.sort(key=lambda edit: edit[1].cost)
     for what, s in tried[:_TRIED]:
-        yield what, refine(with_ridge(s, _RIDGE * s.cost), workshop.settings.iterations // 2, 1e-5)
+        yield what, refine(with_ridge(s, _RIDGE * s.cost), context.settings.iterations // 2, 1e-5)

@@ -15,7 +15,8 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.linear.model import FittedLinear
-from flysid.model.rules.kernel import Fixed, Parameters, Sizes, descend
+from flysid.model.rules.descent import Fixed, Sizes, descend
+from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.state_layout import StateLayout
 
 _SINGULAR = 1e-6  # coordinates closer to dependent than this are not offered

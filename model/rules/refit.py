@@ -44,7 +44,7 @@ def _rings_newly(found: Stage, known: Stage) -> bool:
     return rings_on(found) and not rings_on(known)
 
 
-def restated(layout: Layout, parameters: Parameters, runs: tuple[FloatArray, ...]) -> tuple[Problem, Body]:
+def as_problem(layout: Layout, parameters: Parameters, runs: tuple[FloatArray, ...]) -> tuple[Problem, Body]:
     """A fitted model as refinement writes it: consequents in a basis in which `runs` are well conditioned."""
     theta, p = parameters.theta, parameters
     held = holds_integrator(theta, layout.orders.na)

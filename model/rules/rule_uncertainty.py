@@ -25,7 +25,7 @@ from flysid.model.rules.fitted_lags import FittedTS, dc_gain, refuse_other_model
 from flysid.model.rules.free_run_error import Body, Problem, Stage, run_sensitivities, runs_of, swept
 from flysid.model.rules.growth import NOTHING
 from flysid.model.rules.kernel import Parameters
-from flysid.model.rules.refit import restated
+from flysid.model.rules.refit import as_problem
 from flysid.model.rules.rule_poles import pole_radius
 from flysid.model.threads import on_one_thread
 
@@ -147,7 +147,7 @@ def uncertainty(model: FittedTS, train: Dataset) -> RuleUncertainty:
     runs = shortened(runs_of(model.layout, train.segments, model.n_init + 2))
     if sum(len(W) - model.n_init for W in runs) * model.layout.n_y <= model.n_parameters:
         raise DataError("fewer samples than numbers in the model: nothing can be said about its uncertainty")
-    problem, body = restated(model.layout, model.parameters, runs)
+    problem, body = as_problem(model.layout, model.parameters, runs)
     jacobians, errors = [], []
     for W, initial in zip(runs, _started(problem, body).initial, strict=True):
         J, e = _sensitivities(problem, body, W, initial)

@@ -20,7 +20,7 @@ from flysid.model.rules.growth import one_rule_more, thinned
 from flysid.model.rules.judging import Candidate, choose
 from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, scaling
-from flysid.model.rules.search_context import Workshop
+from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.stages import refine, with_ridge
 
 _MOST_ROWS = 12000  # of training data while searching; the chosen model is refined on all
@@ -32,23 +32,25 @@ _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
 _ROWS_PER_NUMBER = 4
 
 
-def search(workshop: Workshop, linear: Sequence[Candidate], named: tuple[Antecedent, ...]) -> list[Candidate]:
+def search(
+    context: SearchContext, linear: Sequence[Candidate], named: tuple[Antecedent, ...]
+) -> list[Candidate]:
     """Models with 1, 2, 3, ... rules, simplest first: of every number of rules the one to be offered.
 
     Ends where growth stalls, where data run out, or at the number of rules that was asked for.
     """
-    settings = workshop.settings
-    most = workshop.most_rules
-    kept = workshop.lanes
-    models, lanes = [linear[0]], _starts(workshop, linear)
+    settings = context.settings
+    most = context.most_rules
+    kept = context.lanes
+    models, lanes = [linear[0]], _starts(context, linear)
     if not settings.refine:
         variables = named or found_antecedents(linear[0].stage.problem.layout)
         plain = (clustered_stage(linear[0].stage, variables[:2], r) for r in range(2, most + 1))
-        return [linear[0], *(workshop.judge(s) for s in plain)]
+        return [linear[0], *(context.judge(s) for s in plain)]
     while len(models) < most:
         rules = len(models) + 1
         keep = 1 if rules == 2 else kept
-        kids = [kid for lane in lanes if affords(lane, rules) for kid in _grown(workshop, lane, named, keep)]
+        kids = [kid for lane in lanes if affords(lane, rules) for kid in _grown(context, lane, named, keep)]
         if not kids:
             break
         models.append(representative(kids))
@@ -58,7 +60,7 @@ def search(workshop: Workshop, linear: Sequence[Candidate], named: tuple[Anteced
     return models
 
 
-def _starts(workshop: Workshop, linear: Sequence[Candidate]) -> list[Candidate]:
+def _starts(context: SearchContext, linear: Sequence[Candidate]) -> list[Candidate]:
     """The linear models to grow from: of each orders the best, the hopeless ones left out."""
     best: dict[Orders, Candidate] = {}
     for candidate in linear:
@@ -68,7 +70,7 @@ def _starts(workshop: Workshop, linear: Sequence[Candidate]) -> list[Candidate]:
     limit = _HOPELESS * max(min(c.mean for c in linear if c.stable == linear[0].stable), _EXACT)
     kept = [c for c in best.values() if c is linear[0] or c.mean <= limit]
     thin = [replace(c, stage=thinned(c.stage, _MOST_ROWS)) for c in kept]
-    if workshop.must_be_bounded:
+    if context.must_be_bounded:
         return thin
     return [replace(c, stage=_unstressed(c.stage)) for c in thin]
 
@@ -83,26 +85,28 @@ def affords(lane: Candidate, rules: int) -> bool:
     return bool(stage.body.a[0].size * rules * _ROWS_PER_NUMBER < stage.problem.samples)
 
 
-def _grown(workshop: Workshop, lane: Candidate, named: tuple[Antecedent, ...], keep: int) -> list[Candidate]:
+def _grown(
+    context: SearchContext, lane: Candidate, named: tuple[Antecedent, ...], keep: int
+) -> list[Candidate]:
     """A lane's models with one rule more; held together by a ridge where freedom made all unstable.
 
     In the basis of the linear model's Gauss-Newton matrix a ridge of 1 halves what the data say about
     the difference of two rules, so that the ladder is the same for every data set.
     """
     candidates = named or found_antecedents(lane.stage.problem.layout)
-    iterations = workshop.settings.iterations
+    iterations = context.settings.iterations
     found = one_rule_more(lane.stage, candidates, iterations, keep)
-    kids = [workshop.judge(stage) for _, stage in found]
+    kids = [context.judge(stage) for _, stage in found]
     for ridge in _RIDGES:
         if not found or any(kid.stable for kid in kids):
             break
-        kids.append(workshop.judge(refine(with_ridge(found[0][0], ridge), iterations, 1e-4)))
+        kids.append(context.judge(refine(with_ridge(found[0][0], ridge), iterations, 1e-4)))
     return kids
 
 
-def one_more(workshop: Workshop, known: Candidate, named: tuple[Antecedent, ...]) -> list[Candidate]:
+def one_more(context: SearchContext, known: Candidate, named: tuple[Antecedent, ...]) -> list[Candidate]:
     """A model with one rule more than the known one, as far as data and growth go."""
-    return _grown(workshop, known, named, 1) if affords(known, known.stage.rules + 1) else []
+    return _grown(context, known, named, 1) if affords(known, known.stage.rules + 1) else []
 
 
 def _rank(candidate: Candidate) -> tuple[bool, float]:
@@ -124,7 +128,7 @@ def representative(kids: Sequence[Candidate]) -> Candidate:
 
 
 def cross_validated(
-    workshop: Workshop, models: Sequence[Candidate], named: tuple[Antecedent, ...], at: int
+    context: SearchContext, models: Sequence[Candidate], named: tuple[Antecedent, ...], at: int
 ) -> list[Candidate]:
     """The models with the validation errors of all further folds, as far as every fold reached.
 
@@ -133,13 +137,13 @@ def cross_validated(
     """
     errors = [[m.errors] for m in models]
     orders = models[at].stage.problem.layout.orders
-    for fit_part, check_part in workshop.folds:
+    for fit_part, check_part in context.folds:
         try:
             shift, scale = scaling(fit_part)
         except DataError:  # a quarter without which nothing moves says nothing
             continue
         other = replace(
-            workshop,
+            context,
             fit_part=fit_part,
             check_part=check_part,
             shift=shift,
@@ -163,7 +167,9 @@ def cross_validated(
     ]
 
 
-def not_astray(fold: Workshop, models: Sequence[Candidate], grown: Sequence[Candidate]) -> list[Candidate]:
+def not_astray(
+    fold: SearchContext, models: Sequence[Candidate], grown: Sequence[Candidate]
+) -> list[Candidate]:
     """What was grown on a fold; or all `models` refitted to it, where growth ended in a far worse minimum.
 
     Only the fit to the fold's own training part decides. A search that fails on one part says nothing about
@@ -177,7 +183,7 @@ def not_astray(fold: Workshop, models: Sequence[Candidate], grown: Sequence[Cand
     return list(grown)
 
 
-def _refitted(fold: Workshop, model: Candidate) -> Candidate:
+def _refitted(fold: SearchContext, model: Candidate) -> Candidate:
     runs = runs_of(model.stage.problem.layout, fold.fit_part.segments, fold.least)
     return fold.judge(refit(model, fold.fit_part, runs, fold.settings.iterations))
 

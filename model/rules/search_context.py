@@ -14,7 +14,7 @@ from flysid.model.rules.growth import embedded_start, first_basis, linear_stage,
 from flysid.model.rules.integrator import looks_integrating, with_integrator
 from flysid.model.rules.judging import Candidate, choose, judged
 from flysid.model.rules.linear_starts import LinearModel, as_stage, linear_models
-from flysid.model.rules.probe_inputs import stress_run
+from flysid.model.rules.probe_inputs import probe_run
 from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import Layout, Orders
 from flysid.model.rules.search_settings import SearchSettings
@@ -57,7 +57,7 @@ class Settings(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Workshop:
+class SearchContext:
     """Data and settings that all stages of one fit share.
 
     Attributes
@@ -112,7 +112,7 @@ class Workshop:
         limits = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
         steps = min(_STRESS, max(200, len(y) // 2))
         stress = (
-            stress_run(problem.runs, n_y, steps, _STRESS_SEED)
+            probe_run(problem.runs, n_y, steps, _STRESS_SEED)
             if self.must_be_bounded and not problem.integrates
             else None
         )

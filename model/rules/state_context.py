@@ -44,7 +44,7 @@ class Settings(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class StateContext:
     """What all stages of one fit share."""
 
     settings: Settings

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.rules.contraction import forgets_start
+from flysid.model.rules.contraction import is_contracting
 from flysid.model.rules.free_run_error import started_run
 from flysid.model.rules.judging import blocks, judging_window
 from flysid.model.rules.kernel import free_run
-from flysid.model.rules.probe_inputs import stress_run
+from flysid.model.rules.probe_inputs import probe_run
 from flysid.model.rules.realisation import initial_states
 from flysid.model.rules.state_growth import StateStage, prior_of
 from flysid.model.rules.state_layout import windows
@@ -83,7 +83,7 @@ def is_bounded(stage: StateStage, seed: int = 0) -> bool:
     """
     problem, layout = stage.problem, stage.layout
     n = layout.n
-    W = stress_run(problem.runs, n, _STEPS, seed)
+    W = probe_run(problem.runs, n, _STEPS, seed)
     free_run(W, layout.depth, layout.lags, problem.parameters(stage.body))
     seen = np.vstack([r[layout.depth - 1 :, :n] for r in stage.simulated()])
     margin = 0.5 * np.ptp(seen, axis=0)
@@ -92,10 +92,10 @@ def is_bounded(stage: StateStage, seed: int = 0) -> bool:
     if not (np.isfinite(states).all() and out.any(axis=1).mean() < 0.02):
         return False
     ends = np.stack([seen.min(axis=0), seen.max(axis=0)])
-    return forgets_start(problem.runs, ends, layout.depth, layout.lags, problem.parameters(stage.body))
+    return is_contracting(problem.runs, ends, layout.depth, layout.lags, problem.parameters(stage.body))
 
 
-def ends_of_travel(data: Dataset) -> FloatArray:
+def saturation_limits(data: Dataset) -> FloatArray:
     """(2, n_y) outputs at which the plant or its sensor saturates; infinite where it does not.
 
     An end is the same extreme value, reached or left with a corner (fast, then standing still) at least

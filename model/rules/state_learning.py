@@ -15,10 +15,10 @@ from flysid.model.rules.judging import INTEGRATES, hold_out
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.stages import ordered, refine
 from flysid.model.rules.state_choice import Family, fewest_rules
-from flysid.model.rules.state_context import SPARE_ROWS, Bench
+from flysid.model.rules.state_context import SPARE_ROWS, StateContext
 from flysid.model.rules.state_context import Settings as GrowthSettings
 from flysid.model.rules.state_growth import StateStage, on_other_runs
-from flysid.model.rules.state_judging import ends_of_travel, is_bounded
+from flysid.model.rules.state_judging import is_bounded, saturation_limits
 from flysid.model.rules.state_layout import runs_of
 from flysid.model.rules.state_search import searched
 from flysid.model.rules.state_systems import Settings as SystemSettings
@@ -36,20 +36,20 @@ class Learned:
     Attributes
     ----------
     intervals : the stage stands at a minimum of the simulation error, which intervals presume.
-    bench, system : what it was made with, and from.
+    context, system : what it was made with, and from.
     """
 
     stage: StateStage
     notes: tuple[str, ...]
-    bench: Bench
+    context: StateContext
     system: System
     intervals: bool = True
 
     def again(self, data: Dataset, iterations: int) -> StateStage:
         """The stage refined from where it is on a part of the data, by the method that found it."""
         if not self.intervals:
-            return self.bench.single(self.system, data)[0]
-        runs = runs_of(self.stage.layout, data.segments, self.bench.least)
+            return self.context.single(self.system, data)[0]
+        runs = runs_of(self.stage.layout, data.segments, self.context.least)
         return refine(on_other_runs(self.stage, runs), iterations, 1e-4)
 
 
@@ -76,24 +76,24 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     scaled = scaling(train)
     systems = linear_systems(settings, train, validation, scaled)
     least = _least(systems, train)
-    bench = Bench(settings, least, ends_of_travel(train), scaled)
-    found = searched(bench, systems, _parts(settings, train, validation, least))
+    context = StateContext(settings, least, saturation_limits(train), scaled)
+    found = searched(context, systems, _parts(settings, train, validation, least))
     at = fewest_rules(found.best, found.plain) if settings.rules == "auto" else settings.rules - 1
     _check_count(settings, found.best)
     family = found.plain if at == 0 else found.best
     if at == 0:
-        final, words = bench.single(family.start.system, train)
+        final, words = context.single(family.start.system, train)
     else:
-        final, words = ordered(bench.on_everything(family, at, train)), family.words
+        final, words = ordered(context.on_everything(family, at, train)), family.words
     notes = [
         _why(family, words, systems),
-        *_ends(bench.ends, train),
+        *_ends(context.ends, train),
         *_rule_notes(settings, found.best, found.plain, final.rules),
     ]
     refined = final.rules > 1 or family.start.system.again is None
     if not is_bounded(final):
         notes.append(INTEGRATES)
-    return Learned(final, tuple(notes), bench, family.start.system, refined)
+    return Learned(final, tuple(notes), context, family.start.system, refined)
 
 
 def _least(systems: Sequence[System], train: Dataset) -> int:

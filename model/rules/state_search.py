@@ -17,7 +17,7 @@ import numpy as np
 from flysid.dataset import Dataset
 from flysid.model.rules.realisation import PLAIN, Realisation, coordinates
 from flysid.model.rules.state_choice import Family, Start
-from flysid.model.rules.state_context import LARGE, Bench
+from flysid.model.rules.state_context import LARGE, StateContext
 from flysid.model.rules.state_growth import (
     Insertion,
     StateStage,
@@ -66,9 +66,9 @@ class _Linear:
     family: Family
 
     @classmethod
-    def of(cls, bench: Bench, system: System, parts: Parts) -> _Linear:
-        stages = tuple(bench.linear(system, fit) for fit, _ in parts)
-        found = tuple((bench.judge(s, c),) for s, (_, c) in zip(stages, parts, strict=True))
+    def of(cls, context: StateContext, system: System, parts: Parts) -> _Linear:
+        stages = tuple(context.linear(system, fit) for fit, _ in parts)
+        found = tuple((context.judge(s, c),) for s, (_, c) in zip(stages, parts, strict=True))
         return cls(system, stages, Family(Start(system, PLAIN), 0.0, found))
 
     @property
@@ -76,38 +76,38 @@ class _Linear:
         return float(tolerant(self.family).rmse[0])
 
 
-def searched(bench: Bench, systems: Sequence[System], parts: Parts) -> Found:
+def searched(context: StateContext, systems: Sequence[System], parts: Parts) -> Found:
     """The best family over all starts; see the module's docstring."""
     many = len(parts[0][0]) > LARGE
     if many:
         parts = [(_sampled(fit, _SEARCH_ROWS), check) for fit, check in parts]
-    linear = sorted((_Linear.of(bench, s, parts) for s in systems), key=lambda x: x.error)
+    linear = sorted((_Linear.of(context, s, parts) for s in systems), key=lambda x: x.error)
     near = [x for x in linear if x.error <= _LEVEL * linear[0].error]
     plain = tolerant(min(near, key=lambda x: len(x.system.real.A)).family)
-    able = [x for x in linear if len(x.system.real.A) <= _MOST_STATES and bench.room(x.stages[0])]
+    able = [x for x in linear if len(x.system.real.A) <= _MOST_STATES and context.room(x.stages[0])]
     able = [x for x in able if x.error < _RAN_AWAY] or able[:1]
-    if bench.most == 1 or not able:
+    if context.most == 1 or not able:
         return Found(plain, plain)
-    kept = _screened(bench, able[: bench.settings.search.linear_systems], parts)[: 1 if many else _KEPT]
-    ridges = bench.settings.search.ridges if bench.settings.ridge == "auto" else (bench.settings.ridge,)
-    families = [(grown(bench, start, x.stages, parts, ridges[0]), x) for start, x in kept]
-    families.sort(key=lambda f: _error(bench, f[0]))
-    again = families[: _again(bench, families, linear[0].error)] if not many else []
-    found = [grown(bench, f.start, x.stages, parts, r) for r in ridges[1:] for f, x in again]
-    best = min([*(f for f, _ in families), *found], key=lambda f: _error(bench, f))
+    kept = _screened(context, able[: context.settings.search.linear_systems], parts)[: 1 if many else _KEPT]
+    ridges = context.settings.search.ridges if context.settings.ridge == "auto" else (context.settings.ridge,)
+    families = [(grown(context, start, x.stages, parts, ridges[0]), x) for start, x in kept]
+    families.sort(key=lambda f: _error(context, f[0]))
+    again = families[: _again(context, families, linear[0].error)] if not many else []
+    found = [grown(context, f.start, x.stages, parts, r) for r in ridges[1:] for f, x in again]
+    best = min([*(f for f, _ in families), *found], key=lambda f: _error(context, f))
     return Found(best, plain)
 
 
-def _again(bench: Bench, families: Sequence[tuple[Family, _Linear]], plain: float) -> int:
+def _again(context: StateContext, families: Sequence[tuple[Family, _Linear]], plain: float) -> int:
     """How many of the families another ridge is tried on: all where one ran away, the best where it helps."""
     if any(not m.bounded for family, _ in families for fold in family.folds for m in fold):
         return len(families)
-    helps = bench.settings.rules != "auto" or _error(bench, families[0][0]) < 0.99 * plain
+    helps = context.settings.rules != "auto" or _error(context, families[0][0]) < 0.99 * plain
     return 1 if helps else 0
 
 
-def _error(bench: Bench, family: Family) -> float:
-    return float(family.rmse[-1] if bench.settings.rules != "auto" else family.rmse.min())
+def _error(context: StateContext, family: Family) -> float:
+    return float(family.rmse[-1] if context.settings.rules != "auto" else family.rmse.min())
 
 
 def tolerant(family: Family) -> Family:
@@ -119,7 +119,7 @@ def _tolerant(found: Judged) -> Judged:
     return replace(found, bounded=True)
 
 
-def _screened(bench: Bench, linear: Sequence[_Linear], parts: Parts) -> list[tuple[Start, _Linear]]:
+def _screened(context: StateContext, linear: Sequence[_Linear], parts: Parts) -> list[tuple[Start, _Linear]]:
     """Starts by what two rules do on the first part, best first."""
     check = _sampled(parts[0][1], _SCREEN_ROWS)
     how = _searching(_SCREEN, parts)
@@ -127,9 +127,9 @@ def _screened(bench: Bench, linear: Sequence[_Linear], parts: Parts) -> list[tup
     for x in linear:
         first = thinned(x.stages[0], _SCREEN_ROWS)
         for name in coordinates(Realisation.of(first.layout, first.body.a[0]), len(check.outputs)):
-            stage, _ = bench.in_coordinates(first, name)
-            found, _ = best_insertion(stage, bench.candidates(stage.layout), how)
-            judged = bench.judge(found, check)
+            stage, _ = context.in_coordinates(first, name)
+            found, _ = best_insertion(stage, context.candidates(stage.layout), how)
+            judged = context.judge(found, check)
             score = float(np.log(np.maximum((judged.mean, found.mean_square()), _EXACT)).sum())
             runs_away = x.family.folds[0][0].bounded and not judged.bounded
             tried.append((runs_away, score, Start(x.system, name), x))
@@ -142,37 +142,41 @@ def _searching(how: Training, parts: Parts) -> Training:
     return replace(how, tries=how.tries - _FEWER_TRIES) if len(parts[0][0]) > LARGE else how
 
 
-def grown(bench: Bench, start: Start, linear: Sequence[StateStage], parts: Parts, ridge: float) -> Family:
+def grown(
+    context: StateContext, start: Start, linear: Sequence[StateStage], parts: Parts, ridge: float
+) -> Family:
     """Models with 1, 2, 3, ... rules grown on the fitting part of every fold, judged on the other part."""
-    moved = [bench.in_coordinates(stage, start.coordinates) for stage in linear]
+    moved = [context.in_coordinates(stage, start.coordinates) for stage in linear]
     stages = [stage for stage, _ in moved]
     family = Family(
         start,
         ridge,
-        tuple((bench.judge(s, c),) for s, (_, c) in zip(stages, parts, strict=True)),
+        tuple((context.judge(s, c),) for s, (_, c) in zip(stages, parts, strict=True)),
         moved[0][1],
     )
     drifts = not all(f[0].bounded for f in family.folds)  # the process integrates: linear models of it drift
     family = tolerant(family) if drifts else family
-    how = _searching(Training(ridge=ridge, iterations=bench.settings.iterations), parts)
-    while len(family.rmse) < bench.most and bench.room(stages[0]) and not _idle(bench, family, stages):
-        first, where = best_insertion(stages[0], bench.candidates(stages[0].layout), how)
+    how = _searching(Training(ridge=ridge, iterations=context.settings.iterations), parts)
+    while len(family.rmse) < context.most and context.room(stages[0]) and not _idle(context, family, stages):
+        first, where = best_insertion(stages[0], context.candidates(stages[0].layout), how)
         if where is None:
             break
         gain = _gain(stages[0], first)
-        stages = [first, *(_likewise(bench, stage, where, how, gain) for stage in stages[1:])]
-        new = [bench.judge(s, c) for s, (_, c) in zip(stages, parts, strict=True)]
+        stages = [first, *(_likewise(context, stage, where, how, gain) for stage in stages[1:])]
+        new = [context.judge(s, c) for s, (_, c) in zip(stages, parts, strict=True)]
         new = [_tolerant(m) if drifts else m for m in new]
         family = replace(family, folds=tuple((*f, m) for f, m in zip(family.folds, new, strict=True)))
     return family
 
 
-def _likewise(bench: Bench, stage: StateStage, where: Insertion, how: Training, gain: float) -> StateStage:
+def _likewise(
+    context: StateContext, stage: StateStage, where: Insertion, how: Training, gain: float
+) -> StateStage:
     """A rule at the same place, or at the stage's own best place where that one helps it less."""
     found = same_insertion(stage, where, how)
     if found is not None and _gain(stage, found) >= _AS_MUCH * gain:
         return found
-    own, _ = best_insertion(stage, bench.candidates(stage.layout), how)
+    own, _ = best_insertion(stage, context.candidates(stage.layout), how)
     return own if found is None or own.cost < found.cost else found
 
 
@@ -181,9 +185,9 @@ def _gain(before: StateStage, after: StateStage) -> float:
     return float(np.log(max(before.mean_square(), _EXACT)) - np.log(max(after.mean_square(), _EXACT)))
 
 
-def _idle(bench: Bench, family: Family, stages: Sequence[StateStage]) -> bool:
+def _idle(context: StateContext, family: Family, stages: Sequence[StateStage]) -> bool:
     """Whether more rules are not worth growing."""
-    if bench.settings.rules != "auto":
+    if context.settings.rules != "auto":
         return False
     errors = family.rmse
     idle = len(errors) - 1 - int(errors.argmin())

@@ -27,7 +27,7 @@ from flysid.model.rules.growth import best_started
 from flysid.model.rules.judging import is_bounded
 from flysid.model.rules.kernel import Parameters, firing
 from flysid.model.rules.phrases import from_to
-from flysid.model.rules.refit import restated
+from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import Layout
 from flysid.model.rules.rule_poles import output_lags, pole_radius
 from flysid.model.rules.rule_uncertainty import steep
@@ -144,7 +144,7 @@ def _unstable(model: FittedTS) -> list[str]:
 def _in_free_run(model: FittedTS, data: Dataset, forgetting: float, trust: float) -> FloatArray:
     """(R, n_y, n_x) consequents that lower the free run's error."""
     runs = _pieces(runs_of(model.layout, data.segments, model.n_init + 2), model.n_init)
-    problem, body = restated(model.layout, model.parameters, (_wandering(model.layout),))
+    problem, body = as_problem(model.layout, model.parameters, (_wandering(model.layout),))
     problem = replace(problem, runs=runs)
     stage = best_started(problem, body)
     asked = is_bounded(stage)

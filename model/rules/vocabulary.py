@@ -63,7 +63,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Tongue:
+class Vocabulary:
     """How signs and sizes of a quantity are called; `size_first`: "slow forward", not "falling slowly"."""
 
     below: str
@@ -87,16 +87,16 @@ def number(value: float) -> str:
     return f"{value:.3g}" if 1e-3 <= abs(value) < 1e4 else f"{value:.2e}"
 
 
-def tongue_of(axis: Axis) -> Tongue | None:
+def tongue_of(axis: Axis) -> Vocabulary | None:
     """How signs are called on this axis; None where it has none."""
     if ")-" in axis.name:
-        return Tongue("falling", "steady", "rising", _CHANGES, size_first=False)
+        return Vocabulary("falling", "steady", "rising", _CHANGES, size_first=False)
     key = "".join(c for c in axis.name.lower() if c.isalnum())
     known = next((d for k, d in _DIRECTIONS.items() if key.startswith(k)), None)
     if axis.unit in _SPEED_UNITS and known:
-        return Tongue(known[0], "hovering", known[1], _SPEEDS)
+        return Vocabulary(known[0], "hovering", known[1], _SPEEDS)
     if min(-axis.low, axis.high) > _BOTH_SIGNS * axis.span:
-        return Tongue("negative", "near zero", "positive", _SIZES)
+        return Vocabulary("negative", "near zero", "positive", _SIZES)
     return None
 
 
@@ -104,7 +104,7 @@ def unsigned(axis: Axis) -> Mapping[int, tuple[str, ...]]:
     return _SPEEDS if axis.unit in _SPEED_UNITS and axis.low >= 0.0 else _SCALES
 
 
-def signed(signs: Sequence[int], tongue: Tongue) -> list[Name] | None:
+def signed(signs: Sequence[int], tongue: Vocabulary) -> list[Name] | None:
     """Direction and size of every place in order; one alone on its side needs no size. None: too many."""
     below, above = (sum(s == side for s in signs) for side in (-1, 1))
     if below not in (0, *tongue.sizes) or above not in (0, *tongue.sizes):

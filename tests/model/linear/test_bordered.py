@@ -11,7 +11,7 @@ from flysid.dataset import Dataset
 from flysid.model.bordered import Bordered
 from flysid.model.rules.free_run_error import Body, Problem, Stage, runs_of
 from flysid.model.rules.growth import first_basis, insertions, linear_stage
-from flysid.model.rules.probe_inputs import stress_run
+from flysid.model.rules.probe_inputs import probe_run
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, scaling
 
 P, SEGMENTS, Q = 4, 3, 2
@@ -55,7 +55,7 @@ def test_gradient_and_matrix_hold_ridge_first_outputs_and_stress() -> None:
     stage = linear_stage(_problem(), 5)
     grown = insertions(stage, Antecedent(0, 1))[0]
     limits = np.array([[-4.0], [4.0]])
-    stress = 2.0 * stress_run(grown.problem.runs, 1, 100, 3)  # leaves the range
+    stress = 2.0 * probe_run(grown.problem.runs, 1, 100, 3)  # leaves the range
     problem = replace(grown.problem, ridge=0.01, limits=limits, stress=stress)
     stage = replace(grown, problem=problem)
     rng = np.random.default_rng(2)

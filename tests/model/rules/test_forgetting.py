@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray, Signal
-from flysid.model.rules.contraction import forgets_start
+from flysid.model.rules.contraction import is_contracting
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders
 
@@ -43,14 +43,14 @@ def test_two_rests_are_told_from_one(
     left: tuple[float, float], right: tuple[float, float], forgets: bool
 ) -> None:
     layout, parameters = two_rules(left, right)
-    assert forgets_start(runs(), SEEN, layout.depth, layout.lags, parameters) is forgets
+    assert is_contracting(runs(), SEEN, layout.depth, layout.lags, parameters) is forgets
 
 
 def test_a_slow_plant_is_given_the_length_of_its_record() -> None:
     """Time constant 5,000 samples: told from an integrator only by a run as long as the data."""
     layout, parameters = two_rules((0.9998, 0.0), (0.9998, 0.0))
-    assert not forgets_start(runs(500), SEEN, layout.depth, layout.lags, parameters)
-    assert forgets_start(runs(12_000), SEEN, layout.depth, layout.lags, parameters)
+    assert not is_contracting(runs(500), SEEN, layout.depth, layout.lags, parameters)
+    assert is_contracting(runs(12_000), SEEN, layout.depth, layout.lags, parameters)
 
 
 def test_an_oscillation_that_does_not_decay_remembers_its_start() -> None:
@@ -61,4 +61,4 @@ def test_an_oscillation_that_does_not_decay_remembers_its_start() -> None:
         theta = np.array([[[2.0 * radius * np.cos(0.3), -(radius**2), 0.01, 0.0]]])
         none = np.zeros((1, 0))
         parameters = Parameters(theta, none, none, np.zeros((2, 0)), far)
-        assert forgets_start(runs(), SEEN, layout.depth, layout.lags, parameters) is forgets
+        assert is_contracting(runs(), SEEN, layout.depth, layout.lags, parameters) is forgets

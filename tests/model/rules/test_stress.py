@@ -10,8 +10,8 @@ from flysid.dataset import FloatArray, Signal
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.judging import is_bounded
 from flysid.model.rules.kernel import Parameters
-from flysid.model.rules.probe_inputs import stress_run
-from flysid.model.rules.refit import restated
+from flysid.model.rules.probe_inputs import probe_run
+from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders
 
 STEPS = 1000
@@ -35,13 +35,13 @@ def test_rules_that_run_away_where_only_long_pushes_lead_are_refused(
     centre, width = np.array([[-1.0], [1.0]]), np.full((2, 1), 0.4)
     far = np.array([[-3.0], [3.0]])
     parameters = Parameters(theta, centre, width, far, far)
-    stage = unrefined(*restated(layout, parameters, runs(500)))
+    stage = unrefined(*as_problem(layout, parameters, runs(500)))
     assert is_bounded(stage) is bounded
 
 
 @pytest.mark.parametrize("samples", [120, 600, 5000, 50_000])
 def test_long_pushes_drive_a_slow_plant_to_where_it_goes(samples: int) -> None:
-    wild = stress_run(runs(samples), 1, STEPS, 0, 100)[:STEPS, 1]
+    wild = probe_run(runs(samples), 1, STEPS, 0, 100)[:STEPS, 1]
     y = np.asarray(lfilter([0.04], [1.0, -0.96], wild))
     assert y.min() < -0.5 < 0.5 < y.max()
     assert np.count_nonzero(np.diff(wild)) > 10  # and fast ones are pushed too
@@ -52,9 +52,9 @@ def test_long_pushes_drive_a_slow_plant_to_where_it_goes(samples: int) -> None:
 @pytest.mark.parametrize("longest", [None, 100])
 def test_every_row_is_an_input_in_the_training_range(samples: int, steps: int, longest: int | None) -> None:
     known = runs(samples, 2)
-    W = stress_run(known, 1, steps, 3, longest)
+    W = probe_run(known, 1, steps, 3, longest)
     assert W.shape == (2 * steps, 3)
     assert (W[:, 0] == 0.0).all()
     assert (W[:, 1:] >= known[0][:, 1:].min(axis=0)).all()
     assert (W[:, 1:] <= known[0][:, 1:].max(axis=0)).all()
-    np.testing.assert_array_equal(W, stress_run(known, 1, steps, 3, longest))
+    np.testing.assert_array_equal(W, probe_run(known, 1, steps, 3, longest))

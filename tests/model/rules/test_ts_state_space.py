@@ -18,9 +18,9 @@ from flysid.model.rules.fitted_states import FittedTSStateSpace, from_dict
 from flysid.model.rules.free_run_error import Body
 from flysid.model.rules.realisation import coordinates, realised
 from flysid.model.rules.regressor_layout import scaling
-from flysid.model.rules.state_context import Bench
+from flysid.model.rules.state_context import StateContext
 from flysid.model.rules.state_growth import Training, one_rule_more
-from flysid.model.rules.state_judging import ends_of_travel
+from flysid.model.rules.state_judging import saturation_limits
 from flysid.model.rules.state_local_models import (
     certificate,
     linearise,
@@ -62,10 +62,10 @@ def free_run_gap(model: FittedTSStateSpace, test: Dataset, truth: list[FloatArra
     return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)) / np.std(np.concatenate(truth)))
 
 
-def system_of(dataset: Dataset, states: int = 2) -> tuple[Bench, System]:
+def system_of(dataset: Dataset, states: int = 2) -> tuple[StateContext, System]:
     settings, scaled = TSStateSpace(states=states, nk=1), scaling(dataset)
     systems = linear_systems(settings, dataset, None, scaled)
-    return Bench(settings, 30, ends_of_travel(dataset), scaled), systems[0]
+    return StateContext(settings, 30, saturation_limits(dataset), scaled), systems[0]
 
 
 def test_a_lagging_actuator_and_drag_are_found() -> None:
@@ -113,7 +113,7 @@ def test_models_of_any_delay_are_judged_over_the_same_windows(samples: int) -> N
     counts = []
     for nk in (1, 12):
         settings = TSStateSpace(states=2, nk=nk)
-        bench = Bench(settings, 60, ends_of_travel(train), scaled)
+        bench = StateContext(settings, 60, saturation_limits(train), scaled)
         stage = bench.linear(linear_systems(settings, train, None, scaled)[0], train)
         counts.append(len(bench.judge(stage, train).windows))
     assert counts[0] == counts[1] > 0
@@ -121,13 +121,13 @@ def test_models_of_any_delay_are_judged_over_the_same_windows(samples: int) -> N
 
 def test_an_overflow_is_an_end_and_a_peak_is_not() -> None:
     tanks, _ = TANKS.dataset((1,), 1024, 0.002)
-    ends = ends_of_travel(tanks)
+    ends = saturation_limits(tanks)
     assert ends[1, 0] == pytest.approx(10.0, abs=0.02)
     assert ends[0, 0] == -np.inf
-    assert np.isinf(ends_of_travel(vehicle())).all()
+    assert np.isinf(saturation_limits(vehicle())).all()
     t = np.arange(1000)
     swing = Dataset.from_arrays(np.sin(t / 20.0), np.sin(t / 20.0), 0.1)
-    assert np.isinf(ends_of_travel(swing)).all()
+    assert np.isinf(saturation_limits(swing)).all()
 
 
 def test_python_control_follows_sample_by_sample() -> None:

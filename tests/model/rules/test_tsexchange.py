@@ -13,11 +13,11 @@ from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.learning import rule_verdict
-from flysid.model.rules.merge_split import exchanged
-from flysid.model.rules.search_context import Workshop
+from flysid.model.rules.merge_split import merge_and_split
+from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.stages import inserted
 from flysid.model.ts import TS
-from tests.known_rules import stage_of, workshop_of
+from tests.known_rules import context_of, stage_of
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +26,8 @@ def truth() -> FittedTS:
 
 
 @pytest.fixture(scope="module")
-def workshop(truth: FittedTS) -> Workshop:
-    return workshop_of(truth)
+def context(truth: FittedTS) -> SearchContext:
+    return context_of(truth)
 
 
 def one_more_than(stage: Stage) -> Stage:
@@ -36,26 +36,26 @@ def one_more_than(stage: Stage) -> Stage:
     return unrefined(grown.problem, grown.body)
 
 
-def test_a_poor_model_becomes_a_good_one_with_as_many_rules(truth: FittedTS, workshop: Workshop) -> None:
-    good = stage_of(workshop, truth, 0.0)
-    poor = workshop.judge(stage_of(workshop, truth, 0.8))
-    larger = workshop.judge(one_more_than(good))
-    one = workshop.judge(stage_of(workshop, truth, 1.0))
-    found = exchanged(workshop, [one, poor, larger], 1, ())
+def test_a_poor_model_becomes_a_good_one_with_as_many_rules(truth: FittedTS, context: SearchContext) -> None:
+    good = stage_of(context, truth, 0.0)
+    poor = context.judge(stage_of(context, truth, 0.8))
+    larger = context.judge(one_more_than(good))
+    one = context.judge(stage_of(context, truth, 1.0))
+    found = merge_and_split(context, [one, poor, larger], 1, ())
     assert found.stage.rules == poor.stage.rules == 2
     assert found.stage.cost < 1.05 * good.cost < 0.8 * poor.stage.cost
     assert found.mean < 0.8 * poor.mean
 
 
-def test_a_good_model_stays(truth: FittedTS, workshop: Workshop) -> None:
-    good, poor = (workshop.judge(stage_of(workshop, truth, share)) for share in (0.0, 0.9))
-    larger = workshop.judge(one_more_than(poor.stage))
+def test_a_good_model_stays(truth: FittedTS, context: SearchContext) -> None:
+    good, poor = (context.judge(stage_of(context, truth, share)) for share in (0.0, 0.9))
+    larger = context.judge(one_more_than(poor.stage))
     settled = replace(good, stage=replace(good.stage, cost=0.9 * good.stage.cost))
-    assert exchanged(workshop, [poor, settled, larger], 1, ()) is settled
+    assert merge_and_split(context, [poor, settled, larger], 1, ()) is settled
 
 
-def test_the_sweep_tells_how_sure_its_distances_are(truth: FittedTS, workshop: Workshop) -> None:
-    good, poor = (workshop.judge(stage_of(workshop, truth, share)) for share in (0.0, 0.8))
+def test_the_sweep_tells_how_sure_its_distances_are(truth: FittedTS, context: SearchContext) -> None:
+    good, poor = (context.judge(stage_of(context, truth, share)) for share in (0.0, 0.8))
     models = [replace(poor, errors=np.array([0.04, 0.08])), replace(good, errors=np.array([0.01, 0.03]))]
     note, _ = rule_verdict(TS(), models, 1)
     root = np.sqrt(0.06)  # the gaps 0.03 and 0.05 have a standard error of 0.01
@@ -64,10 +64,10 @@ def test_the_sweep_tells_how_sure_its_distances_are(truth: FittedTS, workshop: W
     assert "+-" not in alone
 
 
-def test_little_data_and_single_rules_are_left_alone(truth: FittedTS, workshop: Workshop) -> None:
-    good, poor = (workshop.judge(stage_of(workshop, truth, share)) for share in (0.0, 0.8))
-    models: list[Candidate] = [poor, poor, workshop.judge(one_more_than(good.stage))]
-    little = replace(workshop, folds=((workshop.fit_part, workshop.check_part),))
-    assert exchanged(little, models, 1, ()) is poor
+def test_little_data_and_single_rules_are_left_alone(truth: FittedTS, context: SearchContext) -> None:
+    good, poor = (context.judge(stage_of(context, truth, share)) for share in (0.0, 0.8))
+    models: list[Candidate] = [poor, poor, context.judge(one_more_than(good.stage))]
+    little = replace(context, folds=((context.fit_part, context.check_part),))
+    assert merge_and_split(little, models, 1, ()) is poor
     single = replace(poor, stage=replace(poor.stage, body=replace(poor.stage.body, a=poor.stage.body.a[:1])))
-    assert exchanged(workshop, [single], 0, ()) is single
+    assert merge_and_split(context, [single], 0, ()) is single

@@ -10,8 +10,8 @@ from bench.ts_intervals import known_model
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.search import not_astray
-from flysid.model.rules.search_context import Workshop
-from tests.known_rules import stage_of, workshop_of
+from flysid.model.rules.search_context import SearchContext
+from tests.known_rules import context_of, stage_of
 
 
 @pytest.fixture(scope="module")
@@ -20,15 +20,15 @@ def truth() -> FittedTS:
 
 
 @pytest.fixture(scope="module")
-def fold(truth: FittedTS) -> Workshop:
-    return workshop_of(truth)
+def fold(truth: FittedTS) -> SearchContext:
+    return context_of(truth)
 
 
-def candidate(fold: Workshop, model: FittedTS, share: float) -> Candidate:
+def candidate(fold: SearchContext, model: FittedTS, share: float) -> Candidate:
     return fold.judge(stage_of(fold, model, share))
 
 
-def test_a_search_that_went_astray_is_replaced_by_refits(truth: FittedTS, fold: Workshop) -> None:
+def test_a_search_that_went_astray_is_replaced_by_refits(truth: FittedTS, fold: SearchContext) -> None:
     """Of all models: one rule that was grown must not stand beside two that saw more."""
     model, astray = candidate(fold, truth, 0.0), candidate(fold, truth, 1.0)
     assert astray.stage.cost > 1.5 * model.stage.cost
@@ -38,12 +38,12 @@ def test_a_search_that_went_astray_is_replaced_by_refits(truth: FittedTS, fold: 
     assert first.mean == second.mean
 
 
-def test_rules_that_were_found_are_kept(truth: FittedTS, fold: Workshop) -> None:
+def test_rules_that_were_found_are_kept(truth: FittedTS, fold: SearchContext) -> None:
     model, found = candidate(fold, truth, 0.0), candidate(fold, truth, 0.02)
     assert not_astray(fold, [model], [found]) == [found]
 
 
-def test_a_model_that_is_no_better_replaces_nothing(truth: FittedTS, fold: Workshop) -> None:
+def test_a_model_that_is_no_better_replaces_nothing(truth: FittedTS, fold: SearchContext) -> None:
     """The cost elsewhere was low, but a refit to this part is not: the part is hard."""
     poor, grown = candidate(fold, truth, 1.0), candidate(fold, truth, 0.0)
     flattered = replace(poor, stage=replace(poor.stage, cost=1e-9))

@@ -13,10 +13,10 @@ from flysid.errors import DataError
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.free_run_error import runs_of
 from flysid.model.rules.growth import unrefined
-from flysid.model.rules.pruning import fewer_words
-from flysid.model.rules.refit import restated
+from flysid.model.rules.pruning import prune
+from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import Antecedent
-from flysid.model.rules.search_context import Workshop
+from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.simplify import simplifications, simplify
 from flysid.model.ts import TS
 
@@ -71,11 +71,11 @@ def test_words_are_left_out_by_what_they_cost_on_the_same_data(truth: FittedTS) 
     """A model that was also judged on harder parts of the data keeps the rules that it needs."""
     train, check = experiment(truth, 1), experiment(truth, 2)
     layout, least = truth.layout, truth.n_init + 10
-    workshop = Workshop(TS(), train, check, layout.shift, layout.scale, least)
-    stage = unrefined(*restated(layout, truth.parameters, runs_of(layout, train.segments, least)))
-    here = workshop.judge(stage)
+    context = SearchContext(TS(), train, check, layout.shift, layout.scale, least)
+    stage = unrefined(*as_problem(layout, truth.parameters, runs_of(layout, train.segments, least)))
+    here = context.judge(stage)
     harder = replace(here, errors=np.concatenate([here.errors, 100.0 * here.errors]))
-    kept, said = fewer_words(workshop, harder)
+    kept, said = prune(context, harder)
     assert kept.stage.rules == 2
     assert said == []
 
