@@ -16,6 +16,8 @@ from flysid.model.rules import search_settings
 from flysid.model.rules.search_settings import EFFORTS, NORMAL, SearchSettings
 from flysid.model.ts import TS
 from flysid.model.ts_best import BestTS, contest
+from flysid.validate.fitting import estimators
+from flysid.validate.run import FitSettings
 
 
 def _data() -> Dataset:
@@ -63,3 +65,12 @@ def test_a_quick_search_leaves_hidden_states_out() -> None:
     assert contest(BestTS(most_rules=1, search=quick), data).hidden is None
     tried = contest(BestTS(most_rules=1, search=replace(quick, hidden_states=True)), data)
     assert tried.hidden is not None
+
+
+@pytest.mark.parametrize("label", ["ts", "ts_lags", "ts_ss"])
+def test_the_effort_of_a_run_reaches_every_model_of_rules(label: str) -> None:
+    for effort, wanted in EFFORTS.items():
+        found: Any = estimators(FitSettings(models=(label,), effort=effort))[label]
+        assert found.search is wanted
+    with pytest.raises(UsageError, match="effort"):
+        estimators(FitSettings(effort="hasty"))
