@@ -1,8 +1,17 @@
-"""Edits that leave a TS model with fewer words: two rules as one, a rule dropped, a condition left out."""
+"""Edits of the rules: two as one, one dropped, a condition left out; pruning, and merge and split.
+
+Pruning ends a search: a rule that growth needed on its way may be idle in the end, and so may a condition.
+What goes is what costs next to nothing on validation; often that free run gets better, as there is less to be
+fitted to noise.
+
+Growth inserts rule after rule and never takes one back: it ends in a local minimum that hangs on the first
+places. One rule more, and two merged again, leaves it (split and merge: Ueda, Nakano, Ghahramani and Hinton
+2000, for mixtures of densities). The words stay as many.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -10,10 +19,18 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.free_run_error import Body, Stage
-from flysid.model.rules.growth import best_started
+from flysid.model.rules.growth import best_started, rule_support
+from flysid.model.rules.judging import Candidate
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.refit import as_problem
-from flysid.model.rules.regressor_layout import Layout
+from flysid.model.rules.regressor_layout import Antecedent, Layout
+from flysid.model.rules.search import one_more
+from flysid.model.rules.search_context import SearchContext
+from flysid.model.rules.stages import ordered, refine, with_ridge
+
+_TRIED = 3  # edits that are refined, of all ranked by their cost in training
+_RIDGE = 0.01  # of the mean square error, as in growth
+_LEAST_GAIN = 0.01  # of the validation's mean square, and one standard error
 
 
 def edits(layout: Layout, p: Parameters, support: FloatArray) -> Iterator[tuple[str, Layout, Parameters]]:
@@ -69,3 +86,72 @@ def _apart(body: Body) -> Body:
     if len(body.a) > 1:
         return body
     return replace(body, centre=np.zeros_like(body.centre), width=np.ones_like(body.width))
+
+
+def prune(context: SearchContext, chosen: Candidate) -> tuple[Candidate, list[str]]:
+    """The chosen model without what validation does not miss, and a sentence about every edit."""
+    # `chosen` may have been judged on other parts too, harder or easier ones; the edits are not
+    limit, said = context.judge(chosen.stage).mean, list[str]()
+    while context.settings.search.prune and chosen.stage.rules > 1:
+        offers = [(what, context.judge(stage)) for what, stage in refined_edits(context, chosen.stage)]
+        good = [(what, c) for what, c in offers if c.stable and c.mean <= limit]
+        if not good:
+            break
+        what, chosen = min(good, key=lambda offer: offer[1].mean)
+        said.append(f"Simplified: {what}.")
+    return chosen, said
+
+
+def refined_edits(
+    context: SearchContext, stage: Stage, *, fewer_rules: bool = False
+) -> Iterator[tuple[str, Stage]]:
+    """The most promising edits, or only those that leave fewer rules, refined on the training part."""
+    stage = ordered(stage)
+    problem = stage.problem
+    tried = [
+        (what, replace(s, problem=replace(s.problem, stress=problem.stress)))
+        for what, layout, p in edits(problem.layout, problem.parameters(stage.body), rule_support(stage))
+        if len(p.theta) < stage.rules or not fewer_rules
+        for s in staged(layout, p, problem.runs)
+    ]
+    tried.sort(key=lambda edit: edit[1].cost)
+    for what, s in tried[:_TRIED]:
+        yield what, refine(with_ridge(s, _RIDGE * s.cost), context.settings.iterations // 2, 1e-5)
+
+
+def merge_and_split(
+    context: SearchContext, models: Sequence[Candidate], at: int, named: tuple[Antecedent, ...]
+) -> Candidate:
+    """`models[at]`, or one with as many rules that training and validation both prefer.
+
+    Little data are left alone: every quarter of them was asked for the number of rules already, and one
+    more choice by the same quarters gained nothing on plants with known truth.
+    """
+    chosen, larger = models[at], list(models[at + 1 : at + 2])
+    if context.folds or chosen.stage.rules < 2:
+        return chosen
+    for _ in range(context.settings.search.exchanges):
+        found = _again(context, chosen, larger or one_more(context, chosen, named))
+        if found is chosen:
+            break
+        chosen, larger = found, []
+    return chosen
+
+
+def _again(context: SearchContext, chosen: Candidate, larger: Sequence[Candidate]) -> Candidate:
+    """The best of the larger models' mergers with as many rules as `chosen`; itself where none is better."""
+    known = context.judge(chosen.stage)
+    found = [
+        context.judge(stage)
+        for more in larger
+        for _, stage in refined_edits(context, more.stage, fewer_rules=True)
+        if stage.cost < chosen.stage.cost
+    ]
+    better = [kid for kid in found if kid.stable and _is_better(kid, known)]
+    return min(better, key=lambda kid: kid.mean, default=chosen)
+
+
+def _is_better(candidate: Candidate, known: Candidate) -> bool:
+    gap = known.errors - candidate.errors
+    spread = float(gap.std(ddof=1) / np.sqrt(len(gap))) if len(gap) > 1 else 0.0
+    return float(gap.mean()) > max(spread, _LEAST_GAIN * known.mean)

@@ -11,10 +11,9 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.arguments import is_count
 from flysid.model.linear.settings import check_hint
+from flysid.model.rules.edits import merge_and_split, prune
 from flysid.model.rules.free_run_error import Stage, runs_of
 from flysid.model.rules.judging import INTEGRATES, Candidate, choose, hold_out
-from flysid.model.rules.merge_split import merge_and_split
-from flysid.model.rules.pruning import prune
 from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import (
     Antecedent,

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from bench.ts_intervals import known_model
+from flysid.model.rules.edits import merge_and_split
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.learning import rule_verdict
-from flysid.model.rules.merge_split import merge_and_split
 from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.stages import inserted
 from flysid.model.ts import TS

@@ -10,10 +10,10 @@ import pytest
 from bench.ts_intervals import experiment, known_model
 from flysid.dataset import Dataset
 from flysid.errors import DataError
+from flysid.model.rules.edits import prune
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.free_run_error import runs_of
 from flysid.model.rules.growth import unrefined
-from flysid.model.rules.pruning import prune
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import Antecedent
 from flysid.model.rules.search_context import SearchContext
