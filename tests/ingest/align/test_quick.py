@@ -156,7 +156,7 @@ def test_a_time_in_two_possible_units_is_asked_for_on_every_verb(tmp_path: Path)
         assert flight.duration_s == pytest.approx(length_s)
     told = CliRunner().invoke(root, [*verbs[2], "--time-unit", "ms", "-q"], standalone_mode=False)
     assert told.exception is None
-    with pytest.raises(UsageError, match="has its times already"):
+    with pytest.raises(UsageError, match="has its format and times already"):
         CliRunner().invoke(
             root,
             ["tf", str(tmp_path / "data"), *words, "--time-unit", "s"],
