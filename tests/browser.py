@@ -33,5 +33,6 @@ def opened(browser: Any, path: Path) -> list[str]:
         message = json.loads(entry["message"])["message"]
         if message["method"] == "Network.requestWillBeSent":
             requests.append(message["params"]["request"]["url"])
-    left = [f"request {url}" for url in requests if url != path.as_uri()]
+    own = (path.as_uri(), "chrome://")  # the browser fetches pictures of its own controls from itself
+    left = [f"request {url}" for url in requests if not url.startswith(own)]
     return left + [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]

@@ -182,6 +182,9 @@ class _Search:
             except (FormatError, OSError) as error:
                 self._fail(path, reason_of(error))
             else:
+                if not head and not is_member and path.stat().st_size > 0:
+                    self._fail(path, "nothing but zeros")
+                    return
                 self._judge_content(path, own, head, is_member or is_packed(path.name))
 
     def _judge_content(self, path: Path, name: str, head: bytes, is_inner: bool) -> None:

@@ -143,6 +143,8 @@ class _Worker(Generic[Task, Outcome]):
         if kind == "ready":
             self._is_ready, self._since = True, time.monotonic()
             return None
+        if kind == "raised" and isinstance(content, MemoryError) and self._bounds.memory_bytes is not None:
+            return self._lost(memory_reason(self._bounds.memory_bytes))  # sooner than it was watched
         if kind == "raised":
             raise content
         task, self._task = self._task, None

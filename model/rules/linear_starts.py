@@ -117,6 +117,13 @@ def as_stage(found: LinearModel, problem: Problem) -> Stage:
     return unrefined(replace(problem, offset=consequents(found, problem.layout)), body)
 
 
+def arx_start(problem: Problem, data: Dataset) -> tuple[Stage, ...]:
+    """ARX of `problem`'s orders, refined, as a stage; none where it cannot be fitted."""
+    orders = problem.layout.orders
+    found = _fitted("ARX", ARX(na=orders.na, nb=orders.nb, nk=orders.nk, refine=True), data, None)
+    return () if found is None else (as_stage(found, problem),)
+
+
 def consequents(found: LinearModel, layout: Layout) -> FloatArray:
     """(n_y, n_x) the linear model's equation over `layout`'s regressors, in its normalised units."""
     a, b = found.system.a, found.system.b

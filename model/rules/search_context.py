@@ -13,7 +13,7 @@ from flysid.model.rules.free_run_error import Problem, Stage, runs_of
 from flysid.model.rules.growth import embedded_start, first_basis, linear_stage, rebased, unrefined
 from flysid.model.rules.integrator import looks_integrating, with_integrator
 from flysid.model.rules.judging import Candidate, choose, judged
-from flysid.model.rules.linear_starts import LinearModel, as_stage, linear_models
+from flysid.model.rules.linear_starts import LinearModel, arx_start, as_stage, linear_models
 from flysid.model.rules.probe_inputs import probe_run
 from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import Layout, Orders
@@ -155,6 +155,7 @@ class SearchContext:
             if self.settings.refine:
                 nested = (embedded_start(known, problem) for known in reversed(loose))
                 start = next(filter(None, nested), ())
+                start += arx_start(problem, self.fit_part)
                 stage = linear_stage(problem, self.settings.iterations, start)
             else:
                 stage = unrefined(problem)

@@ -142,7 +142,7 @@ def test_a_reader_that_breaks_costs_only_its_log(tmp_path: Path, monkeypatch: py
         return original(head, name)
 
     original = registry.detect
-    monkeypatch.setattr("flysid.ingest.lake.batch.detect", detect)
+    monkeypatch.setattr("flysid.ingest.formats.registry.detect", detect)
     results = run(*logs, data=tmp_path / "data")
     assert [r.reason for r in results if r.skipped] == [
         "internal error, please report: ZeroDivisionError: a bug"
