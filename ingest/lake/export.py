@@ -23,6 +23,7 @@ from flysid.flight import BOOT, RECEIVED, TIME, field_metadata, field_scale, fie
 from flysid.ingest.align.resample import GAP_PERIODS, grid_in, linear, period_ns, spans_between_gaps, tidy
 from flysid.ingest.align.resample import hold as hold_last
 from flysid.ingest.align.signals import Log
+from flysid.ingest.lake.ranges import is_number
 
 SECONDS = "time_s"
 GRID = "flight"
@@ -75,7 +76,7 @@ def gridded_table(tables: Mapping[str, pa.Table], rate_hz: float) -> pa.Table:
         (stream, table, name)
         for stream, table in tables.items()
         for name in table.column_names
-        if name not in (SECONDS, BOOT) and _is_number(table.schema.field(name).type)
+        if name not in (SECONDS, BOOT) and is_number(table.schema.field(name).type)
     ]
     if not numbers:
         raise UsageError("there is no number to bring onto a grid", hint="name other streams")
@@ -155,13 +156,9 @@ def _as_hex(value: Any) -> str:
 
 
 def _scaled(column: pa.Array, scale: float) -> pa.Array:
-    if scale == 1.0 or not _is_number(column.type):
+    if scale == 1.0 or not is_number(column.type):
         return column
     return pc.multiply(column.cast(pa.float64(), safe=False), scale)
-
-
-def _is_number(kind: Any) -> bool:
-    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind))
 
 
 def _boots(table: pa.Table) -> Any:
@@ -248,7 +245,7 @@ def _write_mat(path: Path, tables: Mapping[str, pa.Table]) -> None:
 
 
 def _matlab_column(column: pa.Array) -> Any:
-    if _is_number(column.type):
+    if is_number(column.type):
         return column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
     return np.array(["" if v is None else str(v) for v in column.to_pylist()], dtype=object)
 

@@ -23,6 +23,11 @@ class Range:
     missing: int
 
 
+def is_number(kind: pa.DataType) -> bool:
+    """Whether a column of this type can be drawn, measured or put on a grid."""
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind))
+
+
 def column_ranges(table: pa.Table) -> dict[str, Range]:
     """The range of every column, over all elements where it holds arrays."""
     return {
@@ -34,7 +39,7 @@ def _range(column: pa.Array, scale: float) -> Range:
     if pa.types.is_fixed_size_list(column.type):
         column = column.flatten()
     kind = column.type
-    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
+    if not is_number(kind):
         return Range(None, None, None, column.null_count)
     values = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
     finite = values[np.isfinite(values)]

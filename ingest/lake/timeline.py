@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -21,6 +20,7 @@ from flysid.ingest.align.recipe import Recipe
 from flysid.ingest.align.resample import GAP_PERIODS, period_ns
 from flysid.ingest.align.signals import Log, Samples, load_signal
 from flysid.ingest.lake.events import events
+from flysid.ingest.lake.ranges import is_number
 
 _OWN = (TIME, BOOT, RECEIVED)
 SHOWN = 8  # names in a hint
@@ -186,15 +186,11 @@ def _numbers(log: Log, stream: str, columns: Sequence[str]) -> list[str]:
     for column in table.schema:
         if len(columns) > 1 and column.name == clock:
             continue
-        if _is_number(column.type):
+        if is_number(column.type):
             fields.append(column.name)
-        elif pa.types.is_fixed_size_list(column.type) and _is_number(column.type.value_type):
+        elif pa.types.is_fixed_size_list(column.type) and is_number(column.type.value_type):
             fields += [f"{column.name}[{i}]" for i in range(column.type.list_size)]
     return fields
-
-
-def _is_number(kind: Any) -> bool:
-    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind))
 
 
 def _is_named(pattern: str, stream: str, field: str) -> bool:
