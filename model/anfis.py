@@ -87,9 +87,9 @@ class ANFIS:
             raise UsageError(f"antecedents={self.antecedents!r}", hint="give a list of names, or none")
 
     def _layout(self, train: Dataset) -> Layout:
-        names = self.antecedents or (train.outputs[0].name, f"{train.inputs[0].name}(k-{self.nk})")
-        antecedents = parse_antecedents(names, train.outputs, train.inputs)
+        names = self.antecedents or (train.outputs[0].name, train.inputs[0].name)
         n_u = len(train.inputs)
+        antecedents = parse_antecedents(names, train.outputs, train.inputs, (self.nk,) * n_u)
         orders = Orders(self.na, (self.nb,) * n_u, (self.nk,) * n_u)
         return Layout(train.outputs, train.inputs, orders, antecedents, *scaling(train))
 

@@ -30,7 +30,8 @@ class TS:
     rules : number of rules, or "auto": as many as the validation free run supports.
     na : past outputs in every consequent, or "auto".
     nb, nk : past inputs and their delay, one number, one per input, or "auto".
-    antecedents : names such as ("v_x(k-1)", "theta_in(k-1)"), or "auto": found by splitting.
+    antecedents : names such as ("v_x(k-1)", "theta_in(k-1)"), or "auto": found by splitting. An input
+        without a lag, "theta_in", is the one after its delay: theta_in(k-nk).
     refine : lower the simulation error; False keeps clusters and one-step least squares, the
         literature's default, whose free run shows what refinement is for.
     most_rules : where "auto" stops.

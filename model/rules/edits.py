@@ -23,7 +23,7 @@ from flysid.model.rules.growth import best_started, rule_support
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.refit import as_problem
-from flysid.model.rules.regressor_layout import Antecedent, Layout
+from flysid.model.rules.regressor_layout import Layout
 from flysid.model.rules.search import one_more
 from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.stages import ordered, refine, with_ridge
@@ -119,9 +119,7 @@ def refined_edits(
         yield what, refine(with_ridge(s, _RIDGE * s.cost), context.settings.iterations // 2, 1e-5)
 
 
-def merge_and_split(
-    context: SearchContext, models: Sequence[Candidate], at: int, named: tuple[Antecedent, ...]
-) -> Candidate:
+def merge_and_split(context: SearchContext, models: Sequence[Candidate], at: int) -> Candidate:
     """`models[at]`, or one with as many rules that training and validation both prefer.
 
     Little data are left alone: every quarter of them was asked for the number of rules already, and one
@@ -131,7 +129,7 @@ def merge_and_split(
     if context.folds or chosen.stage.rules < 2:
         return chosen
     for _ in range(context.settings.search.exchanges):
-        found = _again(context, chosen, larger or one_more(context, chosen, named))
+        found = _again(context, chosen, larger or one_more(context, chosen))
         if found is chosen:
             break
         chosen, larger = found, []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -57,7 +58,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     settings.search.check()
     check_hint(settings.nk_hint, len(train.inputs))
     choices = order_choices(settings, len(train.inputs))
-    named = _named(settings, train)
+    named = _named(settings, choices, train)
     deepest = _deepest(settings, train) if len(choices) > 1 else 0
     depths = [deepest, *(o.depth for o in choices), *(max(a.lag, a.minus) for a in named)]
     least = max(depths) + SPARE_ROWS
@@ -74,7 +75,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     if folds:
         notes.append("Little data: parts of it were held out in turn to choose the number of rules.")
     gain = settings.search.short_rule_gain if small else settings.search.rule_gain
-    models, at = _chosen(context, candidates, named, gain)
+    models, at = _chosen(context, candidates, gain)
     chosen = models[at]
     if not chosen.stable:
         raise FitError(
@@ -83,7 +84,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         )
     notes += _changed_orders(models, at) + _unstable(models)
     if settings.refine and settings.rules == "auto" and settings.antecedents == "auto":
-        chosen, simpler = prune(context, merge_and_split(context, models, at, named))
+        chosen, simpler = prune(context, merge_and_split(context, models, at))
         notes += simpler
     stage = known = ordered(chosen.stage)
     if settings.refine:
@@ -102,20 +103,18 @@ def _deepest(settings: Settings, train: Dataset) -> int:
     return min(_DEEPEST_DELAY if len(train) > settings.search.short else _HIGHEST_LINEAR, longest // _SHARE)
 
 
-def _chosen(
-    context: SearchContext, linear: Sequence[Candidate], named: tuple[Antecedent, ...], gain: float
-) -> tuple[list[Candidate], int]:
+def _chosen(context: SearchContext, linear: Sequence[Candidate], gain: float) -> tuple[list[Candidate], int]:
     """Models by number of rules, and which of them is offered; a rule must win `gain` of the mean square."""
     settings = context.settings
     if settings.rules != "auto" and not any(affords(c, settings.rules) for c in linear):
         raise _too_many(settings.rules, linear)  # before an hour of growing
-    models = search(context, linear, named)
+    models = search(context, linear)
     if settings.rules != "auto":
         if len(models) < settings.rules:
             raise _too_many(settings.rules, models)
         return models, len(models) - 1
     if context.folds and len(models) > 1:
-        models = cross_validated(context, models, named, max(1, choose(models, least_gain=gain)))
+        models = cross_validated(context, models, max(1, choose(models, least_gain=gain)))
     return models, choose(models, least_gain=gain)
 
 
@@ -202,12 +201,16 @@ def _delayed(settings: Settings, choices: Sequence[Orders]) -> list[Orders]:
     return [Orders(o.na, tuple(max(1, b - fewer) for b in o.nb), hint) for o in choices]
 
 
-def _named(settings: Settings, train: Dataset) -> tuple[Antecedent, ...]:
+def _named(settings: Settings, choices: Sequence[Orders], train: Dataset) -> tuple[Antecedent, ...]:
+    """The antecedents asked for, at the lags that they have with any of these orders."""
     if settings.antecedents == "auto":
         return ()
     if isinstance(settings.antecedents, str) or not settings.antecedents:
         raise UsageError(f"antecedents={settings.antecedents!r}", hint='give "auto" or a list of names')
-    named = parse_antecedents(settings.antecedents, train.outputs, train.inputs)
+    found = (
+        parse_antecedents(settings.antecedents, train.outputs, train.inputs, orders.nk) for orders in choices
+    )
+    named = tuple(dict.fromkeys(itertools.chain.from_iterable(found)))
     check_they_move(named, train)
     return named
 

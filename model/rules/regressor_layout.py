@@ -212,8 +212,14 @@ def scaling(train: Dataset) -> tuple[FloatArray, FloatArray]:
 _TERM = re.compile(r"\s*(?P<name>.+?)\s*\(\s*k\s*(?:-\s*(?P<lag>\d+)\s*)?\)\s*")
 
 
-def parse_antecedent(text: str, outputs: Sequence[Signal], inputs: Sequence[Signal]) -> Antecedent:
+def parse_antecedent(
+    text: str, outputs: Sequence[Signal], inputs: Sequence[Signal], delays: Sequence[int]
+) -> Antecedent:
     """The antecedent that a person wrote: "v_x(k-1)", "theta_in(k)", "v_x(k-1)-v_x(k-2)", or just a name.
+
+    Parameters
+    ----------
+    delays : (n_u,) samples after which each input acts: the lag that its bare name means.
 
     Raises
     ------
@@ -224,7 +230,7 @@ def parse_antecedent(text: str, outputs: Sequence[Signal], inputs: Sequence[Sign
         raise UsageError(f"the antecedent {text!r} is no name", hint=f"write e.g. {signals[0]}(k-1)")
     if text in signals:
         column = signals.index(text)
-        return Antecedent(column, 1 if column < len(outputs) else 0)
+        return Antecedent(column, 1 if column < len(outputs) else delays[column - len(outputs)])
     first, minus, second = text.partition(")-")
     terms = [_TERM.fullmatch(first + (")" if minus else ""))]
     if minus:
@@ -237,22 +243,22 @@ def parse_antecedent(text: str, outputs: Sequence[Signal], inputs: Sequence[Sign
             hint=f"write e.g. {signals[0]}(k-1) or {signals[-1]}(k); the signals are {', '.join(signals)}",
         )
     column = signals.index(found[0][0])
-    delays = [lag for _, lag in found]
-    if column < len(outputs) and min(delays) < 1:
+    lags = [lag for _, lag in found]
+    if column < len(outputs) and min(lags) < 1:
         raise UsageError(f"{text!r} needs an output before it is known", hint="outputs start at (k-1)")
-    return Antecedent(column, delays[0], delays[1] if minus else -1)
+    return Antecedent(column, lags[0], lags[1] if minus else -1)
 
 
 def parse_antecedents(
-    names: Sequence[str], outputs: Sequence[Signal], inputs: Sequence[Signal]
+    names: Sequence[str], outputs: Sequence[Signal], inputs: Sequence[Signal], delays: Sequence[int]
 ) -> tuple[Antecedent, ...]:
-    """Several antecedents that a person wrote.
+    """Several antecedents that a person wrote; see `parse_antecedent`.
 
     Raises
     ------
     UsageError : one is not understood, or named twice.
     """
-    found = tuple(parse_antecedent(name, outputs, inputs) for name in names)
+    found = tuple(parse_antecedent(name, outputs, inputs, delays) for name in names)
     for at, antecedent in enumerate(found):
         if antecedent in found[:at]:
             raise UsageError(f"the antecedent {names[at]!r} is named twice", hint="name each one once")

@@ -22,8 +22,8 @@ from flysid.model.covariance import root_of
 from flysid.model.noise import coloured_gram, noise_model
 from flysid.model.polynomials import Z95
 from flysid.model.rules.fitted_lags import FittedTS, dc_gain, refuse_other_models, time_constant
-from flysid.model.rules.free_run_error import Body, Problem, Stage, run_sensitivities, runs_of, swept
-from flysid.model.rules.growth import NOTHING
+from flysid.model.rules.free_run_error import Body, Problem, run_sensitivities, runs_of, swept
+from flysid.model.rules.growth import best_started
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.rule_poles import pole_radius
@@ -149,7 +149,7 @@ def uncertainty(model: FittedTS, train: Dataset) -> RuleUncertainty:
         raise DataError("fewer samples than numbers in the model: nothing can be said about its uncertainty")
     problem, body = as_problem(model.layout, model.parameters, runs)
     jacobians, errors = [], []
-    for W, initial in zip(runs, _started(problem, body).initial, strict=True):
+    for W, initial in zip(runs, best_started(problem, body).initial, strict=True):
         J, e = _sensitivities(problem, body, W, initial)
         jacobians.append(J)
         errors.append(e)
@@ -179,18 +179,6 @@ def shortened(runs: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
             kept.append(W[:left])
             left -= len(W)
     return tuple(kept)
-
-
-def _started(problem: Problem, body: Body) -> Stage:
-    """The model with the first outputs one Gauss-Newton step from the measured ones, where that is better."""
-    stage = Stage(problem, body, problem.measured_initial()).priced()
-    _, H, g = stage.normal(NOTHING)
-    if not H.is_finite():
-        return stage
-    own = g.reshape(len(H.blocks), -1)
-    steps = [np.linalg.lstsq(D, r, rcond=1e-10)[0] for D, r in zip(H.blocks, own, strict=True)]
-    moved = replace(stage, initial=stage.initial - np.reshape(steps, stage.initial.shape)).priced()
-    return moved if moved.cost < stage.cost else stage
 
 
 def _sensitivities(

@@ -19,8 +19,8 @@ from flysid.model.rules.free_run_error import Stage, runs_of
 from flysid.model.rules.growth import one_rule_more, thinned
 from flysid.model.rules.judging import Candidate, choose
 from flysid.model.rules.refit import refit
-from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, scaling
-from flysid.model.rules.search_context import SearchContext
+from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, parse_antecedent, scaling
+from flysid.model.rules.search_context import SearchContext, Settings
 from flysid.model.rules.stages import refine, with_ridge
 
 _MOST_ROWS = 12000  # of training data while searching; the chosen model is refined on all
@@ -32,9 +32,7 @@ _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
 _ROWS_PER_NUMBER = 4
 
 
-def search(
-    context: SearchContext, linear: Sequence[Candidate], named: tuple[Antecedent, ...]
-) -> list[Candidate]:
+def search(context: SearchContext, linear: Sequence[Candidate]) -> list[Candidate]:
     """Models with 1, 2, 3, ... rules, simplest first: of every number of rules the one to be offered.
 
     Ends where growth stalls, where data run out, or at the number of rules that was asked for.
@@ -44,13 +42,13 @@ def search(
     kept = context.lanes
     models, lanes = [linear[0]], _starts(context, linear)
     if not settings.refine:
-        variables = named or found_antecedents(linear[0].stage.problem.layout)
-        plain = (clustered_stage(linear[0].stage, variables[:2], r) for r in range(2, most + 1))
+        looked_at = variables(settings, linear[0].stage.problem.layout)
+        plain = (clustered_stage(linear[0].stage, looked_at[:2], r) for r in range(2, most + 1))
         return [linear[0], *(context.judge(s) for s in plain)]
     while len(models) < most:
         rules = len(models) + 1
         keep = 1 if rules == 2 else kept
-        kids = [kid for lane in lanes if affords(lane, rules) for kid in _grown(context, lane, named, keep)]
+        kids = [kid for lane in lanes if affords(lane, rules) for kid in _grown(context, lane, keep)]
         if not kids:
             break
         models.append(representative(kids))
@@ -85,15 +83,13 @@ def affords(lane: Candidate, rules: int) -> bool:
     return bool(stage.body.a[0].size * rules * _ROWS_PER_NUMBER < stage.problem.samples)
 
 
-def _grown(
-    context: SearchContext, lane: Candidate, named: tuple[Antecedent, ...], keep: int
-) -> list[Candidate]:
+def _grown(context: SearchContext, lane: Candidate, keep: int) -> list[Candidate]:
     """A lane's models with one rule more; held together by a ridge where freedom made all unstable.
 
     In the basis of the linear model's Gauss-Newton matrix a ridge of 1 halves what the data say about
     the difference of two rules, so that the ladder is the same for every data set.
     """
-    candidates = named or found_antecedents(lane.stage.problem.layout)
+    candidates = variables(context.settings, lane.stage.problem.layout)
     iterations = context.settings.iterations
     found = one_rule_more(lane.stage, candidates, iterations, keep)
     kids = [context.judge(stage) for _, stage in found]
@@ -104,9 +100,9 @@ def _grown(
     return kids
 
 
-def one_more(context: SearchContext, known: Candidate, named: tuple[Antecedent, ...]) -> list[Candidate]:
+def one_more(context: SearchContext, known: Candidate) -> list[Candidate]:
     """A model with one rule more than the known one, as far as data and growth go."""
-    return _grown(context, known, named, 1) if affords(known, known.stage.rules + 1) else []
+    return _grown(context, known, 1) if affords(known, known.stage.rules + 1) else []
 
 
 def _rank(candidate: Candidate) -> tuple[bool, float]:
@@ -127,9 +123,7 @@ def representative(kids: Sequence[Candidate]) -> Candidate:
     return simplest[choose(simplest, most_loss=_EQUAL)]
 
 
-def cross_validated(
-    context: SearchContext, models: Sequence[Candidate], named: tuple[Antecedent, ...], at: int
-) -> list[Candidate]:
+def cross_validated(context: SearchContext, models: Sequence[Candidate], at: int) -> list[Candidate]:
     """The models with the validation errors of all further folds, as far as every fold reached.
 
     On the folds only the orders of the chosen model, `models[at]`, are grown, in one lane and up to as many
@@ -156,9 +150,7 @@ def cross_validated(
         linear, _ = other.linear([orders])
         if linear[0].mean > _HOPELESS * max(models[0].mean, _EXACT):
             continue  # the linear refit went astray: rules that mend it would look useful
-        for known, model in zip(
-            errors, not_astray(other, models, search(other, linear, named)), strict=False
-        ):
+        for known, model in zip(errors, not_astray(other, models, search(other, linear)), strict=False):
             known.append(model.errors)
     return [
         replace(m, errors=np.concatenate(e))
@@ -186,6 +178,20 @@ def not_astray(
 def _refitted(fold: SearchContext, model: Candidate) -> Candidate:
     runs = runs_of(model.stage.problem.layout, fold.fit_part.segments, fold.least)
     return fold.judge(refit(model, fold.fit_part, runs, fold.settings.iterations))
+
+
+def variables(settings: Settings, layout: Layout) -> tuple[Antecedent, ...]:
+    """Variables to split along: those asked for, or all that may tell rules apart.
+
+    An input named without a lag is meant at the first lag that acts with these orders.
+    """
+    if settings.antecedents == "auto":
+        return found_antecedents(layout)
+    asked = (
+        parse_antecedent(name, layout.outputs, layout.inputs, layout.orders.nk)
+        for name in settings.antecedents
+    )
+    return tuple(dict.fromkeys(asked))
 
 
 def found_antecedents(layout: Layout) -> tuple[Antecedent, ...]:

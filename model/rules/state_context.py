@@ -90,7 +90,8 @@ class StateContext:
         if self.settings.antecedents == "auto":
             return layout.candidates()
         states = layout.signals[: layout.n]
-        return parse_antecedents(self.settings.antecedents, states, layout.inputs)
+        delays = [min(lags, default=0) for lags in layout.input_lags]
+        return parse_antecedents(self.settings.antecedents, states, layout.inputs, delays)
 
     @property
     def most(self) -> int:

@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.base import load
 from flysid.model.rules import learning as estimate
 from flysid.model.ts import TS, FittedTS
+from flysid.model.ts_state_space import TSStateSpace
 
 DT = 0.05
 
@@ -217,3 +219,17 @@ def test_a_model_reads_as_text(bent: FittedTS) -> None:
     assert "R1. If" in text
     assert "time constant" in text
     assert "rules" in text.splitlines()[0]
+
+
+def test_an_input_without_a_lag_is_the_one_after_its_delay() -> None:
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.uniform(-1, 1, 60), 10)
+    y = np.asarray(lfilter([0.0, 0.3], [1.0, -0.7], np.tanh(2.0 * u)))
+    data = Dataset.from_arrays(u, y, DT)
+    late = TS(rules=2, na=1, nb=1, nk=1, iterations=5)
+    assert replace(late, antecedents=["u"]).fit(data).antecedents == ("u(k-1)",)
+    assert replace(late, antecedents=["u", "u(k)"]).fit(data).antecedents[0].startswith("u(k")
+    hidden = TSStateSpace(states=2, rules=2, nk=1, ridge=0.1, antecedents=("u",)).fit(data)
+    assert hidden.antecedents == ("u(k-1)",)
+    with pytest.raises(UsageError, match="named twice"):
+        replace(late, antecedents=["u", "u(k-1)"]).fit(data)

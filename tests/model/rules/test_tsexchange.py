@@ -41,7 +41,7 @@ def test_a_poor_model_becomes_a_good_one_with_as_many_rules(truth: FittedTS, con
     poor = context.judge(stage_of(context, truth, 0.8))
     larger = context.judge(one_more_than(good))
     one = context.judge(stage_of(context, truth, 1.0))
-    found = merge_and_split(context, [one, poor, larger], 1, ())
+    found = merge_and_split(context, [one, poor, larger], 1)
     assert found.stage.rules == poor.stage.rules == 2
     assert found.stage.cost < 1.05 * good.cost < 0.8 * poor.stage.cost
     assert found.mean < 0.8 * poor.mean
@@ -51,7 +51,7 @@ def test_a_good_model_stays(truth: FittedTS, context: SearchContext) -> None:
     good, poor = (context.judge(stage_of(context, truth, share)) for share in (0.0, 0.9))
     larger = context.judge(one_more_than(poor.stage))
     settled = replace(good, stage=replace(good.stage, cost=0.9 * good.stage.cost))
-    assert merge_and_split(context, [poor, settled, larger], 1, ()) is settled
+    assert merge_and_split(context, [poor, settled, larger], 1) is settled
 
 
 def test_the_sweep_tells_how_sure_its_distances_are(truth: FittedTS, context: SearchContext) -> None:
@@ -68,6 +68,6 @@ def test_little_data_and_single_rules_are_left_alone(truth: FittedTS, context: S
     good, poor = (context.judge(stage_of(context, truth, share)) for share in (0.0, 0.8))
     models: list[Candidate] = [poor, poor, context.judge(one_more_than(good.stage))]
     little = replace(context, folds=((context.fit_part, context.check_part),))
-    assert merge_and_split(little, models, 1, ()) is poor
+    assert merge_and_split(little, models, 1) is poor
     single = replace(poor, stage=replace(poor.stage, body=replace(poor.stage.body, a=poor.stage.body.a[:1])))
-    assert merge_and_split(context, [single], 0, ()) is single
+    assert merge_and_split(context, [single], 0) is single

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import cont2discrete, lfilter
 
 from bench.ts_intervals import coverage, experiment, known_model, refitted, steps
 from flysid.dataset import Dataset
@@ -13,6 +14,7 @@ from flysid.errors import DataError, UsageError
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.phrases import gains
 from flysid.model.rules.rule_uncertainty import uncertainty
+from flysid.model.ts import TS
 
 
 @pytest.fixture(scope="module")
@@ -92,3 +94,17 @@ def test_a_gain_that_the_data_do_not_bound_has_no_interval(truth: FittedTS) -> N
     said = replace(model, gain_interval=interval).rules()
     assert "[" not in gains(said[0])[0]
     assert "[" in gains(said[1])[0]
+
+
+def test_noisy_first_outputs_do_not_hide_what_the_data_know() -> None:
+    """Lags of 200 Hz, measured with noise, start a run of third order at its limits."""
+    dt, n = 0.005, 2000
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.uniform(-1, 1, n // 100), 100)
+    slow = np.polymul([0.4, 1.0], np.polymul([0.1, 1.0], [0.05, 1.0]))
+    b, a, _ = cont2discrete(([1.0], slow), dt)
+    y = np.asarray(lfilter(b[0], a, u)) + 0.02 * rng.standard_normal(n)
+    model = TS(rules=1, na=3, nb=1, nk=1).fit(Dataset.from_arrays(u, y, dt))
+    assert model.gain_interval is not None
+    low, high = model.gain_interval[:, 0, 0, 0]
+    assert 0.97 < low < 1.0 < high < 1.03
