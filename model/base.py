@@ -31,7 +31,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -181,6 +181,9 @@ class Estimator(Protocol):
     def fit(self, train: Dataset, validation: Dataset | None = None) -> Fitted: ...
 
 
+Kind = Literal["reference", "linear", "rules", "other"]
+
+
 @dataclass(frozen=True)
 class Structure:
     """A model structure.
@@ -189,10 +192,12 @@ class Structure:
     ----------
     name : what model files call it.
     source : "module:function" that rebuilds a fitted model from `to_dict()`; imported when first needed.
+    kind : "reference", a line to stay below (the mean); "linear", what rules have to beat; "rules"; "other".
     """
 
     name: str
     source: str
+    kind: Kind = "other"
 
     def from_dict(self, document: Mapping[str, Any]) -> Fitted:
         """The fitted model that a document of `to_dict()` holds."""
@@ -205,13 +210,13 @@ _LINEAR = "flysid.model.linear.model:from_dict"
 STRUCTURES: Mapping[str, Structure] = {
     row.name: row
     for row in (
-        *(Structure(name, _LINEAR) for name in ("mean", "persistence", "line")),
-        *(Structure(name, _LINEAR) for name in ("arx", "fir", "iv", "oe", "armax", "bj")),
-        Structure("statespace", "flysid.model.subspace.model:from_dict"),
-        Structure("tf", "flysid.model.transfer_function:from_dict"),
-        Structure("static-ts", "flysid.model.static_ts:from_dict"),
-        Structure("ts", "flysid.model.rules.fitted_lags:from_dict"),
-        Structure("ts_ss", "flysid.model.rules.fitted_states:from_dict"),
+        *(Structure(name, _LINEAR, "reference") for name in ("mean", "persistence")),
+        *(Structure(name, _LINEAR, "linear") for name in ("line", "arx", "fir", "iv", "oe", "armax", "bj")),
+        Structure("statespace", "flysid.model.subspace.model:from_dict", "linear"),
+        Structure("tf", "flysid.model.transfer_function:from_dict", "linear"),
+        Structure("static-ts", "flysid.model.static_ts:from_dict", "rules"),
+        Structure("ts", "flysid.model.rules.fitted_lags:from_dict", "rules"),
+        Structure("ts_ss", "flysid.model.rules.fitted_states:from_dict", "rules"),
         Structure("ensemble", "flysid.model.ensemble:from_dict"),
     )
 }
@@ -235,6 +240,12 @@ def all_structures() -> Mapping[str, Structure]:
             )
         found[entry.name] = Structure(entry.name, entry.value)
     return found
+
+
+def kind_of(structure: str) -> Kind:
+    """What a structure is to a comparison; "other" where nothing is known of it."""
+    known = all_structures().get(structure)
+    return known.kind if known else "other"
 
 
 def write_document(document: Mapping[str, Any], path: str | Path) -> None:

@@ -24,8 +24,6 @@ FIRST = "arx"
 HELD_OUT = 0.25
 REFERENCES = ("mean", "persistence")
 """Structures that no verdict is about: what loses to them has learnt nothing."""
-LINEAR = ("arx", "oe", "armax", "bj", "statespace", "iv", "fir", "tf", "line")
-"""Structures that a fuzzy model has to beat, each that is in the table."""
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,17 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError, UsageError
-from flysid.model.base import Fitted
-from flysid.validate.baseline import LINEAR, REFERENCES
+from flysid.model.base import Fitted, kind_of
 from flysid.validate.comparison import Comparison, Entry, ModelInfo, ModelScore, Pair, SegmentScore
 from flysid.validate.intervals import Interval, change, holm
 from flysid.validate.metrics import pooled, resolution_of, scores
+from flysid.validate.shown import ShownComparison
 from flysid.validate.trials import (
     FREE_RUN,
     Trial,
@@ -36,7 +37,7 @@ __all__ = [
 ]  # fmt: skip
 
 HORIZONS: tuple[str | int, ...] = (FREE_RUN, 10, 1)
-FUZZY = ("ts", "ts_lags", "ts_ss", "static_ts", "static-ts")
+C = TypeVar("C", bound=Comparison)
 CONTENDERS = ("ts", "ts_lags", "ts_ss")
 """Labels that the headline speaks of, the first that is there."""
 
@@ -51,7 +52,7 @@ def compare(
     train: Dataset | None = None,
     seen: Collection[str] = (),
     turns: Sequence[Turn] = (),
-) -> Comparison:
+) -> ShownComparison:
     """Compare fitted models on held-out data.
 
     Where every held-out flight is one that the models have not seen, the verdict is of *another flight*, and
@@ -94,7 +95,7 @@ def compare(
             start_s = max(t.first for t in trials) * test.dt_s
         who = sides if horizon == head else replace(sides, rivals=())
         entries += _entries((trials, test), _in_turn(turns, horizon), horizon, who)
-    comparison = Comparison(
+    comparison = ShownComparison(
         channel=test.name,
         dt_s=test.dt_s,
         models={name: _info(name, model) for name, model in named.items()},
@@ -112,7 +113,7 @@ def compare(
     return across_channels({"": comparison})[""]
 
 
-def across_channels(comparisons: Mapping[str, Comparison]) -> dict[str, Comparison]:
+def across_channels(comparisons: Mapping[str, C]) -> dict[str, C]:
     """The same comparisons with p-values corrected (Holm) over channels and outputs, verdicts decided anew.
 
     A family is one horizon and one pair of models. Doing it again changes nothing. Against rivals a channel
@@ -161,18 +162,18 @@ def sides_of(
     if contender is not None and (contender not in models or contender == base):
         raise UsageError(f"the contender {contender!r} is not among the models compared with {base!r}")
     contender = contender or _contender(models, base)
-    if models[base].structure in FUZZY:
+    if kind_of(models[base].structure) == "rules":
         return Sides(base, contender, (), frozenset(), frozenset(seen))
-    fuzzy = contender is not None and models[contender].structure in FUZZY
+    fuzzy = contender is not None and kind_of(models[contender].structure) == "rules"
     one_rule = _one_rule(models)
-    linear = {n for n, m in models.items() if m.structure in LINEAR} | one_rule
+    linear = {n for n, m in models.items() if kind_of(m.structure) == "linear"} | one_rule
     rivals = [n for n in models if fuzzy and n in linear and n not in (base, contender)]
     return Sides(base, contender, tuple(rivals), one_rule, frozenset(seen))
 
 
 def _one_rule(models: Mapping[str, Fitted]) -> frozenset[str]:
     """Fuzzy models that are linear ones."""
-    return frozenset(n for n, m in models.items() if m.structure in FUZZY and len(m.rules()) == 1)
+    return frozenset(n for n, m in models.items() if kind_of(m.structure) == "rules" and len(m.rules()) == 1)
 
 
 def with_references(models: Mapping[str, Fitted], train: Dataset) -> dict[str, Fitted]:
@@ -223,7 +224,7 @@ def _baseline(models: Mapping[str, Fitted], wanted: str | None) -> str:
 
 
 def _contender(models: Mapping[str, Fitted], base: str) -> str | None:
-    others = [n for n, m in models.items() if n != base and m.structure not in REFERENCES]
+    others = [n for n, m in models.items() if n != base and kind_of(m.structure) != "reference"]
     dynamic = [n for n in others if models[n].structure != "line"]  # whose loss would tell nobody anything
     first = next(iter([*dynamic, *others]), None)
     return next((label for label in CONTENDERS if label in others), first)

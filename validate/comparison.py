@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
 from flysid.dataset import Dataset, Signal
 from flysid.errors import UsageError
-from flysid.model.base import Fitted
-from flysid.validate.baseline import REFERENCES
+from flysid.model.base import Fitted, kind_of
 from flysid.validate.intervals import Change, Scope
 from flysid.validate.metrics import Scores
 from flysid.validate.trials import FREE_RUN, horizon_name
@@ -139,7 +136,12 @@ class ModelInfo:
     @property
     def reference(self) -> bool:
         """The mean or persistence: a line to stay below, not a model to choose."""
-        return self.structure in REFERENCES
+        return kind_of(self.structure) == "reference"
+
+    @property
+    def fuzzy(self) -> bool:
+        """A model of rules, be it of a single one."""
+        return kind_of(self.structure) == "rules"
 
 
 @dataclass(frozen=True)
@@ -202,25 +204,3 @@ class Comparison:
             if e.horizon == name and output in (None, e.output.name):
                 return e
         raise UsageError(f"no output {output!r} at horizon {name!r} in this comparison")
-
-    def to_json(self) -> dict[str, Any]:
-        """The JSON document of this comparison alone."""
-        from flysid.validate.document import to_json
-
-        return to_json({self.channel or "channel": self})
-
-    def report(self, path: str | Path) -> Path:
-        """Write the HTML report of this comparison alone; returns the path."""
-        from flysid.validate.report import ReportContext, write_report
-
-        return write_report(path, ReportContext.of({self.channel or "channel": self}))
-
-    def _repr_html_(self) -> str:
-        from flysid.validate.tables import to_html
-
-        return str(to_html({self.channel or "channel": self}))
-
-    def __str__(self) -> str:
-        from flysid.validate.terminal import table
-
-        return table({self.channel or "channel": self})

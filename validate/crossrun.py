@@ -14,9 +14,8 @@ from typing import Any
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FlysidError, UsageError
-from flysid.model.base import Fitted
+from flysid.model.base import Fitted, kind_of
 from flysid.split import Piece, Split, refuse_copies
-from flysid.validate.baseline import REFERENCES
 from flysid.validate.compare import Comparison, across_channels, compare, sides_of
 from flysid.validate.expected import expected_document
 from flysid.validate.judge import Judgement, by_reason, fit_command, split_words
@@ -147,9 +146,9 @@ def _both(
 ) -> tuple[dict[str, Fitted], str]:
     """The models of both runs under the names they are compared by, and the headline's label."""
     head = _headline(a, b, label)
-    models = {f"a:{name}": m for name, m in a.items() if m.structure not in REFERENCES}
-    models |= {f"b:{name}": m for name, m in b.items() if m.structure not in REFERENCES}
-    return models | {name: m for name, m in b.items() if m.structure in REFERENCES}, head
+    models = {f"a:{name}": m for name, m in a.items() if kind_of(m.structure) != "reference"}
+    models |= {f"b:{name}": m for name, m in b.items() if kind_of(m.structure) != "reference"}
+    return models | {name: m for name, m in b.items() if kind_of(m.structure) == "reference"}, head
 
 
 def _headline(a: Mapping[str, Fitted], b: Mapping[str, Fitted], label: str | None) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from flysid.ingest.align.doubts import Doubt
 from flysid.validate.cautions import cautions
 from flysid.validate.checks import Checks
-from flysid.validate.compare import Comparison, Entry, ModelScore, Pair
+from flysid.validate.comparison import Comparison, Entry, ModelScore, Pair
 from flysid.validate.diagnostics import Diagnosis
 from flysid.validate.residuals import Correlation
 from flysid.validate.words import judged_words

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.bounds import memory_option, time_option
-from flysid.cli.ls import aligned, clock_text
-from flysid.cli.output import REASONS_SHOWN, say, say_passed_over
+from flysid.cli.ls import clock_text
+from flysid.cli.output import REASONS_SHOWN, aligned, say, say_passed_over
 from flysid.cli.source import format_option, time_unit_option
 
 if TYPE_CHECKING:

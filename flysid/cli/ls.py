@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from flysid.cli.output import printable
+from flysid.cli.output import aligned
 
 if TYPE_CHECKING:
     from flysid.catalogue import FlightFacts
@@ -57,13 +56,6 @@ def clock_text(seconds: float) -> str:
     whole = max(0, round(seconds))
     hours, rest = divmod(whole, 3600)
     return f"{hours}:{rest // 60:02d}:{rest % 60:02d}" if hours else f"{rest // 60:02d}:{rest % 60:02d}"
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Rows of cells as lines with aligned columns, control characters removed."""
-    clean = [[printable(cell) for cell in cells] for cells in rows]
-    widths = [max(len(cell) for cell in column) for column in zip(*clean, strict=True)]
-    return ["  ".join(c.ljust(w) for c, w in zip(cells, widths, strict=True)).rstrip() for cells in clean]
 
 
 def as_document(flight: FlightFacts) -> dict[str, Any]:

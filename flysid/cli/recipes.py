@@ -31,8 +31,7 @@ def command(name: str, source: Path | None, toml: bool) -> None:
     flysid recipes --for flight.bin
     flysid recipes px4-rates --toml > mine.toml
     """
-    from flysid.cli.ls import aligned
-    from flysid.cli.output import say
+    from flysid.cli.output import aligned, say
     from flysid.errors import UsageError
     from flysid.ingest.align.recipe import load_recipe, recipe_text, shipped_recipes
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.ls import aligned
-from flysid.cli.output import say
+from flysid.cli.output import aligned, say
 
 if TYPE_CHECKING:
     from flysid.validate.history import RunChannel

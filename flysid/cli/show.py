@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.ingest import losses
-from flysid.cli.ls import aligned, clock_text
-from flysid.cli.output import counted, printable, say
+from flysid.cli.losses import losses
+from flysid.cli.ls import clock_text
+from flysid.cli.output import aligned, counted, printable, say
 from flysid.errors import StoreError, UsageError
 
 if TYPE_CHECKING:

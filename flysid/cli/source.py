@@ -202,7 +202,7 @@ def _written(words: Words, lake: Lake) -> str:
 
 def _taken_in(log: Path, place: Path, words: Words, quiet: bool) -> Path:
     """Ingest one log; raises FormatError where nothing of it can be read."""
-    from flysid.cli.ingest import report
+    from flysid.cli.losses import report
     from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.batch import ingest_logs
     from flysid.ingest.lake.finding import find_logs

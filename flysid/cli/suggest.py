@@ -31,8 +31,7 @@ OPEN = "?: the data do not bound it"
 
 def print_suggestions(data: str, as_json: bool) -> None:
     """A table on stdout with the advice below it, or JSON."""
-    from flysid.cli.ls import aligned
-    from flysid.cli.output import printable, say
+    from flysid.cli.output import aligned, printable, say
     from flysid.ingest.lake.lake import open as open_lake
 
     found = open_lake(data).suggest()

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flysid.cli.ls import aligned
-from flysid.cli.output import check_target, say, status
+from flysid.cli.output import aligned, check_target, say, status
 from flysid.cli.source import Words, lost_on_the_way, opened, selection_options, words_options
 
 if TYPE_CHECKING:

@@ -25,8 +25,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.errors import DataError, UsageError
-from flysid.model.frequency.response import Spectral
+from flysid.errors import DataError
+from flysid.model.frequency.spectral import Spectral, grid, highest_frequency
 from flysid.model.polynomials import ComplexArray
 
 DEGREE = 2
@@ -36,8 +36,6 @@ WIDTHS = (0.06, 0.12, 0.24)
 WIDEST = 1.0
 FREEDOM = 6
 """Lines beyond the unknowns that a point needs."""
-HIGHEST = 0.8
-"""Of the Nyquist frequency: above, what was sampled is mostly folded."""
 FEW_LINES = 6.0
 LEVERAGE = 2.25
 """A local parabola's variance in its middle, in units of that of a mean."""
@@ -85,21 +83,13 @@ def local_response(
     lines = _transformed(records, dt_s)
     n_u = records[0].shape[1] - 1
     lowest = _lowest(lines, n_u)
-    high = HIGHEST * np.pi / dt_s
-    low = lowest if band is None else max(lowest, band[0])
-    high = high if band is None else min(high, band[1])
-    if not lowest < HIGHEST * np.pi / dt_s:
+    if not lowest < highest_frequency(dt_s):
         longest = max(map(len, records))
         raise DataError(
             f"segments of at most {longest} samples are too short for a frequency response",
             hint=f"bring a segment of at least {8 * (_unknowns(n_u) + FREEDOM)} samples",
         )
-    if not low < high:
-        raise UsageError(
-            f"no frequency between {low:.3g} and {high:.3g} rad/s can be measured",
-            hint=f"widen the band; these data reach from {lowest:.3g} to {HIGHEST * np.pi / dt_s:.3g} rad/s",
-        )
-    omega = np.geomspace(low, high, points)
+    omega = grid(lowest, dt_s, points, band)
     found = [_best_point(lines, float(w), n_u) for w in omega]
     kept = [i for i, p in enumerate(found) if p is not None]
     picked = [p for p in found if p is not None]

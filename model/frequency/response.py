@@ -23,6 +23,8 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.detrend import Trend, detrended
+from flysid.model.frequency.local_polynomial import local_response
+from flysid.model.frequency.spectra import multitaper_response, welch_response
 from flysid.model.polynomials import ComplexArray
 
 GOOD_COHERENCE = 0.6
@@ -122,18 +124,6 @@ def _smoothed(values: FloatArray) -> FloatArray:
     return np.asarray((padded[:-2] + padded[1:-1] + padded[2:]) / 3.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Spectral:
-    """What a method of measuring returns, signals in units of their standard deviations; see there."""
-
-    omega: FloatArray
-    response: ComplexArray
-    coherence: FloatArray
-    averages: FloatArray
-    freedom: FloatArray
-    correlation: FloatArray
-
-
 def measure_response(
     data: Dataset,
     output: int = 0,
@@ -160,9 +150,6 @@ def measure_response(
     DataError : too short, an input or the output never changes, inputs that cannot be told apart.
     UsageError : no such method, or an empty band.
     """
-    from flysid.model.frequency.local_polynomial import local_response
-    from flysid.model.frequency.spectra import multitaper_response, welch_response
-
     if method not in METHODS:
         raise UsageError(f"no method {method!r}", hint=f"one of {', '.join(map(repr, METHODS))}")
     if points < 2:

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.errors import DataError, UsageError
-from flysid.model.frequency.local_polynomial import HIGHEST
-from flysid.model.frequency.response import Spectral
+from flysid.errors import DataError
+from flysid.model.frequency.spectral import Spectral, grid
 from flysid.model.polynomials import ComplexArray
 
 CYCLES = 2.0
@@ -46,7 +45,7 @@ def welch_response(
             f"{sum(map(len, records))} samples are too few for a frequency response",
             hint=f"bring a segment of at least {SHORTEST} samples and {SHARE} times as many in all",
         )
-    omega = _grid(lengths[0], dt_s, points, band)
+    omega = grid(_lowest(lengths[0], dt_s), dt_s, points, band)
     pieces = [_Spectra.of(records, n, dt_s, omega) for n in lengths]
     spectra, averages, window_s = _combined([p for p in pieces if p is not None], omega)
     return _conditioned(spectra, averages, window_s, omega)
@@ -67,21 +66,15 @@ def multitaper_response(
             f"segments of at most {longest} samples are too short for a frequency response",
             hint=f"bring a segment of at least {SHORTEST} samples",
         )
-    omega = _grid(max(longest // 2, 1), dt_s, points, band)
+    omega = grid(_lowest(max(longest // 2, 1), dt_s), dt_s, points, band)
     piece = _Spectra.of(records, longest, dt_s, omega, tapered=True)
     spectra, averages, window_s = _combined([piece] if piece else [], omega)
     return _conditioned(spectra, averages, window_s, omega)
 
 
-def _grid(longest: int, dt_s: float, points: int, band: tuple[float, float] | None) -> FloatArray:
-    lowest, highest = 2.0 * np.pi * CYCLES / (longest * dt_s), HIGHEST * np.pi / dt_s
-    low, high = (lowest, highest) if band is None else (max(lowest, band[0]), min(highest, band[1]))
-    if not low < high:
-        raise UsageError(
-            f"no frequency between {low:.3g} and {high:.3g} rad/s can be measured",
-            hint=f"widen the band; these data reach from {lowest:.3g} to {highest:.3g} rad/s",
-        )
-    return np.asarray(np.geomspace(low, high, points))
+def _lowest(longest: int, dt_s: float) -> float:
+    """The lowest frequency that passes often enough through the longest window, rad/s."""
+    return 2.0 * np.pi * CYCLES / (longest * dt_s)
 
 
 def _lengths(records: Sequence[FloatArray]) -> list[int]:

@@ -18,12 +18,13 @@ from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import StoreError
 from flysid.model.base import Rule
 from flysid.validate.bands import Curve
-from flysid.validate.compare import Comparison, compare
+from flysid.validate.compare import compare
 from flysid.validate.report import ReportContext, Sweep, render, write_report
 from flysid.validate.report.decimate import decimate, rounded
 from flysid.validate.report.figures import bode, sweep_figure
 from flysid.validate.report.rulefigures import antecedent_range, membership_figures
 from flysid.validate.report.svg import log_ticks, ticks
+from flysid.validate.shown import ShownComparison
 from flysid.validate.words import number
 from tests.fakes import FirstOrder, flown
 
@@ -34,7 +35,7 @@ HOSTILE = "</script><script>hacked=1</script><img src=x onerror=hacked=2>\"'{{7*
 
 
 @cache
-def compared() -> Comparison:
+def compared() -> ShownComparison:
     return compare([ARX, TS], flown(TS, [400] * 6, noise=0.02))
 
 

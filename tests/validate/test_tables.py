@@ -10,7 +10,8 @@ import pytest
 
 from flysid.dataset import Signal
 from flysid.validate.caution import Caution
-from flysid.validate.compare import Comparison, compare
+from flysid.validate.compare import compare
+from flysid.validate.shown import ShownComparison
 from flysid.validate.tables import to_csv, to_html, to_markdown
 from flysid.validate.words import change_words, interval_words, percent, percentage
 from tests.fakes import FirstOrder, flown
@@ -18,7 +19,7 @@ from tests.fakes import FirstOrder, flown
 EVIL = "=cmd|' /C calc'!A1\n<b>|`x`"
 
 
-def compared(name: str = "roll") -> Comparison:
+def compared(name: str = "roll") -> ShownComparison:
     signals = (Signal(name, "m/s"),)
     arx = FirstOrder(b=0.07, outputs=signals)
     ts = FirstOrder(structure="ts", outputs=signals)

@@ -9,7 +9,7 @@ from functools import cached_property
 
 from flysid.dataset import Dataset
 from flysid.ingest.align.doubts import Doubt
-from flysid.validate.compare import Comparison
+from flysid.validate.comparison import Comparison
 from flysid.validate.diagnostics import Diagnosis, diagnose
 
 _NUMBER = r"\d+(?:\.\d+)?(?:e[+-]?\d+)?"

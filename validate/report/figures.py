@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from flysid.dataset import FloatArray
 from flysid.validate.bands import Curve
-from flysid.validate.compare import Pair
+from flysid.validate.comparison import Pair
 from flysid.validate.report.context import Sweep
 from flysid.validate.report.svg import (
     Axes,

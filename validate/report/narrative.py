@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from flysid.validate.compare import FUZZY
 from flysid.validate.comparison import Comparison, Pair
 from flysid.validate.intervals import Scope
 from flysid.validate.verdict import Verdict
@@ -123,7 +122,7 @@ def called(model: str) -> str:
 def base_words(pairs: Heads) -> str:
     """What the baselines are called: "linear model" beside a fuzzy one, whatever structure each has."""
     pair = pairs[0][1]
-    return "linear model" if pair.model in FUZZY else called(pair.baseline)
+    return "linear model" if "fuzzy" in NAMES.get(pair.model, "") else called(pair.baseline)
 
 
 def title(pairs: Heads, idle: Sequence[str] = ()) -> str:

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from flysid.dataset import FloatArray
 from flysid.validate.bands import free_run_band
-from flysid.validate.compare import Comparison
+from flysid.validate.comparison import Comparison
 from flysid.validate.report.decimate import decimate, rounded
 from flysid.validate.report.rulefigures import firing_along, strongest_runs
 from flysid.validate.report.source import Source

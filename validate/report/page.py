@@ -10,7 +10,6 @@ from markupsafe import Markup
 
 import flysid
 from flysid.validate.cautions import cautions
-from flysid.validate.compare import FUZZY
 from flysid.validate.comparison import Comparison, ModelInfo, Pair
 from flysid.validate.diagnostics import Diagnosis
 from flysid.validate.report import narrative
@@ -136,7 +135,7 @@ def _cards(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
 
 
 def _size(info: ModelInfo) -> str:
-    many = f"{info.n_rules} rules, " if info.n_rules > 1 else "one rule, " if info.structure in FUZZY else ""
+    many = f"{info.n_rules} rules, " if info.n_rules > 1 else "one rule, " if info.fuzzy else ""
     return f"{one_line(info.name).upper()} {many}{info.n_parameters} parameters"
 
 

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Rule
 from flysid.validate.bands import curves
-from flysid.validate.compare import FUZZY, Comparison
+from flysid.validate.comparison import Comparison
 from flysid.validate.report import figures, overlay, rulefigures
 from flysid.validate.report.checktable import CheckRow, check_rows, coefficient_rows, interval_text
 from flysid.validate.report.context import Sweep
@@ -212,7 +212,7 @@ def _bode(source: Source, j: int, signal: int) -> Panel:
     if empirical is None:
         seen = "no response could be measured: the input hardly moves, or the record is too short"
     return Panel(
-        f"Local models against the {'' if c.models[c.baseline].structure in FUZZY else 'linear '}baseline",
+        f"Local models against the {'' if c.models[c.baseline].fuzzy else 'linear '}baseline",
         f"{seen}; dashed: {one_line(c.baseline).upper()}; {solid}shaded: 95 % bands from the training data",
         figures.bode(
             empirical,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from flysid.dataset import Dataset
-from flysid.validate.compare import Comparison
+from flysid.validate.comparison import Comparison
 from flysid.validate.diagnostics import Diagnosis
 from flysid.validate.report.context import Sweep
 

@@ -1,0 +1,43 @@
+"""A comparison that can show itself: as text, JSON, an HTML table in a notebook, a report.
+
+What a comparison is (`comparison`) knows nothing of how it is shown; this is what `compare` hands to people.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flysid.validate.comparison import Comparison
+
+
+@dataclass(frozen=True)
+class ShownComparison(Comparison):
+    """A comparison of one channel that renders itself."""
+
+    def to_json(self) -> dict[str, Any]:
+        """The JSON document of this comparison alone."""
+        from flysid.validate.document import to_json
+
+        return to_json(self._alone)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the HTML report of this comparison alone; returns the path."""
+        from flysid.validate.report import ReportContext, write_report
+
+        return write_report(path, ReportContext.of(self._alone))
+
+    @property
+    def _alone(self) -> dict[str, Comparison]:
+        return {self.channel or "channel": self}
+
+    def _repr_html_(self) -> str:
+        from flysid.validate.tables import to_html
+
+        return str(to_html(self._alone))
+
+    def __str__(self) -> str:
+        from flysid.validate.terminal import table
+
+        return table(self._alone)
