@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
@@ -41,6 +42,7 @@ from flysid.manifest import (
     to_json,
 )
 from flysid.parts import exhausted
+from flysid.progress import tell
 from flysid.version import __version__
 
 __all__ = [
@@ -205,12 +207,31 @@ def _free_id(data: Path, source: Source) -> str:
     return taken.name
 
 
+TELL_EVERY_S = 1.0
+
+
+class _Told:
+    """Hands parts to a writer, and tells now and then how many records that were."""
+
+    def __init__(self, writer: FlightWriter) -> None:
+        self._writer = writer
+        self._rows = 0
+        self._told = time.monotonic()
+
+    def add(self, part: Part) -> None:
+        self._writer.add(part.stream, part.table)
+        self._rows += part.table.num_rows
+        if time.monotonic() - self._told > TELL_EVERY_S:
+            self._told = time.monotonic()
+            tell(f"reading, {self._rows:,} records so far")
+
+
 def _write_streams(
     folder: Path, name: str, source: Source, parts: Generator[Part, None, Outcome]
 ) -> Manifest:
     writer = FlightWriter(folder)
     try:
-        outcome = exhausted(parts, lambda part: writer.add(part.stream, part.table))
+        outcome = exhausted(parts, _Told(writer).add)
         entries = writer.finish()
     finally:
         writer.close()

@@ -17,6 +17,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.base import Estimator, Fitted
 from flysid.model.selection import block_means, clearly_better
+from flysid.progress import tell
 from flysid.validate.fitone import UNFIT, reason
 from flysid.validate.trials import FREE_RUN, Trial, run_trials
 
@@ -75,6 +76,8 @@ def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Choi
         if clearly_better(e, errors[label]):
             label = name
     rmse = {name: float(np.sqrt(e.mean())) for name, e in errors.items()}
+    for name, value in rmse.items():
+        tell("free run on the validation part", model=name, validation=value)
     said = ", ".join(f"{name.upper()} {value:.3g}" for name, value in rmse.items())
     if rmse[label] > min(rmse.values()):
         said += f"; none is clearly better than {label.upper()}"
@@ -112,7 +115,8 @@ def _first(named: Mapping[str, object]) -> str:
 def _fitted(candidates: Mapping[str, Estimator], fit: Dataset, check: Dataset) -> dict[str, Fitted]:
     models: dict[str, Fitted] = {}
     reasons: list[str] = []
-    for name, estimator in candidates.items():
+    for i, (name, estimator) in enumerate(candidates.items()):
+        tell("choosing the best linear model", model=name, share=i / len(candidates))
         try:
             models[name] = estimator.fit(fit, check)
         except UNFIT as error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -15,6 +14,7 @@ from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.excitation.dead_time import DeadTime
 from flysid.model.base import Fitted
 from flysid.model.feedback import feedback
+from flysid.progress import part, tell
 from flysid.split import Split
 from flysid.validate.baseline import Choice
 from flysid.validate.fitone import UNFIT, FitsTo, fit_one, reason
@@ -64,27 +64,28 @@ class ChannelJob(Generic[D]):
     def run(self) -> ChannelRun | str:
         """Split, fit and save; or the reason why nothing can be fitted: one channel takes no other along."""
         try:
-            return self._run()
+            with part(channel=self.name):
+                return self._run()
         except UNFIT as error:
             return reason(error)
 
     def _run(self) -> ChannelRun | str:
         raise NotImplementedError
 
-    def fit_each(self, estimators: Mapping[str, FitsTo[S]], train: S) -> Fits:
-        """Fit and save every model; those that cannot be fitted leave a reason."""
-        place, fits = slug(self.name), Fits()
-        (self.folder / place).mkdir()
-        for label, estimator in estimators.items():
-            started = time.perf_counter()
-            file = f"{place}/{label}.json"
-            model = fit_one(estimator, train, self.folder / file)
-            if isinstance(model, str):
-                fits.failed[label] = model
-                continue
+    def fit_into(self, fits: Fits, label: str, estimator: FitsTo[S], train: S) -> None:
+        """Fit and save a model; one that cannot be fitted leaves a reason."""
+        tell("fitting", share=0.0)
+        started = time.perf_counter()
+        place = slug(self.name)
+        (self.folder / place).mkdir(exist_ok=True)
+        file = f"{place}/{label}.json"
+        model = fit_one(estimator, train, self.folder / file)
+        if isinstance(model, str):
+            fits.failed[label] = model
+        else:
             fits.seconds[label] = time.perf_counter() - started
-            fits.models[label], fits.files[label] = model, file
-        return fits
+            fits.models[label] = model
+            fits.files[label] = file
 
     def told(
         self, fits: Fits, choice: Choice, split: Split, seen: Dataset, late: tuple[DeadTime, ...]

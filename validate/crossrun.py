@@ -15,12 +15,13 @@ from typing import Any
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FlysidError, UsageError
 from flysid.model.base import Fitted, kind_of
+from flysid.progress import tell
 from flysid.split import Piece, Split, refuse_copies
 from flysid.validate.compare import Comparison, across_channels, compare, sides_of
 from flysid.validate.expected import expected_document
 from flysid.validate.judge import Judgement, by_reason, fit_command, split_words
 from flysid.validate.report.context import ReportContext
-from flysid.validate.run import HeldOut, Progress, Run, held_out, models_of
+from flysid.validate.run import HeldOut, Run, held_out, models_of
 
 PREFERRED = ("ts", "arx")
 
@@ -33,9 +34,7 @@ class RunSource:
     data: Path | None = None
 
 
-def judge_runs(
-    a: RunSource, b: RunSource, *, label: str | None = None, progress: Progress = lambda _: None
-) -> Judgement:
+def judge_runs(a: RunSource, b: RunSource, *, label: str | None = None) -> Judgement:
     """Compare every channel that two runs share.
 
     Parameters
@@ -47,7 +46,7 @@ def judge_runs(
     DataError : no channel can be compared, or it cannot be ruled out that A was trained on B's held-out part.
     StoreError, UsageError : a run or a data folder cannot be read.
     """
-    progress("making the data of both runs again")
+    tell("aligning the data of both runs", share=0.0)
     ours = {h.channel.name: h for h in held_out(b.run, b.data)}
     theirs = {h.channel.name: h for h in _training_of(a)}
     shared = [name for name in ours if name in theirs]
@@ -55,8 +54,8 @@ def judge_runs(
         raise DataError(f"the runs share no channel: {_names(theirs)} and {_names(ours)}")
     found: dict[str, Comparison] = {}
     failed: dict[str, str] = {}
-    for name in shared:
-        progress(f"{name}: comparing")
+    for i, name in enumerate(shared):
+        tell("comparing", channel=name, share=(i + 1) / (len(shared) + 1))
         try:
             found[name] = _compare(theirs[name], ours[name], label)
         except DataError as error:

@@ -17,9 +17,11 @@ from flysid.datasetfile import DatasetFile
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.model.base import Fitted
 from flysid.model.selection import clearly_better
+from flysid.progress import tell
 from flysid.validate.baseline import Choice, free_run_errors
-from flysid.validate.channeljob import ChannelJob
+from flysid.validate.channeljob import ChannelJob, Fits
 from flysid.validate.diskparts import LOOK_ROWS, FilePart, plan_on_disk
+from flysid.validate.fitplan import FitPlan
 from flysid.validate.run import ChannelRun
 
 STREAMED = ("arx", "fir", "iv", "statespace")
@@ -57,12 +59,18 @@ class DiskJob(ChannelJob[DatasetFile]):
         look = train.head(LOOK_ROWS)
         late = dead_times(look)
         hint = delays_to_try(late, len(look.inputs))
-        fits = self.fit_each(streaming_estimators(settings.models, hint), train)
-        fits.failed = {n: self._cannot() for n in settings.models if n not in STREAMED} | fits.failed
-        linear = {label: model for label, model in fits.models.items() if label in STREAMED}
-        if not linear:
-            return fits.reasons
-        return replace(self.told(fits, _baseline(linear, look), split, look, late), on_disk=True)
+        wanted = streaming_estimators(settings.models, hint)
+        plan = FitPlan(tuple(wanted))
+        fits = Fits(failed={n: self._cannot() for n in settings.models if n not in STREAMED})
+        told: ChannelRun | None = None
+        for label, estimator in wanted.items():
+            with plan.model(label):
+                self.fit_into(fits, label, estimator, train)
+                linear = {label: model for label, model in fits.models.items() if label in STREAMED}
+                if linear:
+                    told = replace(self.told(fits, _baseline(linear, look), split, look, late), on_disk=True)
+                tell("could not be fitted" if label in fits.failed else "fitted", share=1.0, result=told)
+        return told or fits.reasons
 
     def _cannot(self) -> str:
         return (

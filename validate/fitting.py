@@ -9,7 +9,8 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -25,6 +26,7 @@ from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.base import Estimator
+from flysid.progress import Step, tell, through
 from flysid.split import plan_split
 from flysid.validate import folds
 from flysid.validate.baseline import REFERENCES, choose_baseline, confirmed, linear_estimators
@@ -32,12 +34,12 @@ from flysid.validate.channeljob import ChannelJob, Fits
 from flysid.validate.diskparts import LOOK_ROWS
 from flysid.validate.fitdisk import DiskJob
 from flysid.validate.fitone import reason
+from flysid.validate.fitplan import CHOICE, FitPlan
 from flysid.validate.run import (
     RECIPE_FILE,
     RUN_FILE,
     ChannelRun,
     FitSettings,
-    Progress,
     Run,
     run_document,
     versions,
@@ -111,25 +113,57 @@ class MemoryJob(ChannelJob[Dataset]):
         settings = self.settings
         split = plan_split(self.data, holdout=settings.holdout, by=settings.by, seed=settings.seed)
         train, _ = split.apply(self.data)
-        late = dead_times(train)
-        hint = delays_to_try(late, len(train.inputs))
-        started = time.perf_counter()
-        choice = choose_baseline(train, linear_estimators(hint))
-        seconds = time.perf_counter() - started
-        fits = self.fit_each(estimators(settings, choice.label, hint), train)
-        fits.seconds = {"choice of the baseline": seconds} | fits.seconds
-        linear = {n: model for n, model in fits.models.items() if n in (*BESIDE, choice.label)}
+        turns = folds.FOLDS if folds.are_needed(split, self.data, settings) else 0
+        plan = FitPlan(tuple(estimators(settings)), turns)
+        with plan.choice():
+            tell("looking for dead times", share=0.0)
+            late = dead_times(train)
+            hint = delays_to_try(late, len(train.inputs))
+            started = time.perf_counter()
+            choice = choose_baseline(train, linear_estimators(hint))
+            fits = Fits(seconds={CHOICE: time.perf_counter() - started})
+        wanted = estimators(settings, choice.label, hint)
+        plan = FitPlan(tuple(wanted), turns)
+        beside = [label for label in wanted if label in (*BESIDE, choice.label)]
+        first = list(wanted)[: 1 + list(wanted).index(beside[-1])]
+        for label in first:
+            with plan.model(label):
+                self.fit_into(fits, label, wanted[label], train)
+        linear = {label: model for label, model in fits.models.items() if label in beside}
         if not linear:
             return fits.reasons
         told = self.told(fits, confirmed(choice, linear, train), split, train, late)
-        if not folds.are_needed(split, self.data, settings):
+        tell(
+            "best linear model",
+            model=told.baseline,
+            validation=choice.rmse.get(told.baseline),
+            result=_so_far(told, wanted),
+        )
+        for label in list(wanted)[len(first) :]:
+            with plan.model(label):
+                self.fit_into(fits, label, wanted[label], train)
+                told = replace(
+                    told, models=dict(fits.files), fit_seconds=dict(fits.seconds), failed=dict(fits.failed)
+                )
+                tell(
+                    "could not be fitted" if label in fits.failed else "fitted",
+                    share=1.0,
+                    result=_so_far(told, wanted),
+                )
+        if not turns:
             return told
         started = time.perf_counter()
-        turns = folds.fitted_in_turn(
-            self.data, partial(_of_a_fold, settings, fits), self.folder, settings.seed
+        found = folds.fitted_in_turn(
+            self.data, partial(_of_a_fold, settings, fits), self.folder, settings.seed, plan
         )
         spent = {"all flights in turn": time.perf_counter() - started}
-        return replace(told, folds=turns, fit_seconds=fits.seconds | spent)
+        return replace(told, folds=found, fit_seconds=fits.seconds | spent)
+
+
+def _so_far(channel: ChannelRun, labels: Iterable[str]) -> ChannelRun:
+    """What is left of a channel if the work ends here."""
+    missing = {label: "the fit was interrupted" for label in labels if label not in channel.models}
+    return replace(channel, failed=missing | dict(channel.failed))
 
 
 def _of_a_fold(settings: FitSettings, fits: Fits, train: Dataset) -> dict[str, Estimator]:
@@ -146,19 +180,18 @@ def fit_run(
     settings: FitSettings,
     *,
     jobs: int = 1,
-    progress: Progress = lambda _: None,
 ) -> Run:
-    """Fit every channel of a recipe and write the run folder.
+    """Fit every channel of a recipe and write the run folder; tells of its progress (`flysid.progress`).
 
     A channel that cannot be fitted is skipped with its reason (`Run.skipped`). One with more samples than may
-    be in memory is fitted from disk, by the models that can.
+    be in memory is fitted from disk, by the models that can. Where KeyboardInterrupt ends it after the linear
+    models of a channel, the run holds what was finished, and `Run.interrupted` is set.
 
     Parameters
     ----------
     recipe_name : a shipped recipe, or the path of one.
     out : the run's folder; what is there is replaced once the run is complete.
     jobs : channels fitted at a time, each in a process of its own where more than one.
-    progress : told what is being done.
 
     Raises
     ------
@@ -179,13 +212,16 @@ def fit_run(
         queue: list[MemoryJob | DiskJob] = []
         with tempfile.TemporaryDirectory(prefix=".aligned-", dir=folder) as scratch:
             for name in wanted:
+                tell("aligning", channel=name, share=0.0)
                 try:
                     queue.append(_job(lake, recipe, name, Places(folder, Path(scratch)), settings))
                 except (DataError, MemoryError) as error:
                     skipped[name] = reason(error)
-            found = dict(_fitted(queue, jobs, progress))
-        fitted = tuple(found[name] for name in wanted if isinstance(found.get(name), ChannelRun))
+            found, interrupted = _fitted(queue, jobs)
+        fitted = [c for c in map(found.get, wanted) if isinstance(c, ChannelRun)]
         skipped |= {name: str(why) for name, why in found.items() if not isinstance(why, ChannelRun)}
+        if interrupted:
+            _drop_unfinished(folder, fitted)
         if not fitted:
             reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
             raise DataError(f"no channel of recipe {recipe.name!r} could be fitted: {reasons}")
@@ -195,17 +231,20 @@ def fit_run(
             recipe=recipe.name,
             flights=tuple(f.id for f in lake.facts),
             settings=settings,
-            channels=tuple(c for c in fitted if isinstance(c, ChannelRun)),
+            channels=tuple(fitted),
             skipped=skipped,
             versions=versions(),
+            interrupted=interrupted,
         )
         write_atomically(folder / RECIPE_FILE, recipe_text(recipe_name)[0].encode())
         write_atomically(folder / RUN_FILE, run_document(run))
     return run
 
 
-def fit_file(path: Path, out: Path, settings: FitSettings, *, progress: Progress = lambda _: None) -> Run:
+def fit_file(path: Path, out: Path, settings: FitSettings) -> Run:
     """Fit the one channel that a dataset file holds (`flysid.datasetfile`) and write the run folder.
+
+    Tells of its progress, and may be interrupted, as `fit_run`.
 
     Raises
     ------
@@ -218,14 +257,29 @@ def fit_file(path: Path, out: Path, settings: FitSettings, *, progress: Progress
     with replacing_folder(out) as folder:
         large = _megabytes(len(file), len(file.inputs) + len(file.outputs)) > settings.memory_mb
         job = DiskJob(file, folder, settings) if large else MemoryJob(file.read(), folder, settings)
-        progress(f"fitting {job.name}{FROM_DISK if large else ''}")
-        channel = job.run()
+        found, interrupted = _fitted([job], 1)
+        channel = found[job.name]
         if isinstance(channel, str):
             raise DataError(f"{job.name!r} could not be fitted: {channel}", path=path)
+        if interrupted:
+            _drop_unfinished(folder, [channel])
         flights = tuple(dict.fromkeys(e.flight for e in file.entries))
-        run = Run(out, os.path.abspath(path), "", flights, settings, (channel,), {}, versions())
+        run = Run(out, os.path.abspath(path), "", flights, settings, (channel,), {}, versions(), interrupted)
         write_atomically(folder / RUN_FILE, run_document(run))
     return run
+
+
+def _drop_unfinished(folder: Path, channels: Sequence[ChannelRun]) -> None:
+    """Remove the files of models that were at work when the fit was interrupted."""
+    models = [file for c in channels for file in c.models.values()]
+    models += [file for c in channels for fold in c.folds for file in fold.models.values()]
+    named = {path for file in models for path in (folder / file, (folder / file).with_suffix(".txt"))}
+    for path in sorted(folder.rglob("*"), reverse=True):
+        if path.is_dir():
+            with suppress(OSError):  # it holds models
+                path.rmdir()
+        elif path not in named:
+            path.unlink()
 
 
 @dataclass(frozen=True)
@@ -262,21 +316,41 @@ def _chosen(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
     return [n for n in names if not wanted or n in wanted]
 
 
-def _fitted(
-    queue: Sequence[MemoryJob | DiskJob], jobs: int, progress: Progress
-) -> Iterator[tuple[str, ChannelRun | str]]:
+def _fitted(queue: Sequence[MemoryJob | DiskJob], jobs: int) -> tuple[dict[str, ChannelRun | str], bool]:
+    """Every channel's run, or why there is none; and whether a keyboard's interrupt cut the work short."""
+    found: dict[str, ChannelRun | str] = {}
+    finished: dict[str, ChannelRun] = {}
+    shares = {job.name: 0.0 for job in queue}
+
+    def placed(step: Step) -> Step:
+        """The share of all channels."""
+        if isinstance(step.result, ChannelRun):
+            finished[step.channel] = step.result
+        if step.share is not None:
+            shares[step.channel] = step.share
+        return replace(step, share=sum(shares.values()) / len(shares), result=None)
+
+    with through(placed):
+        for job in queue:
+            tell("waiting" + (FROM_DISK if isinstance(job, DiskJob) else ""), channel=job.name, share=0.0)
+        try:
+            for name, outcome in _outcomes(queue, jobs):
+                found[name] = outcome
+                tell("done" if isinstance(outcome, ChannelRun) else outcome, channel=name, share=1.0)
+        except KeyboardInterrupt:
+            if not found and not finished:
+                raise
+            unfinished = {job.name: "interrupted before its linear models were fitted" for job in queue}
+            return unfinished | finished | found, True
+    return found, False
+
+
+def _outcomes(queue: Sequence[MemoryJob | DiskJob], jobs: int) -> Iterator[tuple[str, ChannelRun | str]]:
     """(channel, its run or why there is none), in the order in which they are done."""
-    said = [f"{job.name}{FROM_DISK if isinstance(job, DiskJob) else ''}" for job in queue]
     if min(jobs, len(queue)) <= 1:
-        for job, words in zip(queue, said, strict=True):
-            progress(f"fitting {words}")
-            yield job.name, job.run()
+        yield from ((job.name, job.run()) for job in queue)
         return
-    progress(f"fitting {', '.join(said)}")
-    waiting = [job.name for job in queue]
     for job, found in run_bounded(_run, queue, min(jobs, len(queue)), Bounds(None, None)):
-        waiting.remove(job.name)
-        progress(f"{job.name} fitted" + (f", fitting {', '.join(waiting)}" if waiting else ""))
         yield job.name, found.reason if isinstance(found, Lost) else found
 
 

@@ -13,8 +13,10 @@ from pathlib import Path
 from flysid.dataset import Dataset
 from flysid.files import slug
 from flysid.model.base import Estimator
+from flysid.progress import tell
 from flysid.split import Split, plan_folds
 from flysid.validate.fitone import UNFIT
+from flysid.validate.fitplan import FitPlan
 from flysid.validate.intervals import FEW
 from flysid.validate.run import FitSettings, FoldRun
 
@@ -29,13 +31,16 @@ def are_needed(split: Split, data: Dataset, settings: FitSettings) -> bool:
     return settings.rotate and split.by == "flight" and len(held) <= FEW < len(data.flights)
 
 
-def fitted_in_turn(data: Dataset, estimators: Estimators, folder: Path, seed: int) -> tuple[FoldRun, ...]:
+def fitted_in_turn(
+    data: Dataset, estimators: Estimators, folder: Path, seed: int, plan: FitPlan
+) -> tuple[FoldRun, ...]:
     """Leave every flight out once, fit to the others, save; a model that a fold cannot fit is left out of it.
 
     Parameters
     ----------
     estimators : what to fit to the training part of a fold, by label.
     folder : the run's, with the channel's own in it.
+    plan : of the channel's work, of which this is a part.
     """
     found = []
     for number, split in enumerate(plan_folds(data, FOLDS, seed=seed), start=1):
@@ -45,7 +50,9 @@ def fitted_in_turn(data: Dataset, estimators: Estimators, folder: Path, seed: in
         files = {}
         for label, estimator in estimators(train).items():
             try:
-                model = estimator.fit(train)
+                with plan.model(label, number):
+                    tell(f"without fold {number} of {FOLDS}", share=0.0)
+                    model = estimator.fit(train)
             except UNFIT:
                 continue
             files[label] = f"{place}/{label}.json"

@@ -10,6 +10,7 @@ from typing import Any
 
 from flysid.errors import DataError, UsageError
 from flysid.files import replacing_folder, write_atomically
+from flysid.progress import tell
 from flysid.validate.caution import Caution
 from flysid.validate.cautions import cautions
 from flysid.validate.compare import Comparison, across_channels, compare
@@ -18,7 +19,7 @@ from flysid.validate.document import to_json
 from flysid.validate.paperfigures import write_figures
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.page import render
-from flysid.validate.run import FitSettings, HeldOut, Progress, Run, asked_for, held_out
+from flysid.validate.run import FitSettings, HeldOut, Run, asked_for, held_out
 from flysid.validate.tables import to_csv, to_markdown
 from flysid.validate.terminal import summary, table
 from flysid.validate.words import one_line
@@ -110,15 +111,12 @@ class Judgement:
         return matching_channels(condition, self.document)
 
 
-def judge_run(
-    run: Run, data: str | Path | None = None, progress: Progress = lambda _: None, remark: str = ""
-) -> Judgement:
-    """Compare every channel of a run on its held-out part.
+def judge_run(run: Run, data: str | Path | None = None, remark: str = "") -> Judgement:
+    """Compare every channel of a run on its held-out part; tells of its progress (`flysid.progress`).
 
     Parameters
     ----------
     data : the ingested folder, where it moved since the fit.
-    progress : told what is being done.
     remark : stands above the report's title, e.g. "simulated flights".
 
     Raises
@@ -126,11 +124,12 @@ def judge_run(
     DataError : no channel can be judged, or the data differs from what was fitted.
     StoreError, UsageError : the run or the data folder cannot be read.
     """
+    tell("aligning the held-out part", share=0.0)
     held = held_out(run, data)
     comparisons: dict[str, Comparison] = {}
     failed: dict[str, str] = {}
-    for item in held:
-        progress(f"{item.channel.name}: comparing {', '.join(item.models)} on held-out segments")
+    for i, item in enumerate(held):
+        tell("comparing on held-out segments", channel=item.channel.name, share=(i + 1) / (len(held) + 1))
         try:
             comparisons[item.channel.name] = compare(
                 item.models,
@@ -170,6 +169,8 @@ def write_judgement(judgement: Judgement, folder: Path, figures: str | None = No
     UsageError : matplotlib is needed and not installed. WriteError : nothing can be written there.
     """
     with replacing_folder(folder) as incoming:
+        judgement.context.diagnoses  # noqa: B018 - made here, and told
+        tell("drawing the page", share=0.9)
         document = json.dumps(judgement.document, indent=1, allow_nan=False) + "\n"
         write_atomically(incoming / DOCUMENT, document.encode())
         write_atomically(incoming / PAGE, render(judgement.context).encode())
@@ -205,6 +206,7 @@ def fit_command(run: Run) -> str:
     words += [f"--antecedent '{a}'" for a in settings.antecedents]
     words += [f"--channel '{c}'" for c in settings.channels]
     words += [f"--models {','.join(settings.models)}"] if settings.models else []
+    words += [f"--effort {settings.effort}"] if settings.effort != FitSettings.effort else []
     words += [] if settings.rotate else ["--no-rotate"]
     words += [f"--memory {settings.memory_mb:g}"] if settings.memory_mb != FitSettings.memory_mb else []
     return " ".join(words)

@@ -6,7 +6,7 @@ then once more with measurement noise, scored against the noise-free truth.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.ingest.synth.plants import LOOPS as PLANT_LOOPS
 from flysid.ingest.synth.plants import paper_experiment
 from flysid.model.base import Estimator, Fitted
+from flysid.progress import part, tell
 from flysid.validate.compare import Comparison, compare
 from flysid.validate.metrics import scores
 from flysid.validate.paper import LOOPS, PaperLoop
@@ -48,20 +49,25 @@ class LoopResult:
         return str(self.comparison.entry().pairs["dynamic_ts_3"].verdict)
 
 
-def reproduce_ardrone_ts(progress: Callable[[str], None] = lambda _: None) -> list[LoopResult]:
+def reproduce_ardrone_ts() -> list[LoopResult]:
     """Fit and compare all models on the paper's three loops."""
-    return [_reproduce_loop(loop, progress) for loop in LOOPS]
+    found = []
+    for i, loop in enumerate(LOOPS):
+        with part(i / len(LOOPS), (i + 1) / len(LOOPS), channel=loop.name):
+            found.append(_reproduce_loop(loop))
+    return found
 
 
-def _reproduce_loop(loop: PaperLoop, progress: Callable[[str], None]) -> LoopResult:
+def _reproduce_loop(loop: PaperLoop) -> LoopResult:
     train, test = (experiment(loop, signal)[0] for signal in ("training", "validation"))
     models: dict[str, Fitted] = {}
-    for label, estimator in _estimators().items():
-        progress(f"{loop.name}: fitting {label}")
+    estimators = _estimators()
+    for i, (label, estimator) in enumerate(estimators.items()):
+        tell("fitting", model=label, share=i / (len(estimators) + 1))
         models[label] = estimator.fit(train)
     comparison = compare(models, test, baseline="arx")
     free = {label: from_rest(model, test) for label, model in models.items()}
-    progress(f"{loop.name}: fitting with {NOISE_M_S} m/s of noise")
+    tell(f"fitting with {NOISE_M_S} m/s of noise", share=len(estimators) / (len(estimators) + 1))
     return LoopResult(loop, models, free, comparison, _with_noise(loop))
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import platform
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -39,8 +39,6 @@ RUN_VERSION = 1
 RUN_FILE = "run.json"
 RECIPE_FILE = "recipe.toml"
 LIBRARIES = ("numpy", "scipy", "numba", "pyarrow", "pymavlink", "mcap")
-
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -119,7 +117,14 @@ class ChannelRun:
 
 @dataclass(frozen=True)
 class Run:
-    """A run folder, read back; `recipe` is "" where `data` is a dataset file and not an ingested folder."""
+    """A run folder, read back.
+
+    Attributes
+    ----------
+    data : the ingested folder or the dataset file that it was fitted to.
+    recipe : its name; "" where `data` is a dataset file.
+    interrupted : the fit was cut short; what it had finished is there.
+    """
 
     folder: Path
     data: str
@@ -129,6 +134,7 @@ class Run:
     channels: tuple[ChannelRun, ...]
     skipped: Mapping[str, str]
     versions: Mapping[str, str]
+    interrupted: bool = False
 
 
 @dataclass(frozen=True)
@@ -167,6 +173,7 @@ def run_document(run: Run) -> bytes:
         "channels": [asdict(c) for c in run.channels],
         "skipped": dict(run.skipped),
         "versions": dict(run.versions),
+        "interrupted": run.interrupted,
     }
     return (json.dumps(body, indent=1, allow_nan=False) + "\n").encode()
 
@@ -229,6 +236,7 @@ def _run_from(folder: Path, body: Mapping[str, Any]) -> Run:
         channels=tuple(_channel_from(c) for c in body["channels"]),
         skipped=dict(body["skipped"]),
         versions=dict(body["versions"]),
+        interrupted=bool(body.get("interrupted", False)),
     )
 
 

@@ -22,8 +22,8 @@ from flysid.model.frequency.response import MeasuredResponse, measure_response
 from flysid.model.linear.uncertainty import frequency_response
 from flysid.model.polynomials import ComplexArray
 from flysid.model.transfer_function import TF, FittedTF
+from flysid.progress import tell
 from flysid.validate.metrics import scores
-from flysid.validate.run import Progress
 from flysid.validate.trials import FREE_RUN, run_trials
 
 Z95 = 1.959963984540054
@@ -202,7 +202,6 @@ def identify(
     estimator: TF,
     *,
     channels: Sequence[str] = (),
-    progress: Progress = lambda _: None,
 ) -> tuple[list[ChannelTransfers], Mapping[str, str]]:
     """Transfer functions of every channel of a recipe, and why the others have none.
 
@@ -219,11 +218,12 @@ def identify(
             )
     held = lake.channels(recipe)
     found, skipped = [], {}
-    for name in channels or recipe.channels:
+    wanted = channels or recipe.channels
+    for i, name in enumerate(wanted):
         if name not in held:
             skipped[name] = "no flight holds its streams"
             continue
-        progress(f"identifying {name}")
+        tell("identifying", channel=name, share=i / len(wanted))
         try:
             found.append(identify_channel(name, lake.dataset(recipe, name), estimator))
         except (DataError, FitError) as error:

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import click
 
-from flysid.cli.output import check_target, chosen_form, comparison_forms, finish, status
+from flysid.cli.display import Display, progress_options
+from flysid.cli.output import check_target, chosen_form, comparison_forms, finish
+from flysid.progress import part
 
 FOLDER = click.Path(path_type=Path)
 
@@ -21,7 +23,7 @@ FOLDER = click.Path(path_type=Path)
 @click.option("--fail-if", "condition", help="Exit with 4 where this holds, e.g. 'free_run.change_pct > 5'.")
 @click.option("--force", is_flag=True, help="Replace the report if it is there.")
 @comparison_forms
-@click.option("--quiet", "-q", is_flag=True)
+@progress_options
 def command(
     run_a: Path,
     run_b: Path,
@@ -32,6 +34,7 @@ def command(
     condition: str | None,
     force: bool,
     quiet: bool,
+    display: Display,
     **forms: bool,
 ) -> int:
     """Compare the models of two runs on flights that neither has trained on.
@@ -52,8 +55,10 @@ def command(
     expected = expected_of_runs(a.run, b.run, label)  # a label that a run lacks is told here
     if condition is not None:
         check_condition(condition, expected)
-    with status(quiet) as progress:
-        judgement = judge_runs(a, b, label=label, progress=progress)
-        page = None if output is None else write_judgement(judgement, output)
+    with display.shown():
+        with part(0.0, 0.5):
+            judgement = judge_runs(a, b, label=label)
+        with part(0.5, 1.0):
+            page = None if output is None else write_judgement(judgement, output)
     click.echo(judgement.text(form))
     return finish(judgement, condition, page, quiet)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.output import check_target, cores, say, status
+from flysid.cli.display import Display, progress_options
+from flysid.cli.output import check_target, cores, say
 from flysid.errors import UsageError
+from flysid.progress import part, tell
 
 if TYPE_CHECKING:
     from flysid.validate.judge import Judgement
@@ -67,8 +68,8 @@ class Stages:
 )
 @click.option("--seed", default=1, show_default=True)
 @click.option("--force", is_flag=True, help="Replace an earlier demo in that folder.")
-@click.option("--quiet", "-q", is_flag=True)
-def command(output: Path, plant: str, seed: int, force: bool, quiet: bool) -> None:
+@progress_options
+def command(output: Path, plant: str, seed: int, force: bool, quiet: bool, display: Display) -> None:
     """Fly, ingest, fit and validate on simulated flights; end with the path of a report.
 
     The vehicle is a nonlinear AR.Drone; with --plant ardrone-linear the paper's transfer functions (10),
@@ -77,13 +78,19 @@ def command(output: Path, plant: str, seed: int, force: bool, quiet: bool) -> No
     started = time.perf_counter()
     prepare(output, force)
     stages = Stages(output)
-    with status(quiet) as progress:
-        say(f"  synthesise  {fly(stages, plant, seed, progress)}", quiet)
-        say(f"  ingest      {take_in(stages)}", quiet)
+    with display.shown():
+        with part(0.0, 0.02):
+            say(f"  synthesise  {fly(stages, plant, seed)}", quiet)
+        with part(0.02, 0.05):
+            say(f"  ingest      {take_in(stages)}", quiet)
         before = time.perf_counter()
-        run = fit(stages, seed, progress)
+        with part(0.05, 0.8):
+            run = fit(stages, seed)
+        if run.interrupted:
+            raise KeyboardInterrupt
         say(f"  fit         {describe_run(run, time.perf_counter() - before)}", quiet)
-        judgement = judge(stages, progress)
+        with part(0.8, 1.0):
+            judgement = judge(stages)
     say(f"  validate    {describe_judgement(judgement)}", quiet)
     from flysid.validate.terminal import summary
 
@@ -108,7 +115,7 @@ def prepare(output: Path, force: bool) -> None:
         (output / MARKER).touch()
 
 
-def fly(stages: Stages, plant: str, seed: int, progress: Callable[[str], None]) -> str:
+def fly(stages: Stages, plant: str, seed: int) -> str:
     """Fly the plan, each time with other signals; half of the flights are logged as tlog, half as MCAP."""
     from flysid.cli.synth import make_folder
     from flysid.files import write_atomically
@@ -116,7 +123,7 @@ def fly(stages: Stages, plant: str, seed: int, progress: Callable[[str], None]) 
     from flysid.ingest.synth.synth import WRITERS, Order, flights
 
     order = Order(plant=plant, plan=PLANS[plant], duration_s=DURATION_S, seed=seed)
-    progress(f"flying {FLOWN_TIMES * len(plan_named(order.plan))} flights")
+    tell(f"flying {FLOWN_TIMES * len(plan_named(order.plan))} flights", share=0.0)
     make_folder(stages.logs)
     writers = [WRITERS["tlog"], WRITERS["mcap"]]
     recordings = [r for i in range(FLOWN_TIMES) for r in flights(replace(order, seed=seed + i))]
@@ -140,14 +147,14 @@ def take_in(stages: Stages) -> str:
     return f"{len(taken)} logs, {sum(flight.rows for flight in taken):,} records, {lost} with losses"
 
 
-def fit(stages: Stages, seed: int, progress: Callable[[str], None]) -> Run:
+def fit(stages: Stages, seed: int) -> Run:
     """Fit all models to all channels."""
     from flysid.ingest.lake.lake import open as open_lake
     from flysid.validate.fitting import fit_run
     from flysid.validate.run import FitSettings
 
     settings = FitSettings(seed=seed, holdout=HOLDOUT)
-    return fit_run(open_lake(stages.data), RECIPE, stages.run, settings, jobs=cores(), progress=progress)
+    return fit_run(open_lake(stages.data), RECIPE, stages.run, settings, jobs=cores())
 
 
 def describe_run(run: Run, seconds: float) -> str:
@@ -156,14 +163,15 @@ def describe_run(run: Run, seconds: float) -> str:
     return f"{', '.join(models)} on {len(run.channels)} channels ({seconds:.0f} s)"
 
 
-def judge(stages: Stages, progress: Callable[[str], None]) -> Judgement:
+def judge(stages: Stages) -> Judgement:
     """Compare on the held-out part and write the page."""
     from flysid.validate.judge import judge_run, write_judgement
     from flysid.validate.run import open_run
 
-    judgement = judge_run(open_run(stages.run), progress=progress, remark="simulated flights")
-    progress("drawing the report")
-    write_judgement(judgement, stages.report)
+    with part(0.0, 0.5):
+        judgement = judge_run(open_run(stages.run), remark="simulated flights")
+    with part(0.5, 1.0):
+        write_judgement(judgement, stages.report)
     return judgement
 
 

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.bounds import memory_option, time_option
+from flysid.cli.display import Display, progress_options
 from flysid.cli.ls import clock_text
 from flysid.cli.output import REASONS_SHOWN, aligned, say, say_passed_over
 from flysid.cli.source import format_option, time_unit_option
+from flysid.progress import tell
 
 if TYPE_CHECKING:
     from flysid.flight import Damage
@@ -40,7 +42,7 @@ HEADINGS = (
 @format_option
 @time_unit_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option("-q", "--quiet", is_flag=True, help="No words on stderr but for logs that cannot be read.")
+@progress_options
 def command(
     logs: tuple[str, ...],
     max_memory: int | None,
@@ -49,6 +51,7 @@ def command(
     time_unit: str,
     as_json: bool,
     quiet: bool,
+    display: Display,
 ) -> int:
     """Say of every log what it holds, what was lost, and what to log next time.
 
@@ -66,12 +69,14 @@ def command(
     for skipped in found.unread:
         say(f"skipped: {skipped.path}: {skipped.reason}")
     look = partial(survey_or_reason, limits=Limits(time_unit=time_unit, format=format_))
-    for path, outcome in run_bounded(look, found.paths, 1, Bounds(max_memory, max_time)):
-        if isinstance(outcome, (str, Lost)):
-            say(f"skipped: {path}: {outcome if isinstance(outcome, str) else outcome.reason}")
-            unreadable += 1
-        else:
-            surveys[path] = outcome
+    with display.shown():
+        for path, outcome in run_bounded(look, found.paths, 1, Bounds(max_memory, max_time)):
+            tell("looked at", log=path.name, share=(len(surveys) + unreadable + 1) / (len(found.paths) + 1))
+            if isinstance(outcome, (str, Lost)):
+                say(f"skipped: {path}: {outcome if isinstance(outcome, str) else outcome.reason}")
+                unreadable += 1
+            else:
+                surveys[path] = outcome
     if as_json:
         click.echo(json.dumps({"logs": [as_document(path, s) for path, s in surveys.items()]}, indent=1))
     elif surveys:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.output import check_target, cores, say, status
+from flysid.cli.display import Display, progress_options
+from flysid.cli.output import check_target, cores, say
 from flysid.cli.source import Words, is_log, lost_on_the_way, opened, selection_options, words_options
 from flysid.errors import UsageError
 
@@ -75,7 +76,7 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
 @click.option("--jobs", "-j", default=0, metavar="N", help="Channels at a time; one per core when not given.")
 @click.option("--force", is_flag=True, help="Replace the run if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was fitted as JSON.")
-@click.option("--quiet", "-q", is_flag=True)
+@progress_options
 def command(
     data: Path,
     selection: Selection,
@@ -100,12 +101,14 @@ def command(
     force: bool,
     as_json: bool,
     quiet: bool,
+    display: Display,
 ) -> int:
     """Fit linear and Takagi-Sugeno models to every channel of a recipe, or from some fields to others.
 
     DATA is an ingested folder; or a single log or table (.csv), which is ingested into RUN.data; or a dataset
     file that Python wrote (.parquet), which is one channel already.
     A part of the data is held out before anything is learned; 'flysid validate RUN' judges the models on it.
+    Interrupted (Ctrl-C), it leaves a run with the models that were finished and ends with 130.
     Channels that the data cannot serve are named and left out. Exit code 3: --channel asked for one of them,
     or a log was read with losses.
     """
@@ -123,11 +126,11 @@ def command(
     settings = FitSettings(holdout, by, seed, rules, antecedents, channels, labels, memory, effort, rotate)
     lost = False
     if is_dataset:
-        with status(quiet) as progress:
-            run = fit_file(data, output, settings, progress=progress)
+        with display.shown():
+            run = fit_file(data, output, settings)
     else:
-        with opened(data, asked, selection, place, quiet) as (lake, chosen), status(quiet) as progress:
-            run = fit_run(lake, chosen, output, settings, jobs=jobs or cores(), progress=progress)
+        with opened(data, asked, selection, place, quiet) as (lake, chosen), display.shown():
+            run = fit_run(lake, chosen, output, settings, jobs=jobs or cores())
             lost = lost_on_the_way(data, lake)
     if as_json:
         click.echo((output / "run.json").read_text("utf-8"), nl=False)
@@ -147,6 +150,12 @@ def command(
             say(line, quiet)
     for name, why in run.skipped.items():
         say(f"channel {name} skipped: {why}")
+    if run.interrupted:
+        say(
+            f"interrupted: {output} holds what was finished. 'flysid validate {output}' judges it; "
+            "--force fits anew"
+        )
+        return 130
     say(f"next: flysid validate {output}", quiet)
     return 3 if lost or set(channels) & set(run.skipped) else 0
 

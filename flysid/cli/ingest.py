@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from flysid.cli.bounds import memory_option, time_option
+from flysid.cli.display import Display, progress_options
 from flysid.cli.losses import report
 from flysid.cli.output import printable, say, say_passed_over
 from flysid.cli.source import format_option, time_unit_option
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 @time_unit_option
 @click.option("--force", is_flag=True, help="Read logs again that are there unchanged.")
 @click.option("--json", "as_json", is_flag=True, help="Print what happened to every log as JSON.")
-@click.option("-q", "--quiet", is_flag=True, help="No progress.")
+@progress_options
 def command(
     logs: tuple[str, ...],
     data: str,
@@ -40,6 +39,7 @@ def command(
     force: bool,
     as_json: bool,
     quiet: bool,
+    display: Display,
 ) -> int:
     """Read flight logs (files, folders, patterns) into typed parquet tables, one per message.
 
@@ -57,13 +57,13 @@ def command(
 
     found = find_logs(logs)
     results = []
-    with progress(len(found.paths), quiet) as advance:
+    with display.shown():
         bounds = Bounds(max_memory, max_time)
         again = force or bool(time_unit or format_)
         told = Limits(time_unit=time_unit, format=format_)
         for result in ingest_logs(found, data, jobs=jobs, force=again, limits=told, bounds=bounds):
             results.append(result)
-            advance(result)
+            say(describe(result), quiet or result.unchanged or display.live)
     results.sort(key=lambda r: str(r.path))
     if as_json:
         passed = [{"path": str(item.path), "kind": item.kind} for item in found.passed_over]
@@ -83,23 +83,6 @@ def exit_code(results: list[Result]) -> int:
     if all(r.skipped for r in results):
         return 1
     return 3 if any(r.skipped or r.damage.lossy for r in results) else 0
-
-
-@contextmanager
-def progress(total: int, quiet: bool) -> Iterator[Callable[[Result], None]]:
-    """A bar on a terminal, a line per log elsewhere, nothing when quiet."""
-    from rich.console import Console
-
-    console = Console(stderr=True)
-    if quiet or not console.is_terminal:
-        yield lambda result: say(describe(result), quiet or result.unchanged)
-        return
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("ingest"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, TextColumn("{task.fields[last]}", markup=False), console=console) as bar:
-        task = bar.add_task("ingest", total=total, last="")
-        yield lambda result: bar.update(task, advance=1, last=printable(result.path.name))
 
 
 def describe(result: Result) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from flysid.cli.display import Display, progress_options
 from flysid.cli.output import aligned
 
 if TYPE_CHECKING:
@@ -21,14 +22,15 @@ HEADINGS = ("FLIGHT", "FORMAT", "VEHICLE", "TIME", "STREAMS", "RECORDS", "LOST")
 @click.option(
     "--suggest", is_flag=True, help="List what each flight can identify, and what stands in the way."
 )
-def command(data: str, as_json: bool, suggest: bool) -> None:
+@progress_options
+def command(data: str, as_json: bool, suggest: bool, quiet: bool, display: Display) -> None:  # noqa: ARG001
     """List the flights of an ingested folder."""
     from flysid.catalogue import catalogue
 
     if suggest:
         from flysid.cli.suggest import print_suggestions
 
-        print_suggestions(data, as_json)
+        print_suggestions(data, as_json, display)
         return
     flights = catalogue(data)
     if as_json:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -61,6 +60,17 @@ def counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
+def duration(seconds: float) -> str:
+    """ "40 s", "3 min 20 s", "2 h 5 min"."""
+    whole = max(0, round(seconds))
+    if whole < 100:
+        return f"{whole} s"
+    minutes, rest = divmod(whole, 60)
+    if minutes < 60:
+        return f"{minutes} min {rest} s"
+    return f"{minutes // 60} h {minutes % 60} min"
+
+
 def cores() -> int:
     """Processors that this process may use."""
     try:
@@ -109,19 +119,3 @@ def finish(judgement: Judgement, condition: str | None, report: Path | None, qui
                 say(f"{name}: {why}: what cannot be judged fails")
         return 4
     return 3 if judgement.unjudged else 0
-
-
-@contextlib.contextmanager
-def status(quiet: bool = False) -> Iterator[Callable[[str], None]]:
-    """A function that shows what is being done: one changing line on a terminal, plain lines elsewhere."""
-    from rich.console import Console
-    from rich.text import Text
-
-    console = Console(stderr=True)
-    if quiet:
-        yield lambda _: None
-    elif console.is_terminal:
-        with console.status("") as spinner:
-            yield lambda text: spinner.update(Text(printable(text)))  # plain: names may hold brackets
-    else:
-        yield say

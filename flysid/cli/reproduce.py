@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.output import status
+from flysid.cli.display import Display, progress_options
 
 if TYPE_CHECKING:
     from flysid.validate.reproduce import LoopResult
@@ -45,8 +45,8 @@ VERDICTS = {
     metavar="FOLDER",
     help="Also draw the paper's figures 4 to 6 as PDF (needs matplotlib: flysid[plot]).",
 )
-@click.option("--quiet", "-q", is_flag=True)
-def command(paper: str, as_json: bool, figures: Path | None, quiet: bool) -> None:  # noqa: ARG001
+@progress_options
+def command(paper: str, as_json: bool, figures: Path | None, quiet: bool, display: Display) -> None:  # noqa: ARG001
     """Print a paper's figures and rule tables beside what can, and what cannot, be reproduced.
 
     ardrone-ts: Takagi-Sugeno identification of the AR.Drone's longitudinal, lateral and vertical loops.
@@ -57,8 +57,8 @@ def command(paper: str, as_json: bool, figures: Path | None, quiet: bool) -> Non
 
     if figures is not None:
         require_matplotlib()
-    with status(quiet) as progress:
-        results = reproduce_ardrone_ts(progress)
+    with display.shown():
+        results = reproduce_ardrone_ts()
     if figures is not None:
         draw_figures(results, figures)
     if as_json:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
+    from flysid.cli.display import Display
     from flysid.ingest.lake.suggest import Suggestion
 
 HEADINGS = (
@@ -29,12 +30,13 @@ LOOP = "loop: the input answers the output too (a pilot or controller); see docs
 OPEN = "?: the data do not bound it"
 
 
-def print_suggestions(data: str, as_json: bool) -> None:
+def print_suggestions(data: str, as_json: bool, display: Display) -> None:
     """A table on stdout with the advice below it, or JSON."""
     from flysid.cli.output import aligned, printable, say
     from flysid.ingest.lake.lake import open as open_lake
 
-    found = open_lake(data).suggest()
+    with display.shown():
+        found = open_lake(data).suggest()
     if as_json:
         click.echo(json.dumps({"suggestions": [s.to_dict() for s in found]}, indent=1))
         return

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flysid.cli.output import aligned, check_target, say, status
+from flysid.cli.display import Display, progress_options
+from flysid.cli.output import aligned, check_target, say
 from flysid.cli.source import Words, lost_on_the_way, opened, selection_options, words_options
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def _auto_or(kind: type) -> Any:
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Bode plot into this file.")
 @click.option("--force", is_flag=True, help="Replace the picture if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
-@click.option("--quiet", "-q", is_flag=True)
+@progress_options
 def command(
     data: Path,
     selection: Selection,
@@ -80,6 +81,7 @@ def command(
     force: bool,
     as_json: bool,
     quiet: bool,
+    display: Display,
     **settings: Any,
 ) -> int:
     """Identify transfer functions in s, with intervals, from the frequency response and the free run.
@@ -108,8 +110,8 @@ def command(
         method=settings["method"],
     )
     words = Words(recipe, inputs, outputs, dt, time_unit, format_)
-    with opened(data, words, selection, None, quiet) as (lake, chosen), status(quiet) as progress:
-        found, skipped = identify(lake, chosen, estimator, channels=channels, progress=progress)
+    with opened(data, words, selection, None, quiet) as (lake, chosen), display.shown():
+        found, skipped = identify(lake, chosen, estimator, channels=channels)
         lost = lost_on_the_way(data, lake)
     if as_json:
         body = {

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import click
 
-from flysid.cli.output import check_target, chosen_form, comparison_forms, finish, status
+from flysid.cli.display import Display, progress_options
+from flysid.cli.output import check_target, chosen_form, comparison_forms, finish
+from flysid.progress import part
 
 
 @click.command("validate")
@@ -25,7 +27,7 @@ from flysid.cli.output import check_target, chosen_form, comparison_forms, finis
 )
 @click.option("--force", is_flag=True, help="Replace the report if it is there.")
 @comparison_forms
-@click.option("--quiet", "-q", is_flag=True)
+@progress_options
 def command(
     run: Path,
     output: Path | None,
@@ -34,6 +36,7 @@ def command(
     figures: str | None,
     force: bool,
     quiet: bool,
+    display: Display,
     **forms: bool,
 ) -> int:
     """Compare the models of a run on its held-out segments; write report.html and report.json.
@@ -55,10 +58,11 @@ def command(
     check_target(target, force or is_own_report(target, run))
     if condition is not None:
         check_condition(condition, expected_of_run(opened))
-    with status(quiet) as progress:
-        judgement = judge_run(opened, data, progress)
-        progress("writing the report")
-        page = write_judgement(judgement, target, figures)
+    with display.shown():
+        with part(0.0, 0.5):
+            judgement = judge_run(opened, data)
+        with part(0.5, 1.0):
+            page = write_judgement(judgement, target, figures)
     click.echo(judgement.text(form))
     return finish(judgement, condition, page, quiet)
 

@@ -24,6 +24,7 @@ from flysid.ingest.formats.registry import format_of
 from flysid.ingest.lake.finding import Found
 from flysid.ingest.lake.workers import Bounds, Lost, memory_reason, run_bounded
 from flysid.manifest import FLIGHTS, stamp_of
+from flysid.progress import part, tell
 from flysid.store import clean, create_data_folder, discard, locked, remove_empty, write_flight
 
 ONE_WORKER_BYTES = 12 << 20
@@ -115,14 +116,19 @@ def _ingest_into(
         work = partial(work_on, data=folder, limits=limits, replace=force)
         tasks: deque[Task] = deque(logs.paths)
         hashed: dict[Path, Job | Result] = {}
+        read, to_read = 0, 0
         for task, outcome in _done(work, tasks, _workers(logs.paths, jobs), bounds, folder):
             if isinstance(outcome, Result) and isinstance(task, Job):
+                read += task.size
+                tell("read", log=task.path.name, share=read / max(to_read, 1))
                 yield outcome
                 continue
             hashed[outcome.path] = outcome
+            tell("hashed", log=outcome.path.name)
             if len(hashed) == len(logs.paths):
                 waiting, settled = _sorted_out([hashed[path] for path in logs.paths], known)
                 yield from settled
+                to_read = sum(job.size for job in waiting)
                 tasks.extend(waiting)
         if any(isinstance(outcome, Job) and outcome.sha256 not in known for outcome in hashed.values()):
             catalogue(folder)  # whoever lists next need not
@@ -178,7 +184,10 @@ def _done(
 
 def work_on(task: Task, data: Path, limits: Limits, replace: bool) -> Job | Result:
     """Hash a log or read it."""
-    return hash_one(task, limits) if isinstance(task, Path) else ingest_one(task, data, limits, replace)
+    path = task if isinstance(task, Path) else task.path
+    with part(log=path.name):
+        tell("hashing" if isinstance(task, Path) else "reading")
+        return hash_one(task, limits) if isinstance(task, Path) else ingest_one(task, data, limits, replace)
 
 
 def hash_one(path: Path, limits: Limits) -> Job | Result:

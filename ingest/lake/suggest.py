@@ -22,6 +22,7 @@ from flysid.ingest.excitation.excitation import (
     share_explained,
     spectrum,
 )
+from flysid.progress import tell
 
 Verdict = Literal["good", "weak", "too slow", "too quiet", "too short", "excluded"]
 MIN_DURATION_S = 10.0
@@ -73,14 +74,15 @@ class Suggestion:
 def suggest(logs: Iterable[Log], recipes: Sequence[str | Recipe] | None = None) -> list[Suggestion]:
     """Every channel of the recipes (all shipped ones by default) that each log has the streams for."""
     chosen = [r if isinstance(r, Recipe) else load_recipe(r) for r in recipes or shipped_recipes()]
-    return [
-        suggestion
-        for log in logs
-        for recipe in chosen
-        for channel in recipe.channels
-        if all(find_source(recipe.signals[s].sources, log) for s in recipe.signals_of(channel))
-        for suggestion in _suggest_channel(log, recipe, channel)
-    ]
+    known = list(logs)
+    found: list[Suggestion] = []
+    for i, log in enumerate(known):
+        for recipe in chosen:
+            for channel in recipe.channels:
+                if all(find_source(recipe.signals[s].sources, log) for s in recipe.signals_of(channel)):
+                    tell(f"looking at {recipe.name}, {channel}", log=log.name, share=i / len(known))
+                    found += _suggest_channel(log, recipe, channel)
+    return found
 
 
 def unbounded(found: Suggestion) -> bool:

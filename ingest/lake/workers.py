@@ -9,7 +9,8 @@ parent watches:
               not count. One huge request fails at once: the system refuses data segments beyond the bound
               plus `HEADROOM_BYTES` (address space that Arrow's allocator reserves and never touches).
 
-Workers die with their parent, and leave interrupts from the keyboard to it. Where a system lacks one of these
+Workers die with their parent, and leave interrupts from the keyboard to it. What a task tells of its progress
+(`flysid.progress`) is told in the parent. Where a system lacks one of these
 means (macOS, Windows), the others still hold.
 """
 
@@ -28,6 +29,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, Generic, TypeVar
 
+from flysid import progress
 from flysid.errors import FlysidError, UsageError
 
 HEADROOM_BYTES = 1 << 30
@@ -143,6 +145,9 @@ class _Worker(Generic[Task, Outcome]):
         if kind == "ready":
             self._is_ready, self._since = True, time.monotonic()
             return None
+        if kind == "told":
+            progress.relay(content)
+            return None
         if kind == "raised" and isinstance(content, MemoryError) and self._bounds.memory_bytes is not None:
             return self._lost(memory_reason(self._bounds.memory_bytes))  # sooner than it was watched
         if kind == "raised":
@@ -233,7 +238,8 @@ def _serve(connection: Connection, function: Callable[[Any], Any], memory_bytes:
         except (EOFError, OSError):
             return
         try:
-            answer = ("done", function(task))
+            with progress.listening(lambda step: connection.send(("told", step))):
+                answer = ("done", function(task))
         except Exception as error:  # noqa: BLE001 - raised again in the parent
             answer = ("raised", error)
         connection.send(answer)

@@ -22,6 +22,7 @@ from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, parse_antecedent, scaling
 from flysid.model.rules.search_context import SearchContext, Settings
 from flysid.model.rules.stages import refine, with_ridge
+from flysid.progress import tell
 
 _MOST_ROWS = 12000  # of training data while searching; the chosen model is refined on all
 _RIDGES = (1.0, 1e3)  # where freedom made a model unstable; the last one leaves the rules equal
@@ -41,6 +42,7 @@ def search(context: SearchContext, linear: Sequence[Candidate]) -> list[Candidat
     most = context.most_rules
     kept = context.lanes
     models, lanes = [linear[0]], _starts(context, linear)
+    tell("1 rule", share=1 / (most + 1), validation=float(np.sqrt(linear[0].mean)))
     if not settings.refine:
         looked_at = variables(settings, linear[0].stage.problem.layout)
         plain = (clustered_stage(linear[0].stage, looked_at[:2], r) for r in range(2, most + 1))
@@ -52,6 +54,7 @@ def search(context: SearchContext, linear: Sequence[Candidate]) -> list[Candidat
         if not kids:
             break
         models.append(representative(kids))
+        tell(f"{rules} rules", share=rules / (most + 1), validation=float(np.sqrt(models[-1].mean)))
         lanes = _survivors(kids, kept)
         if settings.rules == "auto" and has_stalled(models):
             break

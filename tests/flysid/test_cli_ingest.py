@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from rich.console import Console
 
 from flysid.cli import root
-from flysid.cli.output import status
+from flysid.cli.display import State, drawn
 from flysid.errors import UsageError, WriteError
 from flysid.files import writing_to
 from flysid.ingest.lake.survey import survey
+from flysid.progress import Step
 from tests.samplelogs import dataflash, tlog
 
 LOGS = Path(__file__).resolve().parents[3] / "shared" / "logs"
@@ -145,8 +147,12 @@ def test_names_with_brackets_are_no_markup(tmp_path: Path, monkeypatch: pytest.M
     path = tmp_path / "[red]flight[bold.tlog"
     path.write_bytes(tlog.build())
     assert code(flysid("ingest", path, "-o", tmp_path / "data")) == 0
-    with status() as show:
-        show("fitting [/red] of [bold]")
+    state = State()
+    state.hear(Step("fitting [/red]", channel="[bold]", model="[/red]", validation=0.5))
+    console = Console(width=100)
+    with console.capture() as captured:
+        console.print(drawn(state))
+    assert "[/red]: fitting [/red]" in captured.get()
 
 
 def test_show_names_the_flights_where_it_is_not_told_which(tmp_path: Path, logs: Path) -> None:

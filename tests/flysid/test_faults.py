@@ -75,7 +75,7 @@ def test_a_fit_whose_process_dies_costs_that_channel_only() -> None:
         MemoryJob(replace(short, name=name), Path(), FitSettings(), doubts=cast("tuple[Any, ...]", more))
         for name, more in (("short", ()), ("deadly", (Deadly(),)))
     ]
-    reasons = dict(_fitted(jobs, 2, lambda _: None))
+    reasons, _ = _fitted(jobs, 2)
     assert "ended with code 9" in str(reasons["deadly"])
     assert "ended with" not in str(reasons["short"])
 

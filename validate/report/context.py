@@ -9,6 +9,7 @@ from functools import cached_property
 
 from flysid.dataset import Dataset
 from flysid.ingest.align.doubts import Doubt
+from flysid.progress import tell
 from flysid.validate.comparison import Comparison
 from flysid.validate.diagnostics import Diagnosis, diagnose
 
@@ -94,7 +95,11 @@ class ReportContext:
     @cached_property
     def diagnoses(self) -> dict[str, Diagnosis]:
         """Tests of every channel on its held-out data; made once."""
-        return {name: diagnose(c, self.train.get(name)) for name, c in self.comparisons.items()}
+        found = {}
+        for i, (name, c) in enumerate(self.comparisons.items()):
+            tell("testing residuals and responses", channel=name, share=i / (len(self.comparisons) + 1))
+            found[name] = diagnose(c, self.train.get(name))
+        return found
 
     @classmethod
     def of(cls, comparisons: Mapping[str, Comparison]) -> ReportContext:

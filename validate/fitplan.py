@@ -1,0 +1,50 @@
+"""Which part of a channel's work each of its models is, so that the share that is done can be told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+
+from flysid import progress
+
+CHOICE = "choice of the baseline"
+COSTS = {CHOICE: 8.0, "ts": 25.0, "ts_lags": 25.0, "ts_ss": 25.0, "ensemble": 125.0}
+COSTS |= dict.fromkeys(("mean", "persistence", "line", "static_ts"), 0.0)
+"""Of fits in the demo, in those of an ARX model; 1 where nothing is said. They only time the progress bar."""
+
+
+@dataclass(frozen=True)
+class FitPlan:
+    """The work on one channel: the choice of the baseline, the models, and these again for every fold.
+
+    Attributes
+    ----------
+    labels : of the models, in the order in which they are fitted.
+    folds : how often all models are fitted again.
+    """
+
+    labels: Sequence[str]
+    folds: int = 0
+
+    def choice(self) -> AbstractContextManager[None]:
+        """Steps told in the block are of the choice of the baseline."""
+        return progress.part(0.0, _cost(CHOICE) / self._total)
+
+    def model(self, label: str, fold: int = 0) -> AbstractContextManager[None]:
+        """Steps told in the block are of the fit of a model; `fold` counts from 1, 0 is all training data."""
+        ahead = list(self.labels)[: list(self.labels).index(label)]
+        begin = _cost(CHOICE) + fold * self._once + sum(map(_cost, ahead))
+        return progress.part(begin / self._total, (begin + _cost(label)) / self._total, model=label)
+
+    @property
+    def _once(self) -> float:
+        return sum(map(_cost, self.labels))
+
+    @property
+    def _total(self) -> float:
+        return _cost(CHOICE) + (1 + self.folds) * self._once
+
+
+def _cost(label: str) -> float:
+    return COSTS.get(label, 1.0)
