@@ -26,7 +26,7 @@ import importlib
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
@@ -125,54 +125,6 @@ class Fitted(Protocol):
         ...
 
     def save(self, path: str | Path) -> None: ...
-
-
-class Certificate(Protocol):
-    """What could be proved about a model's stability, and why or why not in words."""
-
-    @property
-    def proved(self) -> bool: ...
-    @property
-    def reason(self) -> str: ...
-
-
-class Simplification(Protocol):
-    """A model with fewer words, and what that costs its free run."""
-
-    @property
-    def what(self) -> str: ...
-    @property
-    def loss_pct(self) -> float: ...
-
-
-@runtime_checkable
-class HasIntervals(Protocol):
-    """A model of rules that can say how sure it is of its numbers, beside its training data."""
-
-    def uncertainty(self, train: Dataset) -> Any:
-        """The distribution of its numbers: consequents, gains, time constants, the free run's band.
-
-        Raises
-        ------
-        DataError : fewer samples than numbers.
-        """
-        ...
-
-
-@runtime_checkable
-class HasCertificate(Protocol):
-    """A model of rules whose stability under any blend can be looked for."""
-
-    def certificate(self) -> Certificate: ...
-
-
-@runtime_checkable
-class HasSimplifications(Protocol):
-    """A model of rules that can be said with fewer words."""
-
-    def simplifications(self, train: Dataset) -> Sequence[Simplification]:
-        """What could be said more simply, cheapest first."""
-        ...
 
 
 class Estimator(Protocol):

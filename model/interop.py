@@ -1,11 +1,11 @@
-"""To and from python-control, without loss.
+"""Models from python-control, without loss; `model.to_control()` is the way there.
 
 python-control is imported inside the functions: it costs seconds of CPU at import.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,63 +17,6 @@ from flysid.model.subspace.model import FittedStateSpace, resting
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-
-def state_space(system: Difference) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """(A, B, C, D) of a difference equation in observer form, order L n_y."""
-    depth, n_y, n_u = system.depth, system.a.shape[1], system.b.shape[2]
-    a, b = np.zeros((depth + 1, n_y, n_y)), np.zeros((depth + 1, n_y, n_u))
-    a[: len(system.a)], b[: len(system.b)] = system.a, system.b
-    n = depth * n_y
-    big_a, big_b = np.eye(n, k=n_y), np.zeros((n, n_u))
-    for lag in range(1, depth + 1):
-        rows = slice((lag - 1) * n_y, lag * n_y)
-        big_a[rows, :n_y] -= a[lag]
-        big_b[rows] = b[lag] - a[lag] @ b[0]
-    return big_a, big_b, np.eye(n_y, n), b[0]
-
-
-def to_control(model: FittedLinear | FittedStateSpace, form: Literal["auto", "tf", "ss"] = "auto") -> Any:
-    """The model as a discrete python-control system with named inputs and outputs; offsets are left out.
-
-    Parameters
-    ----------
-    form : "tf", control.TransferFunction, the polynomials digit by digit (not for coupled outputs); "ss",
-        control.StateSpace; "auto" is "tf" for one input and output, else "ss" (python-control simulates
-        transfer matrices with an extra library only).
-
-    Raises
-    ------
-    UsageError : a transfer matrix was asked for of coupled outputs; a model that is not linear.
-    """
-    import control
-
-    if not isinstance(model, FittedLinear | FittedStateSpace):
-        raise UsageError(
-            f"a {model.structure} model has no transfer function",
-            hint="rules: model.to_control(), which is nonlinear",
-        )
-    names = {"inputs": [s.name for s in model.inputs], "outputs": [s.name for s in model.outputs]}
-    if isinstance(model, FittedStateSpace):
-        space = control.ss(*_with_registers(model), model.dt_s, **names)
-        return control.ss2tf(space, **names) if form == "tf" else space
-    system = model.system
-    single = len(model.inputs) == len(model.outputs) == 1
-    if form == "tf" and not system.is_diagonal:
-        raise UsageError("coupled outputs have no common denominators to keep", hint="use form='ss'")
-    if form == "ss" or (form == "auto" and not single):
-        return control.ss(*state_space(system), model.dt_s, **names)
-    size = system.depth + 1
-    num = [[_padded(system.b[:, i, j], size) for j in range(len(model.inputs))] for i in range(len(system.c))]
-    den = [[_padded(system.a[:, i, i], size)] * len(model.inputs) for i in range(len(system.c))]
-    return control.tf(num, den, model.dt_s, **names)
-
-
-def _padded(values: FloatArray, size: int) -> FloatArray:
-    """Coefficients in rising powers of the delay are those in falling powers of z, both of degree L."""
-    out = np.zeros(size)
-    out[: len(values)] = values
-    return out
 
 
 def from_control(
@@ -129,20 +72,6 @@ def from_control(
         covariance=np.zeros((0, 0)),
         notes=("Taken over from python-control; nothing was estimated.",),
     )
-
-
-def _with_registers(model: FittedStateSpace) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """(A, B, C, D) with a shift register of states for every input that enters late."""
-    s = model.realisation
-    a, b, c, d = s.a, s.b, s.c, s.d
-    for j, late in enumerate(model.delays):
-        for _ in range(late):  # one more state, the last input as it enters; the others follow
-            a = np.block([[a, b[:, [j]]], [np.zeros((1, len(a) + 1))]])
-            c = np.hstack([c, d[:, [j]]])
-            b, d = np.vstack([b, np.zeros((1, b.shape[1]))]), d.copy()
-            b[:, j], d[:, j] = 0.0, 0.0
-            b[-1, j] = 1.0
-    return a, b, c, d
 
 
 def from_control_states(

@@ -16,17 +16,16 @@ import numpy as np
 from flysid.dataset import FloatArray, Segment
 from flysid.errors import FlysidError
 from flysid.model.base import Fitted
-from flysid.model.linear.model import FittedLinear
-from flysid.model.linear.uncertainty import FrequencyResponse
+from flysid.model.capabilities import FrequencyResponse, LinearModel
+from flysid.model.polynomials import Z95, ComplexArray
 from flysid.model.start import estimate_start
-from flysid.validate.responses import ComplexArray, responses
+from flysid.validate.responses import responses
 
 if TYPE_CHECKING:
     from flysid.model.rules.rule_uncertainty import Uncertainty
 
 DRAWS = 100
 STEP = 0.01
-Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,20 +60,15 @@ def curves(
 
 
 def _first_order(model: Fitted, hz: FloatArray) -> FrequencyResponse | None:
-    from flysid.model.linear import uncertainty
-    from flysid.model.subspace import bands
-    from flysid.model.subspace.model import FittedStateSpace
-
-    omega = 2.0 * np.pi * hz
+    """That of a linear model that knows its errors."""
+    if not isinstance(model, LinearModel):
+        return None
     try:
         with np.errstate(all="ignore"):  # a pole on the unit circle
-            if isinstance(model, FittedLinear) and model.free and np.isfinite(model.covariance).all():
-                return uncertainty.frequency_response(model, omega)
-            if isinstance(model, FittedStateSpace) and len(model.covariance):
-                return bands.frequency_response(model, omega)
+            found = model.frequency_response(2.0 * np.pi * hz)
     except (FlysidError, np.linalg.LinAlgError):
         return None
-    return None
+    return found if np.isfinite(found.magnitude_error).any() else None
 
 
 def _linear_band(r: FrequencyResponse, place: tuple[int, int]) -> ResponseBand:
@@ -117,18 +111,12 @@ def free_run_band(
 
     Its first `start` samples give the starting state, as in `flysid.validate.trials`.
     """
-    from flysid.model.linear import uncertainty
-    from flysid.model.subspace import bands
-    from flysid.model.subspace.model import FittedStateSpace
-
     try:
         y0 = estimate_start(model, segment.u[:start], segment.y[:start])
         if sure is not None:
             low, high = sure.simulation_band(segment.u, y0)
-        elif isinstance(model, FittedLinear):
-            low, high = uncertainty.simulation_band(model, segment.u, y0, draws=DRAWS)
-        elif isinstance(model, FittedStateSpace):
-            low, high = bands.simulation_band(model, segment.u, y0, draws=DRAWS)
+        elif isinstance(model, LinearModel):
+            low, high = model.simulation_band(segment.u, y0, draws=DRAWS)
         else:
             return None
     except (FlysidError, np.linalg.LinAlgError):

@@ -9,7 +9,8 @@ import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.errors import FlysidError
-from flysid.model.base import Fitted, HasCertificate, HasSimplifications
+from flysid.model.base import Fitted
+from flysid.model.capabilities import HasCertificate, HasSimplifications
 from flysid.validate.conditioning import conditions
 from flysid.validate.parameters import Intervals, intervals
 from flysid.validate.robustness import Robustness, robustness

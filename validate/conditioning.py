@@ -6,7 +6,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Fitted
-from flysid.validate.responses import Linear, LocallyLinear
+from flysid.model.capabilities import HasDifferenceEquation, LocallyLinear
 
 MOST_ROWS = 20_000
 
@@ -30,7 +30,7 @@ def _lags(model: Fitted) -> tuple[FloatArray, FloatArray] | None:
     """Which (lag, signal) any rule uses: outputs (na + 1, n_y) and inputs (nb + 1, n_u), as 0 and 1."""
     if isinstance(model, LocallyLinear):
         polynomials = [(A, B) for A, B, _ in model.local_polynomials()]
-    elif isinstance(model, Linear):
+    elif isinstance(model, HasDifferenceEquation):
         polynomials = [(-model.system.a[1:], model.system.b)]
     else:
         return None

@@ -15,9 +15,10 @@ import numpy as np
 
 from flysid.errors import StoreError, UsageError
 from flysid.files import write_atomically
+from flysid.model.capabilities import HasMemberships
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.overlay import drawn
-from flysid.validate.report.rulefigures import HasMemberships, antecedent_range
+from flysid.validate.report.rulefigures import antecedent_range
 from flysid.validate.responses import responses, steady_outputs
 from flysid.validate.trials import Trial
 from flysid.validate.words import one_line

@@ -2,51 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
-
 import numpy as np
-import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.model.base import Fitted
+from flysid.model.capabilities import HasDifferenceEquation, LocallyLinear
+from flysid.model.polynomials import ComplexArray
 
-ComplexArray = npt.NDArray[np.complex128]
 LONGEST = 4000
 SLOWEST = 20_000
-
-
-@runtime_checkable
-class LocallyLinear(Protocol):
-    """A model whose rules are difference equations."""
-
-    def local_polynomials(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
-        """Per rule (A, B, c): y(k) = sum_j A[j-1] y(k-j) + sum_j B[j] u(k-j) + c, physical units;
-        A (na, n_y, n_y), B (largest lag + 1, n_y, n_u), c (n_y,)."""
-        ...
-
-
-class DifferenceEquation(Protocol):
-    """sum_k a[k] y(t - k) = sum_k b[k] u(t - k) + constant, with a[0] the identity."""
-
-    @property
-    def a(self) -> FloatArray: ...
-    @property
-    def b(self) -> FloatArray: ...
-
-
-@runtime_checkable
-class Linear(Protocol):
-    """A linear model that offers its difference equation."""
-
-    @property
-    def system(self) -> DifferenceEquation: ...
 
 
 def responses(model: Fitted, hz: FloatArray, output: int, signal: int) -> list[ComplexArray]:
     """Response (F,) of every rule from input `signal` to `output`; or of a one-rule model simulated."""
     if isinstance(model, LocallyLinear):
         return [_rational(A, B, hz, model.dt_s)[:, output, signal] for A, B, _ in model.local_polynomials()]
-    if isinstance(model, Linear):
+    if isinstance(model, HasDifferenceEquation):
         return [_rational(-model.system.a[1:], model.system.b, hz, model.dt_s)[:, output, signal]]
     if len(model.rules()) > 1:
         return []

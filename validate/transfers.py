@@ -19,14 +19,11 @@ from flysid.ingest.lake.lake import Lake
 from flysid.model.detrend import Trend
 from flysid.model.feedback import Feedback, feedback
 from flysid.model.frequency.response import MeasuredResponse, measure_response
-from flysid.model.linear.uncertainty import frequency_response
-from flysid.model.polynomials import ComplexArray
+from flysid.model.polynomials import Z95, ComplexArray
 from flysid.model.transfer_function import TF, FittedTF
 from flysid.progress import tell
 from flysid.validate.metrics import scores
 from flysid.validate.trials import FREE_RUN, run_trials
-
-Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +81,7 @@ class ChannelTransfers:
         self, output: int, source: int, omega: FloatArray
     ) -> tuple[ComplexArray, FloatArray, FloatArray]:
         """The sampled model at omega: response, and half widths of the 95 % bands in dB and degrees."""
-        found = frequency_response(self.model, omega)
+        found = self.model.frequency_response(omega)
         g = found.response[:, output, source]
         relative = found.magnitude_error[:, output, source] / np.maximum(np.abs(g), 1e-300)
         db = 20.0 / np.log(10.0) * Z95 * relative

@@ -190,7 +190,7 @@ class ContinuousTransfer:
             if pade is None:
                 raise UsageError(
                     f"python-control holds no dead time ({self.dead_time_s:.4g} s)",
-                    hint="to_control(pade=3) approximates it; interop.to_control(model), sampled, is exact",
+                    hint="to_control(pade=3) approximates it; to_control() of the model, sampled, is exact",
                 )
             plain = plain * control.tf(*control.pade(self.dead_time_s, pade))
         return control.tf(plain.num, plain.den, inputs=[self.input], outputs=[self.output])

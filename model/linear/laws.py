@@ -3,27 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.arguments import as_record
-from flysid.model.base import Fitted, Rule
-from flysid.model.polynomials import ComplexArray
-
-
-class Linear(Fitted, Protocol):
-    """A fitted linear model."""
-
-    @property
-    def poles(self) -> ComplexArray: ...
-    @property
-    def dc_gain(self) -> FloatArray: ...
+from flysid.model.base import Rule
+from flysid.model.capabilities import LinearModel
 
 
 def predicted(
-    model: Linear,
+    model: LinearModel,
     u: FloatArray,
     y: FloatArray,
     k: int,
@@ -45,13 +35,13 @@ def predicted(
     return out
 
 
-def always(model: Linear, conclusion: str) -> tuple[Rule, ...]:
+def always(model: LinearModel, conclusion: str) -> tuple[Rule, ...]:
     """The model as the one rule that always holds."""
     radius = float(np.abs(model.poles).max(initial=0.0))
     slow = -model.dt_s / np.log(radius) if 0 < radius < 1 else (0.0 if radius == 0 else np.inf)
     return (Rule("R1", "always", conclusion, model.dc_gain, float(slow), radius, 1.0),)
 
 
-def is_stable(model: Linear) -> bool:
+def is_stable(model: LinearModel) -> bool:
     """Every pole lies inside the unit circle."""
     return bool(np.abs(model.poles).max(initial=0.0) < 1.0)

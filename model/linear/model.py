@@ -21,10 +21,13 @@ from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.model.arguments import as_columns
 from flysid.model.base import Rule, write_document
+from flysid.model.capabilities import Coefficient, FrequencyResponse
+from flysid.model.control_form import ControlForm, control_of_difference
 from flysid.model.documents import array_of, head_of, monic, signals_of, with_null
 from flysid.model.freerun import Difference, far, saturated
 from flysid.model.linear.laws import always, is_stable, predicted
 from flysid.model.linear.text import conclusion, describe
+from flysid.model.linear.uncertainty import band_of, coefficients_of, drawn, response_of
 from flysid.model.noise import k_step_ahead
 from flysid.model.polynomials import ComplexArray
 from flysid.model.start import FreeRuns
@@ -159,6 +162,50 @@ class FittedLinear(FreeRuns):
         gain: FloatArray = np.linalg.solve(a_sum, b_sum)
         return gain
 
+    def frequency_response(self, omega: FloatArray) -> FrequencyResponse:
+        """G(e^(i omega dt)) at omega in rad/s with first-order standard errors (Ljung, 1999, 9.6).
+
+        Raises
+        ------
+        UsageError : a frequency beyond the Nyquist frequency.
+        """
+        return response_of(self, omega)
+
+    def simulation_band(
+        self, u: FloatArray, y0: FloatArray | None = None, *, draws: int = 200, seed: int = 0
+    ) -> tuple[FloatArray, FloatArray]:
+        """(lower, upper), (N, n_y) each: pointwise 95 % band of the free run, the parameters being unsure.
+
+        Parameters are drawn from their normal distribution; draws that are unstable are drawn again, up to
+        ten times `draws` in all.
+
+        Raises
+        ------
+        UsageError : the model carries no covariance, or nearly every draw is unstable.
+        """
+        if not np.isfinite(self.covariance).all() or not len(self.free):
+            raise UsageError("this model carries no covariance", hint="fit it, rather than take it over")
+        return band_of(drawn(self, self._moved, self.covariance, draws, seed), u, y0)
+
+    def coefficients(self) -> list[Coefficient]:
+        """Estimated entries of A and B, signed as in y(k) = ...; none where there is no covariance."""
+        return coefficients_of(self)
+
+    def to_control(self, form: ControlForm = "auto") -> Any:
+        """The model as a discrete python-control system with named signals; offsets are left out.
+
+        Parameters
+        ----------
+        form : "tf", control.TransferFunction, the polynomials digit by digit (not for coupled outputs);
+            "ss", control.StateSpace; "auto" is "tf" for one input and output, else "ss" (python-control
+            simulates transfer matrices with an extra library only).
+
+        Raises
+        ------
+        UsageError : a transfer matrix was asked for of coupled outputs.
+        """
+        return control_of_difference(self.system, (self.inputs, self.outputs), self.dt_s, form)
+
     def __str__(self) -> str:
         return describe(self)
 
@@ -212,6 +259,16 @@ class FittedLinear(FreeRuns):
             right[lag:] += y[:-lag] @ a[lag].T
         right[: self.n_init] = 0.0
         return np.stack([lfilter([1.0], self.ma[:, i], right[:, i]) for i in range(y.shape[1])], axis=1)
+
+    def _moved(self, step: FloatArray) -> FittedLinear:
+        """The model with a step added to its estimated parameters."""
+        s = self.system
+        flat = self.flat
+        flat[list(self.free)] += step
+        a_size = s.a[1:].size
+        a = np.concatenate([s.a[:1], flat[:a_size].reshape(s.a[1:].shape)])
+        b = flat[a_size : a_size + s.b.size].reshape(s.b.shape)
+        return replace(self, system=Difference(a, b, flat[a_size + s.b.size :]))
 
     def _from_rest(self, u: FloatArray) -> FloatArray:
         depth = self.system.depth

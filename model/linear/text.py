@@ -2,19 +2,43 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
 
 from flysid.dataset import FloatArray, Signal
-from flysid.model.polynomials import Z95, modes_of, polynomial_text
+from flysid.model.linear.uncertainty import DifferenceModel, response_of
+from flysid.model.polynomials import Z95, ComplexArray, modes_of, polynomial_text
 from flysid.model.regressors import lagged_name
 
-if TYPE_CHECKING:
-    from flysid.model.linear.model import FittedLinear
+
+class LinearText(DifferenceModel, Protocol):
+    """What the words are made of; see `flysid.model.linear.model.FittedLinear`."""
+
+    @property
+    def structure(self) -> str: ...
+    @property
+    def n_parameters(self) -> int: ...
+    @property
+    def u_origin(self) -> FloatArray: ...
+    @property
+    def y_origin(self) -> FloatArray: ...
+    @property
+    def noise(self) -> FloatArray | None: ...
+    @property
+    def ma(self) -> FloatArray | None: ...
+    @property
+    def poles(self) -> ComplexArray: ...
+    @property
+    def dc_gain(self) -> FloatArray: ...
+    @property
+    def scores(self) -> Mapping[str, float]: ...
+    @property
+    def notes(self) -> tuple[str, ...]: ...
 
 
-def conclusion(model: FittedLinear) -> str:
+def conclusion(model: LinearText) -> str:
     """ "v_x(k) = 0.97 v_x(k-1) + 0.003 theta_in(k-1) + 0.01", one equation per output, "; " between."""
     a, b = model.system.a, model.system.b
     constant = constants(model)
@@ -35,7 +59,7 @@ def conclusion(model: FittedLinear) -> str:
     return "; ".join(equations)
 
 
-def constants(model: FittedLinear) -> FloatArray:
+def constants(model: LinearText) -> FloatArray:
     """(n_y,) constants of the equations of the signals themselves, not of their deviations."""
     s = model.system
     found: FloatArray = s.c + s.a.sum(axis=0) @ model.y_origin - s.b.sum(axis=0) @ model.u_origin
@@ -65,7 +89,7 @@ EQUATIONS = {
 """How a structure's polynomials are meant; e is white, v any noise."""
 
 
-def describe(model: FittedLinear) -> str:
+def describe(model: LinearText) -> str:
     """Several lines: polynomials with intervals, poles, figures, choices."""
     lines = [
         f"{model.structure.upper()} model, {model.n_parameters} parameters, sample time {model.dt_s:g} s"
@@ -106,14 +130,12 @@ def gains_text(model: WithGain, errors: FloatArray) -> list[str]:
     ]
 
 
-def _gain_errors(model: FittedLinear) -> FloatArray:
+def _gain_errors(model: LinearText) -> FloatArray:
     """(n_y, n_u) standard errors of the steady gain; NaN where they are unknown."""
-    from flysid.model.linear.uncertainty import frequency_response
-
-    if not len(model.free) or not np.isfinite(model.covariance).all() or not np.isfinite(model.dc_gain).all():
+    if not np.isfinite(model.dc_gain).all():
         return np.full(model.dc_gain.shape, np.nan)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # a gain of zero has no direction
-        found: FloatArray = frequency_response(model, np.zeros(1)).magnitude_error[0]
+        found: FloatArray = response_of(model, np.zeros(1)).magnitude_error[0]
     return found
 
 
@@ -122,7 +144,7 @@ def gain_text(value: float) -> str:
     return "none, it integrates" if np.isnan(value) else f"{value:.4g}"
 
 
-def _polynomials(model: FittedLinear) -> list[str]:
+def _polynomials(model: LinearText) -> list[str]:
     s = model.system
     errors = model.standard_errors
     a_size, b_size = s.a[1:].size, s.b.size

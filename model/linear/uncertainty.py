@@ -2,37 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
 from typing import Protocol, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-from flysid.dataset import FloatArray
+from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
+from flysid.model.capabilities import Coefficient, FrequencyResponse
 from flysid.model.covariance import root_of, spread_of
 from flysid.model.freerun import Difference
-from flysid.model.linear.model import FittedLinear
+from flysid.model.polynomials import Z95, ComplexArray
+from flysid.model.regressors import lagged_name
 
-ComplexArray = npt.NDArray[np.complex128]
 
+class DifferenceModel(Protocol):
+    """A difference equation of which some coefficients were estimated; see `flysid.model.linear.model`."""
 
-@dataclass(frozen=True, eq=False)
-class FrequencyResponse:
-    """Response of a linear model.
-
-    Attributes
-    ----------
-    omega : (M,) rad/s.
-    response : (M, n_y, n_u) complex.
-    magnitude_error, phase_error : (M, n_y, n_u) standard errors of |G| and of its phase in rad (first order).
-    """
-
-    omega: FloatArray
-    response: ComplexArray
-    magnitude_error: FloatArray
-    phase_error: FloatArray
+    @property
+    def dt_s(self) -> float: ...
+    @property
+    def inputs(self) -> tuple[Signal, ...]: ...
+    @property
+    def outputs(self) -> tuple[Signal, ...]: ...
+    @property
+    def system(self) -> Difference: ...
+    @property
+    def free(self) -> tuple[int, ...]: ...
+    @property
+    def covariance(self) -> FloatArray: ...
+    @property
+    def flat(self) -> FloatArray: ...
+    @property
+    def standard_errors(self) -> FloatArray: ...
 
 
 def below_nyquist(omega: FloatArray, dt_s: float) -> FloatArray:
@@ -49,8 +51,8 @@ def below_nyquist(omega: FloatArray, dt_s: float) -> FloatArray:
     return omega
 
 
-def frequency_response(model: FittedLinear, omega: FloatArray) -> FrequencyResponse:
-    """G(e^(i omega dt)) with first-order standard errors (Ljung, 1999, 9.6).
+def response_of(model: DifferenceModel, omega: FloatArray) -> FrequencyResponse:
+    """G(e^(i omega dt)) with first-order standard errors (Ljung, 1999, 9.6); NaN errors where none are known.
 
     Raises
     ------
@@ -64,7 +66,7 @@ def frequency_response(model: FittedLinear, omega: FloatArray) -> FrequencyRespo
     inverse = np.linalg.inv(a)
     g = inverse @ b
     slopes = _slopes(model, delay, inverse, g)
-    covariance = model.covariance
+    covariance = model.covariance if len(model.free) else np.full((1, 1), np.nan)
     real, imaginary = slopes.real, slopes.imag
     size = np.maximum(np.abs(g), np.finfo(float).tiny)
     along = (g.real[..., None] * real + g.imag[..., None] * imaginary) / size[..., None]
@@ -72,11 +74,13 @@ def frequency_response(model: FittedLinear, omega: FloatArray) -> FrequencyRespo
     return FrequencyResponse(omega, g, spread_of(along, covariance), spread_of(across, covariance))
 
 
-def _slopes(model: FittedLinear, delay: ComplexArray, inverse: ComplexArray, g: ComplexArray) -> ComplexArray:
+def _slopes(
+    model: DifferenceModel, delay: ComplexArray, inverse: ComplexArray, g: ComplexArray
+) -> ComplexArray:
     """(M, n_y, n_u, p) derivatives of G with respect to every estimated parameter."""
     n_y = g.shape[1]
     a_size, b_size = model.system.a[1:].size, model.system.b.size
-    out = np.zeros((*g.shape, len(model.free)), dtype=np.complex128)
+    out = np.zeros((*g.shape, max(len(model.free), 1)), dtype=np.complex128)
     for p, index in enumerate(model.free):
         if index < a_size:
             lag, row, column = np.unravel_index(index, (len(model.system.a) - 1, n_y, n_y))
@@ -88,37 +92,19 @@ def _slopes(model: FittedLinear, delay: ComplexArray, inverse: ComplexArray, g: 
     return out
 
 
-def simulation_band(
-    model: FittedLinear, u: FloatArray, y0: FloatArray | None = None, *, draws: int = 200, seed: int = 0
-) -> tuple[FloatArray, FloatArray]:
-    """(lower, upper), (N, n_y) each: pointwise 95 % band of the free run over the parameters' uncertainty.
-
-    Parameters are drawn from their normal distribution; draws that are unstable are drawn again, up to ten
-    times `draws` in all.
-
-    Raises
-    ------
-    UsageError : the model carries no covariance.
-    """
-    if not np.isfinite(model.covariance).all() or not len(model.free):
-        raise UsageError("this model carries no covariance", hint="fit it, rather than take it over")
-    models = drawn(model, _moved, model.covariance, draws, seed)
-    low, high = np.percentile([m.simulate(u, y0) for m in models], [2.5, 97.5], axis=0)
-    return low, high
-
-
-class _Stable(Protocol):
-    """A model that knows whether it is stable."""
+class _Runs(Protocol):
+    """A model that runs freely and knows whether it is stable."""
 
     @property
     def is_stable(self) -> bool: ...
+    def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray: ...
 
 
-_M = TypeVar("_M", bound=_Stable)
+_M = TypeVar("_M", bound=_Runs)
 
 
 def drawn(
-    model: _M, moved: Callable[[_M, FloatArray], _M], covariance: FloatArray, draws: int, seed: int
+    model: _M, moved: Callable[[FloatArray], _M], covariance: FloatArray, draws: int, seed: int
 ) -> list[_M]:
     """Models whose parameters are drawn from their normal distribution; for a stable model, stable ones.
 
@@ -126,7 +112,7 @@ def drawn(
 
     Parameters
     ----------
-    moved : the model with a step added to its parameters.
+    moved : gives the model with a step added to its parameters.
 
     Raises
     ------
@@ -136,7 +122,7 @@ def drawn(
     root = root_of(covariance)
     found: list[_M] = []
     for _ in range(10 * draws):
-        other = moved(model, root @ rng.standard_normal(len(covariance)))
+        other = moved(root @ rng.standard_normal(len(covariance)))
         if other.is_stable or not model.is_stable:
             found.append(other)
         if len(found) == draws:
@@ -146,11 +132,36 @@ def drawn(
     return found
 
 
-def _moved(model: FittedLinear, step: FloatArray) -> FittedLinear:
-    s = model.system
-    flat = model.flat
-    flat[list(model.free)] += step
-    a_size = s.a[1:].size
-    a = np.concatenate([s.a[:1], flat[:a_size].reshape(s.a[1:].shape)])
-    b = flat[a_size : a_size + s.b.size].reshape(s.b.shape)
-    return replace(model, system=Difference(a, b, flat[a_size + s.b.size :]))
+def band_of(models: Sequence[_Runs], u: FloatArray, y0: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """(lower, upper), (N, n_y) each: pointwise 95 % of the free runs."""
+    low, high = np.percentile([m.simulate(u, y0) for m in models], [2.5, 97.5], axis=0)
+    return low, high
+
+
+def coefficients_of(model: DifferenceModel) -> list[Coefficient]:
+    """Estimated entries of A and B, signed as in the equation y(k) = ...; offsets are around the means.
+
+    None where the model carries no covariance.
+    """
+    if not np.isfinite(model.covariance).all():
+        return []
+    n_y, n_u = len(model.outputs), len(model.inputs)
+    a_size, b_size = model.system.a[1:].size, model.system.b.size
+    found = []
+    for index in model.free:
+        value, error = float(model.flat[index]), float(model.standard_errors[index])
+        if index < a_size:
+            lag, i, j = _place(index, (len(model.system.a) - 1, n_y, n_y))
+            name, value = lagged_name(model.outputs[j].name, lag + 1), -value
+        elif index < a_size + b_size:
+            lag, i, j = _place(index - a_size, (len(model.system.b), n_y, n_u))
+            name = lagged_name(model.inputs[j].name, lag)
+        else:
+            i, name = index - a_size - b_size, "1, around the means"
+        found.append(Coefficient("", model.outputs[i].name, name, value, Z95 * error))
+    return found
+
+
+def _place(index: int, shape: tuple[int, int, int]) -> tuple[int, int, int]:
+    lag, i, j = (int(v) for v in np.unravel_index(index, shape))
+    return lag, i, j

@@ -5,24 +5,34 @@ A covariance of matrices hangs on the coordinates of the state; these figures do
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-from flysid.dataset import FloatArray
-from flysid.errors import UsageError
+from flysid.dataset import FloatArray, Signal
+from flysid.model.capabilities import FrequencyResponse
 from flysid.model.covariance import spread_of
-from flysid.model.linear.uncertainty import FrequencyResponse, below_nyquist, drawn
-
-if TYPE_CHECKING:
-    from flysid.model.subspace.model import FittedStateSpace
-
-ComplexArray = npt.NDArray[np.complex128]
+from flysid.model.linear.uncertainty import below_nyquist
+from flysid.model.polynomials import ComplexArray
+from flysid.model.subspace.triangle import Realisation
 
 
-def frequency_response(model: FittedStateSpace, omega: FloatArray) -> FrequencyResponse:
+class StateModel(Protocol):
+    """A state-space model with the covariance of its matrices; see `flysid.model.subspace.model`."""
+
+    @property
+    def dt_s(self) -> float: ...
+    @property
+    def inputs(self) -> tuple[Signal, ...]: ...
+    @property
+    def realisation(self) -> Realisation: ...
+    @property
+    def covariance(self) -> FloatArray: ...
+    @property
+    def delays(self) -> tuple[int, ...]: ...
+
+
+def response_of(model: StateModel, omega: FloatArray) -> FrequencyResponse:
     """G(e^(i omega dt)) with first-order standard errors; NaN errors where the model carries no covariance.
 
     Raises
@@ -47,7 +57,7 @@ def frequency_response(model: FittedStateSpace, omega: FloatArray) -> FrequencyR
     )
 
 
-def _slopes(model: FittedStateSpace, resolvent: ComplexArray) -> ComplexArray:
+def _slopes(model: StateModel, resolvent: ComplexArray) -> ComplexArray:
     """(M, n_y, n_u, p) derivatives of G with respect to A, B, C, drift, level (and D), row by row."""
     s = model.realisation
     m, n, (n_y, n_u) = len(resolvent), s.order, s.d.shape
@@ -61,34 +71,3 @@ def _slopes(model: FittedStateSpace, resolvent: ComplexArray) -> ComplexArray:
         d = np.einsum("op,uv->oupv", np.eye(n_y), np.eye(n_u)).reshape(n_y, n_u, n_y * n_u)
         parts.append(np.broadcast_to(d, (m, *d.shape)))
     return np.concatenate(parts, axis=-1)
-
-
-def simulation_band(
-    model: FittedStateSpace, u: FloatArray, y0: FloatArray | None = None, *, draws: int = 200, seed: int = 0
-) -> tuple[FloatArray, FloatArray]:
-    """(lower, upper), (N, n_y) each: pointwise 95 % band of the free run over the parameters' uncertainty.
-
-    Draws that are unstable are drawn again, up to ten times `draws` in all.
-
-    Raises
-    ------
-    UsageError : the model carries no covariance, or nearly every draw is unstable.
-    """
-    if not len(model.covariance):
-        raise UsageError(
-            "this model carries no covariance", hint="fit it in memory, with refine=True or stable=True"
-        )
-    models = drawn(model, _moved, model.covariance, draws, seed)
-    low, high = np.percentile([m.simulate(u, y0) for m in models], [2.5, 97.5], axis=0)
-    return low, high
-
-
-def _moved(model: FittedStateSpace, step: FloatArray) -> FittedStateSpace:
-    s, at = model.realisation, 0
-    moved: dict[str, FloatArray] = {}
-    for name in ("a", "b", "c", "drift", "level", "d"):
-        value = getattr(s, name)
-        if at < len(step):
-            moved[name] = value + step[at : at + value.size].reshape(value.shape)
-        at += value.size
-    return replace(model, realisation=replace(s, **moved))

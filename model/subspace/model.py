@@ -21,14 +21,17 @@ from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.model.arguments import as_columns
 from flysid.model.base import Rule, write_document
+from flysid.model.capabilities import FrequencyResponse
+from flysid.model.control_form import ControlForm, control_of_states, with_registers
 from flysid.model.documents import array_of, head_of, monic, signals_of
 from flysid.model.freerun import far, saturated
 from flysid.model.linear.laws import always, is_stable, predicted
 from flysid.model.linear.text import gains_text
+from flysid.model.linear.uncertainty import band_of, drawn
 from flysid.model.noise import output_error_ahead
 from flysid.model.polynomials import ComplexArray, modes_of
 from flysid.model.start import FreeRuns
-from flysid.model.subspace.bands import frequency_response
+from flysid.model.subspace.bands import response_of
 from flysid.model.subspace.kalman import ahead, filtered_states, free_states, output_of, resting_state
 from flysid.model.subspace.triangle import Realisation
 
@@ -164,6 +167,41 @@ class FittedStateSpace(FreeRuns):
         found: FloatArray = filtered_states(self.realisation, du, dy, self.gains)[:-1]
         return found
 
+    def frequency_response(self, omega: FloatArray) -> FrequencyResponse:
+        """G(e^(i omega dt)) at omega in rad/s with first-order standard errors; NaN where none are known.
+
+        Raises
+        ------
+        UsageError : a frequency beyond the Nyquist frequency.
+        """
+        return response_of(self, omega)
+
+    def simulation_band(
+        self, u: FloatArray, y0: FloatArray | None = None, *, draws: int = 200, seed: int = 0
+    ) -> tuple[FloatArray, FloatArray]:
+        """(lower, upper), (N, n_y) each: pointwise 95 % band of the free run, the parameters being unsure.
+
+        Draws that are unstable are drawn again, up to ten times `draws` in all.
+
+        Raises
+        ------
+        UsageError : the model carries no covariance, or nearly every draw is unstable.
+        """
+        if not len(self.covariance):
+            raise UsageError(
+                "this model carries no covariance", hint="fit it in memory, with refine=True or stable=True"
+            )
+        return band_of(drawn(self, self._moved, self.covariance, draws, seed), u, y0)
+
+    def to_control(self, form: ControlForm = "auto") -> Any:
+        """The model as control.StateSpace, or for "tf" as control.TransferFunction; offsets are left out.
+
+        An input that enters late gets a shift register of states.
+        """
+        s = self.realisation
+        matrices = with_registers((s.a, s.b, s.c, s.d), self.delays)
+        return control_of_states(matrices, (self.inputs, self.outputs), self.dt_s, form)
+
     def __str__(self) -> str:
         kind = "simulation" if self.noise is not None else "prediction"
         lines = [
@@ -194,10 +232,22 @@ class FittedStateSpace(FreeRuns):
         states = filtered_states(system, du, y - self.y_origin, self.gains)[:-1]
         return ahead(system, states, du, k) + self.y_origin
 
+    def _moved(self, step: FloatArray) -> FittedStateSpace:
+        """The model with a step added to the numbers that its covariance is of."""
+        s = self.realisation
+        at = 0
+        moved: dict[str, FloatArray] = {}
+        for name in ("a", "b", "c", "drift", "level", "d"):
+            value = getattr(s, name)
+            if at < len(step):
+                moved[name] = value + step[at : at + value.size].reshape(value.shape)
+            at += value.size
+        return replace(self, realisation=replace(s, **moved))
+
     def _gains(self) -> list[str]:
         errors = np.full(self.dc_gain.shape, np.nan)
         if len(self.covariance) and np.isfinite(self.dc_gain).all():
-            errors = frequency_response(self, np.zeros(1)).magnitude_error[0]
+            errors = response_of(self, np.zeros(1)).magnitude_error[0]
         return gains_text(self, errors)
 
     def _intervals(self) -> str:

@@ -8,8 +8,7 @@ import pytest
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.arx import ARX
-from flysid.model.interop import from_control, to_control
-from flysid.model.static_ts import StaticTS
+from flysid.model.interop import from_control
 from tests import model_examples
 
 control = pytest.importorskip("control")
@@ -24,13 +23,13 @@ def test_to_control_simulates_alike(n_u: int, n_y: int) -> None:
     data = model_examples.data(n_u, n_y)
     model = ARX(na=2, nb=2, nk=(1, 0)[:n_u], offset=False, refine=False).fit(data)
     u = data.segments[0].u
-    y = forced(to_control(model), u)
+    y = forced(model.to_control(), u)
     assert y == pytest.approx(model.simulate(u), abs=1e-9)
 
 
 def test_there_and_back_keeps_every_digit() -> None:
     model = ARX(na=3, nb=2, nk=2, offset=False, refine=False).fit(model_examples.data())
-    again = from_control(to_control(model))
+    again = from_control(model.to_control())
     assert again.dt_s == model.dt_s
     assert np.array_equal(np.trim_zeros(again.system.a[:, 0, 0], "b"), model.system.a[:, 0, 0])
     assert np.array_equal(np.trim_zeros(again.system.b[:, 0, 0], "b"), model.system.b[:, 0, 0])
@@ -54,8 +53,3 @@ def test_several_denominators_are_brought_to_one() -> None:
     assert from_control(both).simulate(u) == pytest.approx(
         forced(fast, u[:, :1]) + forced(slow, u[:, 1:]), abs=1e-9
     )
-
-
-def test_a_model_of_rules_is_told_where_its_own_is() -> None:
-    with pytest.raises(UsageError, match="static-ts model has no transfer function"):
-        to_control(StaticTS(rules=2).fit(model_examples.data()))  # type: ignore[arg-type]

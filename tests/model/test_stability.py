@@ -16,7 +16,6 @@ from flysid.model.base import load
 from flysid.model.iv import IV
 from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.stability import LARGEST, made_stable
-from flysid.model.linear.uncertainty import frequency_response, simulation_band
 from flysid.model.oe import OE
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.refine import mirrored
@@ -52,7 +51,7 @@ def test_an_unstable_estimate_is_named_and_made_stable(coupled: bool, tmp_path: 
     long = np.ones((100_000, 2 if coupled else 1))
     first = np.zeros((held.n_init, len(held.outputs)))
     assert np.isfinite(held.simulate(long, first)).all()
-    low, high = simulation_band(held, long[:50], first, draws=20)
+    low, high = held.simulation_band(long[:50], first, draws=20)
     assert (low <= high).all()
     held.save(tmp_path / "held.json")  # type: ignore[operator]
     assert load(tmp_path / "held.json").notes == held.notes  # type: ignore[operator]
@@ -99,7 +98,7 @@ def test_a_drift_of_every_segment_is_estimated_or_taken_out() -> None:
 
 def gain_error(model: FittedLinear) -> float:
     """Standard error of the steady gain."""
-    return float(frequency_response(model, np.zeros(1)).magnitude_error[0, 0, 0])
+    return float(model.frequency_response(np.zeros(1)).magnitude_error[0, 0, 0])
 
 
 def test_the_rest_is_fitted_again() -> None:

@@ -10,7 +10,6 @@ from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.arx import ARX
 from flysid.model.linear.model import FittedLinear
-from flysid.model.linear.uncertainty import frequency_response, simulation_band
 
 A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]
 OMEGA = np.array([0.0, 0.5, 3.0, 8.0])
@@ -30,11 +29,11 @@ def fitted(seed: int) -> FittedLinear:
 def test_the_response_is_that_of_the_polynomials() -> None:
     model = fitted(0)
     _, expected = freqz(model.system.b[:, 0, 0], model.system.a[:, 0, 0], OMEGA * 0.1)
-    assert frequency_response(model, OMEGA).response[:, 0, 0] == pytest.approx(expected)
+    assert model.frequency_response(OMEGA).response[:, 0, 0] == pytest.approx(expected)
 
 
 def test_standard_errors_are_those_of_repeated_experiments() -> None:
-    responses = [frequency_response(fitted(seed), OMEGA) for seed in range(60)]
+    responses = [fitted(seed).frequency_response(OMEGA) for seed in range(60)]
     sizes = np.std([np.abs(r.response[:, 0, 0]) for r in responses], axis=0)
     phases = np.std([np.unwrap(np.angle(r.response[:, 0, 0])) for r in responses], axis=0)
     promised = np.mean([r.magnitude_error[:, 0, 0] for r in responses], axis=0)
@@ -49,11 +48,11 @@ def test_the_simulation_band_holds_the_truth() -> None:
     truth = np.asarray(lfilter(B, A, u))
     inside = []
     for seed in range(20):
-        low, high = simulation_band(fitted(seed), u, draws=60)
+        low, high = fitted(seed).simulation_band(u, draws=60)
         inside.append((low[5:, 0] <= truth[5:]) & (truth[5:] <= high[5:, 0]))
     assert 0.85 < np.mean(inside) < 0.999
 
 
 def test_frequencies_beyond_nyquist() -> None:
     with pytest.raises(UsageError, match="Nyquist"):
-        frequency_response(fitted(0), np.array([40.0]))
+        fitted(0).frequency_response(np.array([40.0]))

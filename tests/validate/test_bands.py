@@ -7,7 +7,6 @@ import pytest
 
 from flysid.dataset import Dataset
 from flysid.model.arx import ARX
-from flysid.model.linear.uncertainty import simulation_band
 from flysid.model.start import estimate_start
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
@@ -53,8 +52,8 @@ def test_bands_of_linear_models_hold_the_truth(which: int) -> None:
 def test_the_band_of_arx_is_the_models_own() -> None:
     model = ARX(na=1, nb=1, nk=1).fit(TRAIN)
     segment = TRAIN.segments[0]
-    low, high = simulation_band(
-        model, segment.u, estimate_start(model, segment.u[:20], segment.y[:20]), draws=100
+    low, high = model.simulation_band(
+        segment.u, estimate_start(model, segment.u[:20], segment.y[:20]), draws=100
     )
     band = free_run_band(model, segment, 20)
     assert band is not None

@@ -9,11 +9,11 @@ from typing import TypeVar
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.model.capabilities import Coefficient
 from flysid.validate.caution_models import COLLINEAR
 from flysid.validate.checks import Checks
 from flysid.validate.comparison import Comparison
 from flysid.validate.diagnostics import Diagnosis
-from flysid.validate.parameters import Coefficient
 from flysid.validate.report.overlay import drawn
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.words import number, one_line

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
+from flysid.model.capabilities import HasMemberships, HasTrainedRange
 from flysid.validate.report.decimate import decimate
 from flysid.validate.report.svg import Axes, area, frame, line, picture, span, text
 from flysid.validate.words import one_line
@@ -22,39 +22,6 @@ WIDE = 960.0
 THIRD = 310.0
 SHOWN_FROM = 0.25
 _LAG = re.compile(r"\(k(?:-(\d+))?\)")
-
-
-@runtime_checkable
-class HasMemberships(Protocol):
-    """A model that can draw its fuzzy sets."""
-
-    @property
-    def antecedents(self) -> tuple[str, ...]:
-        """Antecedent variables, such as "v_x(k-1)" or "v_x(k-1)-v_x(k-2)"."""
-        ...
-
-    def memberships(self, variable: int, x: FloatArray) -> FloatArray:
-        """(len(x), R) grade of the values x of one variable in every rule's set."""
-        ...
-
-
-@runtime_checkable
-class HasRuleOutputs(Protocol):
-    """A model that can say what every rule concludes by itself."""
-
-    def rule_outputs(self, u: FloatArray, y: FloatArray) -> FloatArray:
-        """(N, R, n_y) along measured data."""
-        ...
-
-
-@runtime_checkable
-class HasTrainedRange(Protocol):
-    """A model that knows where its antecedents were in training; hidden states are in no record."""
-
-    @property
-    def trained_range(self) -> FloatArray:
-        """(2, n_z) smallest and largest values."""
-        ...
 
 
 def _trained_range(model: object, variable: int) -> tuple[float, float] | None:

@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Rule
+from flysid.model.capabilities import HasMemberships, HasRuleOutputs
 from flysid.validate.bands import curves
 from flysid.validate.comparison import Comparison
 from flysid.validate.report import figures, overlay, rulefigures
@@ -328,7 +329,7 @@ def _sets(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
     c = source.comparison
     panels = []
     model = c.fitted[c.contender] if c.contender else None
-    if isinstance(model, rulefigures.HasMemberships):
+    if isinstance(model, HasMemberships):
         units = {s.name: s.unit for s in (*c.test.inputs, *c.test.outputs)}
         drawn = rulefigures.membership_figures(model, source.train or c.test, units)
         panels += [Panel("Membership functions", "grade of every rule's set", figure) for figure in drawn]
@@ -370,7 +371,7 @@ def _wide(source: Source, j: int, index: int, label: str) -> tuple[Panel, ...]:
             rulefigures.fulfilment(strengths, t, f"Degree of fulfilment in {label}"),
         )
     ]
-    if isinstance(model, rulefigures.HasRuleOutputs):
+    if isinstance(model, HasRuleOutputs):
         out = np.asarray(model.rule_outputs(segment.u, segment.y))[:, :, j]
         words = (
             _with_unit(c.test.outputs[j].name, c.test.outputs[j].unit),

@@ -11,7 +11,7 @@ import pytest
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
-from flysid.model.interop import from_control_states, to_control
+from flysid.model.interop import from_control_states
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.kalman import gains_of
 from flysid.model.subspace.riccati import kalman_gain
@@ -152,7 +152,7 @@ def test_a_ramp_is_an_integrator_with_drift() -> None:
 
 def test_python_control_gets_the_same_matrices_and_gives_them_back() -> None:
     model = StateSpace(order=3, method="cva", past=10).fit(data())
-    system = to_control(model)
+    system = model.to_control()
     again = from_control_states(system)
     assert np.array_equal(again.realisation.a, model.realisation.a)
     assert np.array_equal(again.realisation.d, model.realisation.d)
@@ -191,7 +191,7 @@ def test_a_dead_time_is_kept_out_of_the_states() -> None:
     n = model.n_init
     assert n >= model.delays[0]
     assert np.std((model.simulate(u, y[:n]) - y)[n:]) < 0.04
-    system = to_control(model)
+    system = model.to_control()
     assert system.nstates == model.order + model.delays[0]
     rest = replace(
         model, u_origin=np.zeros(1), y_origin=np.zeros(1), realisation=_without_offsets(model.realisation)

@@ -11,7 +11,6 @@ from scipy.signal import lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
 from flysid.model.statespace import StateSpace
-from flysid.model.subspace.bands import frequency_response, simulation_band
 from flysid.model.subspace.refine import SimulationError
 from flysid.model.subspace.triangle import subspace
 from tests.model_examples import data
@@ -47,7 +46,7 @@ def test_bands_hold_the_truth_in_coloured_noise() -> None:
     settings = StateSpace(order=2, method="pbsid", past=10, feedthrough=False, refine=True)
     inside = []
     for seed in range(30):
-        response = frequency_response(settings.fit(Dataset.from_arrays(*experiment(seed), 0.1)), omega)
+        response = settings.fit(Dataset.from_arrays(*experiment(seed), 0.1)).frequency_response(omega)
         gap = np.abs(np.abs(response.response[:, 0, 0]) - truth)
         inside.append(gap < 1.96 * response.magnitude_error[:, 0, 0])
     assert np.mean(inside) > 0.85
@@ -63,16 +62,16 @@ def test_a_refined_model_free_runs_better_and_carries_bands() -> None:
     assert off[1] < 1.02 * off[0]
     assert refined.noise is not None
     assert refined.n_parameters < plain.n_parameters
-    low, high = simulation_band(refined, u[:, None], draws=50)
+    low, high = refined.simulation_band(u[:, None], draws=50)
     assert (low <= high).all()
     assert np.mean((low <= truth) & (truth <= high)) > 0.5
     bare = replace(plain, covariance=np.zeros((0, 0)))
     with pytest.raises(UsageError, match="carries no covariance"):
-        simulation_band(bare, u[:, None])
-    assert np.isnan(frequency_response(bare, np.array([1.0])).magnitude_error).all()
+        bare.simulation_band(u[:, None])
+    assert np.isnan(bare.frequency_response(np.array([1.0])).magnitude_error).all()
     assert "none (from disk" in str(bare)
     with pytest.raises(UsageError, match="Nyquist"):
-        frequency_response(plain, np.array([40.0]))
+        plain.frequency_response(np.array([40.0]))
 
 
 def test_an_estimate_that_is_not_refined_knows_how_far_off_it_is() -> None:
@@ -87,7 +86,7 @@ def test_an_estimate_that_is_not_refined_knows_how_far_off_it_is() -> None:
         y = lfilter([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], u) + noise
         settings = StateSpace(order=2, method="pbsid", past=10, refine=False, feedthrough=False, nk=1)
         model = settings.fit(Dataset.from_arrays(u, y, 0.1))
-        found = frequency_response(model, omega)
+        found = model.frequency_response(omega)
         miss = np.abs(found.response[:, 0, 0]) - truth
         inside.append(np.abs(miss) < 1.96 * found.magnitude_error[:, 0, 0])
         assert " +- " in str(model)

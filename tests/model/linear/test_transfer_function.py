@@ -10,8 +10,6 @@ from scipy.signal import cont2discrete, lfilter
 import flysid
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError, UsageError
-from flysid.model.interop import to_control
-from flysid.model.linear.uncertainty import frequency_response, simulation_band
 from flysid.model.transfer_function import TF, FittedTF
 from tests.model.linear.test_transfer import PLANTS, experiment
 
@@ -69,13 +67,13 @@ def test_intervals_hold_the_truth_in_coloured_noise() -> None:
 def test_bands_are_those_of_the_transfer_function() -> None:
     model = fitted(0)
     omega = np.array([0.5, 2.0, 5.0])
-    discrete = frequency_response(model, omega)
+    discrete = model.frequency_response(omega)
     log_gain, phase = model.transfer().error_at(omega)
     assert discrete.magnitude_error[:, 0, 0] / np.abs(discrete.response[:, 0, 0]) == pytest.approx(
         log_gain, rel=0.05
     )
     assert discrete.phase_error[:, 0, 0] == pytest.approx(phase, rel=0.05)
-    low, high = simulation_band(model, np.ones((80, 1)), draws=60)
+    low, high = model.simulation_band(np.ones((80, 1)), draws=60)
     gain = model.transfer().gain
     assert (high - low)[-1, 0] == pytest.approx(2 * 1.96 * gain.error, rel=0.4)
 
@@ -101,7 +99,7 @@ def test_to_control_and_back_without_loss() -> None:
     assert np.array_equal(system.num[0][0], whole.numerator)
     assert np.array_equal(system.den[0][0], whole.denominator)
     u = np.random.default_rng(0).standard_normal(200)
-    sampled_here = to_control(model)
+    sampled_here = model.to_control()
     assert sampled_here.dt == model.dt_s
     step = control.forced_response(sampled_here, U=u).outputs
     rest = lfilter(model.system.b[:, 0, 0], model.system.a[:, 0, 0], u)

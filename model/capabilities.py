@@ -1,0 +1,214 @@
+"""What a fitted model may offer beyond the laws of `flysid.model.base`.
+
+Whoever shows or judges models asks for these capabilities, never for a type: a new structure is served in
+every report by offering what it has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.base import Fitted
+from flysid.model.polynomials import ComplexArray
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyResponse:
+    """Response of a linear model.
+
+    Attributes
+    ----------
+    omega : (M,) rad/s.
+    response : (M, n_y, n_u) complex.
+    magnitude_error, phase_error : (M, n_y, n_u) standard errors of |G| and of its phase in rad (first order);
+        NaN where they are not known.
+    """
+
+    omega: FloatArray
+    response: ComplexArray
+    magnitude_error: FloatArray
+    phase_error: FloatArray
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One estimated number of one equation.
+
+    Attributes
+    ----------
+    rule : "R1", or "" in a linear model.
+    output : whose equation it is.
+    regressor : what it multiplies, "theta(k-1)".
+    value : in units of the output per unit of the regressor.
+    half_width : of its 95 % interval.
+    """
+
+    rule: str
+    output: str
+    regressor: str
+    value: float
+    half_width: float
+
+
+@runtime_checkable
+class LinearModel(Fitted, Protocol):
+    """A model of one rule that always holds."""
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles in z, slowest first."""
+        ...
+
+    @property
+    def is_stable(self) -> bool:
+        """Every pole lies inside the unit circle."""
+        ...
+
+    @property
+    def dc_gain(self) -> FloatArray:
+        """(n_y, n_u) steady gain; NaN where the model integrates."""
+        ...
+
+    def frequency_response(self, omega: FloatArray) -> FrequencyResponse:
+        """G(e^(i omega dt)) with first-order standard errors.
+
+        Raises
+        ------
+        UsageError : a frequency beyond the Nyquist frequency.
+        """
+        ...
+
+    def simulation_band(
+        self, u: FloatArray, y0: FloatArray | None = None, *, draws: int = 200, seed: int = 0
+    ) -> tuple[FloatArray, FloatArray]:
+        """(lower, upper), (N, n_y) each: pointwise 95 % band of the free run, the parameters being unsure.
+
+        Raises
+        ------
+        UsageError : the model carries no covariance, or nearly every draw is unstable.
+        """
+        ...
+
+    def to_control(self) -> Any:
+        """A discrete python-control system with named inputs and outputs; offsets are left out."""
+        ...
+
+
+@runtime_checkable
+class HasCoefficients(Protocol):
+    """A linear model whose coefficients mean something by themselves."""
+
+    def coefficients(self) -> Sequence[Coefficient]:
+        """Every estimated one; none where the model carries no covariance."""
+        ...
+
+
+class DifferenceEquation(Protocol):
+    """sum_k a[k] y(t - k) = sum_k b[k] u(t - k) + constant, with a[0] the identity."""
+
+    @property
+    def a(self) -> FloatArray: ...
+    @property
+    def b(self) -> FloatArray: ...
+
+
+@runtime_checkable
+class HasDifferenceEquation(Protocol):
+    """A linear model that offers its difference equation."""
+
+    @property
+    def system(self) -> DifferenceEquation: ...
+
+
+@runtime_checkable
+class LocallyLinear(Protocol):
+    """A model whose rules are difference equations."""
+
+    def local_polynomials(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
+        """Per rule (A, B, c): y(k) = sum_j A[j-1] y(k-j) + sum_j B[j] u(k-j) + c, physical units;
+        A (na, n_y, n_y), B (largest lag + 1, n_y, n_u), c (n_y,)."""
+        ...
+
+
+class Certificate(Protocol):
+    """What could be proved about a model's stability, and why or why not in words."""
+
+    @property
+    def proved(self) -> bool: ...
+    @property
+    def reason(self) -> str: ...
+
+
+class Simplification(Protocol):
+    """A model with fewer words, and what that costs its free run."""
+
+    @property
+    def what(self) -> str: ...
+    @property
+    def loss_pct(self) -> float: ...
+
+
+@runtime_checkable
+class HasIntervals(Protocol):
+    """A model of rules that can say how sure it is of its numbers, beside its training data."""
+
+    def uncertainty(self, train: Dataset) -> Any:
+        """The distribution of its numbers: consequents, gains, time constants, the free run's band.
+
+        Raises
+        ------
+        DataError : fewer samples than numbers.
+        """
+        ...
+
+
+@runtime_checkable
+class HasCertificate(Protocol):
+    """A model of rules whose stability under any blend can be looked for."""
+
+    def certificate(self) -> Certificate: ...
+
+
+@runtime_checkable
+class HasSimplifications(Protocol):
+    """A model of rules that can be said with fewer words."""
+
+    def simplifications(self, train: Dataset) -> Sequence[Simplification]:
+        """What could be said more simply, cheapest first."""
+        ...
+
+
+@runtime_checkable
+class HasMemberships(Protocol):
+    """A model that can draw its fuzzy sets."""
+
+    @property
+    def antecedents(self) -> tuple[str, ...]:
+        """Antecedent variables, such as "v_x(k-1)" or "v_x(k-1)-v_x(k-2)"."""
+        ...
+
+    def memberships(self, variable: int, x: FloatArray) -> FloatArray:
+        """(len(x), R) grade of the values x of one variable in every rule's set."""
+        ...
+
+
+@runtime_checkable
+class HasRuleOutputs(Protocol):
+    """A model that can say what every rule concludes by itself."""
+
+    def rule_outputs(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, R, n_y) along measured data."""
+        ...
+
+
+@runtime_checkable
+class HasTrainedRange(Protocol):
+    """A model that knows where its antecedents were in training; hidden states are in no record."""
+
+    @property
+    def trained_range(self) -> FloatArray:
+        """(2, n_z) smallest and largest values."""
+        ...
