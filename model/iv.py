@@ -23,14 +23,14 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
-from flysid.model.linear.data import CHOICE_ROWS, Parts
+from flysid.model.linear.data import CHOICE_ROWS, Parts, judging_window
 from flysid.model.linear.iv_stages import Columns, Orders, fitted_by_iv, scaled_blocks
 from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.oe_search import SHARE
 from flysid.model.linear.output_error import HIGHEST_ORDER, ORDER_LOSS, find_delays
 from flysid.model.linear.settings import PolynomialSettings
 from flysid.model.linear.stability import settled
-from flysid.model.selection import block_errors, judging_window, simplest
+from flysid.model.selection import block_errors, simplest
 from flysid.model.simulation_error import Orders as SearchOrders
 from flysid.model.stream import OnDisk, Source, blocks_of
 from flysid.model.threads import on_one_thread

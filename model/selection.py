@@ -8,19 +8,10 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Fitted
-from flysid.model.linear.data import Parts
-from flysid.model.start import MAX_SHARE
 
 BLOCKS = 16
 LEVEL = 0.01
 """Relative difference in mean square that nobody would pay an order for."""
-
-
-def judging_window(parts: Parts, depth: int) -> int:
-    """Samples of every validation segment from which all candidates estimate their start alike."""
-    longest = max((len(s) for s in parts.check.segments), default=0)
-    usable = [len(s) for s in parts.check.segments if len(s) > longest // 4]
-    return max(depth, 1, int(MAX_SHARE * min(usable, default=0)))
 
 
 def block_errors(model: Fitted, data: Dataset, skip: int, scale: FloatArray) -> FloatArray:

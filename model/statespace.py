@@ -17,11 +17,11 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
 from flysid.model.detrend import Trend, check_trend, detrended
-from flysid.model.linear.data import CHOICE_ROWS, Parts, as_tuple
+from flysid.model.linear.data import CHOICE_ROWS, Parts, as_tuple, judging_window
 from flysid.model.linear.output_error import find_delays
 from flysid.model.linear.settings import check_hint, check_inputs
 from flysid.model.linear.stability import unstable_words
-from flysid.model.selection import block_errors, judging_window
+from flysid.model.selection import block_errors
 from flysid.model.simulation_error import Orders
 from flysid.model.stream import Late, OnDisk, Source, delayed_inputs
 from flysid.model.subspace.model import FittedStateSpace

@@ -28,11 +28,11 @@ from flysid.model.frequency.continuous_transfer import ContinuousTransfer
 from flysid.model.frequency.rational import Hold, forms
 from flysid.model.frequency.response import METHODS, Method
 from flysid.model.frequency.start import Starts
-from flysid.model.linear.data import Parts
+from flysid.model.linear.data import Parts, judging_window
 from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.model import from_dict as linear_from_dict
 from flysid.model.linear.settings import check_hint, check_inputs
-from flysid.model.selection import block_errors, judging_window, simplest
+from flysid.model.selection import block_errors, simplest
 from flysid.model.threads import on_one_thread
 
 Auto = Literal["auto"]

@@ -12,6 +12,7 @@ from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError
 from flysid.model.freerun import Difference
 from flysid.model.simulation_error import Record
+from flysid.model.start import MAX_SHARE
 from flysid.model.stream import Block, OnDisk, Source, blocks_of
 
 HELD_OUT = 0.25
@@ -199,6 +200,13 @@ class Parts:
         """(2, n_y) the training range, widened by its width on both sides."""
         low, high = self.scaling.y_range
         return np.stack([low - (high - low), high + (high - low)])
+
+
+def judging_window(parts: Parts, depth: int) -> int:
+    """Samples of every validation segment from which all candidates estimate their start alike."""
+    longest = max((len(s) for s in parts.check.segments), default=0)
+    usable = [len(s) for s in parts.check.segments if len(s) > longest // 4]
+    return max(depth, 1, int(MAX_SHARE * min(usable, default=0)))
 
 
 def guard_s(data: Dataset) -> float:

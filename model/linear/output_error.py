@@ -15,13 +15,21 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.freerun import Difference
-from flysid.model.linear.data import EXACT, FOLDED_ROWS, SEARCH_ROWS, Parts, records, shortened
+from flysid.model.linear.data import (
+    EXACT,
+    FOLDED_ROWS,
+    SEARCH_ROWS,
+    Parts,
+    judging_window,
+    records,
+    shortened,
+)
 from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.runner import free_runner
 from flysid.model.linear.start import start_gains
 from flysid.model.noise import coloured_covariance, noise_model
 from flysid.model.polynomials import free_basis, monic_basis
-from flysid.model.selection import LEVEL, block_errors, judging_window, simplest
+from flysid.model.selection import LEVEL, block_errors, simplest
 from flysid.model.simulation_error import (
     Orders,
     OutputError,

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-import flysid
 from flysid.dataset import FloatArray
 from flysid.ingest.lake.timeline import Timeline, Trace
 from flysid.validate.report.decimate import extremes
 from flysid.validate.report.html import environment, load_asset, script_json, security_policy
 from flysid.validate.words import one_line
+from flysid.version import __version__
 
 DEFAULT_SAMPLES = 2_000_000  # in one page: about 40 MB
 
@@ -44,7 +44,7 @@ def render_flights(timelines: Sequence[Timeline], title: str, most_samples: int 
             data=Markup(script_json([_document(t, size) for t in timelines])),
             flights=[{"name": one_line(t.name), "moments": t.moments} for t in timelines],
             thinned=size if size > 1 else 0,
-            version=flysid.__version__,
+            version=__version__,
         )
     )
 

@@ -8,7 +8,6 @@ from typing import Any
 
 from markupsafe import Markup
 
-import flysid
 from flysid.validate.cautions import cautions
 from flysid.validate.comparison import Comparison, ModelInfo, Pair
 from flysid.validate.diagnostics import Diagnosis
@@ -26,6 +25,7 @@ from flysid.validate.words import (
     interval_words,
     one_line,
 )
+from flysid.version import __version__
 
 NUMBERS_ON_PAGE = 90_000
 VERSION = "version of "
@@ -72,7 +72,7 @@ def render(context: ReportContext) -> str:
             sections=parts,
             command=one_line(context.command),
             provenance=_provenance(context),
-            version=flysid.__version__,
+            version=__version__,
         )
     )
 
@@ -217,7 +217,7 @@ def _provenance(context: ReportContext) -> list[tuple[str, str, list[str]]]:
         if c.test_hash not in known.values():
             label = f"held-out data of {one_line(name)}" if name else "held-out data"
             known.setdefault(label, f"sha256 {c.test_hash}")
-    versions = versions or {f"{VERSION}flysid": flysid.__version__}
+    versions = versions or {f"{VERSION}flysid": __version__}
     known["versions"] = ", ".join(f"{k.removeprefix(VERSION)} {v}" for k, v in versions.items())
     return [(label, *_folded(value)) for label, value in known.items()]
 
