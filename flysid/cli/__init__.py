@@ -2,7 +2,8 @@
 
 The only place that prints, catches FlysidError and chooses exit codes: 0 done, 1 failed, 2 wrong usage
 or configuration, 3 done but data was lost or files were skipped, 4 a check that the user asked for
-failed, 130 interrupted. stdout carries data only; everything else goes to stderr.
+failed, 5 a disk refused what `record` received, 130 interrupted. stdout carries data only; everything else
+goes to stderr.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ VERBS = {
     "ls": "List the flights and streams of an ingested folder.",
     "plot": "Plot fields of a log over time, with modes and messages.",
     "recipes": "List the recipes, or explain one; which ones fit a log.",
+    "record": "Record MAVLink links into a tlog, whole and counted.",
     "reproduce": "Print a paper's results beside what can be reproduced.",
     "runs": "List run folders and rank them by free-run error.",
     "scrub": "Write a copy of a log without positions, serial numbers and names.",

@@ -47,7 +47,7 @@ def _crc(raw: ByteArray, start: int, stop: int, seed: int, tables: TableArray) -
 
 
 @numba.njit(cache=True, nogil=True)
-def _walk(
+def walk(
     raw: ByteArray,
     position: int,
     limit: int,
@@ -99,7 +99,7 @@ def compiled_chain(crc_extra: npt.NDArray[np.int16]) -> Chain:
         pieces = []
         room = np.empty(1 << 18, dtype=np.int64)
         while True:
-            count, position = _walk(raw, position, limit, stamp, crc_extra, tables, room)
+            count, position = walk(raw, position, limit, stamp, crc_extra, tables, room)
             pieces.append(room[:count].copy())
             if count < len(room):
                 return np.concatenate(pieces), position

@@ -1,0 +1,153 @@
+"""flysid record: write what comes over links, whole and counted."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from flysid.cli.output import counted, say
+from flysid.errors import UsageError
+
+if TYPE_CHECKING:
+    from flysid.live.recording import Recording
+
+DISK_REFUSED = 5
+LOST_HERE = 3
+
+
+@click.command("record")
+@click.argument("links", nargs=-1, required=True, metavar="LINK...")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), help="The file, e.g. flight.tlog."
+)
+@click.option(
+    "--rotate", multiple=True, metavar="WHEN", help="New part: 256MB, 10min or boot; again for several."
+)
+@click.option("--key", type=click.Path(path_type=Path), help="File of the signing key, mode 0600.")
+@click.option(
+    "--unsigned",
+    type=click.Choice(["reject", "keep", "radio"]),
+    default="reject",
+    show_default=True,
+    help="With a key: frames without a signature; radio keeps RADIO_STATUS alone.",
+)
+@click.option("--heartbeat", is_flag=True, help="Send heartbeats; without, nothing is ever sent.")
+@click.option("--buffer", type=int, metavar="BYTES", help="Socket buffer.  [default: as much as can be had]")
+@click.option("--for", "seconds", type=float, metavar="S", help="End after so many seconds.")
+@click.option("-q", "--quiet", is_flag=True, help="Only paths and errors.")
+def command(
+    links: tuple[str, ...],
+    output: Path,
+    rotate: tuple[str, ...],
+    key: Path | None,
+    unsigned: str,
+    heartbeat: bool,
+    buffer: int | None,
+    seconds: float | None,
+    quiet: bool,
+) -> int:
+    """Record LINKs into a tlog until interrupted; prints the paths of the parts.
+
+    A LINK is udp:HOST:PORT (listens there), udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD. Beside
+    the file, FILE.json counts per link and system what came, what the link lost and what this host dropped;
+    FILE.rejects keeps the first bytes that are no frame. The key may also stand in FLYSID_SIGNING_KEY.
+    Ends with 5 when the disk refused, with 3 when this host dropped something.
+    """
+    from flysid.live.parts import parse_rotation
+    from flysid.live.receiving import warm_up
+    from flysid.live.recording import Recording
+    from flysid.live.signing import Guard, load_key
+
+    rotation = parse_rotation(rotate)
+    secret = load_key(key)
+    guard = None if secret is None else Guard(secret, unsigned)
+    warm_up()
+    recording = Recording(opened(links, buffer, heartbeat), output, rotation, guard, heartbeat)
+    for text in recording.receiver.warnings():
+        say(text, quiet)
+    run(recording, seconds, quiet)
+    for path in recording.parts.paths:
+        click.echo(path)
+    return finish(recording, quiet)
+
+
+def opened(links: tuple[str, ...], buffer: int | None, sends: bool) -> list[Any]:
+    """The links, all open; none where one cannot be."""
+    from flysid.live.links import open_link
+
+    made: list[Any] = []
+    try:
+        made.extend(open_link(text, buffer=buffer, sends=sends) for text in links)
+    except UsageError:
+        for link in made:
+            link.close()
+        raise
+    return made
+
+
+def run(recording: Recording, seconds: float | None, quiet: bool) -> None:
+    """Record until a signal comes, or the time is over; one line of state now and then."""
+    over = threading.Event()
+
+    def end(_: int, __: FrameType | None) -> None:
+        over.set()
+
+    with suppress(ValueError):  # signals are the main thread's
+        signal.signal(signal.SIGINT, end)
+        signal.signal(signal.SIGTERM, end)
+    recording.start()
+    until = None if seconds is None else time.monotonic() + seconds
+    refusal = ""
+    warned = set(recording.receiver.warnings())
+    try:
+        while recording.is_alive and not over.wait(0.2):
+            if until is not None and time.monotonic() >= until:
+                break
+            if recording.parts.refusal and not refusal:
+                refusal = recording.parts.refusal
+                say(f"{refusal}: nothing is written any more; receiving goes on")
+            for text in recording.receiver.warnings():
+                if text not in warned:
+                    warned.add(text)
+                    say(text, quiet)
+    finally:
+        recording.stop()
+
+
+def finish(recording: Recording, quiet: bool) -> int:
+    """The words that end a recording, and the exit code."""
+    parts, facts = recording.parts, recording.last_facts
+    say(f"{counted(parts.frames, 'frame')}, {counted(parts.bytes, 'byte')}", quiet)
+    dropped = recording.spool.dropped_frames
+    for link in facts["links"]:
+        dropped += link["dropped_by_host"] or 0
+        for peer in link["peers"]:
+            for text in told(peer):
+                say(f"{link['link']}, {peer['peer']}: {text}", quiet)
+    if dropped:
+        say(f"this host dropped {counted(dropped, 'datagram')}: see {parts.paths[-1]}.json")
+    if parts.refusal:
+        say(f"{parts.refusal}: {counted(parts.unwritten_frames, 'frame')} came and were not written")
+        return DISK_REFUSED
+    return LOST_HERE if dropped else 0
+
+
+def told(peer: dict[str, Any]) -> list[str]:
+    """What a peer sent, a line for each system; then what was no frame and what was refused."""
+    lines = []
+    for row in peer["systems"]:
+        lost = row["lost_by_sequence"] + row["lost_in_silence_about"]
+        share = f"{100 * lost / (lost + row['frames']):.2g} %" if lost else "none"
+        sender = f"system {row['system']}, component {row['component']}"
+        lines.append(f"{sender}: {counted(row['frames'], 'frame')}, lost by the link: {share}")
+    if peer["bytes_that_are_no_frame"]:
+        lines.append(f"{counted(peer['bytes_that_are_no_frame'], 'byte')} belong to no frame")
+    lines += [f"refused, {reason}: {counted(n, 'frame')}" for reason, n in peer["refused"].items()]
+    return lines
