@@ -14,12 +14,14 @@ from typing import Any
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FlysidError, UsageError
+from flysid.ingest.lake.selection import Selection
 from flysid.model.base import Fitted, kind_of
 from flysid.progress import tell
 from flysid.split import Piece, Split, refuse_copies
 from flysid.validate.compare import Comparison, across_channels, compare, sides_of
 from flysid.validate.expected import expected_document
 from flysid.validate.judge import Judgement, by_reason, fit_command, split_words
+from flysid.validate.judgedparts import chosen_lake, restricted
 from flysid.validate.report.context import ReportContext
 from flysid.validate.run import HeldOut, Run, held_out, models_of
 
@@ -34,12 +36,15 @@ class RunSource:
     data: Path | None = None
 
 
-def judge_runs(a: RunSource, b: RunSource, *, label: str | None = None) -> Judgement:
+def judge_runs(
+    a: RunSource, b: RunSource, *, label: str | None = None, only: Selection | None = None
+) -> Judgement:
     """Compare every channel that two runs share.
 
     Parameters
     ----------
     label : the model the headline speaks of, in both runs; "ts" where both have it, else "arx".
+    only : compare on these of run B's held-out flights and stretches alone.
 
     Raises
     ------
@@ -48,6 +53,7 @@ def judge_runs(a: RunSource, b: RunSource, *, label: str | None = None) -> Judge
     """
     tell("aligning the data of both runs", share=0.0)
     ours = {h.channel.name: h for h in held_out(b.run, b.data)}
+    chosen = None if only is None else chosen_lake(b.run, b.data, only)
     theirs = {h.channel.name: h for h in _training_of(a)}
     shared = [name for name in ours if name in theirs]
     if not shared:
@@ -57,7 +63,8 @@ def judge_runs(a: RunSource, b: RunSource, *, label: str | None = None) -> Judge
     for i, name in enumerate(shared):
         tell("comparing", channel=name, share=(i + 1) / (len(shared) + 1))
         try:
-            found[name] = _compare(theirs[name], ours[name], label)
+            judged = ours[name] if chosen is None else restricted(ours[name], chosen)
+            found[name] = _compare(theirs[name], judged, label)
         except DataError as error:
             failed[name] = str(error)
     if not found:

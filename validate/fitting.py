@@ -200,6 +200,7 @@ def fit_run(
     UsageError : `settings.channels` names a channel that the recipe does not have.
     """
     estimators(settings)  # a model that is not known is named before anything is read
+    settings = replace(settings, selection=replace(settings.selection, stretches=lake.stretches))
     recipe = load_recipe(recipe_name)
     held = lake.channels(recipe)
     skipped = {

@@ -10,12 +10,14 @@ from typing import Any
 
 from flysid.errors import DataError, UsageError
 from flysid.files import replacing_folder, write_atomically
+from flysid.ingest.lake.selection import Selection
 from flysid.progress import tell
 from flysid.validate.caution import Caution
 from flysid.validate.cautions import cautions
 from flysid.validate.compare import Comparison, across_channels, compare
 from flysid.validate.condition import matching_channels
 from flysid.validate.document import to_json
+from flysid.validate.judgedparts import chosen_lake, restricted
 from flysid.validate.paperfigures import write_figures
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.page import render
@@ -111,13 +113,16 @@ class Judgement:
         return matching_channels(condition, self.document)
 
 
-def judge_run(run: Run, data: str | Path | None = None, remark: str = "") -> Judgement:
+def judge_run(
+    run: Run, data: str | Path | None = None, remark: str = "", only: Selection | None = None
+) -> Judgement:
     """Compare every channel of a run on its held-out part; tells of its progress (`flysid.progress`).
 
     Parameters
     ----------
     data : the ingested folder, where it moved since the fit.
     remark : stands above the report's title, e.g. "simulated flights".
+    only : judge on these of the held-out flights and stretches alone.
 
     Raises
     ------
@@ -126,18 +131,22 @@ def judge_run(run: Run, data: str | Path | None = None, remark: str = "") -> Jud
     """
     tell("aligning the held-out part", share=0.0)
     held = held_out(run, data)
+    chosen = None if only is None else chosen_lake(run, data, only)
+    if only is not None:
+        remark = remark or f"judged with {' '.join(only.options)}"
     comparisons: dict[str, Comparison] = {}
     failed: dict[str, str] = {}
     for i, item in enumerate(held):
         tell("comparing on held-out segments", channel=item.channel.name, share=(i + 1) / (len(held) + 1))
         try:
+            judged = item if chosen is None else restricted(item, chosen)
             comparisons[item.channel.name] = compare(
                 item.models,
-                item.test,
+                judged.test,
                 baseline=item.channel.baseline,
                 contender=asked_for(run.settings.models, item.models, item.channel.baseline),
                 seen=item.seen,
-                turns=item.turns,
+                turns=judged.turns,
             )
         except DataError as error:
             failed[item.channel.name] = str(error)
@@ -205,6 +214,7 @@ def fit_command(run: Run) -> str:
     words += [f"--seed {settings.seed}", f"--rules {settings.rules}"]
     words += [f"--antecedent '{a}'" for a in settings.antecedents]
     words += [f"--channel '{c}'" for c in settings.channels]
+    words += settings.selection.options
     words += [f"--models {','.join(settings.models)}"] if settings.models else []
     words += [f"--effort {settings.effort}"] if settings.effort != FitSettings.effort else []
     words += [] if settings.rotate else ["--no-rotate"]
@@ -219,6 +229,8 @@ def split_words(split: Mapping[str, Any]) -> str:
 
 def _provenance(run: Run, held: list[HeldOut]) -> dict[str, str]:
     found = {"recipe": run.recipe, "flights": ", ".join(run.flights)}
+    if options := run.settings.selection.options:
+        found["chosen"] = " ".join(options)
     for item in held:
         split = item.channel.split
         name = item.channel.name

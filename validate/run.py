@@ -15,7 +15,7 @@ import json
 import platform
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,8 @@ from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.align.recipe import Recipe, load_recipe
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
+from flysid.ingest.lake.selection import Selection
+from flysid.ingest.lake.stretches import Stretches
 from flysid.manifest import DATA_FILE
 from flysid.model.base import Fitted, load
 from flysid.split import By, Split
@@ -58,6 +60,7 @@ class FitSettings:
         (`flysid.validate.folds`).
     memory_mb : samples of a channel that may be in memory; a channel with more is fitted from disk.
     effort : of the search for rules, "quick", "normal" or "thorough".
+    selection : flights and stretches that the user chose.
     """
 
     holdout: float = 0.3
@@ -70,6 +73,7 @@ class FitSettings:
     memory_mb: float = 64.0
     effort: str = "normal"
     rotate: bool = True
+    selection: Selection = Selection()  # noqa: RUF009 - frozen
 
 
 @dataclass(frozen=True)
@@ -227,6 +231,8 @@ def _run_from(folder: Path, body: Mapping[str, Any]) -> Run:
     settings = dict(body["settings"])
     for name in ("antecedents", "channels", "models"):
         settings[name] = tuple(settings.get(name, ()))
+    if "selection" in settings:
+        settings["selection"] = _selection_from(settings["selection"])
     return Run(
         folder=folder,
         data=str(body["data"]),
@@ -238,6 +244,13 @@ def _run_from(folder: Path, body: Mapping[str, Any]) -> Run:
         versions=dict(body["versions"]),
         interrupted=bool(body.get("interrupted", False)),
     )
+
+
+def _selection_from(body: Mapping[str, Any]) -> Selection:
+    parts = dict(body["stretches"])
+    stretches = Stretches(**{**parts, "modes": tuple(parts["modes"])})
+    lists = {name: tuple(body[name]) for name in ("flights", "exclude")}
+    return Selection(**{**body, **lists, "stretches": stretches})
 
 
 def _channel_from(body: Mapping[str, Any]) -> ChannelRun:
@@ -271,8 +284,7 @@ def held_out(run: Run, data: str | Path | None = None) -> list[HeldOut]:
     if not run.recipe:
         file = open_dataset(place)
         return [_held_out_channel(run, c, file if c.on_disk else file.read()) for c in run.channels]
-    lake = open_lake(place)
-    then = lake.only(run.flights)
+    then = replace(open_lake(place).only(run.flights), stretches=run.settings.selection.stretches)
     recipe = load_recipe(run.folder / RECIPE_FILE)
     return [_held_out_of_lake(run, channel, then, recipe) for channel in run.channels]
 

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, chosen_form, comparison_forms, finish
+from flysid.cli.source import given, selection_options
 from flysid.progress import part
+
+if TYPE_CHECKING:
+    from flysid.ingest.lake.selection import Selection
 
 FOLDER = click.Path(path_type=Path)
 
@@ -22,6 +27,7 @@ FOLDER = click.Path(path_type=Path)
 @click.option("--data-b", type=FOLDER, help="The ingested folder of RUN_B, where it moved since the fit.")
 @click.option("--fail-if", "condition", help="Exit with 4 where this holds, e.g. 'free_run.change_pct > 5'.")
 @click.option("--force", is_flag=True, help="Replace the report if it is there.")
+@selection_options
 @comparison_forms
 @progress_options
 def command(
@@ -33,6 +39,7 @@ def command(
     data_b: Path | None,
     condition: str | None,
     force: bool,
+    selection: Selection,
     quiet: bool,
     display: Display,
     **forms: bool,
@@ -57,7 +64,7 @@ def command(
         check_condition(condition, expected)
     with display.shown():
         with part(0.0, 0.5):
-            judgement = judge_runs(a, b, label=label)
+            judgement = judge_runs(a, b, label=label, only=given(selection))
         with part(0.5, 1.0):
             page = None if output is None else write_judgement(judgement, output)
     click.echo(judgement.text(form))

@@ -123,7 +123,9 @@ def command(
     from flysid.validate.run import FitSettings
 
     labels = tuple(label for label in models.replace(" ", "").lower().split(",") if label)
-    settings = FitSettings(holdout, by, seed, rules, antecedents, channels, labels, memory, effort, rotate)
+    settings = FitSettings(
+        holdout, by, seed, rules, antecedents, channels, labels, memory, effort, rotate, selection
+    )
     lost = False
     if is_dataset:
         with display.shown():

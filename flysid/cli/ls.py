@@ -3,40 +3,67 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import aligned
+from flysid.cli.source import opened_flights, selection_options
 
 if TYPE_CHECKING:
     from flysid.catalogue import FlightFacts
+    from flysid.ingest.lake.selection import Selection
 
 HEADINGS = ("FLIGHT", "FORMAT", "VEHICLE", "TIME", "STREAMS", "RECORDS", "LOST")
 
 
 @click.command("ls")
-@click.argument("data", default="data")
+@click.argument("data", default="data", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option(
-    "--suggest", is_flag=True, help="List what each flight can identify, and what stands in the way."
-)
+@click.option("--suggest", is_flag=True, help="Which channels the flights can identify, the good ones first.")
+@click.option("--all", "every", is_flag=True, help="With --suggest: what cannot be used, too.")
+@selection_options
 @progress_options
-def command(data: str, as_json: bool, suggest: bool, quiet: bool, display: Display) -> None:  # noqa: ARG001
-    """List the flights of an ingested folder."""
-    from flysid.catalogue import catalogue
+def command(
+    data: Path,
+    as_json: bool,
+    suggest: bool,
+    every: bool,
+    selection: Selection,
+    quiet: bool,  # noqa: ARG001
+    display: Display,
+) -> None:
+    """List the flights of an ingested folder, or what they can identify.
 
+    With --suggest, DATA may be a log or a folder of logs, too.
+    """
     if suggest:
-        from flysid.cli.suggest import print_suggestions
-
-        print_suggestions(data, as_json, display)
+        _suggest(data, selection, display, as_json, every)
         return
-    flights = catalogue(data)
+    from flysid.ingest.lake.lake import open as open_lake
+    from flysid.ingest.lake.selection import select
+
+    flights = select(open_lake(data), selection).facts
     if as_json:
         click.echo(json.dumps({"flights": [as_document(f) for f in flights]}, indent=1))
     else:
         click.echo("\n".join(aligned([HEADINGS, *(row(f) for f in flights)])))
+
+
+def _suggest(data: Path, selection: Selection, display: Display, as_json: bool, every: bool) -> None:
+    from flysid.cli.suggest import print_suggestions
+    from flysid.ingest.lake.selection import select
+
+    with display.shown(), opened_flights(data) as whole:
+        lake = select(whole, selection)
+        found = lake.suggest()
+        flights = [facts.id for facts in lake.facts]
+    if as_json:
+        click.echo(json.dumps({"suggestions": [s.to_dict() for s in found]}, indent=1))
+    else:
+        print_suggestions(found, flights, str(data), every)
 
 
 def row(flight: FlightFacts) -> tuple[str, ...]:

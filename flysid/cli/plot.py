@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.source import format_option, opened_flights, selection_options
+from flysid.cli.source import flight_options, format_option, opened_flights
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.lake import StoredLog
@@ -23,7 +23,7 @@ PAIRS = ("attitude", "rate", "velocity")
 @click.command("plot")
 @click.argument("source", type=click.Path(path_type=Path))
 @click.argument("fields", nargs=-1, metavar="STREAM.FIELD...")
-@selection_options
+@flight_options
 @click.option("--pair", type=click.Choice(PAIRS), help="Setpoint and measurement together.")
 @click.option("-r", "--recipe", default="", help="The channels of this recipe instead of fields.")
 @click.option(

@@ -77,9 +77,17 @@ def words_options(function: F) -> F:
     return function
 
 
-def selection_options(function: F) -> F:
+def flight_options(function: F) -> F:
     """Adds --flight, --exclude, --vehicle and --pool; the verb takes them as one `selection`."""
+    return _selecting(function, stretches=False)
 
+
+def selection_options(function: F) -> F:
+    """As `flight_options`, and --between, --mode and --keep-mishaps."""
+    return _selecting(function, stretches=True)
+
+
+def _selecting(function: F, stretches: bool) -> F:
     @wraps(function)
     def verb(
         *args: Any,
@@ -87,30 +95,60 @@ def selection_options(function: F) -> F:
         exclude: tuple[str, ...],
         vehicle: str,
         pool: bool,
+        between: str = "",
+        modes: tuple[str, ...] = (),
+        mishaps: bool = False,
         **options: Any,
     ) -> Any:
         from flysid.ingest.lake.selection import Selection
+        from flysid.ingest.lake.stretches import Stretches
 
-        return function(*args, selection=Selection(only_flights, exclude, vehicle, pool), **options)
+        parts = Stretches(between, modes, mishaps)
+        return function(*args, selection=Selection(only_flights, exclude, vehicle, pool, parts), **options)
 
     decorated: Any = verb
-    for option in (
-        click.option("--pool", is_flag=True, help="Put flights of several vehicles together."),
-        click.option(
-            "--vehicle", default="", metavar="NAME", help="Its flights alone; a part of its name will do."
-        ),
-        click.option("--exclude", multiple=True, metavar="FLIGHT", help="Not this flight; may be repeated."),
-        click.option(
-            "--flight",
-            "only_flights",
-            multiple=True,
-            metavar="FLIGHT",
-            help="This flight alone, by its id or the beginning of it; may be repeated.",
-        ),
-    ):
+    for option in (*(_STRETCHES if stretches else ()), *_FLIGHTS):
         decorated = option(decorated)
     chosen: F = decorated
     return chosen
+
+
+def given(selection: Selection) -> Selection | None:
+    """The selection, if one was made."""
+    return selection if selection.options else None
+
+
+_FLIGHTS = (
+    click.option("--pool", is_flag=True, help="Put flights of several vehicles together."),
+    click.option(
+        "--vehicle", default="", metavar="NAME", help="Its flights alone; a part of its name will do."
+    ),
+    click.option("--exclude", multiple=True, metavar="FLIGHT", help="Not this flight; may be repeated."),
+    click.option(
+        "--flight",
+        "only_flights",
+        multiple=True,
+        metavar="FLIGHT",
+        help="This flight alone, by its id or the beginning of it; may be repeated.",
+    ),
+)
+_STRETCHES = (
+    click.option(
+        "--keep-mishaps",
+        "mishaps",
+        is_flag=True,
+        help="Keep crashes, failsafes and losses of control, which are left out otherwise.",
+    ),
+    click.option(
+        "--mode", "modes", multiple=True, metavar="MODE", help="In this flight mode alone; may be repeated."
+    ),
+    click.option(
+        "--between",
+        default="",
+        metavar="FROM..TO",
+        help="This part of every flight alone, e.g. 12:30..14:00 (min:s since its beginning).",
+    ),
+)
 
 
 @contextmanager

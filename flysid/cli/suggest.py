@@ -2,62 +2,91 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+import textwrap
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import click
 
+from flysid.cli.output import aligned, printable, say
+
 if TYPE_CHECKING:
-    from flysid.cli.display import Display
     from flysid.ingest.lake.suggest import Suggestion
 
-HEADINGS = (
-    "FLIGHT",
-    "RECIPE",
-    "CHANNEL",
-    "INPUT",
-    "MOVES",
-    "RATE",
-    "TIME",
-    "COHERENCE",
-    "SIGN",
-    "BAND, Hz",
-    "DEAD TIME, ms",
-    "VERDICT",
-)
+HEADINGS = ("FLIGHT", "CHANNEL", "INPUT", "TIME", "RATE", "COH.", "BAND, Hz", "DEAD TIME, ms")
+ORDER = ("good", "weak", "too slow", "too short", "too quiet", "excluded")
+USABLE = ("good", "weak")
+WIDTH = 100
+LONGEST_NAME = 18
+COHERENCE = "COH.: coherence, the share of the output's power that a linear model of the input can explain"
 LOOP = "loop: the input answers the output too (a pilot or controller); see docs/recipes.md on closed loops"
 OPEN = "?: the data do not bound it"
 
 
-def print_suggestions(data: str, as_json: bool, display: Display) -> None:
-    """A table on stdout with the advice below it, or JSON."""
-    from flysid.cli.output import aligned, printable, say
-    from flysid.ingest.lake.lake import open as open_lake
+def print_suggestions(found: Sequence[Suggestion], flights: Sequence[str], data: str, every: bool) -> None:
+    """Tables on stdout, the good ones first, with the advice below them.
 
-    with display.shown():
-        found = open_lake(data).suggest()
-    if as_json:
-        click.echo(json.dumps({"suggestions": [s.to_dict() for s in found]}, indent=1))
-        return
-    if not found:
-        say("no shipped recipe has its streams in these flights; write a recipe of your own")
-        return
-    names = short_names([s.flight for s in found])
-    rows = [row(s, names[s.flight]) for s in found]
-    click.echo("\n".join(aligned([HEADINGS, *rows])))
-    lines = advice(found, names)
-    delays = [r[HEADINGS.index("DEAD TIME, ms")] for r in rows]
+    Parameters
+    ----------
+    flights : all that were looked at; one without a usable channel gets a line with the reason.
+    every : show what cannot be used, too.
+    """
+    names = short_names([*flights, *(s.flight for s in found)])
+    shown = [s for s in found if every or s.verdict in USABLE]
+    lines: list[str] = []
+    for verdict in ORDER:
+        for recipe in dict.fromkeys(s.recipe for s in shown if s.verdict == verdict):
+            group = [s for s in shown if (s.verdict, s.recipe) == (verdict, recipe)]
+            rows = [row(s, names[s.flight]) for s in sorted(group, key=lambda s: -s.coherence)]
+            lines += [
+                f"{verdict.upper()}  {recipe}",
+                *(f"  {line}" for line in aligned([HEADINGS, *rows])),
+                "",
+            ]
+    delays = [_delay(s) for s in shown if s.rate_hz > 0]
+    lines += [COHERENCE] if shown else []
     lines += [LOOP] if any("loop" in cell for cell in delays) else []
     lines += [OPEN] if any("?" in cell for cell in delays) else []
-    if lines:
-        click.echo("\n" + "\n".join(printable(line) for line in lines))
+    lines += advice(shown, names)
+    lines += unusable(found, flights, names)
+    hidden = len(found) - len(shown)
+    lines += [f"{hidden} more that cannot be used: --all"] if hidden else []
+    click.echo("\n".join(_folded(printable(line)) for line in lines).strip())
+    say(_next(found, data))
 
 
-def short_names(flights: Sequence[str]) -> dict[str, str]:
-    """Every flight -> its name without the hash, where that names one flight only."""
-    short = {f: f.rpartition("-")[0] or f for f in dict.fromkeys(flights)}
-    return {f: s if list(short.values()).count(s) == 1 else f for f, s in short.items()}
+def _folded(line: str) -> str:
+    """Within the width; what is longer goes on below, set in."""
+    if len(line) <= WIDTH:
+        return line
+    return textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+
+
+def unusable(found: Sequence[Suggestion], flights: Sequence[str], names: Mapping[str, str]) -> list[str]:
+    """A line for every flight without a usable channel, with the reason."""
+    lines = []
+    for flight in flights:
+        own = [s for s in found if s.flight == flight]
+        if not own:
+            lines.append(f"{names[flight]}: no shipped recipe has its streams in this flight")
+        elif not any(s.verdict in USABLE for s in own):
+            reasons = dict.fromkeys(f"{s.verdict}: {s.advice}" for s in own)
+            more = f" (and {len(reasons) - 1} more reasons: --all)" if len(reasons) > 1 else ""
+            lines.append(f"{names[flight]}: {next(iter(reasons))}{more}")
+    return lines
+
+
+def _next(found: Sequence[Suggestion], data: str) -> str:
+    """The command to run next: the recipe with most that is good, and its good channels."""
+    good = [s for s in found if s.verdict == "good"]
+    if not good:
+        return "next: fly or log what is asked for above; 'flysid recipes' explains recipes"
+    recipe = Counter(s.recipe for s in good).most_common(1)[0][0]
+    channels = dict.fromkeys(s.channel for s in good if s.recipe == recipe)
+    rest = {s.channel for s in found if s.recipe == recipe} - channels.keys()
+    words = "".join(f" -c {channel}" for channel in channels) if rest else ""
+    return f"next: flysid fit {data} --recipe {recipe}{words} -o run"
 
 
 def row(found: Suggestion, flight: str) -> tuple[str, ...]:
@@ -66,19 +95,27 @@ def row(found: Suggestion, flight: str) -> tuple[str, ...]:
     related = made and found.band_hz is not None
     band = found.band_hz or (0.0, 0.0)
     return (
-        flight,
-        found.recipe,
+        _short(flight),
         found.channel,
-        found.input if len(found.input) < 20 else "-",
-        f"{found.input_rms:.2g} {found.input_unit} rms".replace("  ", " ") if made else "-",
-        f"{found.rate_hz:.3g} Hz" if made else "-",
+        {1: "+", -1: "-", 0: ""}[found.sign if related else 0] + _short(found.input, 13),
         f"{found.duration_s:.0f} s" if made else "-",
+        f"{found.rate_hz:.3g} Hz" if made else "-",
         f"{found.coherence:.2f}" if made else "-",
-        {1: "+", -1: "-", 0: "?"}[found.sign] if related else "",
         f"{band[0]:.2g} to {band[1]:.2g}" if related else "none" if made else "-",
         _delay(found) if related else "-",
-        found.verdict,
     )
+
+
+def _short(name: str, longest: int = LONGEST_NAME) -> str:
+    """A name with its middle left out where it is too long."""
+    half = (longest - 1) // 2
+    return name if len(name) <= longest else f"{name[:half]}…{name[-half:]}"
+
+
+def short_names(flights: Sequence[str]) -> dict[str, str]:
+    """Every flight -> its name without the hash, where that names one flight only."""
+    short = {f: f.rpartition("-")[0] or f for f in dict.fromkeys(flights)}
+    return {f: s if list(short.values()).count(s) == 1 else f for f, s in short.items()}
 
 
 def _delay(found: Suggestion) -> str:
@@ -91,7 +128,7 @@ def _delay(found: Suggestion) -> str:
     if unbounded(found):
         return f"?{loop}"
     low_ms, high_ms = 1e3 * (found.delay_low_s or 0.0), 1e3 * (found.delay_high_s or 0.0)
-    return f"{1e3 * found.delay_s:.0f} ({low_ms:.0f} to {high_ms:.0f}){loop}"
+    return f"{1e3 * found.delay_s:.0f} ({low_ms:.0f}-{high_ms:.0f}){loop}"
 
 
 def advice(found: Sequence[Suggestion], names: dict[str, str]) -> list[str]:

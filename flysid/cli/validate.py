@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, chosen_form, comparison_forms, finish
+from flysid.cli.source import given, selection_options
 from flysid.progress import part
+
+if TYPE_CHECKING:
+    from flysid.ingest.lake.selection import Selection
 
 
 @click.command("validate")
@@ -26,6 +31,7 @@ from flysid.progress import part
     help="Also draw figures for a paper into the report's folder (needs matplotlib: flysid[plot]).",
 )
 @click.option("--force", is_flag=True, help="Replace the report if it is there.")
+@selection_options
 @comparison_forms
 @progress_options
 def command(
@@ -35,6 +41,7 @@ def command(
     condition: str | None,
     figures: str | None,
     force: bool,
+    selection: Selection,
     quiet: bool,
     display: Display,
     **forms: bool,
@@ -60,7 +67,7 @@ def command(
         check_condition(condition, expected_of_run(opened))
     with display.shown():
         with part(0.0, 0.5):
-            judgement = judge_run(opened, data)
+            judgement = judge_run(opened, data, only=given(selection))
         with part(0.5, 1.0):
             page = write_judgement(judgement, target, figures)
     click.echo(judgement.text(form))

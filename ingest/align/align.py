@@ -209,6 +209,8 @@ class _Job:
             return FlightReport(log.name, signals=reports, reason=reason), (), {}
         boots = sorted(set.intersection(*(set(found.boots) for found in loaded.values())))
         conditions = condition_spans(self.recipe.conditions, log)
+        if log.allowed is not None:
+            conditions = conditions.within(log.allowed)
         labels = labels_of(self.recipe.labels, log)
         report = FlightReport(
             log.name, signals=reports, notes=(*clocks.notes, *conditions.notes, *conditions.never)

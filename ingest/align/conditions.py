@@ -39,6 +39,13 @@ class Allowed:
     notes: tuple[str, ...] = ()
     never: tuple[str, ...] = ()
 
+    def within(self, other: Allowed) -> Allowed:
+        """Where both hold."""
+        spans = dict(self.spans)
+        for boot, own in other.spans.items():
+            spans[boot] = resample.intersect(spans[boot], own) if boot in spans else own
+        return Allowed(spans, (*self.notes, *other.notes), (*self.never, *other.never))
+
 
 def condition_spans(conditions: Sequence[Condition], log: Log) -> Allowed:
     """Where all conditions hold in a log. A value counts until the next one (zero-order hold).

@@ -11,7 +11,7 @@ import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,9 @@ from flysid.ingest.align.values import (
     texts_of,
 )
 from flysid.ingest.formats.common.units import factor, is_known
+
+if TYPE_CHECKING:
+    from flysid.ingest.align.conditions import Allowed
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -53,6 +56,11 @@ class Log(Protocol):
     @property
     def info(self) -> Mapping[str, str]:
         """Facts about the vehicle."""
+        ...
+
+    @property
+    def allowed(self) -> Allowed | None:
+        """Where it may be used; None: everywhere."""
         ...
 
     def columns(self, stream: str) -> Sequence[str]:
@@ -82,6 +90,10 @@ class FlightLog:
     @property
     def info(self) -> Mapping[str, str]:
         return self.flight.info
+
+    @property
+    def allowed(self) -> None:
+        return None
 
     def columns(self, stream: str) -> Sequence[str]:
         return list(self.flight.tables[stream].column_names)

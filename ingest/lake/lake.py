@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import overload
@@ -15,9 +15,11 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, RecipeError, UsageError
 from flysid.flight import Flight
 from flysid.ingest.align.align import Aligned, align, align_to_file
+from flysid.ingest.align.conditions import Allowed
 from flysid.ingest.align.recipe import Recipe, load_recipe, shipped_recipes
 from flysid.ingest.align.report import AlignReport
 from flysid.ingest.align.signals import find_source
+from flysid.ingest.lake.stretches import Stretches
 from flysid.ingest.lake.suggest import Suggestion, suggest
 from flysid.manifest import FLIGHTS, Manifest, check_data_folder, find_flight, read_manifest
 from flysid.store import read_entry, read_flight
@@ -29,6 +31,7 @@ class StoredLog:
 
     folder: Path
     facts: FlightFacts
+    stretches: Stretches = Stretches()  # noqa: RUF009 - frozen
 
     @property
     def name(self) -> str:
@@ -43,6 +46,11 @@ class StoredLog:
     def info(self) -> Mapping[str, str]:
         """Facts about the vehicle."""
         return self.facts.info
+
+    @cached_property
+    def allowed(self) -> Allowed:
+        """Where it may be used."""
+        return self.stretches.allowed(self)
 
     @cached_property
     def manifest(self) -> Manifest:
@@ -85,10 +93,12 @@ class Lake:
     ----------
     folder : where it is.
     facts : what its catalogue holds of its flights, by id.
+    stretches : what of every flight is used.
     """
 
     folder: Path
     facts: tuple[FlightFacts, ...]
+    stretches: Stretches = Stretches()  # noqa: RUF009 - frozen
 
     def __len__(self) -> int:
         return len(self.facts)
@@ -104,12 +114,12 @@ class Lake:
     @cached_property
     def logs(self) -> tuple[StoredLog, ...]:
         """The flights as alignment reads them."""
-        return tuple(StoredLog(self.folder, facts) for facts in self.facts)
+        return tuple(StoredLog(self.folder, facts, self.stretches) for facts in self.facts)
 
     def only(self, flights: Collection[str]) -> Lake:
         """The same folder with these flights alone, by their whole ids."""
         wanted = frozenset(flights)
-        return Lake(self.folder, tuple(facts for facts in self.facts if facts.id in wanted))
+        return replace(self, facts=tuple(facts for facts in self.facts if facts.id in wanted))
 
     def flight(self, flight: str) -> Flight:
         """A flight in memory, by its id or the unambiguous beginning of it."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from flysid.errors import UsageError
 from flysid.ingest.align.vehicle import vehicle_of
 from flysid.ingest.lake.lake import Lake
+from flysid.ingest.lake.stretches import Stretches
 from flysid.manifest import find_flight
 
 SHOWN = 5  # names in a message
@@ -23,12 +25,24 @@ class Selection:
     exclude : not these, by id or the unambiguous beginning of it.
     vehicle : those of this vehicle, by any part of its name that no other has; "": of all.
     pool : flights of several vehicles may be put together.
+    stretches : what of every flight.
     """
 
     flights: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
     vehicle: str = ""
     pool: bool = False
+    stretches: Stretches = Stretches()  # noqa: RUF009 - frozen
+
+    @property
+    def options(self) -> list[str]:
+        """As options of the command line."""
+        named = [("flight", self.flights), ("exclude", self.exclude), ("mode", self.stretches.modes)]
+        found = [f"--{name} {shlex.quote(value)}" for name, values in named for value in values]
+        found += [f"--vehicle {shlex.quote(self.vehicle)}"] if self.vehicle else []
+        found += ["--pool"] if self.pool else []
+        found += [f"--between {self.stretches.between}"] if self.stretches.between else []
+        return [*found, *(["--keep-mishaps"] if self.stretches.mishaps else [])]
 
 
 def select(lake: Lake, selection: Selection) -> Lake:
@@ -46,7 +60,7 @@ def select(lake: Lake, selection: Selection) -> Lake:
         left = left.only([facts.id for facts in left.facts if vehicle_of(facts.info) == name])
     if not left.facts and lake.facts:
         raise UsageError("no flight is left", path=lake.folder, hint="exclude fewer")
-    return left
+    return replace(left, stretches=selection.stretches)
 
 
 def vehicles(lake: Lake) -> dict[str, list[str]]:

@@ -1,0 +1,142 @@
+"""Which stretches of the flights are meant: between two times, in some flight modes, without mishaps."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.errors import UsageError
+from flysid.flight import BOOT, TIME
+from flysid.ingest.align.conditions import ALWAYS, Allowed
+from flysid.ingest.align.resample import FOREVER, Span
+from flysid.ingest.align.signals import Log
+from flysid.ingest.lake.events import mode_changes
+from flysid.ingest.lake.mishaps import mishaps
+
+_CLOCK = re.compile(r"(?:(?:(\d+):)?(\d+):)?(\d+(?:\.\d*)?)")
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """What a user says of the time within flights.
+
+    Attributes
+    ----------
+    between : "12:30..14:00": minutes and seconds (or h:m:s, or seconds) since the beginning of a boot; either
+        end may be missing; "": all of it.
+    modes : names of flight modes, e.g. ("LOITER",); empty: all.
+    mishaps : keep what is a crash, a failsafe or a loss of control, and what follows it.
+    """
+
+    between: str = ""
+    modes: tuple[str, ...] = ()
+    mishaps: bool = False
+
+    def __post_init__(self) -> None:
+        parse_between(self.between)
+
+    def allowed(self, log: Log) -> Allowed:
+        """Where a log may be used."""
+        found = Allowed()
+        if self.between:
+            found = found.within(_between(log, *parse_between(self.between), self.between))
+        if self.modes:
+            found = found.within(_in_modes(log, self.modes))
+        return found if self.mishaps else found.within(_without_mishaps(log))
+
+    @property
+    def words(self) -> str:
+        """For people; "" where all of every flight is meant."""
+        said = [f"{self.between} of the flight"] if self.between else []
+        said += [f"in {' or '.join(self.modes)}"] if self.modes else []
+        said += ["crashes and failsafes kept"] if self.mishaps else []
+        return ", ".join(said)
+
+
+def parse_between(text: str) -> tuple[float, float]:
+    """ "12:30..14:00" in seconds: (750.0, 840.0).
+
+    Raises
+    ------
+    UsageError : not two times with .. between them, or in the wrong order.
+    """
+    first, dots, last = text.partition("..")
+    try:
+        low, high = (_seconds(first) if first else 0.0), (_seconds(last) if last else float("inf"))
+    except ValueError:
+        low, high, dots = 0.0, 0.0, ""
+    if text and (not dots or low >= high):
+        raise UsageError(
+            f"{text!r} are not two times since the beginning of the flight",
+            hint="minutes and seconds: 12:30..14:00, or 12:30.. to the end",
+        )
+    return low, high
+
+
+def _seconds(text: str) -> float:
+    match = _CLOCK.fullmatch(text.strip())
+    if match is None:
+        raise ValueError(text)
+    hours, minutes, seconds = (float(part or 0.0) for part in match.groups())
+    return 3600.0 * hours + 60.0 * minutes + seconds
+
+
+def clock(seconds: float) -> str:
+    """ "12:30": minutes and seconds since the beginning of a flight."""
+    return f"{int(seconds // 60)}:{seconds % 60:02.0f}"
+
+
+def beginnings(log: Log) -> dict[int, int]:
+    """Boot -> time of the first sample of the log's longest stream, ns: the zero of times that people say."""
+    longest = max(log.rows, key=lambda stream: log.rows[stream], default=None)
+    if longest is None:
+        return {}
+    table = log.table(longest, [BOOT, TIME])
+    boots, times = np.asarray(table[BOOT].to_numpy()), np.asarray(table[TIME].to_numpy())
+    return {int(boot): int(times[boots == boot].min()) for boot in np.unique(boots)}
+
+
+def _between(log: Log, low_s: float, high_s: float, said: str) -> Allowed:
+    spans: dict[int, Sequence[Span]] = {}
+    for boot, start in beginnings(log).items():
+        end = FOREVER if high_s == float("inf") else start + round(high_s * 1e9)
+        spans[boot] = [(start + round(low_s * 1e9), end)]
+    return Allowed(spans, (f"only {said} of the flight, as asked",))
+
+
+def _in_modes(log: Log, modes: Sequence[str]) -> Allowed:
+    wanted = {mode.upper() for mode in modes}
+    changes = mode_changes(log)
+    spans: dict[int, list[Span]] = {boot: [] for boot in beginnings(log)}
+    for i, change in enumerate(changes):
+        if change.text.upper() in wanted:
+            after = changes[i + 1] if i + 1 < len(changes) else None
+            end = after.time_ns if after is not None and after.boot == change.boot else FOREVER
+            spans.setdefault(change.boot, []).append((change.time_ns, end))
+    said = " or ".join(modes)
+    if any(spans.values()):
+        return Allowed(spans, (f"only in {said}, as asked",))
+    flown = ", ".join(dict.fromkeys(change.text for change in changes)) or "does not say"
+    return Allowed(spans, never=(f"mode {said} never holds: the log has {flown}",))
+
+
+def _without_mishaps(log: Log) -> Allowed:
+    spans: dict[int, Sequence[Span]] = {}
+    notes = []
+    starts = beginnings(log)
+    for mishap in mishaps(log):
+        first, last = mishap.span
+        spans[mishap.boot] = _cut(spans.get(mishap.boot, [(ALWAYS, FOREVER)]), mishap.span)
+        since = clock((first - starts.get(mishap.boot, first)) * 1e-9)
+        until = "to the end" if last == FOREVER else f"for {(last - first) * 1e-9:.0f} s"
+        notes.append(f"left out from {since} {until}: {mishap.what} (--keep-mishaps keeps it)")
+    return Allowed(spans, tuple(dict.fromkeys(notes)))
+
+
+def _cut(spans: Sequence[Span], hole: Span) -> list[Span]:
+    """The spans without the hole."""
+    parts = [part for a, b in spans for part in ((a, min(b, hole[0])), (max(a, hole[1]), b))]
+    return [(a, b) for a, b in parts if a < b]
