@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from flysid.errors import RecipeError
 from flysid.flight import BOOT, TIME
 from flysid.ingest.align import resample
+from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import Condition
 from flysid.ingest.align.resample import Span
 from flysid.ingest.align.signals import Log, find_source, load_source
@@ -26,25 +27,6 @@ from flysid.ingest.align.values import (
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 ALWAYS = -resample.FOREVER
-
-
-@dataclass(frozen=True)
-class Allowed:
-    """Spans per boot in which all conditions hold; a boot that is not named is not restricted.
-
-    `notes` are remarks for people, `never` says of each condition that never holds what the log has instead.
-    """
-
-    spans: Mapping[int, Sequence[Span]] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    never: tuple[str, ...] = ()
-
-    def within(self, other: Allowed) -> Allowed:
-        """Where both hold."""
-        spans = dict(self.spans)
-        for boot, own in other.spans.items():
-            spans[boot] = resample.intersect(spans[boot], own) if boot in spans else own
-        return Allowed(spans, (*self.notes, *other.notes), (*self.never, *other.never))
 
 
 def condition_spans(conditions: Sequence[Condition], log: Log) -> Allowed:

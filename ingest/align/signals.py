@@ -11,7 +11,7 @@ import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ import pyarrow as pa
 
 from flysid.errors import RecipeError
 from flysid.flight import BOOT, ROW_NUMBER, TIME, Flight, field_scale, field_unit, matching_streams
+from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import SignalSpec, Source
 from flysid.ingest.align.transforms import TRANSFORMS
 from flysid.ingest.align.values import (
@@ -31,9 +32,6 @@ from flysid.ingest.align.values import (
     texts_of,
 )
 from flysid.ingest.formats.common.units import factor, is_known
-
-if TYPE_CHECKING:
-    from flysid.ingest.align.conditions import Allowed
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

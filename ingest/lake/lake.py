@@ -15,7 +15,7 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, RecipeError, UsageError
 from flysid.flight import Flight
 from flysid.ingest.align.align import Aligned, align, align_to_file
-from flysid.ingest.align.conditions import Allowed
+from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import Recipe, load_recipe, shipped_recipes
 from flysid.ingest.align.report import AlignReport
 from flysid.ingest.align.signals import find_source

@@ -10,7 +10,8 @@ import numpy as np
 
 from flysid.errors import UsageError
 from flysid.flight import BOOT, TIME
-from flysid.ingest.align.conditions import ALWAYS, Allowed
+from flysid.ingest.align.allowed import Allowed
+from flysid.ingest.align.conditions import ALWAYS
 from flysid.ingest.align.resample import FOREVER, Span
 from flysid.ingest.align.signals import Log
 from flysid.ingest.lake.events import mode_changes
