@@ -1,4 +1,4 @@
-"""`flysid export LOG|DATA --to KIND`: a flight for other programs."""
+"""`flysid export`: a flight, or a fitted model, for other programs."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from flysid.cli.source import format_option, opened_flights
+from flysid.errors import UsageError
 
 KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
 
@@ -15,12 +16,33 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
 @click.argument("source", type=click.Path(path_type=Path))
 @click.argument("streams", nargs=-1, metavar="[STREAM...]")
 @click.option(
-    "--to", "kind", type=click.Choice(KINDS), default="csv", show_default=True, help="Kind of file."
+    "--to",
+    "kind",
+    type=click.Choice(KINDS),
+    default="csv",
+    show_default=True,
+    help="Kind of file, of a flight.",
 )
 @click.option("--flight", default="", help="The flight of a folder, by id or its beginning.")
-@click.option("--rate", "rate_hz", type=float, help="One table on a grid of this many rows a second.")
+@click.option(
+    "--rate",
+    "rate_hz",
+    type=float,
+    help="One table on a grid of this many rows a second; of a transfer function: steps a second.",
+)
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="File, or folder for several tables.")
 @format_option
+@click.option(
+    "--c", "c_folder", type=click.Path(path_type=Path), metavar="DIR", help="A model as C99, into DIR."
+)
+@click.option("--float32", is_flag=True, help="C in float32, if the model bears it on its training data.")
+@click.option("--channel", "-c", default="", help="Of a run.")
+@click.option(
+    "--model", "label", default="", help="Of a run's channel.  [default: the one that the verdict is of]"
+)
+@click.option(
+    "--data", type=click.Path(path_type=Path), help="The run's data, where they moved since the fit."
+)
 @click.option("--force", is_flag=True, help="Replace the target if it is there.")
 def command(
     source: Path,
@@ -31,17 +53,46 @@ def command(
     out: Path | None,
     force: bool,
     format_: str,
+    c_folder: Path | None,
+    float32: bool,
+    channel: str,
+    label: str,
+    data: Path | None,
 ) -> None:
-    """Write a flight's streams for other programs, in physical units.
+    """Write a flight's streams, or a fitted model, for other programs.
 
-    Without --rate every stream keeps its own times and has a table of its own.
+    A flight's streams keep their own times and have a table each, unless --rate asks for one. A model (a
+    run's folder, or a model file) becomes C99 without allocation, with a self-test.
 
     \b
     flysid export flight.bin ATT RATE --to mat -o flight.mat
     flysid export data --flight 0042 --rate 50 -o flight.csv
+    flysid export run --channel longitudinal --c longitudinal-c --float32
     """
+    from flysid.cli.modelexport import Wanted, write_c
+
+    if c_folder is not None:
+        wanted = Wanted(source, channel, label, rate_hz, data)
+        write_c(wanted, c_folder, single=float32, force=force)
+        click.echo(str(c_folder))
+        return
+    if channel or label or float32:
+        raise UsageError("--channel, --model and --float32 are for a model", hint="add --c DIR")
+    export_flight(source, streams, kind, flight, rate_hz, out, force, format_)
+
+
+def export_flight(
+    source: Path,
+    streams: tuple[str, ...],
+    kind: str,
+    flight: str,
+    rate_hz: float | None,
+    out: Path | None,
+    force: bool,
+    format_: str,
+) -> None:
+    """Write the streams of one flight."""
     from flysid.cli.output import check_target
-    from flysid.errors import UsageError
     from flysid.ingest.lake.export import GRID, export_tables, gridded_table, physical_tables
     from flysid.ingest.lake.selection import Selection, select
 

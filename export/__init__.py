@@ -1,0 +1,1 @@
+"""Fitted models for other programs: C99, FMU, MATLAB text."""

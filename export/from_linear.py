@@ -1,0 +1,232 @@
+"""Linear models as programs: in balanced states, whose rounding errors neither grow nor cancel.
+
+A difference equation of high order at a fast rate has lags that all but cancel: in float32 one of order four
+can leave the stable ones (its coefficients, rounded, have other poles). In balanced coordinates (Moore, 1981)
+every state is as easy to reach as to see; Laub et al. (1987) compute them from square roots of the Gramians,
+so that nothing is inverted and states that nothing reaches or shows fall away. On the way there the equation
+is written in z - 1 instead of z, with exact rational numbers: what the lags cancel to stands there by itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.export.from_rules import hidden_names
+from flysid.export.program import Program
+from flysid.model.freerun import Difference
+from flysid.model.linear.model import FittedLinear
+from flysid.model.rules.kernel import Lags
+from flysid.model.subspace.kalman import resting_state
+from flysid.model.subspace.model import FittedStateSpace
+
+_BOUND = 1e30  # of a state: far beyond any output's limits, finite in float32
+_NEGLIGIBLE = 1e-11  # of the largest Hankel singular value: what rounding leaves of a state that is not there
+_GONE = 1e-30  # of a power of a matrix: it adds nothing more
+_MARGIN = 0.001  # by which an unstable matrix is drawn inside the unit circle to be balanced
+
+
+@dataclass(frozen=True, eq=False)
+class _States:
+    """x(k+1) = A x(k) + B u(k) + f, y(k) = C x(k) + D u(k) + g in deviations, and x(0) at rest.
+
+    Attributes
+    ----------
+    late : samples by which every input is late before it enters.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    d: FloatArray
+    f: FloatArray
+    g: FloatArray
+    rest: FloatArray
+    late: tuple[int, ...]
+
+
+def linear_program(model: FittedLinear) -> Program:
+    """A difference equation: balanced, or as it is where outputs do not depend on past ones."""
+    if not model.system.a[1:].any():
+        return _finite_response(model)
+    return _program(model, _balanced(_of_difference(model)))
+
+
+def state_space_program(model: FittedStateSpace) -> Program:
+    """A state space, balanced."""
+    s = model.realisation
+    rest = resting_state(s, -model.u_origin, -model.y_origin)
+    late = model.delays or (0,) * len(model.inputs)
+    return _program(model, _balanced(_States(s.a, s.b, s.c, s.d, s.drift, s.level, rest, late)))
+
+
+def _of_difference(model: FittedLinear) -> _States:
+    """The observer form in z - 1, without the samples by which inputs are late.
+
+    The constant is one more input, and the state at rest one more column: its polynomial moves as theirs do.
+    """
+    system, n_y, n_u = model.system, len(model.outputs), len(model.inputs)
+    taps = np.concatenate([system.b, np.zeros((len(system.b), n_y, 1))], axis=2)
+    taps[0, :, -1] = system.c
+    late = tuple(_first(taps[:, :, j]) for j in range(taps.shape[2]))
+    early = np.zeros_like(taps)
+    for j, k in enumerate(late):
+        early[: len(taps) - k, :, j] = taps[k:, :, j]
+    last = max([0, *np.flatnonzero(early.any(axis=(1, 2)))])
+    moved = Difference(system.a, early[: last + 1], np.zeros(n_y))
+    depth = moved.depth
+    before = np.tile(np.append(-model.u_origin, 0.0), (depth, 1))
+    rest = moved.state(before, np.tile(-model.y_origin, (depth, 1)))
+    a, b = _rational(system.a, depth + 1), _rational(moved.b, depth + 1)
+    direct = moved.b[0]
+    proper = b[1:] - np.einsum("lij,jk->lik", a[1:], b[0])
+    polynomials = np.concatenate([proper, _rational(rest[:, :, None], depth)], axis=2)
+    inner = _about_one(polynomials).reshape(depth * n_y, n_u + 2)
+    step = np.eye(depth * n_y, k=n_y)
+    step[:, :n_y] -= _about_one(a)[1:].reshape(depth * n_y, n_y)
+    step, scaling = _scaled(step)
+    inner /= scaling[:, None]
+    show = np.eye(n_y, depth * n_y) * scaling
+    return _States(
+        np.eye(len(step)) + step,
+        inner[:, :n_u],
+        show,
+        direct[:, :n_u],
+        inner[:, n_u],
+        direct[:, n_u],
+        inner[:, n_u + 1],
+        late[:n_u],
+    )
+
+
+def _rational(values: FloatArray, count: int) -> Any:
+    """(count, ...) the same numbers as fractions, zeros behind."""
+    padded = np.zeros((count, *values.shape[1:]))
+    padded[: len(values)] = values
+    return np.vectorize(Fraction, otypes=[object])(padded)
+
+
+def _about_one(coefficients: Any) -> FloatArray:
+    """Coefficients in falling powers of z - 1 of a polynomial in falling powers of z, both monic."""
+    shifted = coefficients.copy()
+    for last in range(len(shifted), 1, -1):  # Horner's scheme, once for every power
+        for i in range(1, last):
+            shifted[i] = shifted[i] + shifted[i - 1]
+    return np.asarray(shifted, dtype=np.float64)
+
+
+def _scaled(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """D^-1 matrix D with rows and columns of like size, and the diagonal of D, powers of two."""
+    from scipy.linalg import matrix_balance
+
+    scaled, (diagonal, _) = matrix_balance(matrix, permute=False, separate=True)
+    return np.asarray(scaled), np.asarray(diagonal)
+
+
+def _first(taps: FloatArray) -> int:
+    """The first lag with a coefficient that is not zero; 0 where there is none."""
+    return int(np.argmax(taps.any(axis=1)))
+
+
+def _balanced(s: _States) -> _States:
+    """The same system in balanced coordinates, without states that nothing reaches or shows."""
+    radius = float(np.abs(np.linalg.eigvals(s.a)).max(initial=0.0))
+    inside = s.a / max(1.0, radius / (1.0 - _MARGIN))
+    drive = np.column_stack([s.b, s.f, s.rest])
+    drive = drive / _size(drive, axis=0)
+    show = s.c / _size(s.c, axis=1)
+    reached = _gramian_root(inside, drive)
+    seen = _gramian_root(inside.T, show.T)
+    left, values, right = np.linalg.svd(seen.T @ reached)
+    kept = values > _NEGLIGIBLE * values.max(initial=0.0)
+    weight = 1.0 / np.sqrt(values[kept])
+    into = weight[:, None] * (left[:, kept].T @ seen.T)
+    back = reached @ right[kept].T * weight
+    return _States(into @ s.a @ back, into @ s.b, s.c @ back, s.d, into @ s.f, s.g, into @ s.rest, s.late)
+
+
+def _size(values: FloatArray, axis: int) -> FloatArray:
+    size = np.linalg.norm(values, axis=axis, keepdims=True)
+    return np.where(size > 0.0, size, 1.0)
+
+
+def _gramian_root(a: FloatArray, b: FloatArray) -> FloatArray:
+    """L with L L' = sum over k of a^k b b' a'^k, a inside the unit circle.
+
+    Every pass doubles the powers in the sum (Smith's iteration), and QR keeps their square root: to form the
+    sum itself would lose half of the digits.
+    """
+    root = b
+    while np.abs(a).max(initial=0.0) > _GONE:
+        triangle: Any = np.linalg.qr(np.hstack([root, a @ root]).T, mode="r")
+        root = triangle.T
+        a = a @ a
+    return np.asarray(root)
+
+
+def _program(model: FittedLinear | FittedStateSpace, s: _States) -> Program:
+    n, n_y, n_u = len(s.a), len(model.outputs), len(model.inputs)
+    columns = [*range(n_y, n_y + n), *range(n_y + n, n_y + n + n_u), -1]
+    delays = [*[1] * n, *s.late, 0]
+    theta = np.block([[s.c, s.d, s.g[:, None]], [s.a, s.b, s.f[:, None]]])
+    rest = np.zeros((n_y + n + n_u, max([1, *s.late])))
+    rest[n_y : n_y + n, 0] = s.rest
+    return _linear(model, columns, delays, theta, rest)
+
+
+def _finite_response(model: FittedLinear) -> Program:
+    """Outputs that depend on inputs alone: taps over lags."""
+    system, n_y, n_u = model.system, len(model.outputs), len(model.inputs)
+    taps = [(lag, j) for j in range(n_u) for lag in np.flatnonzero(system.b[:, :, j].any(axis=1))]
+    columns, delays = [n_y + j for _, j in taps], [int(lag) for lag, _ in taps]
+    theta = np.stack([*(system.b[lag, :, j] for lag, j in taps), system.c], axis=1)
+    rest = np.zeros((n_y + n_u, len(system.b)))
+    rest[n_y:] = -model.u_origin[:, None]
+    return _linear(model, [*columns, -1], [*delays, 0], theta, rest)
+
+
+def _linear(
+    model: FittedLinear | FittedStateSpace,
+    columns: list[int],
+    delays: list[int],
+    theta: FloatArray,
+    rest: FloatArray,
+) -> Program:
+    none = np.zeros(0, dtype=np.int64)
+    n, n_u, n_y = len(theta), len(model.inputs), len(model.outputs)
+    inner = n - n_y
+    rest[n:] = -model.u_origin[:, None]
+    return Program(
+        title=f"{_KINDS.get(model.structure, model.structure)}, {inner} state{'s' if inner != 1 else ''}",
+        dt_s=model.dt_s,
+        inputs=model.inputs,
+        outputs=model.outputs,
+        states=(*model.outputs, *hidden_names(inner)),
+        lags=Lags(np.array(columns, dtype=np.int64), np.array(delays, dtype=np.int64), none, none, none),
+        theta=theta[None],
+        memberships=None,
+        limits=np.stack([np.full(n, -_BOUND), np.full(n, _BOUND)]),
+        shift=np.concatenate([model.y_origin, np.zeros(inner), model.u_origin]),
+        scale=np.ones(n + n_u),
+        output_limits=model.output_limits,
+        rest=rest,
+    )
+
+
+_KINDS = {
+    "arx": "ARX model",
+    "oe": "Output-error model",
+    "armax": "ARMAX model (its free run)",
+    "bj": "Box-Jenkins model (its free run)",
+    "iv": "Instrumental-variable model",
+    "fir": "Finite impulse response",
+    "tf": "Transfer function, sampled",
+    "statespace": "State-space model",
+    "line": "Straight line",
+    "mean": "Mean",
+    "persistence": "Last value",
+}

@@ -1,0 +1,89 @@
+"""Models of rules as programs: over lags, over hidden states, static."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flysid.dataset import FloatArray, Signal
+from flysid.export.program import Memberships, Program
+from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.kernel import Lags, Parameters
+from flysid.model.rules.rule_poles import unheld
+from flysid.model.static_ts import FittedStaticTS
+
+
+def program_over_lags(model: FittedTS) -> Program:
+    """Rules over lagged inputs and outputs."""
+    parameters = unheld(model.layout.lags, model.parameters)
+    start = model.started(np.zeros((1, len(model.inputs))), None)[: model.n_init]
+    return _program(model, parameters, start)
+
+
+def program_over_states(model: FittedTSStateSpace) -> Program:
+    """Rules over outputs and hidden states."""
+    W = model.started(np.zeros((1, len(model.inputs))), None)
+    start = model.run(W, len(W) - 1)[: len(W) - 1]
+    return _program(model, model.parameters, start)
+
+
+def _program(model: FittedTS | FittedTSStateSpace, parameters: Parameters, start: FloatArray) -> Program:
+    """`start`: normalised rows before the first sample, the newest last."""
+    layout = model.layout
+    hidden = tuple(s for s in layout.signals if s not in (*model.outputs, *model.inputs))
+    count = len(parameters.theta)
+    return Program(
+        title=f"Takagi-Sugeno model, {count} rule{'s' if count > 1 else ''}",
+        dt_s=model.dt_s,
+        inputs=model.inputs,
+        outputs=model.outputs,
+        states=(*model.outputs, *hidden),
+        lags=layout.lags,
+        theta=parameters.theta,
+        memberships=None
+        if count == 1
+        else Memberships(
+            parameters.centre,
+            parameters.width,
+            parameters.width,
+            parameters.z_range[0],
+            parameters.z_range[1],
+        ),
+        limits=parameters.limits,
+        shift=layout.shift,
+        scale=layout.scale,
+        output_limits=model.output_limits,
+        rest=start[::-1].T,
+    )
+
+
+def static_program(model: FittedStaticTS) -> Program:
+    """Rules over the present inputs; there is nothing to remember."""
+    n_y, n_u, p = len(model.outputs), len(model.inputs), model.partition
+    columns = np.array([*range(n_y, n_y + n_u), -1], dtype=np.int64)
+    inputs = columns[:-1]
+    none = np.full(n_u, -1, dtype=np.int64)
+    count = len(p)
+    far = np.abs(model.output_limits).max() * 1e6 + 1.0
+    return Program(
+        title=f"Static Takagi-Sugeno model, {count} rule{'s' if count > 1 else ''}",
+        dt_s=model.dt_s,
+        inputs=model.inputs,
+        outputs=model.outputs,
+        states=model.outputs,
+        lags=Lags(columns, np.zeros(n_u + 1, dtype=np.int64), inputs, 0 * inputs, none),
+        theta=model.consequents,
+        memberships=None
+        if count == 1
+        else Memberships(p.centre, p.left, p.right, p.low, p.high, p.shape, p.conjunction),
+        limits=np.stack([np.full(n_y, -far), np.full(n_y, far)]),
+        shift=np.zeros(n_y + n_u),
+        scale=np.ones(n_y + n_u),
+        output_limits=model.output_limits,
+        rest=np.zeros((n_y + n_u, 0)),
+    )
+
+
+def hidden_names(count: int) -> tuple[Signal, ...]:
+    """States that have no name of their own."""
+    return tuple(Signal(f"state {i + 1}") for i in range(count))

@@ -1,0 +1,154 @@
+"""A fitted model as the arithmetic of one step: what every exporter writes out, whatever the structure.
+
+All structures come down to one form, that of `flysid.model.rules.kernel`. Simulated quantities s (the n_y
+outputs first, then states) and inputs u stand in normalised units; with regressors w(k), each one of them at
+a lag or the constant 1, and firing strengths phi_r of antecedents z(k),
+
+    s(k) = sum_r phi_r(z(k)) theta_r w(k),        y(k) = scale s(k) + shift, inside the output limits
+
+A linear model is one rule. What a step remembers stands in cells: the constant 1, every input from lag 0 to
+its deepest one, every simulated quantity from lag 1 to its deepest one.
+
+This is the only module that looks inside fitted models; C, FMU and MATLAB text see the program alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from flysid.dataset import FloatArray, Signal
+from flysid.model.rules.kernel import Lags
+
+Shape = Literal["gaussian", "triangle", "trapezoid"]
+Conjunction = Literal["product", "minimum"]
+
+
+@dataclass(frozen=True, eq=False)
+class Memberships:
+    """When each of R rules speaks, over n_z antecedents in normalised units.
+
+    Attributes
+    ----------
+    centre, left, right : (R, n_z) centres, and widths below and above them.
+    low, high : (n_z,) antecedents are held inside this range.
+    """
+
+    centre: FloatArray
+    left: FloatArray
+    right: FloatArray
+    low: FloatArray
+    high: FloatArray
+    shape: Shape = "gaussian"
+    conjunction: Conjunction = "product"
+
+    @property
+    def two_sided(self) -> bool:
+        """Whether any width below a centre differs from that above it."""
+        return not np.array_equal(self.left, self.right)
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """One step of a model, and the cells it starts from at rest.
+
+    Attributes
+    ----------
+    title : what the model is, for people.
+    states : (n,) names and units of the simulated quantities, the outputs first.
+    lags : regressors and antecedents; columns count simulated quantities first, then inputs.
+    theta : (R, n, n_x) consequents.
+    memberships : None for one rule.
+    limits : (2, n) simulated quantities are held inside.
+    shift, scale : (n + n_u,) of simulated quantities and inputs; physical = normalised * scale + shift.
+    output_limits : (2, n_y), physical.
+    rest : (n + n_u, deepest lag) normalised values before the first sample, column [:, lag - 1]: where all
+        inputs and outputs were zero.
+    """
+
+    title: str
+    dt_s: float
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    states: tuple[Signal, ...]
+    lags: Lags
+    theta: FloatArray
+    memberships: Memberships | None
+    limits: FloatArray
+    shift: FloatArray
+    scale: FloatArray
+    output_limits: FloatArray
+    rest: FloatArray
+
+    @property
+    def n(self) -> int:
+        """Number of simulated quantities."""
+        return len(self.states)
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """Simulated quantities, then inputs."""
+        return (*self.states, *self.inputs)
+
+    @cached_property
+    def depths(self) -> tuple[int, ...]:
+        """The deepest lag of every column; 0 where only the present value, or none, is asked for."""
+        depths = [0] * len(self.signals)
+        lags = self.lags
+        for column, lag in zip(lags.column, lags.lag, strict=True):
+            if column >= 0:
+                depths[column] = max(depths[column], int(lag))
+        for column, lag, minus in zip(lags.z_column, lags.z_lag, lags.z_minus, strict=True):
+            depths[column] = max(depths[column], int(lag), int(minus))
+        return tuple(depths)
+
+    @cached_property
+    def newest(self) -> tuple[int, ...]:
+        """Of every column, the cell of its newest value: lag 0 of an input, lag 1 of a simulated quantity.
+
+        Inputs come first, behind the constant 1; a column that nothing asks for has no cell of its own.
+        """
+        places = [0] * len(self.signals)
+        at = 1
+        for column in (*range(self.n, len(self.signals)), *range(self.n)):
+            places[column] = at
+            at += self.depths[column] + (column >= self.n)
+        return tuple(places)
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return 1 + len(self.inputs) + sum(self.depths)
+
+    def cell(self, column: int, lag: int) -> int:
+        """Where a column's value of `lag` samples ago stands; column -1 is the constant."""
+        return 0 if column < 0 else self.newest[column] + lag - (column < self.n)
+
+    @cached_property
+    def memory(self) -> tuple[tuple[int, int], ...]:
+        """(column, lag) of every cell that one step leaves to the next, in the cells' order."""
+        columns = (*range(self.n, len(self.signals)), *range(self.n))
+        return tuple((c, lag) for c in columns for lag in range(1, self.depths[c] + 1))
+
+    @cached_property
+    def start(self) -> FloatArray:
+        """(cells,) at rest, normalised."""
+        cells = np.zeros(self.cells)
+        cells[0] = 1.0
+        for column, lag in self.memory:
+            cells[self.cell(column, lag)] = self.rest[column, lag - 1]
+        return cells
+
+    def started(self, memory: FloatArray) -> FloatArray:
+        """(cells,) that hold `memory` (physical units, in the order of `memory`)."""
+        cells = self.start.copy()
+        for value, (column, lag) in zip(memory, self.memory, strict=True):
+            cells[self.cell(column, lag)] = (value - self.shift[column]) / self.scale[column]
+        return cells
+
+    def remembered(self, cells: FloatArray) -> FloatArray:
+        """What cells hold, in physical units and the order of `memory`."""
+        return np.array([cells[self.cell(c, lag)] * self.scale[c] + self.shift[c] for c, lag in self.memory])

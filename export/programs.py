@@ -1,0 +1,46 @@
+"""Which structure becomes a program in which way."""
+
+from __future__ import annotations
+
+from flysid.errors import UsageError
+from flysid.export.from_linear import linear_program, state_space_program
+from flysid.export.from_rules import program_over_lags, program_over_states, static_program
+from flysid.export.program import Program
+from flysid.export.resample import resampled
+from flysid.model.base import Fitted
+from flysid.model.linear.model import FittedLinear
+from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.static_ts import FittedStaticTS
+from flysid.model.subspace.model import FittedStateSpace
+
+
+def program_of(model: Fitted, rate_hz: float | None = None) -> Program:
+    """One step of a fitted model.
+
+    Parameters
+    ----------
+    rate_hz : steps a second, of a transfer function in s; None is the rate that it was fitted at.
+
+    Raises
+    ------
+    UsageError : a structure that cannot be exported, or not at another rate; a model without inputs.
+    """
+    if not model.inputs:
+        raise UsageError("the model has no inputs", hint="fit a channel with an input")
+    if rate_hz is not None:
+        model = resampled(model, rate_hz)
+    if isinstance(model, FittedLinear):
+        return linear_program(model)
+    if isinstance(model, FittedStateSpace):
+        return state_space_program(model)
+    if isinstance(model, FittedTS):
+        return program_over_lags(model)
+    if isinstance(model, FittedTSStateSpace):
+        return program_over_states(model)
+    if isinstance(model, FittedStaticTS):
+        return static_program(model)
+    raise UsageError(
+        f"a model of structure {model.structure!r} cannot be exported",
+        hint="export a member of an ensemble, or a model of one of flysid's own other structures",
+    )

@@ -1,0 +1,109 @@
+"""What `flysid export` does with a run or a model file: which model is meant, and where it goes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from flysid.cli.output import check_target, say
+from flysid.errors import UsageError
+
+if TYPE_CHECKING:
+    from flysid.dataset import Dataset
+    from flysid.model.base import Fitted
+    from flysid.validate.run import ChannelRun, Run
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the command line says of the model to export."""
+
+    source: Path
+    channel: str
+    label: str
+    rate_hz: float | None
+    data: Path | None
+
+
+@dataclass(frozen=True)
+class Found:
+    """The model that is meant: its name for code, and the run that it comes from."""
+
+    name: str
+    model: Fitted
+    run: Run | None = None
+    channel: ChannelRun | None = None
+
+    def training_part(self, data: Path | None) -> Dataset:
+        """What the model was fitted to.
+
+        Raises
+        ------
+        UsageError : a model file has no run, or its data are gone.
+        """
+        from flysid.validate.run import held_out
+
+        if self.run is None or self.channel is None:
+            raise UsageError(
+                "a model file does not tell its training data, and float32 is tried on them",
+                hint="give the run's folder, or leave out --float32",
+            )
+        return held_out(replace(self.run, channels=(self.channel,)), data)[0].train
+
+
+def find_model(wanted: Wanted) -> Found:
+    """The model of a run, or of a file.
+
+    Raises
+    ------
+    UsageError : no such file, channel or model; several channels and no --channel.
+    StoreError : not a run or a model file, or damaged.
+    """
+    from flysid.export.csource import identifier
+    from flysid.model.base import load
+    from flysid.validate.run import models_of, open_run
+
+    if not wanted.source.is_dir():
+        if not wanted.source.exists():
+            raise UsageError("no such run or model file", path=wanted.source)
+        return Found(identifier(wanted.channel or wanted.source.stem), load(wanted.source))
+    run = open_run(wanted.source)
+    names = [c.name for c in run.channels]
+    if wanted.channel not in names and (wanted.channel or len(names) > 1):
+        what = f"no channel {wanted.channel!r}" if wanted.channel else f"{len(names)} channels"
+        raise UsageError(f"the run has {what}", hint="--channel " + ", or --channel ".join(names))
+    channel = run.channels[names.index(wanted.channel) if wanted.channel else 0]
+    models = models_of(run, channel)
+    label = wanted.label or headline(models, channel.baseline)
+    if label not in models:
+        raise UsageError(
+            f"the channel {channel.name!r} has no model {label!r}", hint=f"--model {', '.join(models)}"
+        )
+    if not wanted.label:
+        others = ", ".join(sorted({*models} - {label}))
+        say(f"{channel.name}: the model {label!r}; others with --model: {others}")
+    return Found(identifier(channel.name), models[label], run, channel)
+
+
+def headline(models: dict[str, Fitted], baseline: str) -> str:
+    """The model that the verdict speaks of; the linear baseline where no fuzzy one was fitted."""
+    from flysid.validate.compare import CONTENDERS
+
+    return next((label for label in CONTENDERS if label in models), baseline)
+
+
+def write_c(wanted: Wanted, folder: Path, *, single: bool, force: bool) -> None:
+    """Write the C of a model into a new folder."""
+    from flysid.export.csource import c_files
+    from flysid.export.programs import program_of
+    from flysid.export.single import loss_in_float32
+    from flysid.files import replacing_folder
+
+    check_target(folder, force)
+    found = find_model(wanted)
+    program = program_of(found.model, wanted.rate_hz)
+    loss = loss_in_float32(found.model, program, found.training_part(wanted.data)) if single else None
+    with replacing_folder(folder) as place:
+        for file, text in c_files(program, found.name, loss).items():
+            (place / file).write_text(text, "utf-8")
