@@ -2,7 +2,7 @@
 
 Every model of a run (of `flysid demo`: `flysid-demo/run`) and TS models of the public sets, compiled by gcc
 in four ways, along a million random inputs: the largest difference in ulp and in standard deviations of the
-output; CPU time of a step; flash, RAM and instructions on an emulated Cortex-M4F, where its tools are installed
+output; CPU time of a step; flash, RAM and instructions on an emulated Cortex-M4F, given its tools
 (`gcc-arm-none-eabi`, `libnewlib-arm-none-eabi`, `qemu-system-arm`).
 """
 
