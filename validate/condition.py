@@ -1,60 +1,59 @@
 """`--fail-if EXPRESSION`: a condition on the JSON document, so that a pipeline can guard a model.
 
-    or       := and ("or" and)*
-    and      := not ("and" not)*
-    not      := "not" not | "(" or ")" | compare
-    compare  := operand (">" | ">=" | "<" | "<=" | "==" | "!=") operand
-    operand  := number | 'text' | word | path
-    path     := [channel "."] horizon "." field ("." field)*
-    horizon  := "free_run" | steps
+    free_run.change_pct > 5 or not (roll.10.verdict == same and free_run.ts.rmse < 0.3)
 
-Fields are the document's: change_pct, verdict, ci95.low, ci95.high, models.ts.rmse (or ts.rmse) and so on.
-A path without a channel is tried on every channel, and the condition holds when it holds on any. Nothing is
-evaluated but this grammar. "better" and "same" are said of another flight: a verdict of these flights only is
-neither. A change that is null because a model diverged counts as infinitely large (verdict "worse") or small
-("better"). A guard that cannot judge fails: a condition that asks for any other number that does not exist,
-such as the change where both models diverged, holds, and says why.
+Python parses it (`ast`), with "and", "or", "not", parentheses and comparisons, and nothing else is evaluated.
+What is compared are numbers, words, 'text' and paths, [CHANNEL.]HORIZON.FIELD[.FIELD...]; HORIZON is
+"free_run" or a number of steps. Fields are the document's: change_pct, verdict, ci95.low, ci95.high,
+models.ts.rmse (or ts.rmse) and so on. A query language such as JMESPath would take a misspelt field for null,
+and guard nothing.
+
+A path without a channel is tried on every channel, and the condition holds when it holds on any. "better" and
+"same" are said of another flight: a verdict of these flights only is neither. A change that is null because a
+model diverged counts as infinitely large (verdict "worse") or small ("better"). A guard that cannot judge
+fails: a condition that asks for any other number that does not exist, such as the change where both models
+diverged, holds, and says why.
 """
 
 from __future__ import annotations
 
+import ast
 import difflib
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from flysid.errors import UsageError
 from flysid.validate.intervals import Scope
 from flysid.validate.verdict import Verdict
 
-_TOKEN = re.compile(
-    r"""\s*(?:
-        (?P<op>>=|<=|==|!=|>|<|\(|\))
-      | (?P<path>(?:"[^"]*"|'[^']*'|[^\W\d][\w/:-]*|\d+)(?:\.(?:"[^"]*"|[^\W\d][\w/:-]*|\d+(?=\.)))+)
+_TERM = re.compile(
+    r"""
+        (?P<path>(?:"[^"]*"|'[^']*'|[^\W\d][\w/:-]*|\d+)(?:\.(?:"[^"]*"|[^\W\d][\w/:-]*|\d+(?=\.)))+)
       | (?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)
       | (?P<text>"[^"]*"|'[^']*')
-      | (?P<word>[^\W\d][\w-]*)
-    )""",
+      | (?P<word>(?!(?:and|or|not)\b)[^\W\d][\w-]*)
+    """,
     re.VERBOSE,
 )
-_COMPARE: Mapping[str, Callable[[Any, Any], bool]] = {
-    ">": operator.gt,
-    ">=": operator.ge,
-    "<": operator.lt,
-    "<=": operator.le,
-    "==": operator.eq,
-    "!=": operator.ne,
+_GRAMMAR = re.compile(r"(?:\s|and\b|or\b|not\b|[()]|[<>]=?|[=!]=)*")
+_COMPARE: Mapping[type[ast.cmpop], Callable[[Any, Any], bool]] = {
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
 }
-DEEPEST = 50
 WIDE = (Verdict.BETTER, Verdict.SAME)
 """Verdicts that are said of another flight without more words; "worse" is bad news whatever its scope."""
 EXAMPLE = "write for example 'free_run.change_pct > 5' or 'roll.free_run.verdict == worse'"
 
 Value = float | str | None
-Channels = Mapping[str, Mapping[str, Any]]
+Path = tuple[str, ...]
 
 
 def matching_channels(expression: str, document: Mapping[str, Any]) -> dict[str, str]:
@@ -66,14 +65,17 @@ def matching_channels(expression: str, document: Mapping[str, Any]) -> dict[str,
     ------
     UsageError : the expression is not understood, or names what the document does not hold.
     """
-    tokens, channels = _tokens(expression), document["channels"]
-    skipped = document.get("skipped", {})
-    found: dict[str, str] = {}
-    for name in channels:
-        parser = _Parser(tokens, channels, name, skipped)
-        if parser.run() or parser.unjudged:
-            found[name] = "; ".join(dict.fromkeys(parser.unjudged))
-    return found
+    terms: list[_Term] = []
+    try:
+        tree = ast.parse(_with_names(expression, terms), mode="eval").body
+        found: dict[str, str] = {}
+        for channel in document["channels"]:
+            guard = _Guard(document, channel, terms)
+            if guard.holds(tree) or guard.unjudged:
+                found[channel] = "; ".join(dict.fromkeys(guard.unjudged))
+        return found
+    except (SyntaxError, RecursionError, MemoryError) as error:
+        raise UsageError(f"condition not understood: {expression.strip()[:60]!r}", hint=EXAMPLE) from error
 
 
 def check_condition(expression: str, expected: Mapping[str, Any]) -> None:
@@ -87,229 +89,162 @@ def check_condition(expression: str, expected: Mapping[str, Any]) -> None:
 
 
 @dataclass(frozen=True)
-class _Token:
+class _Term:
+    """What is compared: a "path", "number", "text" or "word"."""
+
     kind: str
     text: str
 
+    @property
+    def parts(self) -> Path:
+        """Of a path, or the one word of a text."""
+        return tuple(p.strip("\"'") for p in re.findall(r"\"[^\"]*\"|'[^']*'|[^.]+", self.text))
 
-def _tokens(expression: str) -> list[_Token]:
-    tokens: list[_Token] = []
+
+def _with_names(expression: str, terms: list[_Term]) -> str:
+    """The expression with "_0", "_1", ... in place of its terms, which Python could not read."""
+    source = ""
     position = 0
-    text = expression.rstrip()
-    while position < len(text):
-        match = _TOKEN.match(text, position)
-        if match is None or match.lastgroup is None:
-            raise UsageError(f"condition not understood at {text[position:][:20]!r}", hint=EXAMPLE)
-        tokens.append(_Token(match.lastgroup, match[match.lastgroup]))
-        position = match.end()
-    return tokens
+    while position < len(expression):
+        grammar = _GRAMMAR.match(expression, position)
+        position = grammar.end() if grammar else position
+        source += grammar[0] if grammar else ""
+        term = _TERM.match(expression, position)
+        if term is None and position < len(expression):
+            raise UsageError(f"condition not understood at {expression[position:][:20]!r}", hint=EXAMPLE)
+        if term is not None:
+            source += f" _{len(terms)} "
+            terms.append(_Term(str(term.lastgroup), term[0]))
+            position = term.end()
+    return " ".join(source.split())
 
 
-class _Parser:
-    """Recursive descent over the tokens, evaluated for one channel."""
+@dataclass
+class _Guard:
+    """A condition tried on one channel; `unjudged` are the numbers that it asks for and that do not exist."""
 
-    def __init__(
-        self, tokens: Sequence[_Token], channels: Channels, channel: str, skipped: Mapping[str, str]
-    ) -> None:
-        self._tokens = list(tokens)
-        self._channels = channels
-        self._channel = channel
-        self._skipped = skipped
-        self._at = 0
-        self._depth = 0
-        self.unjudged: list[str] = []
+    document: Mapping[str, Any]
+    channel: str
+    terms: Sequence[_Term]
+    unjudged: list[str] = field(default_factory=list)
 
-    def run(self) -> bool:
-        """Whether the condition holds; UsageError where something stands behind its end."""
-        result = self._or()
-        if self._at < len(self._tokens):
-            raise UsageError(f"condition goes on with {self._tokens[self._at].text!r}", hint=EXAMPLE)
-        return result
+    def holds(self, node: ast.expr) -> bool:
+        """Whether it holds; every part is looked at, so that a mistake shows on every document."""
+        match node:
+            case ast.BoolOp():
+                parts = [self.holds(part) for part in node.values]
+                return all(parts) if isinstance(node.op, ast.And) else any(parts)
+            case ast.UnaryOp(op=ast.Not()):
+                return not self.holds(node.operand)
+            case ast.Compare():
+                sides = [self._term(side) for side in (node.left, *node.comparators)]
+                held = [self._compare(*pair) for pair in zip(sides, node.ops, sides[1:], strict=False)]
+                return all(held)
+        raise UsageError("condition needs a comparison", hint=EXAMPLE)
 
-    def _next_is(self, *words: str) -> bool:
-        return self._at < len(self._tokens) and self._tokens[self._at].text in words
+    def _term(self, node: ast.expr) -> _Term:
+        if not isinstance(node, ast.Name):
+            raise UsageError("condition compares what is neither a field nor a value", hint=EXAMPLE)
+        return self.terms[int(node.id[1:])]
 
-    def _take(self) -> _Token:
-        if self._at >= len(self._tokens):
-            raise UsageError("condition ends too early", hint=EXAMPLE)
-        self._at += 1
-        return self._tokens[self._at - 1]
-
-    def _or(self) -> bool:
-        result = self._and()
-        while self._next_is("or"):
-            self._take()
-            result = self._and() or result
-        return result
-
-    def _and(self) -> bool:
-        result = self._not()
-        while self._next_is("and"):
-            self._take()
-            result = self._not() and result
-        return result
-
-    def _not(self) -> bool:
-        self._depth += 1
-        if self._depth > DEEPEST:
-            raise UsageError(f"condition is nested deeper than {DEEPEST}")
-        try:
-            if self._next_is("not"):
-                self._take()
-                return not self._not()
-            if self._next_is("("):
-                self._take()
-                result = self._or()
-                if self._take().text != ")":
-                    raise UsageError("condition lacks a ')'", hint=EXAMPLE)
-                return result
-            return self._compare()
-        finally:
-            self._depth -= 1
-
-    def _compare(self) -> bool:
-        begin = self._at
-        left = self._operand()
-        sign = self._take()
-        if sign.text not in _COMPARE:
-            raise UsageError(f"condition needs a comparison, not {sign.text!r}", hint=EXAMPLE)
-        right = self._operand()
-        end = self._at - 1
-        self._check_sides(self._tokens[begin], self._tokens[end])
-        if left is None or right is None:
+    def _compare(self, left: _Term, sign: ast.cmpop, right: _Term) -> bool:
+        self._check_constants(left, right)
+        a = self._value(left)
+        b = self._value(right)
+        if a is None or b is None:
             return True
-        if isinstance(left, str) != isinstance(right, str):
-            word, other = (begin, end) if isinstance(left, str) else (end, begin)
+        if isinstance(a, str) != isinstance(b, str):
+            word, other = (left, right) if isinstance(a, str) else (right, left)
             raise UsageError(
-                f"condition compares {self._tokens[other].text!r}, a number, with "
-                f"{self._tokens[word].text!r}, a word",
-                hint=EXAMPLE,
+                f"condition compares {other.text!r}, a number, with {word.text!r}, a word", hint=EXAMPLE
             )
-        if isinstance(left, str) and sign.text not in ("==", "!="):
-            raise UsageError(f"words are equal or not, {sign.text!r} does not order them", hint=EXAMPLE)
-        return _COMPARE[sign.text](left, right)
+        if isinstance(a, str) and not isinstance(sign, ast.Eq | ast.NotEq):
+            raise UsageError("words are equal or not: nothing orders them", hint=EXAMPLE)
+        return _COMPARE[type(sign)](a, b)
 
-    def _check_sides(self, *sides: _Token) -> None:
-        """Two constants always compare alike, and would guard nothing."""
-        if not any(t.kind == "path" for t in sides):
-            fields = sorted(_field_names(self._channels[self._channel]), key=lambda f: f.count("."))
-            words = [t.text for t in sides if t.kind == "word"]
-            meant = [f for f in fields if f.rpartition(".")[2] in words]
-            said = " and ".join(repr(t.text.strip("\"'")) for t in sides)
+    def _value(self, term: _Term) -> Value:
+        if term.kind == "number":
+            return float(term.text)
+        if term.kind != "path":
+            return term.parts[0]
+        path = self._whole(term.parts)
+        values = _values(self.document)
+        found = path if path in values else (*path[:2], "models", *path[2:])
+        if found not in values:
+            whole = any(known[: len(path)] == path for known in values)
+            raise UsageError(
+                f"{term.text!r} is not {'a single value' if whole else 'a field'} of this comparison",
+                hint=_near(term.parts, values),
+            )
+        if values[found] is None:
+            reason = self.document["channels"][path[0]][path[1]].get("reason", "no number")
+            self.unjudged.append(f"{term.text} does not exist ({reason})")
+        return values[found]
+
+    def _whole(self, parts: Path) -> Path:
+        """A path with its channel."""
+        skipped = self.document.get("skipped", {})
+        if parts[0] in self.document["channels"][self.channel]:
+            return (self.channel, *parts)
+        if parts[0] in skipped:
+            raise UsageError(f"channel {parts[0]!r} was skipped: {skipped[parts[0]]}")
+        return parts
+
+    def _check_constants(self, *sides: _Term) -> None:
+        """Two constants always compare alike, a verdict and no verdict, too; both would guard nothing."""
+        constants = [side for side in sides if side.kind != "path"]
+        if len(constants) == len(sides):
+            said = " and ".join(repr(side.text.strip("\"'")) for side in sides)
+            fields = sorted((path[1:] for path in _values(self.document)), key=len)
+            meant = next((f for f in fields if (f[-1],) in [side.parts for side in sides]), None)
             raise UsageError(
                 f"condition compares {said}, and neither is a field of the comparison",
-                hint=f"did you mean {meant[0]!r}?" if meant else EXAMPLE,
+                hint=f"did you mean {'.'.join(meant)!r}?" if meant else EXAMPLE,
             )
-        _check_verdict(*sides)
-
-    def _operand(self) -> Value:
-        token = self._take()
-        if token.kind == "number":
-            return float(token.text)
-        if token.kind == "text":
-            return token.text[1:-1]
-        if token.kind == "path":
-            return self._look_up(token.text)
-        if token.kind == "word" and token.text not in ("and", "or", "not"):
-            return token.text
-        raise UsageError(f"condition has {token.text!r} where a value must stand", hint=EXAMPLE)
-
-    def _look_up(self, path: str) -> Value:
-        parts = [p.strip("\"'") for p in re.findall(r"\"[^\"]*\"|'[^']*'|[^.]+", path)]
-        channel = self._channels[self._channel]
-        if parts[0] not in channel:
-            if parts[0] in self._skipped:
-                raise UsageError(f"channel {parts[0]!r} was skipped: {self._skipped[parts[0]]}")
-            channel = _member(self._channels, parts.pop(0), "channel or horizon", (*self._channels, *channel))
-        if not parts:
-            raise UsageError(f"{path!r} names a channel and nothing in it", hint=EXAMPLE)
-        entry = _member(channel, parts.pop(0), "horizon")
-        value = _field(entry, parts, path)
-        if value is None:
-            self.unjudged.append(f"{path} does not exist ({entry.get('reason', 'no number')})")
-        return value
+        if any(side.kind == "path" and side.parts[-1] == "verdict" for side in sides):
+            for side in constants:
+                if side.kind != "number":
+                    _check_verdict(side.parts[0])
 
 
-def _check_verdict(*sides: _Token) -> None:
-    """A verdict compared with a word that none of them is would never hold, and guard nothing."""
-    if not any(t.kind == "path" and t.text.endswith(".verdict") for t in sides):
-        return
-    for token in sides:
-        word = token.text.strip("\"'")
-        known = [*map(str, Verdict), *(f"{v} on {s}" for v in WIDE for s in Scope if s is not Scope.ANOTHER)]
-        if token.kind in ("text", "word") and word not in known:
-            near = difflib.get_close_matches(word, known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"one of {', '.join(map(repr, known))}"
-            raise UsageError(f"no verdict {word!r}", hint=hint)
+def _check_verdict(word: str) -> None:
+    known = [*map(str, Verdict), *(f"{v} on {s}" for v in WIDE for s in Scope if s is not Scope.ANOTHER)]
+    if word not in known:
+        near = difflib.get_close_matches(word, known, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"one of {', '.join(map(repr, known))}"
+        raise UsageError(f"no verdict {word!r}", hint=hint)
 
 
-def _field(entry: Mapping[str, Any], parts: list[str], path: str) -> Value:
-    value: Any = entry
-    for i, part in enumerate(parts):
-        if part in ("low", "high") and isinstance(value, list):
-            value = value[part == "high"]
-        elif i == 0 and part not in entry and part in entry["models"]:
-            value = entry["models"][part]
-        elif isinstance(value, Mapping):
-            value = _member(value, part, "field", (*value, *entry["models"]) if i == 0 else (), entry)
-        else:
-            raise UsageError(f"{path!r} goes on below a plain value", hint=EXAMPLE)
-    if isinstance(value, bool) or not (value is None or isinstance(value, (int, float, str))):
-        raise UsageError(f"{path!r} is not a single value", hint=EXAMPLE)
-    owner = _owner(entry, parts)
-    if value is None and parts[-1] in ("change_pct", "low", "high"):
-        verdict = entry.get("verdict") if parts[0] == "ci95" else owner.get("verdict")
-        return {"worse": math.inf, "better": -math.inf}.get(str(verdict))
-    if parts[-1] == "verdict" and value in WIDE and owner.get("scope") not in (None, Scope.ANOTHER):
-        return f"{value} on {owner['scope']}"
-    return value
+def _near(parts: Path, values: Mapping[Path, Value]) -> str:
+    """ "did you mean 'free_run.change_pct'?": paths that end alike, else those that are spelt alike."""
+    horizons = {path[1] for path in values}
+    skip = 1 if parts[0] in horizons or len(parts) < 3 else 0
+    known = dict.fromkeys(path[skip:] for path in values)
+    alike = [path for path in known if path[-1] == parts[-1]]
+    pool = [".".join(path) for path in alike or known]
+    near = difflib.get_close_matches(".".join(parts), pool, 2, cutoff=0.0 if alike else 0.6)
+    return f"did you mean {' or '.join(map(repr, near))}?" if near else EXAMPLE
 
 
-def _owner(entry: Mapping[str, Any], parts: Sequence[str]) -> Mapping[str, Any]:
-    """The mapping that holds the last part of a path known to exist."""
-    owner = entry
-    for part in parts[:-1]:
-        below = owner[part] if part in owner else owner["models"][part]
-        owner = below if isinstance(below, Mapping) else owner
-    return owner
+def _values(document: Mapping[str, Any]) -> dict[Path, Value]:
+    """Every single value of every channel by its path: ("roll", "free_run", "models", "ts", "rmse")."""
+    return dict(_below((), document["channels"]))
 
 
-def _member(
-    holder: Mapping[str, Any],
-    name: str,
-    what: str,
-    names: Sequence[str] = (),
-    entry: Mapping[str, Any] | None = None,
-) -> Any:
-    """`holder[name]`; an error with what is near.
-
-    Parameters
-    ----------
-    names : all that could have stood there, where that is more than what `holder` holds.
-    entry : where a field that is elsewhere is looked for.
-    """
-    if name in holder:
-        return holder[name]
-    raise UsageError(
-        f"no {what} {name!r} in this comparison", hint=_near(name, names or [*holder], entry or {})
-    )
-
-
-def _near(name: str, names: Sequence[str], entry: Mapping[str, Any]) -> str:
-    """ "did you mean 'change_pct'?": where else that name stands, what is spelt alike, or all there is."""
-    elsewhere = [path for path in _field_names(entry) if path.rpartition(".")[2] == name]
-    near = elsewhere[::-1] or difflib.get_close_matches(name, names, n=3, cutoff=0.55)
-    if near:
-        return f"did you mean {' or '.join(map(repr, near[:3]))}?"
-    return f"there is: {', '.join(map(repr, names))}"
-
-
-def _field_names(holder: Mapping[str, Any]) -> list[str]:
-    """Names of the single values of a horizon or a model, in depth: "models.ts.rmse"."""
-    names = []
+def _below(place: Path, holder: Mapping[str, Any]) -> Iterator[tuple[Path, Value]]:
+    limit = {"worse": math.inf, "better": -math.inf}.get(str(holder.get("verdict")))
     for name, value in holder.items():
+        path = (*place, name)
         if isinstance(value, Mapping):
-            names += [f"{name}.{below}" for below in _field_names(value)]
-        elif not isinstance(value, list):
-            names.append(name)
-    return names
+            yield from _below(path, value)
+        elif name == "ci95":
+            yield from (
+                ((*path, end), limit if v is None else v)
+                for end, v in zip(("low", "high"), value, strict=True)
+            )
+        elif name == "change_pct":
+            yield path, limit if value is None else value
+        elif name == "verdict" and value in WIDE and holder.get("scope") not in (None, Scope.ANOTHER):
+            yield path, f"{value} on {holder['scope']}"
+        elif not isinstance(value, bool | list):
+            yield path, value

@@ -118,7 +118,7 @@ def test_from_synth_to_verdict_on_one_channel(tmp_path: Path) -> None:
     for verb in (("validate", "run"), ("compare", "run", "run", "-o", "both")):
         misspelt = call(*verb, "--fail-if", "free_run.chnage_pct > 5", cwd=tmp_path)
         assert (misspelt.returncode, misspelt.stdout) == (2, "")
-        assert "did you mean 'change_pct'?" in misspelt.stderr
+        assert "did you mean 'free_run.change_pct'" in misspelt.stderr
         assert "writing" not in misspelt.stderr
     assert not (tmp_path / "run/report").exists()
     assert not (tmp_path / "both").exists()
