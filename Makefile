@@ -2,8 +2,6 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
-# By a path, not by an import hook: hooks are asked last, after the folder of a script beside a clone named flysid.
-EDITABLE := --config-settings editable_mode=compat
 
 .PHONY: docs audit lock locked bench-model bench-ingest soak demo test check unit lint clean samples bench-accuracy
 
@@ -11,15 +9,16 @@ $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "flysid needs Python 3.11 or newer; try: make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet -e '.[dev,docs,plot,xlsx]' $(EDITABLE)
+	$(BIN)/python -m pip install --quiet -e '.[dev,docs,plot,xlsx]'
 	touch $@
 
 demo: $(VENV)/.installed  ## the main job on embedded data, ends with a report
 	$(BIN)/flysid demo -o flysid-demo --force
 
+# Two workers that share what a file's tests share (worksteal keeps neighbours together); BLAS with a thread each.
 test: $(VENV)/.installed  ## lint, types, import layers, tests
 	$(MAKE) --no-print-directory lint
-	$(BIN)/python -m pytest -n 2
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 check: test
 
@@ -59,7 +58,7 @@ lock: $(VENV)/.installed  ## requirements.lock anew, for all platforms
 locked:  ## an environment of exactly the locked versions, every hash checked
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --no-deps -e . $(EDITABLE)
+	$(BIN)/python -m pip install --no-deps -e .
 	touch $(VENV)/.installed
 
 clean:
