@@ -47,13 +47,18 @@ def c_files(program: Program, name: str, single: float | None = None) -> dict[st
     return {file: environment.get_template(template).render(values) for file, template in names.items()}
 
 
+def rendered(template: str, program: Program, name: str, words: Mapping[str, Any]) -> str:
+    """A template of other code around the C of a program in double."""
+    return _environment(False).get_template(template).render(_values(program, name, None) | words)
+
+
 def _values(program: Program, name: str, single: float | None) -> dict[str, Any]:
     lags, m, n, n_y = program.lags, program.memberships, program.n, len(program.outputs)
     columns = range(len(program.signals))
     deep = [c for c in columns if program.depths[c] > (1 if c < n else 0)]
     fed = [c for c in range(n) if program.depths[c]]
     real = "double" if single is None else "float"
-    least = min((int(lag) for c, lag in _asked(program) if c >= n), default=1)
+    least = min((int(lag) for c, lag in asked(program) if c >= n), default=1)
     theta = program.theta if len(program.theta) > 1 else program.theta[0]
     memory = program.memory
     at = [c for c, _ in memory]
@@ -127,7 +132,7 @@ def _fuzzy(program: Program) -> dict[str, Any]:
     }
 
 
-def _asked(program: Program) -> list[tuple[int, int]]:
+def asked(program: Program) -> list[tuple[int, int]]:
     """(column, lag) of everything that a step looks at."""
     lags = program.lags
     pairs = [*zip(lags.column, lags.lag, strict=True), *zip(lags.z_column, lags.z_lag, strict=True)]

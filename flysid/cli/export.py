@@ -35,6 +35,10 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
 @click.option(
     "--c", "c_folder", type=click.Path(path_type=Path), metavar="DIR", help="A model as C99, into DIR."
 )
+@click.option("--fmu", type=click.Path(path_type=Path), metavar="F.fmu", help="A model as FMI 2.0 FMU.")
+@click.option(
+    "--matlab", type=click.Path(path_type=Path), metavar="DIR", help="A model as .m files, into DIR."
+)
 @click.option("--float32", is_flag=True, help="C in float32, if the model bears it on its training data.")
 @click.option("--channel", "-c", default="", help="Of a run.")
 @click.option(
@@ -54,6 +58,8 @@ def command(
     force: bool,
     format_: str,
     c_folder: Path | None,
+    fmu: Path | None,
+    matlab: Path | None,
     float32: bool,
     channel: str,
     label: str,
@@ -62,22 +68,31 @@ def command(
     """Write a flight's streams, or a fitted model, for other programs.
 
     A flight's streams keep their own times and have a table each, unless --rate asks for one. A model (a
-    run's folder, or a model file) becomes C99 without allocation, with a self-test.
+    run's folder, or a model file) becomes C99 without allocation, an FMU, or MATLAB text.
 
     \b
     flysid export flight.bin ATT RATE --to mat -o flight.mat
     flysid export data --flight 0042 --rate 50 -o flight.csv
     flysid export run --channel longitudinal --c longitudinal-c --float32
     """
-    from flysid.cli.modelexport import Wanted, write_c
+    from flysid.cli.modelexport import Wanted, write_c, write_fmu, write_matlab
 
+    wanted = Wanted(source, channel, label, rate_hz, data)
     if c_folder is not None:
-        wanted = Wanted(source, channel, label, rate_hz, data)
         write_c(wanted, c_folder, single=float32, force=force)
-        click.echo(str(c_folder))
+    if fmu is not None:
+        write_fmu(wanted, fmu, force=force)
+    if matlab is not None:
+        write_matlab(wanted, matlab, force=force)
+    written = [str(path) for path in (c_folder, fmu, matlab) if path is not None]
+    if written:
+        click.echo("\n".join(written))
         return
     if channel or label or float32:
-        raise UsageError("--channel, --model and --float32 are for a model", hint="add --c DIR")
+        raise UsageError(
+            "--channel, --model and --float32 are for a model",
+            hint="add --c DIR, --fmu F.fmu or --matlab DIR",
+        )
     export_flight(source, streams, kind, flight, rate_hz, out, force, format_)
 
 

@@ -107,3 +107,30 @@ def write_c(wanted: Wanted, folder: Path, *, single: bool, force: bool) -> None:
     with replacing_folder(folder) as place:
         for file, text in c_files(program, found.name, loss).items():
             (place / file).write_text(text, "utf-8")
+
+
+def write_fmu(wanted: Wanted, file: Path, *, force: bool) -> None:
+    """Write the FMU of a model."""
+    from flysid.export.fmu import fmu_bytes
+    from flysid.export.programs import program_of
+    from flysid.files import write_atomically, writing_to
+
+    check_target(file, force)
+    found = find_model(wanted)
+    content = fmu_bytes(program_of(found.model, wanted.rate_hz), found.name)
+    with writing_to(file):
+        write_atomically(file, content)
+
+
+def write_matlab(wanted: Wanted, folder: Path, *, force: bool) -> None:
+    """Write the MATLAB text of a model into a new folder."""
+    from flysid.export.matlab import matlab_files
+    from flysid.export.programs import program_of
+    from flysid.files import replacing_folder
+
+    check_target(folder, force)
+    found = find_model(wanted)
+    program = program_of(found.model, wanted.rate_hz)
+    with replacing_folder(folder) as place:
+        for file, text in matlab_files(found.model, program, found.name).items():
+            (place / file).write_text(text, "utf-8")

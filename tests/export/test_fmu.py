@@ -1,0 +1,105 @@
+"""FMUs against the models that they come from, by FMPy where it is installed, and by their own sources."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flysid.export.fmu import PLATFORM, fmu_bytes
+from flysid.export.programs import program_of
+from flysid.export.reference import run
+from tests.export.compiled import gcc, needs_gcc
+from tests.export.test_c import example, inputs
+
+fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+pytestmark = needs_gcc
+
+
+def slave(path: Path, place: Path) -> object:
+    from fmpy.fmi2 import FMU2Slave
+
+    told = fmpy.read_model_description(str(path))
+    fmpy.extract(str(path), str(place))
+    found = FMU2Slave(
+        guid=told.guid, unzipDirectory=str(place), modelIdentifier="plant", instanceName="plant"
+    )
+    found.instantiate()
+    found.setupExperiment(startTime=0.0)
+    found.enterInitializationMode()
+    found.exitInitializationMode()
+    return found
+
+
+@pytest.mark.parametrize("name", ["ts", "oe", "ts_ss", "static ts", "statespace, late input"])
+def test_an_fmu_is_valid_small_and_equals_the_program_exactly_from_rest_and_after_a_kept_state(
+    name: str, tmp_path: Path
+) -> None:
+    from fmpy.validation import validate_fmu
+
+    program = program_of(example(name))
+    path = tmp_path / "plant.fmu"
+    path.write_bytes(fmu_bytes(program, "plant"))
+    assert path.read_bytes() == fmu_bytes(program, "plant")
+    assert path.stat().st_size < 100_000
+    assert validate_fmu(str(path)) == []
+    simulator = slave(path, tmp_path / "unpacked")
+    u = inputs(example(name), 300)
+    expected = run(program, u)[0]
+
+    def runs(rows: range) -> np.ndarray:  # type: ignore[type-arg]
+        found = []
+        for k in rows:
+            simulator.setReal([0], [u[k, 0]])  # type: ignore[attr-defined]
+            found.append(simulator.getReal([1]))  # type: ignore[attr-defined]
+            simulator.doStep(k * program.dt_s, program.dt_s)  # type: ignore[attr-defined]
+        return np.array(found)
+
+    assert np.array_equal(runs(range(100)), expected[:100])
+    kept = simulator.getFMUState()  # type: ignore[attr-defined]
+    stored = simulator.serializeFMUState(kept)  # type: ignore[attr-defined]
+    assert np.array_equal(runs(range(100, 200)), expected[100:200])
+    simulator.setFMUState(kept)  # type: ignore[attr-defined]
+    assert np.array_equal(runs(range(100, 200)), expected[100:200])
+    simulator.setFMUState(simulator.deserializeFMUState(stored))  # type: ignore[attr-defined]
+    assert np.array_equal(runs(range(100, 300)), expected[100:])
+    simulator.reset()  # type: ignore[attr-defined]
+    assert np.array_equal(runs(range(100)), expected[:100])
+    with pytest.raises(Exception, match=r"DoStep"):
+        simulator.doStep(0.0, 0.4 * program.dt_s)  # type: ignore[attr-defined]
+
+
+def test_simulate_fmu_reads_an_output_one_sample_late_as_fmi_says(tmp_path: Path) -> None:
+    program = program_of(example("ts"))
+    path = tmp_path / "plant.fmu"
+    path.write_bytes(fmu_bytes(program, "plant"))
+    u = inputs(example("ts"), 200)
+    h = program.dt_s
+    given = np.array([(k * h, u[k, 0]) for k in range(len(u))], dtype=[("time", "f8"), ("u", "f8")])
+    given.dtype.names = ("time", program.inputs[0].name)
+    found = fmpy.simulate_fmu(
+        str(path), stop_time=(len(u) - 1) * h, output_interval=h, step_size=h, input=given
+    )
+    told = np.array([row[1] for row in found])
+    assert np.array_equal(told, run(program, u)[0][: len(told), 0])
+
+
+def test_it_builds_from_its_own_sources(tmp_path: Path) -> None:
+    path = tmp_path / "plant.fmu"
+    path.write_bytes(fmu_bytes(program_of(example("ts")), "plant"))
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(tmp_path)
+    sources = tmp_path / "sources"
+    flags = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-ffp-contract=off")
+    gcc(*flags, "-shared", "-fPIC", "-o", tmp_path / "again.so", *sources.glob("*.c"), "-lm")
+    assert (tmp_path / "binaries" / PLATFORM / "plant.so").is_file()
+
+
+def test_without_a_binary_only_the_sources_are_inside(tmp_path: Path) -> None:
+    path = tmp_path / "plant.fmu"
+    path.write_bytes(fmu_bytes(program_of(example("ts")), "plant", binary=False))
+    with zipfile.ZipFile(path) as archive:
+        assert not [name for name in archive.namelist() if name.startswith("binaries")]
+        assert "sources/fmi2.c" in archive.namelist()
