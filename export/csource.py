@@ -49,7 +49,7 @@ def c_files(program: Program, name: str, single: float | None = None) -> dict[st
 
 def rendered(template: str, program: Program, name: str, words: Mapping[str, Any]) -> str:
     """A template of other code around the C of a program in double."""
-    return _environment(False).get_template(template).render(_values(program, name, None) | words)
+    return _environment(False).get_template(template).render({**_values(program, name, None), **words})
 
 
 def _values(program: Program, name: str, single: float | None) -> dict[str, Any]:

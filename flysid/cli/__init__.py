@@ -21,7 +21,7 @@ VERBS = {
     "compare": "Compare the models of two runs on flights that neither has trained on.",
     "demo": "Fly, ingest, fit and validate on embedded data; end with a report.",
     "doctor": "One line per log: what it holds, what was lost, what to log next time.",
-    "export": "Write a flight (CSV, parquet, MATLAB, Excel, MCAP) or a model (C99, FMU, MATLAB) for other programs.",
+    "export": "Write a flight, or a model (C99, FMU, MATLAB), for other programs.",
     "fit": "Fit linear and Takagi-Sugeno models to an ingested folder.",
     "ingest": "Read flight logs into typed parquet tables.",
     "ls": "List the flights and streams of an ingested folder.",

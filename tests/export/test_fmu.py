@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from flysid.dataset import FloatArray
 from flysid.export.fmu import PLATFORM, fmu_bytes
 from flysid.export.programs import program_of
 from flysid.export.reference import run
@@ -18,7 +20,7 @@ fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
 pytestmark = needs_gcc
 
 
-def slave(path: Path, place: Path) -> object:
+def slave(path: Path, place: Path) -> Any:
     from fmpy.fmi2 import FMU2Slave
 
     told = fmpy.read_model_description(str(path))
@@ -49,26 +51,26 @@ def test_an_fmu_is_valid_small_and_equals_the_program_exactly_from_rest_and_afte
     u = inputs(example(name), 300)
     expected = run(program, u)[0]
 
-    def runs(rows: range) -> np.ndarray:  # type: ignore[type-arg]
+    def runs(rows: range) -> np.ndarray:
         found = []
         for k in rows:
-            simulator.setReal([0], [u[k, 0]])  # type: ignore[attr-defined]
-            found.append(simulator.getReal([1]))  # type: ignore[attr-defined]
-            simulator.doStep(k * program.dt_s, program.dt_s)  # type: ignore[attr-defined]
+            simulator.setReal([0], [u[k, 0]])
+            found.append(simulator.getReal([1]))
+            simulator.doStep(k * program.dt_s, program.dt_s)
         return np.array(found)
 
     assert np.array_equal(runs(range(100)), expected[:100])
-    kept = simulator.getFMUState()  # type: ignore[attr-defined]
-    stored = simulator.serializeFMUState(kept)  # type: ignore[attr-defined]
+    kept = simulator.getFMUState()
+    stored = simulator.serializeFMUState(kept)
     assert np.array_equal(runs(range(100, 200)), expected[100:200])
-    simulator.setFMUState(kept)  # type: ignore[attr-defined]
+    simulator.setFMUState(kept)
     assert np.array_equal(runs(range(100, 200)), expected[100:200])
-    simulator.setFMUState(simulator.deserializeFMUState(stored))  # type: ignore[attr-defined]
+    simulator.setFMUState(simulator.deserializeFMUState(stored))
     assert np.array_equal(runs(range(100, 300)), expected[100:])
-    simulator.reset()  # type: ignore[attr-defined]
+    simulator.reset()
     assert np.array_equal(runs(range(100)), expected[:100])
     with pytest.raises(Exception, match=r"DoStep"):
-        simulator.doStep(0.0, 0.4 * program.dt_s)  # type: ignore[attr-defined]
+        simulator.doStep(0.0, 0.4 * program.dt_s)
 
 
 def test_simulate_fmu_reads_an_output_one_sample_late_as_fmi_says(tmp_path: Path) -> None:
