@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flysid.dataset import FloatArray
 from flysid.export.fmu import PLATFORM, fmu_bytes
 from flysid.export.programs import program_of
 from flysid.export.reference import run
