@@ -9,7 +9,8 @@ each other.
 
 The instruments must know nothing of the noise. In open loop the inputs are such. In a feedback loop they are
 not: name the reference that drives the loop (`reference`), and the instruments are simulated from it alone
-(Gilson & Van den Hof, 2005, Automatica 41).
+(Gilson & Van den Hof, 2005, Automatica 41). Orders and delays are then those whose response is the one
+measured through the reference: a free run in a loop follows the noise.
 
 Each stage is a filter and the Gram of lagged signals: three passes over the data in bounded memory.
 """
@@ -24,6 +25,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.linear.data import CHOICE_ROWS, Parts, judging_window
+from flysid.model.linear.iv_orders import orders_by_reference, words_of
 from flysid.model.linear.iv_stages import Columns, Orders, fitted_by_iv, scaled_blocks
 from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.oe_search import SHARE
@@ -89,14 +91,19 @@ def _columns(settings: IV, data: Source) -> Columns:
 
 
 def _chosen(settings: IV, parts: Parts, columns: Columns) -> tuple[list[Orders], str]:
-    """Orders of every output: delays by the simulation error, the order by the validation free run."""
+    """Orders of every output: with references by the response measured through them, else delays by the
+    simulation error and the order by the validation free run."""
     n_u, n_y = len(columns.inputs), len(parts.train.outputs)
     most = max(1, min(HIGHEST_ORDER, (len(parts.fit) // SHARE - 1) // (1 + n_u)))
     nas = range(1, most + 1) if settings.na == "auto" else [int(settings.na)]
+    if len(columns.references) >= n_u and "auto" in (settings.na, settings.nb, settings.nk):
+        known = orders_by_reference(settings, parts, columns, nas)
+        if known is not None:
+            return known
     delays = [_delays(settings, parts, columns, i, min(2, max(nas))) for i in range(n_y)]
     candidates = [[_orders(settings, na, nk, columns) for nk in delays] for na in nas]
     if len(candidates) == 1:
-        return candidates[0], f"Orders: {_words(candidates[0])}."
+        return candidates[0], f"Orders: {words_of(candidates[0])}."
     skip = judging_window(parts, max(o.depth for orders in candidates for o in orders))
     tried: list[tuple[list[Orders], FloatArray]] = []
     for orders in candidates:
@@ -107,17 +114,13 @@ def _chosen(settings: IV, parts: Parts, columns: Columns) -> tuple[list[Orders],
         if model.is_stable:
             tried.append((orders, block_errors(model, parts.check, skip, parts.scaling.y_scale)))
     if not tried:
-        return candidates[0], f"Orders: {_words(candidates[0])}, for want of a stable estimate."
+        return candidates[0], f"Orders: {words_of(candidates[0])}, for want of a stable estimate."
     index = simplest([errors for _, errors in tried], ORDER_LOSS)
     table = ", ".join(f"order {o[0].na}: {np.sqrt(e.mean()) if len(e) else np.nan:.3g}" for o, e in tried)
     return tried[index][0], (
-        f"{_words(tried[index][0])}: the simplest within one standard error of the best validation"
+        f"{words_of(tried[index][0])}: the simplest within one standard error of the best validation"
         f" free run (RMSE in standard deviations of the output: {table})."
     )
-
-
-def _words(orders: Sequence[Orders]) -> str:
-    return "; ".join(f"na = {o.na}, nb = {o.nb}, nk = {o.nk}" for o in dict.fromkeys(orders))
 
 
 def _delays(settings: IV, parts: Parts, columns: Columns, output: int, probe: int) -> tuple[int, ...]:

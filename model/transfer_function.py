@@ -26,7 +26,7 @@ from flysid.model.detrend import Trend, check_trend, detrended
 from flysid.model.frequency.assemble import OneTransfer, assembled, runner
 from flysid.model.frequency.continuous_transfer import ContinuousTransfer
 from flysid.model.frequency.rational import Hold, forms
-from flysid.model.frequency.response import METHODS, Method
+from flysid.model.frequency.response import METHODS, Method, split_references
 from flysid.model.frequency.start import Starts
 from flysid.model.linear.data import Parts, judging_window
 from flysid.model.linear.model import FittedLinear
@@ -47,7 +47,7 @@ class FittedTF(FittedLinear):
 
     Attributes
     ----------
-    transfers : one per output and input, outputs outermost.
+    transfers : one per output and input, outputs outermost; references have none.
     counts : estimated parameters of every output.
     """
 
@@ -60,8 +60,8 @@ class FittedTF(FittedLinear):
         return sum(self.counts)
 
     def transfer(self, output: int = 0, source: int = 0) -> ContinuousTransfer:
-        """From one input to one output."""
-        return self.transfers[output * len(self.inputs) + source]
+        """From one input to one output; references do not count as inputs."""
+        return self.transfers[output * (len(self.transfers) // len(self.outputs)) + source]
 
     def __str__(self) -> str:
         lines = [f"TF model, {self.n_parameters} parameters, sample time {self.dt_s:g} s"]
@@ -84,7 +84,9 @@ def from_dict(document: Mapping[str, Any]) -> FittedTF:
 def _as_tf(
     model: FittedLinear, transfers: tuple[ContinuousTransfer, ...], counts: tuple[int, ...]
 ) -> FittedTF:
-    if len(transfers) != len(model.outputs) * len(model.inputs):
+    names = [s.name for s in model.inputs]
+    own = [name for name in names if name in {t.input for t in transfers}]
+    if [(t.output, t.input) for t in transfers] != [(o.name, name) for o in model.outputs for name in own]:
         raise ValueError("the transfer functions do not fit the signals")
     plain = {f.name: getattr(model, f.name) for f in fields(FittedLinear)}
     return FittedTF(**plain, transfers=transfers, counts=counts)
@@ -115,6 +117,9 @@ class TF:
     method : how the response is measured, see `measure_response`.
     n_init : measured samples that start a simulation; None chooses.
     nk_hint : delays in samples that the search for dead times tries besides its own, one per input.
+    reference : names of inputs of the dataset that drive a feedback loop from outside, as in `IV`: the
+        response of the others is measured through them (`measure_response`), and the simulation error, which
+        the loop bends, is left alone. They have no transfer function of their own.
     """
 
     poles: int | Auto = "auto"
@@ -129,6 +134,7 @@ class TF:
     method: Method = "local"
     n_init: int | None = None
     nk_hint: Sequence[int] = ()
+    reference: Sequence[str] = ()
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTF:
@@ -141,16 +147,23 @@ class TF:
             refine=False or stable=False need one.
         FitError : nothing could be fitted.
         """
-        self._check(len(train.inputs))
+        plant, references = split_references(train, self.reference)
+        self._check(len(plant.inputs))
         train = detrended(train, self.trend)
         validation = None if validation is None else detrended(validation, self.trend)
         chosen = [self._output(_single(train, i), _single(validation, i)) for i in range(len(train.outputs))]
-        parts = Parts.of(train, validation, centred=self.offset)
+        parts = Parts.of(*self._plant(train, validation), centred=self.offset)
         model, transfers = assembled(parts, [c for c, _ in chosen], self.n_init)
         notes = tuple(f"{o.name}: {words}." for o, (_, words) in zip(train.outputs, chosen, strict=True))
         if not model.is_stable:
             notes += (unstable_note(transfers),)
-        return _as_tf(replace(model, notes=notes), transfers, tuple(c.count for c, _ in chosen))
+        model = replace(model.among(train.inputs, references), notes=notes)
+        return _as_tf(model, transfers, tuple(c.count for c, _ in chosen))
+
+    def _plant(self, train: Dataset, validation: Dataset | None) -> tuple[Dataset, Dataset | None]:
+        """Both parts without the references."""
+        checked = None if validation is None else split_references(validation, self.reference)[0]
+        return split_references(train, self.reference)[0], checked
 
     def _check(self, n_u: int) -> None:
         check_trend(self.trend)
@@ -168,9 +181,11 @@ class TF:
 
     def _output(self, train: Dataset, validation: Dataset | None) -> tuple[OneTransfer, str]:
         """The transfer functions of one output, chosen on the fitting part and refined on all."""
-        parts = Parts.of(train, validation, centred=self.offset)
-        starts = Starts.of(self, parts)
-        tried = list(starts.refined()) if self.refine and self.stable and self.band is None else []
+        parts = Parts.of(*self._plant(train, validation), centred=self.offset)
+        joint = Parts.of(train, validation, centred=self.offset).whole if self.reference else parts.whole
+        starts = Starts.of(self, parts, joint)
+        free_run = self.refine and self.stable and self.band is None and not self.reference
+        tried = list(starts.refined()) if free_run else []
         if not tried:
             kept, words = starts.unrefined()
             return kept.refit(parts, refine=False), words

@@ -58,7 +58,7 @@ def _column(panels: Any, channel: ChannelTransfers, output: int, source: int) ->
     gain, phase = 20.0 * np.log10(np.maximum(np.abs(g), 1e-300)), np.degrees(np.unwrap(np.angle(g)))
     if measured is not None:
         shown, model = channel.phases(output, source, measured)
-        _points(panels, measured, source, shown)
+        _points(panels, measured, source, shown, channel.band(output, source))
         phase += 360.0 * np.round((model[0] - phase[0]) / 360.0)
     for panel, line, band in ((panels[0], gain, gain_band), (panels[1], phase, phase_band)):
         panel.semilogx(omega, line, color=MODEL, linewidth=1.2, label="model")
@@ -71,7 +71,13 @@ def _column(panels: Any, channel: ChannelTransfers, output: int, source: int) ->
     panels[2].set_xlabel("rad/s")
 
 
-def _points(panels: Any, measured: MeasuredResponse, source: int, phase: FloatArray) -> None:
+def _points(
+    panels: Any,
+    measured: MeasuredResponse,
+    source: int,
+    phase: FloatArray,
+    band: tuple[float, float] | None,
+) -> None:
     width = measured.half_width()[:, source]
     told = measured.coherence[:, source] > SHOWN
     omega = measured.omega[told]
@@ -83,7 +89,6 @@ def _points(panels: Any, measured: MeasuredResponse, source: int, phase: FloatAr
         )
     panels[2].semilogx(measured.omega, measured.coherence[:, source], color=MEASURED, linewidth=0.9)
     panels[2].axhline(0.6, color=MODEL, linewidth=0.6, linestyle="--")
-    band = measured.band(source)
     if band is not None:
         for panel in panels:
             panel.axvspan(*band, color=SHADE, zorder=0, linewidth=0)

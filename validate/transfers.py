@@ -7,18 +7,19 @@ This is identification, not judgement: all flights given are used, nothing is he
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.errors import DataError, FitError, UsageError
+from flysid.errors import DataError, FitError, RecipeError, UsageError
+from flysid.ingest.align.quick import driven_by
 from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.lake import Lake
 from flysid.model.detrend import Trend
 from flysid.model.feedback import Feedback, feedback
-from flysid.model.frequency.response import MeasuredResponse, measure_response
+from flysid.model.frequency.response import MeasuredResponse, measure_response, split_references
 from flysid.model.polynomials import Z95, ComplexArray
 from flysid.model.transfer_function import TF, FittedTF
 from flysid.progress import tell
@@ -34,7 +35,8 @@ class ChannelTransfers:
     ----------
     measured : per output; None where the response cannot be measured, `unmeasured` says why.
     fit_pct : per output, of the free run over the flights that it was fitted to.
-    loops : per output, whether the input answers it.
+    loops : per output, whether the input answers it; none where a reference was named.
+    reference : signals through which the response was measured.
     """
 
     name: str
@@ -44,6 +46,7 @@ class ChannelTransfers:
     unmeasured: str
     fit_pct: tuple[float | None, ...]
     loops: tuple[Feedback, ...]
+    reference: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
@@ -51,7 +54,8 @@ class ChannelTransfers:
         d = self.data
         flights = f"{len(d.flights)} flight{'s' if len(d.flights) != 1 else ''}"
         segments = f"{len(d.segments)} segment{'s' if len(d.segments) != 1 else ''}"
-        return f"{self.name}: {flights}, {segments}, {len(d) * d.dt_s:.0f} s at {1 / d.dt_s:.4g} Hz"
+        through = f", through {' and '.join(self.reference)}" if self.reference else ""
+        return f"{self.name}: {flights}, {segments}, {len(d) * d.dt_s:.0f} s at {1 / d.dt_s:.4g} Hz{through}"
 
     def lines(self) -> list[str]:
         """Transfer functions, bands and warnings for people."""
@@ -60,7 +64,7 @@ class ChannelTransfers:
             for j in range(len(self.data.inputs)):
                 said += ["", str(self.model.transfer(i, j)), self._band(i, j)]
             fit = self.fit_pct[i]
-            if fit is not None:
+            if fit is not None and not self.reference:
                 said.append(f"free run of {output.name} over these flights: fit {fit:.0f} %")
         said += [f"caution: {loop.words}" for loop in self.loops if loop.closed]
         return [*said, *(f"- {note}" for note in self.model.notes)]
@@ -69,23 +73,43 @@ class ChannelTransfers:
         measured = self.measured[output]
         if measured is None:
             return f"no measured frequency response: {self.unmeasured}"
+        if self.is_looped(output):
+            return (
+                "no band can be trusted: a loop is closed, and where it answers the output the measured "
+                "response is -1/controller. Name what drives the loop: --reference FIELD"
+            )
         band = measured.band(source)
+        of = (
+            f"the coherence of {' and '.join(self.reference)} with input and output" if self.reference else ""
+        )
         if band is None:
-            return f"the coherence is above 0.6 nowhere (at most {measured.coherence[:, source].max():.2f})"
+            highest = measured.coherence[:, source].max()
+            return f"{of or 'the coherence'} is above 0.6 nowhere (at most {highest:.2f})"
         return (
             f"trust it from {band[0]:.3g} to {band[1]:.3g} rad/s "
-            f"({band[0] / 2 / np.pi:.2g} to {band[1] / 2 / np.pi:.2g} Hz), where the coherence is above 0.6"
+            f"({band[0] / 2 / np.pi:.2g} to {band[1] / 2 / np.pi:.2g} Hz), where "
+            f"{of or 'the coherence'} is above 0.6"
         )
+
+    def is_looped(self, output: int) -> bool:
+        """The input answers this output, and no reference was named: the measured response is no plant's."""
+        return bool(self.loops) and self.loops[output].closed
+
+    def band(self, output: int, source: int) -> tuple[float, float] | None:
+        """Where to trust the response, rad/s; None where nowhere."""
+        measured = self.measured[output]
+        return None if measured is None or self.is_looped(output) else measured.band(source)
 
     def response(
         self, output: int, source: int, omega: FloatArray
     ) -> tuple[ComplexArray, FloatArray, FloatArray]:
         """The sampled model at omega: response, and half widths of the 95 % bands in dB and degrees."""
         found = self.model.frequency_response(omega)
-        g = found.response[:, output, source]
-        relative = found.magnitude_error[:, output, source] / np.maximum(np.abs(g), 1e-300)
+        column = [s.name for s in self.model.inputs].index(self.data.inputs[source].name)
+        g = found.response[:, output, column]
+        relative = found.magnitude_error[:, output, column] / np.maximum(np.abs(g), 1e-300)
         db = 20.0 / np.log(10.0) * Z95 * relative
-        return g, db, np.degrees(Z95 * found.phase_error[:, output, source])
+        return g, db, np.degrees(Z95 * found.phase_error[:, output, column])
 
     def phases(self, output: int, source: int, measured: MeasuredResponse) -> tuple[FloatArray, FloatArray]:
         """(measured, modelled) phase in degrees on the measured frequencies: the model's without jumps, the
@@ -134,9 +158,10 @@ class ChannelTransfers:
             "dt_s": self.data.dt_s,
             "fit_pct": list(self.fit_pct),
             "transfers": [t.to_dict() | _figures(t) for t in self.model.transfers],
+            "reference": list(self.reference),
             "measured": [
-                None if m is None else _measured(m, j)
-                for m in self.measured
+                None if m is None else _measured(m, j) | {"band_rad_s": self.band(i, j)}
+                for i, m in enumerate(self.measured)
                 for j in range(len(self.data.inputs))
             ],
             "feedback": [
@@ -189,7 +214,6 @@ def _measured(measured: MeasuredResponse, source: int) -> dict[str, Any]:
         "phase_deg": measured.phase_deg[:, source].tolist(),
         "phase_deg_half_width": [_number(np.degrees(w)) for w in width],
         "coherence": measured.coherence[:, source].tolist(),
-        "band_rad_s": measured.band(source),
     }
 
 
@@ -199,11 +223,18 @@ def identify(
     estimator: TF,
     *,
     channels: Sequence[str] = (),
+    reference: Sequence[str] = (),
 ) -> tuple[list[ChannelTransfers], Mapping[str, str]]:
     """Transfer functions of every channel of a recipe, and why the others have none.
 
+    Parameters
+    ----------
+    reference : signals of the recipe or fields of the logs that drive the loops from outside, instead of
+        those that the recipe names.
+
     Raises
     ------
+    RecipeError : a reference is in no log.
     UsageError : `channels` names what the recipe does not have, or settings that cannot be.
     DataError : no channel could be identified; the message gives each one's reason.
     """
@@ -213,7 +244,9 @@ def identify(
             raise UsageError(
                 f"the recipe has no channel {name!r}", hint=f"one of {', '.join(recipe.channels)}"
             )
-    held = lake.channels(recipe)
+    recipe = driven_by(recipe, reference, lake.logs)
+    through = recipe.with_references()
+    held, driven = lake.channels(recipe), lake.channels(through)
     found, skipped = [], {}
     wanted = channels or recipe.channels
     for i, name in enumerate(wanted):
@@ -222,8 +255,10 @@ def identify(
             continue
         tell("identifying", channel=name, share=i / len(wanted))
         try:
-            found.append(identify_channel(name, lake.dataset(recipe, name), estimator))
-        except (DataError, FitError) as error:
+            names = recipe.channels[name].reference if name in driven else ()
+            data = lake.dataset(through if names else recipe, name)
+            found.append(identify_channel(name, data, replace(estimator, reference=names)))
+        except (DataError, FitError, RecipeError) as error:
             skipped[name] = str(error)
     if not found:
         reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
@@ -240,21 +275,24 @@ def identify_channel(name: str, data: Dataset, estimator: TF) -> ChannelTransfer
     """
     model = estimator.fit(data)
     measured, why = _responses(data, estimator)
+    plant, references = split_references(data, estimator.reference)
     trials = run_trials({"tf": model}, data, FREE_RUN)
     fits = []
     for j in range(len(data.outputs)):
         y = np.concatenate([t.y[:, j] for t in trials]) if trials else np.zeros(0)
         yh = np.concatenate([t.yh["tf"][:, j] for t in trials]) if trials else np.zeros(0)
         fits.append(scores(y, yh).fit_pct if len(y) else None)
-    loops = feedback(model, data) if model.is_stable else ()
-    return ChannelTransfers(name, data, model, measured, why, tuple(fits), loops)
+    loops = feedback(model, data) if model.is_stable and not references else ()
+    names = tuple(data.inputs[j].name for j in references)
+    return ChannelTransfers(name, plant, model, measured, why, tuple(fits), loops, names)
 
 
 def _responses(data: Dataset, estimator: TF) -> tuple[tuple[MeasuredResponse | None, ...], str]:
     trend: Trend = "none" if estimator.trend == "none" else "remove"
     try:
         return tuple(
-            measure_response(data, i, method=estimator.method, trend=trend) for i in range(len(data.outputs))
+            measure_response(data, i, reference=estimator.reference, method=estimator.method, trend=trend)
+            for i in range(len(data.outputs))
         ), ""
     except DataError as error:
         return (None,) * len(data.outputs), str(error)

@@ -34,6 +34,13 @@ def _auto_or(kind: type) -> Any:
 @words_options
 @selection_options
 @click.option("--channel", "-c", "channels", multiple=True, help="This channel only; may be repeated.")
+@click.option(
+    "--reference",
+    multiple=True,
+    metavar="FIELD",
+    help="What drives a closed loop from outside (a chirp, a setpoint), as signal of the recipe, FIELD or "
+    "STREAM.FIELD: the response is measured through it. Instead of the recipe's own.",
+)
 @click.option("--poles", default="auto", callback=_auto_or(int), show_default=True, help="Of every output.")
 @click.option("--zeros", default="auto", callback=_auto_or(int), show_default=True, help="Of every input.")
 @click.option("--dead-time", default="auto", callback=_auto_or(float), show_default=True, metavar="S")
@@ -76,6 +83,7 @@ def command(
     time_unit: str,
     format_: str,
     channels: tuple[str, ...],
+    reference: tuple[str, ...],
     table: bool,
     plot: Path | None,
     force: bool,
@@ -111,7 +119,7 @@ def command(
     )
     words = Words(recipe, inputs, outputs, dt, time_unit, format_)
     with opened(data, words, selection, None, quiet) as (lake, chosen), display.shown():
-        found, skipped = identify(lake, chosen, estimator, channels=channels)
+        found, skipped = identify(lake, chosen, estimator, channels=channels, reference=reference)
         lost = lost_on_the_way(data, lake)
     if as_json:
         body = {

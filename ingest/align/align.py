@@ -208,7 +208,7 @@ class _Job:
         if reason:
             return FlightReport(log.name, signals=reports, reason=reason), (), {}
         boots = sorted(set.intersection(*(set(found.boots) for found in loaded.values())))
-        conditions = condition_spans(self.recipe.conditions, log)
+        conditions = condition_spans(self.recipe.conditions_of(self.channel), log)
         if log.allowed is not None:
             conditions = conditions.within(log.allowed)
         labels = labels_of(self.recipe.labels, log)

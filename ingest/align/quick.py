@@ -16,7 +16,7 @@ from flysid.dataset import Dataset
 from flysid.errors import RecipeError
 from flysid.flight import BOOT, RECEIVED, TIME, Flight, field_unit, matching_streams
 from flysid.ingest.align.align import align
-from flysid.ingest.align.recipe import ChannelSpec, parse_recipe
+from flysid.ingest.align.recipe import ChannelSpec, Recipe, SignalSpec, Source, parse_recipe
 from flysid.ingest.align.signals import FlightLog, Log
 from flysid.ingest.formats.common.units import is_known
 from flysid.ingest.formats.registry import read
@@ -111,6 +111,30 @@ def quick_recipe(
         },
     }
     return tomli_w.dumps(recipe)
+
+
+def driven_by(recipe: Recipe, reference: Sequence[str], logs: Sequence[Log]) -> Recipe:
+    """The recipe with these references in every channel: its own signals, or fields of the logs.
+
+    Raises
+    ------
+    RecipeError : no log has such a field.
+    """
+    if not reference:
+        return recipe
+    signals = dict(recipe.signals)
+    names = []
+    for word in reference:
+        name = word
+        if word not in signals:
+            place = find_field(logs, word)
+            unit = "" if place.unit == "1" else place.unit
+            source = Source(place.stream, place.field)
+            name = place.name if place.name not in signals else f"{place.name}_reference"
+            signals[name] = SignalSpec(unit, (source,), hold="zero")
+        names.append(name)
+    channels = {n: replace(c, reference=tuple(names)) for n, c in recipe.channels.items()}
+    return replace(recipe, signals=signals, channels=channels)
 
 
 def find_field(logs: Sequence[Log], word: str) -> Place:

@@ -105,12 +105,15 @@ class SignalSpec:
 class ChannelSpec:
     """Inputs and outputs of one channel, by the names of signals.
 
-    `min_rate_hz` is the rate below which the channel's dynamics cannot be seen, and `remedy` what to set on
-    the vehicle to log faster; both serve the suggestions.
+    `reference` names signals that drive a feedback loop around the channel from outside: a chirp, a setpoint.
+    They are no inputs; `flysid tf` measures the channel's response through them. `min_rate_hz` is the rate
+    below which the channel's dynamics cannot be seen, and `remedy` what to set on the vehicle to log faster;
+    both serve the suggestions.
     """
 
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    reference: tuple[str, ...] = ()
     description: str = ""
     min_rate_hz: float = 0.0
     remedy: str = ""
@@ -135,6 +138,7 @@ class Condition:
         others change nothing, and before the first it was the other way round.
     margin_s : cut away this long at both ends of every interval in which the condition holds.
     required : without a source the flight is refused; otherwise the condition is left out, and said so.
+    channels : the channels that it is about; empty: all.
     """
 
     name: str
@@ -148,6 +152,7 @@ class Condition:
     cleared_by: tuple[int | float | str, ...] = ()
     margin_s: float = 0.0
     required: bool = False
+    channels: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -218,9 +223,21 @@ class Recipe:
         )
 
     def signals_of(self, channel: str) -> tuple[str, ...]:
-        """Names of the signals of a channel, inputs first."""
+        """Names of the signals of a channel, inputs first; without its references."""
         spec = self.channel(channel)
         return (*spec.inputs, *spec.outputs)
+
+    def conditions_of(self, channel: str) -> tuple[Condition, ...]:
+        """The conditions that are about a channel."""
+        return tuple(c for c in self.conditions if not c.channels or channel in c.channels)
+
+    def with_references(self) -> Recipe:
+        """The recipe with every channel's references as its last inputs."""
+        channels = {
+            name: dataclasses.replace(c, inputs=(*c.inputs, *(r for r in c.reference if r not in c.inputs)))
+            for name, c in self.channels.items()
+        }
+        return dataclasses.replace(self, channels=channels)
 
 
 def shipped_recipes() -> tuple[str, ...]:
@@ -329,7 +346,7 @@ def _check_sense(recipe: Recipe, where: str) -> None:
     for name, channel in recipe.channels.items():
         if not channel.inputs or not channel.outputs:
             raise RecipeError(f"channel {name!r} needs inputs and outputs", path=where)
-        for signal in recipe.signals_of(name):
+        for signal in (*recipe.signals_of(name), *channel.reference):
             if signal not in recipe.signals:
                 raise RecipeError(
                     f"channel {name!r} uses signal {signal!r}, which has no [signals.{signal}]",
@@ -343,7 +360,7 @@ def _check_sense(recipe: Recipe, where: str) -> None:
         for source in label.sources:
             _check_source(source, label.name, where)
     for condition in recipe.conditions:
-        _check_condition(condition, where)
+        _check_condition(condition, recipe, where)
     named: list[tuple[str, SignalSpec | Condition]] = [*recipe.signals.items()]
     for name, spec in [*named, *((c.name, c) for c in recipe.conditions)]:
         if not is_known(spec.unit):
@@ -356,7 +373,7 @@ def _check_sense(recipe: Recipe, where: str) -> None:
             _check_source(source, name, where)
 
 
-def _check_condition(condition: Condition, where: str) -> None:
+def _check_condition(condition: Condition, recipe: Recipe, where: str) -> None:
     kinds = {
         "above, below": condition.above is not None or condition.below is not None,
         "any_of": bool(condition.any_of),
@@ -369,6 +386,13 @@ def _check_condition(condition: Condition, where: str) -> None:
             path=where,
             hint="one of " + "; ".join(kinds),
         )
+    for name in condition.channels:
+        if name not in recipe.channels:
+            raise RecipeError(
+                f"condition {condition.name!r} is about channel {name!r}, which is not there",
+                path=where,
+                hint=_nearest(name, list(recipe.channels)),
+            )
 
 
 def _check_source(source: Source, name: str, where: str) -> None:

@@ -79,9 +79,14 @@ class ResponseFit:
 
     @property
     def bic(self) -> float:
-        """n ln(chi2 / n) + p ln n: the level of the noise is not taken on trust."""
-        n = max(self.points, 2.0)
-        return float(n * np.log(max(self.chi2, 1e-300) / n) + self.form.count * np.log(n))
+        """The level of the noise is not taken on trust."""
+        return _bic(self.chi2, self.points, self.form.count)
+
+
+def _bic(chi2: float, points: float, parameters: int) -> float:
+    """n ln(chi2 / n) + p ln n."""
+    n = max(points, 2.0)
+    return float(n * np.log(max(chi2, 1e-300) / n) + parameters * np.log(n))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +138,13 @@ class _Problem:
         residual = np.concatenate([error.real * self.weight[:, 0], error.imag * self.weight[:, 1]])
         jacobian = np.concatenate([slopes.real * self.weight[:, :1], slopes.imag * self.weight[:, 1:]])
         return residual, jacobian
+
+    def chi2(self, errors: FloatArray) -> tuple[float, float]:
+        """Squares of errors (2M,) of ln |G| and phase in units of the measured ones, every point by what it
+        tells alone; and how many points (real numbers) that makes."""
+        alone = 1.0 / np.maximum((self.correlation**2).sum(axis=1), 1.0)
+        squares = (errors / np.tile(self.spread, 2)) ** 2
+        return float(squares @ np.tile(alone, 2)), float(2.0 * alone.sum())
 
     def starts(self) -> list[FloatArray]:
         """Of Sanathanan & Koerner for several dead times; stable ones where the form asks for it."""
@@ -269,6 +281,20 @@ def response_cost(
     return _tischler(problem, np.concatenate([error.real, error.imag]), n_u)
 
 
+def response_bic(measured: MeasuredResponse, response: ComplexArray, parameters: int) -> float:
+    """BIC of a response (F, n_u) with so many parameters on the trustworthy points of a measured one.
+
+    Raises
+    ------
+    DataError : an input without trustworthy frequencies.
+    """
+    n_u = len(measured.inputs)
+    problem = _problem(measured, Form(0, (0,) * n_u, (0.0,) * n_u), ("coherence", "none", None))
+    error = np.log(response[problem.where, problem.source] / problem.g)
+    chi2, points = problem.chi2(np.concatenate([error.real, error.imag]))
+    return _bic(chi2, points, parameters)
+
+
 def _problem(
     measured: MeasuredResponse,
     form: Form,
@@ -332,9 +358,7 @@ def _finished(problem: _Problem, theta: FloatArray, n_u: int) -> ResponseFit:
     residual, jacobian = problem.residuals(theta)
     m, coordinates = len(problem.x), problem.coordinates
     errors = np.concatenate([residual[:m] / problem.weight[:, 0], residual[m:] / problem.weight[:, 1]])
-    alone = 1.0 / np.maximum((problem.correlation**2).sum(axis=1), 1.0)
-    squares = (errors / np.tile(problem.spread, 2)) ** 2
-    chi2, points = float(squares @ np.tile(alone, 2)), float(2.0 * alone.sum())
+    chi2, points = problem.chi2(errors)
     covariance = _sandwich(problem, jacobian) * np.outer(coordinates.units, coordinates.units)
     covariance = covariance * _inflation(chi2, points - len(theta))
     rational, n = coordinates.rational(theta), problem.form.poles

@@ -14,6 +14,14 @@ wide a band or too stiff a transient shows in the residual. (Degree 2 takes what
 seconds for a transient; degree 0 leaves it to the input.) Where the input has only a few lines (a sparse
 multisine), G is taken as constant.
 
+In a loop the input answers the noise, and that G is no plant. With references R that drive the loop from
+outside, inputs and output are both fitted to them, and the quotient is the plant's (joint input-output:
+Pintelon & Schoukens, 2012, 2.6.4, 7.2.7; of several references the one of least variance):
+
+    U = G_ru R + ..., Y = G_ry R + ...,   G = G_ry / G_ru;
+
+its error is what Y - G U leaves over, in which the noise that the loop brought back cancels to first order.
+
 Cost: one transform per segment and three small least-squares problems per frequency.
 """
 
@@ -23,11 +31,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.model.frequency.spectral import Spectral, grid, highest_frequency
 from flysid.model.polynomials import ComplexArray
+
+IntArray = npt.NDArray[np.int64]
 
 DEGREE = 2
 TRANSIENT_DEGREES = (0, 2)
@@ -43,19 +54,20 @@ LEVERAGE = 2.25
 
 @dataclass(frozen=True, eq=False)
 class _Lines:
-    """One segment's transform without frequency 0: omega (K,), u (K, n_u), y (K,); index of its first line
-    among all segments' lines."""
+    """One segment's transform without frequency 0: omega (K,), what drives (K, n), what is driven (K, m);
+    index of its first line among all segments' lines."""
 
     omega: FloatArray
-    u: ComplexArray
-    y: ComplexArray
+    drives: ComplexArray
+    driven: ComplexArray
     first: int
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
     """One frequency: gains, their variances at a noise of 1 (complex), noise power, degrees of freedom,
-    averages, and how every line enters the gains (weights (n_u, M) on lines `where`)."""
+    averages, how every line enters the gains (weights (n_u, M) on lines `where`), and the least coherence of
+    the references with an input or the output (1 without references)."""
 
     gain: ComplexArray
     unit: FloatArray
@@ -63,7 +75,8 @@ class _Point:
     freedom: int
     averages: float
     weights: ComplexArray
-    where: np.ndarray[tuple[int], np.dtype[np.int64]]
+    where: IntArray
+    driven: float = 1.0
 
     @property
     def error(self) -> float:
@@ -72,16 +85,21 @@ class _Point:
 
 
 def local_response(
-    records: Sequence[FloatArray], dt_s: float, points: int, band: tuple[float, float] | None
+    records: Sequence[FloatArray],
+    dt_s: float,
+    points: int,
+    band: tuple[float, float] | None,
+    references: int = 0,
 ) -> Spectral:
-    """Measure; records are (N, n_u + 1), the output last, in units of their standard deviations.
+    """Measure; records are (N, references + n_u + 1): references, inputs, the output, in units of their
+    standard deviations.
 
     Raises
     ------
     DataError : no frequency has lines enough. UsageError : the band holds none of the frequencies.
     """
-    lines = _transformed(records, dt_s)
-    n_u = records[0].shape[1] - 1
+    n_u = references or records[0].shape[1] - 1
+    lines = _transformed(records, dt_s, n_u)
     lowest = _lowest(lines, n_u)
     if not lowest < highest_frequency(dt_s):
         longest = max(map(len, records))
@@ -101,7 +119,7 @@ def local_response(
     return _joined(omega[kept], picked)
 
 
-def _transformed(records: Sequence[FloatArray], dt_s: float) -> list[_Lines]:
+def _transformed(records: Sequence[FloatArray], dt_s: float, drives: int) -> list[_Lines]:
     found, first = [], 0
     for record in records:
         spectrum = np.fft.rfft(record, axis=0)[1:] / np.sqrt(len(record))
@@ -109,7 +127,7 @@ def _transformed(records: Sequence[FloatArray], dt_s: float) -> list[_Lines]:
             spectrum = spectrum[:-1]  # the Nyquist line is real
         lines = np.arange(1, len(spectrum) + 1, dtype=np.float64)
         omega = np.asarray(lines * (2.0 * np.pi / (len(record) * dt_s)))
-        found.append(_Lines(omega, spectrum[:, :-1], spectrum[:, -1], first))
+        found.append(_Lines(omega, spectrum[:, :drives], spectrum[:, drives:], first))
         first += len(spectrum)
     return found
 
@@ -164,26 +182,27 @@ def _fitted(lines: Sequence[_Lines], place: tuple[float, float, int], n_u: int) 
         if len(d) <= degree + 1:
             continue
         basis, _ = np.linalg.qr(np.vander(d, degree + 1, increasing=True))
-        columns = (segment.u[at][:, None, :] * np.vander(d, DEGREE + 1, increasing=True)[:, :, None]).reshape(
-            len(d), -1
-        )
-        both = np.column_stack([columns, segment.y[at]])
+        columns = (
+            segment.drives[at][:, None, :] * np.vander(d, DEGREE + 1, increasing=True)[:, :, None]
+        ).reshape(len(d), -1)
+        both = np.column_stack([columns, segment.driven[at]])
         blocks.append(both - basis @ (basis.T @ both))
         rows.append(len(d) - degree - 1)
         where.append(np.arange(segment.first + at.start, segment.first + at.stop))
     if not blocks:
         return None
     stacked = np.concatenate(blocks)
-    return _solved(stacked[:, :-1], stacked[:, -1], sum(rows), n_u, np.concatenate(where))
+    columns_of_gain = n_u * (DEGREE + 1)
+    return _solved(
+        stacked[:, :columns_of_gain], stacked[:, columns_of_gain:], sum(rows), n_u, np.concatenate(where)
+    )
 
 
-def _solved(
-    phi: ComplexArray, y: ComplexArray, rows: int, n_u: int, where: np.ndarray[tuple[int], np.dtype[np.int64]]
-) -> _Point | None:
-    """Gains at the band's middle: the first n_u unknowns."""
+def _solved(phi: ComplexArray, driven: ComplexArray, rows: int, n_u: int, where: IntArray) -> _Point | None:
+    """Gains at the band's middle: the first n_u unknowns, of every driven signal."""
     size = np.abs(phi[:, :n_u]) ** 2
     total = size.sum(axis=0)
-    if not (total > 1e-20 * max(float(np.sum(np.abs(y) ** 2)), 1e-300)).all():
+    if not (total > 1e-20 * max(float(np.sum(np.abs(driven) ** 2)), 1e-300)).all():
         return None
     spread = total**2 / np.maximum((size**2).sum(axis=0), 1e-300)
     averages = float(rows)
@@ -198,12 +217,62 @@ def _solved(
     if freedom < 2 or not kept.all():
         return None
     pseudo = (np.conj(right.T) / sigma) @ np.conj(left.T) / lengths[:, None]
-    theta = pseudo @ y
-    residual = y - phi @ theta
+    theta = pseudo @ driven
+    residual = driven - phi @ theta
+    averages = max(averages - n_u + 1, 1.0)
+    if driven.shape[1] > 1:
+        return _quotient(theta[:n_u], residual, pseudo[:n_u], (freedom, averages), where)
     noise = float(np.sum(np.abs(residual) ** 2)) / freedom
     weights = pseudo[:n_u]
     unit = np.asarray((np.abs(weights) ** 2).sum(axis=1), dtype=np.float64)
-    return _Point(theta[:n_u], unit, noise, freedom, max(averages - n_u + 1, 1.0), weights, where)
+    return _Point(theta[:n_u, 0], unit, noise, freedom, averages, weights, where)
+
+
+def _quotient(
+    through: ComplexArray,
+    residual: ComplexArray,
+    weights: ComplexArray,
+    counts: tuple[int, float],
+    where: IntArray,
+) -> _Point | None:
+    """The plant behind what references (rows of `through`) do to its inputs and, last, to its output."""
+    from scipy.stats import f as distribution
+
+    freedom, averages = counts
+    n_u = through.shape[1] - 1
+    spread = weights @ np.conj(weights.T)
+    try:
+        power = np.linalg.inv(spread)
+        # least squares over the references, each by how well it is told
+        information = np.conj(through[:, :n_u].T) @ power @ through[:, :n_u]
+        solve = np.linalg.solve(information, np.conj(through[:, :n_u].T) @ power)
+        unit = np.linalg.inv(information)
+    except np.linalg.LinAlgError:
+        return None
+    gain = solve @ through[:, n_u]
+    left = residual[:, n_u] - residual[:, :n_u] @ gain
+    brought = np.einsum("rt,rs,st->t", np.conj(through), power, through).real / averages
+    noise = (np.abs(residual) ** 2).sum(axis=0) / freedom
+    told = brought / np.maximum(brought + noise, 1e-300)
+    # Fieller (1954, J. Roy. Stat. Soc. B 16): a quotient's interval is the wider the less is known of its
+    # denominator, and has no end where that may be 0
+    chance = (
+        noise[:n_u]
+        * float(distribution.ppf(0.95, 2, 2 * freedom))
+        / np.maximum(averages * brought[:n_u], 1e-300)
+    )
+    if not chance.max() < 1.0:
+        return None
+    return _Point(
+        gain=gain,
+        unit=np.asarray(np.diag(unit).real) / (1.0 - chance.max()),
+        noise=float(np.sum(np.abs(left) ** 2)) / freedom,
+        freedom=freedom,
+        averages=averages,
+        weights=solve @ weights,
+        where=where,
+        driven=float(told.min()),
+    )
 
 
 def _joined(omega: FloatArray, points: Sequence[_Point]) -> Spectral:
@@ -215,10 +284,13 @@ def _joined(omega: FloatArray, points: Sequence[_Point]) -> Spectral:
     explained = np.abs(gain) ** 2 / np.maximum(averages * unit, 1e-300)
     noise = np.maximum(np.array([p.noise for p in points])[:, None], 1e-15 * explained)
     coherence = explained / np.maximum(explained + noise, 1e-300)
+    with np.errstate(divide="ignore", over="ignore"):
+        error = np.sqrt(noise / (2.0 * averages * explained))
     return Spectral(
         omega=omega,
         response=gain,
-        coherence=coherence,
+        coherence=np.minimum(coherence, np.array([p.driven for p in points])[:, None]),
+        error=error,
         averages=np.repeat(averages, gain.shape[1], axis=1),
         freedom=np.array([2.0 * p.freedom for p in points]),
         correlation=np.stack([_correlation(points, j) for j in range(gain.shape[1])]),

@@ -15,7 +15,7 @@ multitaper).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -42,16 +42,20 @@ class MeasuredResponse:
     ----------
     omega : (F,) rad/s, rising.
     response : (F, n_u) complex gain, output unit per input unit, the other inputs' part taken out.
-    coherence : (F, n_u) 0 to 1; partial (the others conditioned out) where there are several inputs.
+    coherence : (F, n_u) 0 to 1; partial (the others conditioned out) where there are several inputs; through
+        references the least of theirs with the inputs, with the output, and of that.
+    error : (F, n_u) eps: standard error of ln |G| and of the phase in rad; inf where nothing coheres.
     averages : (F, n_u) n_d, independent averages.
     freedom : (F,) degrees of freedom of the noise estimate (real numbers: two per complex one).
     correlation : (n_u, F, F) correlation of the points' errors: neighbours share data.
     shared : largest coherence between two inputs, averaged over the frequencies; 0 for one input.
+    reference : signals that drive a loop from outside, through which the response was measured.
     """
 
     omega: FloatArray
     response: ComplexArray
     coherence: FloatArray
+    error: FloatArray
     averages: FloatArray
     freedom: FloatArray
     correlation: FloatArray
@@ -59,14 +63,7 @@ class MeasuredResponse:
     dt_s: float
     inputs: tuple[Signal, ...]
     output: Signal
-
-    @property
-    def error(self) -> FloatArray:
-        """(F, n_u) eps: standard error of ln |G| and of the phase in rad; inf where nothing coheres."""
-        g2 = self.coherence
-        with np.errstate(divide="ignore", invalid="ignore"):
-            eps = np.sqrt((1.0 - g2) / (g2 * 2.0 * self.averages))
-        return np.asarray(np.where(np.isfinite(eps), eps, np.inf))
+    reference: tuple[str, ...] = ()
 
     @property
     def gain_db(self) -> FloatArray:
@@ -128,6 +125,7 @@ def measure_response(
     data: Dataset,
     output: int = 0,
     *,
+    reference: Sequence[str] = (),
     points: int = POINTS,
     method: Method = "local",
     trend: Trend = "none",
@@ -137,6 +135,9 @@ def measure_response(
 
     Parameters
     ----------
+    reference : names of inputs of the dataset that drive a feedback loop from outside (a chirp, a setpoint).
+        They have no response of their own; that of the other inputs is measured through them, at least as
+        many as those, and only with method "local".
     points : frequencies, equally spaced in log omega.
     method : "local", local polynomials (Pintelon & Schoukens, 2012, ch. 7): one chirp, a multisine or any
         excitation over any number of segments; "welch", windows of up to five lengths combined by their
@@ -148,45 +149,89 @@ def measure_response(
     Raises
     ------
     DataError : too short, an input or the output never changes, inputs that cannot be told apart.
-    UsageError : no such method, or an empty band.
+    UsageError : no such method or reference, too few references, or an empty band.
+
+    Example
+    -------
+    >>> measure_response(data, reference=["chirp"]).band()  # doctest: +SKIP
+    (4.1, 73.6)
     """
     if method not in METHODS:
         raise UsageError(f"no method {method!r}", hint=f"one of {', '.join(map(repr, METHODS))}")
     if points < 2:
         raise UsageError(f"a frequency response needs at least 2 points, not {points}")
-    records = _records(detrended(data, trend), output)
-    _check_motion(records, data, output)
+    plant, references = split_references(data, reference)
+    if references and method != "local":
+        raise UsageError(f"method {method!r} knows no reference", hint="use method='local'")
+    order = [*references, *(j for j in range(len(data.inputs)) if j not in references)]
+    records = _records(detrended(data, trend), order, output)
+    _check_motion(records, data, order, output)
     scale = np.sqrt(sum((r**2).sum(axis=0) for r in records) / sum(map(len, records)))
-    how = {"local": local_response, "welch": welch_response, "multitaper": multitaper_response}[method]
     scaled = [r / scale for r in records]
-    shared = _check_apart(scaled, [s.name for s in data.inputs])
-    found = how(scaled, data.dt_s, points, band)
+    n_r = len(references)
+    shared = _check_apart([r[:, n_r:-1] for r in scaled], [s.name for s in plant.inputs])
+    _check_apart([r[:, :n_r] for r in scaled], list(reference))
+    if method == "local":
+        found = local_response(scaled, data.dt_s, points, band, n_r)
+    else:
+        how = {"welch": welch_response, "multitaper": multitaper_response}[method]
+        found = how(scaled, data.dt_s, points, band)
     return MeasuredResponse(
         omega=found.omega,
-        response=np.asarray(found.response * scale[-1] / scale[:-1]),
+        response=np.asarray(found.response * scale[-1] / scale[n_r:-1]),
         coherence=np.clip(found.coherence, 0.0, 1.0),
-        averages=found.averages,
+        error=np.asarray(np.where(np.isfinite(found.error), found.error, np.inf)),
+        averages=np.broadcast_to(found.averages[:, :1], found.response.shape),
         freedom=found.freedom,
         correlation=found.correlation,
         shared=shared,
         dt_s=data.dt_s,
-        inputs=data.inputs,
+        inputs=plant.inputs,
         output=data.outputs[output],
+        reference=tuple(s.name for s in data.inputs if s.name in reference),
     )
 
 
-def _records(data: Dataset, output: int) -> list[FloatArray]:
-    """(N, n_u + 1) per segment: inputs and the output about their means over all segments."""
-    found = [np.column_stack([s.u, s.y[:, output]]) for s in data.segments if len(s)]
+def split_references(data: Dataset, reference: Sequence[str]) -> tuple[Dataset, tuple[int, ...]]:
+    """The dataset without the inputs that are references, and which of its inputs those were.
+
+    Raises
+    ------
+    UsageError : no such input; no input is left; fewer references than inputs.
+    """
+    names = [s.name for s in data.inputs]
+    for name in reference:
+        if name not in names:
+            raise UsageError(f"no input is called {name!r}", hint=f"one of {', '.join(names)}")
+    if not reference:
+        return data, ()
+    found = tuple(j for j, name in enumerate(names) if name in reference)
+    kept = [j for j in range(len(names)) if j not in found]
+    if not kept:
+        raise UsageError("every input is a reference: none is left for the model")
+    if len(found) < len(kept):
+        left = ", ".join(names[j] for j in kept)
+        count = f"{len(found)} reference{'s' if len(found) > 1 else ''}"
+        raise UsageError(
+            f"{count} cannot tell {len(kept)} inputs apart ({left})",
+            hint="name a reference for every input, or leave inputs out",
+        )
+    segments = [replace(s, u=s.u[:, kept]) for s in data.segments]
+    return replace(data, inputs=tuple(data.inputs[j] for j in kept), segments=tuple(segments)), found
+
+
+def _records(data: Dataset, order: Sequence[int], output: int) -> list[FloatArray]:
+    """(N, n_u + 1) per segment: inputs in this order and the output about their means over all segments."""
+    found = [np.column_stack([s.u[:, list(order)], s.y[:, output]]) for s in data.segments if len(s)]
     if not found:
         raise DataError("there are no samples", hint="check the recipe and the splits")
     mean = np.concatenate(found).mean(axis=0)
     return [r - mean for r in found]
 
 
-def _check_motion(records: Sequence[FloatArray], data: Dataset, output: int) -> None:
-    names = [*(s.name for s in data.inputs), data.outputs[output].name]
-    offset = np.concatenate([data.segments[0].u[:1], data.segments[0].y[:1, [output]]], axis=1)[0]
+def _check_motion(records: Sequence[FloatArray], data: Dataset, order: Sequence[int], output: int) -> None:
+    names = [*(data.inputs[j].name for j in order), data.outputs[output].name]
+    offset = np.append(data.segments[0].u[:1, list(order)], data.segments[0].y[:1, output])
     for i, name in enumerate(names):
         size = max(float(np.ptp(r[:, i])) for r in records)
         if not size > 1e-12 * max(abs(float(offset[i])), 1e-300):
@@ -204,7 +249,7 @@ def _check_apart(records: Sequence[FloatArray], names: Sequence[str]) -> float:
     ------
     DataError : two inputs are one signal.
     """
-    gram = np.asarray(sum(r[:, :-1].T @ r[:, :-1] for r in records))
+    gram = np.asarray(sum(r.T @ r for r in records))
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     squared = (gram / np.outer(size, size)) ** 2
     np.fill_diagonal(squared, 0.0)

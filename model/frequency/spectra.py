@@ -211,11 +211,14 @@ def _conditioned(
         coherence = np.where(brought > 0.0, brought / (brought + left[:, None]), 0.0)
     n_u = h.shape[1]
     free = np.maximum(averages - n_u + 1, 1.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        error = np.sqrt((1.0 - coherence) / (coherence * 2.0 * free[:, None]))
     kernel = _kernel(omega, window_s)
     return Spectral(
         omega=omega,
         response=h,
         coherence=coherence,
+        error=error,
         averages=np.repeat(free[:, None], n_u, axis=1),
         freedom=np.maximum(2.0 * (averages - n_u), 1.0),
         correlation=np.repeat(kernel[None], n_u, axis=0),

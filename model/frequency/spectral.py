@@ -21,6 +21,7 @@ class Spectral:
     omega: FloatArray
     response: ComplexArray
     coherence: FloatArray
+    error: FloatArray
     averages: FloatArray
     freedom: FloatArray
     correlation: FloatArray

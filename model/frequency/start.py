@@ -9,7 +9,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from flysid.dataset import FloatArray
+from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.detrend import Trend
 from flysid.model.frequency.assemble import OneTransfer
@@ -59,6 +59,8 @@ class Settings(Protocol):
     def band(self) -> tuple[float, float] | None: ...
     @property
     def method(self) -> Method: ...
+    @property
+    def reference(self) -> Sequence[str]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +82,9 @@ class Starts:
     why: DataError | FitError | None
 
     @classmethod
-    def of(cls, settings: Settings, parts: Parts) -> Starts:
-        """Measure, and fit all orders that the settings leave open."""
+    def of(cls, settings: Settings, parts: Parts, joint: Dataset) -> Starts:
+        """Measure, on all training data (`joint`: with the references), and fit all orders that the settings
+        leave open."""
         n_u = len(parts.train.inputs)
         candidates = tuple(forms(n_u, settings.poles, settings.zeros, settings.dead_time_s, settings.stable))
         # of all training data: half a chirp is half a band
@@ -90,7 +93,9 @@ class Starts:
         why: DataError | FitError | None = None
         measured = None
         try:
-            measured = measure_response(parts.whole, method=settings.method, trend=trend)
+            measured = measure_response(
+                joint, reference=settings.reference, method=settings.method, trend=trend
+            )
         except DataError as error:
             return cls(settings, parts, candidates, None, (), error)
         for form in candidates:

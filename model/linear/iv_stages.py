@@ -7,7 +7,7 @@ same lags of the images, and theta solves Zᵀ Phi theta = Zᵀ y.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +29,8 @@ LONG_ORDER = 20
 WHITENING = 12
 """Order of the autoregression that whitens what the second stage leaves over."""
 STABLE_RADIUS = 0.999
+SMOOTH = 1e-10
+"""Share of the power of a reference's lags below which a direction of them is rounding."""
 SINGULAR = 1e-13
 """Ratio of singular values of Zᵀ Phi, rows and columns scaled, below which the instruments are blind."""
 
@@ -104,27 +106,45 @@ def scaled_blocks(blocks: Blocks, scale: FloatArray) -> Blocks:
 
 
 def fitted_by_iv(
-    parts: Parts, blocks: Blocks, orders: Sequence[Orders], columns: Columns, n_init: int | None
+    parts: Parts,
+    blocks: Blocks,
+    orders: Sequence[Orders],
+    columns: Columns,
+    n_init: int | None,
+    driven: Mapping[int, Path] | None = None,
 ) -> FittedLinear:
     """Every output's estimate, as one model.
 
     Parameters
     ----------
     blocks : outputs, then inputs, in scaled deviations.
+    driven : what the references drive, where it is known already; see `driven_by`.
 
     Raises
     ------
     FitError : the instruments are blind. DataError : no segment is long enough.
     """
-    n_y, memory = len(orders), max(min(WHITENING, len(parts.train) // 50), 1)
-    rows = [n_y + j for j in columns.inputs]
-    references = [n_y + j for j in columns.references]
-    images = {row: _driven(blocks, row, references) for row in rows} if references else {}
-    found = []
-    for i, own in enumerate(orders):
-        driven = _driven(blocks, i, references) if references else None
-        found.append(_four_stages(_Signals(blocks, i, rows, images), own, driven, memory))
+    driven = driven_by(blocks, len(orders), columns) if driven is None else driven
+    found = [estimated_by_iv(parts, blocks, (i, own), columns, driven) for i, own in enumerate(orders)]
     return _model(parts, orders, columns, found, n_init)
+
+
+def driven_by(blocks: Blocks, n_y: int, columns: Columns) -> dict[int, Path]:
+    """The part of every output (rows 0 to n_y - 1) and input that the references drive; empty without any."""
+    references = [n_y + j for j in columns.references]
+    rows = [*range(n_y), *(n_y + j for j in columns.inputs)]
+    return {row: _driven(blocks, row, references) for row in rows} if references else {}
+
+
+def estimated_by_iv(
+    parts: Parts, blocks: Blocks, equation: tuple[int, Orders], columns: Columns, driven: Mapping[int, Path]
+) -> Estimate:
+    """One output's estimate; `equation` is that output and its orders. Raises as `fitted_by_iv`."""
+    output, own = equation
+    rows = [len(parts.train.outputs) + j for j in columns.inputs]
+    images = {row: driven[row] for row in rows if row in driven}
+    memory = max(min(WHITENING, len(parts.train) // 50), 1)
+    return _four_stages(_Signals(blocks, output, rows, images), own, driven.get(output), memory)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,13 +211,19 @@ class _Memory:
 
 
 def _driven(blocks: Blocks, target: int, references: Sequence[int]) -> Path:
-    """The part of a signal that the references drive: a long regression, simulated."""
+    """The part of a signal that the references drive: a long regression, simulated.
+
+    Many coefficients tell the same where the reference is smooth (a sweep, sampled fast): any of the
+    solutions gives the same part, the shortest is taken.
+    """
     own = Orders(LONG_ORDER, (LONG_ORDER + 1,) * len(references), (0,) * len(references), offset=True)
     signals = _Signals(blocks, target, references, {})
     gram = signals.gram(own.depth, None, np.ones(1))
     step = own.depth + 1
     regressors = own.columns(step, 0, 1)
-    theta = _solved(gram[np.ix_(regressors, regressors)], gram[regressors, 0])
+    power = gram[np.ix_(regressors, regressors)]
+    size = np.sqrt(np.maximum(np.diag(power), np.finfo(float).tiny))
+    theta = np.linalg.lstsq(power / np.outer(size, size), gram[regressors, 0] / size, rcond=SMOOTH)[0] / size
     return _path(own, theta, references)
 
 

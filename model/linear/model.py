@@ -9,7 +9,7 @@ regresses on measured lags), or added to the free run as an autoregression of it
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -116,6 +116,25 @@ class FittedLinear(FreeRuns):
     def unlimited(self) -> FittedLinear:
         """The model without its output limits, for the search of a start."""
         return replace(self, output_limits=far(self.output_limits))
+
+    def among(self, inputs: Sequence[Signal], strange: Sequence[int]) -> FittedLinear:
+        """The same model as one of more inputs, of which those in the places `strange` do nothing."""
+        if not strange:
+            return self
+        own = [j for j in range(len(inputs)) if j not in strange]
+        lags, n_y, _ = self.system.b.shape
+        b = np.zeros((lags, n_y, len(inputs)))
+        b[:, :, own] = self.system.b
+        places = np.arange(b.size).reshape(b.shape)[:, :, own].ravel()
+        first, after = self.system.a[1:].size, self.system.a[1:].size + self.system.b.size
+        moved = [
+            i if i < first else first + int(places[i - first]) if i < after else i - after + first + b.size
+            for i in self.free
+        ]
+        origin = np.zeros(len(inputs))
+        origin[own] = self.u_origin
+        system = replace(self.system, b=b)
+        return replace(self, inputs=tuple(inputs), system=system, u_origin=origin, free=tuple(moved))
 
     def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
         """(N, n_y) prediction from outputs at least k steps old; the first n_init + k - 1 rows are NaN.

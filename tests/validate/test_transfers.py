@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from bench.closed_loop import SWEPT_HZ, Loop, direct
 from flysid.cli.tf import command
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
@@ -121,6 +122,45 @@ def test_the_command_line(logs: dict[str, Path], tmp_path: Path) -> None:
     assert failed.returncode == 2
     assert "no more zeros than poles" in failed.stderr
     assert "Traceback" not in failed.stderr
+
+
+def test_a_closed_loop_is_trusted_through_its_reference_only(tmp_path: Path) -> None:
+    """A table with a chirp added inside a loop: without the chirp no band is trusted, with it the plant's."""
+    data = Loop(0.2, rate_hz=100.0).flown(3)
+    segment = data.segments[0]
+    rows = np.column_stack([np.arange(len(segment)) * data.dt_s, segment.u, segment.y])
+    log = tmp_path / "loop.csv"
+    np.savetxt(log, rows, delimiter=",", header="time_s,u,chirp,rate", comments="", fmt="%.9g")
+    order = ["tf", str(log), "--from", "u", "--to", "rate", "--json", "-q"]
+    plain = call(*order, cwd=tmp_path)
+    assert plain.returncode == 0, plain.stderr
+    direct = json.loads(plain.stdout)["channels"][0]
+    assert direct["feedback"][0]["closed"]
+    assert direct["measured"][0]["band_rad_s"] is None
+    done = call(*order, "--reference", "chirp", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    through = json.loads(done.stdout)["channels"][0]
+    assert through["reference"] == ["chirp"]
+    assert [t["input"] for t in through["transfers"]] == ["u"]
+    low, high = through["measured"][0]["band_rad_s"]
+    assert 2 * np.pi * SWEPT_HZ[0] < low < high < 2 * np.pi * SWEPT_HZ[1]
+    wrong = call(*order, "--reference", "sweep", cwd=tmp_path)
+    assert wrong.returncode == 2
+    assert "no log has a field 'sweep'" in wrong.stderr
+
+
+def test_what_is_said_of_a_loop() -> None:
+    data = Loop(0.2, rate_hz=100.0).flown(3)
+    estimator = TF(poles=2, zeros=0)
+    alone = "\n".join(identify_channel("rate", direct(data), estimator).lines())
+    assert "trust it from" not in alone
+    assert "no band can be trusted: a loop is closed" in alone
+    assert "--reference FIELD" in alone
+    found = identify_channel("rate", data, TF(poles=2, zeros=0, reference=["chirp"]))
+    words = "\n".join(found.lines())
+    assert "where the coherence of chirp with input and output is above 0.6" in words
+    assert "caution" not in words
+    assert len(found.table(0, 0)) > 20
 
 
 @pytest.mark.parametrize(

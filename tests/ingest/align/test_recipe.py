@@ -30,7 +30,8 @@ def test_every_shipped_recipe_loads_under_its_own_name(name: str) -> None:
     recipe = load_recipe(name)
     assert recipe.name == name
     assert recipe.description
-    used = {s for channel in recipe.channels for s in recipe.signals_of(channel)}
+    named = recipe.with_references()
+    used = {s for channel in named.channels for s in named.signals_of(channel)}
     assert used == set(recipe.signals)
 
 
