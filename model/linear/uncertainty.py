@@ -70,7 +70,7 @@ def response_of(model: DifferenceModel, omega: FloatArray) -> FrequencyResponse:
     real, imaginary = slopes.real, slopes.imag
     size = np.maximum(np.abs(g), np.finfo(float).tiny)
     along = (g.real[..., None] * real + g.imag[..., None] * imaginary) / size[..., None]
-    across = (g.real[..., None] * imaginary - g.imag[..., None] * real) / size[..., None] ** 2
+    across = (g.real[..., None] * imaginary - g.imag[..., None] * real) / size[..., None] / size[..., None]
     return FrequencyResponse(omega, g, spread_of(along, covariance), spread_of(across, covariance))
 
 
