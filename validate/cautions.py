@@ -88,7 +88,7 @@ def _diverged(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
                 first = min(score.diverged, key=lambda s: s.diverged_s or 0.0)
                 said.setdefault((name in heads(c), name), []).append(
                     f"{channel}, in {len(score.diverged)} of {len(score.segments)} held-out segments, "
-                    f"first at t = {first.diverged_s:.1f} s (segment H{first.segment + 1})"
+                    f"first at t = {first.diverged_s:.1f} s ({one_line(c.segments[first.segment])})"
                 )
     for (headline, name), where in said.items():
         more = f"; and on {len(where) - LISTED} more" if len(where) > LISTED else ""
@@ -118,22 +118,21 @@ def _unstable(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
 
 
 def _extrapolates(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
-    del comparisons
     of: list[tuple[str, Outside]] = [
         (n, o) for n, d in diagnoses.items() for o in d.outside if o.share > 0.01
     ]
     if of:
-        outside = [o for _, o in of]
         shared = {o.signal.name for n, o in of for m, p in of if n != m and o.signal.name == p.signal.name}
         said = join(
             f"{o.signal.name}{f' of {n}' if o.signal.name in shared else ''} ({100 * o.share:.1f} %)"
             for n, o in of
         )
-        worst = max(outside, key=lambda o: o.share)
+        channel, worst = max(of, key=lambda item: item[1].share)
+        where = one_line(comparisons[channel].segments[worst.worst_segment])
         yield Caution(
             "warning",
-            f"Held-out samples leave the training range on {said}, most in segment "
-            f"H{worst.worst_segment + 1} ({100 * worst.worst_share:.0f} % of {one_line(worst.signal.name)}). "
+            f"Held-out samples leave the training range on {said}, most in "
+            f"{where} ({100 * worst.worst_share:.0f} % of {one_line(worst.signal.name)}). "
             "Fuzzy models extrapolate poorly; these samples are included in every number here.",
             "train on flights that reach this range, or hold out others.",
             2.0 + worst.share,

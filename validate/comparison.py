@@ -10,6 +10,7 @@ from flysid.errors import UsageError
 from flysid.model.base import Fitted, kind_of
 from flysid.validate.intervals import Change, Scope
 from flysid.validate.metrics import Scores
+from flysid.validate.segmentnames import segment_names
 from flysid.validate.trials import FREE_RUN, horizon_name
 from flysid.validate.verdict import Evidence, Verdict
 
@@ -179,6 +180,11 @@ class Comparison:
     def horizons(self) -> tuple[str, ...]:
         """In the order of the table."""
         return tuple(dict.fromkeys(e.horizon for e in self.entries))
+
+    @property
+    def segments(self) -> tuple[str, ...]:
+        """Names of the held-out segments: flight, and time in it."""
+        return segment_names(self.test)
 
     @property
     def head(self) -> str:

@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from flysid.catalogue import FlightFacts
 from flysid.errors import DataError, UsageError
 from flysid.files import replacing_folder, write_atomically
+from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.lake.selection import Selection
 from flysid.progress import tell
 from flysid.validate.caution import Caution
@@ -154,7 +156,7 @@ def judge_run(
         raise DataError(f"no channel can be judged: {by_reason(failed)}")
     corrected = across_channels(comparisons)
     skipped = {**run.skipped, **failed}
-    context = replace(_context(run, corrected, held, remark), skipped=skipped)
+    context = replace(_context(run, corrected, held, remark, data), skipped=skipped)
     return Judgement(run, corrected, skipped, context, tuple(failed))
 
 
@@ -189,7 +191,11 @@ def write_judgement(judgement: Judgement, folder: Path, figures: str | None = No
 
 
 def _context(
-    run: Run, comparisons: Mapping[str, Comparison], held: list[HeldOut], remark: str
+    run: Run,
+    comparisons: Mapping[str, Comparison],
+    held: list[HeldOut],
+    remark: str,
+    data: str | Path | None,
 ) -> ReportContext:
     return ReportContext(
         comparisons=comparisons,
@@ -198,8 +204,14 @@ def _context(
         provenance=_provenance(run, held),
         remark=remark,
         fit_seconds={h.channel.name: dict(h.channel.fit_seconds) for h in held},
+        flights=_flights(run, data),
         doubts={h.channel.name: h.channel.doubts for h in held if h.channel.name in comparisons},
     )
+
+
+def _flights(run: Run, data: str | Path | None) -> tuple[FlightFacts, ...]:
+    """What the catalogue knows of the run's flights; a dataset file has none."""
+    return open_lake(data or run.data).only(run.flights).facts if run.recipe else ()
 
 
 def fit_command(run: Run) -> str:

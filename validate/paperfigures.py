@@ -162,7 +162,7 @@ def _time_panels(panels: tuple[Axes, Axes, Axes], context: ReportContext, channe
     middle.set_ylabel(axis_label("error", c.test.outputs[j].unit))
     low.set_ylabel(axis_label(c.test.inputs[signal].name, c.test.inputs[signal].unit))
     low.set_xlabel("time, s")
-    top.set_title(f"{_literal(channel)}: held-out segment H{trial.segment + 1}")
+    top.set_title(f"{_literal(channel)}: {_literal(c.segments[trial.segment])}")
     top.tick_params(labelbottom=False)
     middle.tick_params(labelbottom=False)
     top.legend(loc="upper right", ncols=3, frameon=False)

@@ -100,7 +100,9 @@ def _rows(
         headline = entry.horizon == comparison.head
         if score.diverged and entry.horizon == FREE_RUN:
             first = score.diverged[0]
-            verdict += f" (diverged at t = {first.diverged_s:.1f} s, segment H{first.segment + 1})"
+            verdict += (
+                f" (diverged at t = {first.diverged_s:.1f} s, {one_line(comparison.segments[first.segment])})"
+            )
         rows.append(
             (
                 label if not rows else "",

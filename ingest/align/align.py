@@ -344,6 +344,7 @@ class _Boot:
     def _marks(self, u: FloatArray) -> dict[str, str | float]:
         """Duration, excitation, and the share of samples in which an input stands at a limit."""
         marks: dict[str, str | float] = {
+            "begin_s": min(int(s.t_ns[0]) for s in self.series.values()) * 1e-9,
             "duration_s": len(u) * self.dt_ns * 1e-9,
             "excitation": float(u.std(axis=0).max()),
         }

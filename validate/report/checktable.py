@@ -94,7 +94,7 @@ def _diverged(name: str, c: Comparison) -> Finding:
     score = c.entry(horizon=FREE_RUN).models[name]
     if not score.diverged:
         return Finding(f"in none of {len(score.segments)} segments", True)
-    said = ", ".join(f"H{s.segment + 1} at {s.diverged_s:.1f} s" for s in score.diverged[:5])
+    said = ", ".join(f"{one_line(c.segments[s.segment])} at {s.diverged_s:.1f} s" for s in score.diverged[:5])
     return Finding(f"in {len(score.diverged)} of {len(score.segments)}: {said}", False)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from flysid.catalogue import FlightFacts
 from flysid.dataset import Dataset
 from flysid.ingest.align.doubts import Doubt
 from flysid.progress import tell
@@ -80,6 +81,7 @@ class ReportContext:
     fit_seconds : wall time of every fit, by channel and model, where known.
     doubts : reasons in the training data not to trust any model, by channel name.
     skipped : channels that are not on the page, with the reason.
+    flights : what the catalogue knows of the run's flights.
     """
 
     comparisons: Mapping[str, Comparison]
@@ -91,6 +93,7 @@ class ReportContext:
     fit_seconds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     doubts: Mapping[str, Sequence[Doubt]] = field(default_factory=dict)
     skipped: Mapping[str, str] = field(default_factory=dict)
+    flights: Sequence[FlightFacts] = ()
 
     @cached_property
     def diagnoses(self) -> dict[str, Diagnosis]:

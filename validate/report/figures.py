@@ -24,6 +24,8 @@ from flysid.validate.report.svg import (
     span,
     stems,
     text,
+    tick_text,
+    ticks,
 )
 from flysid.validate.residuals import Correlation, Spectrum
 from flysid.validate.words import interval_words
@@ -32,12 +34,20 @@ HALF = 470.0
 THIRD = 310.0
 
 
-def interval_bar(pair: Pair, reach: tuple[float, float], css: str, width: float = 220.0) -> Markup:
-    """The change in RMSE and its interval on a line; the tick is no change."""
+def interval_bar(
+    pair: Pair, reach: tuple[float, float], css: str, width: float = 220.0, scale: bool = False
+) -> Markup:
+    """The change in RMSE and its interval on a line; the long tick is no change; `scale`: numbered."""
+    width = 340.0 if scale else width
     height = 22.0
-    axes = Axes(reach, (0.0, 1.0), left=8.0, top=0.0, width=width - 16.0, height=height)
+    axes = Axes(reach, (0.0, 1.0), left=16.0, top=0.0, width=width - 32.0, height=height)
     mid = height / 2
     parts = [segment(axes.left, mid, axes.right, mid, "grid")]
+    for value in ticks(*reach, count=6) if scale else ():
+        at = float(axes.px(value))
+        parts.append(segment(at, mid - 4, at, mid + 4, "axis"))
+        sign = "+" if value > 0 else ""
+        parts.append(text(at, height + 12, f"{sign}{tick_text(value)} %", anchor="middle"))
     zero = float(axes.px(0.0))
     parts.append(segment(zero, 2, zero, height - 2, "zero"))
     if pair.ci95 is not None and pair.change_pct is not None:
@@ -47,7 +57,7 @@ def interval_bar(pair: Pair, reach: tuple[float, float], css: str, width: float 
         at = float(np.clip(axes.px(pair.change_pct), axes.left, axes.right))
         parts.append(segment(at, mid, at, mid, f"ci-dot {css}"))
     label = f"Change in RMSE {interval_words(pair)} percent" if pair.ci95 else "No interval"
-    return picture(width, height, parts, label, "interval")
+    return picture(width, height + 16.0 if scale else height, parts, label, "scaled" if scale else "interval")
 
 
 def correlogram(c: Correlation, dt_s: float, css: str, label: str) -> Markup:

@@ -127,7 +127,7 @@ def drawn(comparison: Comparison) -> list[tuple[str, str]]:
 def buttons(comparison: Comparison, pieces: Sequence[Strip], output: int) -> tuple[tuple[str, str], ...]:
     """(label, "0.31 → 0.32") of each drawn segment."""
     c = comparison
-    labels = [f"H{p.index + 1}" for p in pieces]
+    labels = [one_line(c.segments[p.index]) for p in pieces]
     if FREE_RUN not in c.horizons:
         return tuple((label, "") for label in labels)
     entry = c.entry(c.test.outputs[output].name, FREE_RUN)
@@ -175,7 +175,6 @@ def still(strip: Strip, titles: tuple[str, str, str], label: str) -> Markup:
         frame(top, titles[0], x_ticks=False),
         frame(middle, titles[1], x_ticks=False, y_count=3),
         frame(low, titles[2], "time, s", y_count=2),
-        line(top, strip.t, strip.y, "measured"),
         line(low, strip.t, strip.u, "input"),
     ]
     for css, lower, upper in strip.bands:
@@ -183,6 +182,7 @@ def still(strip: Strip, titles: tuple[str, str, str], label: str) -> Markup:
         parts.append(area(top, strip.t[::THIN], low_edge, high_edge, f"sure {css}"))
     for (_, css, values), error in zip(strip.models, strip.errors, strict=True):
         parts += [line(top, strip.t, values, css), line(middle, strip.t, error, css)]
+    parts.append(line(top, strip.t, strip.y, "measured"))
     for begin, end, rule in strip.runs:
         ends = (float(top.px(begin)), float(top.px(end)))
         parts.append(box(ends, (top.bottom + 8, top.bottom + 18), f"stack r{rule % 8 + 1}"))

@@ -15,9 +15,11 @@ from flysid.validate.report import narrative
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.figures import interval_bar
 from flysid.validate.report.html import environment, load_asset, script_json, security_policy, write_page
+from flysid.validate.report.masthead import masthead
 from flysid.validate.report.overlay import MOST_SEGMENTS
 from flysid.validate.report.sections import Section, sections
 from flysid.validate.report.source import Source
+from flysid.validate.report.telling import telling
 from flysid.validate.terminal import standing
 from flysid.validate.words import (
     change_words,
@@ -59,13 +61,15 @@ def render(context: ReportContext) -> str:
             scripts=[Markup(s) for s in scripts],
             data=Markup(script_json([s.data for s in parts])),
             remark=one_line(context.remark),
+            masthead=masthead(context.flights, sorted({1.0 / c.dt_s for c in comparisons.values()})),
             title=narrative.title(pairs, idle),
             subtitle=" ".join([*narrative.worse_than_constant(comparisons), narrative.subtitle(pairs, idle)])
             if pairs
             else narrative.alone(comparisons),
             basis=narrative.basis(comparisons, _seconds_of_training(context)),
             skipped=[(one_line(name), one_line(why)) for name, why in context.skipped.items()],
-            cards=_cards(comparisons),
+            cards=_cards(comparisons, diagnoses),
+            drawn=_drawn(comparisons),
             cautions=cautions(comparisons, diagnoses, context.doubts),
             rows=_rows(comparisons),
             models=_models(context),
@@ -106,12 +110,22 @@ def _reach(pairs: Sequence[Pair]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _cards(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
+def _drawn(comparisons: Mapping[str, Comparison]) -> list[tuple[str, str]]:
+    """(CSS class, name) of the curves on the cards."""
+    first, pairs = next(iter(comparisons.values())), narrative.heads(comparisons)
+    words = [narrative.base_words(pairs) if pairs else narrative.called(first.baseline)]
+    words += [narrative.called(first.contender)] if first.contender else []
+    return list(zip(("arx", "ts"), words, strict=False))
+
+
+def _cards(comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagnosis]) -> list[dict[str, Any]]:
     pairs = [pair for _, pair in narrative.heads(comparisons)]
     reach = _reach(pairs)
     cards = []
     for channel, c in comparisons.items():
-        for output, pair in c.verdict.items():
+        for j, (output, pair) in enumerate(c.verdict.items()):
+            trials = diagnoses[channel].free_runs
+            shown, where = telling(c, trials, j) if trials else (Markup(""), "")
             entry = c.entry(output, c.head)
             base, model = (entry.models[m].scores for m in (pair.baseline, pair.model))
             sizes = [c.models[m] for m in (pair.baseline, pair.model)]
@@ -122,7 +136,9 @@ def _cards(comparisons: Mapping[str, Comparison]) -> list[dict[str, Any]]:
                     "badge": narrative.badge(pair),
                     "change": change_words(pair),
                     "horizon": "RMSE in " + horizon_words(entry.horizon, c.dt_s),
-                    "bar": interval_bar(pair, reach, narrative.css(pair)),
+                    "telling": shown,
+                    "where": where,
+                    "bar": interval_bar(pair, reach, narrative.css(pair), scale=True),
                     "interval": interval_words(pair),
                     "reason": pair.reason,
                     "rmse": (base.rmse, model.rmse),
@@ -191,7 +207,7 @@ def _models(context: ReportContext) -> list[dict[str, Any]]:
                         "unit": one_line(output.unit),
                         "name": one_line(name),
                         "score": score.scores,
-                        "worst_segment": f"H{score.worst_segment.segment + 1}",
+                        "worst_segment": one_line(c.segments[score.worst_segment.segment]),
                         "worst_rmse": score.worst_segment.scores.rmse,
                         "rules": "" if info.reference else info.n_rules,
                         "parameters": info.n_parameters,

@@ -98,7 +98,7 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         _with_unit("error (measured − simulated)", c.test.outputs[j].unit),
         "input " + _with_unit(c.test.inputs[signal].name, c.test.inputs[signal].unit),
     )
-    labels = [f"H{p.index + 1}" for p in pieces]
+    labels = [one_line(c.segments[p.index]) for p in pieces]
     name = one_line(source.channel or c.test.outputs[j].name)
     return Section(
         anchor=anchor,

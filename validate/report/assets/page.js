@@ -4,6 +4,10 @@
   var root = document.documentElement;
   var charts = [];
 
+  if (matchMedia("(max-width:720px)").matches) { // on a phone, details wait to be opened
+    document.querySelectorAll("details.fold").forEach(function (fold) { fold.open = false; });
+  }
+
   function data(index) { // read when the first chart is drawn, not when the page opens
     held = held || JSON.parse(document.getElementById("data").textContent);
     return held[index];
@@ -90,7 +94,7 @@
       return series(name, i === 0 ? "arx" : "ts", i === 0 ? [5, 3] : undefined, 1.6);
     });
     title(live, channel.titles[0]);
-    var top = chart(live, 230, channel, [series("measured", "measured", undefined, 1.3)].concat(models), function () { return current.range; }, false, key);
+    var top = chart(live, 230, channel, models.concat([series("measured", "measured", undefined, 1.3)]), function () { return current.range; }, false, key);
     var strip = document.createElement("canvas");
     strip.className = "strip";
     strip.setAttribute("aria-hidden", "true");
@@ -135,7 +139,7 @@
     function show(i) {
       current = channel.segments[i];
       zooming = true;
-      top.setData([current.t, current.y].concat(current.models));
+      top.setData([current.t].concat(current.models, [current.y])); // the measurement lies on top
       middle.setData([current.t].concat(current.errors));
       bottom.setData([current.t, current.u]);
       zooming = false;
