@@ -19,6 +19,7 @@ from flysid.model.rules.clustering import cluster, project
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.free_run_error import Body, Problem, antecedent_range, runs_of
 from flysid.model.rules.growth import best_started, first_basis
+from flysid.model.rules.operating_points import described
 from flysid.model.rules.regressor_layout import Layout, Orders, parse_antecedents, scaling
 from flysid.model.rules.stages import ordered
 from flysid.model.threads import on_one_thread
@@ -73,7 +74,8 @@ class ANFIS:
             f"ahead (ANFIS), epoch {best_epoch} of {self.epochs} was the best.",
             "The free run was not looked at: compare it before you trust a simulation.",
         )
-        return finished(ordered(best_started(learner.problem, best)), train, notes, intervals=False)
+        found = finished(ordered(best_started(learner.problem, best)), train, notes, intervals=False)
+        return described(found, train)
 
     def _check(self) -> None:
         for name, least in (("rules", 1), ("na", 0), ("nb", 1), ("nk", 0), ("epochs", 1)):

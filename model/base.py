@@ -59,7 +59,10 @@ class Rule:
     time_constant_s : slowest time constant; inf where the rule integrates.
     pole_radius : largest pole modulus (0 for a static rule).
     support : share of training samples for which this rule is the strongest, 0 to 1.
-    gain_interval : (2, n_y, n_u) 95 % interval of `dc_gain` from the parameters' uncertainty; None: unknown.
+    here : of a model of several rules, what the model does for every output at the operating point where this
+        rule is the strongest, and its loudest; () where that is nowhere, or not known. `dc_gain` is the
+        rule's own, which a vehicle shows only where no other rule speaks.
+    push : what its constant does, in words; "" where that is little.
     """
 
     label: str
@@ -69,7 +72,38 @@ class Rule:
     time_constant_s: float
     pole_radius: float
     support: float
-    gain_interval: FloatArray | None = None
+    here: tuple[OperatingPoint, ...] = ()
+    push: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class OperatingPoint:
+    """How an output answers small lasting steps of every input about one place at which the model rests.
+
+    Attributes
+    ----------
+    output : number of the output that answers.
+    outputs, inputs : (n_y,), (n_u,) where all signals stand.
+    gain : (n_u,) final change per unit of the input.
+    gain_interval : (2, n_u) 95 %; NaN where nothing is known of it.
+    reached_s : (n_u,) seconds until 63 % of the final change is reached, dead time included.
+    reached_interval_s : (2, n_u) as `gain_interval`.
+    dead_s : (n_u,) seconds in which nothing can follow, beyond the sample that holds the input.
+    overshoot, wrong_way : (n_u,) shares of the final change.
+    shares : (R,) how loudly each rule speaks here.
+    """
+
+    output: int
+    outputs: FloatArray
+    inputs: FloatArray
+    gain: FloatArray
+    gain_interval: FloatArray
+    reached_s: FloatArray
+    reached_interval_s: FloatArray
+    dead_s: FloatArray
+    overshoot: FloatArray
+    wrong_way: FloatArray
+    shares: FloatArray
 
 
 @runtime_checkable

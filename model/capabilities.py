@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.base import Fitted
+from flysid.model.base import Fitted, OperatingPoint
 from flysid.model.polynomials import ComplexArray
 
 
@@ -163,6 +163,14 @@ class HasIntervals(Protocol):
         DataError : fewer samples than numbers.
         """
         ...
+
+
+@runtime_checkable
+class HasOperatingPoints(Protocol):
+    """A model of rules that knows what it does where its vehicle rests."""
+
+    @property
+    def operating_points(self) -> tuple[OperatingPoint, ...]: ...
 
 
 @runtime_checkable

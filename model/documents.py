@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
 
 from flysid.dataset import FloatArray, Signal
-from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Fitted
+from flysid.model.base import MODEL_FORMAT, MODEL_VERSION, Fitted, OperatingPoint
 
 
 def head_of(model: Fitted) -> dict[str, Any]:
@@ -76,3 +77,22 @@ def with_null(array: FloatArray) -> list[Any]:
 def array_or_none(value: Any) -> FloatArray | None:
     """What `with_null` or `tolist` wrote, None where there was nothing."""
     return None if value is None else np.array(value, dtype=np.float64)
+
+
+def points_as_json(points: Sequence[OperatingPoint]) -> list[dict[str, Any]]:
+    """Operating points as JSON types."""
+    return [
+        {k: with_null(v) if isinstance(v, np.ndarray) else v for k, v in asdict(p).items()} for p in points
+    ]
+
+
+def points_from(documents: Sequence[Mapping[str, Any]]) -> tuple[OperatingPoint, ...]:
+    """What `points_as_json` wrote; files of before operating points hold none."""
+    return tuple(
+        OperatingPoint(**{f.name: _number_or_array(document[f.name]) for f in fields(OperatingPoint)})
+        for document in documents
+    )
+
+
+def _number_or_array(value: Any) -> Any:
+    return np.array(value, dtype=np.float64) if isinstance(value, list) else value

@@ -60,4 +60,6 @@ class TSStateSpace:
         FitError : no stable model was found.
         """
         learned = learn(self, train, validation)
-        return finished(train, learned.stage, learned.notes, intervals=learned.intervals)
+        return finished(
+            train, learned.stage, learned.notes, intervals=learned.intervals, larger=learned.larger
+        )

@@ -160,15 +160,18 @@ def unsure_gains(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cau
             if sure is None or len(comparisons[channel].test.inputs) > 1:
                 continue  # a second input may well have no effect
             low, high = sure.gain
-            unsure = np.flatnonzero((np.isnan(low) | ((low < 0.0) & (high > 0.0))).any(axis=(1, 2)))
+            told = np.array([bool(r.here) for r in comparisons[channel].fitted[name].rules()])
+            seen = told if told.any() else np.ones(len(low), dtype=bool)
+            bad = (np.isnan(low) | ((low < 0.0) & (high > 0.0))).any(axis=(1, 2))
+            unsure = np.flatnonzero(bad & seen)
             rules = ", ".join(f"R{r + 1}" for r in unsure) + " of " if len(low) > 1 else ""
             if len(unsure):
                 said.append(f"{channel} ({rules}{name.upper()})")
     if said:
         yield Caution(
             "note",
-            f"The data do not pin down the steady gain on {join(said)}: its 95 % interval holds zero, or has "
-            "no end.",
+            f"The data do not pin down the steady gain on {join(said)}: its 95 % interval holds zero, or a "
+            "factor of two and more.",
             "do not quote these gains; fly longer steps, or use fewer rules.",
             0.85,
         )

@@ -102,9 +102,7 @@ def _checks(c: Checks) -> dict[str, Any]:
         "simpler": [asdict(s) for s in c.simpler],
         "certificate": {"proved": c.proved, "words": c.certificate},
         "gain_95": None if sure is None else sure.gain.tolist(),
-        "time_constant_95_s": None
-        if sure is None or sure.time_constant_s is None
-        else sure.time_constant_s.tolist(),
+        "reached_95_s": None if sure is None or sure.reached_s is None else sure.reached_s.tolist(),
         "coefficients": [] if sure is None else [asdict(x) for x in sure.coefficients],
     }
 

@@ -8,6 +8,7 @@ from typing import Protocol, TypeVar
 from flysid.errors import DataError, FitError
 from flysid.files import write_atomically
 from flysid.model.base import Fitted
+from flysid.model.capabilities import HasOperatingPoints
 from flysid.model.rules import phrases as words
 
 S = TypeVar("S", contravariant=True)
@@ -46,4 +47,5 @@ def in_words(model: Fitted) -> str:
     rules = model.rules()
     count = f"{len(rules)} rule{'s' if len(rules) > 1 else ''}"
     title = f"{model.structure}, {count}, {model.n_parameters} parameters"
-    return words.in_words(title, rules, model.notes, (model.outputs, model.inputs)) + "\n"
+    points = model.operating_points if isinstance(model, HasOperatingPoints) else ()
+    return words.in_words(title, rules, model.notes, (model.outputs, model.inputs), points) + "\n"

@@ -14,7 +14,13 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FlysidError
 from flysid.model.base import Fitted
-from flysid.model.capabilities import Coefficient, HasCoefficients, HasIntervals, LinearModel
+from flysid.model.capabilities import (
+    Coefficient,
+    HasCoefficients,
+    HasIntervals,
+    HasOperatingPoints,
+    LinearModel,
+)
 from flysid.model.polynomials import Z95
 
 if TYPE_CHECKING:
@@ -27,14 +33,15 @@ class Intervals:
 
     Attributes
     ----------
-    gain : (2, R, n_y, n_u) of every rule's steady gain; NaN where there is none.
-    time_constant_s : (2, R), or None where it is not known.
+    gain : (2, R, n_y, n_u) of the steady gain; of a model of several rules, of what it does where each rule
+        is the strongest at rest. NaN where there is none.
+    reached_s : (2, R, n_y, n_u) of the time to 63 % of a change there, or None where it is not known.
     coefficients : every estimated coefficient.
     fuzzy : what all of this was drawn from, for a TS model.
     """
 
     gain: FloatArray
-    time_constant_s: FloatArray | None
+    reached_s: FloatArray | None
     coefficients: tuple[Coefficient, ...]
     fuzzy: Uncertainty[Any] | None = None
 
@@ -53,7 +60,8 @@ def _of_rules(model: Any, train: Dataset) -> Intervals | None:
     try:
         sure: Uncertainty[Any] = model.uncertainty(train)
         with np.errstate(all="ignore"):
-            gain, slow = sure.gain_interval, sure.time_constant_interval_s
+            known = isinstance(model, HasOperatingPoints) and model.operating_points
+            gain, reached = _at_rest(model) if known else (sure.gain_interval, None)
     except (FlysidError, np.linalg.LinAlgError):
         return None
     errors = sure.consequent_errors
@@ -63,7 +71,19 @@ def _of_rules(model: Any, train: Dataset) -> Intervals | None:
         for i, output in enumerate(model.outputs)
         for m, (name, value) in enumerate(zip(model.regressor_names, rule[i], strict=True))
     ]
-    return Intervals(gain, slow, tuple(found), sure)
+    return Intervals(gain, reached, tuple(found), sure)
+
+
+def _at_rest(model: Any) -> tuple[FloatArray, FloatArray]:
+    """Intervals where each rule is the strongest at rest."""
+    rules = model.rules()
+    gain = np.full((2, len(rules), len(model.outputs), len(model.inputs)), np.nan)
+    reached = gain.copy()
+    for r, rule in enumerate(rules):
+        for point in rule.here:
+            gain[:, r, point.output] = point.gain_interval
+            reached[:, r, point.output] = point.reached_interval_s
+    return gain, reached
 
 
 def _linear(model: LinearModel) -> Intervals | None:

@@ -13,12 +13,25 @@ from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import rule_support
 from flysid.model.rules.judging import initial_state_gain
-from flysid.model.rules.rule_uncertainty import uncertainty
+from flysid.model.rules.operating_points import described
 from flysid.model.start import estimate_start, start_window
 
 
-def finished(stage: Stage, train: Dataset, notes: tuple[str, ...], *, intervals: bool = True) -> FittedTS:
-    """The stage as a fitted model, with its start, support, noise model and, on request, intervals."""
+def finished(
+    stage: Stage,
+    train: Dataset,
+    notes: tuple[str, ...],
+    *,
+    intervals: bool = True,
+    larger: Stage | None = None,
+) -> FittedTS:
+    """The stage as a fitted model, with its start, support, noise model and, on request, what it does.
+
+    Parameters
+    ----------
+    intervals : say what the model does at operating points, and how surely.
+    larger : what the search knew with one rule more, see `operating_points`.
+    """
     fitted = FittedTS(
         dt_s=train.dt_s,
         layout=stage.problem.layout,
@@ -28,7 +41,7 @@ def finished(stage: Stage, train: Dataset, notes: tuple[str, ...], *, intervals:
         notes=notes,
     )
     fitted = with_noise_model(fitted, train)
-    return _with_intervals(fitted, train) if intervals else fitted
+    return described(fitted, train, larger) if intervals else fitted
 
 
 def free_run_errors(model: FittedTS, data: Dataset) -> list[FloatArray]:
@@ -69,11 +82,3 @@ def with_noise_model(fitted: FittedTS, train: Dataset) -> FittedTS:
         for m in (fitted, noisy)
     )
     return noisy if coloured < plain else fitted
-
-
-def _with_intervals(fitted: FittedTS, train: Dataset) -> FittedTS:
-    """The model with the intervals of its gains, where the data can tell."""
-    try:
-        return replace(fitted, gain_interval=uncertainty(fitted, train).gain_interval)
-    except (DataError, np.linalg.LinAlgError):
-        return fitted

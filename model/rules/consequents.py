@@ -95,7 +95,7 @@ def refit_consequents(
         parameters=model.parameters._replace(theta=found.theta),
         notes=(*model.notes, note),
         noise=None,
-        gain_interval=None,
+        operating_points=(),
     )
 
 

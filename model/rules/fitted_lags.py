@@ -17,8 +17,8 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
 from flysid.model.arguments import as_columns, as_record
-from flysid.model.base import Rule
-from flysid.model.documents import array_or_none, head_of, signals_of, with_null
+from flysid.model.base import OperatingPoint, Rule
+from flysid.model.documents import array_or_none, head_of, points_as_json, points_from, signals_of
 from flysid.model.noise import output_error_ahead
 from flysid.model.regressors import lagged_name
 from flysid.model.rules.free_run_error import widened
@@ -50,7 +50,7 @@ class FittedTS(Ruled):
     support : (R,) share of training samples for which each rule is the strongest.
     noise : (p + 1, n_y) monic autoregression of the free run's error per output, which predictions lean
         on; None: predictions regress on measured lags.
-    gain_interval : (2, R, n_y, n_u) 95 % interval of every rule's steady gain; None: not known.
+    operating_points : what the model does where its vehicle rests; () where it never does, or not asked.
     """
 
     dt_s: float
@@ -60,7 +60,7 @@ class FittedTS(Ruled):
     support: FloatArray
     notes: tuple[str, ...]
     noise: FloatArray | None = None
-    gain_interval: FloatArray | None = None
+    operating_points: tuple[OperatingPoint, ...] = ()
 
     structure = "ts"
 
@@ -207,7 +207,8 @@ class FittedTS(Ruled):
             time_constant_s=time_constant(radius, self.dt_s),
             pole_radius=radius,
             support=float(self.support[r]),
-            gain_interval=None if self.gain_interval is None else self.gain_interval[:, r],
+            here=self.loudest(r),
+            push=self.push(r),
         )
 
     def __str__(self) -> str:
@@ -215,7 +216,11 @@ class FittedTS(Ruled):
         count = len(self.parameters.theta)
         title = f"Takagi-Sugeno model, {count} rule{'s' if count > 1 else ''}, {self.layout.orders}"
         return in_words(
-            f"{title}, {self.n_parameters} parameters", self.rules(), self.notes, (self.outputs, self.inputs)
+            f"{title}, {self.n_parameters} parameters",
+            self.rules(),
+            self.notes,
+            (self.outputs, self.inputs),
+            self.operating_points,
         )
 
     def _stack(self, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -236,7 +241,7 @@ class FittedTS(Ruled):
             "initial_gain": self.initial_gain.tolist(),
             "support": self.support.tolist(),
             "noise": None if self.noise is None else self.noise.tolist(),
-            "gain_interval": None if self.gain_interval is None else with_null(self.gain_interval),
+            "operating_points": points_as_json(self.operating_points),
             "notes": list(self.notes),
         }
 
@@ -365,7 +370,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedTS:
         support=np.array(document["support"], dtype=np.float64),
         notes=tuple(document["notes"]),
         noise=array_or_none(document["noise"]),
-        gain_interval=array_or_none(document.get("gain_interval")),
+        operating_points=points_from(document.get("operating_points", ())),
     )
     check(layout, model.parameters, model.noise)
     return model

@@ -11,8 +11,8 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
 from flysid.model.arguments import as_columns, as_record
-from flysid.model.base import Rule
-from flysid.model.documents import array_or_none, head_of, signals_of, with_null
+from flysid.model.base import OperatingPoint, Rule
+from flysid.model.documents import head_of, points_as_json, points_from, signals_of
 from flysid.model.noise import output_error_ahead
 from flysid.model.regressors import lagged_name
 from flysid.model.rules.fitted_lags import time_constant, values_at
@@ -47,7 +47,7 @@ class FittedTSStateSpace(Ruled):
     output_limits : (2, n_y) range of the training outputs, widened by itself on each side.
     support : (R,) share of training samples for which each rule is the strongest.
     noise : (p + 1, n_y) monic autoregression of the free run's error per output, for predictions.
-    gain_interval : (2, R, n_y, n_u) 95 % interval of every rule's steady gain, or None where it is not known.
+    operating_points : what the model does where its vehicle rests; () where it never does, or not asked.
     """
 
     dt_s: float
@@ -59,7 +59,7 @@ class FittedTSStateSpace(Ruled):
     support: FloatArray
     notes: tuple[str, ...]
     noise: FloatArray
-    gain_interval: FloatArray | None = None
+    operating_points: tuple[OperatingPoint, ...] = ()
 
     structure = "ts_ss"
 
@@ -187,10 +187,16 @@ class FittedTSStateSpace(Ruled):
         steady = np.full((n_y, gain.shape[1]), np.nan) if singular else np.linalg.solve(left, gain)[:n_y]
         units = [layout.signals[a.column].unit for a in layout.antecedents]
         condition = condition_in_words(self.partition, r, self.antecedents, units)
-        support, interval = float(self.support[r]), self.gain_interval
-        known = None if interval is None else interval[:, r]
         return Rule(
-            f"R{r + 1}", condition, text, steady, time_constant(radius, self.dt_s), radius, support, known
+            label=f"R{r + 1}",
+            condition=condition,
+            conclusion=text,
+            dc_gain=steady,
+            time_constant_s=time_constant(radius, self.dt_s),
+            pole_radius=radius,
+            support=float(self.support[r]),
+            here=self.loudest(r),
+            push=self.push(r),
         )
 
     def __str__(self) -> str:
@@ -198,7 +204,7 @@ class FittedTSStateSpace(Ruled):
         count, layout = len(self.parameters.theta), self.layout
         title = f"Takagi-Sugeno state-space model, {count} rule{'s' if count > 1 else ''}, {layout.n} states"
         title += f" ({layout.hidden} hidden), {self.n_parameters} parameters"
-        return in_words(title, self.rules(), self.notes, (self.outputs, self.inputs))
+        return in_words(title, self.rules(), self.notes, (self.outputs, self.inputs), self.operating_points)
 
     def explain(self, u: FloatArray, y: FloatArray, row: int) -> Explanation:
         """Which rules spoke at a sample of measured data, how loudly and why; see `explain.explain`."""
@@ -279,7 +285,7 @@ class FittedTSStateSpace(Ruled):
             "output_limits": self.output_limits.tolist(),
             "support": self.support.tolist(),
             "noise": self.noise.tolist(),
-            "gain_interval": None if self.gain_interval is None else with_null(self.gain_interval),
+            "operating_points": points_as_json(self.operating_points),
             "notes": list(self.notes),
         }
 
@@ -348,7 +354,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedTSStateSpace:
         support=np.array(document["support"], dtype=np.float64),
         notes=tuple(str(n) for n in document["notes"]),
         noise=np.array(document["noise"], dtype=np.float64),
-        gain_interval=array_or_none(document.get("gain_interval")),
+        operating_points=points_from(document.get("operating_points", ())),
     )
     check_states(layout, model.parameters, model.noise)
     return model

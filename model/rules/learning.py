@@ -39,10 +39,11 @@ _AS_IT_WAS = (
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A chosen stage and how it was chosen, in words."""
+    """A chosen stage and how it was chosen, in words; `larger` is what the search knew with one rule more."""
 
     stage: Stage
     notes: tuple[str, ...]
+    larger: Stage | None = None
 
 
 def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Learned:
@@ -94,7 +95,8 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         notes.append(_AS_IT_WAS if stage is known else _ON_ALL)
     if stage.problem.integrates and context.must_be_bounded:
         notes.append(INTEGRATES)
-    return Learned(stage, (*notes, *rule_verdict(settings, models, at), _method(settings)))
+    larger = next((m.stage for m in models[at + 1 :] if m.stable), None)
+    return Learned(stage, (*notes, *rule_verdict(settings, models, at), _method(settings)), larger)
 
 
 def _deepest(settings: Settings, train: Dataset) -> int:

@@ -7,17 +7,37 @@ from collections.abc import Sequence
 import numpy as np
 
 from flysid.dataset import FloatArray, Signal
-from flysid.model.base import Rule
+from flysid.model.base import OperatingPoint, Rule
 from flysid.model.rules.linguistics import Piece, words_of_one, words_of_several
 from flysid.model.rules.memberships import Partition
+from flysid.model.rules.operating_words import Signals, answers_alike, at_loudest, sentences
 from flysid.model.rules.vocabulary import Axis, number
 
 ELSEWHERE = "always, most where no other rule does"
-Signals = tuple[Sequence[Signal], Sequence[Signal]]
-"""Outputs and inputs."""
 _INTEGRATES = "integrates"
+_LEAST_PUSH, _MOST_PUSH = 0.05, 3.0  # spreads of an input: a hair, and farther than it ever went
 _NEARLY_ONE = 0.999  # a pole so near to one nearly integrates
 _ON_CIRCLE = 1e-6  # a pole so near to one that it integrates, but for rounding
+
+
+def push_in_words(pushes: FloatArray, weights: FloatArray, r: int, given: Signal, spread: float) -> str:
+    """What a rule's constant does, as if the input were another one than for the rules on average; "" where
+    that is nothing, or more than was ever flown.
+
+    Parameters
+    ----------
+    pushes : (R,) constant of every rule over its weight of the input.
+    weights : (R,) of the rules in the mean.
+    spread : of the input.
+    """
+    if not np.isfinite(pushes).all():
+        return ""
+    size = float(pushes[r] - np.average(pushes, weights=weights))
+    if not _LEAST_PUSH * spread < abs(size) < _MOST_PUSH * spread:
+        return ""
+    way = "less" if size < 0 else "more"
+    unit = f" {given.unit}" if given.unit else ""
+    return f"its constant acts like {number(abs(size))}{unit} {way} {given.name}"
 
 
 def from_to(before: FloatArray, after: FloatArray, signals: Sequence[Signal]) -> str:
@@ -91,35 +111,76 @@ def _between(piece: Piece, axis: Axis) -> str:
     return f"from {number(piece.low)} to {number(piece.high)}"
 
 
-def in_words(title: str, rules: Sequence[Rule], notes: Sequence[str], signals: Signals = ((), ())) -> str:
-    """A whole model as text: title, rules with what they mean, notes.
+def in_words(
+    title: str,
+    rules: Sequence[Rule],
+    notes: Sequence[str],
+    signals: Signals = ((), ()),
+    points: Sequence[OperatingPoint] = (),
+) -> str:
+    """A whole model as text: title, what it does from slow to fast, rules with what they mean, notes.
 
     Parameters
     ----------
     signals : outputs and inputs, for the names and units of gains.
+    points : what the model does where its vehicle rests.
     """
-    lines = [title]
-    for rule in rules:
+    lines = [title, *(f"  * {sentence}" for sentence in sentences(points, signals))]
+    for at, rule in enumerate(rules):
         always = rule.condition.startswith("always")
         then = f"{rule.condition.capitalize()}:" if always else f"If {rule.condition}, then"
-        lines.append(f"  {rule.label}. {then} {rule.conclusion}  [{meaning(rule, signals)}]")
-    if any(_nearly_integrates(rule) for rule in rules):
+        means = "" if points and len(rules) == 1 else f"  [{meaning(rule, signals, rules[:at], points)}]"
+        lines.append(f"  {rule.label}. {then} {rule.conclusion}{means}")
+    if any(_nearly_integrates(rule) and not rule.here for rule in rules):
         lines.append(
             "  * nearly integrates: gain and time constant hang on the last digits of the lags' weights"
         )
     return "\n".join([*lines, *(f"  - {note}" for note in notes)])
 
 
-def meaning(rule: Rule, signals: Signals = ((), ())) -> str:
-    """ "gain 0.11 m/s per deg, time constant 0.48 s, strongest for 32 % of the samples"; * where nearly
-    integrating."""
+def meaning(
+    rule: Rule,
+    signals: Signals = ((), ()),
+    others: Sequence[Rule] = (),
+    points: Sequence[OperatingPoint] = (),
+) -> str:
+    """What the model does where the rule speaks its loudest, and for which share of the samples it does.
+
+    Of a model that comes to no rest, or whose operating points nobody looked for: the rule's own gain and
+    slowest time constant; * where nearly integrating.
+
+    Parameters
+    ----------
+    others : rules told already: where one of them answers alike, it is named and no number told again.
+    points : the model's operating points.
+    """
+    parts = _where_loudest(rule, signals, others) if points else _by_itself(rule, signals)
+    pushes = [rule.push] if rule.push else []
+    return ", ".join([*parts, *pushes, f"strongest for {100 * rule.support:.0f} % of the samples"])
+
+
+def _where_loudest(rule: Rule, signals: Signals, others: Sequence[Rule]) -> list[str]:
+    if not rule.here:
+        return ["nowhere the strongest at rest"]
+    like = next((other for other in others if _answers_like(rule, other)), None)
+    if like is not None:
+        return [f"answers like {like.label}"]
+    return [f"loudest {at_loudest(point, signals)}" for point in rule.here]
+
+
+def _answers_like(rule: Rule, other: Rule) -> bool:
+    same = len(rule.here) == len(other.here) > 0
+    return same and all(answers_alike(p, q) for p, q in zip(rule.here, other.here, strict=True))
+
+
+def _by_itself(rule: Rule, signals: Signals) -> list[str]:
     parts = [f"gain {', '.join(gains(rule, signals))}"]
     if rule.pole_radius > 0:
         star = "*" if _nearly_integrates(rule) else ""
         parts.append(f"time constant {number(rule.time_constant_s)} s{star}")
     if rule.pole_radius >= 1.0 + _ON_CIRCLE:
         parts.append("unstable by itself")
-    return ", ".join([*parts, f"strongest for {100 * rule.support:.0f} % of the samples"])
+    return parts
 
 
 def _nearly_integrates(rule: Rule) -> bool:
@@ -127,15 +188,11 @@ def _nearly_integrates(rule: Rule) -> bool:
 
 
 def gains(rule: Rule, signals: Signals = ((), ())) -> list[str]:
-    """Every steady gain with its 95 % interval where that is known: "0.29 [0.27, 0.31] m/s per deg".
+    """Every steady gain of the rule by itself: "0.29 m/s per deg".
 
     Of several, each with its names: "theta_in -> v_x 0.29".
     """
-    intervals = (
-        np.full((2, *rule.dc_gain.shape), np.nan) if rule.gain_interval is None else rule.gain_interval
-    )
-    low, high = intervals.reshape(2, -1)
-    said = [_gain(*values) for values in zip(rule.dc_gain.ravel(), low, high, strict=True)]
+    said = [number(g) if np.isfinite(g) else _INTEGRATES for g in np.ravel(rule.dc_gain).tolist()]
     pairs = [(i, o) for o in signals[0] for i in signals[1]]
     if len(pairs) != len(said):
         return said
@@ -153,10 +210,3 @@ def _per(given: Signal, answer: Signal) -> str:
     if not (given.unit and answer.unit) or given.unit == answer.unit:
         return ""
     return f"{answer.unit} per {given.unit}"
-
-
-def _gain(value: float, low: float, high: float) -> str:
-    if not np.isfinite(value):
-        return _INTEGRATES
-    known = low <= value <= high
-    return f"{number(value)} [{number(low)}, {number(high)}]" if known else number(value)

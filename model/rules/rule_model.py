@@ -9,9 +9,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from flysid.dataset import FloatArray, Signal
-from flysid.model.base import write_document
+from flysid.model.base import OperatingPoint, write_document
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.memberships import Partition
+from flysid.model.rules.phrases import push_in_words
 from flysid.model.rules.physical import Scaled, physical_consequents, physical_partition
 from flysid.model.rules.regressor_layout import Antecedent
 from flysid.model.start import FreeRuns
@@ -33,16 +34,38 @@ class RuleLayout(Scaled, Protocol):
 
 
 class Ruled(FreeRuns):
-    """A fitted model of R rules; a frozen dataclass that derives from it has these two fields.
+    """A fitted model of R rules; a frozen dataclass that derives from it has these fields.
 
     Attributes
     ----------
     layout : signals, antecedents, scaling.
     parameters : consequents and memberships in normalised units.
+    operating_points : what the model does where its vehicle rests.
+    support : (R,) share of training samples for which each rule is the strongest.
     """
 
     layout: RuleLayout
     parameters: Parameters
+    operating_points: tuple[OperatingPoint, ...]
+    support: FloatArray
+
+    def loudest(self, rule: int) -> tuple[OperatingPoint, ...]:
+        """For every output the operating point, if any, where a rule is the strongest and its loudest."""
+        own = [p for p in self.operating_points if int(p.shares.argmax()) == rule]
+        best = {p.output: p for p in sorted(own, key=lambda p: float(p.shares[rule]))}
+        return tuple(best.values())
+
+    def push(self, rule: int) -> str:
+        """What a rule's constant does, in words; "" where there are several signals, or it does little."""
+        if len(self.parameters.theta) < 2 or len(self.outputs) > 1 or len(self.inputs) > 1:
+            return ""
+        with np.errstate(all="ignore"):
+            pushes = np.array([float(c[0] / B.sum()) for _, B, c in self.local_polynomials()])
+        return push_in_words(pushes, self.support, rule, self.inputs[0], float(self.layout.scale[-1]))
+
+    def local_polynomials(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
+        """Per rule (A, B, c): y(k) = sum_j A[j-1] y(k-j) + sum_j B[j] u(k-j) + c, physical units."""
+        raise NotImplementedError
 
     @property
     def inputs(self) -> tuple[Signal, ...]:

@@ -104,9 +104,17 @@ class Uncertainty(Generic[M]):
         steps = normal @ root_of(self.covariance).T
         return [self._at(centre + step) for step in steps]
 
+    def centre(self) -> FloatArray:
+        """(P,) the model's own numbers, in the coordinates of the covariance."""
+        return self.body.vector()
+
+    def parameters_at(self, vector: FloatArray) -> Parameters:
+        """The model's parameters at other numbers (P,)."""
+        return self.problem.parameters(self.body.moved(vector))
+
     def _at(self, vector: FloatArray) -> M:
         model: Any = self.model
-        moved: M = replace(model, parameters=self.problem.parameters(self.body.moved(vector)))
+        moved: M = replace(model, parameters=self.parameters_at(vector))
         return moved
 
 

@@ -25,6 +25,7 @@ from flysid.model.rules.integrator import holds_integrator
 from flysid.model.rules.judging import is_bounded
 from flysid.model.rules.kernel import IntArray
 from flysid.model.rules.local_models import certificate_of
+from flysid.model.rules.operating_points import described
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.regressor_layout import REACH, Layout
 from flysid.model.rules.rule_poles import companion, output_lags, pole_radius
@@ -77,7 +78,8 @@ def with_stable_rules(
     drawn = _drawn(theta, model.support, holds, layout, largest)
     stage = _refined(model, drawn, runs)
     found = finished(ordered(stage), train, (), intervals=False)
-    return replace(found, notes=(*model.notes, _told(model, found, train, certified=certified)))
+    told = replace(found, notes=(*model.notes, _told(model, found, train, certified=certified)))
+    return described(told, train)
 
 
 def _told(model: FittedTS, found: FittedTS, train: Dataset, *, certified: bool) -> str:

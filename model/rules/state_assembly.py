@@ -7,18 +7,28 @@ from dataclasses import replace
 import numpy as np
 
 from flysid.dataset import Dataset
-from flysid.errors import DataError
 from flysid.model.noise import noise_models
 from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.operating_points import described
 from flysid.model.rules.state_growth import StateStage, prior_of, rule_support
-from flysid.model.rules.state_uncertainty import uncertainty
 from flysid.model.start import start_window
 
 
 def finished(
-    train: Dataset, stage: StateStage, notes: tuple[str, ...], *, intervals: bool = False
+    train: Dataset,
+    stage: StateStage,
+    notes: tuple[str, ...],
+    *,
+    intervals: bool = False,
+    larger: StateStage | None = None,
 ) -> FittedTSStateSpace:
-    """The stage as a fitted model, with its start, support, noise model and, on request, intervals."""
+    """The stage as a fitted model, with its start, support, noise model and, on request, what it does.
+
+    Parameters
+    ----------
+    intervals : say what the model does at operating points, and how surely.
+    larger : what the search knew with one rule more, see `operating_points`.
+    """
     layout, n_y = stage.layout, stage.layout.n_y
     y = np.vstack([s.y for s in train.segments])
     low, high = y.min(axis=0), y.max(axis=0)
@@ -34,16 +44,7 @@ def finished(
         noise=np.ones((1, n_y)),
     )
     fitted = _with_noise_model(fitted, train)
-    return _with_intervals(fitted, train) if intervals else fitted
-
-
-def _with_intervals(fitted: FittedTSStateSpace, train: Dataset) -> FittedTSStateSpace:
-    """The model with the intervals of its gains, where the data can tell."""
-    try:
-        with np.errstate(all="ignore"):
-            return replace(fitted, gain_interval=uncertainty(fitted, train).gain_interval)
-    except (DataError, np.linalg.LinAlgError):
-        return fitted
+    return described(fitted, train, larger) if intervals else fitted
 
 
 def _with_noise_model(fitted: FittedTSStateSpace, train: Dataset) -> FittedTSStateSpace:

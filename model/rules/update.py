@@ -75,7 +75,7 @@ def update(
         theta = _in_free_run(model, data, forgetting, trust_samples)
     else:
         theta = _one_step_ahead(model, data, forgetting, trust_samples)
-    moved = replace(model, parameters=model.parameters._replace(theta=theta), noise=None, gain_interval=None)
+    moved = replace(model, parameters=model.parameters._replace(theta=theta), noise=None, operating_points=())
     notes = (
         *model.notes,
         *_far_away(model, data),

@@ -57,6 +57,11 @@ class Axis:
     def span(self) -> float:
         return self.high - self.low
 
+    @property
+    def has_both_signs(self) -> bool:
+        """Whether there is enough of it on either side of zero for signs to have words."""
+        return min(-self.low, self.high) > _BOTH_SIGNS * self.span
+
     def place(self, value: float) -> str:
         """ "0.5 m"."""
         return number(value) + (f" {self.unit}" if self.unit else "")
@@ -95,7 +100,7 @@ def tongue_of(axis: Axis) -> Vocabulary | None:
     known = next((d for k, d in _DIRECTIONS.items() if key.startswith(k)), None)
     if axis.unit in _SPEED_UNITS and known:
         return Vocabulary(known[0], "hovering", known[1], _SPEEDS)
-    if min(-axis.low, axis.high) > _BOTH_SIGNS * axis.span:
+    if axis.has_both_signs:
         return Vocabulary("negative", "near zero", "positive", _SIZES)
     return None
 

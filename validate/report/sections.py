@@ -12,7 +12,8 @@ from markupsafe import Markup
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Rule
-from flysid.model.capabilities import HasMemberships, HasRuleOutputs
+from flysid.model.capabilities import HasMemberships, HasOperatingPoints, HasRuleOutputs
+from flysid.model.rules.operating_words import sentences
 from flysid.validate.bands import curves
 from flysid.validate.comparison import Comparison
 from flysid.validate.report import figures, overlay, rulefigures
@@ -26,6 +27,7 @@ from flysid.validate.words import number, one_line
 
 UNSTABLE = "unstable"
 UNKNOWN = "not pinned down"
+NOWHERE = "–"
 STROKES = {"arx": "dashed", "ts": "solid"}
 SIGN = re.compile(r"(?<![\w)])-(?=[ \d])")
 
@@ -77,6 +79,7 @@ class Section:
     checks: tuple[CheckRow, ...]
     coefficients: tuple[tuple[str, str, str, str], ...]
     simpler: str
+    said: tuple[str, ...]
     gain_unit: str
     key: tuple[tuple[str, str], ...]
     data: Mapping[str, Any]
@@ -123,6 +126,7 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         checks=check_rows(c, source.diagnosis, j),
         coefficients=coefficient_rows(c, source.diagnosis, j),
         simpler=_simpler(source),
+        said=_said(source, j),
         gain_unit=_gain_unit(c, j, signal),
         key=_key(c),
         data={
@@ -142,6 +146,16 @@ def _simpler(source: Source) -> str:
         return ""
     edits = "; ".join(map(str, checks.simpler))
     return f"Fewer words, and what they cost in free-run RMSE on the training flights: {one_line(edits)}."
+
+
+def _said(source: Source, j: int) -> tuple[str, ...]:
+    """What the contender's rules do from the slow to the fast end of what was flown."""
+    c = source.comparison
+    model = c.fitted[c.contender] if c.contender else None
+    if not isinstance(model, HasOperatingPoints):
+        return ()
+    points = [p for p in model.operating_points if p.output == j]
+    return tuple(_typeset(text) for text in sentences(points, (model.outputs, model.inputs)))
 
 
 def _with_unit(name: str, unit: str) -> str:
@@ -283,28 +297,32 @@ def _rule_rows(source: Source, name: str, css: str, place: tuple[int, int]) -> t
     rules = source.comparison.fitted[name].rules()
     colours = [css] if len(rules) == 1 else [f"r{i % 8 + 1}" for i in range(len(rules))]
     checks = source.diagnosis.checks.get(name)
-    rows = [_rule_row(rule, colour, *place) for rule, colour in zip(rules, colours, strict=True)]
+    known = any(rule.here for rule in rules)
+    rows = [_rule_row(rule, colour, place, known=known) for rule, colour in zip(rules, colours, strict=True)]
     if checks is None or checks.intervals is None:
         return tuple(rows)
     sure, (j, signal) = checks.intervals, place
-    slow = sure.time_constant_s
+    slow = sure.reached_s
     return tuple(
         replace(
             row,
             gain_interval=interval_text(sure.gain[:, r, j, signal])
             or (UNKNOWN if row.gain[-1:].isdigit() else ""),
-            time_interval=""
-            if slow is None or row.time_constant == UNSTABLE
-            else interval_text(slow[:, r], " s"),
+            time_interval="" if slow is None else interval_text(slow[:, r, j, signal], " s"),
         )
         for r, row in enumerate(rows)
     )
 
 
-def _rule_row(rule: Rule, css: str, j: int, signal: int) -> RuleRow:
-    gain = float(np.asarray(rule.dc_gain)[j, signal])
-    tau = rule.time_constant_s
+def _rule_row(rule: Rule, css: str, place: tuple[int, int], *, known: bool) -> RuleRow:
+    """A row; with what the model does where the rule is the strongest, where that is `known`."""
+    j, signal = place
+    gain, tau = float(np.asarray(rule.dc_gain)[j, signal]), rule.time_constant_s
     without = UNSTABLE if rule.pole_radius > 1.0 + 1e-6 else ""
+    if known:
+        here = next((p for p in rule.here if p.output == j), None)
+        without = "" if here else NOWHERE
+        gain, tau = (float(here.gain[signal]), float(here.reached_s[signal])) if here else (np.nan, np.nan)
     return RuleRow(
         label=one_line(rule.label),
         css=css,

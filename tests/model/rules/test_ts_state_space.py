@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from bench.hidden_plants import LINEAR, PLANTS
+from bench.rule_words import own_answer
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted
@@ -394,13 +395,14 @@ def test_intervals_hold_the_gain_and_follow_from_the_data() -> None:
     assert (slow[0] < [r.time_constant_s for r in model.rules()]).all()
 
 
-def test_rules_carry_their_intervals_into_files() -> None:
+def test_operating_points_go_into_files() -> None:
     model = flown()
-    assert model.gain_interval is not None
+    assert model.operating_points
     again = from_dict(json.loads(json.dumps(model.to_dict())))
-    interval = again.rules()[0].gain_interval
-    assert interval is not None
-    assert interval == pytest.approx(model.gain_interval[:, 0], nan_ok=True)
+    for p, q in zip(model.operating_points, again.operating_points, strict=True):
+        for name, value in vars(p).items():
+            assert getattr(q, name) == pytest.approx(value, nan_ok=True)
+    assert again.rules()[0].here[0].gain == pytest.approx(model.rules()[0].here[0].gain)
 
 
 def test_a_dead_time_that_the_log_shows_is_tried() -> None:
@@ -421,3 +423,14 @@ def test_the_contest_takes_the_hidden_state_of_two_tanks() -> None:
     assert found.hidden is not None
     assert free_run_gap(found.hidden, test, truth) < 0.1
     assert replace(found, fits=False).winner.notes[-1].endswith("but more in training.")
+
+
+def test_operating_points_are_what_the_free_run_does() -> None:
+    """The same law as over lags; the plant's own gain at speed v is 9.81 / (0.2 + 0.5 |v|)."""
+    model = flown()
+    assert len(model.operating_points) == 6
+    for point in model.operating_points:
+        said = np.array([point.gain[0], point.reached_s[0]])
+        assert said == pytest.approx(own_answer(model, point, 1e-4), rel=2e-3)
+        if abs(point.outputs[0]) > 1.0:
+            assert point.gain[0] == pytest.approx(9.81 / (0.2 + 0.5 * abs(point.outputs[0])), rel=0.15)

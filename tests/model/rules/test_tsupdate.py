@@ -77,9 +77,9 @@ def test_one_step_ahead_it_is_weighted_least_squares(model: FittedTS) -> None:
 
 
 def test_both_errors_are_told_and_old_intervals_are_not(model: FittedTS) -> None:
-    assert model.gain_interval is not None
+    assert model.operating_points
     newer = update(model, data(800, 5, 0.15))
-    assert newer.gain_interval is None
+    assert newer.operating_points == ()
     assert "recursive least squares on the free run error over 800 new samples" in newer.notes[-1]
     assert "one step ahead" in newer.notes[-1]
     assert np.array_equal(newer.parameters.centre, model.parameters.centre)

@@ -1,0 +1,151 @@
+"""What a model of rules does, in sentences: places from slow to fast, those that answer alike told once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from flysid.dataset import FloatArray, Signal
+from flysid.model.base import OperatingPoint
+from flysid.model.rules.vocabulary import number
+
+Signals = tuple[Sequence[Signal], Sequence[Signal]]
+"""Outputs and inputs."""
+_ALIKE = np.log(1.1)  # figures so near each other are the same in words
+_HARDLY = np.log(4.0)  # from end to end of an interval: a factor of two either way
+_OVERSHOOT, _WRONG_WAY = 0.05, 0.02  # shares of a change that are worth a word
+
+
+def sentences(points: Sequence[OperatingPoint], signals: Signals) -> list[str]:
+    """What a small lasting step of every input does, from the slow to the fast end of what was flown."""
+    outputs, inputs = signals
+    said = []
+    for output in range(len(outputs)):
+        own = sorted((p for p in points if p.output == output), key=lambda p: p.outputs[output])
+        groups = _groups(own)
+        for group in groups:
+            place = _place(group, own, outputs[output])
+            said += [f"{place}, {_answer(group, j, outputs[output], inputs[j])}." for j in range(len(inputs))]
+        if len(groups) > 1:
+            said.append(_variation(own))
+    return said
+
+
+def answers_alike(p: OperatingPoint, q: OperatingPoint) -> bool:
+    """Whether two places answer every input the same, within 10 % or their 95 % intervals."""
+    pairs = (
+        (p.gain, p.gain_interval, q.gain, q.gain_interval),
+        (p.reached_s, p.reached_interval_s, q.reached_s, q.reached_interval_s),
+    )
+    return all(_same(*pair) for pair in pairs)
+
+
+def _same(a: FloatArray, sure_of_a: FloatArray, b: FloatArray, sure_of_b: FloatArray) -> bool:
+    with np.errstate(all="ignore"):
+        apart = np.abs(np.log(a / b))
+        allowed = np.hypot(
+            *(np.nan_to_num(np.abs(np.log(s[1] / s[0])) / 2.0) for s in (sure_of_a, sure_of_b))
+        )
+    return bool((apart <= np.maximum(_ALIKE, allowed)).all())
+
+
+def _groups(own: Sequence[OperatingPoint]) -> list[list[OperatingPoint]]:
+    """Neighbours that answer alike, then the groups that mirror each other about zero; slow ones first."""
+    runs: list[list[OperatingPoint]] = []
+    for point in own:
+        if runs and all(answers_alike(point, known) for known in runs[-1]):
+            runs[-1].append(point)
+        else:
+            runs.append([point])
+    found = []
+    while runs:
+        first = runs.pop(0)
+        last = runs[-1] if runs else []
+        opposite = all(_level(p) * _level(q) < 0.0 and answers_alike(p, q) for p in first for q in last)
+        found.append([*first, *runs.pop()] if last and opposite else first)
+    signs = {np.sign(_level(p)) for p in own}
+    return sorted(found, key=lambda g: min(abs(_level(p)) for p in g)) if len(signs) > 1 else found
+
+
+def _level(point: OperatingPoint) -> float:
+    return float(point.outputs[point.output])
+
+
+def _place(group: Sequence[OperatingPoint], own: Sequence[OperatingPoint], signal: Signal) -> str:
+    unit = f" {signal.unit}" if signal.unit else ""
+    levels = np.array([_level(p) for p in group])
+    low, high = float(levels.min()), float(levels.max())
+    skipped = any(low < _level(p) < high for p in own if p not in group)
+    if len(group) == 1:
+        return f"Near {signal.name} = {_rounded(low, own)}{unit}"
+    if not skipped:
+        return f"From {signal.name} = {_rounded(low, own)} to {_rounded(high, own)}{unit}"
+    size = np.abs(levels)
+    if len(group) == 2:
+        return f"Near {signal.name} = {number(float(size.mean()))}{unit} in either direction"
+    return (
+        f"From {number(float(size.min()))} to {number(float(size.max()))}{unit} of {signal.name} either way"
+    )
+
+
+def _rounded(level: float, own: Sequence[OperatingPoint]) -> str:
+    span = max(abs(_level(p)) for p in own)
+    return number(0.0 if abs(level) < 1e-9 * span else level)
+
+
+def _answer(group: Sequence[OperatingPoint], j: int, output: Signal, given: Signal) -> str:
+    """ "one more deg of theta_in adds 0.11 m/s (0.096 to 0.12); 63 % of it is there after 0.73 s (...)"."""
+    gain = [float(p.gain[j]) for p in group]
+    down = gain[0] < 0.0
+    sure = np.array([p.gain_interval[:, j] for p in group]) * (-1.0 if down else 1.0)
+    size = _figure([abs(g) for g in gain], np.sort(sure, axis=1), output.unit)
+    more = f"one more {given.unit} of {given.name}" if given.unit else f"one unit more of {given.name}"
+    effect = f"takes {size} from {output.name}" if down else f"adds {size} to {output.name}"
+    reached = [float(p.reached_s[j]) for p in group]
+    text = f"{more} {effect}"
+    if np.isfinite(reached).all():
+        sure = np.array([p.reached_interval_s[:, j] for p in group])
+        text += f"; 63 % of that is reached after {_figure(reached, sure, 's')}"
+    dead = min(float(p.dead_s[j]) for p in group)
+    if dead > 0.0:
+        text += f", nothing before {number(dead)} s"
+    over, wrong = (max(float(getattr(p, name)[j]) for p in group) for name in ("overshoot", "wrong_way"))
+    if over > _OVERSHOOT:
+        text += f"; it overshoots by {100 * over:.0f} %"
+    if wrong > _WRONG_WAY:
+        text += f"; it first moves {100 * wrong:.0f} % the wrong way"
+    return text
+
+
+def _figure(values: Sequence[float], sure: FloatArray, unit: str) -> str:
+    """ "0.11 m/s (0.096 to 0.12)"; of several places their middle, and from the lowest to the highest end."""
+    middle = f"{number(float(np.exp(np.mean(np.log(values)))))} {unit}".rstrip()
+    if not np.isfinite(sure).all():
+        return middle
+    if (np.log(sure[:, 1] / sure[:, 0]) > _HARDLY).any():
+        return f"{middle} (hardly known)"
+    return f"{middle} ({number(float(sure.min()))} to {number(float(sure.max()))})"
+
+
+def _variation(own: Sequence[OperatingPoint]) -> str:
+    """What differs most over the places, for the input that shows it."""
+    with np.errstate(all="ignore"):
+        spans = {
+            "gain": np.ptp([np.log(np.abs(p.gain)) for p in own], axis=0).max(),
+            "response time": np.ptp([np.log(p.reached_s) for p in own], axis=0).max(),
+        }
+    if any((p.gain * q.gain < 0.0).any() for p, q in pairwise(own)):
+        return "Over this range the gain changes its sign: no one linear model is right everywhere."
+    name = max(spans, key=lambda key: np.nan_to_num(spans[key], posinf=0.0))
+    times = number(float(np.exp(spans[name])))
+    return f"Over this range the {name} varies {times}-fold: no one linear model is right everywhere."
+
+
+def at_loudest(point: OperatingPoint, signals: Signals) -> str:
+    """What the model does where a rule speaks its loudest: "near v_x = 1.9 m/s, where one more deg ..."."""
+    outputs, inputs = signals
+    output = outputs[point.output]
+    answers = "; ".join(_answer([point], j, output, given) for j, given in enumerate(inputs))
+    return f"near {_place([point], [point], output).removeprefix('Near ')}, where {answers}"

@@ -1,0 +1,152 @@
+"""What is said of rules is what the model does, and what the plant does, at places from slow to fast."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, lfilter
+
+from bench.hidden_plants import PLANTS, Plant
+from bench.rule_words import own_answer, truth
+from bench.ts_intervals import experiment, known_model
+from flysid.dataset import Dataset, FloatArray
+from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.operating_points import Numbers, described, operating_points
+from flysid.model.ts import TS
+
+DRAG = PLANTS["vehicle with drag and a lagging actuator"]
+
+
+@pytest.fixture(scope="module")
+def flown() -> tuple[FittedTS, Dataset]:
+    """A vehicle with quadratic drag, its orders given."""
+    data = DRAG.dataset((1, 2, 3), 1400, 0.02)[0]
+    return TS(na=2, nb=2, nk=1, antecedents=["y(k-1)"], most_rules=4).fit(data), data
+
+
+def test_points_are_what_the_free_run_does(flown: tuple[FittedTS, Dataset]) -> None:
+    model, _ = flown
+    assert len(model.operating_points) == 6
+    for point in model.operating_points:
+        said = np.array([point.gain[0], point.reached_s[0]])
+        assert said == pytest.approx(own_answer(model, point, 1e-4), rel=2e-3)
+
+
+def test_points_and_their_intervals_are_the_plants(flown: tuple[FittedTS, Dataset]) -> None:
+    """The rules' own numbers are not: the middle one's is off by a factor of two and more."""
+    model, _ = flown
+    held = []
+    for point in model.operating_points:
+        gain, reached = truth(DRAG, float(point.outputs[0]), (-2.0, 2.0))
+        assert point.gain[0] == pytest.approx(gain, rel=0.12)
+        assert point.reached_s[0] == pytest.approx(reached, rel=0.12)
+        held.append(point.gain_interval[0, 0] < gain < point.gain_interval[1, 0])
+    assert sum(held) >= 5
+    slow = min(model.operating_points, key=lambda p: abs(float(p.outputs[0])))
+    own = float(model.rules()[int(slow.shares.argmax())].dc_gain[0, 0])
+    assert not 0.5 < own / slow.gain[0] < 2.0
+
+
+def test_sentences_lead_from_slow_to_fast_and_equal_words_are_said_once(
+    flown: tuple[FittedTS, Dataset],
+) -> None:
+    model, _ = flown
+    said = str(model).splitlines()
+    sentences = [line for line in said if line.startswith("  * ")]
+    assert "one unit more of u adds" in sentences[0]
+    assert "no one linear model is right everywhere" in sentences[-1]
+    gains = [float(v) for v in re.findall(r"adds (\S+) ", "\n".join(sentences))]
+    assert gains == sorted(gains, reverse=True)
+    assert len(gains) == 3  # to the left and to the right alike
+    assert any("answers like R1" in line for line in said)
+    assert sum(" y(k) = " in line for line in said) == 3
+
+
+def test_rules_that_differ_by_a_push_only_say_so() -> None:
+    truth_of = known_model()
+    theta = np.array([[[0.8, 0.1, -0.1]], [[0.8, 0.1, 0.1]]])
+    wide = replace(truth_of, parameters=truth_of.parameters._replace(theta=theta))
+    model = described(wide, experiment(wide, 1))
+    told = str(model)
+    assert "answers like R1" in told
+    less, more = (float(v) for v in re.findall(r"its constant acts like (\S+) (?:less|more) u", told))
+    weights = model.rules()[0].support, model.rules()[1].support
+    assert weights[0] * less == pytest.approx(weights[1] * more, rel=0.01)
+    assert len(model.rules()[0].here) == 1
+
+
+def _delayed(delay: int) -> tuple[Dataset, float]:
+    """A lag of 0.5 s behind so many samples of dead time, and the seconds to 63 % of it."""
+    dt = 0.05
+    u = np.repeat(np.random.default_rng(2).uniform(-1, 1, 80), 15)
+    b, a, _ = cont2discrete(([2.0], [0.5, 1.0]), dt)
+    late = np.concatenate([np.zeros(delay), u[: len(u) - delay]])
+    y = np.asarray(lfilter(b[0], a, late)) + 0.01 * np.random.default_rng(3).standard_normal(len(u))
+    return Dataset.from_arrays(u, y, dt, inputs=["u"], outputs=["y"]), 0.5 + delay * dt
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+def test_one_rule_is_said_once_with_its_dead_time(delay: int) -> None:
+    data, reached = _delayed(delay)
+    model = TS(rules=1, na=1, nb=1, nk=1 + delay).fit(data)
+    (sentence,) = [line for line in str(model).splitlines() if line.startswith("  * ")]
+    point = model.operating_points[0]
+    assert point.dead_s[0] == pytest.approx(0.05 * delay)
+    assert ("nothing before 0.15 s" in sentence) == (delay == 3)
+    assert point.reached_s[0] == pytest.approx(reached, rel=0.03)
+    assert "(" not in sentence  # nobody grew a larger model: noise alone is no interval
+    sure = operating_points(Numbers(model.layout, model.parameters), data, model.uncertainty(data))[0]
+    assert sure.gain_interval[0, 0] < 2.0 < sure.gain_interval[1, 0]
+    assert sentence.startswith("  * From y = ")
+    assert "strongest" not in str(model)
+
+
+def test_a_first_move_the_wrong_way_is_told() -> None:
+    dt = 0.05
+    u = np.repeat(np.random.default_rng(2).uniform(-1, 1, 80), 15)
+    b, a, _ = cont2discrete(([-0.3, 1.0], [0.25, 1.0, 1.0]), dt)
+    y = np.asarray(lfilter(b[0], a, u)) + 0.003 * np.random.default_rng(3).standard_normal(len(u))
+    model = TS(rules=1, na=2, nb=2, nk=1).fit(Dataset.from_arrays(u, y, dt))
+    assert "the wrong way" in str(model)
+
+
+def test_an_integrating_process_has_no_places() -> None:
+    u = np.repeat(np.random.default_rng(5).uniform(-1, 1, 60), 10)
+    y = 0.05 * np.cumsum(np.concatenate([[0.0], u[:-1]]))
+    model = TS(rules=1, na=1, nb=1, nk=1).fit(Dataset.from_arrays(u, y, 0.05))
+    assert model.operating_points == ()
+    assert "gain integrates" in str(model)
+
+
+def test_a_larger_model_that_says_otherwise_widens_the_intervals(flown: tuple[FittedTS, Dataset]) -> None:
+    model, data = flown
+    numbers, sure = Numbers(model.layout, model.parameters), model.uncertainty(data)
+    theta = model.parameters.theta.copy()
+    theta[:, :, model.layout.orders.na : -1] *= 1.2
+    other = Numbers(model.layout, model.parameters._replace(theta=theta))
+    for alone, wider in zip(
+        operating_points(numbers, data, sure), operating_points(numbers, data, sure, other), strict=True
+    ):
+        assert alone.gain == pytest.approx(wider.gain)
+        assert _width(wider.gain_interval) > 1.5 * _width(alone.gain_interval)
+    for point in operating_points(numbers, data):
+        assert np.isnan(point.gain_interval).all()
+
+
+def _width(interval: FloatArray) -> float:
+    return float(np.log(interval[1, 0] / interval[0, 0]))
+
+
+def test_truth_of_the_bench_is_what_the_plant_simulates() -> None:
+    """A small step on the plant itself."""
+
+    def settled(u: float) -> FloatArray:
+        still = Plant(DRAG.rate, DRAG.limit, DRAG.sense, DRAG.dt_s, lambda _, n: np.full(n, u), DRAG.rest)
+        return still.flown(0, 600, 0.0)[1]
+
+    ends = settled(0.101)[-1], settled(0.1)[-1]
+    gain, _ = truth(DRAG, float(ends[1]), (-2.0, 2.0))
+    assert (ends[0] - ends[1]) / 0.001 == pytest.approx(gain, rel=0.01)
