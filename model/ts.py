@@ -66,7 +66,9 @@ class TS:
         FitError : no stable model was found.
         """
         learned = learn(self, train, validation)
-        model = finished(learned.stage, train, learned.notes, intervals=self.refine, larger=learned.larger)
+        model = finished(
+            learned.stage, train, learned.notes, intervals=self.refine, neighbour=learned.neighbour
+        )
         if not self.stable or learned.stage.problem.integrates:
             return model
         return with_stable_rules(model, train)

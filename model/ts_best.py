@@ -116,13 +116,13 @@ def contest(settings: BestTS, train: Dataset, validation: Dataset | None = None)
         name: getattr(settings, name) for name in ("rules", "antecedents", "most_rules", "nk_hint", "search")
     }
     known = learn_lagged(TS(**asked), train, validation)
-    lagged = finished_lagged(known.stage, train, known.notes, larger=known.larger)
+    lagged = finished_lagged(known.stage, train, known.notes, neighbour=known.neighbour)
     if not (settings.search.hidden_states and hints_at_hidden_state(lagged, train)):
         return Contest(lagged)
     try:
         learned = learn(TSStateSpace(**asked), train, validation)
         found = finished(
-            train, learned.stage, learned.notes, intervals=learned.intervals, larger=learned.larger
+            train, learned.stage, learned.notes, intervals=learned.intervals, neighbour=learned.neighbour
         )
         judgement = _judged((known, lagged), (learned, found), train, validation)
     except (DataError, FitError, UsageError, np.linalg.LinAlgError):  # e.g. antecedents that it does not have

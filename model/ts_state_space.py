@@ -61,5 +61,5 @@ class TSStateSpace:
         """
         learned = learn(self, train, validation)
         return finished(
-            train, learned.stage, learned.notes, intervals=learned.intervals, larger=learned.larger
+            train, learned.stage, learned.notes, intervals=learned.intervals, neighbour=learned.neighbour
         )

@@ -23,14 +23,14 @@ def finished(
     notes: tuple[str, ...],
     *,
     intervals: bool = True,
-    larger: Stage | None = None,
+    neighbour: Stage | None = None,
 ) -> FittedTS:
     """The stage as a fitted model, with its start, support, noise model and, on request, what it does.
 
     Parameters
     ----------
     intervals : say what the model does at operating points, and how surely.
-    larger : what the search knew with one rule more, see `operating_points`.
+    neighbour : the model with one rule more, or one fewer where growth ended, see `operating_points`.
     """
     fitted = FittedTS(
         dt_s=train.dt_s,
@@ -41,7 +41,7 @@ def finished(
         notes=notes,
     )
     fitted = with_noise_model(fitted, train)
-    return described(fitted, train, larger) if intervals else fitted
+    return described(fitted, train, neighbour) if intervals else fitted
 
 
 def free_run_errors(model: FittedTS, data: Dataset) -> list[FloatArray]:

@@ -39,11 +39,11 @@ _AS_IT_WAS = (
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A chosen stage and how it was chosen, in words; `larger` is what the search knew with one rule more."""
+    """A chosen stage, how it was chosen in words, and one with a rule more, or fewer where growth ended."""
 
     stage: Stage
     notes: tuple[str, ...]
-    larger: Stage | None = None
+    neighbour: Stage | None = None
 
 
 def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Learned:
@@ -95,8 +95,9 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         notes.append(_AS_IT_WAS if stage is known else _ON_ALL)
     if stage.problem.integrates and context.must_be_bounded:
         notes.append(INTEGRATES)
-    larger = next((m.stage for m in models[at + 1 :] if m.stable), None)
-    return Learned(stage, (*notes, *rule_verdict(settings, models, at), _method(settings)), larger)
+    near = [*models[at + 1 :], *models[at - 1 : at]]
+    neighbour = next((m.stage for m in near if m.stable), None)
+    return Learned(stage, (*notes, *rule_verdict(settings, models, at), _method(settings)), neighbour)
 
 
 def _deepest(settings: Settings, train: Dataset) -> int:

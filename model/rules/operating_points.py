@@ -2,7 +2,8 @@
 
 Numbers are of tangents (`flysid.model.rules.steady_map`) at places spread over what was flown. Their errors
 are to first order, the place solved anew for every step: noise alone. Too few rules bend a tangent, which no
-covariance shows; what the next larger model says there is added.
+covariance shows; what the model with one rule more says there is added, or where growth ended with one
+fewer.
 """
 
 from __future__ import annotations
@@ -62,17 +63,19 @@ class Describable(Protocol):
 M = TypeVar("M", bound=Describable)
 
 
-def described(model: M, train: Dataset, larger: RuleStage[Any] | None = None) -> M:
+def described(model: M, train: Dataset, neighbour: RuleStage[Any] | None = None) -> M:
     """The model with its operating points.
 
-    With intervals where it stands at a minimum of the simulation error and a larger model is known beside it:
+    With intervals where it stands at a minimum of the simulation error and another one is known beside it:
     noise alone is half of what such numbers are off by.
     """
     sure: Spread | None = None
-    if larger is not None:
+    if neighbour is not None:
         with contextlib.suppress(DataError, np.linalg.LinAlgError), np.errstate(all="ignore"):
             sure = model.uncertainty(train)
-    more = None if larger is None else Numbers(larger.layout, larger.problem.parameters(larger.body))
+    more = (
+        None if neighbour is None else Numbers(neighbour.layout, neighbour.problem.parameters(neighbour.body))
+    )
     points = operating_points(Numbers(model.layout, model.parameters), train, sure, more)
     told: Any = model
     found: M = replace(told, operating_points=points)
@@ -89,7 +92,7 @@ class Place:
 
 
 def operating_points(
-    numbers: Numbers, train: Dataset, sure: Spread | None = None, larger: Numbers | None = None
+    numbers: Numbers, train: Dataset, sure: Spread | None = None, neighbour: Numbers | None = None
 ) -> tuple[OperatingPoint, ...]:
     """For every output: places over what was flown; none where the model comes to no rest (it integrates).
 
@@ -97,11 +100,12 @@ def operating_points(
     ----------
     train : data that the model was fitted to.
     sure : how sure the model is of its numbers; None: no intervals.
-    larger : the model with one rule more that the search knew; its difference widens the intervals.
+    neighbour : the model with one rule more, or one fewer where growth ended: what it says otherwise widens
+        the intervals.
     """
     found: list[OperatingPoint] = []
     for output in range(len(train.outputs)):
-        found += _of_output(_Asked(numbers, train, sure, larger, output))
+        found += _of_output(_Asked(numbers, train, sure, neighbour, output))
     return tuple(found)
 
 
@@ -112,7 +116,7 @@ class _Asked:
     numbers: Numbers
     train: Dataset
     sure: Spread | None
-    larger: Numbers | None
+    neighbour: Numbers | None
     output: int
 
     @property
@@ -257,18 +261,21 @@ def _errors(asked: _Asked, place: Place, moved: int, figures: FloatArray) -> Flo
             if ends[0] is None or ends[1] is None:
                 return np.full(figures.shape, np.nan)
             square += ((ends[0] - ends[1]) / (2.0 * _STEP * figures)) ** 2
-        return np.asarray(np.sqrt(square + _of_larger(asked, place, moved, figures) ** 2))
+        return np.asarray(np.sqrt(square + _of_neighbour(asked, place, moved, figures) ** 2))
 
 
-def _of_larger(asked: _Asked, place: Place, moved: int, figures: FloatArray) -> FloatArray:
-    """(2, n_u) logarithms of what the larger model says there over what this one does; 0 without one."""
-    if asked.larger is None:
+def _of_neighbour(asked: _Asked, place: Place, moved: int, figures: FloatArray) -> FloatArray:
+    """(2, n_u) logarithms of what the neighbour says there over what this one does; 0 without one."""
+    if asked.neighbour is None:
         return np.zeros(figures.shape)
-    own, other = asked.numbers.layout, asked.larger.layout
+    own, other = asked.numbers.layout, asked.neighbour.layout
     level = place.w[asked.output] * own.scale[asked.output] + own.shift[asked.output]
     mean = float(own.shift[asked.output])
     found = walked(
-        asked.larger, asked.output, moved, np.linspace(mean, level, 8) if level != mean else np.array([level])
+        asked.neighbour,
+        asked.output,
+        moved,
+        np.linspace(mean, level, 8) if level != mean else np.array([level]),
     )
     if level not in found:
         return np.full(figures.shape, np.inf)
@@ -277,10 +284,10 @@ def _of_larger(asked: _Asked, place: Place, moved: int, figures: FloatArray) -> 
     samples = steady.samples(steady.pole_radius(tangent))
     if samples is None:
         return np.full(figures.shape, np.inf)
-    said = _figures(steady, asked.larger.parameters, Place(w, tangent, samples), asked.output, moved)
+    said = _figures(steady, asked.neighbour.parameters, Place(w, tangent, samples), asked.output, moved)
     if said is None:
         return np.full(figures.shape, np.inf)
-    n, m = asked.numbers.parameters.theta.shape[1], asked.larger.parameters.theta.shape[1]
+    n, m = asked.numbers.parameters.theta.shape[1], asked.neighbour.parameters.theta.shape[1]
     units = (other.scale[asked.output] / other.scale[m:]) / (own.scale[asked.output] / own.scale[n:])
     ratio = said / figures
     ratio[0] *= units

@@ -20,14 +20,14 @@ def finished(
     notes: tuple[str, ...],
     *,
     intervals: bool = False,
-    larger: StateStage | None = None,
+    neighbour: StateStage | None = None,
 ) -> FittedTSStateSpace:
     """The stage as a fitted model, with its start, support, noise model and, on request, what it does.
 
     Parameters
     ----------
     intervals : say what the model does at operating points, and how surely.
-    larger : what the search knew with one rule more, see `operating_points`.
+    neighbour : the model with one rule more, or one fewer where growth ended, see `operating_points`.
     """
     layout, n_y = stage.layout, stage.layout.n_y
     y = np.vstack([s.y for s in train.segments])
@@ -44,7 +44,7 @@ def finished(
         noise=np.ones((1, n_y)),
     )
     fitted = _with_noise_model(fitted, train)
-    return described(fitted, train, larger) if intervals else fitted
+    return described(fitted, train, neighbour) if intervals else fitted
 
 
 def _with_noise_model(fitted: FittedTSStateSpace, train: Dataset) -> FittedTSStateSpace:

@@ -37,7 +37,7 @@ class Learned:
     ----------
     intervals : the stage stands at a minimum of the simulation error, which intervals presume.
     context, system : what it was made with, and from.
-    larger : what the search knew with one rule more.
+    neighbour : with one rule more, or one fewer where growth ended.
     """
 
     stage: StateStage
@@ -45,7 +45,7 @@ class Learned:
     context: StateContext
     system: System
     intervals: bool = True
-    larger: StateStage | None = None
+    neighbour: StateStage | None = None
 
     def again(self, data: Dataset, iterations: int) -> StateStage:
         """The stage refined from where it is on a part of the data, by the method that found it."""
@@ -95,8 +95,9 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     refined = final.rules > 1 or family.start.system.again is None
     if not is_bounded(final):
         notes.append(INTEGRATES)
-    more = [kid.stage for kid in found.best.folds[0][at + 1 :] if kid.bounded]
-    return Learned(final, tuple(notes), context, family.start.system, refined, more[0] if more else None)
+    kids = found.best.folds[0]
+    near = [kid.stage for kid in (*kids[at + 1 :], *kids[at - 1 : at]) if kid.bounded]
+    return Learned(final, tuple(notes), context, family.start.system, refined, near[0] if near else None)
 
 
 def _least(systems: Sequence[System], train: Dataset) -> int:

@@ -56,5 +56,5 @@ def test_a_model_of_another_package_is_checked_like_one_of_ours() -> None:
     assert [str(s) for s in own.simpler] == [str(s) for s in other.simpler] != []
     assert own.intervals is not None
     assert other.intervals is not None
-    assert np.array_equal(own.intervals.gain, other.intervals.gain)
+    assert np.array_equal(own.intervals.gain, other.intervals.gain, equal_nan=True)
     assert own.intervals.coefficients == other.intervals.coefficients

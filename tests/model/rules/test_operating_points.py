@@ -62,7 +62,7 @@ def test_sentences_lead_from_slow_to_fast_and_equal_words_are_said_once(
     assert gains == sorted(gains, reverse=True)
     assert len(gains) == 3  # to the left and to the right alike
     assert any("answers like R1" in line for line in said)
-    assert sum(" y(k) = " in line for line in said) == 3
+    assert sum(" y(k) = " in line for line in said) == len(model.rules())
 
 
 def test_rules_that_differ_by_a_push_only_say_so() -> None:
@@ -97,7 +97,7 @@ def test_one_rule_is_said_once_with_its_dead_time(delay: int) -> None:
     assert point.dead_s[0] == pytest.approx(0.05 * delay)
     assert ("nothing before 0.15 s" in sentence) == (delay == 3)
     assert point.reached_s[0] == pytest.approx(reached, rel=0.03)
-    assert "(" not in sentence  # nobody grew a larger model: noise alone is no interval
+    assert "(" not in sentence  # no other model was grown: noise alone is no interval
     sure = operating_points(Numbers(model.layout, model.parameters), data, model.uncertainty(data))[0]
     assert sure.gain_interval[0, 0] < 2.0 < sure.gain_interval[1, 0]
     assert sentence.startswith("  * From y = ")
