@@ -7,13 +7,14 @@ import math
 import struct
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from mcap.writer import CompressionType
 
+from flysid.ingest.formats.blackbox.writing import Writer, signed_vb
 from flysid.ingest.formats.rosbag1.writer import BagWriter
-from tests.samplelogs import dataflash, dataflash_text, mcap, navdata, rosbag2, tlog, ulog
+from tests.samplelogs import blackbox, dataflash, dataflash_text, mcap, navdata, rosbag2, tlog, ulog
 
 STEPS = 60
 LAT, LON, ALT = 48.1234567, -122.7654321, 523.45
@@ -289,7 +290,34 @@ def ardrone() -> Private:
     return Private(navdata.SUFFIX, b"".join(out), doubles(), "navdata/gps", ("latitude", "longitude"))
 
 
+def betaflight() -> Private:
+    """Two logs in a file: positions that count from home, and positions as they are."""
+    plain = replace(blackbox.GPS, predictor=[10, 0, 0, 0, 0, 0])
+    home = scaled(0)[:2]
+    names = {"Craft name": SERIAL.decode(), "Pilot name": PASSWORD.decode(), "features": "541196296"}
+    out = []
+    for gps in (blackbox.GPS, plain):
+        writer = Writer(blackbox.KINDS | {"G": gps}, blackbox.SETTINGS | names)
+        out += writer.header()
+        iteration = 0
+        for k in range(2 * STEPS):
+            values = blackbox.main_values(k, iteration, 1_000_000)
+            out.append(writer.frame("P" if iteration % 16 else "I", values))
+            iteration = writer.due(iteration)
+            if k == 0:
+                out.append(writer.frame("H", home))
+            if k % 2:
+                lat, lon, alt = scaled(k // 2)
+                out.append(writer.frame("G", [values[1] + 90, 9, lat, lon, alt // 100, 300]))
+        out += [b"E\x65" + bytes([len(SERIAL)]) + SERIAL, blackbox.END]
+    secrets = tuple(signed_vb(v) for k in range(STEPS) for v in scaled(k)[:2])
+    return Private(
+        ".bbl", b"".join(out), (*secrets, SERIAL, PASSWORD), "gps", ("GPS_coord[0]", "GPS_coord[1]")
+    )
+
+
 PRIVATE: dict[str, Callable[[], Private]] = {
+    "blackbox": betaflight,
     "tlog": telemetry,
     "dataflash": binary,
     "dataflash_text": text,

@@ -36,7 +36,7 @@ FORMATS: Mapping[str, Format] = {
             "Betaflight and INAV blackbox (.bbl, .bfl, .txt)",
             ".bbl .bfl .txt",
             "blackbox.reader",
-            None,
+            "blackbox.scrub",
         ),
         _row("crazyflie", "Crazyflie uSD-card log", ".usd", "crazyflie.reader", None),
         _row("csv", "table in text (.csv, .tsv)", ".csv .tsv", "csv.reader", None),

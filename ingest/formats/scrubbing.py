@@ -118,8 +118,10 @@ def _write(out: Path, pieces: Iterator[bytes]) -> None:
 def middle(view: memoryview, name: str, fmt: Format) -> Fix | None:
     """The median of a log's positions: of its receivers' if it has any, else of whatever names a position.
 
-    Not the first: simulators and receivers begin with positions that are far off.
+    Not the first: simulators and receivers begin with positions that are far off. Where an altitude cannot be
+    negative, the lowest one, so that none is after the shift.
     """
+    unsigned = False
     found: dict[bool, list[FloatArray]] = {True: [], False: []}
     for part in fmt.read(view, name, Limits()):
         if any(word in part.stream.upper() for word in OTHERS):
@@ -127,13 +129,17 @@ def middle(view: memoryview, name: str, fmt: Format) -> Fix | None:
         of_receiver = "gps" in part.stream.lower() or "navsat" in part.stream.lower()
         for place in places([_column(c) for c in part.table.schema if _is_number(c.type)]):
             found[of_receiver].append(_fixes(part.table, place))
+            unsigned |= any(
+                pa.types.is_unsigned_integer(part.table.schema.field(a.key).type) for a in place.altitudes
+            )
     fixes = np.concatenate([np.empty((0, 3)), *(f for f in found[True] if len(f))])
     if not len(fixes):
         fixes = np.concatenate([fixes, *found[False]])
     if not len(fixes):
         return None
     east = (fixes[:, 1] - fixes[0, 1] + 540.0) % 360.0 - 180.0
-    altitude = np.nanmedian(fixes[:, 2]) if np.isfinite(fixes[:, 2]).any() else 0.0
+    lowest_or_middle = np.nanmin if unsigned else np.nanmedian
+    altitude = lowest_or_middle(fixes[:, 2]) if np.isfinite(fixes[:, 2]).any() else 0.0
     return Fix(float(np.median(fixes[:, 0])), float(fixes[0, 1] + np.median(east)), float(altitude))
 
 

@@ -27,10 +27,18 @@ BLOCK = 1 << 16
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of one kind of frame: values (fields, n), of 32 bits (events: 64), times (n,) in us or -1."""
+    """Rows of one kind of frame.
+
+    Attributes
+    ----------
+    values : (fields, n), of 32 bits (events: 64).
+    us : (n,) times, or -1.
+    span : (2, n) where the frames begin and end in the file.
+    """
 
     values: npt.NDArray[Any]
     us: IntArray
+    span: IntArray
 
     def __len__(self) -> int:
         return len(self.us)
@@ -93,6 +101,10 @@ class Walker:
     def homeless(self) -> int:
         """GPS frames before any home frame: where they were cannot be told."""
         return int(self._state["homeless"])
+
+    def due(self, iteration: int) -> int:
+        """The loop iteration that is logged next."""
+        return int(kernel.next_iteration(self._state, iteration))
 
     def blocks(self) -> Iterator[Block]:
         """All rows of the log."""
@@ -178,13 +190,14 @@ class Walker:
         """Copy the rows that are certain out of the tables, and move the others to their beginnings."""
         rows = {}
         for name in _STREAMS:
-            values, us = getattr(self._tables, name), getattr(self._tables, f"{name}_us")
+            values, us, span = (getattr(self._tables, name + part) for part in ("", "_us", "_span"))
             count = int(self._state[f"{name}_open"] if self._state["has_group"] else self._state[name])
             left = int(self._state[name]) - count
             if count:
-                rows[name] = Rows(values[:, :count].copy(), us[:count].copy())
+                rows[name] = Rows(values[:, :count].copy(), us[:count].copy(), span[:, :count].copy())
                 values[:, :left] = values[:, count : count + left].copy()
                 us[:left] = us[count : count + left].copy()
+                span[:, :left] = span[:, count : count + left].copy()
             self._state[name], self._state[f"{name}_open"] = left, 0
         return rows
 
@@ -205,6 +218,8 @@ def _tables(count: IntArray, batch_bytes: int) -> kernel.Tables:
         long = rows if name == "main" else FEWEST_ROWS
         tables[name] = np.empty((int(count[kind]), long), dtype=np.int32)
         tables[f"{name}_us"] = np.empty(long, dtype=np.int64)
+        tables[f"{name}_span"] = np.empty((2, long), dtype=np.int64)
     tables["event"] = np.empty((5, FEWEST_ROWS), dtype=np.int64)
     tables["event_us"] = np.empty(FEWEST_ROWS, dtype=np.int64)
+    tables["event_span"] = np.empty((2, FEWEST_ROWS), dtype=np.int64)
     return kernel.Tables(**tables)

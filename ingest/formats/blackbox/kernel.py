@@ -75,18 +75,27 @@ class Program(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """Where decoded rows go: fields by rows, and the time of every row in microseconds (-1: before any)."""
+    """Where decoded rows go.
+
+    Fields by rows, the time of every row in microseconds (-1: before any), and (2, rows) where its frame
+    begins and ends.
+    """
 
     main: Int32Array
     main_us: IntArray
+    main_span: IntArray
     slow: Int32Array
     slow_us: IntArray
+    slow_span: IntArray
     gps: Int32Array
     gps_us: IntArray
+    gps_span: IntArray
     home: Int32Array
     home_us: IntArray
+    home_span: IntArray
     event: IntArray
     event_us: IntArray
+    event_span: IntArray
 
 
 # What is remembered between calls of `walk`, and what does not change inside a log. Rows from `*_open` on
@@ -286,10 +295,14 @@ def close_group(state: State, keep: bool) -> int:
 
 
 @numba.njit(cache=True, nogil=True)
-def _keep(table: Int32Array, times: IntArray, row: int, values: IntArray, us: int) -> None:
+def _keep(
+    table: Any, times: IntArray, spans: IntArray, row: int, values: IntArray, us: int, at: int, end: int
+) -> None:
     for k in range(table.shape[0]):
         table[k, row] = values[k]  # of a value up to 2^32 - 1, the lowest 32 bits
     times[row] = us
+    spans[0, row] = at
+    spans[1, row] = end
 
 
 @numba.njit(cache=True, nogil=True)
@@ -366,11 +379,11 @@ def walk(
             state.newest = free
             state.iteration = iteration
             state.us = us
-            _keep(tables.main, tables.main_us, state.main, values, us)
+            _keep(tables.main, tables.main_us, tables.main_span, state.main, values, us, at, end)
             state.main += 1
         elif kind == SLOW:
             history[place, : program.size[SLOW]] = values[: program.size[SLOW]]
-            _keep(tables.slow, tables.slow_us, state.slow, values, state.us)
+            _keep(tables.slow, tables.slow_us, tables.slow_span, state.slow, values, state.us, at, end)
             state.slow += 1
         elif kind == GPS:
             history[place, : program.size[GPS]] = values[: program.size[GPS]]
@@ -378,18 +391,18 @@ def walk(
             if state.gps_time_at >= 0 and us >= 0:
                 us = unwrapped(values[state.gps_time_at], us)
             if state.has_home:
-                _keep(tables.gps, tables.gps_us, state.gps, values, us)
+                _keep(tables.gps, tables.gps_us, tables.gps_span, state.gps, values, us, at, end)
                 state.gps += 1
             else:
                 state.homeless += 1
         elif kind == HOME:
             state.has_home, state.home_0 = 1, values[0]
             state.home_1 = values[1] if program.size[HOME] > 1 else 0
-            _keep(tables.home, tables.home_us, state.home, values, state.us)
+            _keep(tables.home, tables.home_us, tables.home_span, state.home, values, state.us, at, end)
             state.home += 1
         else:
-            tables.event[:, state.event] = event
-            tables.event_us[state.event] = state.us
+            us = state.us
+            _keep(tables.event, tables.event_us, tables.event_span, state.event, event, us, at, end)
             state.event += 1
             if event[0] == RESUME:
                 state.resumed = 1

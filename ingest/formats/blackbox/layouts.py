@@ -75,7 +75,7 @@ def layout_of(header: Header) -> Layout:
     width = max(len(d.names) for d in definitions.values())
     table = {part: np.zeros((len(KINDS), width), dtype=np.int64) for part in kernel.Program._fields[1:]}
     size = np.zeros(len(KINDS), dtype=np.int64)
-    constants = _constants(header)
+    constants = added_constants(header)
     for row, kind in enumerate(KINDS):
         if kind not in definitions:
             continue
@@ -102,7 +102,7 @@ def _check(kind: str, definition: Definition) -> None:
             raise LayoutError(f"field {name} of {kind} frames has the unknown predictor {predictor}")
 
 
-def _constants(header: Header) -> dict[int, int]:
+def added_constants(header: Header) -> dict[int, int]:
     """What the predictors 4 (least throttle), 8 (1500), 9 (battery) and 11 (least motor output) add."""
     least_throttle = header.number("minthrottle", 1150)
     return {

@@ -46,6 +46,7 @@ POSITION, ALTITUDE, IDENTITY, TEXT, PARAMETER, CONTENT = (
 UNREADABLE, SIGNATURE = "bytes that could not be read", "signatures"
 
 _LATITUDE = re.compile(r"^((?:.*_)?)(lat|latitude)(_int|_deg|_fused?|\d)?$")
+_PAIR = re.compile(r"^((gps_)(?:coord|home))\[0\]$")  # of blackbox: latitude, then longitude
 _ALTITUDE = re.compile(r"^(?:alt|altitude|elevation)(?:_ellipsoid|_msl|_amsl|_int|_m|_msl_m|_ellipsoid_m)?$")
 _IDENTITIES = frozenset(
     (
@@ -205,6 +206,10 @@ def _places(names: tuple[str, ...]) -> tuple[tuple[str, str, tuple[str, ...]], .
     found = []
     for name in names:
         path, dot, last = name.rpartition(".")
+        pair = _PAIR.match(last)
+        if pair is not None and (lon := f"{path}{dot}{pair[1]}[1]") in names:
+            beside = [n for n in names if n.startswith(pair[2]) and _ALTITUDE.match(n[len(pair[2]) :])]
+            found.append((name, lon, tuple(beside)))
         match = _LATITUDE.match(last)
         if match is None:
             continue

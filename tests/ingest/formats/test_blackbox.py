@@ -19,10 +19,18 @@ from flysid.flight import Flight, field_scale, field_unit
 from flysid.ingest.align.align import dataset
 from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.formats.base import Limits, collect
-from flysid.ingest.formats.blackbox.header import numbers_of
+from flysid.ingest.formats.blackbox.header import START, numbers_of
+from flysid.ingest.formats.blackbox.writing import (
+    Fields,
+    Writer,
+    groups,
+    signed_vb,
+    unsigned_vb,
+    wrapped,
+)
 from flysid.ingest.formats.registry import FORMATS
 from tests.samplelogs import blackbox as sample
-from tests.samplelogs.blackbox import END, KINDS, SETTINGS, START, Fields, Writer, signed_vb, unsigned_vb
+from tests.samplelogs.blackbox import END, KINDS, SETTINGS
 
 LOGS = Path(__file__).resolve().parents[4] / "shared" / "logs" / "blackbox"
 REAL = sorted(LOGS.glob("*")) if LOGS.is_dir() else []
@@ -153,10 +161,10 @@ def test_what_was_written_is_read(case: tuple[dict[str, Fields], list[list[int]]
     for k, differences in enumerate(frames):
         kind = "I" if iteration % 16 == 0 else "P"
         fields, values = kinds[kind], [iteration, 1000 + 700 * k]
-        codes = [code for _, span, code in sample.groups(fields.encoding) for _ in range(span)]
+        codes = [code for _, span, code in groups(fields.encoding) for _ in range(span)]
         for n, raw in enumerate(differences, start=2):
             value = writer.prediction(kind, n, values) + in_range(raw, codes[n])
-            values.append(sample.wrapped(value) if fields.signed[n] else value % (1 << 32))
+            values.append(wrapped(value) if fields.signed[n] else value % (1 << 32))
         out.append(writer.frame(kind, values))
         rows.append(values)
         iteration = writer.due(iteration)

@@ -6,6 +6,7 @@ import contextlib
 import io
 import json
 import os
+import re
 import sqlite3
 import struct
 import subprocess
@@ -124,6 +125,42 @@ def test_scrubbing_twice_finds_nothing_new(private: tuple[Private, Path]) -> Non
     _, out = scrubbed(path, gps="remove")
     again = scrub_log(out, out.with_name(f"again{out.suffix}"), gps="remove")
     assert {what for (what, _), n in again.removed.items() if n} <= {"altitudes above sea level"}
+
+
+def test_wounds_of_a_blackbox_log_are_not_in_the_copy(tmp_path: Path) -> None:
+    blob = PRIVATE["blackbox"]().blob
+    frames = [m.start() for m in re.finditer(rb"I[^H]", blob[6000:])]
+    at = 6000 + frames[len(frames) // 2]
+    path = tmp_path / "log.bbl"
+    path.write_bytes(blob[:at] + b"\x00\xfe lat 48.1234567" + blob[at:])
+    before = flysid.read(path)
+    assert before.damage.bytes_skipped > 0
+    done, out = scrubbed(path)
+    after = flysid.read(out)
+    assert (after.damage.bytes_skipped, after.damage.undecoded) == (0, {})
+    assert after["main"].equals(before["main"])
+    assert after["gps"].num_rows == before["gps"].num_rows
+    assert after["events"].num_rows == before["events"].num_rows + 1
+    assert 14 in after["events"]["event"].to_pylist()
+    assert done.removed["bytes that could not be read", "between frames"] == before.damage.bytes_skipped
+    assert b"48.12" not in out.read_bytes()
+
+
+def test_a_real_blackbox_log_flies_as_before_elsewhere(tmp_path: Path) -> None:
+    log = ROOT.parent / "shared" / "logs" / "blackbox" / "btfl_002.bbl"
+    if not log.is_file():
+        pytest.skip("no ../shared/logs")
+    out = tmp_path / "out.bbl"
+    done = scrub_log(log, out)
+    before, after = flysid.read(log), flysid.read(out)
+    assert not after.damage.lossy
+    for stream in ("main", "slow", "events"):
+        assert after[stream].equals(before[stream])
+    lat, lon = (after["gps"][f"GPS_coord[{k}]"].to_numpy() * 1e-7 for k in (0, 1))
+    assert max(np.abs(lat).max(), np.abs(lon).max()) < 0.05
+    assert done.removed["positions", "gps"] == before["gps"].num_rows
+    moved = [c for c in before["gps"].column_names if not before["gps"][c].equals(after["gps"][c])]
+    assert moved == ["GPS_coord[0]", "GPS_coord[1]", "GPS_altitude"]
 
 
 # -------------------------------------------------------------------------------- other people's readers
