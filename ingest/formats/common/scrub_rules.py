@@ -207,9 +207,9 @@ def _places(names: tuple[str, ...]) -> tuple[tuple[str, str, tuple[str, ...]], .
     for name in names:
         path, dot, last = name.rpartition(".")
         pair = _PAIR.match(last)
-        if pair is not None and (lon := f"{path}{dot}{pair[1]}[1]") in names:
+        if pair is not None and (east := f"{path}{dot}{pair[1]}[1]") in names:
             beside = [n for n in names if n.startswith(pair[2]) and _ALTITUDE.match(n[len(pair[2]) :])]
-            found.append((name, lon, tuple(beside)))
+            found.append((name, east, tuple(beside)))
         match = _LATITUDE.match(last)
         if match is None:
             continue
