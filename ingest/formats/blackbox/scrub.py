@@ -2,7 +2,7 @@
 
 There is no checksum, so only frames that the reader keeps are in the copy: wounds, frames whose I frame was
 not borne out, and GPS frames ahead of any home position are left out. Padding behind a log's end goes, too.
-Where main frames are missing then, an event says that logging was resumed, as the firmwares do behind a pause.
+Where main frames are missing then, an event says that logging was resumed, as firmwares do behind a pause.
 """
 
 from __future__ import annotations
