@@ -32,6 +32,7 @@ VERBS = {
     "runs": "List run folders and rank them by free-run error.",
     "scrub": "Write a copy of a log without positions, serial numbers and names.",
     "show": "Show one flight or stream of an ingested folder.",
+    "studio": "See logs, fit, judge and compare in the browser.",
     "synth": "Fly simulated plants and write the logs that a vehicle would have written.",
     "tf": "Transfer functions with intervals, and the measured frequency response.",
     "validate": "Compare fitted models on held-out segments; write the report.",

@@ -163,12 +163,20 @@ def lay_out(log: Log, panels: Sequence[Sequence[Curve]]) -> Timeline:
     offsets = _boot_offsets([curve.boots for curve in curves])
     drawn = tuple(tuple(_trace(curve, offsets) for curve in panel) for panel in panels)
     end_s = max((float(t.time_s[-1]) for panel in drawn for t in panel if len(t.time_s)), default=0.0)
+    return Timeline(log.name, drawn, *happenings(log, offsets, end_s))
+
+
+def happenings(
+    log: Log, offsets: Mapping[int, float], end_s: float
+) -> tuple[tuple[tuple[float, float, str], ...], tuple[Moment, ...]]:
+    """Flight modes as (start, end, name), and the other events, in seconds since the timeline's start.
+
+    `offsets` has the seconds to add to the vehicle's time for every boot that counts.
+    """
     seen = [(e.time_ns * 1e-9 + offsets[e.boot], e) for e in events(log) if e.boot in offsets]
     modes = [(max(0.0, at), e.text) for at, e in seen if e.kind == "mode"]
     bands = [(start, end, name) for (start, name), (end, _) in pairwise([*modes, (end_s, "")])]
-    return Timeline(
-        log.name,
-        drawn,
+    return (
         tuple(band for band in bands if band[0] < band[1]),
         tuple(Moment(at, e.kind, e.text) for at, e in seen if e.kind != "mode" and 0.0 <= at <= end_s),
     )
@@ -219,7 +227,7 @@ def _read_field(log: Log, stream: str, field: str) -> Curve:
     name = _column(field)
     table = log.table(stream, [TIME, BOOT, name])
     column = table.schema.field(name)
-    values = _numbers_of(table[name].combine_chunks(), field) * field_scale(column)
+    values = numbers_of(table[name].combine_chunks(), field) * field_scale(column)
     boots = table[BOOT].to_numpy()
     times_ns = table[TIME].to_numpy()
     samples = {}
@@ -230,7 +238,7 @@ def _read_field(log: Log, stream: str, field: str) -> Curve:
     return Curve(f"{stream}.{field}", field_unit(column), samples)
 
 
-def _numbers_of(column: pa.Array, field: str) -> FloatArray:
+def numbers_of(column: pa.Array, field: str) -> FloatArray:
     element = _ELEMENT.match(field)
     picked = pc.list_element(column, int(element[2])) if element else column
     return np.asarray(picked.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=np.float64)

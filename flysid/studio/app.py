@@ -1,0 +1,326 @@
+"""The studio's HTTP interface: routes, what they take, and errors in flysid's own words."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator, Callable
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import FileResponse, Response, StreamingResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+import flysid
+from flysid.errors import FlysidError, UsageError, WriteError
+from flysid.studio import commands, uploads
+from flysid.studio.channels import Asked, Recipes, aligned
+from flysid.studio.flights import Flights, Window
+from flysid.studio.guard import Bounds, Guard, Key
+from flysid.studio.jobs import Job, Jobs
+from flysid.studio.places import NotThere, Workspace
+from flysid.studio.runs import describe_run, list_runs, model_of, page_of
+
+FRAME_POLICY = "sandbox allow-scripts; frame-ancestors 'self'"
+SILENCE_S = 10.0  # an event stream says something at least this often
+Form = TypeVar("Form")
+
+
+class Listing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Words that a flight's facts must hold, and how many flights to list."""
+
+    q: str = ""
+    most: int = 500
+
+
+class Nothing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """No query at all."""
+
+
+class Studio:
+    """The handlers; each answers one route."""
+
+    def __init__(self, workspace: Workspace, cache: Path) -> None:
+        self.workspace = workspace
+        self.flights = Flights(workspace.data, cache)
+        self.recipes = Recipes(workspace.recipes)
+        self.jobs = Jobs(workspace.jobs)
+
+    async def about(self, request: Request) -> Response:
+        query_of(request, Nothing)
+        data = str(self.workspace.data)
+        return answer({"version": flysid.__version__, "data": data, "folder": str(self.workspace.folder)})
+
+    async def list_flights(self, request: Request) -> Response:
+        asked = query_of(request, Listing)
+        return answer(await run_in_threadpool(self.flights.listing, asked.q, asked.most))
+
+    async def describe_flight(self, request: Request) -> Response:
+        query_of(request, Nothing)
+        return answer(await run_in_threadpool(self.flights.describe, request.path_params["flight"]))
+
+    async def track(self, request: Request) -> Response:
+        query_of(request, Nothing)
+        return answer(await run_in_threadpool(self.flights.track, request.path_params["flight"]))
+
+    async def series(self, request: Request) -> Response:
+        body = await run_in_threadpool(self.flights.series, query_of(request, Window))
+        return Response(body, media_type="application/octet-stream")
+
+    async def suggest(self, request: Request) -> Response:
+        """The suggestions for a flight where they are known, else the job that finds them."""
+        query_of(request, Nothing)
+        flight = request.path_params["flight"]
+        await run_in_threadpool(self.flights.describe, flight)
+        return answer(await run_in_threadpool(commands.suggestions, self.jobs, self.workspace, flight))
+
+    async def align(self, request: Request) -> Response:
+        asked = query_of(request, Asked)
+        return answer(await run_in_threadpool(aligned, self.workspace, self.recipes, asked))
+
+    async def list_recipes(self, request: Request) -> Response:
+        query_of(request, Nothing)
+        return answer({"recipes": await run_in_threadpool(self.recipes.listing)})
+
+    async def recipe(self, request: Request) -> Response:
+        query_of(request, Nothing)
+        name = request.path_params["name"]
+        if request.method == "PUT":
+            return answer(self.recipes.write(name, await body_of(request, dict[str, Any])))
+        return answer(self.recipes.read(name))
+
+    async def upload(self, request: Request) -> Response:
+        """Keep a log; its quick look, and the job that takes it in."""
+        asked = query_of(request, commands.Upload)
+        length = int(request.headers["content-length"])
+        path = await uploads.keep_upload(self.workspace.uploads, asked.name, request.stream(), length)
+        job = self.jobs.add(*commands.ingest(self.workspace, path, asked))
+        return answer({"job": told(job), "upload": path.parent.name, "name": path.name}, 202)
+
+    async def quick_look(self, request: Request) -> Response:
+        query_of(request, Nothing)
+        folder = self.workspace.uploads / request.path_params["upload"]
+        found = [p for p in folder.glob("*") if not p.name.startswith(".")] if folder.is_dir() else []
+        if folder.parent != self.workspace.uploads or not found:
+            raise NotThere(f"no upload {folder.name!r}")
+        return answer(await run_in_threadpool(uploads.quick_look, found[0]))
+
+    async def fit(self, request: Request) -> Response:
+        asked = await body_of(request, commands.Fit)
+        words, run, then = commands.fit(self.workspace, self.recipes, asked)
+        if asked.preview:
+            return answer({"command": commands.shown(words), "then": commands.shown(then)})
+        return answer(told(self.jobs.add(words, "fit", {"run": str(run)}, then)), 202)
+
+    async def validate(self, request: Request) -> Response:
+        asked = await body_of(request, commands.Validate)
+        words, run = commands.validate(self.workspace, asked)
+        if asked.preview:
+            return answer({"command": commands.shown(words)})
+        return answer(told(self.jobs.add(words, "fit", {"run": str(run)})), 202)
+
+    async def compare(self, request: Request) -> Response:
+        asked = await body_of(request, commands.Compare)
+        words, out = commands.compare(self.workspace, asked)
+        if asked.preview:
+            return answer({"command": commands.shown(words)})
+        return answer(told(self.jobs.add(words, "fit", {"comparison": out.name})), 202)
+
+    async def comparison_page(self, request: Request) -> Response:
+        query_of(request, Nothing)
+        return _page(commands.comparison_page(self.workspace, request.path_params["name"]))
+
+    async def list_jobs(self, request: Request) -> Response:
+        query_of(request, Nothing)
+        return answer({"jobs": [told(job) for job in self.jobs.listing()]})
+
+    async def job(self, request: Request) -> Response:
+        query_of(request, Nothing)
+        job_id = request.path_params["job"]
+        if request.method == "DELETE":
+            await run_in_threadpool(self.jobs.cancel, job_id)
+        out = self.jobs.place(job_id) / "out"
+        text = out.read_text("utf-8", "replace") if out.is_file() else ""
+        return answer({**told(self.jobs.get(job_id)), "out": text})
+
+    async def job_events(self, request: Request) -> Response:
+        """The job's log and states as server-sent events; `Last-Event-ID` resumes."""
+        query_of(request, Nothing)
+        job_id = request.path_params["job"]
+        self.jobs.get(job_id)
+        seen = request.headers.get("last-event-id", "0")
+        after = int(seen) if seen.isdigit() and len(seen) < 12 else 0
+        return StreamingResponse(self._events(job_id, after), media_type="text/event-stream")
+
+    async def _events(self, job_id: str, after: int) -> AsyncIterator[str]:
+        yield f"event: job\ndata: {json.dumps(told(self.jobs.get(job_id)))}\n\n"
+        lines = self.jobs.events(job_id, after)
+        waiting = asyncio.ensure_future(anext(lines, None))
+        try:
+            while True:
+                await asyncio.wait([waiting], timeout=SILENCE_S)
+                if not waiting.done():
+                    yield ": still at it\n\n"
+                    continue
+                line = waiting.result()
+                if line is None:
+                    break
+                yield f"id: {line[0]}\nevent: line\ndata: {json.dumps(line[1])}\n\n"
+                waiting = asyncio.ensure_future(anext(lines, None))
+        finally:
+            waiting.cancel()
+        yield f"event: ended\ndata: {json.dumps(told(self.jobs.get(job_id)))}\n\n"
+
+    async def list_runs(self, request: Request) -> Response:
+        query_of(request, Nothing)
+        return answer(await run_in_threadpool(list_runs, self.workspace))
+
+    async def describe_run(self, request: Request) -> Response:
+        query_of(request, Nothing)
+        return answer(await run_in_threadpool(describe_run, self.workspace, request.path_params["run"]))
+
+    async def run_page(self, request: Request) -> Response:
+        query_of(request, Nothing)
+        return _page(page_of(self.workspace, request.path_params["run"]))
+
+    async def model(self, request: Request) -> Response:
+        query_of(request, Nothing)
+        where = request.path_params
+        body = model_of(self.workspace, where["run"], where["channel"], where["label"])
+        return Response(body, media_type="application/json")
+
+    def routes(self) -> list[Route | Mount]:
+        """All routes; reads are GET, what makes or changes something is POST, PUT or DELETE."""
+        get = [
+            ("about", self.about),
+            ("flights", self.list_flights),
+            ("flights/{flight}", self.describe_flight),
+            ("flights/{flight}/track", self.track),
+            ("flights/{flight}/suggestions", self.suggest),
+            ("series", self.series),
+            ("align", self.align),
+            ("recipes", self.list_recipes),
+            ("uploads/{upload}", self.quick_look),
+            ("jobs", self.list_jobs),
+            ("jobs/{job}/events", self.job_events),
+            ("runs", self.list_runs),
+            ("runs/{run}", self.describe_run),
+            ("runs/{run}/report.html", self.run_page),
+            ("runs/{run}/models/{channel:path}/{label}", self.model),
+            ("comparisons/{name}/report.html", self.comparison_page),
+        ]
+        post = [
+            ("uploads", self.upload),
+            ("fits", self.fit),
+            ("validates", self.validate),
+            ("compares", self.compare),
+        ]
+        assets = StaticFiles(directory=str(resources.files("flysid.studio") / "assets"), html=True)
+        return [
+            *(Route(f"/api/1/{path}", handler, methods=["GET"]) for path, handler in get),
+            *(Route(f"/api/1/{path}", handler, methods=["POST"]) for path, handler in post),
+            Route("/api/1/recipes/{name}", self.recipe, methods=["GET", "PUT"]),
+            Route("/api/1/jobs/{job}", self.job, methods=["GET", "DELETE"]),
+            Route("/shared/{name}", shared_asset, methods=["GET"]),
+            Mount("/", assets),
+        ]
+
+
+def make_app(workspace: Workspace, key: Key, cache: Path, bounds: Bounds | None = None) -> Guard:
+    """The application, guarded.
+
+    Parameters
+    ----------
+    workspace : its folders.
+    key : what a browser must show.
+    cache : an empty folder for mapped fields.
+    bounds : of requests' bodies.
+    """
+    studio = Studio(workspace, cache)
+
+    @contextlib.asynccontextmanager
+    async def working(_: Starlette) -> AsyncIterator[None]:
+        task = asyncio.create_task(studio.jobs.work())
+        yield
+        task.cancel()
+
+    app = Starlette(
+        routes=studio.routes(),
+        lifespan=working,
+        exception_handlers={FlysidError: _refused, HTTPException: _not_served, ClientDisconnect: _gone},
+    )
+    return Guard(app, key, bounds or Bounds())
+
+
+def query_of(request: Request, form: type[Form]) -> Form:
+    """The query as a form; raises UsageError that names what is wrong. Repeated names become tuples."""
+    known = {f.name: f for f in msgspec.structs.fields(form)}  # type: ignore[arg-type]
+    values: dict[str, Any] = {}
+    for name in request.query_params:
+        given = request.query_params.getlist(name)
+        is_many = name in known and isinstance(known[name].default, tuple)
+        if len(given) > 1 and not is_many:
+            raise UsageError(f"{name} is given {len(given)} times")
+        values[name] = tuple(given) if is_many else given[0]
+    return _converted(lambda: msgspec.convert(values, form, strict=False))
+
+
+async def body_of(request: Request, form: type[Form]) -> Form:
+    """The body, JSON, as a form; raises UsageError that names what is wrong."""
+    body = await request.body()
+    return _converted(lambda: msgspec.json.decode(body, type=form))
+
+
+def _converted(convert: Callable[[], Form]) -> Form:
+    try:
+        return convert()
+    except (msgspec.ValidationError, msgspec.DecodeError, RecursionError) as error:
+        raise UsageError(f"not understood: {error}") from error
+
+
+def answer(content: object, status: int = 200) -> Response:
+    """JSON; numbers that are not finite become null."""
+    return Response(msgspec.json.encode(content), status, media_type="application/json")
+
+
+def told(job: Job) -> dict[str, Any]:
+    """A job as the page shows it."""
+    return {**msgspec.to_builtins(job), "command": job.command}
+
+
+async def shared_asset(request: Request) -> Response:
+    """Assets of the report that the studio uses too: uPlot."""
+    name = request.path_params["name"]
+    if name not in ("uPlot.iife.min.js", "uPlot.min.css"):
+        raise HTTPException(404)
+    folder = resources.files("flysid.validate.report") / "assets"
+    return FileResponse(str(folder / name))
+
+
+def _page(path: Path) -> Response:
+    """A report in a frame of its own origin: its scripts run, and reach nothing of the studio."""
+    return FileResponse(path, headers={"Content-Security-Policy": FRAME_POLICY})
+
+
+async def _refused(_: Request, error: Exception) -> Response:
+    assert isinstance(error, FlysidError)
+    status = 404 if isinstance(error, NotThere) else 507 if isinstance(error, WriteError) else 400
+    return answer({"message": error.message, "where": error.where, "hint": error.hint}, status)
+
+
+async def _not_served(_: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    words = {404: "there is no such page", 405: "that cannot be done here"}
+    return answer({"message": words.get(error.status_code, error.detail)}, error.status_code)
+
+
+async def _gone(_: Request, __: Exception) -> Response:
+    return answer({"message": "the request ended before its body did"}, 408)

@@ -1,0 +1,241 @@
+// Flights: drop a log, find a flight, drag its fields to plots.
+import { follow, get, send } from "./api.js";
+import { clock, date, el, guarded, keep, plain, size } from "./page.js";
+import { Plots, shown } from "./plots.js";
+
+const MOST_FIELDS = 300; // listed at once; the search narrows them
+
+export async function showFlights(main, query) {
+  const stops = [];
+  const work = el("div", { class: "work" });
+  const side = el("div", { class: "side" });
+  main.append(side, work);
+
+  const files = el("input", { type: "file", multiple: true, "aria-label": "Logs to add" });
+  const arriving = el("div", { role: "status", class: "hint" });
+  const drop = el("div", { class: "drop" }, "Drop logs here, or ", files, arriving);
+  const find = el("input", { type: "search", placeholder: "name, vehicle, firmware", "aria-label": "Find flights" });
+  const select = el("select", { "aria-label": "Flight" });
+  const facts = el("div", { class: "hint" });
+  const search = el("input", { type: "search", placeholder: "Find a field: roll, gyro, ... ( / )", "aria-label": "Find a field" });
+  const tree = el("div", { class: "tree", tabindex: -1 });
+  side.append(drop, el("label", {}, "Flight", find), select, facts, search, tree);
+
+  const map = el("details", { class: "map" }, el("summary", {}, "Where it flew"));
+  const events = el("details", {}, el("summary", {}, "Modes, messages and parameter changes"));
+  const pairs = el("div", { class: "tools" });
+  const plots = new Plots(el("div", {}), () => remember());
+  work.append(pairs, plots.parent, map, events, el("p", { class: "foot" },
+    ...[["/", "find"], ["Enter", "add to a plot"], ["Shift Enter", "to the last plot"], ["\u2190 \u2192", "move"], ["+ \u2212", "zoom"], ["0", "all"],
+      [", .", "first cursor"], ["< >", "second cursor"], ["x", "remove plot"]].flatMap(([k, what]) => [el("kbd", {}, k), " " + what + "  "]),
+    "Drag on a plot zooms, a click sets the first cursor, Shift-click the second, double-click shows all."));
+  let flight = null;
+
+  function remember() {
+    if (!flight) { return; }
+    const whole = plots.view[0] === 0 && plots.view[1] === plots.end;
+    keep("flights", {
+      f: flight.id,
+      p: plots.fields.map((names) => names.join(";")),
+      t: whole ? "" : plots.view.map((x) => +x.toPrecision(9)).join("~"),
+      c: plots.marks.some((x) => x !== null) ? plots.marks.map((x) => (x === null ? "" : +x.toPrecision(9))).join("~") : "",
+    });
+  }
+
+  const list = guarded(async (wanted) => {
+    const found = await get("flights", { q: find.value, most: 200 });
+    select.textContent = "";
+    found.flights.forEach((one) => {
+      const about = [clock(one.duration_s), date(one.start_utc_ns), one.info.vehicle || one.info.autopilot, one.info.firmware, one.lossy ? "damaged" : ""];
+      select.append(el("option", { value: one.id, selected: one.id === wanted }, one.log + " \u00b7 " + about.filter(Boolean).join(" \u00b7 ")));
+    });
+    if (found.count > found.flights.length) { select.append(el("option", { disabled: true }, "and " + (found.count - found.flights.length) + " more: search")); }
+    if (!found.count) { facts.textContent = find.value ? "No flight has these words." : "No flights yet: drop a log above."; }
+    return found;
+  });
+
+  const open = guarded(async (id, fields, view, marks) => {
+    flight = await get("flights/" + encodeURIComponent(id));
+    facts.textContent = [
+      flight.format, size(flight.size_bytes), flight.rows.toLocaleString("en") + " records", clock(flight.duration_s),
+      date(flight.start_utc_ns) && date(flight.start_utc_ns) + " UTC", flight.info.vehicle || flight.info.autopilot, flight.info.firmware,
+      flight.boots.length > 1 ? flight.boots.length + " boots" : "", flight.lossy ? "damaged: flysid show names what was lost" : "",
+    ].filter(Boolean).join(" \u00b7 ");
+    listFields();
+    listPairs();
+    listEvents();
+    map.open = false;
+    drawMap(null);
+    plots.open(flight, fields || firstPair(), view, marks);
+    remember();
+  });
+
+  function firstPair() {
+    const found = flight.signals.find((group) => group.channels.length);
+    return found ? [found.channels[0].map((name) => found.stream + ":" + name)] : [];
+  }
+
+  function listPairs() { // command beside measurement, one click
+    pairs.textContent = "";
+    const seen = new Set();
+    flight.signals.forEach((group) => group.channels.forEach((names) => {
+      const text = names.join(", ");
+      if (seen.has(text) || seen.size >= 12) { return; }
+      seen.add(text);
+      pairs.append(el("button", { onclick: () => plots.add(names.map((name) => group.stream + ":" + name)), title: group.stream.slice(1) }, text));
+    }));
+    if (seen.size) { pairs.prepend(el("span", { class: "dim" }, "Plot:")); }
+  }
+
+  function listFields() {
+    const words = search.value.toLowerCase().split(/\s+/).filter(Boolean);
+    tree.textContent = "";
+    let left = MOST_FIELDS;
+    for (const group of [...flight.signals, ...flight.streams]) {
+      const fields = group.fields.filter(([name]) => words.every((word) => (group.stream + "." + name).toLowerCase().includes(word)));
+      if (!fields.length || left <= 0) { continue; }
+      const title = group.stream.startsWith("@") ? "signals of " + group.stream.slice(1)
+        : group.stream + " (" + group.rows.toLocaleString("en") + (group.rate_hz ? ", " + plain(+group.rate_hz.toPrecision(3)) + " Hz" : "") + ")";
+      const items = el("ul", {});
+      const box = el("details", { open: words.length > 0 }, el("summary", {}, title), items);
+      const fill = () => {
+        if (items.childElementCount) { return; }
+        fields.slice(0, MOST_FIELDS).forEach(([name, unit]) => items.append(el("li", {}, fieldButton(group.stream + ":" + name, unit))));
+      };
+      if (box.open) { fill(); left -= fields.length; } else { box.addEventListener("toggle", fill, { once: true }); }
+      tree.append(box);
+    }
+    if (!tree.childElementCount) { tree.append(el("p", { class: "hint" }, "No field has these words.")); }
+  }
+
+  function fieldButton(name, unit) {
+    const button = el("button", { draggable: "true", title: "Enter: a new plot. Shift-Enter: into the last plot." },
+      shown(name).split(".").pop() + (unit ? ", " + unit : ""));
+    button.addEventListener("click", (event) => plots.add([name], event.shiftKey ? plots.panels.length - 1 : undefined));
+    button.addEventListener("dragstart", (event) => event.dataTransfer.setData("text/x-field", name));
+    button.dataset.field = name;
+    return button;
+  }
+
+  function listEvents() {
+    events.querySelectorAll(".scroll").forEach((old) => old.remove());
+    const rows = [...flight.modes.map(([at, , name]) => [at, "mode", name]), ...flight.moments].sort((a, b) => a[0] - b[0]);
+    events.hidden = !rows.length;
+    const table = el("table", {}, el("tbody", {}, rows.slice(0, 500).map(([at, kind, text]) => el("tr", {},
+      el("td", {}, el("button", { onclick: () => { plots.look(at - 5, at + 5); plots.mark(0, at); } }, plain(at) + " s")),
+      el("td", {}, kind), el("td", {}, text)))));
+    events.append(el("div", { class: "scroll" }, table));
+  }
+
+  async function drawMap(at) {
+    if (!map.open) { map.querySelectorAll("svg,p").forEach((old) => old.remove()); return; }
+    if (map.dataset.flight !== flight.id) {
+      map.dataset.flight = flight.id;
+      map.points = (await get("flights/" + encodeURIComponent(flight.id) + "/track")).points;
+      map.querySelectorAll("svg,p").forEach((old) => old.remove());
+    }
+    if (!map.querySelector("svg,p")) { map.append(map.points.length ? track(map.points) : el("p", { class: "hint" }, "The log holds no positions.")); }
+    const dot = map.querySelector("circle");
+    if (!dot) { return; }
+    const near = at === null ? null : map.points.reduce((a, b) => (Math.abs(b[0] - at) < Math.abs(a[0] - at) ? b : a));
+    dot.setAttribute("visibility", near ? "visible" : "hidden");
+    if (near) { const [x, y] = map.querySelector("svg").place(near); dot.setAttribute("cx", x); dot.setAttribute("cy", y); }
+  }
+  map.addEventListener("toggle", guarded(() => drawMap(plots.marks[0])));
+  plots.told = (at) => { if (map.open) { drawMap(at); } };
+
+  const take = guarded(async (dropped) => {
+    for (const file of dropped) {
+      arriving.textContent = file.name + ": sending " + size(file.size);
+      const sent = await send("POST", "uploads", file, { name: file.name });
+      const line = el("p", {}, file.name + ": reading");
+      arriving.replaceChildren(line);
+      get("uploads/" + sent.upload).then((look) => {
+        if (look.streams && !line.dataset.done) {
+          const rates = Object.entries(look.streams).slice(0, 6).map(([name, [, rate]]) => name + " " + plain(+rate.toPrecision(3)) + " Hz");
+          line.textContent = file.name + ": " + look.format + ", " + Object.keys(look.streams).length + " streams (" + rates.join(", ") + ", ...); reading the rest";
+        }
+      }, () => {});
+      await new Promise((resolve) => stops.push(follow(sent.job.id, guarded(async (kind, job) => {
+        if (kind !== "ended") { return; }
+        const ended = await get("jobs/" + job.id);
+        const id = ended.out.trim().split("\n").filter(Boolean).pop();
+        line.dataset.done = "yes";
+        line.textContent = file.name + ": " + (ended.state === "done" ? "read" + (ended.code === 3 ? ", with losses" : "") : ended.state);
+        if (ended.state !== "done" || !id) {
+          const log = await fetchLog(job.id);
+          line.append(el("pre", {}, log || "it is here already"));
+        }
+        await list(id);
+        if (id) { select.value = id; await open(id); }
+        resolve();
+      }))));
+    }
+  });
+
+  files.addEventListener("change", () => take([...files.files]));
+  for (const kind of ["dragover", "dragleave", "drop"]) {
+    main.addEventListener(kind, (event) => {
+      if (!event.dataTransfer || !event.dataTransfer.types.includes("Files")) { return; }
+      event.preventDefault();
+      drop.classList.toggle("over", kind === "dragover");
+      if (kind === "drop") { take([...event.dataTransfer.files]); }
+    });
+  }
+  select.addEventListener("change", () => open(select.value));
+  let pause = 0;
+  find.addEventListener("input", () => { clearTimeout(pause); pause = setTimeout(() => list(flight && flight.id), 200); });
+  search.addEventListener("input", () => flight && listFields());
+  tree.addEventListener("keydown", (event) => {
+    const way = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+    const stops_ = [...tree.querySelectorAll("summary,details[open] li button")];
+    const at = stops_.indexOf(document.activeElement);
+    if (way && at >= 0 && stops_[at + way]) { event.preventDefault(); stops_[at + way].focus(); }
+  });
+  const slash = (event) => {
+    if (event.key === "/" && !/^(INPUT|TEXTAREA|SELECT)$/.test(document.activeElement.tagName)) { event.preventDefault(); search.focus(); }
+  };
+  document.addEventListener("keydown", slash);
+  stops.push(() => document.removeEventListener("keydown", slash));
+
+  const found = await list(query.get("f"));
+  const id = query.get("f") || (found && found.flights.length ? found.flights[0].id : "");
+  if (id) {
+    const numbers = (text) => (text ? text.split("~").map((x) => (x === "" ? null : +x)) : null);
+    const fields = query.getAll("p").map((names) => names.split(";"));
+    await open(id, fields.length ? fields : null, numbers(query.get("t")), numbers(query.get("c")));
+  }
+  return () => stops.forEach((stop) => stop());
+}
+
+async function fetchLog(job) {
+  return new Promise((resolve) => {
+    const lines = [];
+    follow(job, (kind, text) => { if (kind === "line") { lines.push(text); } else if (kind === "ended") { resolve(lines.join("\n")); } });
+  });
+}
+
+function track(points) { // the path as it lies on the ground, without tiles
+  const lat = points.map((p) => p[1]), lon = points.map((p) => p[2]);
+  const middle = (Math.min(...lat) + Math.max(...lat)) / 2, shrink = Math.cos((middle * Math.PI) / 180);
+  const left = Math.min(...lon), top = Math.max(...lat);
+  const across = (Math.max(...lon) - left) * shrink || 1e-9, down = top - Math.min(...lat) || 1e-9;
+  const scale = Math.min(560 / across, 160 / down);
+  const place = ([, y, x]) => [20 + (x - left) * shrink * scale, 10 + (top - y) * scale];
+  const ns = "http://www.w3.org/2000/svg";
+  const svg = document.createElementNS(ns, "svg");
+  svg.setAttribute("viewBox", "0 0 600 180");
+  svg.setAttribute("role", "img");
+  svg.setAttribute("aria-label", "The track, north up, " + plain(+(Math.max(across, down) * 111320).toPrecision(3)) + " m across");
+  const line = document.createElementNS(ns, "polyline");
+  line.setAttribute("points", points.map((p) => place(p).map((x) => x.toFixed(1)).join(",")).join(" "));
+  line.setAttribute("fill", "none");
+  line.setAttribute("stroke", "currentColor");
+  const dot = document.createElementNS(ns, "circle");
+  dot.setAttribute("r", 4);
+  dot.setAttribute("fill", "#c2570c");
+  dot.setAttribute("visibility", "hidden");
+  svg.append(line, dot);
+  svg.place = place;
+  return svg;
+}

@@ -1,0 +1,149 @@
+"""What a flight can identify: the command line's suggestion, the aligned signals, recipes of one's own."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import tomli_w
+
+from flysid.dataset import Dataset
+from flysid.errors import RecipeError, StoreError, UsageError
+from flysid.files import slug, write_atomically
+from flysid.ingest.align.recipe import load_recipe, parse_recipe, recipe_text, shipped_recipes
+from flysid.ingest.lake.lake import open as open_lake
+from flysid.manifest import FLIGHTS, read_manifest
+from flysid.studio.flights import boot_offsets_s
+from flysid.studio.places import NotThere, Workspace
+from flysid.validate.report.decimate import decimate, rounded
+
+POINTS = 1500  # of a signal: more than a page is wide
+
+
+class Recipes:
+    """The shipped recipes and those in the studio's folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def listing(self) -> list[dict[str, Any]]:
+        """Name, description, channels and whether it can be changed, for every recipe that is sound."""
+        own = [str(path) for path in sorted(self._folder.glob("*.toml"))]
+        listed = []
+        for place in (*own, *shipped_recipes()):
+            try:
+                recipe = load_recipe(place)
+            except RecipeError as error:
+                listed.append({"name": Path(place).stem, "error": error.advice, "own": True, "channels": []})
+                continue
+            channels = [
+                {"name": name, "inputs": c.inputs, "outputs": c.outputs}
+                for name, c in recipe.channels.items()
+            ]
+            listed.append(
+                {
+                    "name": Path(place).stem if place in own else place,
+                    "description": recipe.description,
+                    "own": place in own,
+                    "channels": channels,
+                }
+            )
+        return listed
+
+    def place(self, name: str) -> str:
+        """What the command line takes for a recipe: its name, or the path of one's own."""
+        path = self._folder / f"{name}.toml"
+        if slug(name) == name and path.is_file():
+            return str(path)
+        if name in shipped_recipes():
+            return name
+        raise NotThere(f"no recipe {name!r}")
+
+    def read(self, name: str) -> dict[str, Any]:
+        """A recipe as TOML and as the values of a form."""
+        text, _ = recipe_text(self.place(name))
+        return {"name": name, "toml": text, "form": tomllib.loads(text)}
+
+    def write(self, name: str, body: dict[str, Any]) -> dict[str, Any]:
+        """Keep a recipe of one's own, given as TOML or as the values of a form.
+
+        Raises
+        ------
+        UsageError : a name that is no file name or that a shipped recipe has. RecipeError : not sound.
+        """
+        if not name or slug(name) != name:
+            raise UsageError(f"{name!r} cannot be a recipe's name", hint=slug(name))
+        if name in shipped_recipes():
+            raise UsageError(f"{name} is a shipped recipe", hint=f"{name}-mine")
+        text = str(body["toml"]) if "toml" in body else _as_toml(body.get("form"))
+        try:
+            document = tomllib.loads(text)
+        except (tomllib.TOMLDecodeError, RecursionError) as error:
+            raise RecipeError(f"not TOML: {error}", path=name) from error
+        parse_recipe(document, name)
+        try:
+            write_atomically(self._folder / f"{name}.toml", text.encode())
+        except OSError as error:
+            raise StoreError(f"the recipe cannot be kept: {error.strerror}", path=self._folder) from error
+        return {"name": name, "toml": text, "form": document}
+
+
+def _as_toml(form: object) -> str:
+    if not isinstance(form, dict):
+        raise UsageError("a recipe is given as 'toml' or as 'form'")
+    try:
+        return tomli_w.dumps(form)
+    except (TypeError, ValueError) as error:
+        raise RecipeError(f"wrong value: {error}") from error
+
+
+class Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One channel of one flight by one recipe."""
+
+    f: str
+    r: str
+    ch: str
+
+
+def aligned(workspace: Workspace, recipes: Recipes, asked: Asked) -> dict[str, Any]:
+    """The segments of a channel in one flight, and their signals thinned to what a page can show.
+
+    Raises
+    ------
+    NotThere : no such flight or recipe. RecipeError, DataError : the flight does not give the channel.
+    """
+    lake = open_lake(workspace.data).only([asked.f])
+    if not lake.logs:
+        raise NotThere(f"no flight {asked.f!r}", path=workspace.data)
+    found = lake.align(load_recipe(recipes.place(asked.r)), asked.ch)
+    offsets = boot_offsets_s(read_manifest(workspace.data / FLIGHTS / asked.f))
+    data = found.dataset
+    return {
+        "flight": asked.f,
+        "recipe": asked.r,
+        "channel": asked.ch,
+        "dt_s": data.dt_s,
+        "segments": [_segment(data, k, offsets) for k in range(len(data.segments))],
+        "signals": [[s.name, s.unit] for s in (*data.inputs, *data.outputs)],
+        "lines": found.report.lines(),
+        "used_s": found.report.used_s,
+    }
+
+
+def _segment(data: Dataset, index: int, offsets: dict[int, float]) -> dict[str, Any]:
+    segment = data.segments[index]
+    boot = int(segment.flight.rpartition("#")[2]) if "#" in segment.flight else min(offsets, default=0)
+    time_s = segment.time_s(data.dt_s) + offsets.get(boot, 0.0)
+    columns = {str(i): segment.u[:, i] for i in range(segment.u.shape[1])}
+    columns |= {str(len(columns) + i): segment.y[:, i] for i in range(segment.y.shape[1])}
+    share = max(50, POINTS * len(segment) // max(1, sum(map(len, data.segments))))
+    shown_s, shown = decimate(time_s, columns, share)
+    return {
+        "start_s": float(time_s[0]),
+        "end_s": float(time_s[-1]),
+        "marks": dict(segment.marks),
+        "time_s": rounded(shown_s, 6),
+        "values": [rounded(values) for values in shown.values()],
+    }

@@ -1,0 +1,165 @@
+"""What a person would type for what the page asks: every job is such a command."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from flysid.errors import UsageError
+from flysid.files import slug
+from flysid.studio.channels import Recipes
+from flysid.studio.jobs import Job, Jobs, Lane
+from flysid.studio.places import NotThere, Workspace
+from flysid.validate.judge import PAGE
+
+
+class Upload(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A log that is dropped: its name, and what its bytes do not tell."""
+
+    name: str
+    format: str = ""
+    time_unit: str = ""
+
+
+class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The settings of a fit, named as the command's options; empty ones are left to the command.
+
+    `inputs` and `outputs` are STREAM.FIELD and take the place of a recipe. `name` is the run's.
+    """
+
+    recipe: str = ""
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    channels: tuple[str, ...] = ()
+    flights: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+    between: tuple[str, ...] = ()
+    models: str = ""
+    rules: str = ""
+    effort: str = ""
+    holdout: float | None = None
+    by: str = ""
+    seed: int | None = None
+    name: str = ""
+    preview: bool = False
+
+
+class Validate(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The run to judge."""
+
+    run: str
+    preview: bool = False
+
+
+class Compare(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Two runs."""
+
+    a: str
+    b: str
+    preview: bool = False
+
+
+def ingest(workspace: Workspace, log: Path, asked: Upload) -> tuple[list[str], Lane, dict[str, str]]:
+    """Take a log in."""
+    words = ["ingest", str(log), "-o", str(workspace.data), "--jobs", "1"]
+    words += ["--format", asked.format] if asked.format else []
+    words += ["--time-unit", asked.time_unit] if asked.time_unit else []
+    return words, "read", {"upload": log.parent.name, "name": log.name}
+
+
+def suggestions(jobs: Jobs, workspace: Workspace, flight: str) -> dict[str, Any]:
+    """What a flight can identify: from the newest job that has looked, else from one that begins now."""
+    words = ["ls", str(workspace.data), "--suggest", "--json", "--flight", flight]
+    own = [job for job in jobs.listing() if job.words == tuple(words)]
+    job = own[0] if own else jobs.add(words, "read", {"flight": flight})
+    if job.state in ("failed", "interrupted", "cancelled"):
+        said = _read(jobs.place(job.id) / "log").strip()
+        if len(own) > 1 or job.state == "failed":
+            return {"state": job.state, "reason": said, "suggestions": []}
+        job = jobs.add(words, "read", {"flight": flight})
+    if job.state != "done":
+        return {"state": job.state, "job": job.id, "suggestions": []}
+    found = json.loads(_read(jobs.place(job.id) / "out"))["suggestions"]
+    return {"state": "done", "suggestions": found}
+
+
+def fit(workspace: Workspace, recipes: Recipes, asked: Fit) -> tuple[list[str], Path, list[str]]:
+    """The words of a fit, its run, and the words that judge it.
+
+    Raises
+    ------
+    UsageError : neither a recipe nor fields. NotThere : no such recipe.
+    """
+    if not asked.recipe and not (asked.inputs and asked.outputs):
+        raise UsageError("nothing says what to identify", hint="choose a recipe, or an input and an output")
+    words = ["fit", str(workspace.data)]
+    words += ["--recipe", recipes.place(asked.recipe)] if asked.recipe else []
+    for option, values in (
+        ("--from", asked.inputs),
+        ("--to", asked.outputs),
+        ("--channel", asked.channels),
+        ("--flight", asked.flights),
+        ("--exclude", asked.exclude),
+        ("--between", asked.between),
+    ):
+        words += [word for value in values for word in (option, value)]
+    for option, given in (
+        ("--models", asked.models),
+        ("--rules", asked.rules),
+        ("--effort", asked.effort),
+        ("--holdout", asked.holdout),
+        ("--by", asked.by),
+        ("--seed", asked.seed),
+    ):
+        words += [option, str(given)] if given not in ("", None) else []
+    run = workspace.runs / _free_name(workspace.runs, asked.name or asked.recipe or asked.outputs[0])
+    return [*words, "-o", str(run)], run, ["validate", str(run)]
+
+
+def validate(workspace: Workspace, asked: Validate) -> tuple[list[str], Path]:
+    """The words that judge a run."""
+    run = workspace.run(asked.run)
+    return ["validate", str(run)], run
+
+
+def compare(workspace: Workspace, asked: Compare) -> tuple[list[str], Path]:
+    """The words that compare two runs, and the folder of the page."""
+    a, b = workspace.run(asked.a), workspace.run(asked.b)
+    out = workspace.folder / "comparisons" / f"{asked.a}-{asked.b}"
+    return ["compare", str(a), str(b), "-o", str(out), "--force"], out
+
+
+def comparison_page(workspace: Workspace, name: str) -> Path:
+    """The page of a comparison; raises NotThere."""
+    path = workspace.folder / "comparisons" / name / PAGE
+    if slug(name) != name or not path.is_file():
+        raise NotThere(f"no comparison {name!r}")
+    return path
+
+
+def shown(words: Sequence[str]) -> str:
+    """As it is typed."""
+    return shlex.join(["flysid", *words])
+
+
+def _free_name(folder: Path, wish: str) -> str:
+    """A name for a run that is not taken: the wish, or the wish and a number."""
+    base = slug(Path(wish).stem)
+    number = 1
+    name = base
+    while (folder / name).exists():
+        number += 1
+        name = f"{base}-{number}"
+    return name
+
+
+def _read(path: Path) -> str:
+    return path.read_text("utf-8", "replace") if path.is_file() else ""
+
+
+__all__ = ["Compare", "Fit", "Job", "Upload", "Validate"]

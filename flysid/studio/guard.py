@@ -1,0 +1,155 @@
+"""Who may ask: this machine's own browser, with the token that was printed, for pages of this server.
+
+The token of the printed address is exchanged for a strict cookie. Every request is checked for the host it
+was meant for (DNS rebinding), for the page it comes from (other sites), for the cookie, and for its size.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import secrets
+from dataclasses import dataclass, field
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse, RedirectResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+    "frame-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+
+@dataclass(frozen=True)
+class Key:
+    """What a browser must know, and where it must have come from."""
+
+    port: int
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+
+    @property
+    def cookie(self) -> str:
+        """Named by the port: two studios do not log each other out."""
+        return f"flysid-{self.port}"
+
+    @property
+    def hosts(self) -> tuple[str, ...]:
+        return tuple(f"{name}:{self.port}" for name in ("127.0.0.1", "localhost", "[::1]"))
+
+    @property
+    def address(self) -> str:
+        return f"http://127.0.0.1:{self.port}/?token={self.token}"
+
+    def fits(self, offered: str) -> bool:
+        return hmac.compare_digest(offered.encode(), self.token.encode())
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Of one request's body: bytes, and seconds to wait for the next part of it."""
+
+    body_bytes: int = 1 << 20
+    upload_bytes: int = 2 << 30
+    seconds: float = 30.0
+
+
+class Guard:
+    """Answers itself what may not pass: 401 no cookie, 403 another site, 413 too large, 421 another host."""
+
+    def __init__(self, app: ASGIApp, key: Key, bounds: Bounds) -> None:
+        self._app = app
+        self._key = key
+        self._bounds = bounds
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        if scope["type"] != "http":
+            await send({"type": "websocket.close", "code": 1008})
+            return
+        headers = Headers(scope=scope)
+        refusal = self._refusal(scope, headers)
+        if refusal is not None:
+            await refusal(scope, receive, _with_headers(send))
+            return
+        offered = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        if offered and scope["path"] == "/" and self._key.fits(offered):
+            entered = RedirectResponse("/", status_code=303)
+            entered.set_cookie(self._key.cookie, self._key.token, httponly=True, samesite="strict")
+            await entered(scope, receive, _with_headers(send))
+            return
+        if not self._key.fits(_cookie(headers, self._key.cookie)):
+            words = "open the address that 'flysid studio' has printed: it carries the token\n"
+            await PlainTextResponse(words, 401)(scope, receive, _with_headers(send))
+            return
+        await self._app(scope, self._patient(receive), _with_headers(send))
+
+    def _refusal(self, scope: Scope, headers: Headers) -> PlainTextResponse | None:
+        if headers.get("host", "") not in self._key.hosts:
+            return PlainTextResponse("this server answers on 127.0.0.1 and localhost only\n", 421)
+        origin = headers.get("origin")
+        if origin is not None and origin.removeprefix("http://") not in self._key.hosts:
+            return PlainTextResponse("requests of other sites are refused\n", 403)
+        if headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
+            return PlainTextResponse("requests of other sites are refused\n", 403)
+        if scope["method"] not in ("GET", "HEAD"):
+            return self._body_refusal(scope, headers)
+        return None
+
+    def _body_refusal(self, scope: Scope, headers: Headers) -> PlainTextResponse | None:
+        length = headers.get("content-length", "")
+        if not length.isdigit():
+            return PlainTextResponse("the length of the body must be stated\n", 411)
+        bounds = self._bounds
+        most = bounds.upload_bytes if scope["path"].endswith("/uploads") else bounds.body_bytes
+        if int(length) > most:
+            return PlainTextResponse(f"at most {most:,} bytes\n", 413)
+        return None
+
+    def _patient(self, receive: Receive) -> Receive:
+        """Waits for a part of the body as long as the bound says; then the client is taken for gone."""
+        is_over = False
+
+        async def bounded() -> Message:
+            nonlocal is_over
+            if is_over:
+                return await receive()
+            try:
+                message = await asyncio.wait_for(receive(), self._bounds.seconds)
+            except TimeoutError:
+                return {"type": "http.disconnect"}
+            is_over = not message.get("more_body", False)
+            return message
+
+        return bounded
+
+
+def _cookie(headers: Headers, name: str) -> str:
+    try:
+        found = SimpleCookie(headers.get("cookie", "")).get(name)
+    except CookieError:
+        return ""
+    return "" if found is None else found.value
+
+
+def _with_headers(send: Send) -> Send:
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            headers.setdefault("Content-Security-Policy", POLICY)
+            for name, value in HEADERS.items():
+                headers.setdefault(name, value)
+        await send(message)
+
+    return sending

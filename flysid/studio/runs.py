@@ -1,0 +1,96 @@
+"""Runs as the page shows them: verdicts with scope and interval, the page of a run, its models."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from flysid.errors import FlysidError, StoreError
+from flysid.studio.places import NotThere, Workspace, short_id
+from flysid.validate.history import REPORT, RunChannel, run_channels
+from flysid.validate.judge import DOCUMENT, PAGE
+from flysid.validate.run import RUN_FILE
+from flysid.validate.trials import FREE_RUN
+
+
+def list_runs(workspace: Workspace) -> dict[str, Any]:
+    """Every channel of every run, the newest run first, and the runs that cannot be read with the reason."""
+    rows: list[dict[str, Any]] = []
+    damaged: list[dict[str, str]] = []
+    for run_id, folder in workspace.run_folders().items():
+        try:
+            rows.append(_listed(run_id, folder))
+        except FlysidError as error:
+            damaged.append({"run": str(folder), "reason": error.advice})
+    rows.sort(key=lambda row: row["fitted_at"], reverse=True)
+    return {"runs": rows, "damaged": damaged}
+
+
+def describe_run(workspace: Workspace, run_id: str) -> dict[str, Any]:
+    """What a run holds: its settings, models, and its report's numbers where it was judged."""
+    folder = workspace.run(run_id)
+    listed = _listed(run_id, folder)
+    return {**listed, "run": _document(folder / RUN_FILE), "report": _document(folder / REPORT / DOCUMENT)}
+
+
+def page_of(workspace: Workspace, run_id: str) -> Path:
+    """The run's own page; raises NotThere where it was not judged."""
+    path = workspace.run(run_id) / REPORT / PAGE
+    if not path.is_file():
+        raise NotThere("the run has not been judged", path=path.parent.parent, hint="validate it")
+    return path
+
+
+def model_of(workspace: Workspace, run_id: str, channel: str, label: str) -> bytes:
+    """A model's file, as it is; raises NotThere."""
+    folder = workspace.run(run_id)
+    for found in (_document(folder / RUN_FILE) or {}).get("channels", []):
+        if found.get("name") == channel and label in found.get("models", {}):
+            return (folder / str(found["models"][label])).read_bytes()
+    raise NotThere(f"run {run_id} has no model {label!r} of channel {channel!r}")
+
+
+def _listed(run_id: str, folder: Path) -> dict[str, Any]:
+    channels = run_channels(folder)
+    document = _document(folder / RUN_FILE) or {}
+    judged = (_document(folder / REPORT / DOCUMENT) or {}).get("channels", {})
+    return {
+        "id": run_id,
+        "folder": str(folder),
+        "name": folder.name,
+        "data": str(document.get("data", "")),
+        "recipe": channels[0].recipe if channels else "",
+        "fitted_at": channels[0].fitted_at if channels else "",
+        "settings": document.get("settings", {}),
+        "judged": (folder / REPORT / PAGE).is_file(),
+        "channels": [_channel(c, judged.get(c.channel, {}).get(FREE_RUN, {})) for c in channels],
+    }
+
+
+def _channel(channel: RunChannel, free: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "channel": channel.channel,
+        "verdict": channel.verdict,
+        "scope": free.get("scope", ""),
+        "change_pct": channel.change_pct,
+        "interval_pct": free.get("ci95"),
+        "rmse": dict(channel.rmse),
+        "unit": channel.unit,
+        "baseline": channel.baseline,
+        "contender": channel.fuzzy,
+        "held_out": channel.held_out,
+    }
+
+
+def _document(path: Path) -> dict[str, Any] | None:
+    if not path.is_file():
+        return None
+    try:
+        document: dict[str, Any] = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise StoreError("damaged", path=path) from error
+    return document
+
+
+__all__ = ["describe_run", "list_runs", "model_of", "page_of", "short_id"]

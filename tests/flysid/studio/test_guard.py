@@ -1,0 +1,169 @@
+"""Attacks that a local server must refuse, each sent to a real one."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+
+import pytest
+from starlette.responses import Response
+from starlette.types import Message, Receive, Scope, Send
+
+from flysid.studio.guard import Bounds, Guard, Key
+from tests.flysid.studio.server import Server
+
+
+def with_cookie(server: Server, **headers: str) -> dict[str, str]:
+    return {"Cookie": server.cookie} | {name.replace("_", "-"): value for name, value in headers.items()}
+
+
+def test_without_a_token_or_with_a_wrong_one(server: Server) -> None:
+    assert server.raw("GET", "/").status == 401
+    assert server.raw("GET", "/api/1/flights").status == 401
+    assert server.raw("GET", "/?token=" + "a" * 32).status == 401
+    assert server.raw("GET", "/api/1/flights", headers={"Cookie": f"flysid-{server.port}=x"}).status == 401
+    assert server.raw("GET", "/api/1/flights", headers={"Cookie": 'a="'}).status == 401
+    assert server.raw("GET", "/api/1/jobs/x/events").status == 401  # an event stream, too
+
+
+def test_the_token_becomes_a_strict_cookie_and_leaves_the_address(server: Server) -> None:
+    answer = server.raw("GET", "/?token=" + server.token)
+    assert (answer.status, answer.headers["location"]) == (303, "/")
+    cookie = answer.headers["set-cookie"].lower()
+    assert "httponly" in cookie
+    assert "samesite=strict" in cookie
+    assert f"flysid-{server.port}=" in cookie
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1", "127.0.0.1:1", "evil.example:{port}", ""])
+def test_another_host_name(server: Server, host: str) -> None:
+    headers = with_cookie(server, Host=host.format(port=server.port))
+    assert server.raw("GET", "/api/1/flights", headers=headers).status == 421
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "https://127.0.0.1:{port}"},
+        {"Sec_Fetch_Site": "cross-site"},
+        {"Sec_Fetch_Site": "same-site"},
+    ],
+)
+def test_another_site(server: Server, headers: dict[str, str]) -> None:
+    sent = with_cookie(server, **{k: v.format(port=server.port) for k, v in headers.items()})
+    assert server.raw("GET", "/api/1/flights", headers=sent).status == 403
+    assert server.raw("POST", "/api/1/fits", b"{}", sent).status == 403
+
+
+def test_its_own_page_may(server: Server) -> None:
+    sent = with_cookie(server, Origin=f"http://127.0.0.1:{server.port}", Sec_Fetch_Site="same-origin")
+    assert server.raw("GET", "/api/1/flights", headers=sent).status == 200
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/../../etc/passwd",
+        "/..%2f..%2fetc%2fpasswd",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "/shared/..%2f..%2fpyproject.toml",
+        "/shared/page.html.j2",
+        "/api/1/flights/..%2f..%2fetc",
+        "/api/1/uploads/..%2f..",
+        "/api/1/comparisons/..%2f../report.html",
+        "/api/1/recipes/..%2f..%2fsecret",
+        "/api/1/runs/..%2f../report.html",
+        "/api/1/jobs/..%2f..",
+        "//etc/passwd",
+    ],
+)
+def test_paths_that_lead_out(server: Server, path: str) -> None:
+    answer = server.raw("GET", path, headers=with_cookie(server))
+    assert answer.status in (400, 404)
+    assert b"root:" not in answer.body
+
+
+def test_oversized_and_unmeasured_bodies(server: Server) -> None:
+    big = with_cookie(server, Content_Length=str(2 << 20))
+    assert server.raw("POST", "/api/1/fits", None, big).status == 413
+    huge = with_cookie(server, Content_Length=str(3 << 30))
+    assert server.raw("POST", "/api/1/uploads?name=a.bin", None, huge).status == 413
+    chunked = with_cookie(server, Transfer_Encoding="chunked")
+    assert server.raw("POST", "/api/1/fits", b"2\r\n{}\r\n0\r\n\r\n", chunked).status == 411
+
+
+def test_every_answer_forbids_what_it_does_not_need(server: Server) -> None:
+    for path in ("/", "/main.js", "/api/1/flights", "/api/1/nothing"):
+        headers = server.raw("GET", path, headers=with_cookie(server)).headers
+        policy = headers["content-security-policy"]
+        assert "default-src 'none'" in policy
+        assert "frame-ancestors 'none'" in policy
+        assert "unsafe" not in policy
+        assert headers["x-content-type-options"] == "nosniff"
+        assert headers["cache-control"] == "no-store"
+        assert headers["referrer-policy"] == "no-referrer"
+
+
+def test_websockets_are_closed(server: Server) -> None:
+    headers = with_cookie(
+        server,
+        Connection="Upgrade",
+        Upgrade="websocket",
+        Sec_WebSocket_Version="13",
+        Sec_WebSocket_Key="eA==",
+    )
+    assert server.raw("GET", "/api/1/flights", headers=headers).status != 101
+
+
+def test_methods_that_change_are_not_get(server: Server) -> None:
+    for path in ("fits", "validates", "compares", "uploads"):
+        assert server.get(path).status in (404, 405)
+
+
+def test_a_slow_body_is_given_up() -> None:
+    """A client that stops in the middle of its body gets 408 when the bound is over."""
+
+    async def take(scope: Scope, receive: Receive, send: Send) -> None:
+        message = await receive()
+        status = 408 if message["type"] == "http.disconnect" else 200
+        await Response(status_code=status)(scope, receive, send)
+
+    async def never() -> Message:
+        await asyncio.sleep(60)
+        raise AssertionError("waited")
+
+    sent: list[Message] = []
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    key = Key(80)
+    headers = [(b"host", b"127.0.0.1:80"), (b"content-length", b"9")]
+    headers.append((b"cookie", f"{key.cookie}={key.token}".encode()))
+    scope = {"type": "http", "method": "POST", "path": "/api/1/fits", "query_string": b"", "headers": headers}
+    asyncio.run(Guard(take, key, Bounds(seconds=0.05))(scope, never, send))
+    assert sent[0]["status"] == 408
+
+
+def test_a_body_that_never_comes(server: Server) -> None:
+    """The connection is left open without the body; the server goes on answering others."""
+    with socket.create_connection(("127.0.0.1", server.port), timeout=5) as slow:
+        slow.sendall(
+            f"POST /api/1/fits HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nCookie: {server.cookie}\r\n"
+            "Content-Length: 10\r\n\r\n{".encode()
+        )
+        began = time.monotonic()
+        assert server.get("flights").status == 200
+        assert time.monotonic() - began < 5
+
+
+def test_the_key_takes_its_own_token_alone() -> None:
+    key = Key(1234)
+    assert key.fits(key.token)
+    assert not key.fits("")
+    assert not key.fits(key.token + "x")
+    assert len(key.token) * 6 >= 192
+    assert Key(1234).token != key.token

@@ -1,0 +1,150 @@
+"""Jobs outlive the server that began them; cancel leaves no process; a run is the command line's."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.flysid.studio.server import Server, studio
+
+FIT = {
+    "recipe": "ardrone-synthetic",
+    "channels": ["vertical"],
+    "models": "line",
+    "effort": "quick",
+    "name": "mine",
+}
+
+
+@pytest.fixture
+def own(data: Path, tmp_path: Path) -> Path:
+    """A copy of the flights for a studio that writes."""
+    return Path(shutil.copytree(data, tmp_path / "data"))
+
+
+def started(server: Server, fit: dict[str, Any]) -> Any:
+    """A fit whose process runs."""
+    job = server.send("POST", "fits", fit).json
+    until = time.monotonic() + 20
+    while server.get(f"jobs/{job['id']}").json["state"] == "queued":
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    return server.get(f"jobs/{job['id']}").json
+
+
+def group_exists(pid: int) -> bool:
+    try:
+        os.killpg(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_the_page_shows_the_command_before_it_runs(server: Server) -> None:
+    told = server.send("POST", "fits", FIT | {"preview": True, "flights": ["x y"], "between": ["1..2"]}).json
+    assert told["command"].startswith(
+        f"flysid fit {server.data} --recipe ardrone-synthetic --channel vertical"
+    )
+    assert "--flight 'x y' --between 1..2 --models line --effort quick -o" in told["command"]
+    assert told["then"].startswith("flysid validate ")
+    assert server.get("jobs").json["jobs"] == []
+
+
+def test_what_cannot_be_fitted_is_told_at_once(server: Server) -> None:
+    assert server.send("POST", "fits", {"preview": True}).status == 400
+    assert server.send("POST", "fits", FIT | {"recipe": "nothing"}).status == 404
+    assert server.send("POST", "validates", {"run": "nothing"}).status == 404
+
+
+def test_cancel_leaves_no_process(own: Path) -> None:
+    with studio(own) as server:
+        job = started(server, FIT)
+        queued = server.send("POST", "fits", FIT).json
+        began = time.monotonic()
+        assert server.send("DELETE", f"jobs/{job['id']}").json["state"] == "cancelled"
+        assert not group_exists(job["pid"])
+        assert time.monotonic() - began < 5
+        assert server.send("DELETE", f"jobs/{queued['id']}").json["state"] == "cancelled"
+        assert server.get("runs").json["runs"] == []
+
+
+def test_a_server_that_is_killed_leaves_its_jobs_to_the_next(own: Path) -> None:
+    """What ran goes on, what waited begins, and a job whose process was killed is said to be interrupted."""
+    with studio(own) as first:
+        running = started(first, FIT)
+        waiting = first.send("POST", "fits", FIT).json
+        first.process.kill()
+        first.process.wait()
+    assert group_exists(running["pid"])
+    with studio(own) as second:
+        states = {job["id"]: job["state"] for job in second.get("jobs").json["jobs"]}
+        assert states[running["id"]] == "running"
+        assert states[waiting["id"]] == "queued"
+        os.killpg(running["pid"], signal.SIGKILL)
+        assert second.wait(running["id"], 10)["state"] == "interrupted"
+        until = time.monotonic() + 20
+        while second.get(f"jobs/{waiting['id']}").json["state"] == "queued":
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        assert second.send("DELETE", f"jobs/{waiting['id']}").json["state"] == "cancelled"
+
+
+def test_a_run_of_the_page_is_the_command_line_s(own: Path) -> None:
+    """Fitted, judged and listed; the models are the same bytes as those of the command that it showed."""
+    with studio(own) as server:
+        told = server.send("POST", "fits", FIT | {"preview": True}).json
+        job = server.send("POST", "fits", FIT).json
+        ended = server.wait(job["id"])
+        assert ended["state"] == "done", server.get(f"jobs/{job['id']}").body
+        assert ended["command"] == told["command"]
+        events = server.get(f"jobs/{job['id']}/events").body.decode()
+        assert "event: job\n" in events
+        assert "event: ended\n" in events
+        resumed = server.raw(
+            "GET", f"/api/1/jobs/{job['id']}/events", headers={"Cookie": server.cookie, "Last-Event-ID": "1"}
+        )
+        assert b"id: 1\n" not in resumed.body
+        judging = next(j for j in server.get("jobs").json["jobs"] if j["words"][0] == "validate")
+        assert server.wait(judging["id"])["state"] == "done"
+        [run] = server.get("runs").json["runs"]
+        assert run["judged"]
+        assert run["channels"][0]["scope"]
+        page = server.get(f"runs/{run['id']}/report.html")
+        assert page.headers["content-security-policy"].startswith("sandbox allow-scripts;")
+        model = server.get(f"runs/{run['id']}/models/vertical/arx")
+        assert model.json["structure"] == "arx"
+        assert server.get(f"runs/{run['id']}/models/vertical/nothing").status == 404
+        words = [sys.executable, "-m", "flysid", *job["words"][:-1], str(own.parent / "typed")]
+        subprocess.run(words, check=True, capture_output=True)
+    made = Path(run["folder"])
+    for path in sorted((own.parent / "typed").rglob("*.json")):
+        if path.name != "run.json":  # it says how long each model took
+            assert (made / path.relative_to(own.parent / "typed")).read_bytes() == path.read_bytes()
+
+
+def test_a_port_in_use_and_a_folder_that_is_no_data(server: Server, tmp_path: Path) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes.txt").write_text("x")
+    (tmp_path / "log.bin").write_bytes(b"x")
+    for words, said in (
+        ([str(tmp_path / "d"), "--port", str(server.port)], "leave out --port"),
+        ([str(tmp_path / "full")], "not an ingested folder"),
+        ([str(tmp_path / "log.bin")], "flysid ingest"),
+    ):
+        ended = subprocess.run(
+            [sys.executable, "-m", "flysid", "studio", *words, "--no-open"],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert ended.returncode == 2
+        assert said in ended.stderr
