@@ -21,7 +21,7 @@ from starlette.staticfiles import StaticFiles
 
 import flysid
 from flysid.errors import FlysidError, UsageError, WriteError
-from flysid.studio import commands, uploads
+from flysid.studio import commands, explain, uploads
 from flysid.studio.channels import Asked, Recipes, aligned
 from flysid.studio.flights import Flights, Window
 from flysid.studio.guard import Bounds, Guard, Key
@@ -187,6 +187,11 @@ class Studio:
         query_of(request, Nothing)
         return answer(await run_in_threadpool(describe_run, self.workspace, request.path_params["run"]))
 
+    async def explanation(self, request: Request) -> Response:
+        asked = query_of(request, explain.Asked)
+        run = request.path_params["run"]
+        return answer(await run_in_threadpool(explain.explain, self.workspace, run, asked))
+
     async def run_page(self, request: Request) -> Response:
         query_of(request, Nothing)
         return _page(page_of(self.workspace, request.path_params["run"]))
@@ -213,6 +218,7 @@ class Studio:
             ("jobs/{job}/events", self.job_events),
             ("runs", self.list_runs),
             ("runs/{run}", self.describe_run),
+            ("runs/{run}/explanation", self.explanation),
             ("runs/{run}/report.html", self.run_page),
             ("runs/{run}/models/{channel:path}/{label}", self.model),
             ("comparisons/{name}/report.html", self.comparison_page),

@@ -77,7 +77,10 @@ class Flights:
         modes, moments = happenings(log, boot_offsets_s(manifest), manifest.duration_s)
         return {
             **_listed(log.facts),
-            "boots": list(_starts_s(manifest)),
+            "clocks": [
+                [clock.boot, str(clock.first_ns), start_s]
+                for clock, start_s in zip(manifest.clocks, _starts_s(manifest), strict=True)
+            ],
             "streams": [_stream(entry) for entry in manifest.streams if entry.rows],
             "signals": self._signals(log),
             "modes": modes,

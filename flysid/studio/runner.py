@@ -1,6 +1,6 @@
 """One job: `python -m flysid.studio.runner FOLDER` runs the command of FOLDER/job.json, notes how it ended.
 
-The note is what a studio finds that was started after the one that began the job.
+Its progress goes to stderr as JSON. The note is what a later studio finds of a job that another began.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def main(folder: Path) -> None:
     from flysid.cli import main as run
 
     words = json.loads((folder / "job.json").read_text("utf-8"))["words"]
-    sys.argv = ["flysid", *words]
+    sys.argv = ["flysid", *words, "--progress", "json"]
     code = 1
     try:
         run()

@@ -253,6 +253,11 @@ export async function showChannels(main, query) {
     const number = ++asked;
     quick.hidden = Boolean(fields.recipe.value);
     let told;
+    if (!fields.recipe.value && !(fields.from.value && fields.to.value)) {
+      start.disabled = true;
+      shownCommand.replaceChildren(el("p", { class: "hint" }, "Choose a recipe, or an input and an output."));
+      return;
+    }
     try { told = await send("POST", "fits", body(true)); } catch (error) { told = { problem: error.message + (error.hint ? ": " + error.hint : "") }; }
     if (number !== asked) { return; }
     start.disabled = Boolean(told.problem);

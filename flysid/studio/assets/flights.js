@@ -37,7 +37,7 @@ export async function showFlights(main, query) {
     keep("flights", {
       f: flight.id,
       p: plots.fields.map((names) => names.join(";")),
-      t: whole ? "" : plots.view.map((x) => +x.toPrecision(9)).join("~"),
+      t: whole ? "" : plots.view.join("~"),
       c: plots.marks.some((x) => x !== null) ? plots.marks.map((x) => (x === null ? "" : +x.toPrecision(9))).join("~") : "",
     });
   }
@@ -59,7 +59,7 @@ export async function showFlights(main, query) {
     facts.textContent = [
       flight.format, size(flight.size_bytes), flight.rows.toLocaleString("en") + " records", clock(flight.duration_s),
       date(flight.start_utc_ns) && date(flight.start_utc_ns) + " UTC", flight.info.vehicle || flight.info.autopilot, flight.info.firmware,
-      flight.boots.length > 1 ? flight.boots.length + " boots" : "", flight.lossy ? "damaged: flysid show names what was lost" : "",
+      flight.clocks.length > 1 ? flight.clocks.length + " boots" : "", flight.lossy ? "damaged: flysid show names what was lost" : "",
     ].filter(Boolean).join(" \u00b7 ");
     listFields();
     listPairs();

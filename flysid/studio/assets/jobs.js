@@ -16,12 +16,11 @@ export function watch(job, ended, stops) {
       const step = progress(told);
       if (!step) { log.append(told + "\n"); state.textContent = told; return; }
       if (step.share !== undefined && step.share !== null) { bar.max = 1; bar.value = step.share; }
-      state.textContent = [step.channel, step.model, step.stage].filter(Boolean).join(": ") + (step.seconds ? ", " + plain(+step.seconds.toPrecision(2)) + " s" : "");
+      state.textContent = [step.channel, step.model, step.stage].filter(Boolean).join(": ") + (step.seconds ? ", after " + plain(+step.seconds.toPrecision(2)) + " s" : "");
       if (step.channel && step.model) {
         const name = step.channel + ": " + step.model;
         if (!rows.has(name)) { rows.set(name, el("div", { class: "hint" })); models.append(rows.get(name)); }
-        const error = step.error ?? step.rmse;
-        rows.get(name).textContent = name + " " + (step.stage || "") + (error === undefined || error === null ? "" : ", validation error " + plain(error));
+        rows.get(name).textContent = name + " " + step.stage + (step.validation === undefined ? "" : ", validation error " + plain(+step.validation.toPrecision(3)));
       }
       return;
     }

@@ -162,7 +162,7 @@ export class Plots {
   look(from, to) {
     const span = Math.min(Math.max(to - from, 1e-4), this.end);
     const start = Math.min(Math.max(from, 0), this.end - span);
-    this.view = [start, start + span];
+    this.view = [+start.toPrecision(9), +(start + span).toPrecision(9)]; // as the address keeps it
     this.panels.forEach((panel) => panel.plot.setScale("x", { min: this.view[0], max: this.view[1] })); // at once, with the old points
     this.load();
     this.changed();
@@ -230,6 +230,8 @@ export class Plots {
     pen.beginPath();
     pen.rect(box.left, box.top, box.width, box.height);
     pen.clip();
+    pen.textAlign = "left";
+    pen.textBaseline = "alphabetic";
     pen.font = 11 * ratio + "px system-ui";
     this.flight.modes.forEach(([start, end, name], i) => {
       const a = plot.valToPos(start, "x", true), b = plot.valToPos(end, "x", true);

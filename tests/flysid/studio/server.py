@@ -14,6 +14,13 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
+FIT = {
+    "recipe": "ardrone-synthetic",
+    "channels": ["vertical"],
+    "models": "line,ts",
+    "effort": "quick",
+    "name": "mine",
+}
 SAMPLES = Path(__file__).parents[3] / "sample_logs"
 
 
@@ -64,8 +71,8 @@ class Server:
         finally:
             connection.close()
 
-    def get(self, path: str, query: object = None) -> Answer:
-        words = "?" + urlencode(query, doseq=True) if query else ""  # type: ignore[call-overload]
+    def get(self, path: str, query: Any = None) -> Answer:
+        words = "?" + urlencode(query, doseq=True) if query else ""
         return self.raw("GET", "/api/1/" + path + words, headers={"Cookie": self.cookie})
 
     def send(self, method: str, path: str, body: object = None) -> Answer:

@@ -74,7 +74,7 @@ def test_the_signals_of_recipes_are_curves_too(server: Server, flight: Any) -> N
 
 def test_modes_events_and_the_track_come_with_the_flight(server: Server, flight: Any) -> None:
     assert all(start < end for start, end, _ in flight["modes"])
-    assert flight["boots"][0] == 0.0
+    assert flight["clocks"][0][2] == 0.0
     points = server.get(f"flights/{flight['id']}/track").json["points"]
     assert all(-90 <= lat <= 90 for _, lat, _ in points)
 

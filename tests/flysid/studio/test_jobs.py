@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -13,15 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests.flysid.studio.server import Server, studio
-
-FIT = {
-    "recipe": "ardrone-synthetic",
-    "channels": ["vertical"],
-    "models": "line",
-    "effort": "quick",
-    "name": "mine",
-}
+from tests.flysid.studio.server import FIT, Server, studio
 
 
 @pytest.fixture
@@ -97,37 +90,43 @@ def test_a_server_that_is_killed_leaves_its_jobs_to_the_next(own: Path) -> None:
         assert second.send("DELETE", f"jobs/{waiting['id']}").json["state"] == "cancelled"
 
 
-def test_a_run_of_the_page_is_the_command_line_s(own: Path) -> None:
-    """Fitted, judged and listed; the models are the same bytes as those of the command that it showed."""
-    with studio(own) as server:
-        told = server.send("POST", "fits", FIT | {"preview": True}).json
-        job = server.send("POST", "fits", FIT).json
-        ended = server.wait(job["id"])
-        assert ended["state"] == "done", server.get(f"jobs/{job['id']}").body
-        assert ended["command"] == told["command"]
-        events = server.get(f"jobs/{job['id']}/events").body.decode()
-        assert "event: job\n" in events
-        assert "event: ended\n" in events
-        resumed = server.raw(
-            "GET", f"/api/1/jobs/{job['id']}/events", headers={"Cookie": server.cookie, "Last-Event-ID": "1"}
-        )
-        assert b"id: 1\n" not in resumed.body
-        judging = next(j for j in server.get("jobs").json["jobs"] if j["words"][0] == "validate")
-        assert server.wait(judging["id"])["state"] == "done"
-        [run] = server.get("runs").json["runs"]
-        assert run["judged"]
-        assert run["channels"][0]["scope"]
-        page = server.get(f"runs/{run['id']}/report.html")
-        assert page.headers["content-security-policy"].startswith("sandbox allow-scripts;")
-        model = server.get(f"runs/{run['id']}/models/vertical/arx")
-        assert model.json["structure"] == "arx"
-        assert server.get(f"runs/{run['id']}/models/vertical/nothing").status == 404
-        words = [sys.executable, "-m", "flysid", *job["words"][:-1], str(own.parent / "typed")]
-        subprocess.run(words, check=True, capture_output=True)
-    made = Path(run["folder"])
-    for path in sorted((own.parent / "typed").rglob("*.json")):
-        if path.name != "run.json":  # it says how long each model took
-            assert (made / path.relative_to(own.parent / "typed")).read_bytes() == path.read_bytes()
+def test_a_run_is_listed_with_its_verdict_its_page_and_its_models(judged: Server) -> None:
+    [run] = judged.get("runs").json["runs"]
+    assert run["judged"]
+    assert run["name"] == "mine"
+    assert run["channels"][0]["scope"]
+    page = judged.get(f"runs/{run['id']}/report.html")
+    assert page.headers["content-security-policy"].startswith("sandbox allow-scripts;")
+    assert judged.get(f"runs/{run['id']}/models/vertical/arx").json["structure"] == "arx"
+    assert judged.get(f"runs/{run['id']}/models/vertical/nothing").status == 404
+    assert judged.get(f"runs/{run['id']}").json["report"]["channels"]
+
+
+def test_the_events_of_a_job_tell_its_progress_and_resume(judged: Server) -> None:
+    job = judged.get("jobs").json["jobs"][-1]
+    path = f"/api/1/jobs/{job['id']}/events"
+    events = judged.raw("GET", path, headers={"Cookie": judged.cookie}).body.decode()
+    lines = [json.loads(line.removeprefix("data: ")) for line in events.splitlines() if line.startswith("data:")]
+    steps = [json.loads(line) for line in lines if isinstance(line, str) and line.startswith("{")]
+    assert {step["channel"] for step in steps} >= {"vertical"}
+    assert steps[-1]["share"] > 0.9
+    assert any("validation" in step for step in steps)
+    assert events.rstrip().rpartition("event: ")[2].startswith("ended")
+    resumed = judged.raw("GET", path, headers={"Cookie": judged.cookie, "Last-Event-ID": "2"}).body.decode()
+    assert "\nid: 3\n" in resumed
+    assert "\nid: 2\n" not in resumed
+
+
+def test_a_second_is_explained_in_words(judged: Server) -> None:
+    [run] = judged.get("runs").json["runs"]
+    asked = {"ch": "vertical", "segment": 0}
+    told = judged.get(f"runs/{run['id']}/explanation", asked).json
+    assert len(told["y"]) == len(told["u"])
+    assert all(len(m["yh"]) == len(told["y"]) - told["first"] for m in told["models"].values())
+    words = judged.get(f"runs/{run['id']}/explanation", asked | {"row": 60}).json["words"]
+    assert all("together" in text for text in words.values())
+    for wrong in ({"ch": "nothing"}, asked | {"segment": 99}, asked | {"row": 10**9}, asked | {"row": "x"}):
+        assert judged.get(f"runs/{run['id']}/explanation", wrong).status in (400, 404)
 
 
 def test_a_port_in_use_and_a_folder_that_is_no_data(server: Server, tmp_path: Path) -> None:

@@ -1,0 +1,152 @@
+"""A second of a held-out flight: which rules spoke, what they said, and what a page needs to fly the models.
+
+A page that moves the input computes the free run itself. For that it gets the numbers of a model's recursion
+(`Recursion`) and the rows that a run stands on; the page's arithmetic is the compiled kernel's.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from flysid.dataset import FloatArray, Segment
+from flysid.errors import UsageError
+from flysid.model.base import Fitted
+from flysid.model.linear.model import FittedLinear
+from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.start import run_from_window, start_window
+from flysid.studio.places import NotThere, Workspace
+from flysid.validate.compare import CONTENDERS
+from flysid.validate.run import RUN_FILE, HeldOut, held_out, open_run
+from flysid.validate.trials import free_run, start_of
+
+KEPT = 4  # runs whose held-out data stay in memory
+MOST_ROWS = 20_000  # of a segment in one answer
+
+
+class Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A held-out segment of a channel, and one of its rows to explain in words."""
+
+    ch: str
+    segment: int = 0
+    row: int | None = None
+
+
+def explain(workspace: Workspace, run_id: str, asked: Asked) -> dict[str, Any]:
+    """Signals, free runs, rules and recursions of one held-out segment.
+
+    Raises
+    ------
+    NotThere : no such run, channel or segment. UsageError, DataError : the data is gone or has changed.
+    """
+    folder = workspace.run(run_id)
+    channels = _held(folder, (folder / RUN_FILE).stat().st_mtime_ns)
+    if asked.ch not in channels:
+        raise NotThere(f"no channel {asked.ch!r} in the run", path=folder)
+    found = channels[asked.ch]
+    if not 0 <= asked.segment < len(found.test.segments):
+        raise NotThere(f"{len(found.test.segments)} segments are held out, counted from 0")
+    segment = found.test.segments[asked.segment]
+    if len(segment) > MOST_ROWS:
+        segment = Segment(segment.u[:MOST_ROWS], segment.y[:MOST_ROWS], segment.t0_ns, segment.flight)
+    labels = _shown(found)
+    first = start_window(
+        start_of({name: found.models[name] for name in labels}), len(segment), found.test.dt_s
+    )
+    if asked.row is not None:
+        return _in_words(found, segment, asked.row)
+    return {
+        "flight": segment.flight,
+        "segments": [[s.flight, len(s) * found.test.dt_s] for s in found.test.segments],
+        "dt_s": found.test.dt_s,
+        "t0_ns": str(segment.t0_ns),
+        "first": first,
+        "inputs": [[s.name, s.unit] for s in found.test.inputs],
+        "outputs": [[s.name, s.unit] for s in found.test.outputs],
+        "u": segment.u.tolist(),
+        "y": segment.y.tolist(),
+        "models": {name: _model(found.models[name], segment, first) for name in labels},
+    }
+
+
+@lru_cache(KEPT)
+def _held(folder: Path, _stamp: int) -> dict[str, HeldOut]:
+    return {item.channel.name: item for item in held_out(open_run(folder))}
+
+
+def _shown(found: HeldOut) -> list[str]:
+    """The linear baseline and the model with rules that the verdict is about."""
+    rules = next((label for label in CONTENDERS if label in found.models), None)
+    return list(dict.fromkeys([found.channel.baseline, *([rules] if rules else [])]))
+
+
+def _model(model: Fitted, segment: Segment, first: int) -> dict[str, Any]:
+    run = free_run(model, segment, first)
+    described: dict[str, Any] = {
+        "structure": model.structure,
+        "yh": run.tolist(),
+        "recursion": recursion(model, segment, first),
+    }
+    if isinstance(model, FittedTS | FittedTSStateSpace):
+        described["rules"] = [rule.label for rule in model.rules()]
+        described["firing"] = model.firing(segment.u, segment.y)[first:].tolist()
+        said = model.rule_outputs(segment.u, segment.y)[first:]
+        described["said"] = np.where(np.isfinite(said), said, 0.0).tolist()
+    return described
+
+
+def _in_words(found: HeldOut, segment: Segment, row: int) -> dict[str, Any]:
+    """What every model with rules concluded at one row, and on what ground."""
+    if not 0 <= row < len(segment):
+        raise UsageError(f"row {row} of {len(segment)}")
+    words = {}
+    for label in _shown(found):
+        model = found.models[label]
+        if isinstance(model, FittedTS | FittedTSStateSpace):
+            words[label] = str(model.explain(segment.u, segment.y, max(row, model.n_init)))
+    return {"words": words}
+
+
+def recursion(model: Fitted, segment: Segment, first: int) -> dict[str, Any] | None:
+    """The numbers that carry a free run on from row `first`; None for structures that no page computes.
+
+    Of a linear difference equation: `a`, `b`, `c` about `u_origin`, `y_origin`, clamped to `limits` at the
+    end. Of rules: the compiled kernel's lags and parameters (`flysid.model.rules.kernel`), `shift` and
+    `scale` of W's columns. `before` holds the rows ahead of `first`: outputs, or W's simulated columns. None,
+    too, where the segment is so short that these rows are the estimated start itself.
+    """
+    if first < 2 * model.n_init:
+        return None
+    if isinstance(model, FittedLinear):
+        document = model.to_dict()
+        run = run_from_window(model, segment, first)
+        kept = {name: document[name] for name in ("a", "b", "c", "u_origin", "y_origin")}
+        return {
+            "kind": "linear",
+            **kept,
+            "limits": model.output_limits.tolist(),
+            "before": run[:first].tolist(),
+        }
+    if isinstance(model, FittedTS):
+        run = run_from_window(model, segment, first)
+        return _rules(model.layout, model.unlimited().parameters, model.layout.stack(segment.u, run)[:first])
+    if isinstance(model, FittedTSStateSpace):
+        W = model.run(model.layout.stack(segment.u, segment.y[:first]), first)
+        return _rules(model.layout, model.parameters, W[:first])
+    return None
+
+
+def _rules(layout: Any, parameters: Any, before: FloatArray) -> dict[str, Any]:
+    return {
+        "kind": "rules",
+        "lags": {name: values.tolist() for name, values in layout.lags._asdict().items()},
+        **{name: values.tolist() for name, values in parameters._asdict().items()},
+        "shift": layout.shift.tolist(),
+        "scale": layout.scale.tolist(),
+        "before": before.tolist(),
+    }

@@ -1,0 +1,222 @@
+"""The page in a real browser: by mouse and by keyboard, narrow and wide, and what it computes by itself."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flysid.model.start import estimate_start
+from flysid.validate.run import held_out, open_run
+from tests.browser import needs_browser
+from tests.flysid.studio.server import SAMPLES, Server, studio
+
+pytestmark = needs_browser
+
+
+def until(found: Callable[[], Any], seconds: float = 20.0) -> Any:
+    """What `found` returns when it returns something true."""
+    end = time.monotonic() + seconds
+    while True:
+        answer = found()
+        if answer:
+            return answer
+        assert time.monotonic() < end, "the page does not get there"
+        time.sleep(0.05)
+
+
+class Page:
+    """A browser at a studio; remembers nothing of an earlier one."""
+
+    def __init__(self, browser: Any, server: Server) -> None:
+        self.browser, self.server = browser, server
+        browser.get_log("performance")
+        browser.get_log("browser")
+        browser.get("about:blank")
+        browser.get(server.address)
+        self.ready("flights")
+
+    def go(self, address: str) -> None:
+        self.browser.get("about:blank")
+        self.browser.get(f"http://127.0.0.1:{self.server.port}/{address}")
+        self.ready(address.lstrip("#/").partition("?")[0])
+
+    def ready(self, page: str) -> None:
+        until(lambda: self.js("return document.getElementById('main')?.dataset.ready") == page, 60)
+
+    def js(self, script: str, *given: Any) -> Any:
+        return self.browser.execute_script(script, *given)
+
+    def find(self, selector: str) -> Any:
+        return self.browser.find_element("css selector", selector)
+
+    def all(self, selector: str) -> list[Any]:
+        found: list[Any] = self.browser.find_elements("css selector", selector)
+        return found
+
+    def drawn(self) -> str:
+        return str(until(lambda: self.js("return document.querySelector('[data-drawn]')?.dataset.drawn")))
+
+    def settled(self) -> str:
+        """The window that is drawn, when it is the one in the address."""
+        time.sleep(0.3)
+        return self.drawn()
+
+    def keys(self, *keys: str) -> None:
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        ActionChains(self.browser).send_keys(*keys).perform()
+
+    def wrong(self) -> list[str]:
+        """Requests that left the server, errors and policy violations in the console."""
+        requests = []
+        for entry in self.browser.get_log("performance"):
+            message = json.loads(entry["message"])["message"]
+            if message["method"] == "Network.requestWillBeSent":
+                requests.append(message["params"]["request"]["url"])
+        own = (f"http://127.0.0.1:{self.server.port}/", "about:", "chrome://", "data:")
+        left = [url for url in requests if not url.startswith(own)]
+        return left + [e["message"] for e in self.browser.get_log("browser") if e["level"] == "SEVERE"]
+
+
+@pytest.fixture
+def page(browser: Any, server: Server) -> Iterator[Page]:
+    browser.set_window_size(1280, 1000)
+    found = Page(browser, server)
+    yield found
+    assert not found.wrong()
+
+
+def test_a_flight_opens_with_its_first_pair_drawn(page: Page) -> None:
+    assert page.drawn()
+    assert len(page.all(".plot .uplot")) == 1
+    assert "roll" in page.find(".plot .head").text or "v_" in page.find(".plot .head").text
+    inked = "const c = document.querySelector('.uplot canvas'); const d = c.getContext('2d')"
+    inked += ".getImageData(0, 0, c.width, c.height).data; let n = 0;"
+    inked += "for (let i = 3; i < d.length; i += 4) { n += d[i] > 0; } return n;"
+    assert page.js(inked) > 1000
+
+
+def test_zoom_is_linked_kept_in_the_address_and_comes_back(page: Page) -> None:
+    tree = page.find(".tree details")
+    tree.find_element("css selector", "summary").click()
+    until(lambda: page.all(".tree details[open] li button"))[0].click()
+    until(lambda: len(page.all(".uplot")) == 2)
+    before = page.drawn()
+    page.js("document.querySelector('.chart').focus()")
+    page.keys("+", "+")
+    until(lambda: page.drawn() != before)
+    window = page.settled()
+    scales = "return [...document.querySelectorAll('.plot .uplot')].length"
+    assert page.js(scales) == 2
+    address = page.js("return location.hash")
+    assert "t=" in address
+    picture = page.js("return [...document.querySelectorAll('.uplot canvas')].map(c => c.toDataURL())")
+    page.go(address)
+    until(lambda: page.drawn() == window)
+    time.sleep(0.3)
+    again = page.js("return [...document.querySelectorAll('.uplot canvas')].map(c => c.toDataURL())")
+    assert again == picture
+
+
+def test_the_last_of_many_zooms_is_what_is_drawn(page: Page) -> None:
+    page.drawn()
+    page.js("document.querySelector('.chart').focus()")
+    page.keys(*(["+", "-", "+"] * 12))
+    end = until(lambda: page.js("return new URLSearchParams(location.hash.split('?')[1]).get('t')"))
+    low, high = map(float, end.split("~"))
+    drawn = until(lambda: [x for x in [page.settled()] if abs(float(x.split("~")[0]) - low) < 1e-5])
+    assert float(drawn[0].split("~")[1]) == pytest.approx(high, abs=1e-5)
+
+
+def test_a_plot_is_made_and_read_by_keyboard_alone(page: Page) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    count = len(page.all(".uplot"))
+    page.js("document.body.focus()")
+    page.keys("/", "r", "o", "l", "l")
+    assert page.js("return document.activeElement.value") == "roll"
+    first = until(lambda: page.js("return document.querySelector('.tree details[open] li button')"))
+    for _ in range(4):
+        page.keys(Keys.TAB)
+        if page.js("return document.activeElement.dataset.field"):
+            break
+    assert first is not None
+    page.keys(Keys.ENTER)
+    until(lambda: len(page.all(".uplot")) == count + 1)
+    page.js("document.querySelector('.plot:last-of-type .chart').focus()")
+    page.keys(".", ".", ">", ">")
+    text = page.find(".reading").text
+    assert "between cursors" in text
+    page.keys("x")
+    until(lambda: len(page.all(".uplot")) == count)
+
+
+@pytest.mark.parametrize("width", [390, 768, 1280])
+@pytest.mark.parametrize("where", ["#/flights", "#/channels", "#/runs", "#/jobs"])
+def test_nothing_sticks_out(page: Page, where: str, width: int) -> None:
+    page.browser.set_window_size(width, 900)
+    page.js("document.cookie = ''")
+    page.go(where)
+    inner, scrolled = page.js("return [innerWidth, document.documentElement.scrollWidth]")
+    assert scrolled <= inner + 1
+    axe = os.environ.get("FLYSID_AXE", "")
+    if axe:
+        page.js(Path(axe).read_text("utf-8"))
+        found = page.browser.execute_async_script(
+            "const done = arguments[arguments.length - 1]; axe.run(document).then(r => done(r.violations))"
+        )
+        assert not [(v["id"], [n["html"][:120] for n in v["nodes"]]) for v in found]
+
+
+def test_a_dropped_log_is_plotted(browser: Any, tmp_path: Path) -> None:
+    browser.set_window_size(1280, 1000)
+    log = tmp_path / "a flight <b>.tlog"
+    shutil.copy(SAMPLES / "01-multisine-seed1.tlog", log)
+    with studio(tmp_path / "data") as server:
+        page = Page(browser, server)
+        assert "drop a log" in page.find("#main").text.lower()
+        page.find("input[type=file]").send_keys(str(log))
+        until(lambda: page.all(".uplot"), 60)
+        assert page.drawn()
+        assert not page.wrong()
+
+
+def test_from_the_job_to_the_verdict_explained(browser: Any, judged: Server) -> None:
+    """The command, the verdict and its scope, the report in its frame; the page's free run is Python's."""
+    browser.set_window_size(1280, 1000)
+    page = Page(browser, judged)
+    job = judged.get("jobs").json["jobs"][-1]
+    page.go("#/jobs?j=" + job["id"])
+    assert "flysid fit" in until(lambda: page.find(".command").text)
+    until(lambda: "done after" in page.find(".job [role=status]").text)
+    page.go("#/runs?pick=newest")
+    [run] = judged.get("runs").json["runs"]
+    assert run["channels"][0]["scope"] in page.find("tbody").text
+    until(lambda: page.all("iframe"))
+    page.find(".explain summary").click()
+    until(lambda: len(page.all(".explain .uplot")) == 2)
+    until(lambda: page.all(".explain h2"))
+    page.js("document.querySelector('[aria-label=\"Added to the input\"]').value = '0.3'")
+    next(b for b in page.all(".explain button") if b.text == "Fly it").click()
+    flown = page.js("return document.querySelector('.explain > div > div:last-child').flown")
+    assert not page.wrong()
+    data = judged.get(f"runs/{run['id']}/explanation", {"ch": "vertical"}).json
+    [item] = held_out(open_run(run["folder"]))
+    segment, first = item.test.segments[0], data["first"]
+    u = segment.u.copy()
+    moved = (np.arange(len(u)) * item.test.dt_s >= round(first * item.test.dt_s, 2))
+    u[moved, 0] += 0.3
+    assert set(flown) == set(data["models"])
+    for label, outputs in flown.items():
+        model = item.models[label]
+        start = estimate_start(model, segment.u[:first], segment.y[:first])
+        expected = model.simulate(u, start)[first:]
+        assert np.abs(np.array(outputs) - expected).max() < 1e-9 * max(1.0, float(np.ptp(segment.y)))
