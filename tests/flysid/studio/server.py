@@ -18,6 +18,7 @@ FIT = {
     "recipe": "ardrone-synthetic",
     "channels": ["vertical"],
     "models": "line,ts",
+    "rules": "2",
     "effort": "quick",
     "name": "mine",
 }

@@ -212,7 +212,7 @@ def test_from_the_job_to_the_verdict_explained(browser: Any, judged: Server) -> 
     [item] = held_out(open_run(run["folder"]))
     segment, first = item.test.segments[0], data["first"]
     u = segment.u.copy()
-    moved = (np.arange(len(u)) * item.test.dt_s >= round(first * item.test.dt_s, 2))
+    moved = np.arange(len(u)) * item.test.dt_s >= round(first * item.test.dt_s, 2)
     u[moved, 0] += 0.3
     assert set(flown) == set(data["models"])
     for label, outputs in flown.items():

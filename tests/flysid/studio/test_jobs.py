@@ -46,7 +46,7 @@ def test_the_page_shows_the_command_before_it_runs(server: Server) -> None:
     assert told["command"].startswith(
         f"flysid fit {server.data} --recipe ardrone-synthetic --channel vertical"
     )
-    assert "--flight 'x y' --between 1..2 --models line --effort quick -o" in told["command"]
+    assert "--flight 'x y' --between 1..2 --models line,ts --rules 2 --effort quick -o" in told["command"]
     assert told["then"].startswith("flysid validate ")
     assert server.get("jobs").json["jobs"] == []
 
@@ -106,7 +106,9 @@ def test_the_events_of_a_job_tell_its_progress_and_resume(judged: Server) -> Non
     job = judged.get("jobs").json["jobs"][-1]
     path = f"/api/1/jobs/{job['id']}/events"
     events = judged.raw("GET", path, headers={"Cookie": judged.cookie}).body.decode()
-    lines = [json.loads(line.removeprefix("data: ")) for line in events.splitlines() if line.startswith("data:")]
+    lines = [
+        json.loads(line.removeprefix("data: ")) for line in events.splitlines() if line.startswith("data:")
+    ]
     steps = [json.loads(line) for line in lines if isinstance(line, str) and line.startswith("{")]
     assert {step["channel"] for step in steps} >= {"vertical"}
     assert steps[-1]["share"] > 0.9
