@@ -212,17 +212,25 @@ def _end_group(job: Job) -> None:
         while time.monotonic() < until:
             with suppress(ChildProcessError):
                 os.waitpid(job.pid, os.WNOHANG)
-            if not _group_exists(job.pid):
+            if not group_exists(job.pid):
                 return
             time.sleep(0.02)
 
 
-def _group_exists(pid: int) -> bool:
+def group_exists(pid: int) -> bool:
+    """Whether a process of a group still runs; one that has ended and was not fetched yet does not."""
     try:
         os.killpg(pid, 0)
     except (ProcessLookupError, PermissionError):
         return False
-    return True
+    if not Path("/proc/self/stat").exists():
+        return True
+    for place in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError, IndexError):
+            fields = (place / "stat").read_text("utf-8", errors="replace").rpartition(")")[2].split()
+            if int(fields[2]) == pid and fields[0] != "Z":
+                return True
+    return False
 
 
 def _is_alive(job: Job) -> bool:

@@ -6,6 +6,7 @@ Its progress goes to stderr as JSON. The note is what a later studio finds of a 
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -15,21 +16,11 @@ NOTE = "ended.json"
 
 
 def main(folder: Path) -> None:
-    """Run the command line with the job's words; write the exit code as the last thing."""
-    from flysid.cli import main as run
-
+    """Run the command line with the job's words; write the exit code when it has ended."""
     words = json.loads((folder / "job.json").read_text("utf-8"))["words"]
-    sys.argv = ["flysid", *words, "--progress", "json"]
-    code = 1
-    try:
-        run()
-        code = 0
-    except SystemExit as ended:
-        code = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
-    finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        write_atomically(folder / NOTE, json.dumps({"code": code}).encode())
+    command = [sys.executable, "-m", "flysid", *words, "--progress", "json"]
+    ended = subprocess.run(command, stdin=subprocess.DEVNULL, check=False)
+    write_atomically(folder / NOTE, json.dumps({"code": ended.returncode}).encode())
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from flysid.studio.jobs import group_exists
 from tests.flysid.studio.server import FIT, Server, studio
 
 
@@ -31,14 +32,6 @@ def started(server: Server, fit: dict[str, Any]) -> Any:
         assert time.monotonic() < until
         time.sleep(0.05)
     return server.get(f"jobs/{job['id']}").json
-
-
-def group_exists(pid: int) -> bool:
-    try:
-        os.killpg(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
 
 
 def test_the_page_shows_the_command_before_it_runs(server: Server) -> None:
