@@ -7,7 +7,20 @@ from typing import Any
 
 import pytest
 
+from flysid.model.arx import ARX
+from flysid.model.base import Estimator
+from flysid.validate import fitting
 from tests.browser import CHROMIUM, DRIVER, FLAGS
+
+
+@pytest.fixture
+def arx_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """ARX alone competes for the baseline, where a test is of the way to a verdict and not of the contest."""
+
+    def only(nk_hint: tuple[int, ...] = ()) -> dict[str, Estimator]:
+        return {"arx": ARX(nk_hint=nk_hint)}
+
+    monkeypatch.setattr(fitting, "linear_estimators", only)
 
 
 @pytest.fixture(scope="session")

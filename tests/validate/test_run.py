@@ -35,7 +35,7 @@ from flysid.validate.compare import compare, sides_of
 from flysid.validate.comparison import Comparison, Entry
 from flysid.validate.expected import expected_of_run
 from flysid.validate.fitting import fit_run
-from flysid.validate.judge import judge_run, write_judgement
+from flysid.validate.judge import Judgement, judge_run, write_judgement
 from flysid.validate.report import render
 from flysid.validate.run import FitSettings, HeldOut, Run, asked_for, held_out, open_run
 from flysid.validate.words import number
@@ -71,6 +71,12 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(data: Path) -> Run:
     settings = FitSettings(channels=(CHANNEL,), rules=2, rotate=False)
     return fit_run(open_lake(data), "ardrone-synthetic", data.parent / "run", settings)
+
+
+@pytest.fixture(scope="module")
+def judgement(run: Run) -> Judgement:
+    """Of the run as it reads back from disk."""
+    return judge_run(open_run(run.folder))
 
 
 @pytest.fixture(scope="module")
@@ -124,15 +130,14 @@ def test_all_six_flights_are_judged_by_models_that_have_not_seen_them(turned: Ru
     assert "The models shown and saved are those of the split" in page
 
 
-def test_without_rotation_two_flights_are_judged_and_said_to_be_few(run: Run) -> None:
-    document = judge_run(run).document
+def test_without_rotation_two_flights_are_judged_and_said_to_be_few(judgement: Judgement) -> None:
+    document = judgement.document
     pair = document["channels"][CHANNEL]["free_run"]["pairs"]["ts"]
     assert (pair["scope"], pair["units"]) == ("another flight", 2)
     assert any("Only 2 held-out flights" in c["text"] for c in document["cautions"])
 
 
-def test_the_judgement_finds_a_linear_model_enough_on_a_linear_plant(run: Run) -> None:
-    judgement = judge_run(open_run(run.folder))
+def test_the_judgement_finds_a_linear_model_enough_on_a_linear_plant(run: Run, judgement: Judgement) -> None:
     free = judgement.document["channels"][CHANNEL]["free_run"]
     assert free["verdict"] in ("same", "worse")
     assert free["models"]["arx"]["rmse"] == pytest.approx(0.02, rel=0.15)  # the noise that was flown
@@ -144,8 +149,9 @@ def test_the_judgement_finds_a_linear_model_enough_on_a_linear_plant(run: Run) -
     assert expected["skipped"] == judgement.document["skipped"]
 
 
-def test_the_report_is_written_whole_and_says_where_it_came_from(run: Run, tmp_path: Path) -> None:
-    judgement = judge_run(open_run(run.folder))
+def test_the_report_is_written_whole_and_says_where_it_came_from(
+    run: Run, judgement: Judgement, tmp_path: Path
+) -> None:
     page = write_judgement(judgement, tmp_path / "report")
     text = page.read_text("utf-8")
     assert "flysid fit DATA --recipe ardrone-synthetic" in text
@@ -154,8 +160,7 @@ def test_the_report_is_written_whole_and_says_where_it_came_from(run: Run, tmp_p
     assert [p.name for p in tmp_path.iterdir()] == ["report"]
 
 
-def test_other_forms_of_the_judgement_tell_the_same_numbers(run: Run) -> None:
-    judgement = judge_run(open_run(run.folder))
+def test_other_forms_of_the_judgement_tell_the_same_numbers(judgement: Judgement) -> None:
     rmse = judgement.document["channels"][CHANNEL]["free_run"]["models"]["arx"]["rmse"]
     rows = list(csv.DictReader(judgement.text("csv").splitlines()))
     arx = [r for r in rows if (r["horizon"], r["model"], r["segment"]) == ("free_run", "arx", "")]
@@ -222,13 +227,12 @@ def test_the_headline_is_about_the_model_that_was_asked_for(run: Run) -> None:
     assert sides_of({n: linear[n] for n in ("arx", "line")}, "arx").contender == "line"
 
 
-def test_the_demo_says_what_a_loss_means(run: Run) -> None:
+def test_the_demo_says_what_a_loss_means(judgement: Judgement) -> None:
     arx, ts = FirstOrder(), FirstOrder(b=0.07, structure="ts", labels=("R1", "R2"))
     lost = compare([arx, ts], flown(arx, [300] * 6, noise=0.02))
     won = compare(
         [replace(ts, structure="arx"), replace(arx, structure="ts", labels=("R1", "R2"))], lost.test
     )
-    judgement = judge_run(run)
     assert lost.verdict["y"].verdict == "worse"
     assert meaning(replace(judgement, comparisons={"a": lost})).startswith("One linear model")
     both = {"a": lost, "b": replace(won, entries=tuple(_of_z(e) for e in won.entries))}
@@ -256,9 +260,8 @@ def _renamed(run: Run, name: str) -> list[HeldOut]:
 
 
 def test_figures_without_matplotlib_name_the_extra_and_leave_nothing(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    judgement: Judgement, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    judgement = judge_run(open_run(run.folder))
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(UsageError, match=r"flysid\[plot\]"):
         write_judgement(judgement, tmp_path / "report", "pdf")

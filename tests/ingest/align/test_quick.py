@@ -80,6 +80,7 @@ def test_a_word_that_means_nothing_or_too_much_names_what_is_near() -> None:
     assert "ATTITUDE" in error.value.hint
 
 
+@pytest.mark.usefixtures("arx_alone")
 def test_from_a_table_to_a_verdict(tmp_path: Path) -> None:
     table(tmp_path / "steps.csv", "time,u,y")
     run, log = tmp_path / "run", str(tmp_path / "steps.csv")
@@ -92,6 +93,7 @@ def test_from_a_table_to_a_verdict(tmp_path: Path) -> None:
     assert CliRunner().invoke(root, ["tf", log, "--from", "u", "--to", "y", "-q"]).exit_code == 0
 
 
+@pytest.mark.usefixtures("arx_alone")
 def test_a_log_that_was_read_with_losses_is_fitted_and_said_so(tmp_path: Path) -> None:
     log = tmp_path / "steps.csv"
     table(log, "time,u,y")

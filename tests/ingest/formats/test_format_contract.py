@@ -32,7 +32,7 @@ from tests.format_trials import (
     sample,
 )
 
-CUT_EVERY, FLIPS, INSERTIONS, DELETIONS = 7, 500, 200, 50  # `make soak` makes more of them
+CUT_EVERY, FLIPS, INSERTIONS, DELETIONS = 29, 500, 200, 50  # `make soak` makes more of them
 
 each_format = pytest.mark.parametrize("name", FORMATS)
 
