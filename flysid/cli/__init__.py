@@ -10,10 +10,13 @@ from __future__ import annotations
 
 import importlib
 import sys
+from pathlib import Path
 
 import click
 
 import flysid
+from flysid.cli.config import FILE, defaults_of
+from flysid.cli.examples import epilog
 from flysid.cli.output import printable
 from flysid.errors import FlysidError
 
@@ -38,6 +41,16 @@ VERBS = {
     "validate": "Compare fitted models on held-out segments; write the report.",
 }
 
+STEPS = {
+    "Look": ("doctor", "show", "plot", "ls", "recipes"),
+    "Prepare": ("ingest", "record", "synth", "scrub"),
+    "Fit": ("fit", "tf"),
+    "Judge": ("validate", "compare", "runs", "reproduce"),
+    "Share": ("export",),
+    "Try": ("demo",),
+}
+"""What a user does, in this order, and with which verbs."""
+
 
 class LazyVerbs(click.Group):
     """Imports a verb's module when the verb is run; `--help` imports none of them."""
@@ -49,11 +62,16 @@ class LazyVerbs(click.Group):
         if cmd_name not in VERBS:
             return None
         command: click.Command = importlib.import_module(f"flysid.cli.{cmd_name}").command
+        command.epilog = command.epilog or epilog(cmd_name)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        with formatter.section("Verbs"):
-            formatter.write_dl(sorted(VERBS.items()))
+        width = max(map(len, VERBS))
+        listed = {verb for verbs in STEPS.values() for verb in verbs}
+        more = tuple(verb for verb in VERBS if verb not in listed)
+        for step, verbs in (STEPS | ({"More": more} if more else {})).items():
+            with formatter.section(step):
+                formatter.write_dl([(verb.ljust(width), VERBS[verb]) for verb in verbs])
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -67,10 +85,20 @@ class LazyVerbs(click.Group):
         return super().resolve_command(ctx, args)
 
 
-@click.group(cls=LazyVerbs, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=LazyVerbs,
+    context_settings={"help_option_names": ["-h", "--help"], "auto_envvar_prefix": "FLYSID"},
+    epilog="'flysid VERB --help' has examples.",
+)
 @click.version_option(flysid.__version__, prog_name="flysid")
-def root() -> None:
+@click.pass_context
+def root(ctx: click.Context) -> None:
     """Flight logs in, trustworthy models out."""
+    verb = ctx.invoked_subcommand
+    command = root.get_command(ctx, verb) if verb else None
+    path = Path(FILE)
+    if verb and command is not None and path.is_file():
+        ctx.default_map = {verb: defaults_of(verb, command, VERBS, path)}
 
 
 def report_error(error: FlysidError) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from flysid.cli import complete
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, cores, say
 from flysid.cli.source import Words, is_log, lost_on_the_way, opened, selection_options, words_options
@@ -34,12 +35,20 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
 @words_options
 @selection_options
 @click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
-@click.option("--channel", "-c", "channels", multiple=True, help="Fit this channel only; may be repeated.")
+@click.option(
+    "--channel",
+    "-c",
+    "channels",
+    multiple=True,
+    shell_complete=complete.channels,
+    help="Fit this channel only; may be repeated.",
+)
 @click.option(
     "--models",
     "-m",
     default="",
     metavar="A,B",
+    shell_complete=complete.models,
     help="Models besides the references, ARX, OE and the baseline: anfis, armax, bj, ensemble (of ts_lags), "
     "fir, iv, line, statespace, static_ts, tf, ts (ts_lags, or ts_ss where a hidden state explains more).  "
     "[default: line,static_ts,ts]",

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from flysid.cli import complete
+
 if TYPE_CHECKING:
     from flysid.ingest.align.recipe import Recipe, Source
 
@@ -15,7 +17,7 @@ HEADINGS = ("RECIPE", "CHANNELS", "FOR")
 
 
 @click.command("recipes")
-@click.argument("name", default="")
+@click.argument("name", default="", shell_complete=complete.recipes)
 @click.option(
     "--for",
     "source",

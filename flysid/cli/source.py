@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from flysid.errors import FormatError, UsageError
+from flysid.cli import complete
+from flysid.errors import FormatError, RecipeError, UsageError
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.lake import Lake
@@ -71,7 +72,13 @@ def words_options(function: F) -> F:
             metavar="FIELD",
             help="Input, as FIELD or STREAM.FIELD; may be repeated. Instead of a recipe.",
         ),
-        click.option("--recipe", "-r", default="", help="Name of a shipped recipe, or path of a .toml file."),
+        click.option(
+            "--recipe",
+            "-r",
+            default="",
+            shell_complete=complete.recipes,
+            help="Name of a shipped recipe, or path of a .toml file.",
+        ),
     ):
         function = option(function)
     return function
@@ -123,12 +130,19 @@ _FLIGHTS = (
     click.option(
         "--vehicle", default="", metavar="NAME", help="Its flights alone; a part of its name will do."
     ),
-    click.option("--exclude", multiple=True, metavar="FLIGHT", help="Not this flight; may be repeated."),
+    click.option(
+        "--exclude",
+        multiple=True,
+        metavar="FLIGHT",
+        shell_complete=complete.flights,
+        help="Not this flight; may be repeated.",
+    ),
     click.option(
         "--flight",
         "only_flights",
         multiple=True,
         metavar="FLIGHT",
+        shell_complete=complete.flights,
         help="This flight alone, by its id or the beginning of it; may be repeated.",
     ),
 )
@@ -185,13 +199,26 @@ def opened(
             lake = select(whole, selection)
             if not selection.pool:
                 require_one_vehicle(lake)
-            if not words.recipe:
+            if words.recipe:
+                require_fit(lake, words.recipe)
+            else:
                 recipe.write_text(_written(words, lake), "utf-8")
             yield lake, words.recipe or str(recipe)
         except BaseException:
             if place is not None:
                 shutil.rmtree(place, ignore_errors=True)
             raise
+
+
+def require_fit(lake: Lake, recipe: str) -> None:
+    """Raise RecipeError where no flight has the streams of any channel; it names the recipes that do fit."""
+    from flysid.ingest.align.recipe import load_recipe
+
+    if not lake.facts or lake.channels(load_recipe(recipe)):
+        return
+    fitting = [f"{name} ({', '.join(channels)})" for name, channels in lake.recipes().items()]
+    hint = f"these fit: {'; '.join(fitting)}" if fitting else "--from FIELD --to FIELD needs no recipe"
+    raise RecipeError(f"no flight has the streams of recipe {recipe!r}", path=lake.folder, hint=hint)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from flysid.cli import complete
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import aligned, check_target, say
 from flysid.cli.source import Words, lost_on_the_way, opened, selection_options, words_options
@@ -33,7 +34,14 @@ def _auto_or(kind: type) -> Any:
 @click.argument("data", type=click.Path(path_type=Path))
 @words_options
 @selection_options
-@click.option("--channel", "-c", "channels", multiple=True, help="This channel only; may be repeated.")
+@click.option(
+    "--channel",
+    "-c",
+    "channels",
+    multiple=True,
+    shell_complete=complete.channels,
+    help="This channel only; may be repeated.",
+)
 @click.option(
     "--reference",
     multiple=True,

@@ -1,0 +1,44 @@
+"""Two examples for every verb: the end of its --help, and parsed by a test."""
+
+from __future__ import annotations
+
+EXAMPLES: dict[str, tuple[str, ...]] = {
+    "compare": (
+        "flysid compare run-4.5 run-4.6 -o both",
+        "flysid compare old new --fail-if 'free_run.change_pct > 5'",
+    ),
+    "demo": ("flysid demo", "flysid demo --plant ardrone-linear -o linear"),
+    "doctor": ("flysid doctor flight.bin", "flysid doctor logs/ --json"),
+    "export": ("flysid export flight.bin ATT RATE --to mat", "flysid export flight.ulg --to csv --rate 50"),
+    "fit": (
+        "flysid fit data --recipe ardupilot-attitude -o run",
+        "flysid fit flight.bin -r ardupilot-attitude --between 2:00..6:30 --mode LOITER -o run",
+    ),
+    "ingest": ("flysid ingest logs/ -o data", "flysid ingest flight.bin 'more/*.ulg' -o data"),
+    "ls": ("flysid ls data", "flysid ls flight.bin --suggest"),
+    "plot": (
+        "flysid plot flight.bin --pair attitude",
+        "flysid plot flight.bin ATT.DesRoll,ATT.Roll 'RCOU.C*' -o roll.png",
+    ),
+    "recipes": ("flysid recipes --for flight.bin", "flysid recipes px4-rates --toml"),
+    "record": (
+        "flysid record udp:0.0.0.0:14550 -o flight.tlog",
+        "flysid record serial:/dev/ttyUSB0:57600 -o flight.tlog --rotate boot",
+    ),
+    "reproduce": ("flysid reproduce ardrone-ts", "flysid reproduce ardrone-ts --figures figures"),
+    "runs": ("flysid runs", "flysid runs experiments/ --json"),
+    "scrub": ("flysid scrub flight.tlog -o shared.tlog", "flysid scrub flight.bin -o shared.bin --force"),
+    "show": ("flysid show flight.bin", "flysid show data 2026-05-01 ATT"),
+    "synth": ("flysid synth -o logs", "flysid synth -o logs --plan steps --duration 30 --format tlog"),
+    "tf": (
+        "flysid tf data -r ardupilot-attitude --plot bode.png",
+        "flysid tf flight.csv --from pitch_cmd --to v_x --poles 2",
+    ),
+    "validate": ("flysid validate run", "flysid validate run -o paper --markdown --figures pdf"),
+}
+
+
+def epilog(verb: str) -> str:
+    """The examples as click prints them, one a line."""
+    lines = EXAMPLES.get(verb, ())
+    return "\n".join(["\b", "Examples:", *(f"  {line}" for line in lines)]) if lines else ""
