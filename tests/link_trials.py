@@ -63,7 +63,7 @@ def recorder(target: Path, links: Sequence[str], *more: str) -> Iterator[Recorde
     pipe = subprocess.PIPE
     process = subprocess.Popen(command, cwd=ROOT, stdout=pipe, stderr=pipe, text=True)
     try:
-        until = time.monotonic() + 60.0
+        until = time.monotonic() + 300.0
         while process.poll() is None and not any(target.parent.glob(f"{target.stem}*.json")):
             if time.monotonic() > until:
                 raise TimeoutError("the recorder does not begin")

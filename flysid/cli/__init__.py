@@ -2,7 +2,8 @@
 
 The only place that prints, catches FlysidError and chooses exit codes: 0 done, 1 failed, 2 wrong usage
 or configuration, 3 done but data was lost or files were skipped, 4 a check that the user asked for
-failed, 5 a disk refused what `record` received, 130 interrupted. stdout carries data only; everything else
+failed, 5 a disk refused what `record` received, 6 `watch --fail` has
+alarmed, 130 interrupted. stdout carries data only; everything else
 goes to stderr.
 """
 
@@ -39,6 +40,7 @@ VERBS = {
     "synth": "Fly simulated plants and write the logs that a vehicle would have written.",
     "tf": "Transfer functions with intervals, and the measured frequency response.",
     "validate": "Compare fitted models on held-out segments; write the report.",
+    "watch": "Say when a vehicle leaves the behaviour that a run's models know.",
 }
 
 STEPS = {

@@ -105,6 +105,20 @@ def align_to_file(
     return AlignReport(job.recipe.name, channel, 1e9 / dt_ns, tuple(reports))
 
 
+def segments_of(
+    log: Flight | Log, recipe: Recipe, channel: str, dt_s: float
+) -> tuple[FlightReport, tuple[Segment, ...]]:
+    """The segments of one log on a grid of `dt_s`, whether or not anything moves in them.
+
+    Raises
+    ------
+    RecipeError : no such channel; a unit is missing.
+    """
+    job = _Job(recipe, channel, {name: recipe.signals[name] for name in recipe.signals_of(channel)})
+    report, segments, _ = job.align_log(FlightLog(log) if isinstance(log, Flight) else log, round(dt_s * 1e9))
+    return report, segments
+
+
 def _prepare(
     flights: Iterable[Flight | Log], recipe: Recipe | str | Path, channel: str
 ) -> tuple[_Job, list[Log], int]:

@@ -29,6 +29,8 @@ class Physics(NamedTuple):
     Attributes
     ----------
     m, g, l : mass, gravity, arm.
+    load, rotor_1 : true mass over m; the front rotor's thrust over what its speed should give. The inner
+        loop knows of neither.
     ixx, iyy, izz : moments of inertia. k_f, k_m : thrust and torque per squared rotor speed.
     drag_x, drag_y, drag_z : linear (blade) drag per mass, 1/s. quad_xy, quad_z : quadratic, 1/m.
     gyro : 1 with gyroscopic torques. j_rotor : inertia of one rotor.
@@ -45,6 +47,8 @@ class Physics(NamedTuple):
     """
 
     m: float
+    load: float
+    rotor_1: float
     g: float
     l: float  # noqa: E741
     ixx: float
@@ -112,8 +116,8 @@ def airframe(x, w1, w2, w3, w4, wx, wy, wz, f, out):  # type: ignore[no-untyped-
     r11, r12, r13 = cs * ct - sp * ss * st, -cp * ss, cs * st + ct * sp * ss
     r21, r22, r23 = ct * ss + cs * sp * st, cp * cs, ss * st - cs * ct * sp
     r31, r32, r33 = -cp * st, sp, cp * ct
-    s1, s2, s3, s4 = w1 * w1, w2 * w2, w3 * w3, w4 * w4
-    lift = f.k_f * (s1 + s2 + s3 + s4) / f.m
+    s1, s2, s3, s4 = f.rotor_1 * w1 * w1, w2 * w2, w3 * w3, w4 * w4
+    lift = f.k_f * (s1 + s2 + s3 + s4) / (f.m * f.load)
     if f.ground_radius > 0.0:  # Cheeseman and Bennett (1955), no nearer than one radius
         ratio = f.ground_radius / (4.0 * max(x[2], f.ground_radius))
         lift /= 1.0 - ratio * ratio

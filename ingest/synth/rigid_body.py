@@ -33,6 +33,9 @@ class Airframe:
     radius and 1,000 mAh at 11.1 V: the same sheet; endurance 12 min. Assumed, of the usual size for a vehicle
     of this class: motor lag, drag (Faessler et al., 2018, find 0.2 to 0.5 1/s of blade drag), voltage
     droop, transport delay of the Wi-Fi link.
+
+    `load` and `rotor_1` are faults: true mass over the mass that the inner loop knows, and the front rotor's
+    thrust over what its speed should give.
     """
 
     mass_kg: float = 0.429
@@ -50,6 +53,8 @@ class Airframe:
     sag: float = 0.10
     droop: float = 0.03
     gravity_m_s2: float = 9.81
+    load: float = 1.0
+    rotor_1: float = 1.0
 
     @property
     def hover_rad_s(self) -> float:
@@ -107,7 +112,8 @@ def _body(a: Airframe, on: Effects) -> dict[str, float]:
     drag = a.linear_drag_1_s if on.linear_drag else (0.0, 0.0, 0.0)
     quad = a.quadratic_drag_1_m if on.quadratic_drag else (0.0, 0.0)
     return {
-        "m": a.mass_kg, "g": a.gravity_m_s2, "l": a.arm_m, "ixx": ixx, "iyy": iyy, "izz": izz,
+        "m": a.mass_kg, "load": a.load, "rotor_1": a.rotor_1, "g": a.gravity_m_s2, "l": a.arm_m,
+        "ixx": ixx, "iyy": iyy, "izz": izz,
         "k_f": a.thrust_factor, "k_m": a.torque_factor,
         "drag_x": drag[0], "drag_y": drag[1], "drag_z": drag[2], "quad_xy": quad[0], "quad_z": quad[1],
         "gyro": float(on.gyroscopic), "j_rotor": a.rotor_inertia_kg_m2,
@@ -203,6 +209,7 @@ def fly_vehicle(
     record_s: float = 0.02,
     wind_m_s: npt.ArrayLike | None = None,
     start: FloatArray | None = None,
+    fault: tuple[float, Vehicle] | None = None,
 ) -> Trajectory:
     """Fly commands that are held for `period_s` each; integrated at 1 ms.
 
@@ -212,6 +219,7 @@ def fly_vehicle(
     period_s, record_s : whole milliseconds; the record must divide the flight.
     wind_m_s : (N, 3) of the air, world axes x forward, y left, z up; held alike. Still air when None.
     start : (26,) first state; hover at 20 m when None.
+    fault : a time in seconds, a whole number of records, and the vehicle that this one is from then on.
 
     Raises
     ------
@@ -225,7 +233,11 @@ def fly_vehicle(
         )
     record = np.empty((len(inputs) * hold // every, STATES))
     x = vehicle.hover() if start is None else np.array(start, dtype=np.float64)
-    integrate(x, inputs, vehicle.physics().packed(), STEP_S, hold, record)
+    row = len(record) if fault is None else round(fault[0] / record_s)
+    at = row * every // hold
+    integrate(x, inputs[:at], vehicle.physics().packed(), STEP_S, hold, record[:row])
+    if fault is not None:
+        integrate(x, inputs[at:], fault[1].physics().packed(), STEP_S, hold, record[row:])
     _check(record, record_s)
     return Trajectory(record_s, record, vehicle.airframe.hover_rad_s)
 

@@ -112,6 +112,23 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     return _summary(reader)
 
 
+class Pieces:
+    """Tables of a tlog's records that come piece by piece; clocks are followed from piece to piece."""
+
+    def __init__(self, dialect: str = DEFAULT) -> None:
+        self._reader = _Reader(load_dialect(dialect), make_scanner(dialect, STAMP_BYTES, 0))
+
+    @property
+    def info(self) -> Mapping[str, str]:
+        """Facts about the vehicle, as far as they have come."""
+        return _info(self._reader)
+
+    def read(self, records: bytes) -> list[StreamPart]:
+        """The tables of whole records."""
+        frames, _ = self._reader.scanner.scan(as_array(memoryview(records)), 0, len(records))
+        return list(_parts(self._reader, frames))
+
+
 def _read_capture(view: memoryview, name: str, limits: Limits) -> Parts:
     """Parts of the MAVLink that a capture holds."""
     capture, reader = Capture(load_dialect().crc_extra), None

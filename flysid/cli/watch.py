@@ -1,0 +1,212 @@
+"""flysid watch: a vehicle beside its model, live or afterwards."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import subprocess
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from flysid.cli.output import counted, printable, say
+from flysid.errors import DataError, UsageError
+
+if TYPE_CHECKING:
+    from flysid.live.watching import ChannelWatch, Event
+    from flysid.validate.run import Run
+
+FAILED = 6
+KINDS = ("udp:", "udpout:", "tcp:", "serial:")
+
+
+@click.command("watch")
+@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("source", metavar="LINK|LOG")
+@click.option(
+    "--false-alarms",
+    default=0.1,
+    show_default=True,
+    metavar="RATE",
+    help="An hour, of the vehicle: channels share them.",
+)
+@click.option("--model", "label", help="ts, arx, ...  [default: each channel's best linear one]")
+@click.option("--channel", "channels", multiple=True, help="This channel alone; again for several.")
+@click.option("--data", type=click.Path(path_type=Path), help="The run's data, where it moved.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Record the link there, too.")
+@click.option("--heartbeat", is_flag=True, help="Send heartbeats; without, nothing is ever sent.")
+@click.option("--for", "seconds", type=float, metavar="S", help="End after so many seconds.")
+@click.option(
+    "--exec", "hook", metavar="COMMAND", help="Run at every event, which it reads as JSON from stdin."
+)
+@click.option("--fail", is_flag=True, help="Exit code 6 where there was an alarm.")
+@click.option("--json", "as_json", is_flag=True, help="Print events as JSON lines.")
+@click.option("-q", "--quiet", is_flag=True, help="Only events and errors.")
+def command(
+    run: Path,
+    source: str,
+    false_alarms: float,
+    label: str | None,
+    channels: tuple[str, ...],
+    data: Path | None,
+    output: Path | None,
+    heartbeat: bool,
+    seconds: float | None,
+    hook: str | None,
+    fail: bool,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Say when a vehicle leaves the behaviour that a RUN's models know, on a LINK now or in a LOG afterwards.
+
+    Thresholds come from the run's held-out flights. An input outside the training flights is shown, and is no
+    alarm. The vehicle is never commanded.
+    """
+    if not 0.0 < false_alarms <= 3600.0:
+        raise UsageError(f"{false_alarms:g} false alarms an hour", hint="above 0, e.g. 0.1")
+    from flysid.validate.run import open_run
+
+    opened = open_run(run)
+    say("calibrating on held-out flights", quiet)
+    watches = calibrated(opened, data, channels, label, false_alarms)
+    for one in watches:
+        for text in one.visibility:
+            say(text, quiet)
+    alarms: list[Event] = []
+
+    def tell(event: Event) -> None:
+        if event.kind == "alarm":
+            alarms.append(event)
+        click.echo(json.dumps(event.to_dict()) if as_json else line(event))
+        if hook:
+            call(hook, event)
+
+    if source.startswith(KINDS):
+        follow(opened, watches, source, output, heartbeat, seconds, tell)
+    else:
+        look_back(opened, watches, Path(source), tell, quiet)
+    say(counted(len(alarms), "alarm"), quiet)
+    return FAILED if fail and alarms else 0
+
+
+def calibrated(
+    run: Run, data: Path | None, channels: tuple[str, ...], label: str | None, false_alarms: float
+) -> list[ChannelWatch]:
+    """The watches of the chosen channels; says which cannot be watched. Raises where none can."""
+    from flysid.live.watching import watches_of
+    from flysid.validate.run import held_out
+
+    unknown = set(channels) - {c.name for c in run.channels}
+    if unknown:
+        names = ", ".join(c.name for c in run.channels)
+        raise UsageError(f"the run has no channel {sorted(unknown)[0]!r}", hint=f"it has {names}")
+    held = [h for h in held_out(run, data) if not channels or h.channel.name in channels]
+    watches, skipped = watches_of(held, label, false_alarms)
+    for name, why in skipped.items():
+        say(f"{name} is not watched: {why}")
+    if not watches:
+        raise DataError("no channel can be watched", hint="fit with more flights", path=run.folder)
+    return watches
+
+
+def look_back(
+    run: Run, watches: list[ChannelWatch], log: Path, tell: Callable[[Event], None], quiet: bool
+) -> None:
+    """All events of a log, in the order of time."""
+    import flysid
+    from flysid.ingest.align.align import segments_of
+    from flysid.ingest.align.recipe import load_recipe
+    from flysid.validate.run import RECIPE_FILE
+
+    if not run.recipe:
+        raise UsageError(
+            "this run was fitted to a dataset file: it does not say how to read a log", path=run.folder
+        )
+    flight = flysid.read(log)
+    recipe = load_recipe(run.folder / RECIPE_FILE)
+    events = []
+    for one in watches:
+        report, segments = segments_of(flight, recipe, one.name, one.model.dt_s)
+        if not segments:
+            say(f"{one.name} is not in {log.name}: {report.reason or 'no stretch is long enough'}")
+        seconds = sum(map(len, segments)) * one.model.dt_s
+        say(f"{one.name}: {seconds:.0f} s looked at", quiet)
+        events += [event for segment in segments for event in one.run(segment)]
+    for event in sorted(events, key=lambda e: (e.flight, e.time_s)):
+        tell(event)
+
+
+def follow(
+    run: Run,
+    watches: list[ChannelWatch],
+    link: str,
+    output: Path | None,
+    heartbeat: bool,
+    seconds: float | None,
+    tell: Callable[[Event], None],
+) -> None:
+    """Watch a link until interrupted, or the time is over."""
+    from flysid.cli.record import run as record
+    from flysid.ingest.align.recipe import load_recipe
+    from flysid.live.following import Follower
+    from flysid.live.links import open_link
+    from flysid.live.receiving import Receiver, warm_up
+    from flysid.live.recording import Recording, heartbeat_of
+    from flysid.validate.run import RECIPE_FILE
+
+    if not run.recipe:
+        raise UsageError(
+            "this run was fitted to a dataset file: it does not say how to read a link", path=run.folder
+        )
+    follower = Follower(watches, load_recipe(run.folder / RECIPE_FILE), tell)
+    warm_up()
+    opened = open_link(link, sends=heartbeat)
+    stop = threading.Event()
+    thread = threading.Thread(target=follower.run, args=(stop,), name="watch", daemon=True)
+    thread.start()
+    try:
+        if output is not None:
+            record(Recording([opened], output, heartbeat=heartbeat, listener=follower.listen), seconds, True)
+        else:
+            receiver = Receiver([opened], follower.listen, None, heartbeat_of(None) if heartbeat else None)
+            receive(receiver.run, seconds)
+            receiver.close()
+    finally:
+        stop.set()
+        thread.join()
+
+
+def receive(run: Callable[[threading.Event], None], seconds: float | None) -> None:
+    """Run until interrupted, or the time is over."""
+    over = threading.Event()
+    thread = threading.Thread(target=run, args=(over,), name="receive", daemon=True)
+    thread.start()
+    until = None if seconds is None else time.monotonic() + seconds
+    with suppress(KeyboardInterrupt):
+        while thread.is_alive() and (until is None or time.monotonic() < until):
+            time.sleep(0.1)
+    over.set()
+    thread.join()
+
+
+def line(event: Event) -> str:
+    """An event for people: when, in which flight, and what."""
+    where = f"{event.flight} " if event.flight else ""
+    mark = "ALARM " if event.kind == "alarm" else ""
+    return printable(f"{where}{event.time_s:.2f} s  {mark}{event.text}")
+
+
+def call(hook: str, event: Event) -> None:
+    """Start the user's command with the event on its stdin; it runs beside us."""
+    try:
+        process = subprocess.Popen(shlex.split(hook), stdin=subprocess.PIPE, start_new_session=True)
+        assert process.stdin is not None
+        with process.stdin as pipe:
+            pipe.write(json.dumps(event.to_dict()).encode() + b"\n")
+    except (OSError, ValueError) as error:
+        say(f"--exec {hook!r} could not be run: {error}")

@@ -1,0 +1,222 @@
+"""`flysid watch`: a run's models beside a log and beside a link."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flysid.dataset import Segment, Signal
+from flysid.ingest.synth.synth import Order, fly_one
+from flysid.ingest.synth.telemetry import Series
+from flysid.ingest.synth.writers.mavlink import tlog_bytes
+from flysid.live.causes import likely, meaning_of, visibility
+from flysid.live.spool import whole_records
+from flysid.live.watching import ChannelWatch, known_inputs
+from flysid.validate.detect import calibrate
+from tests.fakes import FirstOrder
+from tests.link_trials import free_port
+from tests.validate.test_detect import MODEL, flown
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def made(model: FirstOrder = MODEL) -> ChannelWatch:
+    flights = [flown(k, 600) for k in range(3)]
+    return ChannelWatch("roll", model, calibrate(model, flights, 0.1), known_inputs(flights))
+
+
+def with_fault(seed: int = 70, size: float = 0.2) -> tuple[Segment, float]:
+    """A flight whose plant is pushed from half its time on, and that time."""
+    before, after = flown(seed, 60), flown(seed + 1, 60, offset=size)
+    u, y = (np.concatenate([getattr(s, n) for s in (before, after)]) for n in ("u", "y"))
+    return Segment(u, y, t0_ns=5_000_000_000), 65.0
+
+
+def test_a_fault_is_one_alarm_with_its_size() -> None:
+    segment, at_s = with_fault()
+    events = [e for e in made().run(segment) if e.kind == "alarm"]
+    assert len(events) == 1
+    assert at_s <= events[0].time_s < at_s + 2.0
+    assert abs(events[0].since_s - at_s) < 1.0
+    assert events[0].shift > 0.0
+    assert "left its band" in events[0].text
+
+
+def test_nominal_flight_is_quiet() -> None:
+    watch = made()
+    assert [e for k in range(5) for e in watch.run(flown(200 + k, 300)) if e.kind == "alarm"] == []
+
+
+def test_an_alarm_ends_where_the_fault_does() -> None:
+    segment, _ = with_fault()
+    after = flown(90, 90)
+    joined = Segment(np.concatenate([segment.u, after.u]), np.concatenate([segment.y, after.y]))
+    assert [e.kind for e in made().run(joined)][:2] == ["alarm", "over"]
+
+
+def test_an_input_outside_the_flights_is_said_and_is_no_alarm() -> None:
+    segment = flown(60, 60)
+    wild = Segment(segment.u * 100.0, segment.y)  # the output does not answer: surely no nominal flight
+    events = made().run(wild)
+    assert {e.kind for e in events} == {"outside"}
+    assert "outside what the model knows: u" in events[0].text
+
+
+def test_pieces_find_what_the_whole_finds() -> None:
+    segment, _ = with_fault()
+    watch = made()
+    whole = [e.time_s for e in watch.run(segment) if e.kind == "alarm"]
+    watch.restart()
+    pieces = []
+    for k in range(0, len(segment), 3):
+        time_s = segment.t0_ns * 1e-9 + k * MODEL.dt_s
+        pieces += watch.feed(segment.u[k : k + 3], segment.y[k : k + 3], time_s)
+    assert [e.time_s for e in pieces if e.kind == "alarm"] == pytest.approx(whole, abs=0.2)
+
+
+EFFORT = Signal("throttle")
+
+
+@pytest.mark.parametrize(
+    ("output", "inputs", "kind"),
+    [
+        (EFFORT, (Signal("vz_in", "m/s"),), "effort"),
+        (Signal("q", "deg/s"), (Signal("pitch_torque"),), "turning"),
+        (Signal("q", "deg/s"), (Signal("q_in", "deg/s"),), "attitude"),
+        (Signal("theta", "deg"), (Signal("theta_in", "deg"),), "attitude"),
+        (Signal("v_z", "m/s"), (Signal("vz_in", "m/s"),), "climb"),
+        (Signal("v_x", "m/s"), (Signal("theta_in", "deg"),), "horizontal speed"),
+        (Signal("level", "m"), (Signal("pump"),), "output"),
+    ],
+)
+def test_what_an_output_is(output: Signal, inputs: tuple[Signal, ...], kind: str) -> None:
+    assert meaning_of(output, inputs).kind == kind
+
+
+def test_words_name_causes_and_what_cannot_be_seen() -> None:
+    more = likely(meaning_of(EFFORT, ()), 0.2)
+    assert more.startswith("more mass")
+    assert more.endswith("cannot tell which")
+    assert "less mass" in likely(meaning_of(EFFORT, ()), -0.2)
+    assert "hides" in visibility("vertical", Signal("v_z", "m/s"), (Signal("vz_in", "m/s"),))
+    assert "stay" in visibility("thrust", EFFORT, (Signal("vz_in", "m/s"),))
+
+
+# ------------------------------------------------------------------------------------- the whole way
+
+
+def flysid(*words: object, module: str = "flysid") -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", module, *map(str, words)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+
+
+FAULT_S = 40.0
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run on simulated flights, a nominal log, and one whose forward speed is off from 40 s on."""
+    folder = tmp_path_factory.mktemp("watch")
+    order = Order(plan="mixed", duration_s=120.0, seed=5)
+    (folder / "logs").mkdir()
+    for k in range(4):
+        recording = fly_one(order, k)
+        (folder / "logs" / f"{k}.tlog").write_bytes(tlog_bytes(recording))
+    done = flysid("ingest", folder / "logs", "-o", folder / "data", "-q")
+    assert done.returncode == 0, done.stderr
+    fit = ("fit", folder / "data", "-r", "ardrone-synthetic", "-o", folder / "run", "-q", "--holdout", "0.5")
+    done = flysid(*fit, "--channel", "longitudinal", module="tests.quick_flysid")
+    assert done.returncode == 0, done.stderr
+    recording = fly_one(replace(order, seed=6, duration_s=80.0), 0)
+    (folder / "good.tlog").write_bytes(tlog_bytes(recording))
+    late = recording.state.time_ns >= recording.state.time_ns[0] + FAULT_S * 1e9
+    values = {**recording.state.values, "vx": recording.state["vx"] + 0.4 * late}
+    broken = replace(recording, state=Series(recording.state.time_ns, values))
+    (folder / "bad.tlog").write_bytes(tlog_bytes(broken))
+    return folder
+
+
+def test_a_log_that_is_as_it_was(place: Path) -> None:
+    done = flysid("watch", place / "run", place / "good.tlog", "--fail")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "v_x <- theta_in: shows faults when they come" in done.stderr
+
+
+def test_a_log_with_a_fault_says_when_and_what(place: Path) -> None:
+    hook = place / "hook.json"
+    words = ("watch", place / "run", place / "bad.tlog", "--fail", "--json")
+    done = flysid(*words, "--exec", f"sh -c 'cat >> {hook}'")
+    assert done.returncode == 6, done.stdout + done.stderr
+    alarms = [e for e in map(json.loads, done.stdout.splitlines()) if e["kind"] == "alarm"]
+    assert alarms[0]["output"] == "v_x"
+    assert 12.0 + FAULT_S <= alarms[0]["time_s"] < 12.0 + FAULT_S + 3.0  # 12 s before the first sample
+    until = time.monotonic() + 5.0
+    while (not hook.exists() or "alarm" not in hook.read_text()) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert json.loads(hook.read_text().splitlines()[0])["channel"] == "longitudinal"
+
+
+def test_a_link_is_watched_and_recorded(place: Path) -> None:
+    """The faulty flight over UDP, five times as fast as it was flown."""
+    port, copy = free_port(), place / "copy.tlog"
+    command = [sys.executable, "-m", "flysid", "watch", str(place / "run"), f"udp:127.0.0.1:{port}"]
+    command += ["-o", str(copy), "--json", "--for", "90"]
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, env=environment)
+    assert process.stdout is not None
+    timer = threading.Timer(120.0, process.kill)
+    timer.start()
+    try:
+        while not copy.exists() and process.poll() is None:
+            time.sleep(0.05)
+        time.sleep(0.2)
+        threading.Thread(target=play, args=(place / "bad.tlog", port, 5.0), daemon=True).start()
+        alarm = next((e for e in map(json.loads, process.stdout) if e["kind"] == "alarm"), None)
+        process.terminate()
+        process.communicate()
+    finally:
+        timer.cancel()
+        process.kill()
+    assert alarm is not None
+    assert 12.0 + FAULT_S <= alarm["time_s"] < 12.0 + FAULT_S + 3.0
+    assert whole_records(copy.read_bytes(), copy.stat().st_size)[0] > 1000
+
+
+def play(log: Path, port: int, speed: float) -> None:
+    """Send a tlog's frames when their time has come."""
+    import socket
+
+    from flysid.ingest.formats.mavlink.frames import read_header
+
+    content, at = log.read_bytes(), 0
+    first = int.from_bytes(content[:8], "big")
+    began = time.monotonic()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        while at < len(content):
+            head = read_header(content, at + 8)
+            assert head is not None
+            due = (int.from_bytes(content[at : at + 8], "big") - first) * 1e-6 / speed
+            time.sleep(max(0.0, due - (time.monotonic() - began)))
+            link.sendto(content[at + 8 : head.end], ("127.0.0.1", port))
+            at = head.end
+
+
+def test_a_channel_that_does_not_exist_is_named(place: Path) -> None:
+    done = flysid("watch", place / "run", place / "good.tlog", "--channel", "lateral")
+    assert done.returncode == 2
+    assert "no channel 'lateral'" in done.stderr
