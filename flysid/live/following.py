@@ -39,6 +39,10 @@ class RollingLog:
     def rows(self) -> Mapping[str, int]:
         return {key: sum(t.num_rows for t in parts) for key, parts in self._parts.items()}
 
+    @property
+    def allowed(self) -> None:
+        return None
+
     def columns(self, stream: str) -> Sequence[str]:
         names: Sequence[str] = self._parts[stream][-1].column_names
         return names
