@@ -14,7 +14,9 @@ from typing import Any
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FlysidError, UsageError
-from flysid.ingest.lake.selection import Selection
+from flysid.ingest.lake.lake import Lake
+from flysid.ingest.lake.lake import open as open_lake
+from flysid.ingest.lake.selection import Selection, require_one_vehicle
 from flysid.model.base import Fitted, kind_of
 from flysid.progress import tell
 from flysid.split import Piece, Split, refuse_copies
@@ -44,7 +46,8 @@ def judge_runs(
     Parameters
     ----------
     label : the model the headline speaks of, in both runs; "ts" where both have it, else "arx".
-    only : compare on these of run B's held-out flights and stretches alone.
+    only : compare on these of run B's held-out flights and stretches alone; flights of several vehicles are
+        put together only where it says `pool`.
 
     Raises
     ------
@@ -58,6 +61,8 @@ def judge_runs(
     shared = [name for name in ours if name in theirs]
     if not shared:
         raise DataError(f"the runs share no channel: {_names(theirs)} and {_names(ours)}")
+    if only is None or not only.pool:
+        _refuse_several_vehicles(b, chosen, ours)
     found: dict[str, Comparison] = {}
     failed: dict[str, str] = {}
     for i, name in enumerate(shared):
@@ -76,6 +81,15 @@ def judge_runs(
     skipped |= {name: "fitted by run A only" for name in theirs if name not in ours} | failed
     context = replace(context, fit_seconds=seconds, skipped=skipped)
     return Judgement(b.run, corrected, skipped, context, tuple(failed))
+
+
+def _refuse_several_vehicles(b: RunSource, chosen: Lake | None, ours: Mapping[str, HeldOut]) -> None:
+    """Raise UsageError where held-out flights are of several vehicles: no verdict is of all of them."""
+    if not b.run.recipe:
+        return
+    lake = chosen or open_lake(b.data or b.run.data)
+    held = {flight.partition("#")[0] for part in ours.values() for flight in part.test.flights}
+    require_one_vehicle(lake.only([facts.id for facts in lake.facts if facts.id in held]))
 
 
 def expected_of_runs(a: Run, b: Run, label: str | None = None) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from flysid.files import write_atomically
 from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import open as open_lake
+from flysid.ingest.lake.selection import Selection
 from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.split import plan_split
 from flysid.validate import crossrun
@@ -123,6 +125,20 @@ def test_the_page_of_two_runs_says_how_to_make_both_again(runs: tuple[Run, Run])
     newer = replace(b, versions={**b.versions, "numpy": "9.9"})
     told = judge_runs(RunSource(a), RunSource(newer)).context.provenance
     assert told["version of numpy (run B)"] == "9.9"
+
+
+def test_flights_of_several_vehicles_are_not_compared_as_one(runs: tuple[Run, Run], tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(runs[0].data, folder)
+    for i, path in enumerate(sorted((folder / "flights").glob("*/manifest.json"))):
+        body = json.loads(path.read_text("utf-8"))
+        body["info"] |= {"autopilot": "px4", "sys_uuid": f"00060000000037363230323351110{i:02d}"}
+        path.write_text(json.dumps(body), "utf-8")
+    a, b = (RunSource(run, folder) for run in runs)
+    with pytest.raises(UsageError, match=r"flights of \d vehicles") as caught:
+        judge_runs(a, b)
+    assert "--pool" in str(caught.value.hint)
+    assert judge_runs(a, b, only=Selection(pool=True)).comparisons
 
 
 def test_channels_of_one_run_only_are_named(runs: tuple[Run, Run], monkeypatch: pytest.MonkeyPatch) -> None:
