@@ -30,6 +30,11 @@ class Signal:
     """The name and unit of one input or output.
 
     `resolution` is the smallest difference the source can show, in `unit` (0 when unknown).
+
+    Examples
+    --------
+    >>> flysid.Signal("theta", "deg", resolution=0.01)
+    Signal(name='theta', unit='deg', resolution=0.01)
     """
 
     name: str
@@ -48,6 +53,12 @@ class Segment:
     t0_ns : vehicle time of the first sample, nanoseconds.
     flight : identifies the log (and boot) the samples came from; segments of one flight share it.
     marks : quality marks, e.g. {"excitation": 12.3, "mode": "STABILIZE"}.
+
+    Examples
+    --------
+    >>> segment = flysid.Segment(np.zeros((50, 2)), np.zeros((50, 1)), flight="monday")
+    >>> len(segment), segment.u.shape
+    (50, (50, 2))
     """
 
     u: FloatArray
@@ -99,6 +110,17 @@ class Dataset:
     inputs, outputs : names and units, in the order of the columns of u and y.
     segments : the experiments.
     name : the channel's name, e.g. "longitudinal".
+
+    Examples
+    --------
+    The record that other examples call `train`: a plant of gain 2 whose pole is at 0.9, and noise.
+
+    >>> rng = np.random.default_rng(0)
+    >>> u = np.repeat(rng.uniform(-1.0, 1.0, 60), 10)
+    >>> y = lfilter([0.0, 0.2], [1.0, -0.9], u) + 0.01 * rng.standard_normal(600)
+    >>> train = flysid.Dataset.from_arrays(u, y, dt_s=0.1)
+    >>> len(train), train.inputs[0].name, train.outputs[0].name
+    (600, 'u', 'y')
     """
 
     dt_s: float

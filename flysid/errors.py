@@ -28,6 +28,12 @@ class FlysidError(Exception):
     path : the file concerned.
     byte : offset in that file.
     flight_time_s : vehicle time near the fault, in seconds.
+
+    Examples
+    --------
+    >>> error = flysid.FlysidError("cannot be read", hint="try another", path="a.tlog", byte=12)
+    >>> error.byte, error.hint
+    (12, 'try another')
     """
 
     exit_code = 1
@@ -72,25 +78,60 @@ class FlysidError(Exception):
 
 
 class FormatError(FlysidError):
-    """The file is at fault: not a log, empty, unreadable or hostile."""
+    """The file is at fault: not a log, empty, unreadable or hostile.
+
+    Examples
+    --------
+    >>> flysid.read("pyproject.toml")
+    Traceback (most recent call last):
+    flysid.errors.FormatError: ...
+    """
 
 
 class UsageError(FlysidError):
-    """The caller is at fault: arguments or configuration."""
+    """The caller is at fault: arguments or configuration.
+
+    Examples
+    --------
+    >>> flysid.open("absent")
+    Traceback (most recent call last):
+    flysid.errors.UsageError: ...
+    """
 
     exit_code = 2
 
 
 class RecipeError(UsageError):
-    """A recipe is not understood, or names a stream or field that the log does not hold."""
+    """A recipe is not understood, or names a stream or field that the log does not hold.
+
+    Examples
+    --------
+    >>> flysid.dataset_from("steps.csv", "u", "altitude")
+    Traceback (most recent call last):
+    flysid.errors.RecipeError: ...
+    """
 
 
 class DataError(FlysidError):
-    """The data cannot answer the question: unexcited, too short, not finite."""
+    """The data cannot answer the question: unexcited, too short, not finite.
+
+    Examples
+    --------
+    >>> flysid.Dataset.from_arrays([0.0, np.nan], [0.0, 1.0], dt_s=0.1)
+    Traceback (most recent call last):
+    flysid.errors.DataError: ...
+    """
 
 
 class StoreError(FlysidError):
-    """A stored dataset, run or model file is damaged or of another version."""
+    """A stored dataset, run or model file is damaged or of another version.
+
+    Examples
+    --------
+    >>> flysid.load("steps.csv")
+    Traceback (most recent call last):
+    flysid.errors.StoreError: ...
+    """
 
     exit_code = 2
 
@@ -102,4 +143,10 @@ class WriteError(StoreError):
 
 
 class FitError(FlysidError):
-    """A model could not be fitted; the message names the cause and the hint a remedy."""
+    """A model could not be fitted; the message names the cause and the hint a remedy.
+
+    Examples
+    --------
+    >>> issubclass(flysid.FitError, flysid.FlysidError)
+    True
+    """

@@ -58,6 +58,12 @@ class Damage:
     dropouts : what the recorder itself says it lost, e.g. {"records": 12, "ms": 140}.
     out_of_order : records per stream whose time runs backwards; kept.
     reasons : why records of a stream in `undecoded` could not be decoded, where the reader knows.
+
+    Examples
+    --------
+    >>> damage = flysid.read("sample_logs/01-multisine-seed1.tlog").damage
+    >>> damage.bytes_skipped, damage.lossy
+    (0, False)
     """
 
     MAX_REGIONS = 1000
@@ -136,6 +142,12 @@ class Flight:
     damage : what could not be kept.
     clocks : one per boot, in order.
     info : facts about the vehicle, e.g. {"autopilot": "ardupilot", "firmware": "4.3.1"}.
+
+    Examples
+    --------
+    >>> flight = flysid.read("sample_logs/01-multisine-seed1.tlog")
+    >>> flight["ATTITUDE"].column_names[:2]
+    ['time_ns', 'boot']
     """
 
     source: Source

@@ -39,6 +39,14 @@ class ANFIS:
     antecedents : such as ("y(k-1)", "u(k-1)"); empty: the newest output and input.
     epochs : passes of hybrid learning.
     step : first length of a step of the memberships, in normalised units.
+
+    Source: Jang (1993), IEEE Trans. SMC 23.
+
+    Examples
+    --------
+    >>> model = flysid.ANFIS(rules=2, na=1, nb=1, epochs=5).fit(train)  # train: see `flysid.Dataset`
+    >>> len(model.rules())
+    2
     """
 
     rules: int = 3

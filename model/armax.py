@@ -24,6 +24,14 @@ class ARMAX(PolynomialSettings):
     Parameters
     ----------
     nc : order of C, or "auto": 1 to 4 by BIC.
+
+    Source: Ljung (1999), System Identification, 4.2.
+
+    Examples
+    --------
+    >>> model = flysid.ARMAX(na=1, nb=1, nk=1, nc=1).fit(train)  # train: see `flysid.Dataset`
+    >>> model.ma.shape  # 1 and c1, of one output
+    (2, 1)
     """
 
     nc: int | Auto = field(default="auto", kw_only=True)

@@ -46,6 +46,14 @@ class ARX(PolynomialSettings):
         worse for it by more than noise, True or False to force. A refined model has no coupling between
         outputs.
     n_init : of a refined model; others start from their lags.
+
+    Source: Ljung (1999), System Identification, 4.2; the refinement: `flysid.model.linear.refine`.
+
+    Examples
+    --------
+    >>> model = flysid.ARX(na=1, nb=1, nk=1).fit(train)  # train: see `flysid.Dataset`
+    >>> model.dc_gain.round(2)
+    array([[2.]])
     """
 
     refine: bool | Auto = field(default="auto", kw_only=True)

@@ -261,6 +261,13 @@ def load(path: str | Path) -> Fitted:
     Raises
     ------
     StoreError : not a model file, damaged, hostile, or of a newer version.
+
+    Examples
+    --------
+    >>> model = flysid.ARX(na=1, nb=1, nk=1).fit(train)  # train: see `flysid.Dataset`
+    >>> model.save("arx.json")
+    >>> flysid.load("arx.json").structure
+    'arx'
     """
     path = Path(path)
     document = _read_document(path)

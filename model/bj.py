@@ -25,6 +25,14 @@ class BJ(PolynomialSettings):
     Parameters
     ----------
     nc, nd : orders of C and D, both numbers, or both "auto": by BIC among a few.
+
+    Source: Box & Jenkins (1976), Time Series Analysis; Ljung (1999), 4.2.
+
+    Examples
+    --------
+    >>> model = flysid.BJ(na=1, nb=1, nk=1, nc=1, nd=1).fit(train)  # train: see `flysid.Dataset`
+    >>> model.poles.real.round(2)
+    array([0.9])
     """
 
     nc: int | Auto = field(default="auto", kw_only=True)

@@ -43,6 +43,14 @@ class Ensemble:
     ----------
     of : what every member is.
     members : number of models, each fitted without one of as many blocks of time, at least 2.
+
+    Examples
+    --------
+    >>> settings = flysid.Ensemble(of=flysid.OE(na=1, nb=1, nk=1), members=3)
+    >>> model = settings.fit(train)  # train: see `flysid.Dataset`
+    >>> segment = train.segments[0]
+    >>> model.spread(segment.u, segment.y[: model.n_init]).shape
+    (600, 1)
     """
 
     of: Estimator = field(default_factory=TS)

@@ -41,6 +41,14 @@ class FIR:
     taps : coefficients per input, or "auto": a quarter of the shortest segment, at most 120.
     nk : delay in samples, one number or one per input.
     offset : estimate a constant.
+
+    Source: Ljung (1999), System Identification, 4.2.
+
+    Examples
+    --------
+    >>> model = flysid.FIR(taps=40).fit(train)  # train: see `flysid.Dataset`
+    >>> model.dc_gain.round(1)
+    array([[2.]])
     """
 
     taps: int | Literal["auto"] = "auto"

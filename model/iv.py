@@ -46,6 +46,14 @@ class IV(PolynomialSettings):
     ----------
     reference : names of inputs of the dataset that drive a feedback loop from outside. They serve as
         instruments and have no coefficients of their own. Empty: the inputs are their own instruments.
+
+    Source: Söderström & Stoica (1983), Instrumental Variable Methods for System Identification.
+
+    Examples
+    --------
+    >>> model = flysid.IV(na=1, nb=1, nk=1).fit(train)  # train: see `flysid.Dataset`
+    >>> model.dc_gain.round(2)
+    array([[2.]])
     """
 
     reference: Sequence[str] = field(default=(), kw_only=True)

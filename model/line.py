@@ -23,6 +23,12 @@ class Line:
     Parameters
     ----------
     offset : estimate a constant; without it the line goes through the origin of the axes.
+
+    Examples
+    --------
+    >>> model = flysid.Line().fit(train)  # train: see `flysid.Dataset`
+    >>> model.n_init, model.poles  # no dynamics
+    (0, array([], dtype=complex128))
     """
 
     offset: bool = True

@@ -17,7 +17,13 @@ from flysid.model.threads import on_one_thread
 
 @dataclass(frozen=True)
 class Mean:
-    """A reference without settings."""
+    """A reference without settings.
+
+    Examples
+    --------
+    >>> flysid.Mean().fit(train).simulate(np.zeros((3, 1))).shape  # train: see `flysid.Dataset`
+    (3, 1)
+    """
 
     @on_one_thread
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002

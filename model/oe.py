@@ -29,6 +29,14 @@ class OE(PolynomialSettings):
     ----------
     trend : "estimate" fits an offset and a drift of the output per segment along with the model.
     stable : always so; no other model is admitted.
+
+    Source: Ljung (1999), System Identification, 4.2.
+
+    Examples
+    --------
+    >>> model = flysid.OE(na=1, nb=1, nk=1).fit(train)  # train: see `flysid.Dataset`
+    >>> model.poles.real.round(2)
+    array([0.9])
     """
 
     trends: ClassVar[tuple[str, ...]] = TRENDS

@@ -19,7 +19,13 @@ from flysid.model.threads import on_one_thread
 
 @dataclass(frozen=True)
 class Persistence:
-    """A reference without settings."""
+    """A reference without settings.
+
+    Examples
+    --------
+    >>> flysid.Persistence().fit(train).n_init  # train: see `flysid.Dataset`
+    1
+    """
 
     @on_one_thread
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:  # noqa: ARG002

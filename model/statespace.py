@@ -70,6 +70,14 @@ class StateSpace:
     trend : "remove" takes a straight line out of every segment's signals first; see `detrend`.
     stable : an unstable estimate has its poles mirrored into the unit circle, and all matrices are fitted
         again to the simulation error from there.
+
+    Source: Chiuso (2007), Automatica 43 (PBSID); Van Overschee & De Moor (1996) for the others.
+
+    Examples
+    --------
+    >>> model = flysid.StateSpace(order=1, refine=False).fit(train)  # train: see `flysid.Dataset`
+    >>> model.poles.real.round(2)
+    array([0.9])
     """
 
     order: int | Auto = "auto"

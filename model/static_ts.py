@@ -52,6 +52,14 @@ class StaticTS:
         see flysid.model.rules.consequents.
     ridge : weight that draws the rules to the one straight line of the data, or "auto": by generalised
         cross-validation.
+
+    Source: Gustafson & Kessel (1979); Takagi & Sugeno (1985), IEEE Trans. SMC 15.
+
+    Examples
+    --------
+    >>> model = flysid.StaticTS(rules=2).fit(train)  # train: see `flysid.Dataset`
+    >>> [rule.label for rule in model.rules()]
+    ['R1', 'R2']
     """
 
     rules: int = 7

@@ -120,6 +120,14 @@ class TF:
     reference : names of inputs of the dataset that drive a feedback loop from outside, as in `IV`: the
         response of the others is measured through them (`measure_response`), and the simulation error, which
         the loop bends, is left alone. They have no transfer function of their own.
+
+    Source: Tischler & Remple (2012), Aircraft and Rotorcraft System Identification.
+
+    Examples
+    --------
+    >>> model = flysid.TF(poles=1, zeros=0, dead_time_s=0.0).fit(train)  # train: see `flysid.Dataset`
+    >>> round(model.transfer().gain.value, 1)
+    2.0
     """
 
     poles: int | Auto = "auto"

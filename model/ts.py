@@ -41,6 +41,14 @@ class TS:
     stable : no rule keeps a pole outside the unit circle (`rules.stabilise`); without it a rule may,
         as long as the blend comes back from random inputs. The pole at one of an integrating process stays.
     search : what the search weighs and how long it looks, see `SearchSettings`.
+
+    Source: Takagi & Sugeno (1985), IEEE Trans. SMC 15; the search: `flysid.model.rules.learning`.
+
+    Examples
+    --------
+    >>> model = flysid.TS(rules=1, na=1, nb=1, nk=1).fit(train)  # train: see `flysid.Dataset`
+    >>> len(model.rules())
+    1
     """
 
     rules: int | Literal["auto"] = "auto"

@@ -53,6 +53,12 @@ class BestTS:
     Parameters
     ----------
     rules, antecedents, most_rules, nk_hint, search : see `TS`.
+
+    Examples
+    --------
+    >>> model = flysid.BestTS(rules=1).fit(train)  # train: see `flysid.Dataset`
+    >>> model.structure in ("ts", "ts_ss")
+    True
     """
 
     rules: int | Literal["auto"] = "auto"

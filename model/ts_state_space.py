@@ -37,6 +37,14 @@ class TSStateSpace:
     nk_hint : delays that "auto" tries as well, one per input: the dead time that the log shows
         (`flysid.ingest.excitation.dead_time`).
     search : what the search weighs and how long it looks, see `SearchSettings`.
+
+    Source: Takagi & Sugeno (1985), IEEE Trans. SMC 15, over states instead of lagged outputs.
+
+    Examples
+    --------
+    >>> model = flysid.TSStateSpace(states=1, rules=1, nk=1).fit(train)  # train: see `flysid.Dataset`
+    >>> len(model.rules())
+    1
     """
 
     states: int | Literal["auto"] = "auto"

@@ -75,6 +75,14 @@ def compare(
     ------
     UsageError : a model does not belong to the data, or the baseline is not among the models.
     DataError : no segment is long enough to score.
+
+    Examples
+    --------
+    >>> fitted, held_out = train.split(holdout=0.3)  # train: see `flysid.Dataset`
+    >>> arx = flysid.ARX(na=1, nb=1, nk=1, refine=False).fit(fitted)
+    >>> result = flysid.compare([arx, flysid.Line().fit(fitted)], held_out)
+    >>> str(result.verdict["y"].verdict)
+    'worse'
     """
     named = dict(models) if isinstance(models, Mapping) else _named(models)
     if train is not None:

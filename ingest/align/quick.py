@@ -63,6 +63,12 @@ def dataset_from(
     FormatError : a log cannot be read; a table whose times may be in several units.
     RecipeError : a field is nowhere, or in several streams; a table needs `dt_s`, or a log has its own time.
     DataError : the logs are too short, or a signal never moves.
+
+    Examples
+    --------
+    >>> data = flysid.dataset_from("steps.csv", "u", "y")
+    >>> data.dt_s, len(data)
+    (0.1, 600)
     """
     sources = [source] if isinstance(source, str | Path | Flight) else source
     logs = [FlightLog(s if isinstance(s, Flight) else read(s, time_unit=time_unit)) for s in sources]

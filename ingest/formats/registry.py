@@ -176,6 +176,12 @@ def read(
     ------
     FormatError : not a log, empty or unreadable; a table whose times may be in several units.
     UsageError : `format` or `time_unit` is not a name that flysid knows.
+
+    Examples
+    --------
+    >>> flight = flysid.read("sample_logs/01-steps-seed2.tlog")
+    >>> "ATTITUDE" in flight
+    True
     """
     limits = limits or Limits(batch_bytes=WHOLE_BATCH_BYTES)
     limits = replace(limits, time_unit=time_unit or limits.time_unit, format=format or limits.format)

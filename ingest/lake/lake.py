@@ -216,6 +216,12 @@ def open(folder: str | Path) -> Lake:  # noqa: A001
     ------
     UsageError : there is no such folder, or `flysid ingest` did not make it.
     StoreError : a manifest is damaged or of another version.
+
+    Examples
+    --------
+    >>> lake = flysid.open("data")  # flysid ingest sample_logs/01-steps-seed2.tlog -o data
+    >>> len(lake.flights)
+    1
     """
     path = check_data_folder(folder)
     return Lake(path, catalogue(path))
