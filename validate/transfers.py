@@ -7,7 +7,7 @@ This is identification, not judgement: all flights given are used, nothing is he
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,8 @@ from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.lake import Lake
 from flysid.model.detrend import Trend
 from flysid.model.feedback import Feedback, feedback
+from flysid.model.frequency.controller import controller_bands
+from flysid.model.frequency.loop_figures import LoopFigure, broken_loop, command_figures, loop_figures
 from flysid.model.frequency.response import MeasuredResponse, measure_response, split_references
 from flysid.model.polynomials import Z95, ComplexArray
 from flysid.model.transfer_function import TF, FittedTF
@@ -37,6 +39,9 @@ class ChannelTransfers:
     fit_pct : per output, of the free run over the flights that it was fitted to.
     loops : per output, whether the input answers it; none where a reference was named.
     reference : signals through which the response was measured.
+    follows : per output, bands (rad/s) in which the measured response is -1 / controller.
+    figures : of the closed loop from its command ("command"), of the one cut open ("loop"); see
+        `model.frequency.loop_figures`.
     """
 
     name: str
@@ -47,6 +52,8 @@ class ChannelTransfers:
     fit_pct: tuple[float | None, ...]
     loops: tuple[Feedback, ...]
     reference: tuple[str, ...] = ()
+    follows: tuple[tuple[tuple[float, float], ...], ...] = ()
+    figures: Mapping[str, Sequence[LoopFigure]] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -66,6 +73,9 @@ class ChannelTransfers:
             fit = self.fit_pct[i]
             if fit is not None and not self.reference:
                 said.append(f"free run of {output.name} over these flights: fit {fit:.0f} %")
+        for group, figures in self.figures.items():
+            told = [str(f) for f in figures if f.value is not None or group == "loop"]
+            said += [f"{group.replace('_', ' ')}: {'; '.join(told)}"] if told else []
         said += [f"caution: {loop.words}" for loop in self.loops if loop.closed]
         return [*said, *(f"- {note}" for note in self.model.notes)]
 
@@ -74,9 +84,12 @@ class ChannelTransfers:
         if measured is None:
             return f"no measured frequency response: {self.unmeasured}"
         if self.is_looped(output):
+            bands = self.follows[output] if self.follows else ()
+            where = " and ".join(f"{low:.3g} to {high:.3g}" for low, high in bands)
             return (
                 "no band can be trusted: a loop is closed, and where it answers the output the measured "
-                "response is -1/controller. Name what drives the loop: --reference FIELD"
+                f"response is -1/controller{f': so from {where} rad/s' if where else ''}. "
+                "Name what drives the loop: --reference FIELD"
             )
         band = measured.band(source)
         of = (
@@ -159,6 +172,7 @@ class ChannelTransfers:
             "fit_pct": list(self.fit_pct),
             "transfers": [t.to_dict() | _figures(t) for t in self.model.transfers],
             "reference": list(self.reference),
+            "follows_controller_rad_s": [list(map(list, bands)) for bands in self.follows],
             "measured": [
                 None if m is None else _measured(m, j) | {"band_rad_s": self.band(i, j)}
                 for i, m in enumerate(self.measured)
@@ -167,6 +181,7 @@ class ChannelTransfers:
             "feedback": [
                 {"output": f.output, "closed": f.closed, "p": f.p_value, "share": f.share} for f in self.loops
             ],
+            "figures": {g: {f.name: f.to_dict() for f in found} for g, found in self.figures.items()},
             "notes": list(self.model.notes),
         }
 
@@ -224,6 +239,7 @@ def identify(
     *,
     channels: Sequence[str] = (),
     reference: Sequence[str] = (),
+    reference_at: str = "",
 ) -> tuple[list[ChannelTransfers], Mapping[str, str]]:
     """Transfer functions of every channel of a recipe, and why the others have none.
 
@@ -231,6 +247,7 @@ def identify(
     ----------
     reference : signals of the recipe or fields of the logs that drive the loops from outside, instead of
         those that the recipe names.
+    reference_at : where the reference enters, "input" or "setpoint" (`broken_loop`), instead of the recipe's.
 
     Raises
     ------
@@ -257,7 +274,8 @@ def identify(
         try:
             names = recipe.channels[name].reference if name in driven else ()
             data = lake.dataset(through if names else recipe, name)
-            found.append(identify_channel(name, data, replace(estimator, reference=names)))
+            at = reference_at or recipe.channels[name].reference_at
+            found.append(identify_channel(name, data, replace(estimator, reference=names), at))
         except (DataError, FitError, RecipeError) as error:
             skipped[name] = str(error)
     if not found:
@@ -266,11 +284,12 @@ def identify(
     return found, skipped
 
 
-def identify_channel(name: str, data: Dataset, estimator: TF) -> ChannelTransfers:
+def identify_channel(name: str, data: Dataset, estimator: TF, reference_at: str = "") -> ChannelTransfers:
     """Fit one channel and measure its response.
 
     Raises
     ------
+    UsageError : margins are asked for (`reference_at`) without one reference.
     DataError, FitError : as `TF.fit`.
     """
     model = estimator.fit(data)
@@ -284,7 +303,44 @@ def identify_channel(name: str, data: Dataset, estimator: TF) -> ChannelTransfer
         fits.append(scores(y, yh).fit_pct if len(y) else None)
     loops = feedback(model, data) if model.is_stable and not references else ()
     names = tuple(data.inputs[j].name for j in references)
-    return ChannelTransfers(name, plant, model, measured, why, tuple(fits), loops, names)
+    follows = tuple(
+        tuple(controller_bands(data, loop, seen)) if loops and loops[loop].closed and seen else ()
+        for loop, seen in enumerate(measured)
+    )
+    whole = ChannelTransfers(name, plant, model, measured, why, tuple(fits), loops, names, follows)
+    return replace(whole, figures=_all_figures(whole, data, reference_at))
+
+
+def _all_figures(channel: ChannelTransfers, data: Dataset, reference_at: str) -> dict[str, list[LoopFigure]]:
+    """Of every command, and of the loop cut open where it is told where the reference enters."""
+    found = {}
+    pairs = len(channel.measured) * len(channel.data.inputs)
+    for i, measured in enumerate(channel.measured):
+        for j, source in enumerate(channel.data.inputs):
+            name = "command" if pairs == 1 else f"command_{source.name}_{channel.data.outputs[i].name}"
+            if measured is not None and not channel.is_looped(i):
+                found[name] = command_figures(measured, j)
+    if not reference_at:
+        return found
+    if len(channel.reference) != 1:
+        raise UsageError(
+            "margins belong to the loop cut open, which a response from command to output does not show",
+            hint="name the one signal that drives the loop: --reference FIELD",
+        )
+    loop = broken_loop(data, reference=channel.reference[0], at=reference_at)
+    return found | {"loop": loop_figures(loop)}
+
+
+def figures_document(channels: Sequence[ChannelTransfers]) -> dict[str, Any]:
+    """What `--fail-if` looks at: {"channels": {"roll": {"loop": {"phase_margin_deg": {"low": ..."""
+    body: dict[str, Any] = {}
+    for c in channels:
+        body[c.name] = {
+            group: {f.name: {"value": f.value, "low": f.low, "high": f.high} for f in found}
+            | {"reason": "; ".join(dict.fromkeys(f.why for f in found if f.why))}
+            for group, found in c.figures.items()
+        }
+    return {"channels": body}
 
 
 def _responses(data: Dataset, estimator: TF) -> tuple[tuple[MeasuredResponse | None, ...], str]:

@@ -49,6 +49,17 @@ def _auto_or(kind: type) -> Any:
     help="What drives a closed loop from outside (a chirp, a setpoint), as signal of the recipe, FIELD or "
     "STREAM.FIELD: the response is measured through it. Instead of the recipe's own.",
 )
+@click.option(
+    "--reference-at",
+    default="",
+    type=click.Choice(["", "input", "setpoint"]),
+    metavar="PLACE",
+    help="Where it enters, for margins: input (added to the controller's output) or setpoint (of a controller "
+    "that sees the difference alone).",
+)
+@click.option(
+    "--fail-if", "condition", help="Exit with 4 where this holds: 'loop.phase_margin_deg.low < 45'."
+)
 @click.option("--poles", default="auto", callback=_auto_or(int), show_default=True, help="Of every output.")
 @click.option("--zeros", default="auto", callback=_auto_or(int), show_default=True, help="Of every input.")
 @click.option("--dead-time", default="auto", callback=_auto_or(float), show_default=True, metavar="S")
@@ -92,6 +103,8 @@ def command(
     format_: str,
     channels: tuple[str, ...],
     reference: tuple[str, ...],
+    reference_at: str,
+    condition: str | None,
     table: bool,
     plot: Path | None,
     force: bool,
@@ -104,7 +117,7 @@ def command(
 
     DATA is an ingested folder, or a single log or table (.csv). Every flight of it is used; 'flysid fit
     --models tf' and 'flysid validate' judge such a model on flights that it has not seen. Channels that the
-    data cannot serve are named (exit code 3 where --channel asked for them).
+    data cannot serve are named (exit code 3 where --channel asked for them; 4: --fail-if holds).
     """
     from flysid.model.transfer_function import TF
     from flysid.validate.transfers import identify
@@ -127,7 +140,9 @@ def command(
     )
     words = Words(recipe, inputs, outputs, dt, time_unit, format_)
     with opened(data, words, selection, None, quiet) as (lake, chosen), display.shown():
-        found, skipped = identify(lake, chosen, estimator, channels=channels, reference=reference)
+        found, skipped = identify(
+            lake, chosen, estimator, channels=channels, reference=reference, reference_at=reference_at
+        )
         lost = lost_on_the_way(data, lake)
     if as_json:
         body = {
@@ -145,6 +160,15 @@ def command(
         say(f"Bode plot: {plot}", quiet)
     for name, why in skipped.items():
         say(f"channel {name} skipped: {why}")
+    if condition is not None:
+        from flysid.validate.condition import matching_channels
+        from flysid.validate.transfers import figures_document
+
+        held = matching_channels(condition, figures_document(found))
+        for name, why in held.items():
+            say(f"{name}: {condition} holds{f': {why}' if why else ''}")
+        if held:
+            return 4
     return 3 if lost or set(channels) & set(skipped) else 0
 
 

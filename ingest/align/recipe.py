@@ -106,7 +106,9 @@ class ChannelSpec:
     """Inputs and outputs of one channel, by the names of signals.
 
     `reference` names signals that drive a feedback loop around the channel from outside: a chirp, a setpoint.
-    They are no inputs; `flysid tf` measures the channel's response through them. `min_rate_hz` is the rate
+    They are no inputs; `flysid tf` measures the channel's response through them. `reference_at` tells where
+    the one reference enters: "input", added to what the controller gives, or "setpoint", before a controller
+    that sees the difference alone; margins need it. `min_rate_hz` is the rate
     below which the channel's dynamics cannot be seen, and `remedy` what to set on the vehicle to log faster;
     both serve the suggestions.
     """
@@ -114,6 +116,7 @@ class ChannelSpec:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     reference: tuple[str, ...] = ()
+    reference_at: Literal["", "input", "setpoint"] = ""
     description: str = ""
     min_rate_hz: float = 0.0
     remedy: str = ""

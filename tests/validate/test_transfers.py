@@ -155,6 +155,7 @@ def test_what_is_said_of_a_loop() -> None:
     alone = "\n".join(identify_channel("rate", direct(data), estimator).lines())
     assert "trust it from" not in alone
     assert "no band can be trusted: a loop is closed" in alone
+    assert "response is -1/controller: so from " in alone
     assert "--reference FIELD" in alone
     found = identify_channel("rate", data, TF(poles=2, zeros=0, reference=["chirp"]))
     words = "\n".join(found.lines())

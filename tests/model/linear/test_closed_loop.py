@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import flysid
-from bench.closed_loop import PLANT, SWEPT_HZ, Loop, direct, held, nearest
+from bench.closed_loop import PLANT, SWEPT_HZ, Loop, direct, held, nearest, truth
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.base import load
-from flysid.model.frequency.rational import hold_response
+from flysid.model.frequency.controller import controller_bands
 from flysid.model.frequency.response import measure_response
 from flysid.model.frequency.transfer import continuous
 from flysid.model.iv import IV
@@ -52,6 +53,22 @@ def test_the_direct_response_is_the_controller_s_where_it_answers(flown: list[Da
     assert (through.coherence[through.omega < 2 * np.pi * SWEPT_HZ[0] / 2] < 0.6).all()
 
 
+def test_where_a_response_follows_the_controller_is_named() -> None:
+    """-1 / C is 20 dB and more off the plant above the sweep; open loop has no such band."""
+    data = direct(Loop(0.2).flown(3))
+    measured = measure_response(data)
+    bands = controller_bands(data, 0, measured)
+    assert any(low < 120.0 and high > 800.0 for low, high in bands)
+    wrong = np.abs(np.log(np.abs(measured.response[:, 0] / truth(measured.omega, data.dt_s))))
+    inside = np.any([(measured.omega >= a) & (measured.omega <= b) for a, b in bands], axis=0)
+    assert wrong[inside].min() > 0.5
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.standard_normal(600), 10)
+    y = lfilter([0.0, 0.2], [1.0, -0.8], u) + 0.1 * rng.standard_normal(6000)
+    alone = Dataset.from_arrays(u, y, 0.02)
+    assert controller_bands(alone, 0, measure_response(alone)) == []
+
+
 def test_two_references_tell_two_inputs_apart() -> None:
     """y = 2 z^-1 u1 - z^-2 u2, u = r - feedback of y's noise: both plants, each within its interval."""
     rng = np.random.default_rng(4)
@@ -66,8 +83,8 @@ def test_two_references_tell_two_inputs_apart() -> None:
     measured = measure_response(data, reference=["r1", "r2"], points=40, band=(2.0, 25.0))
     assert [s.name for s in measured.inputs] == ["u1", "u2"]
     back = np.exp(-1j * measured.omega * 0.1)
-    truth = np.stack([2.0 * back, -(back**2)], axis=1)
-    error = np.log(measured.response / truth)
+    plants = np.stack([2.0 * back, -(back**2)], axis=1)
+    error = np.log(measured.response / plants)
     width = measured.half_width()
     assert np.mean(np.abs(error.real) < width) > 0.85
     assert np.mean(np.abs(error.imag) < width) > 0.85
@@ -82,8 +99,7 @@ def test_a_transfer_function_through_the_chirp(flown: list[Dataset], tmp_path: P
     assert not model.system.b[:, :, 1].any()
     assert len(model.transfers) == 1
     omega = np.array([20.0, 40.0])
-    truth = PLANT.at(omega)[:, 0]
-    assert np.abs(np.log(model.transfer().at(omega) / truth)).max() < 0.2
+    assert np.abs(np.log(model.transfer().at(omega) / PLANT.at(omega)[:, 0])).max() < 0.2
     model.save(tmp_path / "tf.json")
     again = load(tmp_path / "tf.json")
     segment = flown[0].segments[0]
@@ -99,8 +115,7 @@ def test_instruments_by_default_find_the_poles_and_no_others(rate_hz: float) -> 
     assert abs(nearest(transfer, 33.3) - 33.3) < 0.2 * 33.3
     assert abs(nearest(transfer, 0.0)) < 2.0
     omega = np.array([20.0])
-    truth = PLANT.at(omega) * hold_response(omega, 1.0 / rate_hz, "none")[:, None]
-    assert np.abs(np.log(transfer.at(omega) / truth[:, 0])).max() < 0.3
+    assert np.abs(np.log(transfer.at(omega) / PLANT.at(omega)[:, 0])).max() < 0.3
 
 
 def test_what_cannot_be_is_said(flown: list[Dataset]) -> None:

@@ -1,0 +1,324 @@
+"""Figures of a loop as engineers quote them, each with its interval, read off a measured response.
+
+Of the closed loop, command to output: bandwidth (-3 dB below its gain at low frequency; and those of handling
+qualities, ADS-33E-PRF 3.3.2.1: 45 degrees of phase margin, 6 dB of gain margin), phase delay, peak. Of the broken loop L: crossover, phase and gain margin, the peak Ms of
+S = 1 / (1 + L), and the disturbance-rejection bandwidth and peak (-3 dB of |S|, largest |S|: Berger et al.,
+2016, J. Am. Helicopter Soc. 61).
+
+Around a frequency looked for, ln G is a parabola in ln omega, fitted to the points nearby by their errors.
+Intervals are of first order (delta method) from the errors of those points and their correlation. What lies
+outside the band that can be trusted is refused in words, never extrapolated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import UsageError
+from flysid.model.frequency.response import MeasuredResponse, measure_response
+from flysid.model.polynomials import Z95, ComplexArray
+
+WINDOW = 0.12
+"""Half width of a parabola's stretch in ln omega, at least."""
+NEIGHBOURS = 5
+DB = 20.0 / np.log(10.0)
+HALF_POWER = np.log(2.0) / 2.0
+
+
+@dataclass(frozen=True)
+class LoopFigure:
+    """One figure.
+
+    Attributes
+    ----------
+    name : e.g. "phase_margin_deg"; the unit is its last word.
+    value, low, high : estimate and 95 % interval; None where the record cannot tell.
+    why : then, why not.
+    """
+
+    name: str
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    why: str = ""
+
+    def __str__(self) -> str:
+        words, _, unit = self.name.rpartition("_")
+        words = words.replace("_", " ")
+        if self.value is None or self.low is None or self.high is None:
+            return f"{words}: {self.why}"
+        unit = {"rads": "rad/s", "ms": "ms", "deg": "deg", "db": "dB"}.get(unit, unit)
+        return f"{words}: {self.value:.3g} {unit} [{self.low:.3g}, {self.high:.3g}]"
+
+    def to_dict(self) -> dict[str, float | str | None]:
+        """JSON types only."""
+        return {"value": self.value, "low": self.low, "high": self.high} | (
+            {"why": self.why} if self.why else {}
+        )
+
+
+def broken_loop(
+    data: Dataset, output: int = 0, *, reference: str, at: str, points: int = 160
+) -> MeasuredResponse:
+    """The response of the loop cut open, L, as measured while it was closed.
+
+    Parameters
+    ----------
+    reference : input of the dataset that drives the loop.
+    at : where it enters. "input": it is added to what the controller gives, and the one other input is their
+        sum u; then L = (r - u) / u, whatever the controller does. "setpoint": the controller sees r - y
+        alone; then L = y / (r - y).
+
+    Raises
+    ------
+    UsageError : no such place, or more than one input where `at` is "input".
+    DataError : as `measure_response`.
+    """
+    names = [s.name for s in data.inputs]
+    if reference not in names:
+        raise UsageError(f"no input is called {reference!r}", hint=f"one of {', '.join(names)}")
+    if at not in ("input", "setpoint"):
+        raise UsageError(f"a reference does not enter at {at!r}", hint="'input' or 'setpoint'")
+    r = names.index(reference)
+    others = [j for j in range(len(names)) if j != r]
+    if at == "input" and len(others) != 1:
+        raise UsageError(f"a loop is cut open at one input, not at {len(others)}")
+    segments = []
+    for segment in data.segments:
+        added = segment.u[:, r]
+        drive = segment.u[:, others[0]] if at == "input" else added - segment.y[:, output]
+        back = added - drive
+        segments.append(replace(segment, u=np.column_stack([drive, added]), y=back[:, None]))
+    inputs = (replace(data.outputs[output], name="drive"), data.inputs[r])
+    outputs = (replace(data.outputs[output], name="loop"),)
+    loop = Dataset(data.dt_s, inputs, outputs, tuple(segments), data.name)
+    return measure_response(loop, reference=[reference], points=points)
+
+
+def loop_figures(loop: MeasuredResponse) -> list[LoopFigure]:
+    """Crossover, margins, sensitivity of a broken loop's response (`broken_loop`)."""
+    return [
+        *_crossing(loop),
+        _gain_margin(loop),
+        *_sensitivity(loop),
+    ]
+
+
+def command_figures(measured: MeasuredResponse, source: int = 0) -> list[LoopFigure]:
+    """Bandwidths, phase delay and peak of a closed loop's response from its command."""
+    curve = _Curve.of(measured, source)
+    if isinstance(curve, str):
+        names = "bandwidth_rads", "peak_db", "bandwidth_phase_rads", "bandwidth_gain_rads", "phase_delay_ms"
+        return [LoopFigure(name, None, why=curve) for name in names]
+    return [_half_power(curve), _peak(curve), *_handling(curve)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Curve:
+    """Trusted points: x = ln omega, ln G (its phase continuous), standard errors, their correlation."""
+
+    x: FloatArray
+    log: ComplexArray
+    error: FloatArray
+    correlation: FloatArray
+
+    @classmethod
+    def of(cls, measured: MeasuredResponse, source: int) -> _Curve | str:
+        """Or why there is none."""
+        inside = np.flatnonzero(measured.trusted(source))
+        if len(inside) < NEIGHBOURS:
+            return "no band can be trusted"
+        g = measured.response[inside, source]
+        phase = np.unwrap(np.angle(g))
+        # the branch in which the first point lies between -270 and 90 degrees
+        phase -= 2.0 * np.pi * np.ceil((phase[0] - np.pi / 2) / (2.0 * np.pi))
+        return cls(
+            np.log(measured.omega[inside]),
+            np.log(np.abs(g)) + 1j * phase,
+            np.maximum(measured.error[inside, source], 1e-9),
+            measured.correlation[source][np.ix_(inside, inside)],
+        )
+
+    def parabola(self, x: float) -> tuple[ComplexArray, FloatArray]:
+        """(value, slope, curvature) of ln G at x, and the (3, 3) covariance of either part."""
+        near = np.abs(self.x - x) <= WINDOW
+        if np.count_nonzero(near) < NEIGHBOURS:
+            near = np.zeros(len(self.x), dtype=bool)
+            near[np.argsort(np.abs(self.x - x))[:NEIGHBOURS]] = True
+        d = self.x[near] - x
+        basis = np.stack([np.ones_like(d), d, d**2 / 2.0], axis=1)
+        weighted = basis / self.error[near, None] ** 2
+        inverse = np.linalg.pinv(basis.T @ weighted)
+        gains = inverse @ weighted.T
+        spread = self.error[near, None] * self.correlation[np.ix_(near, near)] * self.error[near]
+        return gains @ self.log[near], gains @ spread @ gains.T
+
+    def crossings(self, values: FloatArray) -> list[float]:
+        """Where values over x cross 0, by straight lines between points."""
+        at = np.flatnonzero(np.signbit(values[:-1]) != np.signbit(values[1:]))
+        step = values[at] / (values[at] - values[at + 1])
+        return [float(v) for v in self.x[at] + step * (self.x[at + 1] - self.x[at])]
+
+    def smooth(self) -> ComplexArray:
+        """(M,) the parabolas' values at the points."""
+        return np.array([self.parabola(float(v))[0][0] for v in self.x])
+
+
+def _interval(name: str, value: float, error: float, log: bool = False) -> LoopFigure:
+    if log:
+        low, middle, high = np.exp([value - Z95 * error, value, value + Z95 * error])
+        return LoopFigure(name, float(middle), float(low), float(high))
+    return LoopFigure(name, float(value), float(value - Z95 * error), float(value + Z95 * error))
+
+
+def _root(curve: _Curve, start: float, part: Callable[[complex], float]) -> tuple[float, float, float]:
+    """(x, its error, error of the other part there) where a part of the parabola is 0."""
+    x = start
+    for _ in range(5):
+        values, _ = curve.parabola(x)
+        slope = part(values[1])
+        if slope == 0.0:
+            break
+        x = float(np.clip(x - np.clip(part(values[0]) / slope, -0.1, 0.1), curve.x[0], curve.x[-1]))
+    values, spread = curve.parabola(x)
+    slope = part(values[1])
+    own = float(np.sqrt(spread[0, 0]))
+    return x, own / max(abs(slope), 1e-9), own
+
+
+def _real(value: complex) -> float:
+    return float(np.real(value))
+
+
+def _imag(value: complex) -> float:
+    return float(np.imag(value))
+
+
+def _shifted(curve: _Curve, by: complex) -> _Curve:
+    return replace(curve, log=curve.log - by)
+
+
+def _crossing(loop: MeasuredResponse) -> list[LoopFigure]:
+    names = ("crossover_rads", "phase_margin_deg")
+    curve = _Curve.of(loop, 0)
+    if isinstance(curve, str):
+        return [LoopFigure(n, None, why=curve) for n in names]
+    found = curve.crossings(curve.smooth().real)
+    if not found:
+        where = "above" if curve.smooth().real[0] > 0 else "below"
+        why = f"the loop's gain stays {where} 1 wherever it can be trusted"
+        return [LoopFigure(n, None, why=why) for n in names]
+    x, error, own = _root(curve, found[-1], _real)
+    values, _ = curve.parabola(x)
+    margin = 180.0 + np.degrees(values[0].imag)
+    # the phase's own error, and what an error of the crossover adds along the phase's slope
+    spread = np.degrees(np.hypot(own, values[1].imag * error))
+    return [_interval(names[0], x, error, log=True), _interval(names[1], float(margin), float(spread))]
+
+
+def _gain_margin(loop: MeasuredResponse) -> LoopFigure:
+    name = "gain_margin_db"
+    curve = _Curve.of(loop, 0)
+    if isinstance(curve, str):
+        return LoopFigure(name, None, why=curve)
+    shifted = _shifted(curve, -1j * np.pi)
+    found = shifted.crossings(shifted.smooth().imag)
+    if not found:
+        return LoopFigure(
+            name, None, why="the loop's phase does not pass -180 degrees where it can be trusted"
+        )
+    x, error, own = _root(shifted, found[0], _imag)
+    values, _ = shifted.parabola(x)
+    return _interval(name, -DB * values[0].real, DB * float(np.hypot(own, values[1].real * error)))
+
+
+def _sensitivity(loop: MeasuredResponse) -> list[LoopFigure]:
+    """Ms, disturbance-rejection bandwidth and peak from S = 1 / (1 + L)."""
+    names = ("sensitivity_peak_db", "disturbance_rejection_bandwidth_rads")
+    curve = _Curve.of(loop, 0)
+    if isinstance(curve, str):
+        return [LoopFigure(n, None, why=curve) for n in names]
+    value = np.exp(curve.log)
+    s = 1.0 / (1.0 + value)
+    # d ln S = -L / (1 + L) d ln L
+    of_s = replace(
+        curve,
+        log=np.log(np.abs(s)) + 1j * np.unwrap(np.angle(s)),
+        error=curve.error * np.abs(value * s),
+    )
+    peak = replace(_peak(of_s), name=names[0])
+    crossings = _shifted(of_s, -HALF_POWER).crossings(_shifted(of_s, -HALF_POWER).smooth().real)
+    if not crossings:
+        why = "|S| does not pass -3 dB where it can be trusted"
+        return [peak, LoopFigure(names[1], None, why=why)]
+    x, error, _ = _root(_shifted(of_s, -HALF_POWER), crossings[0], _real)
+    return [peak, _interval(names[1], x, error, log=True)]
+
+
+def _peak(curve: _Curve) -> LoopFigure:
+    name, level = "peak_db", curve.smooth().real
+    top = int(np.argmax(level))
+    if top in (0, len(level) - 1):
+        return LoopFigure(name, None, why="its highest point lies at the edge of what can be trusted")
+    values, spread = curve.parabola(float(curve.x[top]))
+    apex = values[0].real - values[1].real ** 2 / min(2.0 * values[2].real, -1e-9)
+    return _interval(name, DB * float(apex), DB * float(np.sqrt(spread[0, 0])))
+
+
+def _half_power(curve: _Curve) -> LoopFigure:
+    """-3 dB below the gain at the band's low end, which must be flat there."""
+    name = "bandwidth_rads"
+    low = curve.parabola(float(curve.x[0]))[0]
+    if abs(low[1].real) > 0.5:
+        return LoopFigure(name, None, why="the gain is not flat at the lowest frequency that can be trusted")
+    shifted = _shifted(curve, low[0].real - HALF_POWER)
+    found = shifted.crossings(shifted.smooth().real)
+    if not found:
+        return LoopFigure(name, None, why="the gain does not fall by 3 dB where it can be trusted")
+    x, error, own = _root(shifted, found[0], _real)
+    start = float(np.sqrt(curve.parabola(float(curve.x[0]))[1][0, 0]))
+    return _interval(name, x, error * float(np.hypot(1.0, start / max(own, 1e-12))), log=True)
+
+
+def _handling(curve: _Curve) -> list[LoopFigure]:
+    """ADS-33: bandwidth by phase, bandwidth by gain, phase delay."""
+    names = ("bandwidth_phase_rads", "bandwidth_gain_rads", "phase_delay_ms")
+    figures: list[LoopFigure] = []
+    at_135 = _shifted(curve, -0.75j * np.pi)
+    found = at_135.crossings(at_135.smooth().imag)
+    if found:
+        x, error, _ = _root(at_135, found[0], _imag)
+        figures.append(_interval(names[0], x, error, log=True))
+    else:
+        figures.append(LoopFigure(names[0], None, why="the phase does not pass -135 degrees where trusted"))
+    at_180 = _shifted(curve, -1j * np.pi)
+    turned = at_180.crossings(at_180.smooth().imag)
+    if not turned:
+        why = "the phase does not pass -180 degrees where trusted"
+        return [*figures, *(LoopFigure(n, None, why=why) for n in names[1:])]
+    x180, error180, own180 = _root(at_180, turned[0], _imag)
+    level = curve.parabola(x180)[0]
+    raised = _shifted(curve, level[0].real + np.log(10.0) * 6.0 / 20.0)
+    six = [v for v in raised.crossings(raised.smooth().real) if v < x180]
+    if six:
+        x, error, own = _root(raised, six[-1], _real)
+        there = float(np.hypot(own180, level[1].real * error180))
+        wider = error * float(np.hypot(1.0, there / max(own, 1e-12)))
+        figures.append(_interval(names[1], x, wider, log=True))
+    else:
+        figures.append(LoopFigure(names[1], None, why="the gain is not 6 dB higher where trusted"))
+    twice = x180 + np.log(2.0)
+    if twice > curve.x[-1]:
+        why = "twice the frequency of -180 degrees lies beyond what can be trusted"
+        return [*figures, LoopFigure(names[2], None, why=why)]
+    values, spread = curve.parabola(twice)
+    omega = np.exp(x180)
+    fall = -np.pi - values[0].imag
+    slope = abs(values[1].imag) * error180 + fall * error180
+    delay = fall / (2.0 * omega)
+    error = float(np.hypot(np.sqrt(spread[0, 0]), slope) / (2.0 * omega))
+    return [*figures, _interval(names[2], 1e3 * float(delay), 1e3 * error)]

@@ -1,0 +1,90 @@
+"""Figures of loops against their closed form, and refusals where a record cannot tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from bench.closed_loop import Loop, direct
+from bench.loop_margins import flown, truth
+from flysid.dataset import Dataset
+from flysid.errors import UsageError
+from flysid.model.frequency.loop_figures import broken_loop, command_figures, loop_figures
+from flysid.model.frequency.response import measure_response
+from flysid.model.transfer_function import TF
+from flysid.validate.condition import matching_channels
+from flysid.validate.transfers import figures_document, identify_channel
+
+
+def test_margins_of_an_integrator_with_dead_time() -> None:
+    true = truth()
+    found = {f.name: f for f in loop_figures(broken_loop(flown(3), reference="r", at="input"))}
+    assert set(found) == set(true)
+    for name, right in true.items():
+        figure = found[name]
+        assert figure.value is not None
+        assert figure.low is not None
+        assert figure.high is not None
+        assert figure.low < figure.value < figure.high
+        assert abs(figure.value - right) < 2.0 * (figure.high - figure.low)
+    assert found["phase_margin_deg"].value == pytest.approx(true["phase_margin_deg"], abs=1.0)
+    assert found["crossover_rads"].value == pytest.approx(true["crossover_rads"], rel=0.02)
+
+
+def test_the_same_loop_from_its_setpoint() -> None:
+    """u = r - y: the reference may as well be called a setpoint; L is the same."""
+    data = flown(4)
+    added = broken_loop(data, reference="r", at="input")
+    named = broken_loop(data, reference="r", at="setpoint")
+    np.testing.assert_allclose(added.response, named.response, rtol=1e-9)
+
+
+def test_bandwidth_of_a_second_order_loop() -> None:
+    """9 rad/s, damping 0.5: -3 dB at 11.4 rad/s, peak 1.25 dB; the phase stays above -180 degrees."""
+    rng = np.random.default_rng(0)
+    dt_s, omega = 0.01, 9.0
+    n = 8000
+    u = np.repeat(rng.standard_normal(n // 20), 20)
+    s = omega * np.array([-0.5 + 1j * np.sqrt(0.75), -0.5 - 1j * np.sqrt(0.75)])
+    a = np.real(np.poly(np.exp(s * dt_s)))
+    y = np.asarray(lfilter([0.0, a.sum() / 2, a.sum() / 2], a, u)) + 0.01 * rng.standard_normal(n)
+    found = {f.name: f for f in command_figures(measure_response(Dataset.from_arrays(u, y, dt_s)))}
+    assert found["bandwidth_rads"].value == pytest.approx(omega * 1.272, rel=0.05)
+    assert found["peak_db"].value == pytest.approx(1.25, abs=0.3)
+
+
+def test_a_record_that_cannot_tell_is_refused() -> None:
+    data = Loop(0.2, rate_hz=100.0, seconds=30.0).flown(1)
+    alone = direct(data)
+    with pytest.raises(UsageError, match="margins belong to the loop cut open"):
+        identify_channel("rate", alone, TF(poles=1, zeros=0, dead_time_s=0.0), "setpoint")
+    with pytest.raises(UsageError, match="no input is called 'chirp'"):
+        broken_loop(alone, reference="chirp", at="input")
+    quiet = Dataset.from_arrays(
+        [s.u * [1.0, 1e-4] for s in data.segments],
+        [s.y for s in data.segments],
+        data.dt_s,
+        inputs=["u", "chirp"],
+    )
+    rng = np.random.default_rng(0)
+    noise = Dataset.from_arrays(
+        [np.column_stack([s.u[:, 0], rng.standard_normal(len(s))]) for s in quiet.segments],
+        [s.y for s in quiet.segments],
+        data.dt_s,
+        inputs=["u", "r"],
+    )
+    figures = loop_figures(broken_loop(noise, reference="r", at="setpoint"))
+    assert all(f.value is None and f.why for f in figures if "margin" in f.name)
+
+
+def test_figures_guard_a_pipeline() -> None:
+    data = Loop(0.1, rate_hz=100.0).flown(2)
+    channel = identify_channel("rate", data, TF(poles=2, zeros=0, reference=["chirp"]), "input")
+    assert "loop: crossover: " in "\n".join(channel.lines())
+    document = figures_document([channel])
+    margin = channel.to_dict()["figures"]["loop"]["phase_margin_deg"]
+    assert margin["low"] < margin["value"] < margin["high"]
+    assert matching_channels(f"loop.phase_margin_deg.low < {margin['low'] + 1.0}", document) == {"rate": ""}
+    assert matching_channels(f"loop.phase_margin_deg.high < {margin['low']}", document) == {}
+    assert matching_channels("command.bandwidth_rads.value < 0", document)  # not to be told: a guard fails
