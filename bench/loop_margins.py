@@ -1,8 +1,8 @@
 """Loop figures with intervals against their closed form: an integrator with a dead time.
 
 `python -m bench.loop_margins [runs] [first seed]`: the loop 20 / s e^(-0.03 s), held for 5 ms, closed, with a
-multisine of 60 s added at the plant's input and noise at 30 dB below the output. Prints errors and coverage of
-the 95 % intervals.
+multisine of 60 s added at the plant's input and noise at 30 dB below the output. Prints errors and coverage
+of the 95 % intervals.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def main(runs: int, first: int) -> None:
     print(f"| figure | truth | median | largest error | interval holds, % of {runs} | refused |")
     for name, right in true.items():
         found = np.array([v for v, _ in values[name]] or [np.nan])
-        holds = 100.0 * np.mean([h for _, h in values[name]] or [np.nan])
+        holds = 100.0 * float(np.mean([h for _, h in values[name]] or [False]))
         worst = np.abs(found - right).max()
         print(
             f"| {name} | {right:.3f} | {np.median(found):.3f} | {worst:.3f} | {holds:.1f} | {refused[name]} |"

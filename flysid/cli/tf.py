@@ -54,8 +54,8 @@ def _auto_or(kind: type) -> Any:
     default="",
     type=click.Choice(["", "input", "setpoint"]),
     metavar="PLACE",
-    help="Where it enters, for margins: input (added to the controller's output) or setpoint (of a controller "
-    "that sees the difference alone).",
+    help="Where it enters, for margins: input (added to the controller's output) or setpoint (the controller "
+    "sees the difference alone).",
 )
 @click.option(
     "--fail-if", "condition", help="Exit with 4 where this holds: 'loop.phase_margin_deg.low < 45'."

@@ -1,9 +1,9 @@
 """Figures of a loop as engineers quote them, each with its interval, read off a measured response.
 
 Of the closed loop, command to output: bandwidth (-3 dB below its gain at low frequency; and those of handling
-qualities, ADS-33E-PRF 3.3.2.1: 45 degrees of phase margin, 6 dB of gain margin), phase delay, peak. Of the broken loop L: crossover, phase and gain margin, the peak Ms of
-S = 1 / (1 + L), and the disturbance-rejection bandwidth and peak (-3 dB of |S|, largest |S|: Berger et al.,
-2016, J. Am. Helicopter Soc. 61).
+qualities, ADS-33E-PRF 3.3.2.1: 45 degrees of phase margin, 6 dB of gain margin), phase delay, peak. Of the
+broken loop L: crossover, phase and gain margin, the peak of S = 1 / (1 + L), and the bandwidth of disturbance
+rejection (-3 dB of |S|: Berger et al., 2016, J. Am. Helicopter Soc. 61).
 
 Around a frequency looked for, ln G is a parabola in ln omega, fitted to the points nearby by their errors.
 Intervals are of first order (delta method) from the errors of those points and their correlation. What lies
