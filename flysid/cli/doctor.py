@@ -12,7 +12,7 @@ import click
 from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.display import Display, progress_options
 from flysid.cli.ls import clock_text
-from flysid.cli.output import REASONS_SHOWN, aligned, say, say_passed_over
+from flysid.cli.output import REASONS_SHOWN, aligned, counted, say, say_passed_over
 from flysid.cli.source import format_option, time_unit_option
 from flysid.progress import tell
 
@@ -121,7 +121,7 @@ def lost_text(damage: Damage) -> str:
     """Losses in a few words: in the file, then before it was written."""
     parts = []
     if damage.bytes_skipped:
-        parts.append(f"{damage.bytes_skipped:,} bytes in {damage.region_count:,} places")
+        parts.append(f"{counted(damage.bytes_skipped, 'byte')} in {counted(damage.region_count, 'place')}")
     if damage.truncated:
         parts.append("end cut off")
     for count, words in (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from flysid.cli.source import format_option, opened_flights
+from flysid.cli.source import Words, opened_flights, reading_options
 from flysid.errors import UsageError
 
 KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
@@ -31,7 +31,7 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
     help="One table on a grid of this many rows a second; of a transfer function: steps a second.",
 )
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="File, or folder for several tables.")
-@format_option
+@reading_options
 @click.option(
     "--c", "c_folder", type=click.Path(path_type=Path), metavar="DIR", help="A model as C99, into DIR."
 )
@@ -56,7 +56,7 @@ def command(
     rate_hz: float | None,
     out: Path | None,
     force: bool,
-    format_: str,
+    told: Words,
     c_folder: Path | None,
     fmu: Path | None,
     matlab: Path | None,
@@ -93,7 +93,7 @@ def command(
             "--channel, --model and --float32 are for a model",
             hint="add --c DIR, --fmu F.fmu or --matlab DIR",
         )
-    export_flight(source, streams, kind, flight, rate_hz, out, force, format_)
+    export_flight(source, streams, kind, flight, rate_hz, out, force, told)
 
 
 def export_flight(
@@ -104,14 +104,14 @@ def export_flight(
     rate_hz: float | None,
     out: Path | None,
     force: bool,
-    format_: str,
+    told: Words,
 ) -> None:
     """Write the streams of one flight."""
     from flysid.cli.output import check_target
     from flysid.ingest.lake.export import GRID, export_tables, gridded_table, physical_tables
     from flysid.ingest.lake.selection import Selection, select
 
-    with opened_flights(source, format_) as lake:
+    with opened_flights(source, told) as lake:
         logs = select(lake, Selection(flights=(flight,) if flight else ())).logs
         if len(logs) != 1:
             raise UsageError(

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.source import flight_options, format_option, opened_flights
+from flysid.cli.source import flight_options, opened_flights, reading_options
 
 if TYPE_CHECKING:
+    from flysid.cli.source import Words
     from flysid.ingest.lake.lake import StoredLog
     from flysid.ingest.lake.selection import Selection
     from flysid.ingest.lake.timeline import Curve
@@ -31,7 +32,7 @@ PAIRS = ("attitude", "rate", "velocity")
 )
 @click.option("--term", is_flag=True, help="Draw in the terminal.")
 @click.option("--open/--no-open", "show", default=False, help="Open the page in the browser.")
-@format_option
+@reading_options
 @click.option("--force", is_flag=True, help="Replace the file if it is there.")
 def command(
     source: Path,
@@ -43,7 +44,7 @@ def command(
     term: bool,
     show: bool,
     force: bool,
-    format_: str,
+    told: Words,
 ) -> None:
     """Plot fields of a log, or of flights of an ingested folder, over time.
 
@@ -64,7 +65,7 @@ def command(
     target = out or Path(f"{source.name or 'flights'}.html".replace("/", "_"))
     if not term:
         check_target(target, force)
-    with opened_flights(source, format_) as lake:
+    with opened_flights(source, told) as lake:
         timelines = [
             lay_out(log, choose_curves(log, fields, pair, recipe)) for log in select(lake, selection).logs
         ]

@@ -14,6 +14,7 @@ import click
 from flysid.cli.losses import losses
 from flysid.cli.ls import clock_text
 from flysid.cli.output import aligned, counted, printable, say
+from flysid.cli.source import Words, opened_flights, reading_options
 from flysid.errors import StoreError, UsageError
 
 if TYPE_CHECKING:
@@ -32,8 +33,16 @@ HEADINGS = ("COLUMN", "TYPE", "UNIT", "SCALE", "MIN", "MEAN", "MAX", "MISSING", 
 @click.option("--params", is_flag=True, help="Print the parameters as the log leaves them.")
 @click.option("--events", is_flag=True, help="Print modes, messages and parameter changes, in order.")
 @click.option("--track", is_flag=True, help="Print the positions as CSV.")
+@reading_options
 def command(
-    source: Path, names: tuple[str, ...], as_json: bool, rows: int, params: bool, events: bool, track: bool
+    source: Path,
+    names: tuple[str, ...],
+    as_json: bool,
+    rows: int,
+    params: bool,
+    events: bool,
+    track: bool,
+    told: Words,
 ) -> None:
     """Show one flight, or one stream of it: columns with units and ranges, rates, what was lost.
 
@@ -44,12 +53,11 @@ def command(
     flysid show flight.bin ATT
     flysid show data 0042 --params
     """
-    from flysid.cli.source import opened_flights
     from flysid.ingest.lake.selection import Selection, select
 
     if params + events + track > 1:
         raise UsageError("--params, --events and --track are one at a time", hint="run it once for each")
-    with opened_flights(source) as lake:
+    with opened_flights(source, told) as lake:
         flight, stream = _split(str(source), names, [facts.id for facts in lake.facts])
         [log] = select(lake, Selection(flights=(flight,))).logs
         if params:

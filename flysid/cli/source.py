@@ -84,6 +84,18 @@ def words_options(function: F) -> F:
     return function
 
 
+def reading_options(function: F) -> F:
+    """Adds --format and --time-unit; the verb takes them as one `told`."""
+
+    @wraps(function)
+    def verb(*args: Any, format_: str, time_unit: str, **options: Any) -> Any:
+        return function(*args, told=Words("", (), (), None, time_unit, format_), **options)
+
+    decorated: Any = time_unit_option(format_option(verb))
+    chosen: F = decorated
+    return chosen
+
+
 def flight_options(function: F) -> F:
     """Adds --flight, --exclude, --vehicle and --pool; the verb takes them as one `selection`."""
     return _selecting(function, stretches=False)
@@ -182,12 +194,8 @@ def opened(
     """
     if words.recipe and (words.inputs or words.outputs or words.dt is not None):
         raise UsageError("--recipe says what --from, --to and --dt would", hint="leave out one or the other")
-    if (words.time_unit or words.format) and data.is_dir():
-        raise UsageError(
-            "what is ingested has its format and times already",
-            path=data,
-            hint="flysid ingest --format, or --time-unit, reads a log again",
-        )
+    if data.is_dir():
+        _refuse_reading_again(data, words)
     from flysid.ingest.lake.lake import open as open_lake
     from flysid.ingest.lake.selection import require_one_vehicle, select
 
@@ -222,23 +230,34 @@ def require_fit(lake: Lake, recipe: str) -> None:
 
 
 @contextmanager
-def opened_flights(source: Path, format_: str = "") -> Iterator[Lake]:
+def opened_flights(source: Path, told: Words | None = None) -> Iterator[Lake]:
     """The flights of an ingested folder, of a log, or of a folder of logs; logs are read for this block only.
 
     Raises
     ------
-    UsageError : there is no such file or folder, or no log in it.
+    UsageError : there is no such file or folder, or no log in it; a unit of time for an ingested folder.
     FormatError : nothing of a log can be read.
     """
     from flysid.ingest.lake.lake import open as open_lake
     from flysid.manifest import DATA_FILE
 
+    words = told or Words("", (), (), None)
     if (source / DATA_FILE).is_file():
+        _refuse_reading_again(source, words)
         yield open_lake(source)
         return
     with TemporaryDirectory() as folder:
-        words = Words("", (), (), None, format=format_)
         yield open_lake(_taken_in(source, Path(folder) / "data", words, quiet=True))
+
+
+def _refuse_reading_again(data: Path, words: Words) -> None:
+    """Raise UsageError where words say how to read what has been read."""
+    if words.time_unit or words.format:
+        raise UsageError(
+            "what is ingested has its format and times already",
+            path=data,
+            hint="flysid ingest --format, or --time-unit, reads a log again",
+        )
 
 
 def is_log(data: Path) -> bool:

@@ -394,6 +394,7 @@ def _too_short(report: AlignReport, min_samples: int) -> DataError:
     short = sum(f.short_segments for f in report.flights)
     return DataError(
         f"channel {report.channel!r}: no segment of {min_samples} samples at {report.rate_hz:.4g} Hz; "
-        f"{short} shorter ones were dropped" + (f" ({reasons})" if reasons else ""),
+        f"{short} shorter {'one was' if short == 1 else 'ones were'} dropped"
+        + (f" ({reasons})" if reasons else ""),
         hint="fly longer without pauses in the log, or lower min_segment_s in the recipe",
     )

@@ -78,7 +78,7 @@ def require_one_vehicle(lake: Lake) -> None:
         return
     told = "; ".join(f"{name}: {_counted(ids)}" for name, ids in list(known.items())[:SHOWN])
     more = f"; and {len(known) - SHOWN} more" if len(known) > SHOWN else ""
-    example = _shortest(next(iter(known)), list(known))
+    example = _shortest(max(known, key=lambda name: len(known[name])), list(known))
     raise UsageError(
         f"flights of {len(known)} vehicles: {told}{more}",
         path=lake.folder,

@@ -146,7 +146,7 @@ def find_fields(log: Log, patterns: Sequence[str]) -> list[tuple[str, str]]:
         base = element[1] if element else pattern
         hits: dict[str, list[str]] = {}
         for stream, column in _columns(log):
-            if _is_named(base, stream, column):
+            if any(_is_named(base, stream, name) for name in (column, _column(column))):
                 hits.setdefault(stream, []).append(column)
         fields = [(s, f) for s, columns in hits.items() for f in _numbers(log, s, columns)]
         if element:
@@ -218,16 +218,17 @@ def _nothing(pattern: str, log: Log) -> UsageError:
 
 
 def _column(field: str) -> str:
+    """The name without the number of an element."""
     match = _ELEMENT.match(field)
     return match[1] if match else field
 
 
 def _read_field(log: Log, stream: str, field: str) -> Curve:
     """Samples of one field, in the unit that the log states; boots kept apart, each in order of time."""
-    name = _column(field)
+    name = field if field in log.columns(stream) else _column(field)
     table = log.table(stream, [TIME, BOOT, name])
     column = table.schema.field(name)
-    values = numbers_of(table[name].combine_chunks(), field) * field_scale(column)
+    values = numbers_of(table[name].combine_chunks(), "" if name == field else field) * field_scale(column)
     boots = table[BOOT].to_numpy()
     times_ns = table[TIME].to_numpy()
     samples = {}

@@ -146,6 +146,9 @@ def test_a_time_in_two_possible_units_is_asked_for_on_every_verb(tmp_path: Path)
         ["ingest", str(path), "-o", str(tmp_path / "data")],
         ["tf", str(path), *words],
         ["fit", str(path), *words, "-m", "arx", "-o", run],
+        ["show", str(path)],
+        ["plot", str(path), "table.u", "-o", str(tmp_path / "u.html")],
+        ["export", str(path), "-o", str(tmp_path / "u.csv")],
     )
     for verb in verbs:
         asked = CliRunner().invoke(root, verb, standalone_mode=False)
@@ -156,8 +159,9 @@ def test_a_time_in_two_possible_units_is_asked_for_on_every_verb(tmp_path: Path)
         CliRunner().invoke(root, [*verbs[1], "--time-unit", unit], standalone_mode=False)
         (flight,) = flysid.open(tmp_path / "data").flights
         assert flight.duration_s == pytest.approx(length_s)
-    told = CliRunner().invoke(root, [*verbs[2], "--time-unit", "ms", "-q"], standalone_mode=False)
-    assert told.exception is None
+    for verb in ([*verbs[2], "-q"], *verbs[4:]):
+        told = CliRunner().invoke(root, [*verb, "--time-unit", "ms"], standalone_mode=False)
+        assert told.exception is None
     with pytest.raises(UsageError, match="has its format and times already"):
         CliRunner().invoke(
             root,

@@ -51,6 +51,16 @@ def test_patterns_name_streams_fields_and_elements() -> None:
     np.testing.assert_array_equal(curve.boots[0].x, np.arange(2.0, 800.0, 4.0))
 
 
+def test_columns_whose_own_names_have_brackets_are_named_like_elements() -> None:
+    columns = {f"gyroADC[{axis}]": pa.array(T + axis) for axis in range(3)}
+    log = flight(main=table(T, **columns))
+    assert find_fields(log, ["main.gyroADC[1]"]) == [("main", "gyroADC[1]")]
+    assert find_fields(log, ["main.gyro*[2]"]) == [("main", "gyroADC[2]")]
+    assert find_fields(log, ["main.gyroADC"]) == [("main", name) for name in columns]
+    [[curve]] = read_fields(log, ["main.gyroADC[1]"])
+    np.testing.assert_array_equal(curve.boots[0].x, T + 1)
+
+
 @pytest.mark.parametrize(
     ("pattern", "near"), [("ATT.Rol", "ATT.Roll"), ("ATX.Roll", "ATT.Roll"), ("ATT.Mode", "ATT")]
 )
