@@ -6,9 +6,10 @@ import asyncio
 import contextlib
 import json
 from collections.abc import AsyncIterator, Callable
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 from starlette.applications import Starlette
@@ -21,129 +22,139 @@ from starlette.staticfiles import StaticFiles
 
 import flysid
 from flysid.errors import FlysidError, UsageError, WriteError
-from flysid.studio import commands, explain, uploads
-from flysid.studio.channels import Asked, Recipes, aligned
-from flysid.studio.flights import Flights, Window
+from flysid.studio import commands, forms
 from flysid.studio.guard import Bounds, Guard, Key
 from flysid.studio.jobs import Job, Jobs
 from flysid.studio.places import NotThere, Workspace
-from flysid.studio.runs import describe_run, list_runs, model_of, page_of
+
+if TYPE_CHECKING:
+    from flysid.studio.channels import Recipes
+    from flysid.studio.flights import Flights
 
 FRAME_POLICY = "sandbox allow-scripts; frame-ancestors 'self'"
 SILENCE_S = 10.0  # an event stream says something at least this often
 Form = TypeVar("Form")
 
 
-class Listing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Words that a flight's facts must hold, and how many flights to list."""
-
-    q: str = ""
-    most: int = 500
-
-
-class Nothing(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """No query at all."""
-
-
 class Studio:
-    """The handlers; each answers one route."""
+    """The handlers; each answers one route.
+
+    What reads tables or models is imported by the first request that needs it: the address answers at once.
+    """
 
     def __init__(self, workspace: Workspace, cache: Path) -> None:
         self.workspace = workspace
-        self.flights = Flights(workspace.data, cache)
-        self.recipes = Recipes(workspace.recipes)
         self.jobs = Jobs(workspace.jobs)
+        self._cache = cache
+
+    @cached_property
+    def flights(self) -> Flights:
+        from flysid.studio.flights import Flights
+
+        return Flights(self.workspace.data, self._cache)
+
+    @cached_property
+    def recipes(self) -> Recipes:
+        from flysid.studio.channels import Recipes
+
+        return Recipes(self.workspace.recipes)
 
     async def about(self, request: Request) -> Response:
-        query_of(request, Nothing)
+        query_of(request, forms.Nothing)
         data = str(self.workspace.data)
         return answer({"version": flysid.__version__, "data": data, "folder": str(self.workspace.folder)})
 
     async def list_flights(self, request: Request) -> Response:
-        asked = query_of(request, Listing)
+        asked = query_of(request, forms.Listing)
         return answer(await run_in_threadpool(self.flights.listing, asked.q, asked.most))
 
     async def describe_flight(self, request: Request) -> Response:
-        query_of(request, Nothing)
+        query_of(request, forms.Nothing)
         return answer(await run_in_threadpool(self.flights.describe, request.path_params["flight"]))
 
     async def track(self, request: Request) -> Response:
-        query_of(request, Nothing)
+        query_of(request, forms.Nothing)
         return answer(await run_in_threadpool(self.flights.track, request.path_params["flight"]))
 
     async def series(self, request: Request) -> Response:
-        body = await run_in_threadpool(self.flights.series, query_of(request, Window))
+        body = await run_in_threadpool(self.flights.series, query_of(request, forms.Window))
         return Response(body, media_type="application/octet-stream")
 
     async def suggest(self, request: Request) -> Response:
         """The suggestions for a flight where they are known, else the job that finds them."""
-        query_of(request, Nothing)
+        query_of(request, forms.Nothing)
         flight = request.path_params["flight"]
         await run_in_threadpool(self.flights.describe, flight)
         return answer(await run_in_threadpool(commands.suggestions, self.jobs, self.workspace, flight))
 
     async def align(self, request: Request) -> Response:
-        asked = query_of(request, Asked)
+        from flysid.studio.channels import aligned
+
+        asked = query_of(request, forms.Aligned)
         return answer(await run_in_threadpool(aligned, self.workspace, self.recipes, asked))
 
     async def list_recipes(self, request: Request) -> Response:
-        query_of(request, Nothing)
+        query_of(request, forms.Nothing)
         return answer({"recipes": await run_in_threadpool(self.recipes.listing)})
 
     async def recipe(self, request: Request) -> Response:
-        query_of(request, Nothing)
+        query_of(request, forms.Nothing)
         name = request.path_params["name"]
         if request.method == "PUT":
             return answer(self.recipes.write(name, await body_of(request, dict[str, Any])))
         return answer(self.recipes.read(name))
 
     async def upload(self, request: Request) -> Response:
-        """Keep a log; its quick look, and the job that takes it in."""
-        asked = query_of(request, commands.Upload)
+        """Keep a log; the job that takes it in."""
+        from flysid.studio.uploads import keep_upload
+
+        asked = query_of(request, forms.Upload)
         length = int(request.headers["content-length"])
-        path = await uploads.keep_upload(self.workspace.uploads, asked.name, request.stream(), length)
+        path = await keep_upload(self.workspace.uploads, asked.name, request.stream(), length)
         job = self.jobs.add(*commands.ingest(self.workspace, path, asked))
         return answer({"job": told(job), "upload": path.parent.name, "name": path.name}, 202)
 
     async def quick_look(self, request: Request) -> Response:
-        query_of(request, Nothing)
+        from flysid.studio.uploads import quick_look
+
+        query_of(request, forms.Nothing)
         folder = self.workspace.uploads / request.path_params["upload"]
         found = [p for p in folder.glob("*") if not p.name.startswith(".")] if folder.is_dir() else []
         if folder.parent != self.workspace.uploads or not found:
             raise NotThere(f"no upload {folder.name!r}")
-        return answer(await run_in_threadpool(uploads.quick_look, found[0]))
+        return answer(await run_in_threadpool(quick_look, found[0]))
 
     async def fit(self, request: Request) -> Response:
-        asked = await body_of(request, commands.Fit)
+        asked = await body_of(request, forms.Fit)
         words, run, then = commands.fit(self.workspace, self.recipes, asked)
         if asked.preview:
             return answer({"command": commands.shown(words), "then": commands.shown(then)})
         return answer(told(self.jobs.add(words, "fit", {"run": str(run)}, then)), 202)
 
     async def validate(self, request: Request) -> Response:
-        asked = await body_of(request, commands.Validate)
+        asked = await body_of(request, forms.Validate)
         words, run = commands.validate(self.workspace, asked)
         if asked.preview:
             return answer({"command": commands.shown(words)})
         return answer(told(self.jobs.add(words, "fit", {"run": str(run)})), 202)
 
     async def compare(self, request: Request) -> Response:
-        asked = await body_of(request, commands.Compare)
+        asked = await body_of(request, forms.Compare)
         words, out = commands.compare(self.workspace, asked)
         if asked.preview:
             return answer({"command": commands.shown(words)})
         return answer(told(self.jobs.add(words, "fit", {"comparison": out.name})), 202)
 
     async def comparison_page(self, request: Request) -> Response:
-        query_of(request, Nothing)
+        query_of(request, forms.Nothing)
         return _page(commands.comparison_page(self.workspace, request.path_params["name"]))
 
     async def list_jobs(self, request: Request) -> Response:
-        query_of(request, Nothing)
+        query_of(request, forms.Nothing)
         return answer({"jobs": [told(job) for job in self.jobs.listing()]})
 
     async def job(self, request: Request) -> Response:
-        query_of(request, Nothing)
+        query_of(request, forms.Nothing)
         job_id = request.path_params["job"]
         if request.method == "DELETE":
             await run_in_threadpool(self.jobs.cancel, job_id)
@@ -153,7 +164,7 @@ class Studio:
 
     async def job_events(self, request: Request) -> Response:
         """The job's log and states as server-sent events; `Last-Event-ID` resumes."""
-        query_of(request, Nothing)
+        query_of(request, forms.Nothing)
         job_id = request.path_params["job"]
         self.jobs.get(job_id)
         seen = request.headers.get("last-event-id", "0")
@@ -180,24 +191,34 @@ class Studio:
         yield f"event: ended\ndata: {json.dumps(told(self.jobs.get(job_id)))}\n\n"
 
     async def list_runs(self, request: Request) -> Response:
-        query_of(request, Nothing)
+        from flysid.studio.runs import list_runs
+
+        query_of(request, forms.Nothing)
         return answer(await run_in_threadpool(list_runs, self.workspace))
 
     async def describe_run(self, request: Request) -> Response:
-        query_of(request, Nothing)
+        from flysid.studio.runs import describe_run
+
+        query_of(request, forms.Nothing)
         return answer(await run_in_threadpool(describe_run, self.workspace, request.path_params["run"]))
 
     async def explanation(self, request: Request) -> Response:
-        asked = query_of(request, explain.Asked)
+        from flysid.studio.explain import explain
+
+        asked = query_of(request, forms.Explained)
         run = request.path_params["run"]
-        return answer(await run_in_threadpool(explain.explain, self.workspace, run, asked))
+        return answer(await run_in_threadpool(explain, self.workspace, run, asked))
 
     async def run_page(self, request: Request) -> Response:
-        query_of(request, Nothing)
+        from flysid.studio.runs import page_of
+
+        query_of(request, forms.Nothing)
         return _page(page_of(self.workspace, request.path_params["run"]))
 
     async def model(self, request: Request) -> Response:
-        query_of(request, Nothing)
+        from flysid.studio.runs import model_of
+
+        query_of(request, forms.Nothing)
         where = request.path_params
         body = model_of(self.workspace, where["run"], where["channel"], where["label"])
         return Response(body, media_type="application/json")

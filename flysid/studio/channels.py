@@ -6,7 +6,6 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import tomli_w
 
 from flysid.dataset import Dataset
@@ -14,8 +13,10 @@ from flysid.errors import RecipeError, StoreError, UsageError
 from flysid.files import slug, write_atomically
 from flysid.ingest.align.recipe import load_recipe, parse_recipe, recipe_text, shipped_recipes
 from flysid.ingest.lake.lake import open as open_lake
+from flysid.ingest.lake.stretches import beginnings
 from flysid.manifest import FLIGHTS, read_manifest
 from flysid.studio.flights import boot_offsets_s
+from flysid.studio.forms import Aligned
 from flysid.studio.places import NotThere, Workspace
 from flysid.validate.report.decimate import decimate, rounded
 
@@ -99,16 +100,10 @@ def _as_toml(form: object) -> str:
         raise RecipeError(f"wrong value: {error}") from error
 
 
-class Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One channel of one flight by one recipe."""
-
-    f: str
-    r: str
-    ch: str
-
-
-def aligned(workspace: Workspace, recipes: Recipes, asked: Asked) -> dict[str, Any]:
+def aligned(workspace: Workspace, recipes: Recipes, asked: Aligned) -> dict[str, Any]:
     """The segments of a channel in one flight, and their signals thinned to what a page can show.
+
+    `beginning_s` is the zero of the times that `--between` takes.
 
     Raises
     ------
@@ -119,6 +114,7 @@ def aligned(workspace: Workspace, recipes: Recipes, asked: Asked) -> dict[str, A
         raise NotThere(f"no flight {asked.f!r}", path=workspace.data)
     found = lake.align(load_recipe(recipes.place(asked.r)), asked.ch)
     offsets = boot_offsets_s(read_manifest(workspace.data / FLIGHTS / asked.f))
+    starts_s = [ns * 1e-9 + offsets.get(boot, 0.0) for boot, ns in beginnings(lake.logs[0]).items()]
     data = found.dataset
     return {
         "flight": asked.f,
@@ -129,6 +125,7 @@ def aligned(workspace: Workspace, recipes: Recipes, asked: Asked) -> dict[str, A
         "signals": [[s.name, s.unit] for s in (*data.inputs, *data.outputs)],
         "lines": found.report.lines(),
         "used_s": found.report.used_s,
+        "beginning_s": min(starts_s, default=0.0),
     }
 
 

@@ -6,62 +6,16 @@ import json
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-import msgspec
+from typing import TYPE_CHECKING, Any
 
 from flysid.errors import UsageError
 from flysid.files import slug
-from flysid.studio.channels import Recipes
-from flysid.studio.jobs import Job, Jobs, Lane
+from flysid.studio.forms import Compare, Fit, Upload, Validate
+from flysid.studio.jobs import Jobs, Lane
 from flysid.studio.places import NotThere, Workspace
-from flysid.validate.judge import PAGE
 
-
-class Upload(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A log that is dropped: its name, and what its bytes do not tell."""
-
-    name: str
-    format: str = ""
-    time_unit: str = ""
-
-
-class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The settings of a fit, named as the command's options; empty ones are left to the command.
-
-    `inputs` and `outputs` are STREAM.FIELD and take the place of a recipe. `name` is the run's.
-    """
-
-    recipe: str = ""
-    inputs: tuple[str, ...] = ()
-    outputs: tuple[str, ...] = ()
-    channels: tuple[str, ...] = ()
-    flights: tuple[str, ...] = ()
-    exclude: tuple[str, ...] = ()
-    between: tuple[str, ...] = ()
-    models: str = ""
-    rules: str = ""
-    effort: str = ""
-    holdout: float | None = None
-    by: str = ""
-    seed: int | None = None
-    name: str = ""
-    preview: bool = False
-
-
-class Validate(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The run to judge."""
-
-    run: str
-    preview: bool = False
-
-
-class Compare(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Two runs."""
-
-    a: str
-    b: str
-    preview: bool = False
+if TYPE_CHECKING:
+    from flysid.studio.channels import Recipes
 
 
 def ingest(workspace: Workspace, log: Path, asked: Upload) -> tuple[list[str], Lane, dict[str, str]]:
@@ -105,10 +59,11 @@ def fit(workspace: Workspace, recipes: Recipes, asked: Fit) -> tuple[list[str], 
         ("--channel", asked.channels),
         ("--flight", asked.flights),
         ("--exclude", asked.exclude),
-        ("--between", asked.between),
+        ("--mode", asked.modes_flown),
     ):
         words += [word for value in values for word in (option, value)]
     for option, given in (
+        ("--between", asked.between),
         ("--models", asked.models),
         ("--rules", asked.rules),
         ("--effort", asked.effort),
@@ -117,6 +72,7 @@ def fit(workspace: Workspace, recipes: Recipes, asked: Fit) -> tuple[list[str], 
         ("--seed", asked.seed),
     ):
         words += [option, str(given)] if given not in ("", None) else []
+    words += ["--keep-mishaps"] if asked.keep_mishaps else []
     run = workspace.runs / _free_name(workspace.runs, asked.name or asked.recipe or asked.outputs[0])
     return [*words, "-o", str(run)], run, ["validate", str(run)]
 
@@ -136,6 +92,8 @@ def compare(workspace: Workspace, asked: Compare) -> tuple[list[str], Path]:
 
 def comparison_page(workspace: Workspace, name: str) -> Path:
     """The page of a comparison; raises NotThere."""
+    from flysid.validate.judge import PAGE
+
     path = workspace.folder / "comparisons" / name / PAGE
     if slug(name) != name or not path.is_file():
         raise NotThere(f"no comparison {name!r}")
@@ -160,6 +118,3 @@ def _free_name(folder: Path, wish: str) -> str:
 
 def _read(path: Path) -> str:
     return path.read_text("utf-8", "replace") if path.is_file() else ""
-
-
-__all__ = ["Compare", "Fit", "Job", "Upload", "Validate"]

@@ -10,7 +10,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from flysid.dataset import FloatArray, Segment
@@ -20,6 +19,7 @@ from flysid.model.linear.model import FittedLinear
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.fitted_states import FittedTSStateSpace
 from flysid.model.start import run_from_window, start_window
+from flysid.studio.forms import Explained
 from flysid.studio.places import NotThere, Workspace
 from flysid.validate.compare import CONTENDERS
 from flysid.validate.run import RUN_FILE, HeldOut, held_out, open_run
@@ -29,15 +29,7 @@ KEPT = 4  # runs whose held-out data stay in memory
 MOST_ROWS = 20_000  # of a segment in one answer
 
 
-class Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A held-out segment of a channel, and one of its rows to explain in words."""
-
-    ch: str
-    segment: int = 0
-    row: int | None = None
-
-
-def explain(workspace: Workspace, run_id: str, asked: Asked) -> dict[str, Any]:
+def explain(workspace: Workspace, run_id: str, asked: Explained) -> dict[str, Any]:
     """Signals, free runs, rules and recursions of one held-out segment.
 
     Raises

@@ -10,7 +10,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from flysid.catalogue import FlightFacts
@@ -23,30 +22,13 @@ from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.lake.timeline import happenings
 from flysid.ingest.lake.track import read_track
 from flysid.manifest import FLIGHTS, Column, Manifest, StreamEntry, read_manifest
+from flysid.studio.forms import Window
 from flysid.studio.pyramid import Axis, Pyramid, View, hold, look, read_axis, read_pyramid
 
 SIGNAL = "@"  # "@recipe:signal" is a recipe's signal, as "stream:field" is a field
 MAPPED = 256  # fields kept ready: more than a person looks at
 _NUMBER = re.compile(r"^(u?int\d+|halffloat|float|double|bool)$")
 _ARRAY = re.compile(r"^fixed_size_list<\w+: (\w+)(?: not null)?>\[(\d+)\]$")
-
-
-class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a page asks to see.
-
-    Attributes
-    ----------
-    f : the flight's id.
-    s : fields, each as "stream:field".
-    t0, t1 : seconds since the flight's start; the whole flight without them.
-    w : pixels across.
-    """
-
-    f: str
-    s: tuple[str, ...] = msgspec.field(default=())
-    t0: float | None = None
-    t1: float | None = None
-    w: int = 1200
 
 
 MOST_FIELDS = 16

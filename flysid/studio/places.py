@@ -10,8 +10,6 @@ from pathlib import Path
 from flysid.errors import UsageError
 from flysid.files import writing_to
 from flysid.manifest import DATA_FILE
-from flysid.store import create_data_folder
-from flysid.validate.run import RUN_FILE
 
 
 class NotThere(UsageError):
@@ -54,6 +52,7 @@ class Workspace:
     def run_folders(self) -> dict[str, Path]:
         """Runs by a short id of their place: the studio's own, those beside the data, and further ones."""
         from flysid.validate.history import walk
+        from flysid.validate.run import RUN_FILE
 
         beside = (p.parent for p in self.data.absolute().parent.glob(f"*/{RUN_FILE}"))
         further = (run for folder in (self.runs, *self.more_runs) for run in walk(folder))
@@ -86,6 +85,8 @@ def open_workspace(data: Path, more_runs: Sequence[Path] = ()) -> Workspace:
             hint=f"flysid ingest {data} -o data; flysid studio data",
         )
     if not (data / DATA_FILE).is_file():
+        from flysid.store import create_data_folder
+
         create_data_folder(data)
     workspace = Workspace(data, tuple(more_runs))
     for folder in (workspace.uploads, workspace.jobs, workspace.runs, workspace.recipes):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import socket
 import threading
 import webbrowser
@@ -62,7 +63,6 @@ def serve(workspace: Workspace, port: int, ready: Callable[[str], None], show: b
 
 
 def _warm_up() -> None:
-    """Import what the first plot needs, while the browser starts."""
-    import pyarrow.parquet
-
-    assert pyarrow.parquet
+    """Import what the first pages need, while the browser starts."""
+    for name in ("flights", "runs", "channels"):
+        importlib.import_module(f"flysid.studio.{name}")

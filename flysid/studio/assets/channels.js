@@ -6,7 +6,13 @@ import { shown } from "./plots.js";
 
 const CLASS = { good: "good", weak: "weak" };
 const MODELS = ["line", "static_ts", "ts", "ts_ss", "statespace", "tf", "fir", "armax"];
+const MOST_COLUMNS = 16;
 const LOOKED_AT = 6; // flights whose suggestions are asked for without a click
+
+function said(seconds) { // as --between takes it
+  const tenths = Math.max(0, Math.round(10 * seconds));
+  return Math.floor(tenths / 600) + ":" + ((tenths % 600) / 10).toFixed(1).padStart(4, "0");
+}
 
 export async function showChannels(main, query) {
   const stops = [];
@@ -17,7 +23,7 @@ export async function showChannels(main, query) {
   const found = new Map(); // flight -> suggestions
   const stretches = new Map(); // flight -> [start_s, end_s] to fit alone
   let recipe = query.get("r") || "";
-  let between = [];
+  let between = "";
 
   work.append(el("h1", {}, "What these flights can identify"));
   if (!count) { work.append(el("p", {}, "No flights yet. ", el("a", { href: "#/flights" }, "Drop a log"), " first.")); }
@@ -45,10 +51,12 @@ export async function showChannels(main, query) {
         goods.set(key, (goods.get(key) || 0) + (s.verdict === "good" ? 1 : 0));
       }
     }
-    return [...goods.keys()].filter((key) => !recipe || key.startsWith(recipe + "|"));
+    const rank = (key) => (key.startsWith(recipe + "|") ? 1000 : 0) + goods.get(key); // the chosen recipe first
+    return [...goods.keys()].sort((a, b) => rank(b) - rank(a)).slice(0, MOST_COLUMNS);
   }
 
   function preselect(flight) {
+    if (typed && !recipe) { return; }
     if (!recipe) {
       const good = found.get(flight).suggestions.find((s) => s.verdict === "good");
       if (good) { recipe = good.recipe; fields.recipe.value = recipe; }
@@ -132,7 +140,7 @@ export async function showChannels(main, query) {
       const stretch = stretches.get(flight.id);
       mine.hidden = !stretch;
       if (stretch) { place(mine, ...stretch); from.value = stretch[0].toFixed(1); to.value = stretch[1].toFixed(1); } else { from.value = to.value = ""; }
-      between = [...stretches.values()].map(([a, b]) => a.toFixed(1) + ".." + b.toFixed(1));
+      between = stretch ? stretch.map((x) => said(x - data.beginning_s)).join("..") : "";
       command();
     };
     const set = (a, b) => {
@@ -177,10 +185,13 @@ export async function showChannels(main, query) {
     effort: el("select", {}, ["quick", "normal", "thorough"].map((name) => el("option", { value: name, selected: name === "normal" }, name))),
     holdout: el("input", { type: "number", min: 0.05, max: 0.8, step: 0.05, value: "0.3" }),
     by: el("select", {}, ["auto", "flight", "time"].map((name) => el("option", { value: name }, name))),
+    modes: el("input", { type: "text", placeholder: "all, or LOITER, ..." }),
     seed: el("input", { type: "number", value: "7" }),
     name: el("input", { type: "text", placeholder: "the recipe's name" }),
   };
   fields.recipe.value = recipe;
+  const typed = Boolean(query.get("from") && query.get("to")); // two fields were dragged on the page Flights
+  if (typed) { fields.from.value = query.get("from"); fields.to.value = query.get("to"); }
   const models = el("fieldset", {}, el("legend", {}, "Models besides ARX, OE and the references"), MODELS.map((name) =>
     el("label", { class: "tick" }, el("input", { type: "checkbox", value: name, checked: ["line", "static_ts", "ts"].includes(name) }), name)));
   const shownCommand = el("div", {});
@@ -194,7 +205,7 @@ export async function showChannels(main, query) {
   const row = (text, field) => el("label", {}, text, field);
   const quick = el("fieldset", {}, el("legend", {}, "Without a recipe: drag two fields, or type them"), row("From", fields.from), row("To", fields.to));
   right.append(el("h2", {}, "Fit"), row("Recipe", fields.recipe), quick, models, row("Effort of the search", fields.effort), row("Share held out", fields.holdout),
-    row("Held out by", fields.by), row("Seed", fields.seed), row("Name of the run", fields.name), start, shownCommand, running,
+    row("Held out by", fields.by), row("Only in flight modes", fields.modes), row("Seed", fields.seed), row("Name of the run", fields.name), start, shownCommand, running,
     el("details", {}, el("summary", {}, "The recipe as TOML"), recipeEditor()));
   for (const [name, field] of Object.entries({ from: fields.from, to: fields.to })) {
     field.addEventListener("dragover", (event) => { if (event.dataTransfer.types.includes("text/x-field")) { event.preventDefault(); } });
@@ -236,8 +247,9 @@ export async function showChannels(main, query) {
       inputs: fields.recipe.value || !fields.from.value ? [] : [fields.from.value],
       outputs: fields.recipe.value || !fields.to.value ? [] : [fields.to.value],
       channels: [...new Set(own.map(([, , channel]) => channel))],
-      flights: chosenFlights.length < flights.length || count > flights.length ? chosenFlights : [],
+      flights: typed && query.get("f") && !fields.recipe.value ? [query.get("f")] : chosenFlights.length < flights.length || count > flights.length ? chosenFlights : [],
       between,
+      modes_flown: fields.modes.value.split(",").map((name) => name.trim()).filter(Boolean),
       models: labels.join(",") === "line,static_ts,ts" ? "" : labels.join(","),
       effort: fields.effort.value === "normal" ? "" : fields.effort.value,
       holdout: +fields.holdout.value === 0.3 ? null : +fields.holdout.value,

@@ -1,6 +1,6 @@
 // Flights: drop a log, find a flight, drag its fields to plots.
 import { follow, get, send } from "./api.js";
-import { clock, date, el, guarded, keep, plain, size } from "./page.js";
+import { clock, date, el, go, guarded, keep, plain, size } from "./page.js";
 import { Plots, shown } from "./plots.js";
 
 const MOST_FIELDS = 300; // listed at once; the search narrows them
@@ -19,7 +19,20 @@ export async function showFlights(main, query) {
   const facts = el("div", { class: "hint" });
   const search = el("input", { type: "search", placeholder: "Find a field: roll, gyro, ... ( / )", "aria-label": "Find a field" });
   const tree = el("div", { class: "tree", tabindex: -1 });
-  side.append(drop, el("label", {}, "Flight", find), select, facts, search, tree);
+  const ends = { from: el("input", { type: "text", placeholder: "drag or type" }), to: el("input", { type: "text", placeholder: "drag or type" }) };
+  for (const field of Object.values(ends)) {
+    field.addEventListener("dragover", (event) => { if (event.dataTransfer.types.includes("text/x-field")) { event.preventDefault(); } });
+    field.addEventListener("drop", (event) => {
+      const name = event.dataTransfer.getData("text/x-field");
+      if (name && !name.startsWith("@")) { event.preventDefault(); field.value = shown(name); }
+    });
+  }
+  const identify = el("form", {}, el("label", {}, "Identify, from", ends.from), el("label", {}, "to", ends.to), el("button", {}, "Fit these"));
+  identify.addEventListener("submit", (event) => {
+    event.preventDefault();
+    go("channels", { from: ends.from.value, to: ends.to.value, f: flight ? flight.id : "" });
+  });
+  side.append(drop, el("label", {}, "Flight", find), select, facts, search, tree, identify);
 
   const map = el("details", { class: "map" }, el("summary", {}, "Where it flew"));
   const events = el("details", {}, el("summary", {}, "Modes, messages and parameter changes"));

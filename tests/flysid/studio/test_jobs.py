@@ -35,11 +35,15 @@ def started(server: Server, fit: dict[str, Any]) -> Any:
 
 
 def test_the_page_shows_the_command_before_it_runs(server: Server) -> None:
-    told = server.send("POST", "fits", FIT | {"preview": True, "flights": ["x y"], "between": ["1..2"]}).json
+    told = server.send(
+        "POST", "fits", FIT | {"preview": True, "flights": ["x y"], "between": "0:01..0:02"}
+    ).json
     assert told["command"].startswith(
         f"flysid fit {server.data} --recipe ardrone-synthetic --channel vertical"
     )
-    assert "--flight 'x y' --between 1..2 --models line,ts --rules 2 --effort quick -o" in told["command"]
+    assert (
+        "--flight 'x y' --between 0:01..0:02 --models line,ts --rules 2 --effort quick -o" in told["command"]
+    )
     assert told["then"].startswith("flysid validate ")
     assert server.get("jobs").json["jobs"] == []
 
