@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from flysid.dataset import FloatArray
 from flysid.errors import FitError
 from flysid.model.polynomials import free_basis, monic_basis, stabilised
 from flysid.model.refine import Refinement, levenberg_marquardt
+from flysid.model.signals import differences, filtered, free_responses, is_stable
+
+ONE = np.ones(1)
 
 
 @dataclass(frozen=True)
@@ -73,19 +77,20 @@ class Transfer:
 
     def forced(self, u: FloatArray) -> FloatArray:
         """(N,) response from zero state to inputs that were zero before."""
-        from scipy.signal import lfilter
+        return filtered(ONE, self.a, self.driven(u))
 
+    def driven(self, u: FloatArray) -> FloatArray:
+        """(N,) what the inputs and the constant put in."""
         drive = np.full(len(u), self.c)
         for j, b in enumerate(self.b):
             if len(b):
-                drive += lfilter(b, [1.0], u[:, j])
-        response: FloatArray = lfilter([1.0], self.a, drive)
-        return response
+                drive += filtered(b, ONE, u[:, j])
+        return drive
 
     @property
     def is_stable(self) -> bool:
         """Every pole lies inside the unit circle."""
-        return bool(np.abs(np.roots(self.a)).max(initial=0.0) < 1.0)
+        return is_stable(self.a)
 
 
 def to_transfer(theta: FloatArray, orders: Orders) -> Transfer:
@@ -111,22 +116,6 @@ def from_transfer(transfer: Transfer, orders: Orders) -> FloatArray:
     return np.concatenate(parts)
 
 
-def differences(signal: FloatArray, count: int, lag: int, rows: slice, *, monic: bool) -> FloatArray:
-    """Columns (1 - q⁻¹)^p q⁻ⁱ of a signal that was zero before its start.
-
-    With `monic`, i = 1..count and p = count - i (the coordinates alpha); else i = lag..lag + count - 1 and
-    p = count - 1 - (i - lag) (the coordinates beta).
-    """
-    powers = [signal]
-    for _ in range(count - 1):
-        powers.append(np.diff(powers[-1], prepend=0.0))
-    out = np.empty((rows.stop - rows.start, count), order="F")
-    for column in range(count):
-        shift = column + 1 if monic else lag + column
-        out[:, column] = delayed(powers[count - 1 - column], shift)[rows]
-    return out
-
-
 def delayed(signal: FloatArray, lag: int) -> FloatArray:
     """(N,) the signal `lag` samples later, zero before."""
     if lag == 0:
@@ -136,21 +125,17 @@ def delayed(signal: FloatArray, lag: int) -> FloatArray:
 
 def free_space(a: FloatArray, rows: int) -> FloatArray:
     """(M, na) orthonormal basis of all responses of 1/A to a state at the start; M <= rows: then decayed."""
-    from scipy.signal import lfilter
+    return _free_space(a.tobytes(), rows)
 
-    n = len(a) - 1
-    if n == 0:
+
+@lru_cache(maxsize=4)  # a cost, then the derivatives at the same place, over records of the same length
+def _free_space(denominator: bytes, rows: int) -> FloatArray:
+    a = np.frombuffer(denominator).copy()
+    if len(a) == 1:
         return np.zeros((0, 0))
-    radius = float(np.abs(np.roots(a)).max(initial=0.0))
-    lasting = rows if radius >= 1.0 else int(min(rows, 8 * n + np.ceil(40.0 / -np.log(max(radius, 1e-9)))))
-    impulse = np.zeros(lasting + n)
-    impulse[0] = 1.0
-    response = lfilter([1.0], a, impulse)
-    basis = differences(response, n, 0, slice(n - 1, n - 1 + lasting), monic=False)
-    lengths = np.linalg.norm(basis, axis=0)
-    if not np.isfinite(lengths).all():
-        return np.full((lasting, n), np.nan)
-    q, _ = np.linalg.qr(basis / np.where(lengths > 0, lengths, 1.0))
+    basis = free_responses(a, rows)
+    q = np.linalg.qr(basis)[0] if np.isfinite(basis).all() else np.full(basis.shape, np.nan)
+    q.flags.writeable = False
     return q
 
 
@@ -228,8 +213,6 @@ class OutputError:
         return [self._record_jacobian(transfer, record)[1] for record in self.usable()]
 
     def _record_jacobian(self, transfer: Transfer, record: Record) -> tuple[FloatArray, FloatArray]:
-        from scipy.signal import lfilter
-
         orders, first = self.orders, self.start_row()
         forced = transfer.forced(record.u)
         error = (forced - record.y)[first:]
@@ -241,14 +224,14 @@ class OutputError:
         if orders.drift:  # the lines are none of the model's doing
             response[first:] += self._drift(transfer.a, error)
         rows = slice(first, len(forced))
-        filtered = lfilter([1.0], transfer.a, response)
-        columns = [-differences(filtered, orders.na, 0, rows, monic=True)]
+        through = filtered(ONE, transfer.a, response)
+        columns = [-differences(through, orders.na, 0, rows, monic=True)]
         for j, (count, delay) in enumerate(zip(orders.nb, orders.nk, strict=True)):
             if count:
-                filtered = lfilter([1.0], transfer.a, record.u[:, j])
-                columns.append(differences(filtered, count, delay, rows, monic=False))
+                through = filtered(ONE, transfer.a, record.u[:, j])
+                columns.append(differences(through, count, delay, rows, monic=False))
         if orders.offset:
-            columns.append(lfilter([1.0], transfer.a, np.ones(len(forced)))[first:, None])
+            columns.append(filtered(ONE, transfer.a, np.ones(len(forced)))[first:, None])
         jacobian = np.hstack(columns)
         return residual, without(space, jacobian)
 
@@ -290,20 +273,18 @@ class OutputError:
     def _filtered_rows(
         self, u: FloatArray, y: FloatArray, a_filter: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        from scipy.signal import lfilter
-
         orders, first = self.orders, self.orders.depth
         rows = slice(first, len(y))
-        filtered = lfilter([1.0], a_filter, y)
-        columns = [-differences(filtered, orders.na, 0, rows, monic=True)]
+        through = filtered(ONE, a_filter, y)
+        columns = [-differences(through, orders.na, 0, rows, monic=True)]
         for j, (count, delay) in enumerate(zip(orders.nb, orders.nk, strict=True)):
             if count:
                 columns.append(
-                    differences(lfilter([1.0], a_filter, u[:, j]), count, delay, rows, monic=False)
+                    differences(filtered(ONE, a_filter, u[:, j]), count, delay, rows, monic=False)
                 )
         if orders.offset:
-            columns.append(lfilter([1.0], a_filter, np.ones(len(y)))[first:, None])
-        target = filtered
+            columns.append(filtered(ONE, a_filter, np.ones(len(y)))[first:, None])
+        target = through
         for _ in range(orders.na):
             target = np.diff(target, prepend=0.0)
         phi, goal = np.hstack(columns), target[rows]
@@ -325,7 +306,8 @@ def _instrumental(phi: FloatArray, z: FloatArray, y: FloatArray) -> FloatArray:
     lengths = np.linalg.norm(phi, axis=0)
     scale = np.where(lengths > 0, lengths, 1.0)
     if z is phi:
-        return np.linalg.lstsq(phi / scale, y, rcond=1e-14)[0] / scale
+        triangle = np.linalg.qr(np.column_stack([phi / scale, y]), mode="r")
+        return np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=1e-14)[0] / scale
     z_lengths = np.linalg.norm(z, axis=0)
     zs = z / np.where(z_lengths > 0, z_lengths, 1.0)
     return np.linalg.lstsq(zs.T @ (phi / scale), zs.T @ y, rcond=1e-14)[0] / scale
@@ -394,9 +376,8 @@ def _instrumental_search(
         if not np.isfinite(theta).all():
             break
         model = to_transfer(theta, problem.orders)
-        inside = stabilised(model.a, 0.99999)
-        if inside is not model.a:
-            model = replace(model, a=inside)
+        if not is_stable(model.a, 0.99999):
+            model = replace(model, a=stabilised(model.a, 0.99999))
             theta = from_transfer(model, problem.orders)
         best = _lower(best, problem, theta)
         a_filter = model.a

@@ -22,12 +22,13 @@ from flysid.dataset import FloatArray
 from flysid.model.noise import burg
 from flysid.model.polynomials import stabilised
 from flysid.model.refine import Refinement, levenberg_marquardt
+from flysid.model.signals import differences, filtered, is_stable
 from flysid.model.simulation_error import (
+    ONE,
     Orders,
     Record,
     Transfer,
     delayed,
-    differences,
     free_space,
     to_transfer,
 )
@@ -73,7 +74,7 @@ class PredictionError:
         """C and D, and for Box-Jenkins A, have their roots inside the unit circle."""
         transfer, noise = self.parts(theta)
         checked = [noise.c, noise.d] + ([transfer.a] if self.kind == "bj" else [])
-        return all(np.abs(np.roots(p)).max(initial=0.0) < 1.0 for p in checked)
+        return all(is_stable(p) for p in checked)
 
     def cost(self, theta: FloatArray) -> float:
         """Sum of squared one-step prediction errors; inf where the predictor is unstable."""
@@ -98,11 +99,11 @@ class PredictionError:
     def record_jacobian(self, theta: FloatArray, record: Record) -> tuple[FloatArray, FloatArray]:
         """Errors and Jacobian of one record."""
         transfer, noise = self.parts(theta)
-        error, basis, free = self._unprojected(transfer, noise, record)
+        error, basis, (states, mixing) = self._unprojected(transfer, noise, record)
         weights = basis.T @ error
         rest = error - basis @ weights
         dynamics = self._armax_columns if self.kind == "armax" else self._bj_columns
-        jacobian = np.hstack(dynamics(transfer, noise, record, rest, free @ weights))
+        jacobian = np.hstack(dynamics(transfer, noise, record, rest, states @ (mixing @ weights)))
         return rest, jacobian - basis @ (basis.T @ jacobian)
 
     def refine(self, theta: FloatArray, *, max_iterations: int = 60, tolerance: float = 1e-8) -> Refinement:
@@ -117,85 +118,65 @@ class PredictionError:
 
     def _unprojected(
         self, transfer: Transfer, noise: Noise, record: Record
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    ) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
         """Errors from zero states, an orthonormal basis of what states add, and that basis before D / C.
 
-        The last serves the Jacobian: basis = (D / C) free for Box-Jenkins states of A, zero for others.
+        The last serves the Jacobian, as two factors: (D / C) of their product is the basis for Box-Jenkins
+        states of A, zero for others.
         """
-        from scipy.signal import lfilter
-
         first = self.start_row()
         if self.kind == "armax":
-            equation = lfilter(transfer.a, [1.0], record.y) - self._drive(transfer, record)
-            error = lfilter([1.0], noise.c, equation[first:])
+            equation = filtered(transfer.a, ONE, record.y) - transfer.driven(record.u)
+            error = filtered(ONE, noise.c, equation[first:])
             basis = _padded(free_space(noise.c, len(error)), len(error))
-            return error, basis, np.zeros_like(basis)
+            return error, basis, (np.zeros((len(error), 0)), np.zeros((0, basis.shape[1])))
         miss = (record.y - transfer.forced(record.u))[first:]
-        error = lfilter(noise.d, noise.c, miss)
+        error = filtered(noise.d, noise.c, miss)
         states = _padded(free_space(transfer.a, len(miss)), len(miss))
-        seen = lfilter(noise.d, noise.c, states, axis=0)
+        seen = filtered(noise.d, noise.c, states)
         own = _padded(free_space(noise.c, len(miss)), len(miss))
         tail = np.eye(len(miss), self.nd) if self.nc < self.nd else np.zeros((len(miss), 0))
-        every = np.hstack([seen, own, tail])
-        q, r = np.linalg.qr(every)
+        q, r = np.linalg.qr(np.hstack([seen, own, tail]))
         kept = np.abs(np.diag(r)) > 1e-10 * np.abs(np.diag(r)).max(initial=1e-300)
-        unfiltered = np.hstack([states, np.zeros((len(miss), every.shape[1] - states.shape[1]))])
-        mixed = unfiltered @ np.linalg.pinv(r, rcond=1e-10)
-        return error, q[:, kept], mixed[:, kept]
-
-    @staticmethod
-    def _drive(transfer: Transfer, record: Record) -> FloatArray:
-        from scipy.signal import lfilter
-
-        drive = np.full(len(record.y), transfer.c)
-        for j, b in enumerate(transfer.b):
-            if len(b):
-                drive += lfilter(b, [1.0], record.u[:, j])
-        return drive
+        mixing = np.linalg.pinv(r, rcond=1e-10)[: states.shape[1], kept]
+        return error, q[:, kept], (states, mixing)
 
     def _armax_columns(
         self, transfer: Transfer, noise: Noise, record: Record, rest: FloatArray, free: FloatArray
     ) -> list[FloatArray]:
-        from scipy.signal import lfilter
-
         del transfer, free
         orders, first = self.orders, self.start_row()
         rows = slice(first, len(record.y))
         columns = [_filtered(differences(record.y, orders.na, 0, rows, monic=True), noise.c)]
         columns += [-_filtered(x, noise.c) for x in _input_columns(record.u, orders, rows)]
         if orders.offset:
-            columns.append(-lfilter([1.0], noise.c, np.ones(len(rest)))[:, None])
-        shifted = lfilter([1.0], noise.c, rest)
+            columns.append(-filtered(ONE, noise.c, np.ones(len(rest)))[:, None])
+        shifted = filtered(ONE, noise.c, rest)
         return [*columns, *(-delayed(shifted, i)[:, None] for i in range(1, self.nc + 1))]
 
     def _bj_columns(
         self, transfer: Transfer, noise: Noise, record: Record, rest: FloatArray, free: FloatArray
     ) -> list[FloatArray]:
-        from scipy.signal import lfilter
-
         orders, first = self.orders, self.start_row()
         rows = slice(first, len(record.y))
         response = transfer.forced(record.u)
         response[first:] += free
         response[:first] = 0.0
-        inner = lfilter([1.0], transfer.a, response)
+        inner = filtered(ONE, transfer.a, response)
         columns = [_filtered(differences(inner, orders.na, 0, rows, monic=True), noise.c, noise.d)]
-        through = lfilter([1.0], transfer.a, record.u, axis=0)
+        through = filtered(ONE, transfer.a, record.u)
         columns += [-_filtered(x, noise.c, noise.d) for x in _input_columns(through, orders, rows)]
         if orders.offset:
-            ramp = lfilter([1.0], transfer.a, np.ones(len(record.y)))[first:]
-            columns.append(-lfilter(noise.d, noise.c, ramp)[:, None])
-        shifted = lfilter([1.0], noise.c, rest)
+            ramp = filtered(ONE, transfer.a, np.ones(len(record.y)))[first:]
+            columns.append(-filtered(noise.d, noise.c, ramp)[:, None])
+        shifted = filtered(ONE, noise.c, rest)
         columns += [-delayed(shifted, i)[:, None] for i in range(1, self.nc + 1)]
-        miss = lfilter([1.0], noise.c, record.y[first:] - response[first:])
+        miss = filtered(ONE, noise.c, record.y[first:] - response[first:])
         return [*columns, *(delayed(miss, i)[:, None] for i in range(1, self.nd + 1))]
 
 
 def _filtered(columns: FloatArray, c: FloatArray, d: FloatArray | None = None) -> FloatArray:
-    from scipy.signal import lfilter
-
-    out: FloatArray = lfilter(np.ones(1) if d is None else d, c, columns, axis=0)
-    return out
+    return filtered(ONE if d is None else d, c, columns)
 
 
 def _input_columns(u: FloatArray, orders: Orders, rows: slice) -> list[FloatArray]:
@@ -225,14 +206,12 @@ def innovations_start(errors: Sequence[FloatArray], nc: int, nd: int) -> tuple[F
         return nothing
     samples = sum(len(e) for e in errors)
     long, _ = burg(errors, min(LONG_ORDER, max(samples // 20, nc + nd + 1)))[-1]
-    from scipy.signal import lfilter
-
     rows, goals = [], []
     deepest = max(nc, nd)
     for v in errors:
         if len(v) <= len(long) + deepest:
             continue
-        e = lfilter(long, [1.0], v)
+        e = filtered(long, ONE, v)
         keep = slice(len(long) + deepest, len(v))
         past = [-delayed(v, i)[keep] for i in range(1, nd + 1)]
         past += [delayed(e, i)[keep] for i in range(1, nc + 1)]

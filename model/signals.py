@@ -1,0 +1,115 @@
+"""Compiled: filters, differences and responses, which a search for linear models asks for many thousand times.
+
+Polynomials stand in rising powers of q⁻¹ and are monic where they divide.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from flysid.dataset import FloatArray
+
+_GONE = 4e-18  # of a response's largest value: below the rounding of any sum it is part of
+
+compiled = njit(cache=True, error_model="numpy")
+
+
+def filtered(b: FloatArray, a: FloatArray, x: FloatArray) -> FloatArray:
+    """(N,) x, or (N, columns) of them, through B / A from zero state: as `scipy.signal.lfilter`, no checks."""
+    if x.ndim > 1:
+        return np.stack([filtered(b, a, column) for column in x.T], axis=1) if x.shape[1] else x
+    y: FloatArray = _filtered(np.ascontiguousarray(b), np.ascontiguousarray(a), np.ascontiguousarray(x))
+    return y
+
+
+def differences(signal: FloatArray, count: int, lag: int, rows: slice, *, monic: bool) -> FloatArray:
+    """Columns (1 - q⁻¹)^p q⁻ⁱ of a signal that was zero before its start.
+
+    With `monic`, i = 1..count and p = count - i (the coordinates alpha); else i = lag..lag + count - 1 and
+    p = count - 1 - (i - lag) (the coordinates beta).
+    """
+    first = 1 if monic else lag
+    columns: FloatArray = _differences(np.ascontiguousarray(signal), count, first, rows.start, rows.stop).T
+    return columns
+
+
+def free_responses(a: FloatArray, rows: int) -> FloatArray:
+    """(M, na) responses of 1/A to states at the start, each of length one; M <= rows: then decayed."""
+    responses: FloatArray = _free_responses(np.ascontiguousarray(a), rows).T
+    return responses
+
+
+def is_stable(a: FloatArray, radius: float = 1.0) -> bool:
+    """Whether every root of A lies inside a circle, by reflection coefficients (Schur, Cohn), not by roots."""
+    return bool(_is_stable(a / radius ** np.arange(len(a))))
+
+
+@compiled
+def _filtered(b: FloatArray, a: FloatArray, x: FloatArray) -> FloatArray:
+    order = max(a.size, b.size) - 1
+    state, y = np.zeros(order + 1), np.empty(x.size)
+    for k in range(x.size):
+        value = b[0] * x[k] + state[0]
+        for i in range(order):
+            kept = state[i + 1]
+            if i + 1 < b.size:
+                kept += b[i + 1] * x[k]
+            if i + 1 < a.size:
+                kept -= a[i + 1] * value
+            state[i] = kept
+        y[k] = value
+    return y
+
+
+@compiled
+def _differences(signal: FloatArray, count: int, lag: int, first: int, stop: int) -> FloatArray:
+    columns, work = np.empty((count, stop - first)), signal.copy()
+    for power in range(count):
+        column = count - 1 - power
+        shift = lag + column
+        for k in range(first, stop):
+            columns[column, k - first] = work[k - shift] if k >= shift else 0.0
+        for k in range(work.size - 1, 0, -1):
+            work[k] -= work[k - 1]
+    return columns
+
+
+@compiled
+def _free_responses(a: FloatArray, rows: int) -> FloatArray:
+    n = a.size - 1
+    h = np.zeros(rows + n)
+    peak, quiet, length = 0.0, 0, 0
+    while length < h.size and quiet < 8 * n + 8:
+        value = 1.0 if length == 0 else 0.0
+        for i in range(1, min(n, length) + 1):
+            value -= a[i] * h[length - i]
+        h[length] = value
+        peak = max(peak, abs(value))
+        quiet = quiet + 1 if abs(value) < _GONE * peak else 0
+        length += 1
+    columns = _differences(h, n, 0, n - 1, length - 1)
+    for j in range(n):
+        total = 0.0
+        for k in range(length - n):
+            total += columns[j, k] * columns[j, k]
+        size = math.sqrt(total)
+        for k in range(length - n):
+            columns[j, k] /= size if size > 0.0 else 1.0
+    return columns
+
+
+@compiled
+def _is_stable(a: FloatArray) -> bool:
+    work, lower = a.copy(), np.empty(a.size)
+    for size in range(a.size - 1, 0, -1):
+        k = work[size]
+        if not abs(k) < 1.0:  # nor a number
+            return False
+        for i in range(size):
+            lower[i] = (work[i] - k * work[size - i]) / (1.0 - k * k)
+        for i in range(size):
+            work[i] = lower[i]
+    return True
