@@ -19,8 +19,8 @@ from flysid.dataset import FloatArray
 from flysid.errors import FlysidError
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.model.base import Fitted
+from flysid.model.linear.choice import choose_baseline, confirmed, linear_estimators
 from flysid.model.ts_best import BestTS
-from flysid.validate.baseline import choose_baseline, confirmed, linear_estimators
 
 Record = tuple[FloatArray, FloatArray]
 Recorder = Callable[[], Record]

@@ -20,8 +20,8 @@ from bench.vehicle import PERIOD_S, flight
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.ingest.synth.plants import LOOPS
 from flysid.model.base import Fitted
+from flysid.model.linear.choice import choose_baseline, confirmed, linear_estimators
 from flysid.model.ts_best import BestTS
-from flysid.validate.baseline import choose_baseline, confirmed, linear_estimators
 from flysid.validate.compare import compare
 from flysid.validate.trials import FREE_RUN
 

@@ -14,6 +14,7 @@ from flysid.dataset import Dataset
 from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.pem_fit import ARMAX_NOISES, fit_prediction_error
 from flysid.model.linear.settings import Auto, PolynomialSettings
+from flysid.model.shared import fit_key, once
 from flysid.model.threads import on_one_thread
 
 
@@ -37,6 +38,7 @@ class ARMAX(PolynomialSettings):
     nc: int | Auto = field(default="auto", kw_only=True)
 
     @on_one_thread
+    @once(fit_key)
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
         """Choose orders, fit by prediction error.
 

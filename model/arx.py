@@ -29,6 +29,7 @@ from flysid.model.linear.settings import Auto, PolynomialSettings
 from flysid.model.linear.stability import settled
 from flysid.model.linear.start import equation_starts
 from flysid.model.selection import block_errors, clearly_better, simplest
+from flysid.model.shared import fit_key, once
 from flysid.model.stream import OnDisk, Source
 from flysid.model.threads import on_one_thread
 
@@ -59,6 +60,7 @@ class ARX(PolynomialSettings):
     refine: bool | Auto = field(default="auto", kw_only=True)
 
     @on_one_thread
+    @once(fit_key)
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedLinear:
         """Choose orders and fit.
 

@@ -15,6 +15,7 @@ from flysid.errors import UsageError
 from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.pem_fit import BJ_NOISES, fit_prediction_error
 from flysid.model.linear.settings import Auto, PolynomialSettings
+from flysid.model.shared import fit_key, once
 from flysid.model.threads import on_one_thread
 
 
@@ -39,6 +40,7 @@ class BJ(PolynomialSettings):
     nd: int | Auto = field(default="auto", kw_only=True)
 
     @on_one_thread
+    @once(fit_key)
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
         """Choose orders, fit by prediction error.
 

@@ -18,6 +18,7 @@ from flysid.model.linear.data import Parts
 from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.oe_search import search
 from flysid.model.linear.settings import PolynomialSettings
+from flysid.model.shared import fit_key, once
 from flysid.model.threads import on_one_thread
 
 
@@ -42,6 +43,7 @@ class OE(PolynomialSettings):
     trends: ClassVar[tuple[str, ...]] = TRENDS
 
     @on_one_thread
+    @once(fit_key)
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedLinear:
         """Choose delays and orders, refine.
 

@@ -1,4 +1,4 @@
-"""Compiled: filters, differences and responses, which a search for linear models asks for many thousand times.
+"""Compiled: filters, differences and responses, which a linear search asks for many thousand times.
 
 Polynomials stand in rising powers of q⁻¹ and are monic where they divide.
 """
@@ -18,7 +18,7 @@ compiled = njit(cache=True, error_model="numpy")
 
 
 def filtered(b: FloatArray, a: FloatArray, x: FloatArray) -> FloatArray:
-    """(N,) x, or (N, columns) of them, through B / A from zero state: as `scipy.signal.lfilter`, no checks."""
+    """(N,) x, or each of (N, columns), through B / A from zero state: `scipy.signal.lfilter`, no checks."""
     if x.ndim > 1:
         return np.stack([filtered(b, a, column) for column in x.T], axis=1) if x.shape[1] else x
     y: FloatArray = _filtered(np.ascontiguousarray(b), np.ascontiguousarray(a), np.ascontiguousarray(x))
@@ -43,7 +43,7 @@ def free_responses(a: FloatArray, rows: int) -> FloatArray:
 
 
 def is_stable(a: FloatArray, radius: float = 1.0) -> bool:
-    """Whether every root of A lies inside a circle, by reflection coefficients (Schur, Cohn), not by roots."""
+    """Whether every root of A lies inside a circle, by reflection coefficients (Schur and Cohn)."""
     return bool(_is_stable(a / radius ** np.arange(len(a))))
 
 

@@ -279,9 +279,7 @@ class OutputError:
         columns = [-differences(through, orders.na, 0, rows, monic=True)]
         for j, (count, delay) in enumerate(zip(orders.nb, orders.nk, strict=True)):
             if count:
-                columns.append(
-                    differences(filtered(ONE, a_filter, u[:, j]), count, delay, rows, monic=False)
-                )
+                columns.append(differences(filtered(ONE, a_filter, u[:, j]), count, delay, rows, monic=False))
         if orders.offset:
             columns.append(filtered(ONE, a_filter, np.ones(len(y)))[first:, None])
         target = through
@@ -306,8 +304,9 @@ def _instrumental(phi: FloatArray, z: FloatArray, y: FloatArray) -> FloatArray:
     lengths = np.linalg.norm(phi, axis=0)
     scale = np.where(lengths > 0, lengths, 1.0)
     if z is phi:
-        triangle = np.linalg.qr(np.column_stack([phi / scale, y]), mode="r")
-        return np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=1e-14)[0] / scale
+        triangle = np.asarray(np.linalg.qr(np.column_stack([phi / scale, y]), mode="r"))
+        solution = np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=1e-14)[0]
+        return np.asarray(solution / scale)
     z_lengths = np.linalg.norm(z, axis=0)
     zs = z / np.where(z_lengths > 0, z_lengths, 1.0)
     return np.linalg.lstsq(zs.T @ (phi / scale), zs.T @ y, rcond=1e-14)[0] / scale

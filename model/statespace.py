@@ -8,7 +8,7 @@ horizons differ in what they assume; the validation free run chooses among them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
@@ -22,6 +22,7 @@ from flysid.model.linear.output_error import find_delays
 from flysid.model.linear.settings import check_hint, check_inputs
 from flysid.model.linear.stability import unstable_words
 from flysid.model.selection import block_errors
+from flysid.model.shared import fit_key, once
 from flysid.model.simulation_error import Orders
 from flysid.model.stream import Late, OnDisk, Source, delayed_inputs
 from flysid.model.subspace.model import FittedStateSpace
@@ -92,6 +93,7 @@ class StateSpace:
     stable: bool = False
 
     @on_one_thread
+    @once(fit_key)
     def fit(self, train: Source, validation: Dataset | None = None) -> FittedStateSpace:
         """Choose, fit.
 
@@ -124,6 +126,11 @@ def with_choices_made(settings: StateSpace, train: Dataset, validation: Dataset 
     return replace(settings, order=choice.order, method=choice.method, past=choice.past, nk=nk)
 
 
+def _plan_key(settings: StateSpace, train: Dataset, validation: Dataset | None) -> Hashable:
+    return fit_key(replace(settings, refine="auto", n_init=None, stable=False), train, validation)
+
+
+@once(_plan_key)
 def _best_plan(settings: StateSpace, train: Dataset, validation: Dataset | None) -> _Plan:
     """Of the delays that the inputs may have, those of the best validation free run."""
     return min(

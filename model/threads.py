@@ -10,12 +10,15 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
+from contextlib import nullcontext
+from contextvars import ContextVar
 from typing import ParamSpec, TypeVar
 
 import numpy as np
 
 from flysid.errors import FitError, UsageError
 
+_limited = ContextVar("limited", default=False)
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -41,7 +44,10 @@ def on_one_thread(fit: Callable[P, R]) -> Callable[P, R]:
             if name in kwargs or at < len(args):
                 _refuse_arrays(kwargs[name] if name in kwargs else args[at])
 
-        with threadpool_limits(limits=1, user_api="blas"), np.errstate(over="ignore", invalid="ignore"):
+        within = _limited.get()
+        limits = nullcontext() if within else threadpool_limits(limits=1, user_api="blas")
+        with limits, np.errstate(over="ignore", invalid="ignore"):
+            token = _limited.set(True)
             try:
                 return fit(*args, **kwargs)
             except np.linalg.LinAlgError as error:
@@ -49,6 +55,8 @@ def on_one_thread(fit: Callable[P, R]) -> Callable[P, R]:
                     f"the numbers broke down: {error}",
                     hint="lower the orders, record longer, or check the data for jumps",
                 ) from error
+            finally:
+                _limited.reset(token)
 
     return limited
 

@@ -1,9 +1,10 @@
-"""TS over lagged outputs, or over hidden states: which of the two the data ask for.
+"""TS over lagged outputs, over hidden states, or no rules at all: which of these the data ask for.
 
 The model over lags comes first: its rules speak of measured signals only. A state-space model is tried where
 the free run of the first leaves an error that its own past foretells, as a state does that the lags do not
 show. It is taken only if it does clearly better on held-out parts, both refitted on the rest each time, and
-better on the training data.
+better on the training data. Where one rule is enough, it is the linear side's choice, and that model is what
+comes out.
 """
 
 from __future__ import annotations
@@ -17,14 +18,16 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Fitted
+from flysid.model.linear.model import FittedLinear
 from flysid.model.noise import noise_model
 from flysid.model.rules.assembly import finished as finished_lagged
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.fitted_states import FittedTSStateSpace
 from flysid.model.rules.free_run_error import runs_of
-from flysid.model.rules.judging import hold_out
+from flysid.model.rules.judging import INTEGRATES, hold_out
 from flysid.model.rules.learning import Learned
 from flysid.model.rules.learning import learn as learn_lagged
+from flysid.model.rules.linear_starts import linear_choice
 from flysid.model.rules.refit import on_all_runs
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.search_context import SPARE_ROWS
@@ -33,11 +36,15 @@ from flysid.model.rules.state_assembly import finished
 from flysid.model.rules.state_learning import Learned as LearnedStates
 from flysid.model.rules.state_learning import learn
 from flysid.model.rules.structure_choice import Advantage, advantage, block_errors, compared
+from flysid.model.shared import sharing
 from flysid.model.start import estimate_start, start_window
+from flysid.model.subspace.model import FittedStateSpace
 from flysid.model.threads import on_one_thread
 from flysid.model.ts import TS
 from flysid.model.ts_state_space import TSStateSpace
 
+LINEAR_ENOUGH = "A linear model is enough: "
+"""How the notes of a model begin that the search for rules gave up for."""
 _FORETOLD = 0.5  # share of the free run's error that its own past must explain
 _RESOLUTION = 1e-3  # of the outputs' spread: a free-run error below leaves nothing to explain
 _MOST_OUTPUTS = 2
@@ -88,12 +95,14 @@ class Contest:
     lagged, hidden : the models; hidden is None where nothing asked for it, or none was found.
     advantage : of hidden states, on held-out parts.
     fits : they fit the training data better, too.
+    linear : the linear side's choice, where rules do not pay.
     """
 
     lagged: FittedTS
     hidden: FittedTSStateSpace | None = None
     advantage: Advantage = field(default_factory=Advantage)
     fits: bool = False
+    linear: FittedLinear | FittedStateSpace | None = None
 
     @property
     def clear(self) -> bool:
@@ -103,6 +112,13 @@ class Contest:
     @property
     def winner(self) -> Fitted:
         """The model to take, with a note on why."""
+        if self.linear is not None:
+            return self.linear
+        return self.of_rules
+
+    @property
+    def of_rules(self) -> FittedTS | FittedTSStateSpace:
+        """The better of the two kinds, with a note on why."""
         if self.hidden is None:
             return self.lagged
         times = np.exp(0.5 * self.advantage.gain)
@@ -117,16 +133,26 @@ class Contest:
 
 @on_one_thread
 def contest(settings: BestTS, train: Dataset, validation: Dataset | None = None) -> Contest:
-    """Both kinds, the second where the first hints at it."""
+    """Both kinds, the second where the first hints at it; the linear model where neither pays."""
+    with sharing():
+        found = _of_rules(settings, train, validation)
+        return replace(found, linear=_linear_enough(settings, found, train, validation))
+
+
+def _of_rules(settings: BestTS, train: Dataset, validation: Dataset | None) -> Contest:
     asked = {
         name: getattr(settings, name) for name in ("rules", "antecedents", "most_rules", "nk_hint", "search")
     }
     known = learn_lagged(TS(**asked), train, validation)
-    lagged = finished_lagged(known.stage, train, known.notes, neighbour=known.neighbour)
+    lagged = finished_lagged(
+        known.stage, train, known.notes, intervals=known.linear is None, neighbour=known.neighbour
+    )
     if not (settings.search.hidden_states and hints_at_hidden_state(lagged, train)):
         return Contest(lagged)
     try:
         learned = learn(TSStateSpace(**asked), train, validation)
+        if learned.stage.rules == 1 == known.stage.rules:
+            return Contest(lagged)
         found = finished(
             train, learned.stage, learned.notes, intervals=learned.intervals, neighbour=learned.neighbour
         )
@@ -134,6 +160,31 @@ def contest(settings: BestTS, train: Dataset, validation: Dataset | None = None)
     except (DataError, FitError, UsageError, np.linalg.LinAlgError):  # e.g. antecedents that it does not have
         return Contest(lagged)
     return Contest(lagged, found, *judgement)
+
+
+def _linear_enough(
+    settings: BestTS, found: Contest, train: Dataset, validation: Dataset | None
+) -> FittedLinear | FittedStateSpace | None:
+    """The linear side's choice where one rule is enough, or where it fits better than the rules.
+
+    None where rules are kept, or where the one rule holds an integrator, which no linear structure does.
+    """
+    rules = found.of_rules
+    count = len(rules.parameters.theta)
+    if (count > 1 and settings.rules != "auto") or INTEGRATES in rules.notes:
+        return None
+    choice = linear_choice(TS(nk_hint=settings.nk_hint), train, validation)
+    if choice is None:
+        return None
+    model = choice[1]
+    assert isinstance(model, FittedLinear | FittedStateSpace)
+    if count == 1:
+        said = "rules were searched for, and none paid."
+    elif not advantage([block_errors((model, rules), validation or train)]).gain < 0.0:
+        said = f"its free run is nearer than that of the {count} rules found."
+    else:
+        return None
+    return replace(model, notes=(f"{LINEAR_ENOUGH}{said}", *model.notes))
 
 
 def _judged(

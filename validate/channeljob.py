@@ -14,9 +14,9 @@ from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.excitation.dead_time import DeadTime
 from flysid.model.base import Fitted
 from flysid.model.feedback import feedback
+from flysid.model.linear.choice import Choice
 from flysid.progress import part, tell
 from flysid.split import Split
-from flysid.validate.baseline import Choice
 from flysid.validate.fitone import UNFIT, FitsTo, fit_one, reason
 from flysid.validate.run import ChannelRun, FitSettings
 

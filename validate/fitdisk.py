@@ -16,9 +16,9 @@ from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.model.base import Fitted
+from flysid.model.linear.choice import Choice, free_run_errors
 from flysid.model.selection import clearly_better
 from flysid.progress import tell
-from flysid.validate.baseline import Choice, free_run_errors
 from flysid.validate.channeljob import ChannelJob, Fits
 from flysid.validate.diskparts import LOOK_ROWS, FilePart, plan_on_disk
 from flysid.validate.fitplan import FitPlan

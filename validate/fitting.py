@@ -26,10 +26,12 @@ from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.base import Estimator
+from flysid.model.linear.choice import choose_baseline, confirmed, linear_estimators
+from flysid.model.shared import sharing
 from flysid.progress import Step, tell, through
 from flysid.split import plan_split
 from flysid.validate import folds
-from flysid.validate.baseline import REFERENCES, choose_baseline, confirmed, linear_estimators
+from flysid.validate.baseline import REFERENCES
 from flysid.validate.channeljob import ChannelJob, Fits
 from flysid.validate.diskparts import LOOK_ROWS
 from flysid.validate.fitdisk import DiskJob
@@ -110,6 +112,10 @@ class MemoryJob(ChannelJob[Dataset]):
     """One channel to fit in memory."""
 
     def _run(self) -> ChannelRun | str:
+        with sharing():
+            return self._shared()
+
+    def _shared(self) -> ChannelRun | str:
         settings = self.settings
         split = plan_split(self.data, holdout=settings.holdout, by=settings.by, seed=settings.seed)
         train, _ = split.apply(self.data)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
 from flysid.model.linear.data import Parts, as_tuple
@@ -16,6 +16,7 @@ from flysid.model.linear.output_error import (
     refit,
 )
 from flysid.model.linear.settings import PolynomialSettings
+from flysid.model.shared import digest, once
 from flysid.model.simulation_error import Orders
 
 SHARE = 10
@@ -40,7 +41,7 @@ class Refined:
 
     def final(self, notes: Sequence[str] = ()) -> FittedLinear:
         """The chosen orders on all training data."""
-        fits = refit(self.parts, self.fits)
+        fits = _refitted(self.parts, self.fits)
         return assemble(self.structure, self.parts, fits, (self.note, *notes), self.settings.n_init)
 
 
@@ -58,6 +59,25 @@ def search(
     ------
     FitError : no stable model was found.
     """
+    fits, note = _searched(settings, parts, known_nk if len(parts.train.inputs) > FEW_INPUTS else None)
+    return Refined(structure, settings, parts, fits, note)
+
+
+def _asked(settings: PolynomialSettings, parts: Parts, known_nk: tuple[int, ...] | None) -> Hashable:
+    """What a search depends on: ARX, OE, ARMAX and Box-Jenkins ask for the same one."""
+    s = settings
+    given = (s.na, s.nb, s.nk, s.offset, tuple(s.nk_hint), s.trend == "estimate")
+    return repr(given), known_nk, _data(parts)
+
+
+def _data(parts: Parts) -> Hashable:
+    return parts.seed, digest(parts.train), None if parts.validation is None else digest(parts.validation)
+
+
+@once(_asked)
+def _searched(
+    settings: PolynomialSettings, parts: Parts, known_nk: tuple[int, ...] | None
+) -> tuple[tuple[OneOutput, ...], str]:
     n_y, n_u = len(parts.train.outputs), len(parts.train.inputs)
     longest = max(len(s) for s in parts.fit.segments)
     most = max(1, min(HIGHEST_ORDER, (len(parts.fit) // SHARE - 1) // (1 + n_u), (longest - 2) // 5))
@@ -71,13 +91,12 @@ def search(
         for s, k in zip(parts.train.inputs, nk, strict=True)
     )
     words = note or f"order {fits[0].problem.orders.na}"
-    return Refined(
-        structure,
-        settings,
-        parts,
-        tuple(fits),
-        f"Fitted to the simulation error: {words}; delays in samples: {delay}.",
-    )
+    return tuple(fits), f"Fitted to the simulation error: {words}; delays in samples: {delay}."
+
+
+@once(lambda parts, fits: (_data(parts), tuple((f.problem.orders, f.theta.tobytes()) for f in fits)))
+def _refitted(parts: Parts, fits: tuple[OneOutput, ...]) -> list[OneOutput]:
+    return refit(parts, fits)
 
 
 def _delays(

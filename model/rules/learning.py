@@ -5,16 +5,19 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.arguments import is_count
+from flysid.model.base import Fitted
 from flysid.model.linear.settings import check_hint
 from flysid.model.rules.edits import merge_and_split, prune
 from flysid.model.rules.free_run_error import Stage, runs_of
-from flysid.model.rules.judging import INTEGRATES, Candidate, choose, hold_out
+from flysid.model.rules.judging import INTEGRATES, Candidate, choose, hold_out, is_bounded
+from flysid.model.rules.linear_starts import as_linear, as_stage, linear_choice
 from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import (
     Antecedent,
@@ -39,11 +42,26 @@ _AS_IT_WAS = (
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A chosen stage, how it was chosen in words, and one with a rule more, or fewer where growth ended."""
+    """A chosen stage and how it was chosen, in words.
+
+    Attributes
+    ----------
+    neighbour : one with a rule more, or fewer where growth ended.
+    linear : the linear model that one rule is, where it is one.
+    """
 
     stage: Stage
     notes: tuple[str, ...]
     neighbour: Stage | None = None
+    linear: Fitted | None = None
+
+
+class _Linear(NamedTuple):
+    """A linear model, the same as a stage of one rule, and how it was found."""
+
+    model: Fitted
+    stage: Stage
+    notes: tuple[str, ...]
 
 
 def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Learned:
@@ -67,7 +85,8 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     shift, scale = scaling(fit_part)
     small = own and settings.rules == "auto" and settings.refine and len(train) < settings.search.short
     folds = tuple(hold_out(train, least, fold) for fold in range(1, settings.search.folds)) if small else ()
-    context = SearchContext(settings, fit_part, check_part, shift, scale, least, folds=folds)
+    gain = settings.search.short_rule_gain if small else settings.search.rule_gain
+    context = SearchContext(settings, fit_part, check_part, shift, scale, least, folds=folds, gain=gain)
     candidates, notes = context.linear(choices)
     context = replace(context, must_be_bounded=any(c.stable for c in candidates))
     if not context.must_be_bounded:
@@ -75,8 +94,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         notes.append(f"{INTEGRATES} Boundedness was not asked for.")
     if folds:
         notes.append("Little data: parts of it were held out in turn to choose the number of rules.")
-    gain = settings.search.short_rule_gain if small else settings.search.rule_gain
-    models, at = _chosen(context, candidates, gain)
+    models, at = _chosen(context, candidates)
     chosen = models[at]
     if not chosen.stable:
         raise FitError(
@@ -88,6 +106,12 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         chosen, simpler = prune(context, merge_and_split(context, models, at))
         notes += simpler
     stage = known = ordered(chosen.stage)
+    near = [*models[at + 1 :], *models[at - 1 : at]]
+    neighbour = next((m.stage for m in near if m.stable), None)
+    linear = _linear_side(context, chosen.stage, train, validation)
+    if linear is not None:
+        words = (*linear.notes, *rule_verdict(settings, models, at))
+        return Learned(linear.stage, words, neighbour, linear.model)
     if settings.refine:
         runs = runs_of(stage.problem.layout, (train if own else fit_part).segments, least)
         stage = refit(replace(chosen, stage=stage), train if own else fit_part, runs, settings.iterations)
@@ -95,9 +119,33 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
         notes.append(_AS_IT_WAS if stage is known else _ON_ALL)
     if stage.problem.integrates and context.must_be_bounded:
         notes.append(INTEGRATES)
-    near = [*models[at + 1 :], *models[at - 1 : at]]
-    neighbour = next((m.stage for m in near if m.stable), None)
     return Learned(stage, (*notes, *rule_verdict(settings, models, at), _method(settings)), neighbour)
+
+
+def _linear_side(
+    context: SearchContext, chosen: Stage, train: Dataset, validation: Dataset | None
+) -> _Linear | None:
+    """One rule is the linear side's choice, parameter for parameter.
+
+    None where there is more than one rule, where the process integrates, which one rule can say exactly, or
+    where the choice is no equation over lags that runs free.
+    """
+    settings = context.settings
+    if chosen.rules > 1 or chosen.problem.integrates or not settings.refine:
+        return None
+    found = linear_choice(settings, train, validation)
+    model = None if found is None else as_linear(found[1])
+    if found is None or model is None:
+        return None
+    least = max(context.least, model.orders.depth + SPARE_ROWS)
+    if not any(len(s) >= least for s in train.segments):
+        return None
+    whole = replace(context, fit_part=train, least=least)
+    stage = whole.ready(as_stage(model, whole.problem(model.orders)))
+    if not np.isfinite(stage.cost) or (context.must_be_bounded and not is_bounded(stage)):
+        return None
+    said = f"One rule is the linear side's choice, parameter for parameter: {found[0].upper()}."
+    return _Linear(found[1], stage, (said, *found[1].notes))
 
 
 def _deepest(settings: Settings, train: Dataset) -> int:
@@ -106,8 +154,8 @@ def _deepest(settings: Settings, train: Dataset) -> int:
     return min(_DEEPEST_DELAY if len(train) > settings.search.short else _HIGHEST_LINEAR, longest // _SHARE)
 
 
-def _chosen(context: SearchContext, linear: Sequence[Candidate], gain: float) -> tuple[list[Candidate], int]:
-    """Models by number of rules, and which of them is offered; a rule must win `gain` of the mean square."""
+def _chosen(context: SearchContext, linear: Sequence[Candidate]) -> tuple[list[Candidate], int]:
+    """Models by number of rules, and which of them is offered."""
     settings = context.settings
     if settings.rules != "auto" and not any(affords(c, settings.rules) for c in linear):
         raise _too_many(settings.rules, linear)  # before an hour of growing
@@ -117,8 +165,8 @@ def _chosen(context: SearchContext, linear: Sequence[Candidate], gain: float) ->
             raise _too_many(settings.rules, models)
         return models, len(models) - 1
     if context.folds and len(models) > 1:
-        models = cross_validated(context, models, max(1, choose(models, least_gain=gain)))
-    return models, choose(models, least_gain=gain)
+        models = cross_validated(context, models, max(1, choose(models, least_gain=context.gain)))
+    return models, choose(models, least_gain=context.gain)
 
 
 def _too_many(rules: int, models: Sequence[Candidate]) -> DataError:
@@ -235,6 +283,8 @@ def rule_verdict(settings: Settings, models: Sequence[Candidate], at: int) -> li
     """The rule count in words."""
     if settings.rules != "auto":
         return [f"{settings.rules} rules, as asked."]
+    if len(models) == 1:
+        return ["One rule is enough: two fit no better even the data that they were fitted to."]
     tried = ", ".join(f"{len(m.stage.body.a)}: {with_spread(m, models)}" for m in models)
     sweep = f"Validation free-run error by number of rules, in standard deviations of the output: {tried}."
     if "+-" in tried:

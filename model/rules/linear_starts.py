@@ -9,19 +9,37 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FlysidError
 from flysid.model.arx import ARX
+from flysid.model.base import Fitted
 from flysid.model.freerun import Difference
+from flysid.model.linear.choice import best_linear, linear_estimators
 from flysid.model.linear.model import FittedLinear
+from flysid.model.oe import OE
 from flysid.model.rules.free_run_error import Body, Problem, Stage
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.regressor_layout import Layout, Orders
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.model import FittedStateSpace
+
+
+class Asked(Protocol):
+    """Orders, as `TS` has them."""
+
+    @property
+    def na(self) -> int | Literal["auto"]: ...
+    @property
+    def nb(self) -> int | Sequence[int] | Literal["auto"]: ...
+    @property
+    def nk(self) -> int | Sequence[int] | Literal["auto"]: ...
+    @property
+    def nk_hint(self) -> Sequence[int]: ...
+
 
 _MOST_STATES = 10  # as difference equations, higher orders lose their poles to rounding
 
@@ -90,7 +108,7 @@ def _orders(system: Difference) -> Orders:
 
 
 def as_difference(model: FittedStateSpace) -> Difference:
-    """The state space, without delays, as a difference equation with its characteristic polynomial."""
+    """The state space as a difference equation with its characteristic polynomial."""
     r = model.realisation
     n, n_y = r.order, len(r.c)
     a = np.real(np.poly(r.a)) if n else np.ones(1)
@@ -105,9 +123,38 @@ def as_difference(model: FittedStateSpace) -> Difference:
             for k in range(n + 1)
         ]
     )
-    return Difference(
-        a[:, None, None] * np.eye(n_y), b[:, :, :-1], b[:, :, -1].sum(axis=0) + a.sum() * r.level
-    )
+    late = np.zeros((n + 1 + max(model.delays, default=0), n_y, r.b.shape[1]))
+    for j, delay in enumerate(model.delays or (0,) * late.shape[2]):
+        late[delay : delay + n + 1, :, j] = b[:, :, j]
+    return Difference(a[:, None, None] * np.eye(n_y), late, b[:, :, -1].sum(axis=0) + a.sum() * r.level)
+
+
+def linear_choice(settings: Asked, train: Dataset, validation: Dataset | None) -> tuple[str, Fitted] | None:
+    """The linear side's choice among models of the orders asked for, and its name; None where it has none.
+
+    Where nothing is asked for it is the baseline of `flysid fit`, the same fit.
+    """
+    hint = tuple(settings.nk_hint)
+    candidates = linear_estimators(hint)
+    if (settings.na, settings.nb, settings.nk) != ("auto", "auto", "auto"):
+        asked: dict[str, Any] = {"na": settings.na, "nb": settings.nb, "nk": settings.nk, "nk_hint": hint}
+        candidates = {"arx": ARX(**asked), "oe": OE(**asked)}
+    try:
+        choice, model = best_linear(train, validation, candidates)
+    except FlysidError:
+        return None
+    return choice.label, model
+
+
+def as_linear(model: Fitted) -> LinearModel | None:
+    """A fitted linear model as a difference equation; None where its order is too high for one."""
+    if isinstance(model, FittedLinear):
+        system = model.system
+    elif isinstance(model, FittedStateSpace) and model.order <= _MOST_STATES:
+        system = as_difference(model)
+    else:
+        return None
+    return LinearModel(model.structure, _orders(system), system, model.u_origin, model.y_origin, ARX())
 
 
 def as_stage(found: LinearModel, problem: Problem) -> Stage:

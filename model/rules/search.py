@@ -51,7 +51,7 @@ def search(context: SearchContext, linear: Sequence[Candidate]) -> list[Candidat
         rules = len(models) + 1
         keep = 1 if rules == 2 else kept
         kids = [kid for lane in lanes if affords(lane, rules) for kid in _grown(context, lane, keep)]
-        if not kids:
+        if not kids or (rules == 2 and not _promising(context, lanes, kids)):
             break
         models.append(representative(kids))
         tell(f"{rules} rules", share=rules / (most + 1), validation=float(np.sqrt(models[-1].mean)))
@@ -59,6 +59,14 @@ def search(context: SearchContext, linear: Sequence[Candidate]) -> list[Candidat
         if settings.rules == "auto" and has_stalled(models):
             break
     return models
+
+
+def _promising(context: SearchContext, lanes: Sequence[Candidate], kids: Sequence[Candidate]) -> bool:
+    """Whether two rules lower the training error, at least, by what they must win on held-out parts."""
+    if context.fold_rules or context.settings.rules != "auto":
+        return True
+    least = min(lane.stage.cost for lane in lanes)
+    return min(kid.stage.cost for kid in kids) < (1.0 - context.gain) * least
 
 
 def _starts(context: SearchContext, linear: Sequence[Candidate]) -> list[Candidate]:

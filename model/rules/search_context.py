@@ -64,6 +64,7 @@ class SearchContext:
     ----------
     integrates : whether models keep a pole at one; None asks the data.
     known : the linear side's model to start from; None lets it search.
+    gain : share of the mean square that a rule must win.
     fold_rules : on a fold, the number of rules up to which it is grown; 0: this is none.
     """
 
@@ -77,6 +78,7 @@ class SearchContext:
     folds: tuple[tuple[Dataset, Dataset], ...] = ()
     integrates: bool | None = None
     known: LinearModel | None = None
+    gain: float = 0.0
     fold_rules: int = 0
 
     @property

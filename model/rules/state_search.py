@@ -41,6 +41,7 @@ _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
 _FEWER_TRIES = 1  # insertions less that are tried out on long records, whose promises can be trusted
 _SCREEN = Training(ridge=0.1, tries=2, iterations=12, tolerance=1e-3)
 _AS_MUCH = 0.7  # of the first part's gain in logarithms, that another part must see from the same place
+_PROMISE = 0.3  # in logarithms of the mean square, that two rules must lower it by on the first part
 _IDLE = 2  # rules in a row that may bring nothing,
 _HARM = 1.05  # or one, if the validation error is so many times the least
 
@@ -88,7 +89,10 @@ def searched(context: StateContext, systems: Sequence[System], parts: Parts) -> 
     able = [x for x in able if x.error < _RAN_AWAY] or able[:1]
     if context.most == 1 or not able:
         return Found(plain, plain)
-    kept = _screened(context, able[: context.settings.search.linear_systems], parts)[: 1 if many else _KEPT]
+    screened = _screened(context, able[: context.settings.search.linear_systems], parts)
+    if context.settings.rules == "auto" and min(change for _, _, change in screened) > -_PROMISE:
+        return Found(plain, plain)
+    kept = [(start, x) for start, x, _ in screened[: 1 if many else _KEPT]]
     ridges = context.settings.search.ridges if context.settings.ridge == "auto" else (context.settings.ridge,)
     families = [(grown(context, start, x.stages, parts, ridges[0]), x) for start, x in kept]
     families.sort(key=lambda f: _error(context, f[0]))
@@ -119,11 +123,18 @@ def _tolerant(found: Judged) -> Judged:
     return replace(found, bounded=True)
 
 
-def _screened(context: StateContext, linear: Sequence[_Linear], parts: Parts) -> list[tuple[Start, _Linear]]:
-    """Starts by what two rules do on the first part, best first."""
+def _screened(
+    context: StateContext, linear: Sequence[_Linear], parts: Parts
+) -> list[tuple[Start, _Linear, float]]:
+    """Starts by what two rules do on the first part, best first.
+
+    With the change of the mean square in logarithms: of the fit to its own linear system's, or of the
+    validation to the best linear system's, whichever says less for two rules.
+    """
     check = _sampled(parts[0][1], _SCREEN_ROWS)
     how = _searching(_SCREEN, parts)
-    tried: list[tuple[bool, float, Start, _Linear]] = []
+    known = min(x.family.folds[0][0].mean for x in linear)
+    tried: list[tuple[bool, float, Start, _Linear, float]] = []
     for x in linear:
         first = thinned(x.stages[0], _SCREEN_ROWS)
         for name in coordinates(Realisation.of(first.layout, first.body.a[0]), len(check.outputs)):
@@ -132,9 +143,10 @@ def _screened(context: StateContext, linear: Sequence[_Linear], parts: Parts) ->
             judged = context.judge(found, check)
             score = float(np.log(np.maximum((judged.mean, found.mean_square()), _EXACT)).sum())
             runs_away = x.family.folds[0][0].bounded and not judged.bounded
-            tried.append((runs_away, score, Start(x.system, name), x))
+            change = max(_change(judged.mean, known), _change(found.mean_square(), first.mean_square()))
+            tried.append((runs_away, score, Start(x.system, name), x, change))
     tried.sort(key=lambda t: t[:2])
-    return [(start, x) for _, _, start, x in tried]
+    return [(start, x, change) for _, _, start, x, change in tried]
 
 
 def _searching(how: Training, parts: Parts) -> Training:
@@ -182,7 +194,12 @@ def _likewise(
 
 def _gain(before: StateStage, after: StateStage) -> float:
     """By how much the training error fell, in logarithms of the mean square."""
-    return float(np.log(max(before.mean_square(), _EXACT)) - np.log(max(after.mean_square(), _EXACT)))
+    return -_change(after.mean_square(), before.mean_square())
+
+
+def _change(after: float, before: float) -> float:
+    """From one mean square to another, in logarithms."""
+    return float(np.log(max(after, _EXACT)) - np.log(max(before, _EXACT)))
 
 
 def _idle(context: StateContext, family: Family, stages: Sequence[StateStage]) -> bool:

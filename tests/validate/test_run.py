@@ -26,11 +26,11 @@ from flysid.model.anfis import ANFIS
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator
 from flysid.model.ensemble import Ensemble
+from flysid.model.linear.choice import linear_estimators
 from flysid.model.oe import OE
 from flysid.model.ts import TS
 from flysid.split import Split
 from flysid.validate import fitting, judge
-from flysid.validate.baseline import linear_estimators
 from flysid.validate.compare import compare, sides_of
 from flysid.validate.comparison import Comparison, Entry
 from flysid.validate.expected import expected_of_run

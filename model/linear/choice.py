@@ -1,0 +1,210 @@
+"""The linear side's choice: which structures compete, and which of them a fuzzy model has to beat.
+
+Every candidate is fitted to the same part of the training data and judged by its free run over the rest. ARX
+stays unless another is better by more than noise there, and no worse over all of the training data once both
+are fitted to them. Where rules do not pay, this model is what one rule says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import DataError, FitError
+from flysid.model.base import Estimator, Fitted
+from flysid.model.selection import block_means, clearly_better
+from flysid.model.shared import fit_key, once
+from flysid.model.start import run_from_window, start_window
+from flysid.progress import tell
+
+FIRST = "arx"
+HELD_OUT = 0.25
+FEWEST = 10
+"""Rows that a segment must score."""
+LOST = 1e6
+"""Times the output's spread: what an error that is no number counts as."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The baseline, and why.
+
+    Attributes
+    ----------
+    label : of the linear model chosen.
+    rmse : validation free-run RMSE in standard deviations of the output, by label; empty where the training
+        part is too short to hold anything out.
+    words : one sentence.
+    """
+
+    label: str
+    rmse: Mapping[str, float] = field(default_factory=dict)
+    words: str = ""
+
+
+def linear_estimators(nk_hint: tuple[int, ...] = ()) -> dict[str, Estimator]:
+    """The linear structures that compete for the baseline, by label, with their defaults.
+
+    `nk_hint`: delays per input that they try besides their own.
+    """
+    from flysid.model.armax import ARMAX
+    from flysid.model.arx import ARX
+    from flysid.model.bj import BJ
+    from flysid.model.oe import OE
+    from flysid.model.statespace import StateSpace
+
+    kinds = {"arx": ARX, "oe": OE, "armax": ARMAX, "bj": BJ, "statespace": StateSpace}
+    return {label: kind(nk_hint=nk_hint) for label, kind in kinds.items()}
+
+
+def best_linear(
+    train: Dataset, validation: Dataset | None, candidates: Mapping[str, Estimator]
+) -> tuple[Choice, Fitted]:
+    """The candidate that `flysid fit` takes as the baseline, fitted to all training data.
+
+    Parameters
+    ----------
+    validation : judges the candidates; where it is None, a part of the training data does.
+
+    Raises
+    ------
+    FitError : no candidate could be fitted.
+    """
+    if validation is not None:
+        fitted = _fitted(candidates, train, validation)
+        choice = _chosen(_of_the_bounded(fitted, validation))
+        return choice, fitted[choice.label]
+    choice = choose_baseline(train, candidates)
+    models: dict[str, Fitted] = {}
+    for label in dict.fromkeys((FIRST, choice.label)):
+        try:
+            models[label] = candidates[label].fit(train)
+        except (DataError, FitError) as error:
+            words = f"{choice.words}; {label.upper()} could not be fitted: {error.message}"
+            choice = replace(choice, words=words)
+    if not models:
+        raise FitError(choice.words)
+    choice = confirmed(choice, models, train)
+    return choice, models[choice.label]
+
+
+def _asked(train: Dataset, candidates: Mapping[str, Estimator]) -> Hashable | None:
+    return fit_key(tuple(candidates.items()), train)
+
+
+@once(_asked)
+def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Choice:
+    """Fit every candidate to a part of `train`, judge it by its free run over the rest.
+
+    Raises
+    ------
+    FitError : no candidate could be fitted.
+    """
+    try:
+        fit, check = train.split(holdout=HELD_OUT)
+        errors = _of_the_bounded(_fitted(candidates, fit, check), check)
+    except DataError:
+        return Choice(_first(candidates), words="the training part is too short to choose on")
+    return _chosen(errors)
+
+
+def _chosen(errors: Mapping[str, FloatArray]) -> Choice:
+    label = _first(errors)
+    for name, e in errors.items():
+        if clearly_better(e, errors[label]):
+            label = name
+    rmse = {name: float(np.sqrt(e.mean())) for name, e in errors.items()}
+    for name, value in rmse.items():
+        tell("free run on the validation part", model=name, validation=value)
+    said = ", ".join(f"{name.upper()} {value:.3g}" for name, value in rmse.items())
+    if rmse[label] > min(rmse.values()):
+        said += f"; none is clearly better than {label.upper()}"
+    return Choice(label, rmse, f"validation free-run RMSE, in standard deviations of the output: {said}")
+
+
+def confirmed(choice: Choice, models: Mapping[str, Fitted], train: Dataset) -> Choice:
+    """The choice, unless ARX follows all of the training data better once both are fitted to them.
+
+    Validation is one flight or a few: what wins there and then fits the whole worse has won by luck.
+
+    Parameters
+    ----------
+    models : the linear models fitted to all training data, by label.
+    """
+    first = _first(models)
+    if choice.label == first or choice.label not in models:
+        return replace(choice, label=first)
+    errors = free_run_errors({n: models[n] for n in (first, choice.label)}, train)
+    if errors[choice.label].mean() <= errors[first].mean():
+        return choice
+    rmse = {n.upper(): f"{np.sqrt(e.mean()):.3g}" for n, e in errors.items()}
+    said = " against ".join(f"{n} {v}" for n, v in rmse.items())
+    return replace(
+        choice,
+        label=first,
+        words=f"{choice.words}; {choice.label.upper()} was not kept: free run of all training data {said}",
+    )
+
+
+def _first(named: Mapping[str, object]) -> str:
+    return FIRST if FIRST in named else next(iter(named))
+
+
+def _fitted(candidates: Mapping[str, Estimator], fit: Dataset, check: Dataset) -> dict[str, Fitted]:
+    models: dict[str, Fitted] = {}
+    reasons: list[str] = []
+    for i, (name, estimator) in enumerate(candidates.items()):
+        tell("choosing the best linear model", model=name, share=i / len(candidates))
+        try:
+            models[name] = estimator.fit(fit, check)
+        except (DataError, FitError) as error:
+            reasons.append(f"{name}: {error}")
+        except MemoryError:
+            reasons.append(f"{name}: out of memory")
+    if not models:
+        raise FitError("no linear model could be fitted: " + "; ".join(reasons))
+    return models
+
+
+def free_run_errors(models: Mapping[str, Fitted], check: Dataset) -> dict[str, FloatArray]:
+    """Mean squared free-run errors of blocks of the validation part, in variances of the outputs.
+
+    All models start alike: each estimates its first lags from the same window of measured samples, which is
+    left out.
+
+    Raises
+    ------
+    DataError : no segment is long enough.
+    """
+    return {name: errors for name, (errors, _) in _judged(models, check).items()}
+
+
+def _of_the_bounded(models: Mapping[str, Fitted], check: Dataset) -> dict[str, FloatArray]:
+    """The errors of the models that reach their limits nowhere; of all where none is left."""
+    found = _judged(models, check)
+    kept = [name for name, (_, lost) in found.items() if not lost] or list(found)
+    return {name: found[name][0] for name in kept}
+
+
+def _judged(models: Mapping[str, Fitted], check: Dataset) -> dict[str, tuple[FloatArray, bool]]:
+    """Block errors of every model, and whether it ever reached its output limits."""
+    lags = max(model.n_init for model in models.values())
+    windows = [start_window(lags, len(s), check.dt_s) for s in check.segments]
+    scored = [(s, w) for s, w in zip(check.segments, windows, strict=True) if len(s) >= w + FEWEST]
+    if not scored:
+        raise DataError(f"no segment has {FEWEST} samples beside those that start the models")
+    scale = np.std(np.concatenate([s.y[w:] for s, w in scored]), axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    found = {}
+    for name, model in models.items():
+        squares, lost, (low, high) = [], False, model.output_limits
+        for s, window in scored:
+            run = run_from_window(model, s, window)[window:]
+            lost = lost or bool(((run <= low) | (run >= high) | ~np.isfinite(run)).any())
+            gaps = np.nan_to_num((s.y[window:] - run) / scale, nan=LOST, posinf=LOST, neginf=-LOST)
+            squares.append(np.mean(np.clip(gaps, -LOST, LOST) ** 2, axis=1))
+        found[name] = (block_means(squares), lost)
+    return found
