@@ -172,16 +172,19 @@ def sides_of(
     contender = contender or _contender(models, base)
     if kind_of(models[base].structure) == "rules":
         return Sides(base, contender, (), frozenset(), frozenset(seen))
-    fuzzy = contender is not None and kind_of(models[contender].structure) == "rules"
     one_rule = _one_rule(models)
+    fuzzy = contender is not None and (
+        contender in one_rule or kind_of(models[contender].structure) == "rules"
+    )
     linear = {n for n, m in models.items() if kind_of(m.structure) == "linear"} | one_rule
     rivals = [n for n in models if fuzzy and n in linear and n not in (base, contender)]
     return Sides(base, contender, tuple(rivals), one_rule, frozenset(seen))
 
 
 def _one_rule(models: Mapping[str, Fitted]) -> frozenset[str]:
-    """Fuzzy models that are linear ones."""
-    return frozenset(n for n, m in models.items() if kind_of(m.structure) == "rules" and len(m.rules()) == 1)
+    """Fuzzy models that are linear ones: of one rule, or what the search for rules took instead of them."""
+    alone = {n: m for n, m in models.items() if len(m.rules()) == 1}
+    return frozenset(n for n, m in alone.items() if kind_of(m.structure) == "rules" or n in CONTENDERS)
 
 
 def with_references(models: Mapping[str, Fitted], train: Dataset) -> dict[str, Fitted]:

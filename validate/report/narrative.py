@@ -164,6 +164,8 @@ def title(pairs: Heads, idle: Sequence[str] = ()) -> str:
         )
     if count[Verdict.SAME] == total and _two_runs(pairs):
         return f"The two runs are the same{here} {on_all}."
+    if count[Verdict.SAME] == total and _all_linear(pairs):
+        return f"A linear model is enough{here} {on_all}."
     if count[Verdict.SAME] == total:
         return f"{'A' if one_rule else 'The'} {base} is enough{here} {on_all}."
     left = total - count[Verdict.SAME]
@@ -201,6 +203,8 @@ def subtitle(pairs: Heads, idle: Sequence[str] = ()) -> str:
     if lost:
         rest = subtitle([(name, pair) for name, pair in pairs if name not in lost])
         return f"Both models diverged in free run on {_listed(lost)}: see the cautions. {rest}".rstrip()
+    if pairs and all(pair.verdict is Verdict.SAME for _, pair in pairs) and _all_linear(pairs):
+        return " ".join(["Rules were searched for, and none paid.", *_scopes(pairs)])
     if pairs and all(pair.verdict is Verdict.SAME for _, pair in pairs):
         both = f"the {called(pairs[0][1].model)} and the {base_words(pairs)}"
         said = f"In free run {both} are the same: keep the simpler one."
@@ -216,6 +220,11 @@ def subtitle(pairs: Heads, idle: Sequence[str] = ()) -> str:
         if names and len(names) < len(pairs):
             sentences.append(f"On {_listed(names)} {text.format(base=base)}")
     return " ".join(sentences)
+
+
+def _all_linear(pairs: Heads) -> bool:
+    """What the search for rules came back with is a linear model on every channel."""
+    return all(pair.one_rule for _, pair in pairs)
 
 
 def _two_runs(pairs: Heads) -> bool:
@@ -296,7 +305,8 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
     bases = dict.fromkeys(one_line(c.baseline).upper() for c in comparisons.values())
     against = _introduced(base_words(pairs) if pairs else called(first.baseline), " or ".join(bases))
     if first.contender:
-        model = _introduced(called(first.contender), one_line(first.contender).upper())
+        name = "outcome of the search for rules" if pairs and _all_linear(pairs) else called(first.contender)
+        model = _introduced(name, one_line(first.contender).upper())
         against = f"{model} against {against}"
     held = f"{segments} held-out segment{'s' if segments != 1 else ''} ({duration(seconds)})"
     words = f"{against[0].upper()}{against[1:]} on {held}"
