@@ -25,7 +25,7 @@ from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.fitted_states import FittedTSStateSpace
 from flysid.model.rules.free_run_error import runs_of
 from flysid.model.rules.judging import INTEGRATES, hold_out
-from flysid.model.rules.learning import Learned
+from flysid.model.rules.learning import SWEEP, Learned
 from flysid.model.rules.learning import learn as learn_lagged
 from flysid.model.rules.linear_starts import linear_choice
 from flysid.model.rules.refit import on_all_runs
@@ -184,7 +184,8 @@ def _linear_enough(
         said = f"its free run is nearer than that of the {count} rules found."
     else:
         return None
-    return replace(model, notes=(f"{LINEAR_ENOUGH}{said}", *model.notes))
+    tried = [note for note in rules.notes if note.startswith(SWEEP)]
+    return replace(model, notes=(f"{LINEAR_ENOUGH}{said}", *tried, *model.notes))
 
 
 def _judged(

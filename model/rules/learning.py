@@ -30,6 +30,8 @@ from flysid.model.rules.search import affords, cross_validated, search
 from flysid.model.rules.search_context import SPARE_ROWS, SearchContext, Settings
 from flysid.model.rules.stages import ordered
 
+SWEEP = "Validation free-run error by number of rules"
+"""How the note begins that says what was tried."""
 _HIGHEST_LINEAR = 12  # samples of lags that the linear side may choose on short records,
 _DEEPEST_DELAY = 40  # and on long ones, delay included
 _SHARE = 20  # a segment must be so many times longer than what the linear side looks back
@@ -283,12 +285,12 @@ def rule_verdict(settings: Settings, models: Sequence[Candidate], at: int) -> li
     """The rule count in words."""
     if settings.rules != "auto":
         return [f"{settings.rules} rules, as asked."]
-    if len(models) == 1:
-        return ["One rule is enough: two fit no better even the data that they were fitted to."]
     tried = ", ".join(f"{len(m.stage.body.a)}: {with_spread(m, models)}" for m in models)
-    sweep = f"Validation free-run error by number of rules, in standard deviations of the output: {tried}."
+    sweep = f"{SWEEP}, in standard deviations of the output: {tried}."
     if "+-" in tried:
         sweep += " +- is one standard error of the distance to the best."
+    if len(models) == 1:
+        return [sweep, "One rule is enough: two hardly lower the error even of what they were fitted to."]
     if at == 0:
         return [sweep, "One rule is enough: more rules do not lower the validation error beyond its spread."]
     return [sweep, f"{at + 1} rules: the fewest within one standard error of the best."]

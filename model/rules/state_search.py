@@ -41,7 +41,7 @@ _EXACT = 1e-10  # mean squares, in variances of the output, that count as none
 _FEWER_TRIES = 1  # insertions less that are tried out on long records, whose promises can be trusted
 _SCREEN = Training(ridge=0.1, tries=2, iterations=12, tolerance=1e-3)
 _AS_MUCH = 0.7  # of the first part's gain in logarithms, that another part must see from the same place
-_PROMISE = 0.3  # in logarithms of the mean square, that two rules must lower it by on the first part
+_PROMISE = 0.3  # in logarithms of the mean square, that two rules must lower fit and validation by
 _IDLE = 2  # rules in a row that may bring nothing,
 _HARM = 1.05  # or one, if the validation error is so many times the least
 
@@ -128,8 +128,8 @@ def _screened(
 ) -> list[tuple[Start, _Linear, float]]:
     """Starts by what two rules do on the first part, best first.
 
-    With the change of the mean square in logarithms: of the fit to its own linear system's, or of the
-    validation to the best linear system's, whichever says less for two rules.
+    With the change of the mean square in logarithms: of the fit to its own linear system's, and of the
+    validation to the best linear system's, on average.
     """
     check = _sampled(parts[0][1], _SCREEN_ROWS)
     how = _searching(_SCREEN, parts)
@@ -143,7 +143,8 @@ def _screened(
             judged = context.judge(found, check)
             score = float(np.log(np.maximum((judged.mean, found.mean_square()), _EXACT)).sum())
             runs_away = x.family.folds[0][0].bounded and not judged.bounded
-            change = max(_change(judged.mean, known), _change(found.mean_square(), first.mean_square()))
+            fit = _change(found.mean_square(), first.mean_square())
+            change = 0.5 * (_change(judged.mean, known) + fit)
             tried.append((runs_away, score, Start(x.system, name), x, change))
     tried.sort(key=lambda t: t[:2])
     return [(start, x, change) for _, _, start, x, change in tried]

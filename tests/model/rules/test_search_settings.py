@@ -62,8 +62,8 @@ def test_what_is_set_is_done() -> None:
 def test_a_quick_search_leaves_hidden_states_out() -> None:
     data = PLANTS["hysteresis"].dataset((1,), 400, 0.02)[0]
     quick = replace(EFFORTS["quick"], highest_order=2)
-    assert contest(BestTS(most_rules=1, search=quick), data).hidden is None
-    tried = contest(BestTS(most_rules=1, search=replace(quick, hidden_states=True)), data)
+    assert contest(BestTS(rules=2, search=quick), data).hidden is None
+    tried = contest(BestTS(rules=2, search=replace(quick, hidden_states=True)), data)
     assert tried.hidden is not None
 
 

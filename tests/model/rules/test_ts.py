@@ -127,8 +127,8 @@ def test_rules_speak(bent: FittedTS) -> None:
 
 
 def test_a_last_refinement_that_was_not_taken_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = Dataset.from_arrays(*second_order(600, 0), DT)
-    settings = TS(rules=1, na=2, nb=1, nk=1)
+    data = Dataset.from_arrays(*second_order(600, 0, bend=0.1), DT)
+    settings = TS(rules=2, na=2, nb=1, nk=1)
     claim = "refined once more on the held-out part"
     assert any(claim in note for note in settings.fit(data).notes)
     monkeypatch.setattr(estimate, "refit", lambda chosen, *_: chosen.stage)
