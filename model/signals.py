@@ -1,4 +1,4 @@
-"""Compiled: filters, differences and responses, which a linear search asks for many thousand times.
+"""Compiled: filters, differences and responses, which a linear search asks for thousands of times.
 
 Polynomials stand in rising powers of q⁻¹ and are monic where they divide.
 """

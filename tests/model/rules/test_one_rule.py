@@ -1,0 +1,93 @@
+"""One rule is the linear side's choice, parameter for parameter; fits that several ask for are done once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flysid.dataset import Dataset
+from flysid.model.arx import ARX
+from flysid.model.linear.choice import best_linear, linear_estimators
+from flysid.model.linear.model import FittedLinear
+from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.linear_starts import as_linear, linear_choice
+from flysid.model.rules.search_settings import EFFORTS
+from flysid.model.shared import sharing
+from flysid.model.statespace import StateSpace
+from flysid.model.ts import TS
+from flysid.model.ts_best import LINEAR_ENOUGH, BestTS
+from flysid.validate.compare import compare
+from flysid.validate.report.narrative import heads, subtitle, title
+
+DT = 0.05
+
+
+def lag(seed: int, samples: int = 400, late: int = 2) -> Dataset:
+    """A second-order lag with a dead time; nothing bends."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-1.0, 1.0, samples // 10 + 1), 10)[:samples]
+    y = np.zeros(samples)
+    for k in range(late, samples):
+        y[k] = 1.5 * y[k - 1] - 0.56 * y[k - 2] + 0.06 * u[k - late]
+    return Dataset.from_arrays(3.0 + 2.0 * u, 10.0 + 5.0 * y + 0.1 * rng.normal(size=samples), DT)
+
+
+def test_where_rules_do_not_pay_the_baseline_comes_back() -> None:
+    train = lag(0)
+    found = BestTS(search=EFFORTS["quick"]).fit(train)
+    choice, linear = best_linear(train, None, linear_estimators())
+    assert found.structure == choice.label == linear.structure
+    assert isinstance(found, FittedLinear)
+    assert isinstance(linear, FittedLinear)
+    assert np.array_equal(found.flat, linear.flat)
+    assert found.notes[0].startswith(LINEAR_ENOUGH)
+    assert any(note.startswith("Validation free-run error by number of rules") for note in found.notes)
+    compared = compare({choice.label: linear, "ts": found}, lag(1), baseline=choice.label)
+    assert compared.verdict["y"].one_rule
+    assert compared.verdict["y"].change_pct == 0.0
+    told = heads({"y": compared})
+    said = f"{title(told)} {subtitle(told)}"
+    assert "A linear model is enough" in said
+    assert "fuzzy" not in said.lower()
+
+
+@pytest.mark.parametrize("asked", [{}, {"na": 2, "nb": 2, "nk": 2}])
+def test_one_rule_over_lags_has_the_linear_models_coefficients(asked: dict[str, int]) -> None:
+    train = lag(2)
+    settings = TS(rules=1, search=EFFORTS["quick"], **asked)  # type: ignore[arg-type]
+    with sharing():
+        model, choice = settings.fit(train), linear_choice(settings, train, None)
+    assert isinstance(model, FittedTS)
+    assert choice is not None
+    linear = as_linear(choice[1])
+    assert linear is not None
+    (A, B, _), a, b = model.local_polynomials()[0], linear.system.a, linear.system.b
+    assert np.allclose(A[:, 0, 0], -a[1:, 0, 0], rtol=1e-9, atol=1e-12)
+    assert np.allclose(B[: len(b), 0, 0], b[:, 0, 0], rtol=1e-9, atol=1e-12)
+    test = lag(3).segments[0]
+    linear_run = choice[1].free_run(test)  # type: ignore[attr-defined]
+    assert np.allclose(model.free_run(test)[100:], linear_run[100:], atol=1e-3)
+
+
+def test_a_state_space_with_delays_becomes_its_difference_equation() -> None:
+    model = StateSpace(order=2, nk=3, refine=False).fit(lag(4, late=3))
+    equation = as_linear(model)
+    assert equation is not None
+    u = np.zeros((60, 1))
+    u[25:] = 1.0
+    start = np.zeros((equation.system.depth, 1))
+    response = equation.system.run(u, start) - equation.system.run(0.0 * u, start)
+    expected = model.simulate(model.u_origin + u) - model.simulate(model.u_origin + 0.0 * u)
+    assert response == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_fit_is_done_once_within_a_scope_and_forgotten_after() -> None:
+    train, again = lag(5), lag(5)
+    with sharing():
+        first = ARX(na=1, nb=1, nk=1).fit(train)
+        assert ARX(na=1, nb=1, nk=1).fit(again) is first
+        assert ARX(na=1, nb=1, nk=2).fit(train) is not first
+        assert ARX(na=1, nb=1, nk=1).fit(lag(6)) is not first
+        with sharing():
+            assert ARX(na=1, nb=1, nk=1).fit(train) is first
+    assert ARX(na=1, nb=1, nk=1).fit(train) is not first
