@@ -55,5 +55,5 @@ def test_free_responses_span_what_decays_from_any_state(roots: list[complex]) ->
 def test_reflection_coefficients_say_what_roots_say(roots: list[float], radius: float) -> None:
     largest = max(abs(r) for r in roots)
     if abs(largest - radius) > 0.05:
-        assert is_stable(np.poly(roots), radius) is (largest < radius)
+        assert is_stable(np.asarray(np.poly(roots), dtype=np.float64), radius) is (largest < radius)
     assert not is_stable(np.array([1.0, np.nan]))
