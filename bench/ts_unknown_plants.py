@@ -19,7 +19,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import FlysidError
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.model.base import Fitted
-from flysid.model.linear.choice import choose_baseline, confirmed, linear_estimators
+from flysid.model.linear_choice import choose_baseline, confirmed, linear_estimators
 from flysid.model.ts_best import BestTS
 
 Record = tuple[FloatArray, FloatArray]

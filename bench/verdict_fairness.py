@@ -30,7 +30,7 @@ from flysid.errors import FlysidError
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
-from flysid.model.linear.choice import choose_baseline, confirmed, linear_estimators
+from flysid.model.linear_choice import choose_baseline, confirmed, linear_estimators
 from flysid.model.ts import TS
 from flysid.model.ts_best import BestTS
 from flysid.validate.compare import compare

@@ -20,7 +20,7 @@ from bench.vehicle import PERIOD_S, flight
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.ingest.synth.plants import LOOPS
 from flysid.model.base import Fitted
-from flysid.model.linear.choice import choose_baseline, confirmed, linear_estimators
+from flysid.model.linear_choice import choose_baseline, confirmed, linear_estimators
 from flysid.model.ts_best import BestTS
 from flysid.validate.compare import compare
 from flysid.validate.trials import FREE_RUN

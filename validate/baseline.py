@@ -1,4 +1,4 @@
-"""The names of what comparisons hold models against; the baseline is chosen in `model.linear.choice`."""
+"""The names of what comparisons hold models against; the baseline is chosen in `model.linear_choice`."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.excitation.dead_time import DeadTime
 from flysid.model.base import Fitted
 from flysid.model.feedback import feedback
-from flysid.model.linear.choice import Choice
+from flysid.model.linear_choice import Choice
 from flysid.progress import part, tell
 from flysid.split import Split
 from flysid.validate.fitone import UNFIT, FitsTo, fit_one, reason

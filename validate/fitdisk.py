@@ -16,7 +16,7 @@ from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.model.base import Fitted
-from flysid.model.linear.choice import Choice, free_run_errors
+from flysid.model.linear_choice import Choice, free_run_errors
 from flysid.model.selection import clearly_better
 from flysid.progress import tell
 from flysid.validate.channeljob import ChannelJob, Fits

@@ -26,7 +26,7 @@ from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.base import Estimator
-from flysid.model.linear.choice import choose_baseline, confirmed, linear_estimators
+from flysid.model.linear_choice import choose_baseline, confirmed, linear_estimators
 from flysid.model.shared import sharing
 from flysid.progress import Step, tell, through
 from flysid.split import plan_split

@@ -18,8 +18,8 @@ from flysid.errors import FlysidError
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.freerun import Difference
-from flysid.model.linear.choice import best_linear, linear_estimators
 from flysid.model.linear.model import FittedLinear
+from flysid.model.linear_choice import best_linear, linear_estimators
 from flysid.model.oe import OE
 from flysid.model.rules.free_run_error import Body, Problem, Stage
 from flysid.model.rules.growth import unrefined

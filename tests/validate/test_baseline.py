@@ -10,7 +10,7 @@ import pytest
 from flysid.dataset import Dataset
 from flysid.errors import FitError
 from flysid.model.base import Fitted
-from flysid.model.linear.choice import choose_baseline, confirmed, linear_estimators
+from flysid.model.linear_choice import choose_baseline, confirmed, linear_estimators
 from flysid.model.mean import Mean
 from flysid.model.persistence import Persistence
 from flysid.validate.cautions import cautions

@@ -26,7 +26,7 @@ from flysid.model.anfis import ANFIS
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator
 from flysid.model.ensemble import Ensemble
-from flysid.model.linear.choice import linear_estimators
+from flysid.model.linear_choice import linear_estimators
 from flysid.model.oe import OE
 from flysid.model.ts import TS
 from flysid.split import Split

@@ -7,8 +7,8 @@ import pytest
 
 from flysid.dataset import Dataset
 from flysid.model.arx import ARX
-from flysid.model.linear.choice import best_linear, linear_estimators
 from flysid.model.linear.model import FittedLinear
+from flysid.model.linear_choice import best_linear, linear_estimators
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.linear_starts import as_linear, linear_choice
 from flysid.model.rules.search_settings import EFFORTS
