@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from flysid import tabular
 from flysid.errors import DataError, UsageError
+from flysid.showing import Table, as_text
 from flysid.split import By, Split, plan_split
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ class Segment:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Dataset:
     """Segments that share a sample time, inputs and outputs.
 
@@ -241,6 +242,19 @@ class Dataset:
     def to_xarray(self) -> Any:
         """An xarray.Dataset over `sample`, units as attributes; needs xarray."""
         return tabular.xarray_of(self)
+
+    def __repr__(self) -> str:
+        signals = [", ".join(f"{s.name} [{s.unit}]" if s.unit else s.name for s in side)
+                   for side in (self.inputs, self.outputs)]  # fmt: skip
+        title = (
+            f"{self.name or 'dataset'}: {signals[0]} -> {signals[1]}; {len(self.segments)} segments, "
+            f"{len(self):,} samples, {1.0 / self.dt_s:.4g} Hz"
+        )
+        rows = []
+        for flight in self.flights:
+            own = [s for s in self.segments if s.flight == flight]
+            rows.append((flight, str(len(own)), f"{sum(map(len, own)) * self.dt_s:.1f}"))
+        return as_text(Table(title, ("flight", "segments", "seconds"), rows))
 
     def _repr_html_(self) -> str:
         """What a notebook shows: signals, and a bar per flight with the lost time left white."""

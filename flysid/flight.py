@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from flysid.errors import UsageError
+from flysid.showing import Shown, Table
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -131,8 +132,8 @@ class Source:
     sha256: str
 
 
-@dataclass(frozen=True)
-class Flight:
+@dataclass(frozen=True, repr=False)
+class Flight(Shown):
     """A log as recorded: nothing resampled, nothing dropped unseen.
 
     Attributes
@@ -159,6 +160,17 @@ class Flight:
     @property
     def streams(self) -> tuple[str, ...]:
         return tuple(self.tables)
+
+    def _table(self) -> Table:
+        whose = ", ".join(self.info[key] for key in ("vehicle", "autopilot", "firmware") if key in self.info)
+        title = (
+            f"{self.source.name}: {self.source.format}, {self.rows:,} records in {len(self.tables)} streams"
+        )
+        title += f"; {whose}" if whose else ""
+        title += "; with losses" if self.damage.lossy else ""
+        most = sorted(self.tables.items(), key=lambda item: -item[1].num_rows)
+        rows = [(key, f"{t.num_rows:,}", ", ".join(t.column_names[2:])) for key, t in most]
+        return Table(title, ("stream", "records", "columns"), rows)
 
     @property
     def rows(self) -> int:

@@ -117,7 +117,7 @@ def without_block(data: Dataset, block: int, blocks: int) -> Dataset:
     return data.with_segments(kept)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FittedEnsemble(FreeRuns):
     """Models of the same signals and their mean; see the laws in flysid.model.base.
 

@@ -9,11 +9,15 @@ differences: exact in one step for a linear model). All structures are treated a
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from flysid.dataset import FloatArray, Segment
+from flysid.showing import Table, as_html, first_lines
+
+if TYPE_CHECKING:
+    from flysid.model.base import Fitted
 
 WINDOW_S = 1.0
 WINDOW_LAGS = 5
@@ -93,6 +97,36 @@ def estimate_start(model: Runs, u: FloatArray, y: FloatArray) -> FloatArray:
 
 class FreeRuns:
     """What every fitted model can do, beside what its structure does."""
+
+    def __repr__(self) -> str:
+        return first_lines(str(self))
+
+    def _repr_html_(self: Fitted) -> str:
+        rows = [(r.label, r.condition, r.conclusion) for r in self.rules()]
+        title = f"{self.structure}, {self.n_parameters} parameters, sample time {self.dt_s:g} s"
+        return as_html(Table(title, ("rule", "if", "then"), rows))
+
+    def plot_step(self: Fitted, output: int = 0, ax: Any = None) -> Any:
+        """Unit steps of every input from rest, as matplotlib axes.
+
+        Parameters
+        ----------
+        output : column of the outputs.
+        ax : axes to draw into; new ones where None.
+
+        Raises
+        ------
+        UsageError : matplotlib is not installed.
+        """
+        from flysid.model.plots import plot_step
+
+        return plot_step(self, output, ax)
+
+    def plot_bode(self: Fitted, output: int = 0, ax: Any = None) -> Any:
+        """Magnitude and phase of small signals about rest, as two matplotlib axes; else as `plot_step`."""
+        from flysid.model.plots import plot_bode
+
+        return plot_bode(self, output, ax)
 
     def free_run(self: Timed, segment: Segment) -> FloatArray:
         """(N, n_y) free run of a segment as `flysid.compare` starts it.

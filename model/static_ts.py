@@ -131,7 +131,7 @@ class StaticTS:
         return Partition(centre, left, right, low, high, self.shape, self.conjunction)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FittedStaticTS(FreeRuns):
     """A memoryless TS model; see the laws in flysid.model.base.
 

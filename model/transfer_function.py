@@ -41,7 +41,7 @@ WORSE = 1.5
 """Mean square of the validation free run that determined poles may cost."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FittedTF(FittedLinear):
     """A linear model that knows its transfer functions in s.
 

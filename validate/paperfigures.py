@@ -16,11 +16,12 @@ import numpy as np
 from flysid.errors import StoreError, UsageError
 from flysid.files import write_atomically
 from flysid.model.capabilities import HasMemberships
+from flysid.validate.comparison import Comparison
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.overlay import drawn
 from flysid.validate.report.rulefigures import antecedent_range
 from flysid.validate.responses import responses, steady_outputs
-from flysid.validate.trials import Trial
+from flysid.validate.trials import FREE_RUN, Trial, run_trials
 from flysid.validate.words import one_line
 
 if TYPE_CHECKING:
@@ -143,26 +144,55 @@ def _longest(trials: tuple[Trial, ...]) -> Trial:
     return max(trials, key=lambda t: len(t.y))
 
 
+def plot_free_run(comparison: Comparison, output: str | None, ax: Any) -> Any:
+    """The longest held-out segment, measured and in free run of the models of the headline; the axes.
+
+    Raises
+    ------
+    UsageError : matplotlib is not installed; no such output.
+    """
+    require_matplotlib()
+    import matplotlib.pyplot as plt
+
+    names = [signal.name for signal in comparison.test.outputs]
+    if output is not None and output not in names:
+        raise UsageError(f"no output {output!r}", hint=f"one of {', '.join(names)}")
+    j = 0 if output is None else names.index(output)
+    axes = ax if ax is not None else plt.subplots()[1]
+    _draw_free_run(
+        axes, comparison, _longest(tuple(run_trials(comparison.fitted, comparison.test, FREE_RUN))), j
+    )
+    axes.set_xlabel("time, s")
+    axes.legend()
+    return axes
+
+
+def _draw_free_run(axes: Axes, c: Comparison, trial: Trial, j: int) -> None:
+    t = c.dt_s * np.arange(trial.first, trial.first + len(trial.y))
+    y = trial.y[:, j]
+    reach = float(np.ptp(y)) or 1.0
+    for name, css in drawn(c):
+        axes.plot(t, trial.yh[name][:, j], label=f"{_literal(name).upper()}, free run", **STYLES[css])
+    axes.plot(t, y, color="black", linewidth=0.8, label="measured")
+    axes.set_ylim(float(y.min()) - 0.3 * reach, float(y.max()) + 0.3 * reach)
+    axes.set_ylabel(axis_label(c.test.outputs[j].name, c.test.outputs[j].unit))
+    axes.set_title(f"{_literal(c.channel or c.test.outputs[j].name)}: {_literal(c.segments[trial.segment])}")
+
+
 def _time_panels(panels: tuple[Axes, Axes, Axes], context: ReportContext, channel: str, j: int) -> None:
     c = context.comparisons[channel]
     trial = _longest(context.diagnoses[channel].free_runs)
     top, middle, low = panels
     t = c.dt_s * np.arange(trial.first, trial.first + len(trial.y))
     y = trial.y[:, j]
-    reach = float(np.ptp(y)) or 1.0
-    top.plot(t, y, color="black", linewidth=0.8, label="measured")
+    _draw_free_run(top, c, trial, j)
     for name, css in drawn(c):
-        yh = trial.yh[name][:, j]
-        top.plot(t, yh, label=f"{_literal(name).upper()}, free run", **STYLES[css])
-        middle.plot(t, y - yh, **STYLES[css])
-    top.set_ylim(float(y.min()) - 0.3 * reach, float(y.max()) + 0.3 * reach)
+        middle.plot(t, y - trial.yh[name][:, j], **STYLES[css])
     segment, signal = c.test.segments[trial.segment], context.diagnoses[channel].outputs[j].main_input
     low.plot(t, segment.u[trial.first :, signal], color="0.35", linewidth=0.8)
-    top.set_ylabel(axis_label(c.test.outputs[j].name, c.test.outputs[j].unit))
     middle.set_ylabel(axis_label("error", c.test.outputs[j].unit))
     low.set_ylabel(axis_label(c.test.inputs[signal].name, c.test.inputs[signal].unit))
     low.set_xlabel("time, s")
-    top.set_title(f"{_literal(channel)}: {_literal(c.segments[trial.segment])}")
     top.tick_params(labelbottom=False)
     middle.tick_params(labelbottom=False)
     top.legend(loc="upper right", ncols=3, frameon=False)

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from flysid.showing import first_lines
 from flysid.validate.comparison import Comparison
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ShownComparison(Comparison):
     """A comparison of one channel that renders itself."""
 
@@ -36,6 +37,25 @@ class ShownComparison(Comparison):
         from flysid.validate.tables import to_html
 
         return str(to_html(self._alone))
+
+    def __repr__(self) -> str:
+        return first_lines(str(self))
+
+    def plot(self, output: str | None = None, ax: Any = None) -> Any:
+        """The longest held-out segment, measured and in free run of both models, as matplotlib axes.
+
+        Parameters
+        ----------
+        output : its name; the first where None.
+        ax : axes to draw into; new ones where None.
+
+        Raises
+        ------
+        UsageError : matplotlib is not installed; no such output.
+        """
+        from flysid.validate.paperfigures import plot_free_run
+
+        return plot_free_run(self, output, ax)
 
     def __str__(self) -> str:
         from flysid.validate.terminal import table

@@ -22,6 +22,7 @@ from flysid.ingest.align.signals import find_source
 from flysid.ingest.lake.stretches import Stretches
 from flysid.ingest.lake.suggest import Suggestion, suggest
 from flysid.manifest import FLIGHTS, Manifest, check_data_folder, find_flight, read_manifest
+from flysid.showing import Shown, Table
 from flysid.store import read_entry, read_flight
 
 
@@ -85,8 +86,8 @@ class Manifests(Sequence[Manifest]):
         return read_manifest(self._folder / FLIGHTS / self._ids[index])
 
 
-@dataclass(frozen=True, eq=False)
-class Lake:
+@dataclass(frozen=True, eq=False, repr=False)
+class Lake(Shown):
     """An ingested folder.
 
     Attributes
@@ -102,6 +103,22 @@ class Lake:
 
     def __len__(self) -> int:
         return len(self.facts)
+
+    def _table(self) -> Table:
+        rows = [
+            (
+                f.id,
+                f.format,
+                f.info.get("vehicle") or f.info.get("autopilot") or "-",
+                f"{f.duration_s:.0f}",
+                f"{f.rows:,}",
+                "yes" if f.lossy else "-",
+            )
+            for f in self.facts
+        ]
+        seconds = sum(f.duration_s for f in self.facts)
+        title = f"{self.folder}: {len(rows):,} flights, {seconds / 60.0:,.0f} min"
+        return Table(title, ("flight", "format", "vehicle", "seconds", "records", "lost"), rows)
 
     def __iter__(self) -> Iterator[Manifest]:
         return iter(self.flights)

@@ -33,7 +33,7 @@ from flysid.model.polynomials import ComplexArray
 from flysid.model.start import FreeRuns
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FittedLinear(FreeRuns):
     """A linear model; the laws of `flysid.model.base` hold.
 

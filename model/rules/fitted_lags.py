@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from flysid.model.rules.simplify import Simplification
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FittedTS(Ruled):
     """A dynamic TS model; see the laws in flysid.model.base.
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _REST = 20  # rows of zeros that put a model to rest
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FittedTSStateSpace(Ruled):
     """A TS state-space model; see the laws in flysid.model.base.
 

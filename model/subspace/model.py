@@ -36,7 +36,7 @@ from flysid.model.subspace.kalman import ahead, filtered_states, free_states, ou
 from flysid.model.subspace.triangle import Realisation
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FittedStateSpace(FreeRuns):
     """A linear model in state space; the laws of `flysid.model.base` hold.
 

@@ -1,0 +1,81 @@
+"""Tables that say in at most twenty lines what an object holds: for a Python prompt, and for a notebook."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+MOST_LINES = 20
+WIDEST = 48
+
+
+@dataclass(frozen=True)
+class Table:
+    """A title, headings and rows of cells."""
+
+    title: str
+    headings: tuple[str, ...]
+    rows: Sequence[Sequence[str]]
+
+
+class Shown:
+    """An object that shows itself as a table; it says in `_table` which."""
+
+    def _table(self) -> Table:
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return as_text(self._table())
+
+    def _repr_html_(self) -> str:
+        return as_html(self._table())
+
+
+def as_text(table: Table) -> str:
+    """At most twenty lines; rows that do not fit are counted."""
+    rows, left_out = _fitting(table)
+    cells = [list(table.headings), *([_cut(cell) for cell in row] for row in rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(table.headings))]
+    lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in cells]
+    return "\n".join([_line(table.title), *(lines if rows else []), *left_out])
+
+
+def as_html(table: Table) -> str:
+    """The same as an HTML table."""
+    rows, left_out = _fitting(table)
+    head = "".join(f"<th>{html.escape(h)}</th>" for h in table.headings)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(_cut(cell))}</td>" for cell in row) + "</tr>" for row in rows
+    )
+    foot = "".join(f"<p>{html.escape(line)}</p>" for line in left_out)
+    return (
+        f"<div><p>{html.escape(_line(table.title))}</p>"
+        f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{foot}</div>"
+    )
+
+
+def first_lines(text: str) -> str:
+    """The first twenty lines of a text; what is left out is counted."""
+    lines = text.splitlines()
+    if len(lines) <= MOST_LINES:
+        return text
+    return "\n".join(
+        [*lines[: MOST_LINES - 1], f"... and {len(lines) - MOST_LINES + 1} lines more: print() it"]
+    )
+
+
+def _fitting(table: Table) -> tuple[Sequence[Sequence[str]], list[str]]:
+    room = MOST_LINES - 2
+    if len(table.rows) <= room:
+        return table.rows, []
+    return table.rows[: room - 1], [f"... and {len(table.rows) - room + 1:,} more"]
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _cut(cell: str) -> str:
+    cell = _line(cell)
+    return cell if len(cell) <= WIDEST else f"{cell[: WIDEST - 1]}…"
