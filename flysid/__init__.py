@@ -45,6 +45,12 @@ _HOME = {
     "dataset_from": "flysid.ingest.align.quick",
     "load": "flysid.model.base",
     "compare": "flysid.validate.compare",
+    "measure_response": "flysid.model.frequency.response",
+    "draw_rules": "flysid.validate.rulesfigure",
+    "update": "flysid.model.rules.update",
+    "with_stable_rules": "flysid.model.rules.stabilise",
+    "refit_consequents": "flysid.model.rules.consequents",
+    "SearchSettings": "flysid.model.rules.search_settings",
 }
 
 __all__ = [  # noqa: RUF022
@@ -83,6 +89,12 @@ __all__ = [  # noqa: RUF022
     "dataset_from",
     "load",
     "compare",
+    "measure_response",
+    "draw_rules",
+    "update",
+    "with_stable_rules",
+    "refit_consequents",
+    "SearchSettings",
 ]
 
 if TYPE_CHECKING:
@@ -107,11 +119,16 @@ if TYPE_CHECKING:
     from flysid.model.bj import BJ
     from flysid.model.ensemble import Ensemble
     from flysid.model.fir import FIR
+    from flysid.model.frequency.response import measure_response
     from flysid.model.iv import IV
     from flysid.model.line import Line
     from flysid.model.mean import Mean
     from flysid.model.oe import OE
     from flysid.model.persistence import Persistence
+    from flysid.model.rules.consequents import refit_consequents
+    from flysid.model.rules.search_settings import SearchSettings
+    from flysid.model.rules.stabilise import with_stable_rules
+    from flysid.model.rules.update import update
     from flysid.model.statespace import StateSpace
     from flysid.model.static_ts import StaticTS
     from flysid.model.transfer_function import TF
@@ -119,6 +136,7 @@ if TYPE_CHECKING:
     from flysid.model.ts_best import BestTS
     from flysid.model.ts_state_space import TSStateSpace
     from flysid.validate.compare import compare
+    from flysid.validate.rulesfigure import draw_rules
 
 
 def __getattr__(name: str) -> Any:

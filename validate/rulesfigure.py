@@ -45,6 +45,13 @@ def draw_rules(model: OfRules, segment: Segment, output: int = 0, signal: int = 
     Raises
     ------
     UsageError : a model without rules of its own; no such output or input; matplotlib is not installed.
+
+    Examples
+    --------
+    >>> model = flysid.StaticTS(rules=2).fit(train)  # train: see `flysid.Dataset`
+    >>> figure = flysid.draw_rules(model, train.segments[0])
+    >>> figure.axes[0].get_title(loc="left")
+    '(a)'
     """
     require_matplotlib()
     from matplotlib.figure import Figure

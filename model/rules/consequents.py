@@ -78,6 +78,12 @@ def refit_consequents(
     ------
     UsageError : other signals or sample time than the model's; an unknown criterion, a ridge below zero.
     DataError : no segment is longer than the model's lags; no more samples than numbers.
+
+    Examples
+    --------
+    >>> model = flysid.TS(rules=1, na=1, nb=1, nk=1).fit(train)  # train: see `flysid.Dataset`
+    >>> len(flysid.refit_consequents(model, train, criterion="local").rules())
+    1
     """
     refuse_other_data(model, data)
     check_criterion(criterion, ridge)

@@ -55,6 +55,12 @@ def with_stable_rules(
     UsageError : a radius outside (0, 1); rules that hold an integrator; data with other signals.
     DataError : no segment is long enough; no more samples than the model has numbers.
     FitError : the mean of all rules is itself beyond that radius: nothing is there to draw them to.
+
+    Examples
+    --------
+    >>> model = flysid.TS(rules=1, na=1, nb=1, nk=1).fit(train)  # train: see `flysid.Dataset`
+    >>> flysid.with_stable_rules(model, train) is model  # its one pole, 0.9, is inside already
+    True
     """
     refuse_other_data(model, train)
     if not 0.0 < largest < 1.0:

@@ -66,6 +66,13 @@ def update(
     ------
     UsageError : other signals or sample time than the model's; forgetting outside (0, 1]; another error.
     DataError : no segment is long enough.
+
+    Examples
+    --------
+    >>> model = flysid.TS(rules=1, na=1, nb=1, nk=1).fit(train)  # train: see `flysid.Dataset`
+    >>> newer = flysid.update(model, train, forgetting=0.999)
+    >>> newer.n_parameters == model.n_parameters
+    True
     """
     _check(model, data, forgetting, trust_samples, error)
     if not any(len(s) > model.n_init + 1 for s in data.segments):

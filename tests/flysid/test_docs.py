@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib.util
+import inspect
 import re
 import subprocess
 import sys
@@ -11,6 +14,7 @@ import pytest
 
 import flysid
 from flysid.cli import VERBS
+from flysid.errors import FlysidError
 from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
 from flysid.validate.compare import compare
@@ -36,6 +40,28 @@ def test_the_examples_of_models_md_run_one_after_another(
     assert "R1 spoke with" in told
     assert "TS better" not in told  # the sample logs are of a linear plant
     assert (tmp_path / "ts.json").is_file()
+    names |= {name: getattr(flysid, name) for name in flysid.__all__} | {"model": names["ts"]}
+    prose = re.sub(r"^```.*?^```", "", (ROOT / "docs" / "models.md").read_text("utf-8"), flags=re.M | re.S)
+    spans = set(re.findall(r"`([^`\n]+)`", prose))
+    assert sorted(span for span in spans if not _stands_for_something(span, names)) == []
+
+
+def _stands_for_something(span: str, names: dict[str, object]) -> bool:
+    """A command that there is, an expression that can be evaluated, a setting or a capability of a model."""
+    words = span.split()
+    if words[0] in ("flysid", "pip"):
+        return words[0] == "pip" or words[1] in VERBS
+    homes = [home for home in names.values() if inspect.isroutine(home) or inspect.isclass(home)]
+    settings = {name for home in homes for name in inspect.signature(home).parameters}
+    name = re.match(r"\w+", span)
+    if name is not None and (name[0] in settings or any(hasattr(h, name[0]) for h in (*homes, names["ts"]))):
+        return True
+    with contextlib.suppress(FlysidError):  # no file of that name: the call itself is understood
+        try:
+            eval(span, names)
+        except (AttributeError, NameError):
+            return importlib.util.find_spec(span) is not None if "(" not in span else False
+    return True
 
 
 def test_the_guards_of_report_md_are_understood() -> None:

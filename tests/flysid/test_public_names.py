@@ -48,7 +48,7 @@ def test_the_example_does_what_it_says(
     name: str, place: Path, train: flysid.Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(place)
-    known = {"flysid": flysid, "np": np, "lfilter": lfilter, "train": train}
+    known = {"flysid": flysid, "np": np, "lfilter": lfilter, "train": train, name: getattr(flysid, name)}
     (example,) = doctest.DocTestFinder(recurse=False).find(getattr(flysid, name), name, globs=known)
     assert example.examples, f"{name} shows no example"
     said: list[str] = []
