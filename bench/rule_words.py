@@ -124,17 +124,18 @@ def rows_of(model: Any, plant: Plant, inputs: tuple[float, float]) -> Iterator[R
         yield Row(said, own_answer(model, p, 1e-4 * (inputs[1] - inputs[0])), true, rule, held)
 
 
-LAGS = partial(TS, na=2, nb=2, nk=1)
-STATES = partial(TSStateSpace, states=2, nk=1, rules=2, ridge=0.1)
+LAGS = partial(TS, na=2, nb=2, nk=1, most_rules=4)
+STATES = partial(TSStateSpace, states=2, nk=1, ridge=0.1, antecedents=["y(k-1)"], most_rules=3)
+DRAG = PLANTS["vehicle with drag and a lagging actuator"]
 FLOWN: dict[str, tuple[Plant, Callable[[], Any], tuple[float, float]]] = {
-    "drag": (PLANTS["vehicle with drag and a lagging actuator"], LAGS, (-2.0, 2.0)),
-    "Hammerstein": (PLANTS["Hammerstein"], LAGS, (-5.0, 5.0)),
-    "Wiener": (PLANTS["Wiener"], LAGS, (-5.0, 5.0)),
-    "linear": (LINEAR["linear vehicle"], LAGS, (-5.0, 5.0)),
-    "drag, hidden": (PLANTS["vehicle with drag and a lagging actuator"], STATES, (-2.0, 2.0)),
+    "drag": (DRAG, partial(LAGS, antecedents=["y(k-1)"]), (-2.0, 2.0)),
+    "Hammerstein": (PLANTS["Hammerstein"], partial(LAGS, antecedents=["u"]), (-5.0, 5.0)),
+    "Wiener": (PLANTS["Wiener"], partial(LAGS, antecedents=["y(k-1)"]), (-5.0, 5.0)),
+    "linear": (LINEAR["linear vehicle"], partial(LAGS, antecedents=["y(k-1)"]), (-5.0, 5.0)),
+    "drag, hidden": (DRAG, STATES, (-2.0, 2.0)),
     "Wiener, hidden": (PLANTS["Wiener"], STATES, (-5.0, 5.0)),
 }
-"""Plant, how it is fitted (orders given, rules chosen), inputs between which it rests."""
+"""Plant, how it is fitted (orders and antecedent given, rules chosen), inputs between which it rests."""
 
 
 def record(plant: Plant, seed: int) -> Dataset:

@@ -13,6 +13,7 @@ from flysid.ingest.align.recipe import ChannelSpec, Recipe, load_recipe, shipped
 from flysid.ingest.align.signals import Log, find_source
 from flysid.ingest.excitation.dead_time import LONGEST_S
 from flysid.ingest.excitation.delay import Delay, estimate_delay
+from flysid.ingest.excitation.enough import MIN_DURATION_S, too_short_alone
 from flysid.ingest.excitation.excitation import (
     GOOD_COHERENCE,
     Excitation,
@@ -25,7 +26,6 @@ from flysid.ingest.excitation.excitation import (
 from flysid.progress import tell
 
 Verdict = Literal["good", "weak", "too slow", "too quiet", "too short", "excluded"]
-MIN_DURATION_S = 10.0
 ALONE = "fly steps or doublets on this axis alone, in calm air"
 
 
@@ -183,4 +183,4 @@ def _verdict(
         return "weak", f"only {coherence:.0%} of the output's power follows {name}; {ALONE}"
     if is_narrow(band):
         return "weak", f"the output follows {name} in a narrow band only; {ALONE}"
-    return "good", ""
+    return "good", too_short_alone(duration)

@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from flysid.errors import FlysidError
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Source, field_scale, field_unit
+from flysid.ingest.excitation.enough import MIN_DURATION_S, least_hz, too_short_alone
 from flysid.ingest.formats.base import Limits, source_of
 from flysid.ingest.formats.opening import open_log
 from flysid.ingest.formats.registry import format_of
@@ -59,10 +60,6 @@ ANGLES = {"r": ("roll", "Roll", "rotX"), "p": ("pitch", "Pitch", "rotY"), "y": (
 RADIANS = {"rad": 1.0, "deg": np.pi / 180, "degheading": np.pi / 180}
 MOVED_RAD = np.radians(2.0)
 SENSELESS_RAD = 1e6  # no heading unwraps to this; NaN and infinity are no angles either
-SLOW_ATTITUDE_HZ = 20.0
-SLOW_VELOCITY_HZ = 4.5
-SLOW_RATES_HZ = 200.0
-SHORT_S = 30.0
 
 ADVICE = {
     "blackbox": "log every fourth loop or more: blackbox_sample_rate, before Betaflight 4.3 blackbox_p_ratio",
@@ -199,17 +196,18 @@ def verdict(found: Survey) -> tuple[str, str]:
         )
     if not attitude and not velocity and not rates:
         return "holds no attitude and no velocity", advice
-    if found.duration_s < SHORT_S:
-        return f"short: {found.duration_s:.0f} s", "fly at least a minute of manoeuvres"
+    if found.duration_s < MIN_DURATION_S:
+        return f"too short: {found.duration_s:.0f} s", too_short_alone(found.duration_s)
+    kind = found.source.format
     if not attitude and not velocity:
         return (
-            ("ok: body rates only", "") if rates_hz >= SLOW_RATES_HZ else ("too slow for body rates", advice)
+            ("ok: body rates only", too_short_alone(found.duration_s))
+            if rates_hz >= least_hz("rates", kind)
+            else ("too slow for body rates", advice)
         )
-    if attitude and rate < SLOW_ATTITUDE_HZ:
-        return (
-            "too slow for attitude, usable for velocity" if velocity_rate >= SLOW_VELOCITY_HZ else "too slow",
-            advice,
-        )
+    if attitude and rate < least_hz("attitude", kind):
+        usable = velocity_rate >= least_hz("velocity", kind)
+        return "too slow for attitude, usable for velocity" if usable else "too slow", advice
     if found.excited() == "-":
         return "nothing moved", "fly manoeuvres: doublets or sweeps on the axis of interest"
-    return "ok", ""
+    return "ok", too_short_alone(found.duration_s)

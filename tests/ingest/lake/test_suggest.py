@@ -8,10 +8,12 @@ from click.testing import CliRunner
 
 from flysid.cli import root
 from flysid.cli.suggest import advice, short_names
-from flysid.flight import Flight, Source
-from flysid.ingest.align.recipe import parse_recipe
+from flysid.flight import ClockMap, Damage, Flight, Source
+from flysid.ingest.align.recipe import load_recipe, parse_recipe, shipped_recipes
 from flysid.ingest.align.signals import FlightLog
+from flysid.ingest.excitation.enough import least_hz
 from flysid.ingest.lake.suggest import Suggestion, suggest
+from flysid.ingest.lake.survey import StreamCount, Survey, verdict
 from tests.ingest.align.test_align import T50, table
 from tests.ingest.lake.test_lake import folder  # noqa: F401
 
@@ -24,6 +26,7 @@ RECIPE_DOCUMENT: dict[str, Any] = {
     "channels": {"c": {"inputs": ["u"], "outputs": ["y"], "min_rate_hz": 20.0, "remedy": "log faster"}},
 }
 RECIPE = parse_recipe(RECIPE_DOCUMENT)
+ATTITUDE = RECIPE_DOCUMENT["channels"]["c"] | {"min_rate_hz": least_hz("attitude", "tlog")}
 T = np.arange(3000, dtype=np.int64) * 20_000_000
 RNG = np.random.default_rng(5)
 U = np.repeat(RNG.normal(size=120), 25)
@@ -118,3 +121,40 @@ def test_ls_suggest_prints_a_table_and_advice(folder: Path) -> None:  # noqa: F8
     document = json.loads(CliRunner().invoke(root, ["ls", str(folder), "--suggest", "--json"]).stdout)
     assert {s["channel"] for s in document["suggestions"]} == {"roll", "pitch"}
     assert {s["verdict"] for s in document["suggestions"]} <= {"good", "weak", "too slow", "too quiet"}
+
+
+@pytest.mark.parametrize(("seconds", "rate_hz"), [(5, 50), (50, 50), (60, 50), (60, 5)])
+def test_doctor_and_suggestions_go_by_one_rule(seconds: int, rate_hz: int) -> None:
+    """And foresee that 50 s are too few for a verdict."""
+    every = 50 // rate_hz
+    rows = slice(0, 50 * seconds, every)
+    recipe = parse_recipe(RECIPE_DOCUMENT | {"channels": {"c": ATTITUDE}})
+    log = Flight(
+        Source("f", "tlog", 1, "0" * 64),
+        {"CMD": table(T[rows], u=U[rows]), "STATE": table(T[rows], y=lag(U, 5)[rows])},
+    )
+    (found,) = suggest([FlightLog(log)], [recipe])
+    count = StreamCount(seconds * rate_hz, {0: (seconds * rate_hz, 0, int(seconds * 1e9))}, {})
+    count.angles["r"] = (100, 0.0, 100.0)
+    clock = ClockMap(0, 0, int(seconds * 1e9))
+    looked = Survey(log.source, {"ATTITUDE": count}, Damage(), (clock,), {})
+    words, advice = verdict(looked)
+    assert words.startswith({5: "too short", 50: "ok", 60: "ok" if rate_hz == 50 else "too slow"}[seconds])
+    assert found.verdict == {"ok": "good"}.get(words, words.partition(":")[0])
+    if seconds == 50:
+        assert advice == found.advice
+        assert "50 s by themselves will hardly give a verdict" in advice
+
+
+def test_the_rule_is_what_shipped_recipes_ask_for() -> None:
+    asked: dict[tuple[str, bool], float] = {}
+    for name in shipped_recipes():
+        kind = {"attitude": "attitude", "velocity": "velocity", "rate": "rates", "rates": "rates"}.get(
+            name.rpartition("-")[2]
+        )
+        if kind is not None:
+            key = kind, name.startswith("betaflight")
+            lowest = min(c.min_rate_hz for c in load_recipe(name).channels.values())
+            asked[key] = min(asked.get(key, lowest), lowest)
+    assert asked == {(kind, box): least_hz(kind, "blackbox" if box else "tlog") for kind, box in asked}
+    assert {kind for kind, _ in asked} == {"attitude", "velocity", "rates"}

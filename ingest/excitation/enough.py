@@ -1,0 +1,31 @@
+"""What a log must hold before it is worth a fit: one rule for `doctor`, `ls --suggest` and shipped recipes.
+
+Rates are the least that shipped recipes ask for (tests/ingest/lake/test_suggest.py compares them). A flight by
+itself is judged on the 30 % of it that are held out. Below ten correlation lengths of the error only a large
+difference can be seen there (docs/measured/verdicts.md), and the errors of models of attitude or velocity are
+correlated over one to two seconds.
+"""
+
+from __future__ import annotations
+
+LEAST_HZ = {"attitude": 8.0, "velocity": 2.0, "rates": 25.0}
+BLACKBOX_RATES_HZ = 200.0
+"""Of Betaflight and INAV, whose logs hold the inner loop."""
+MIN_DURATION_S = 10.0
+"""Below, nothing is fitted that would be worth a look."""
+ALONE_S = 60.0
+
+
+def least_hz(role: str, log_format: str) -> float:
+    """The lowest rate at which "attitude", "velocity" or "rates" of a log are worth a fit."""
+    return BLACKBOX_RATES_HZ if role == "rates" and log_format == "blackbox" else LEAST_HZ[role]
+
+
+def too_short_alone(duration_s: float) -> str:
+    """Why a flight of this duration will hardly give a verdict by itself; "" where it may."""
+    if duration_s >= ALONE_S:
+        return ""
+    return (
+        f"{duration_s:.0f} s by themselves will hardly give a verdict: fly a minute of manoeuvres, or five "
+        "such flights"
+    )
