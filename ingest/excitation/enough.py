@@ -1,6 +1,6 @@
 """What a log must hold before it is worth a fit: one rule for `doctor`, `ls --suggest` and shipped recipes.
 
-Rates are the least that shipped recipes ask for (tests/ingest/lake/test_suggest.py compares them). A flight by
+Rates are the least that shipped recipes ask for (tests/ingest/lake/test_suggest.py compares). A flight by
 itself is judged on the 30 % of it that are held out. Below ten correlation lengths of the error only a large
 difference can be seen there (docs/measured/verdicts.md), and the errors of models of attitude or velocity are
 correlated over one to two seconds.
