@@ -63,14 +63,15 @@ def command(
     from flysid.ingest.lake.survey import survey_or_reason
     from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 
-    found = find_logs(logs)
+    bounds = Bounds(max_memory, max_time)
+    found = find_logs(logs, bounds)
     unreadable = len(found.unread)
     surveys: dict[Path, Survey] = {}
     for skipped in found.unread:
         say(f"skipped: {skipped.path}: {skipped.reason}")
     look = partial(survey_or_reason, limits=Limits(time_unit=time_unit, format=format_))
     with display.shown():
-        for path, outcome in run_bounded(look, found.paths, 1, Bounds(max_memory, max_time)):
+        for path, outcome in run_bounded(look, found.paths, 1, bounds):
             tell("looked at", log=path.name, share=(len(surveys) + unreadable + 1) / (len(found.paths) + 1))
             if isinstance(outcome, (str, Lost)):
                 say(f"skipped: {path}: {outcome if isinstance(outcome, str) else outcome.reason}")

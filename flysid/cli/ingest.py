@@ -55,10 +55,10 @@ def command(
     from flysid.ingest.lake.finding import find_logs
     from flysid.ingest.lake.workers import Bounds
 
-    found = find_logs(logs)
+    bounds = Bounds(max_memory, max_time)
+    found = find_logs(logs, bounds)
     results = []
     with display.shown():
-        bounds = Bounds(max_memory, max_time)
         again = force or bool(time_unit or format_)
         told = Limits(time_unit=time_unit, format=format_)
         for result in ingest_logs(found, data, jobs=jobs, force=again, limits=told, bounds=bounds):

@@ -102,7 +102,7 @@ def command(
     if output is None:
         raise UsageError("no folder for the logs", hint="-o DIR, or --live udp:HOST:PORT")
     writers = writers_named(formats or ("tlog",))
-    from flysid.ingest.lake.strangers import TRUTH_SUFFIX
+    from flysid.ingest.lake.finding import TRUTH_SUFFIX
 
     if options["truth"]:
         from flysid.ingest.synth.truth import truth_bytes
@@ -171,7 +171,7 @@ def fly_all(order: Order, folder: Path, suffixes: tuple[str, ...], jobs: int) ->
 def fly_and_write(order: Order, index: int, folder: Path, suffixes: Sequence[str]) -> list[Path]:
     """Fly one flight and write it in every format; each log appears whole."""
     from flysid.files import write_atomically, writing_to
-    from flysid.ingest.lake.strangers import TRUTH_SUFFIX
+    from flysid.ingest.lake.finding import TRUTH_SUFFIX
     from flysid.ingest.synth.synth import WRITERS, fly_one
     from flysid.ingest.synth.truth import truth_bytes
 

@@ -35,10 +35,10 @@ from flysid.ingest.formats.common.compression import (
     unpacked_pieces,
 )
 from flysid.ingest.formats.common.zip_members import ZIP_MAGICS, Member, member_pieces, read_archive
+from flysid.ingest.formats.recognised import TAR_MAGIC, TAR_MAGIC_AT, is_office
 
 PACKED_SUFFIXES = (".gz", ".zst", ".zstd")
-TAR_MAGIC = b"ustar"
-TAR_MAGIC_AT = 257
+FIRST_BYTES = 128  # tell a packing, and an archive from a spreadsheet
 LEAST_ZEROS = 16  # fewer may belong to a log: a tlog's stamp begins with one
 
 T = TypeVar("T", Flight, Summary)
@@ -116,7 +116,7 @@ def identify(path: Path, limits: Limits) -> tuple[str, int]:
     if inside or not file.is_file():
         return _identify_opened(path, limits)
     with file.open("rb") as opened:
-        head = opened.read(8)
+        head = opened.read(FIRST_BYTES)
         if not head or is_archive(head) or is_compressed(head):
             return _identify_opened(path, limits)
         opened.seek(0)
@@ -181,7 +181,7 @@ def members_of(path: Path, limits: Limits | None = None) -> Mapping[str, Member]
 
 def _begins_archive(path: Path) -> bool:
     with path.open("rb") as file:
-        return is_archive(file.read(8))
+        return is_archive(file.read(FIRST_BYTES))
 
 
 def names_log(path: Path) -> bool:
@@ -190,8 +190,9 @@ def names_log(path: Path) -> bool:
 
 
 def is_archive(head: bytes | memoryview) -> bool:
-    """Whether these bytes begin a .zip archive."""
-    return bytes(head[:8]).startswith(ZIP_MAGICS)
+    """Whether these bytes begin a .zip archive of files: one that is a spreadsheet inside is none."""
+    first = bytes(head[:FIRST_BYTES])
+    return first.startswith(ZIP_MAGICS) and not is_office(first)
 
 
 def is_compressed(head: bytes | memoryview) -> bool:

@@ -1,11 +1,33 @@
-"""Files that people have beside their logs and that flysid does not read: what each is, and the way out."""
+"""Files that people have beside their logs and that flysid does not read: what each is, and the way out.
+
+A folder of flights holds notes, pictures, parameters and tracks, too. They are named, not read. Binary data
+that nothing here knows may be a log that is damaged, encrypted or of a format that flysid does not read.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from flysid.ingest.formats.common.compression import GZIP_MAGIC, ZSTD_MAGIC
+from flysid.ingest.formats.common.zip_members import ZIP_MAGICS
+
+TEXT = "text"
+PACKINGS: Mapping[bytes, str] = {
+    b"BZh": "bzip2",
+    b"\xfd7zXZ": "xz",
+    b"7z\xbc\xaf": "7z",
+    b"Rar!": "rar",
+    b"\x04\x22\x4d\x18": "lz4",
+}
+INNER_PACKINGS: Mapping[bytes, str] = {
+    **dict.fromkeys(ZIP_MAGICS, "an archive inside"),
+    GZIP_MAGIC: "gzip inside",
+    ZSTD_MAGIC: "zstd inside",
+}
+TAR_MAGIC = b"ustar"
+TAR_MAGIC_AT = 257
 SAVE_CSV = "save the table as CSV (UTF-8), one line a row, names in the first line"
 ISO_MEDIA = frozenset((b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"))
 MPEG_PACKET = 188
@@ -21,11 +43,13 @@ class Stranger:
     title : what a person calls it.
     hint : what to do instead.
     fits : whether a file with these first bytes is one.
+    kind : in a word, where such a file holds no log for certain; "" where it may.
     """
 
     title: str
     hint: str
     fits: Callable[[bytes], bool]
+    kind: str = ""
 
 
 def _begins(*magics: bytes) -> Callable[[bytes], bool]:
@@ -52,11 +76,21 @@ def _is_dji_dat(head: bytes) -> bool:
     return head[16:21] == b"BUILD" or b"DJI_LOG_V3" in head[:512]
 
 
-def _is_office(head: bytes) -> bool:
-    inside = head[:4096]
-    return head.startswith(b"PK\3\4") and (b"[Content_Types].xml" in inside or b"opendocument" in inside)
+def is_office(head: bytes) -> bool:
+    """Whether these bytes, 128 or more, begin a spreadsheet or document that is a .zip archive inside."""
+    return head.startswith(b"PK\3\4") and head[FIRST_NAME_AT:].startswith(OFFICE_PARTS)
 
 
+FIRST_NAME_AT = 30  # in an archive: of its first member
+OFFICE_PARTS = (
+    b"[Content_Types].xml",
+    b"_rels/.rels",
+    b"docProps/",
+    b"xl/",
+    b"word/",
+    b"ppt/",
+    b"mimetypeapplication/vnd.oasis.opendocument",
+)
 VIDEO = "no log is in a video; the autopilot's own log is on its SD card"
 STRANGERS = (
     Stranger(
@@ -71,35 +105,44 @@ STRANGERS = (
     ),
     Stranger("a DJI flight log (.DAT)", DJI_WAY, _is_dji_dat),
     Stranger("an encrypted parquet file", "decrypt it first", _begins(b"PARE")),
-    Stranger("a video (MP4, MOV)", VIDEO, _is_iso_media),
-    Stranger("a video (AVI)", VIDEO, lambda head: head[:4] == b"RIFF" and head[8:12] == b"AVI "),
-    Stranger("a video (Matroska, WebM)", VIDEO, _begins(b"\x1aE\xdf\xa3")),
-    Stranger("a video (MPEG transport stream)", VIDEO, _is_mpeg),
+    Stranger("a video (MP4, MOV)", VIDEO, _is_iso_media, "picture or video"),
+    Stranger("a video (AVI)", VIDEO, lambda head: head[:4] == b"RIFF" and head[8:12] == b"AVI ", "video"),
+    Stranger("a picture or sound (RIFF)", "give the log", _begins(b"RIFF"), "picture, sound or video"),
+    Stranger("a sound recording", "give the log", _begins(b"ID3", b"OggS"), "sound"),
+    Stranger("a program", "give the log", _begins(b"\x7fELF", b"MZ"), "program"),
+    Stranger("a video (Matroska, WebM)", VIDEO, _begins(b"\x1aE\xdf\xa3"), "video"),
+    Stranger("a video (MPEG transport stream)", VIDEO, _is_mpeg, "video"),
     Stranger(
-        "a picture", "give the log", _begins(b"\xff\xd8\xff", b"\x89PNG\r\n", b"GIF8", b"II*\0", b"MM\0*")
+        "a picture",
+        "give the log",
+        _begins(b"\xff\xd8\xff", b"\x89PNG", b"GIF8", b"II*\0", b"MM\0*"),
+        "picture",
     ),
-    Stranger("a PDF", "give the log", _begins(b"%PDF-")),
-    Stranger("a spreadsheet or document of an office program", SAVE_CSV, _is_office),
-    Stranger("an old Excel or Word file", SAVE_CSV, _begins(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")),
+    Stranger("a PDF", "give the log", _begins(b"%PDF"), "document"),
+    Stranger("a spreadsheet or document of an office program", SAVE_CSV, is_office, "document"),
+    Stranger("an old Excel or Word file", SAVE_CSV, _begins(b"\xd0\xcf\x11\xe0"), "document"),
     Stranger(
         "a MATLAB file (.mat)",
         "in MATLAB: writetable(T, 'log.csv')",
-        _begins(b"MATLAB 5.0 MAT-file", b"MATLAB 7.3"),
+        _begins(b"MATLAB 5.0", b"MATLAB 7.3"),
+        "MATLAB file",
     ),
     Stranger(
         "an HDF5 file",
         "with pandas: pandas.read_hdf(PATH).to_parquet('log.parquet')",
-        _begins(b"\x89HDF\r\n\x1a\n"),
+        _begins(b"\x89HDF"),
+        "HDF5 file",
     ),
     Stranger(
         "a NumPy array",
         "flysid.Dataset.from_arrays(...) takes arrays; or numpy.savetxt('log.csv', array, delimiter=',')",
         _begins(b"\x93NUMPY"),
+        "NumPy file",
     ),
     Stranger(
         "an archive",
         "unpack it first",
-        _begins(b"7z\xbc\xaf\x27\x1c", b"Rar!\x1a\x07", b"\xfd7zXZ\0", b"BZh"),
+        _begins(*PACKINGS),
     ),
     Stranger("text in UTF-16", "save it as UTF-8", _begins(b"\xff\xfe", b"\xfe\xff")),
     Stranger(
@@ -129,6 +172,34 @@ STRANGERS = (
 )
 
 
+_TEXT_MARKS = (b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf")
+_NOT_IN_TEXT = bytes(set(range(32)) - set(b"\a\b\t\n\v\f\r\x1b"))
+
+
 def stranger(head: bytes) -> Stranger | None:
     """What a file with these first bytes is, where it is known and not read; None otherwise."""
     return next((kind for kind in STRANGERS if kind.fits(head)), None)
+
+
+def kind_of(head: bytes) -> str:
+    """What a file that begins so is, in a word, where it is no log; "" where nothing here knows."""
+    known = stranger(head)
+    if not head:
+        return "empty file"
+    if known is not None and known.kind:
+        return known.kind
+    return TEXT if is_text(head) else ""
+
+
+def is_text(head: bytes) -> bool:
+    """Whether these bytes are text: no control characters but those of texts, or a mark of Unicode."""
+    return head.startswith(_TEXT_MARKS) or head.translate(None, _NOT_IN_TEXT) == head
+
+
+def packing_of(head: bytes) -> str:
+    """The name of a packing that is not unpacked here, or not so deep; "" for none."""
+    if head[TAR_MAGIC_AT:].startswith(TAR_MAGIC):
+        return "tar"
+    return next(
+        (name for magic, name in {**PACKINGS, **INNER_PACKINGS}.items() if head.startswith(magic)), ""
+    )

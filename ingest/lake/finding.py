@@ -15,7 +15,9 @@ from __future__ import annotations
 
 import glob
 import os
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,15 +25,16 @@ from flysid.errors import FormatError, UsageError
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common.zip_members import read_archive
 from flysid.ingest.formats.opening import head_of, is_archive, is_packed, names_log, own_name
-from flysid.ingest.formats.recognised import stranger
+from flysid.ingest.formats.recognised import TEXT, kind_of, packing_of, stranger
 from flysid.ingest.formats.registry import confidence_of, known_suffixes
-from flysid.ingest.lake.strangers import TEXT, TRUTH_SUFFIX, kind_of, packing_of
+from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.manifest import DATA_FILE
 
 GLOB_MARKS = frozenset("*?[")
 ANYBODYS_SUFFIXES = (".log", ".txt")  # any program's notes end so, too
 UNKNOWN = "binary data that no reader knows"
 NOTHING = "no flight log in there"
+TRUTH_SUFFIX = ".truth.parquet"  # what `flysid synth` lays beside a log: a table, and no log
 SURE = 0.6  # more than a table in text can claim
 
 
@@ -60,19 +63,24 @@ class Found:
     passed_over: tuple[PassedOver, ...] = ()
 
 
-def find_logs(given: Sequence[str | Path]) -> Found:
+def find_logs(given: Sequence[str | Path], bounds: Bounds | None = None) -> Found:
     """The logs that files, folders, archives and patterns name, in order, each once.
 
     A member of an archive is a path as if the archive were a folder: `flights.zip/one.tlog`.
+
+    Parameters
+    ----------
+    bounds : of memory and time for looking into one archive; a worker process does it. None does it here.
 
     Raises
     ------
     UsageError : a path does not exist, a pattern matches nothing, there is no log at all.
     """
-    search = _Search()
-    for item in given:
-        for path in _expand(str(item)):
-            search.take(path)
+    with closing(_Archives(bounds)) as archives:
+        search = _Search(archives.look_into)
+        for item in given:
+            for path in _expand(str(item)):
+                search.take(path)
     if not search.paths and all(unread.reason == NOTHING for unread in search.unread.values()):
         raise UsageError(
             NOTHING,
@@ -95,21 +103,47 @@ def _expand(item: str) -> list[Path]:
     raise UsageError("no such file or folder", path=item)
 
 
+class _Archives:
+    """Looks into archives, in a worker process where there are bounds."""
+
+    def __init__(self, bounds: Bounds | None) -> None:
+        self._tasks: deque[Path] = deque()
+        self._outcomes = None if bounds is None else run_bounded(_inside_of, self._tasks, 1, bounds)
+
+    def look_into(self, path: Path) -> _Search:
+        """What an archive holds."""
+        if self._outcomes is None:
+            return _inside_of(path)
+        self._tasks.append(path)
+        _, outcome = next(self._outcomes)
+        if not isinstance(outcome, Lost):
+            return outcome
+        found = _Search(_inside_of)
+        found._fail(path, outcome.reason)
+        return found
+
+    def close(self) -> None:
+        """End the worker."""
+        if self._outcomes is not None:
+            self._outcomes.close()
+
+
 @dataclass
 class _Search:
-    """What has been found so far, each path once."""
+    """What has been found so far, each path once; `look_into` says what is in an archive."""
 
+    look_into: Callable[[Path], _Search]
     paths: dict[Path, None] = field(default_factory=dict)
     unread: dict[Path, Unread] = field(default_factory=dict)
     passed_over: dict[Path, PassedOver] = field(default_factory=dict)
 
     def take(self, path: Path) -> None:
         """What is named itself: a folder, an archive or a log."""
-        inside = _Search()
+        inside = _Search(self.look_into)
         if path.is_dir():
             inside._look_into(path)
         elif path.is_file() and is_archive(head_of(path)[1]):
-            inside._look_into_archive(path)
+            inside._add(self.look_into(path))
         else:
             inside.paths[path] = None
         if not inside.paths and not inside.unread:
@@ -145,26 +179,6 @@ class _Search:
             for name in sorted(files):
                 self._judge(Path(parent, name))
 
-    def _look_into_archive(self, path: Path) -> None:
-        """Members one by one; an archive without a log is passed over as one thing."""
-        inside = _Search()
-        try:
-            archive = read_archive(path, Limits())
-        except (FormatError, OSError) as error:
-            self._fail(path, reason_of(error))
-            return
-        for name, member in archive.members.items():
-            if member.fault:
-                inside._fail(path / name, member.fault)
-            else:
-                inside._judge(path / name, is_member=True)
-        if archive.fault:
-            inside._fail(path, archive.fault)
-        if inside.paths or inside.unread:
-            self._add(inside)
-        else:
-            self._pass(path, "archive without logs")
-
     def _judge(self, path: Path, is_member: bool = False) -> None:
         """A file that is not named itself, but lies in what is."""
         name = own_name(path.name).lower()
@@ -190,11 +204,11 @@ class _Search:
     def _judge_content(self, path: Path, name: str, head: bytes, is_inner: bool) -> None:
         kind = kind_of(head)
         if is_archive(head) and not is_inner:
-            self._look_into_archive(path)
-        elif packing := packing_of(head):
-            self._fail(path, f"is packed in a way that is not unpacked here ({packing}); unpack it first")
+            self._add(self.look_into(path))
         elif kind and kind != TEXT:
             self._pass(path, kind)
+        elif packing := packing_of(head):
+            self._fail(path, f"is packed in a way that is not unpacked here ({packing}); unpack it first")
         elif confidence_of(head, name) >= SURE:
             self.paths[path] = None
         elif kind:
@@ -203,6 +217,26 @@ class _Search:
             known = stranger(head)
             told = f"this is {known.title}, not a log; try: {known.hint}" if known else UNKNOWN
             self._fail(path, told)
+
+
+def _inside_of(path: Path) -> _Search:
+    """Members of an archive one by one; an archive without a log is passed over as one thing."""
+    inside = _Search(_inside_of)
+    try:
+        archive = read_archive(path, Limits())
+    except (FormatError, OSError) as error:
+        inside._fail(path, reason_of(error))
+        return inside
+    for name, member in archive.members.items():
+        if member.fault:
+            inside._fail(path / name, member.fault)
+        else:
+            inside._judge(path / name, is_member=True)
+    if archive.fault:
+        inside._fail(path, archive.fault)
+    if not inside.paths and not inside.unread:
+        inside.passed_over = {path: PassedOver(path, "archive without logs")}
+    return inside
 
 
 def reason_of(error: FormatError | OSError) -> str:

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-import pytest
+import zipfile
+from pathlib import Path
 
+import pytest
+from click.testing import CliRunner
+
+from flysid.cli import root
 from flysid.errors import FormatError
 from flysid.ingest.formats.registry import detect
+from flysid.ingest.lake.finding import find_logs
 from tests.format_trials import FORMATS, sample
 
 
@@ -43,6 +49,33 @@ def test_it_is_named_with_the_way_out(head: bytes, name: str, title: str, hint: 
         detect(head, name)
     assert title in raised.value.message
     assert hint in raised.value.hint
+
+
+def test_a_spreadsheet_is_no_archive_of_logs(tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["time_s", "u", "y"])
+    path = tmp_path / "flights" / "log.xlsx"
+    path.parent.mkdir()
+    book.save(path)
+    for verb in ("doctor", "ingest"):
+        done = CliRunner().invoke(
+            root,
+            [verb, str(path), *(["-o", str(tmp_path / "data")] * (verb == "ingest"))],
+            standalone_mode=False,
+        )
+        assert done.return_value in (1, 3)
+        assert "a spreadsheet or document of an office program" in done.output
+        assert "save the table as CSV" in done.output
+    with zipfile.ZipFile(tmp_path / "flights" / "notes.zip", "w") as archive:
+        archive.write(path, "log.xlsx")
+    (path.parent / "one.tlog").write_bytes(sample("tlog"))
+    found = find_logs([path.parent])
+    assert found.paths == (path.parent / "one.tlog",)
+    assert {item.path.name: item.kind for item in found.passed_over} == {
+        "log.xlsx": "document",
+        "notes.zip": "archive without logs",
+    }
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -15,6 +15,7 @@ from click.testing import CliRunner, Result
 from flysid.cli import root
 from flysid.errors import UsageError
 from flysid.ingest.lake.finding import find_logs
+from flysid.ingest.lake.workers import Bounds
 from tests.samplelogs import csv, dataflash, dataflash_text, mcap, rosbag, tlog, ulog
 
 LOG = tlog.build()
@@ -165,10 +166,10 @@ def test_an_archive_is_a_folder(tmp_path: Path) -> None:
     assert {(item.path.name, item.kind) for item in found.passed_over} == {
         ("._one.tlog", "hidden file"),
         ("notes.txt", "text"),
-        ("letters.docx", "archive without logs"),
+        ("letters.docx", "document"),
     }
-    with pytest.raises(UsageError, match="no flight log in there"):
-        find_logs([tmp_path / "letters.docx"])
+    named = find_logs([tmp_path / "letters.docx"])
+    assert named.paths == (tmp_path / "letters.docx",)  # what is named itself is tried, and refused by name
 
 
 def test_what_was_ingested_before_is_not_found_again(tmp_path: Path) -> None:
@@ -194,3 +195,20 @@ def test_the_truth_of_a_simulated_flight_is_no_log(tmp_path: Path) -> None:
     assert [path.name for path in found.paths] == ["a.tlog"]
     assert [other.kind for other in found.passed_over] == ["truth of a simulated flight"]
     assert not found.unread
+
+
+def test_looking_into_an_archive_is_bounded(tmp_path: Path) -> None:
+    for name in ("a.zip", "b.zip"):
+        with zipfile.ZipFile(tmp_path / name, "w") as archive:
+            archive.writestr("one.tlog", LOG)
+            archive.writestr("notes.txt", "calm air\n")
+    put(tmp_path / "c.zip", b"PK\3\4" + bytes(range(200)))
+    assert find_logs([tmp_path], Bounds()) == find_logs([tmp_path])
+    with zipfile.ZipFile(tmp_path / "many.zip", "w") as archive:
+        for number in range(8000):
+            archive.writestr(f"{number}.odd", b"\0\1\2")
+    late = find_logs([tmp_path / "many.zip"], Bounds(seconds=0.1))
+    assert not late.paths
+    assert [(item.path.name, item.reason[:21]) for item in late.unread] == [
+        ("many.zip", "took longer than 0.1 ")
+    ]
