@@ -22,7 +22,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -65,7 +65,7 @@ class Lost:
 
 def run_bounded(
     function: Callable[[Task], Outcome], tasks: Iterable[Task], workers: int, bounds: Bounds
-) -> Iterator[tuple[Task, Outcome | Lost]]:
+) -> Generator[tuple[Task, Outcome | Lost], None, None]:
     """Do tasks in worker processes; yields each with its outcome, or `Lost`, as they finish.
 
     Parameters
