@@ -70,17 +70,22 @@ class Feedback:
         return f"{self.seen} {BIASED}: {REMEDY}." if self.closed else ""
 
 
+def answer_lags(dt_s: float) -> int:
+    """How many samples ahead an answer is looked for."""
+    return int(np.clip(round(LOOK_S / dt_s), FEWEST_LAGS, MOST_LAGS))
+
+
 def feedback(model: Fitted, data: Dataset) -> tuple[Feedback, ...]:
     """One answer per output; the model should be a good linear one, the data those it was fitted to.
 
     Segments too short for the test are left out.
     """
-    lags = int(np.clip(round(LOOK_S / data.dt_s), FEWEST_LAGS, MOST_LAGS))
+    lags = answer_lags(data.dt_s)
     names = tuple(s.name for s in data.inputs)
     left = _left_over(model, data, lags)
     found = []
     for j, output in enumerate(data.outputs):
-        p, share = _test([e[:, j] for e, _ in left], [u for _, u in left], lags)
+        p, share = later_inputs([e[:, j] for e, _ in left], [u for _, u in left], lags)
         found.append(Feedback(output.name, names, p, share, lags * data.dt_s))
     return tuple(found)
 
@@ -100,8 +105,10 @@ def _left_over(model: Fitted, data: Dataset, lags: int) -> list[tuple[FloatArray
     return found
 
 
-def _test(errors: Sequence[FloatArray], inputs: Sequence[FloatArray], lags: int) -> tuple[float, float]:
-    """(p, share) of later inputs in the whitened errors."""
+def later_inputs(
+    errors: Sequence[FloatArray], inputs: Sequence[FloatArray], lags: int
+) -> tuple[float, float]:
+    """(p of the F test, share of the variance) of later inputs in the whitened errors of segments."""
     from scipy.signal import lfilter
     from scipy.stats import f as distribution
 

@@ -75,8 +75,8 @@ class FIR:
         gram = grid_gram(train, lags, parts.scaling)
         rows, means = float(gram[-1, -1]), gram[-1] / gram[-1, -1]
         if self.offset:
-            gram = _centred(gram)
-        posteriors = [_posterior(gram, rows, i, (taps, n_u)) for i in range(n_y)]
+            gram = centred_gram(gram)
+        posteriors = [posterior_of(gram, rows, i, (taps, n_u)) for i in range(n_y)]
         return self._model(parts, lags, posteriors, means)
 
     def _taps(self, train: Dataset, *, cut: bool) -> int:
@@ -90,7 +90,7 @@ class FIR:
         return taps
 
     def _model(
-        self, parts: Parts, lags: Lags, posteriors: Sequence[_Posterior], means: FloatArray
+        self, parts: Parts, lags: Lags, posteriors: Sequence[Posterior], means: FloatArray
     ) -> FittedLinear:
         n_y, n_u, scaling = len(lags.y), len(lags.u), parts.scaling
         b = np.zeros((lags.depth + 1, n_y, n_u))
@@ -128,19 +128,19 @@ class FIR:
 
 
 @dataclass(frozen=True, eq=False)
-class _Posterior:
+class Posterior:
     mean: FloatArray
     covariance: FloatArray
     words: str
 
 
-def _centred(gram: FloatArray) -> FloatArray:
+def centred_gram(gram: FloatArray) -> FloatArray:
     """The Gram about the means of its columns: the constant is eliminated exactly."""
     means = gram[-1] / gram[-1, -1]
     return gram - np.outer(means, gram[-1])
 
 
-def _posterior(gram: FloatArray, rows: float, output: int, shape: tuple[int, int]) -> _Posterior:
+def posterior_of(gram: FloatArray, rows: float, output: int, shape: tuple[int, int]) -> Posterior:
     """Over a grid of decays and scales, the posterior of highest marginal likelihood."""
     taps, n_u = shape
     n = taps * n_u
@@ -165,7 +165,7 @@ def _posterior(gram: FloatArray, rows: float, output: int, shape: tuple[int, int
     inverse = np.linalg.inv(np.eye(n) + root.T @ inner @ root)
     covariance = root @ inverse @ root.T
     words = f"decay {decay:g} per sample, noise {np.sqrt(variance):.3g} standard deviations of the output"
-    return _Posterior(covariance @ cross, covariance * variance, words)
+    return Posterior(covariance @ cross, covariance * variance, words)
 
 
 def _kernel_root(taps: int, n_u: int, decay: float) -> FloatArray:
@@ -190,7 +190,7 @@ def _noise(system: Difference, parts: Parts) -> FloatArray:
     return noise
 
 
-def _covariance(posteriors: Sequence[_Posterior], scaling: Scaling, lags: Lags) -> FloatArray:
+def _covariance(posteriors: Sequence[Posterior], scaling: Scaling, lags: Lags) -> FloatArray:
     size = lags.count
     joint = np.zeros((size * len(posteriors),) * 2)
     for i, posterior in enumerate(posteriors):

@@ -36,6 +36,7 @@ VERBS = {
     "runs": "List run folders and rank them by free-run error.",
     "scrub": "Write a copy of a log without positions, serial numbers and names.",
     "show": "Show one flight or stream of an ingested folder.",
+    "step": "Step responses from ordinary flying, with intervals; two logs over each other.",
     "studio": "See logs, fit, judge and compare in the browser.",
     "synth": "Fly simulated plants and write the logs that a vehicle would have written.",
     "tf": "Transfer functions with intervals, and the measured frequency response.",
@@ -46,7 +47,7 @@ VERBS = {
 STEPS = {
     "Look": ("doctor", "show", "plot", "ls", "recipes"),
     "Prepare": ("ingest", "record", "synth", "scrub"),
-    "Fit": ("fit", "tf"),
+    "Fit": ("fit", "tf", "step"),
     "Judge": ("validate", "compare", "runs", "reproduce"),
     "Share": ("export",),
     "Try": ("demo",),

@@ -1,0 +1,84 @@
+"""`flysid step DATA --recipe R`: step responses from ordinary flying, with intervals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from flysid.cli.output import check_target, printable, say
+from flysid.cli.source import Words, opened, selection_options, words_options
+
+if TYPE_CHECKING:
+    from flysid.ingest.lake.selection import Selection
+    from flysid.validate.steps import ChannelStep
+
+
+@click.command("step")
+@click.argument("data", type=click.Path(path_type=Path))
+@words_options
+@selection_options
+@click.option("--channel", "-c", "channels", multiple=True, help="This channel only; may be repeated.")
+@click.option("--horizon", default=2.0, show_default=True, metavar="S", help="Length of the response.")
+@click.option(
+    "--fast",
+    type=float,
+    metavar="SIZE",
+    help="Two responses: where the input went above this within the horizon, and where it stayed below.",
+)
+@click.option("--against", type=click.Path(path_type=Path), help="A second log or folder, over the first.")
+@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Draw into this file.")
+@click.option("--force", is_flag=True, help="Replace the picture if it is there.")
+@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
+@click.option("--quiet", "-q", is_flag=True)
+def command(
+    data: Path,
+    selection: Selection,
+    recipe: str,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    dt: float | None,
+    time_unit: str,
+    format_: str,
+    channels: tuple[str, ...],
+    horizon: float,
+    fast: float | None,
+    against: Path | None,
+    plot: Path | None,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """What a step of the command does, read off ordinary flying: latency, rise, overshoot, settling.
+
+    DATA is an ingested folder, or a single log or table (.csv). A channel whose input answers its output is
+    refused: its record holds no step response (exit code 3 where --channel asked for it).
+    """
+    from flysid.validate.steps import channel_steps, draw_steps
+
+    if plot is not None:
+        check_target(plot, force)
+    words = Words(recipe, inputs, outputs, dt, time_unit, format_)
+    found: list[ChannelStep] = []
+    skipped: dict[str, str] = {}
+    for place in (data, *([against] if against is not None else [])):
+        of = place.name if against is not None else ""
+        with opened(place, words, selection, None, quiet) as (lake, chosen):
+            steps, why = channel_steps(lake, chosen, channels=channels, horizon_s=horizon, fast=fast, of=of)
+        found += steps
+        skipped |= {f"{name} of {of}" if of else name: reason for name, reason in why.items()}
+    if as_json:
+        body = {"recipe": recipe or "quick", "steps": [s.to_dict() for s in found], "skipped": skipped}
+        click.echo(json.dumps(body, indent=1, allow_nan=False))
+    else:
+        for step in sorted(found, key=lambda s: s.name):
+            click.echo("\n".join(printable(line) for line in step.line().split("\n")))
+    if plot is not None and found:
+        draw_steps(found, plot)
+        say(f"step responses: {plot}", quiet)
+    for name, reason in skipped.items():
+        say(f"channel {name} skipped: {reason}")
+    asked = any(name.split(" of ")[0] in channels for name in skipped)
+    return 3 if asked or not found else 0

@@ -1,0 +1,309 @@
+"""The step response that ordinary flying shows: from stick or setpoint to rate or attitude, with intervals.
+
+The impulse response is estimated with a smooth, decaying prior (the TC kernel, see `fir`) on signals that the
+autoregression of what it leaves over has whitened, in turns, so that its covariance knows the noise's colour
+(generalised least squares; Chen, Ohlsson & Ljung, 2012, Automatica 48). Summed it is the step response. Where
+the input answers the output (`feedback`), no step response is in the record, and that is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.errors import DataError, UsageError
+from flysid.model.feedback import LEVEL, SHARE, answer_lags, later_inputs
+from flysid.model.fir import Posterior, centred_gram, posterior_of
+from flysid.model.noise import noise_model
+from flysid.model.polynomials import Z95
+from flysid.model.threads import on_one_thread
+
+HORIZON_S = 2.0
+MOST_TAPS = 200
+ROUNDS = 3
+DRAWS = 400
+CHUNK = 4096
+SETTLED = 0.05
+"""Of the final value."""
+
+BoolArray = npt.NDArray[np.bool_]
+Record = tuple[FloatArray, FloatArray]
+
+
+@dataclass(frozen=True)
+class StepFigure:
+    """One figure of a step response with its 95 % interval; `value` is None where it has none (`why`)."""
+
+    name: str
+    unit: str
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    why: str = ""
+
+    def __str__(self) -> str:
+        if self.value is None:
+            return f"{self.name}: {self.why}"
+        return f"{self.name} {self.value:.3g} {self.unit}".rstrip() + f" [{self.low:.3g}, {self.high:.3g}]"
+
+    def to_dict(self) -> dict[str, float | str | None]:
+        """JSON types only."""
+        return {"unit": self.unit, "value": self.value, "low": self.low, "high": self.high, "why": self.why}
+
+
+@dataclass(frozen=True, eq=False)
+class StepResponse:
+    """What a step of height 1 does to the output.
+
+    Attributes
+    ----------
+    time_s, step : (N,) of the mean of the posterior, output unit per input unit.
+    covariance : (N, N) of the step.
+    seconds : how much flying it rests on.
+    words : of which part of the record it speaks; "" for all.
+    """
+
+    time_s: FloatArray
+    step: FloatArray
+    covariance: FloatArray
+    input: Signal
+    output: Signal
+    seconds: float
+    words: str = ""
+
+    @property
+    def error(self) -> FloatArray:
+        """(N,) standard errors."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    @property
+    def interval(self) -> tuple[FloatArray, FloatArray]:
+        """Pointwise 95 %."""
+        return self.step - Z95 * self.error, self.step + Z95 * self.error
+
+    @property
+    def figures(self) -> tuple[StepFigure, ...]:
+        """Latency (to 10 %), rise (10 to 90 %), overshoot, settling (within 5 %), final value."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        draws = self.step + np.random.default_rng(0).standard_normal((DRAWS, len(root))) @ root.T
+        final = _told("final value", self.output.unit, draws, self.step, _final)
+        if final.low is None or final.high is None or final.low <= 0.0 <= final.high:
+            why = "the step's final value cannot be told from 0"
+            names = (("latency", "ms"), ("rise", "ms"), ("overshoot", "%"), ("settling", "s"))
+            return (*(StepFigure(n, u, None, why=why) for n, u in names), final)
+
+        def reaches(share: float) -> Callable[[FloatArray], float]:
+            return lambda s: 1e3 * _first_time(self.time_s, s / _final(s), share)
+
+        return (
+            _told("latency", "ms", draws, self.step, reaches(0.1)),
+            _told("rise", "ms", draws, self.step, lambda s: reaches(0.9)(s) - reaches(0.1)(s)),
+            _told("overshoot", "%", draws, self.step, _overshoot),
+            _told("settling", "s", draws, self.step, lambda s: _settled(self.time_s, s / _final(s))),
+            final,
+        )
+
+
+def _told(
+    name: str, unit: str, draws: FloatArray, mean: FloatArray, figure: Callable[[FloatArray], float]
+) -> StepFigure:
+    """A figure of the mean, its interval by its spread over draws of the posterior."""
+    value = figure(mean)
+    spread = np.array([figure(d) for d in draws])
+    if not np.isfinite(value) or np.mean(np.isfinite(spread)) < 0.95:
+        return StepFigure(name, unit, None, why="not reached within the response's length")
+    half = Z95 * float(spread[np.isfinite(spread)].std())
+    return StepFigure(name, unit, float(value), float(value) - half, float(value) + half)
+
+
+def _final(step: FloatArray) -> float:
+    """Mean of the last tenth."""
+    return float(step[-max(len(step) // 10, 1) :].mean())
+
+
+def _overshoot(step: FloatArray) -> float:
+    return 100.0 * max(float((step / _final(step)).max()) - 1.0, 0.0)
+
+
+def _first_time(time_s: FloatArray, step: FloatArray, share: float) -> float:
+    above = np.flatnonzero(step >= share)
+    if not len(above):
+        return np.nan
+    k = int(above[0])
+    if k == 0:
+        return float(time_s[0])
+    part = (share - step[k - 1]) / max(step[k] - step[k - 1], 1e-12)
+    return float(time_s[k - 1] + part * (time_s[k] - time_s[k - 1]))
+
+
+def _settled(time_s: FloatArray, step: FloatArray) -> float:
+    outside = np.flatnonzero(np.abs(step - 1.0) > SETTLED)
+    if not len(outside):
+        return float(time_s[0])
+    return float(time_s[outside[-1]]) if outside[-1] < 0.9 * len(step) else np.nan
+
+
+@on_one_thread
+def step_response(
+    data: Dataset,
+    output: int = 0,
+    source: int = 0,
+    *,
+    horizon_s: float = HORIZON_S,
+    above: float | None = None,
+    below: float | None = None,
+) -> StepResponse:
+    """The step response of one input and one output; other inputs are fitted along.
+
+    Parameters
+    ----------
+    horizon_s : its length, seconds.
+    above, below : count only samples within a horizon of which the input's size went above, or stayed below,
+        this (as PID analysers tell a fast stick from a slow one), in the input's unit.
+
+    Raises
+    ------
+    UsageError : a horizon that is no length.
+    DataError : the input answers the output (a loop), too short, a signal that never moves, or no sample of
+        the class that was asked for.
+    """
+    if not horizon_s > 0.0:
+        raise UsageError(f"horizon_s must be positive, not {horizon_s}")
+    factor = max(int(np.ceil(horizon_s / data.dt_s / MOST_TAPS)), 1)
+    dt_s = factor * data.dt_s
+    taps = max(round(horizon_s / dt_s), 2)
+    records, scale = _records(data, output, factor, taps)
+    masks = [_mask(u[:, source] * scale[source], taps, above, below) for u, _ in records]
+    rows = sum(int(m[taps - 1 :].sum()) for m in masks)
+    if rows < 4 * taps:
+        wanted = "" if above is None and below is None else " of the class asked for"
+        raise DataError(
+            f"{rows * dt_s:.3g} s of flying{wanted} are too short for a response of {horizon_s:g} s",
+            hint="a shorter horizon, or longer flights",
+        )
+    d = np.ones(1)
+    for _ in range(ROUNDS):
+        posterior, constant = _estimated(records, masks, d, taps)
+        errors = [_error(record, posterior.mean, constant, taps) for record in records]
+        d, _ = noise_model(errors)
+    posterior, _ = _estimated(records, masks, d, taps)
+    _check_loop(errors, [u[taps - 1 :] for u, _ in records], dt_s, data, output)
+    own = slice(source * taps, (source + 1) * taps)
+    unit = scale[-1] / scale[source]
+    total = np.tril(np.ones((taps, taps)))
+    return StepResponse(
+        time_s=dt_s * np.arange(taps),
+        step=unit * np.cumsum(posterior.mean[own]),
+        covariance=unit**2 * (total @ posterior.covariance[own, own] @ total.T),
+        input=data.inputs[source],
+        output=data.outputs[output],
+        seconds=rows * dt_s,
+        words=_class_words(data.inputs[source], above, below),
+    )
+
+
+def _class_words(signal: Signal, above: float | None, below: float | None) -> str:
+    said = [f"above {above:g}"] if above is not None else []
+    said += [f"below {below:g}"] if below is not None else []
+    return f"{signal.name} {' and '.join(said)} {signal.unit}".rstrip() if said else ""
+
+
+def _records(data: Dataset, output: int, factor: int, taps: int) -> tuple[list[Record], FloatArray]:
+    """(u, y) per segment about their means, in units of their standard deviations, slowed down alike."""
+    from scipy.signal import decimate
+
+    found = []
+    for segment in data.segments:
+        both = np.column_stack([segment.u, segment.y[:, output]])
+        if len(both) < (taps + 20) * factor:
+            continue
+        slow = decimate(both, factor, ftype="fir", axis=0, zero_phase=True) if factor > 1 else both
+        found.append(np.asarray(slow, dtype=np.float64))
+    if not found:
+        raise DataError(
+            f"no segment is longer than the response of {taps * factor * data.dt_s:.3g} s",
+            hint="a shorter horizon, or longer segments",
+        )
+    whole = np.concatenate(found)
+    mean, scale = whole.mean(axis=0), whole.std(axis=0)
+    for i, signal in enumerate((*data.inputs, data.outputs[output])):
+        if not scale[i] > 1e-12 * max(abs(float(mean[i])), 1e-300):
+            raise DataError(
+                f"{signal.name!r} never moves: there is no step response to see",
+                hint="choose flights in which it does",
+            )
+    return [((r[:, :-1] - mean[:-1]) / scale[:-1], (r[:, -1] - mean[-1]) / scale[-1]) for r in found], scale
+
+
+def _mask(u: FloatArray, taps: int, above: float | None, below: float | None) -> BoolArray:
+    """(N,) samples whose last `taps` inputs are of the class."""
+    if above is None and below is None:
+        return np.ones(len(u), dtype=bool)
+    from scipy.ndimage import maximum_filter1d
+
+    largest = maximum_filter1d(np.abs(u), taps, origin=(taps - 1) // 2)
+    good = np.ones(len(u), dtype=bool)
+    if above is not None:
+        good &= largest > above
+    if below is not None:
+        good &= largest <= below
+    return good
+
+
+def _estimated(
+    records: Sequence[Record], masks: Sequence[BoolArray], d: FloatArray, taps: int
+) -> tuple[Posterior, float]:
+    """Posterior of the taps from signals filtered with d; and the constant of the unfiltered equation."""
+    gram = np.zeros(())
+    for block in _rows(records, masks, d, taps):
+        gram = gram + block.T @ block
+    rows = float(gram[-1, -1])
+    means = gram[-1] / rows
+    posterior = posterior_of(centred_gram(gram), rows, 0, (taps, records[0][0].shape[1]))
+    left = float(means[-2] - means[:-2] @ posterior.mean)
+    return posterior, left / float(d.sum())
+
+
+def _rows(
+    records: Sequence[Record], masks: Sequence[BoolArray], d: FloatArray, taps: int
+) -> Iterator[FloatArray]:
+    """[lags of every input, y, 1] of filtered signals, a chunk at a time."""
+    from scipy.signal import lfilter
+
+    for (u, y), mask in zip(records, masks, strict=True):
+        white_u, white_y = lfilter(d, [1.0], u, axis=0), lfilter(d, [1.0], y)
+        windows = np.lib.stride_tricks.sliding_window_view(white_u, taps, axis=0)[:, :, ::-1]
+        first = taps - 1 + len(d) - 1
+        picked = np.flatnonzero(mask[first:]) + first
+        for at in range(0, len(picked), CHUNK):
+            k = picked[at : at + CHUNK]
+            lags = windows[k - taps + 1].reshape(len(k), -1)
+            yield np.column_stack([lags, white_y[k], np.ones(len(k))])
+
+
+def _error(record: Record, mean: FloatArray, constant: float, taps: int) -> FloatArray:
+    """What the response leaves over, without its start."""
+    from scipy.signal import fftconvolve
+
+    u, y = record
+    made = sum(fftconvolve(u[:, j], mean[j * taps : (j + 1) * taps])[: len(y)] for j in range(u.shape[1]))
+    return np.asarray((y - made - constant)[taps - 1 :])
+
+
+def _check_loop(
+    errors: Sequence[FloatArray], inputs: Sequence[FloatArray], dt_s: float, data: Dataset, output: int
+) -> None:
+    lags = answer_lags(dt_s)
+    p, share = later_inputs(errors, inputs, lags)
+    if p < LEVEL and share > SHARE:
+        names = " and ".join(s.name for s in data.inputs)
+        raise DataError(
+            f"loop: not a step response. {names} answers {data.outputs[output].name}: {100 * share:.0f} % of "
+            f"what no past input explains shows in the input within {lags * dt_s:.2g} s after",
+            hint="take the command that the pilot gives as input, or fly without the outer loop",
+        )

@@ -1,0 +1,71 @@
+"""Step responses from ordinary flying: the truth lies in the intervals, a loop is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from bench.closed_loop import Loop, direct
+from bench.step_coverage import DT_S, flown, held, polynomials, true_step
+from flysid.dataset import Dataset
+from flysid.errors import DataError, UsageError
+from flysid.model.step_response import step_response
+from tests.flysid.test_cli import call
+
+
+def test_coloured_noise_and_the_truth_within_the_interval() -> None:
+    found = [step_response(flown(seed)) for seed in range(4)]
+    assert 0.85 < np.mean([held(f) for f in found]) <= 1.0
+    for response in found:
+        figures = {f.name: f for f in response.figures}
+        assert figures["overshoot"].value == pytest.approx(100 * (true_step(200).max() - 1), abs=6.0)
+        assert figures["final value"].value == pytest.approx(1.0, abs=0.06)
+        assert figures["latency"].value == pytest.approx(42.0, abs=12.0)
+        assert all(f.low is not None and f.value is not None and f.low < f.value for f in figures.values())
+
+
+def test_an_input_that_answers_the_output_is_refused() -> None:
+    with pytest.raises(DataError, match="loop: not a step response"):
+        step_response(direct(Loop(0.2, rate_hz=100.0, seconds=30.0).flown(1)), horizon_s=1.0)
+
+
+def test_a_fast_stick_and_a_slow_one() -> None:
+    """The gain halves for large commands: the classes tell, each with what it rests on."""
+    rng = np.random.default_rng(2)
+    blocks = np.where(np.arange(60) < 30, 20.0, 200.0) * rng.uniform(-1.0, 1.0, 60)
+    u = np.repeat(blocks, 200)
+    y = np.asarray(lfilter(*polynomials(), np.where(np.arange(len(u)) < 6000, 1.0, 0.5) * u))
+    data = Dataset.from_arrays(u, y + rng.standard_normal(len(u)), DT_S, inputs=["stick"])
+    slow = step_response(data, below=20.0)
+    fast = step_response(data, above=20.0)
+    assert slow.step[-20:].mean() == pytest.approx(1.0, abs=0.15)
+    assert fast.step[-20:].mean() == pytest.approx(0.5, abs=0.1)
+    assert (slow.words, fast.words) == ("stick below 20", "stick above 20")
+    with pytest.raises(DataError, match="of the class asked for are too short"):
+        step_response(data, above=1000.0)
+
+
+def test_what_cannot_be_is_said() -> None:
+    data = flown(0)
+    with pytest.raises(UsageError, match="horizon_s must be positive"):
+        step_response(data, horizon_s=0.0)
+    with pytest.raises(DataError, match="no segment is longer than the response of 100 s"):
+        step_response(data, horizon_s=100.0)
+
+
+def test_two_logs_over_each_other(tmp_path: Path) -> None:
+    for seed in (1, 2):
+        (segment,) = flown(seed).segments
+        rows = np.column_stack([np.arange(len(segment)) * DT_S, segment.u, segment.y])
+        name = tmp_path / f"log{seed}.csv"
+        np.savetxt(name, rows, delimiter=",", header="time_s,stick,rate", comments="", fmt="%.9g")
+    order = ["step", "log1.csv", "--from", "stick", "--to", "rate", "--against", "log2.csv", "--json", "-q"]
+    done = call(*order, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    steps = json.loads(done.stdout)["steps"]
+    assert [s["of"] for s in steps] == ["log1.csv", "log2.csv"]
+    assert all(s["figures"]["rise"]["low"] < s["figures"]["rise"]["high"] for s in steps)

@@ -1,0 +1,119 @@
+"""Step responses of every channel of a recipe, of one folder or of two over each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flysid.errors import DataError, RecipeError, UsageError
+from flysid.ingest.align.recipe import load_recipe
+from flysid.ingest.lake.lake import Lake
+from flysid.model.step_response import StepResponse, step_response
+from flysid.validate.pictures import check_picture, save_picture
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelStep:
+    """A step response of one channel of one folder.
+
+    Attributes
+    ----------
+    name : the channel.
+    of : which folder, and which class of stick; "" where there is only one.
+    """
+
+    name: str
+    of: str
+    response: StepResponse
+
+    def line(self) -> str:
+        """For people."""
+        r = self.response
+        head = ", ".join(filter(None, (self.name, self.of, r.words, f"{r.seconds:.0f} s")))
+        return f"{head}: {r.input.name} to {r.output.name}\n  " + "\n  ".join(map(str, r.figures))
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        low, high = self.response.interval
+        return {
+            "channel": self.name,
+            "of": self.of,
+            "class": self.response.words,
+            "seconds": self.response.seconds,
+            "figures": {f.name: f.to_dict() for f in self.response.figures},
+            "time_s": self.response.time_s.tolist(),
+            "step": self.response.step.tolist(),
+            "low": low.tolist(),
+            "high": high.tolist(),
+        }
+
+
+def channel_steps(
+    lake: Lake,
+    recipe_name: str,
+    *,
+    channels: Sequence[str] = (),
+    horizon_s: float,
+    fast: float | None = None,
+    of: str = "",
+) -> tuple[list[ChannelStep], Mapping[str, str]]:
+    """Step responses of every channel, and why the others have none.
+
+    Parameters
+    ----------
+    fast : tells a slow stick from a fast one, in the input's unit: two responses then.
+
+    Raises
+    ------
+    UsageError : `channels` names what the recipe does not have.
+    """
+    recipe = load_recipe(recipe_name)
+    for name in channels:
+        if name not in recipe.channels:
+            raise UsageError(
+                f"the recipe has no channel {name!r}", hint=f"one of {', '.join(recipe.channels)}"
+            )
+    held = lake.channels(recipe)
+    found: list[ChannelStep] = []
+    skipped: dict[str, str] = {}
+    for name in channels or recipe.channels:
+        if name not in held:
+            skipped[name] = "no flight holds its streams"
+            continue
+        try:
+            data = lake.dataset(recipe, name)
+            for above, below in ((None, None),) if fast is None else ((None, fast), (fast, None)):
+                response = step_response(data, horizon_s=horizon_s, above=above, below=below)
+                found.append(ChannelStep(name, of, response))
+        except (DataError, RecipeError) as error:
+            skipped[name] = str(error)
+    return found, skipped
+
+
+def draw_steps(steps: Sequence[ChannelStep], path: str | Path) -> None:
+    """One panel a channel, every response with its 95 % band.
+
+    Raises
+    ------
+    UsageError : matplotlib is missing, or the file's ending is not known. WriteError : cannot be written.
+    """
+    check_picture(path)
+    from matplotlib.figure import Figure
+
+    names = list(dict.fromkeys(s.name for s in steps))
+    figure = Figure(figsize=(8, 0.8 + 2.6 * len(names)), layout="constrained")
+    axes = figure.subplots(len(names), 1, squeeze=False)[:, 0]
+    for axis, name in zip(axes, names, strict=True):
+        for step in (s for s in steps if s.name == name):
+            r = step.response
+            low, high = r.interval
+            (line,) = axis.plot(r.time_s, r.step, label=", ".join(filter(None, (step.of, r.words))) or name)
+            axis.fill_between(r.time_s, low, high, color=line.get_color(), alpha=0.25, linewidth=0)
+            axis.set_ylabel(f"{r.output.name}, {r.output.unit}", fontsize=8)
+        axis.set_title(f"{name}: a step of {r.input.name}", loc="left", fontsize=9)
+        axis.grid(True, linewidth=0.3, alpha=0.6)
+        axis.legend(fontsize=7)
+    axes[-1].set_xlabel("s")
+    save_picture(figure, path)
