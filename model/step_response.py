@@ -197,7 +197,7 @@ def step_response(
     unit = scale[-1] / scale[source]
     total = np.tril(np.ones((taps, taps)))
     return StepResponse(
-        time_s=dt_s * np.arange(taps),
+        time_s=dt_s * np.arange(taps, dtype=np.float64),
         step=unit * np.cumsum(posterior.mean[own]),
         covariance=unit**2 * (total @ posterior.covariance[own, own] @ total.T),
         input=data.inputs[source],
