@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +31,13 @@ DURATION_S = 60.0
 FLOWN_TIMES = 2  # the plan, so that
 HOLDOUT = 0.5  # leaves more than four flights to the verdict, which then speaks of another flight
 MARKER = ".flysid-demo"
+LOOK_AT = (
+    "In the report, look at",
+    "  the cards: what was measured, and both models, over the ten seconds in which they differ most",
+    "  the interval below each change: where it holds zero, these flights do not tell",
+    "  'Before you rely on this': what would make the models wrong on your next flight",
+    "  the rules of longitudinal: what a degree of tilt is worth forwards and backwards, in words",
+)
 
 
 @dataclass(frozen=True)
@@ -98,7 +107,19 @@ def command(output: Path, plant: str, seed: int, force: bool, quiet: bool, displ
         say(f"  {line}", quiet)
     say(f"  {meaning(judgement)}", quiet)
     say(f"  {time.perf_counter() - started:.0f} s in all", quiet)
-    click.echo(str(stages.report / "report.html"))
+    for line in LOOK_AT:
+        say(f"  {line}", quiet)
+    page = stages.report / "report.html"
+    click.echo(str(page))
+    if not quiet and has_display() and sys.stdout.isatty():
+        click.launch(str(page))
+
+
+def has_display() -> bool:
+    """Whether a page that is opened can be seen."""
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def prepare(output: Path, force: bool) -> None:
