@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: docs audit lock locked bench-model bench-ingest soak demo test check unit lint clean samples bench-accuracy
+.PHONY: release docs audit lock locked bench-model bench-ingest soak demo test check unit lint clean samples bench-accuracy
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "flysid needs Python 3.11 or newer; try: make PYTHON=python3.12")'
@@ -60,6 +60,14 @@ locked:  ## an environment of exactly the locked versions, every hash checked
 	$(BIN)/python -m pip install --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --no-deps -e .
 	touch $(VENV)/.installed
+
+release: $(VENV)/.installed  ## wheel and sdist of a clean tree in dist/, checked and tagged; all but the upload
+	test -z "$$(git status --porcelain)" || { echo "commit first"; exit 1; }
+	$(BIN)/python -m pip install --quiet build twine
+	rm -rf dist
+	$(BIN)/python -m build
+	$(BIN)/python -m twine check --strict dist/*
+	git tag --annotate --message "flysid" "v$$($(BIN)/python -c 'import flysid; print(flysid.__version__)')"
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache flysid-demo .bench docs/_build
