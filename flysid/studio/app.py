@@ -25,7 +25,7 @@ from flysid.errors import FlysidError, UsageError, WriteError
 from flysid.studio import commands, forms
 from flysid.studio.guard import Bounds, Guard, Key
 from flysid.studio.jobs import Job, Jobs
-from flysid.studio.places import NotThere, Workspace
+from flysid.studio.places import NotThere, Workspace, is_name
 
 if TYPE_CHECKING:
     from flysid.studio.channels import Recipes
@@ -118,10 +118,11 @@ class Studio:
         from flysid.studio.uploads import quick_look
 
         query_of(request, forms.Nothing)
-        folder = self.workspace.uploads / request.path_params["upload"]
-        found = [p for p in folder.glob("*") if not p.name.startswith(".")] if folder.is_dir() else []
-        if folder.parent != self.workspace.uploads or not found:
-            raise NotThere(f"no upload {folder.name!r}")
+        name = request.path_params["upload"]
+        found = list((self.workspace.uploads / name).glob("*")) if is_name(name) else []
+        found = [path for path in found if not path.name.startswith(".")]
+        if not found:
+            raise NotThere(f"no upload {name!r}")
         return answer(await run_in_threadpool(quick_look, found[0]))
 
     async def fit(self, request: Request) -> Response:

@@ -23,6 +23,7 @@ from flysid.ingest.lake.timeline import happenings
 from flysid.ingest.lake.track import read_track
 from flysid.manifest import FLIGHTS, Column, Manifest, StreamEntry, read_manifest
 from flysid.studio.forms import Window
+from flysid.studio.places import NotThere, is_name
 from flysid.studio.pyramid import Axis, Pyramid, View, hold, look, read_axis, read_pyramid
 
 SIGNAL = "@"  # "@recipe:signal" is a recipe's signal, as "stream:field" is a field
@@ -114,14 +115,14 @@ class Flights:
 
     def _manifest(self, flight: str) -> Manifest:
         folder = self.data / FLIGHTS / flight
-        if flight in ("", ".", "..") or Path(flight).name != flight or not folder.is_dir():
-            raise UsageError(f"no flight {flight!r}", path=self.data)
+        if not is_name(flight) or not folder.is_dir():
+            raise NotThere(f"no flight {flight!r}", path=self.data)
         return read_manifest(folder)
 
     def _log(self, flight: str) -> StoredLog:
         lake = open_lake(self.data).only([flight])
         if not lake.logs:
-            raise UsageError(f"no flight {flight!r}", path=self.data)
+            raise NotThere(f"no flight {flight!r}", path=self.data)
         return lake.logs[0]
 
     def _signals(self, log: StoredLog) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,6 +65,14 @@ class Workspace:
         if found is None:
             raise NotThere(f"no run {run_id!r}", path=self.folder)
         return found
+
+
+_NAME = re.compile(r"(?!\.{1,2}$)[A-Za-z0-9._-]{1,160}")
+
+
+def is_name(text: str) -> bool:
+    """Whether a text can be the name of a folder that the studio or ingestion has made."""
+    return _NAME.fullmatch(text) is not None
 
 
 def short_id(path: Path) -> str:

@@ -141,6 +141,14 @@ def test_random_queries_never_break_the_server(server: Server, flight: Any) -> N
         assert answer.status in (200, 400, 404), (query, answer.status, answer.body)
 
 
+@pytest.mark.parametrize("name", ["9" * 400, "%00", "..", "%2e%2e", "a%2Fb", "%F0%9F%9A%81"])
+@pytest.mark.parametrize(
+    "path", ["flights/{}", "flights/{}/track", "uploads/{}", "runs/{}", "jobs/{}", "recipes/{}"]
+)
+def test_names_that_no_folder_has(server: Server, path: str, name: str) -> None:
+    assert server.get(path.format(name)).status in (307, 404)
+
+
 @pytest.mark.parametrize(
     "body", [b"", b"{", b"[]", b'{"recipe": 5}', b'{"nothing": 1}', b"\xff", b"[" * 100_000]
 )
