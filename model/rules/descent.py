@@ -12,7 +12,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.bordered_step import Normal, damped_step, diagonal_of
-from flysid.model.rules.kernel import IntArray, Parameters, compiled, simulate, stray, sweep
+from flysid.model.rules.kernel import IntArray, Lags, Parameters, compiled, simulate, stray, sweep
 
 HOLD = 3.0  # weight on memberships, relative to the ridge on consequents
 _NARROWEST, _WIDEST = 0.02, 3.0  # widths in ranges of the antecedent: sets that words can name
@@ -289,77 +289,62 @@ def _add_ridge(par, fixed, size, slopes, m, corner, slope):  # type: ignore[no-u
             corner[i, j] += size.ridge * share * fixed.metric[a % m, b % m]
 
 
-@compiled
-def _workspace(lags, par, fixed, size):  # type: ignore[no-untyped-def]
+def _workspace(
+    lags: Lags, par: Parameters, fixed: Fixed, size: Sizes
+) -> tuple[Parameters, tuple[FloatArray, ...], tuple[FloatArray, ...]]:
     """Parameters, runs and arrays to work in: private copies."""
-    n_rules, n, n_x = par.theta.shape
-    own = Parameters(par.theta.copy(), par.centre.copy(), par.width.copy(), par.z_range, par.limits)
-    deepest = 1
-    for m in range(n_x):
-        if 0 <= lags.column[m] < n:
-            deepest = max(deepest, lags.lag[m])
-    for j in range(lags.z_lag.size):
-        if lags.z_column[j] < n:
-            deepest = max(deepest, lags.z_lag[j], lags.z_minus[j])
-    common = fixed.chosen[fixed.chosen.size - 1] + 1 if fixed.chosen.size else 0
+    n = par.theta.shape[1]
+    own = par._replace(theta=par.theta.copy(), centre=par.centre.copy(), width=par.width.copy())
+    past = lags.lag[(lags.column >= 0) & (lags.column < n)]
+    seen = np.concatenate([lags.z_lag, lags.z_minus])[np.tile(lags.z_column < n, 2)]
+    deepest = max(1, past.max(initial=1), seen.max(initial=1))
+    common = fixed.chosen[-1] + 1 if fixed.chosen.size else 0
     width = common + size.moving * n
-    slopes = np.empty(n_rules * n * fixed.basis.shape[0] + 2 * par.centre.size)
+    slopes = np.empty(par.theta[:, :, 0].size * len(fixed.basis) + 2 * par.centre.size)
     work = (fixed.W.copy(), fixed.stress.copy(), slopes)
     return own, work, (np.empty((deepest, n, width)), np.empty((width, width)), np.empty(width))
 
 
-@compiled
-def _empty_normal(fixed, q):  # type: ignore[no-untyped-def]
+def _empty_normal(fixed: Fixed, q: int) -> Normal:
     free, runs = fixed.chosen.size, fixed.edges.size - 1
     return Normal(
         np.empty((free, free)), np.empty((runs, free, q)), np.empty((runs, q, q)), np.empty(free + runs * q)
     )
 
 
-@compiled
-def descend(p, lags, par, fixed, size, iterations, tolerance):  # type: ignore[no-untyped-def]
+def descend(
+    p: FloatArray, lags: Lags, par: Parameters, fixed: Fixed, size: Sizes, iterations: int, tolerance: float
+) -> tuple[float, Normal]:
     """Levenberg-Marquardt from p, which moves in place; the cost in the end, and its `Normal` there.
 
     The method is that of `flysid.model.refine`. A trial point is simulated first, and differentiated only
     where its cost is lower. The cost is not a number where the start of the search diverges. With 0
-    iterations p stays where it is; with fewer, nothing is differentiated, either.
+    iterations p stays where it is; with fewer, nothing is differentiated, either. The loop is not compiled:
+    a step takes as long as 20 rows, and a compiler would take as long for the loop as for what it calls.
     """
-    own, work, sums = _workspace(lags, par, fixed, size)
-    X, S, slopes = work
-    ring, H, g = sums
-    q = size.moving * par.theta.shape[1]
-    normal, other = _empty_normal(fixed, q), _empty_normal(fixed, q)
-    free, count = fixed.chosen.size, normal.slope.size
-    tail = slopes.size
-    step, diagonal, scale = np.empty(count), np.empty(count), np.empty(count)
-    trial = p.copy()
+    own, (X, S, slopes), (ring, H, g) = _workspace(lags, par, fixed, size)
+    normal, other = (_empty_normal(fixed, size.moving * par.theta.shape[1]) for _ in range(2))
+    place = np.concatenate([fixed.chosen, np.arange(slopes.size, p.size)])
+    count = place.size
+    step, diagonal = np.empty(count), np.empty(count)
     if iterations < 0:
         return _cost(p, lags, own, fixed, size, X, S, slopes), normal
     cost = _normal(p, lags, own, fixed, size, X, S, slopes, ring, H, g, normal)
-    tries = 0
     if not (diagonal_of(normal, diagonal) and math.isfinite(cost)) or iterations == 0:
         return (cost if iterations == 0 else math.nan), normal
-    largest = 0.0
-    for i in range(count):
-        largest = max(largest, math.sqrt(diagonal[i]))
-    for i in range(count):
-        scale[i] = max(math.sqrt(diagonal[i]), 1e-8 * (largest if largest > 0.0 else 1.0))
-    damping, growth = _FIRST_DAMPING, 2.0
+    scale = np.sqrt(diagonal)
+    scale = np.maximum(scale, 1e-8 * (scale.max(initial=0.0) or 1.0))
+    damping, growth, tries = _FIRST_DAMPING, 2.0, 0
     while tries < iterations:
-        steepest = 0.0
-        for i in range(count):
-            steepest = max(steepest, abs(normal.slope[i]) / scale[i])
-        if cost == 0.0 or steepest <= 1e-14 * math.sqrt(cost):
+        if cost == 0.0 or np.abs(normal.slope / scale).max(initial=0.0) <= 1e-14 * math.sqrt(cost):
             break
         tries += 1
-        solved = damped_step(normal, scale, damping, step)
         better, value, short, long = False, 0.0, 0.0, 0.0
+        solved = damped_step(normal, scale, damping, step)
         if solved:
-            for i in range(count):
-                at = fixed.chosen[i] if i < free else tail + i - free
-                trial[at] = p[at] + step[i]
-                short += (scale[i] * step[i]) ** 2
-                long += (scale[i] * p[at]) ** 2
+            trial = p.copy()
+            trial[place] += step
+            short, long = float(((scale * step) ** 2).sum()), float(((scale * p[place]) ** 2).sum())
             value = _cost(trial, lags, own, fixed, size, X, S, slopes)
             if value < cost:
                 value = _normal(trial, lags, own, fixed, size, X, S, slopes, ring, H, g, other)
@@ -368,22 +353,16 @@ def descend(p, lags, par, fixed, size, iterations, tolerance):  # type: ignore[n
             damping, growth = damping * growth, growth * 2.0
             if damping > _LARGEST_DAMPING or (solved and math.sqrt(short) <= 1e-15 * math.sqrt(long)):
                 break
-            if growth <= 2.0**8:  # the first rejections in a row cost no iteration
-                tries -= 1
+            tries -= growth <= 2.0**8  # the first rejections in a row cost no iteration
             continue
-        predicted = damping * short
-        for i in range(count):
-            predicted -= step[i] * normal.slope[i]
+        predicted = damping * short - float(step @ normal.slope)
         gain = (cost - value) / predicted if predicted > 0.0 else 1.0
         damping = max(damping * max(_SMALLEST_RELAXATION, 1.0 - (2.0 * gain - 1.0) ** 3), _SMALLEST_DAMPING)
         growth = 2.0
         settled = cost - value <= tolerance * cost or math.sqrt(short) <= tolerance * math.sqrt(long)
-        normal, other = other, normal
-        cost = value
-        for i in range(p.size):
-            p[i] = trial[i]
-        for i in range(count):
-            scale[i] = max(scale[i], math.sqrt(diagonal[i]))
+        normal, other, cost = other, normal, value
+        p[:] = trial
+        scale = np.maximum(scale, np.sqrt(diagonal))
         if settled:
             break
     return cost, normal
