@@ -21,7 +21,7 @@ def filtered(b: FloatArray, a: FloatArray, x: FloatArray) -> FloatArray:
     """(N,) x, or each of (N, columns), through B / A from zero state: `scipy.signal.lfilter`, no checks."""
     if x.ndim > 1:
         return np.stack([filtered(b, a, column) for column in x.T], axis=1) if x.shape[1] else x
-    y: FloatArray = _filtered(np.ascontiguousarray(b), np.ascontiguousarray(a), np.ascontiguousarray(x))
+    y: FloatArray = _filtered(_own(b), _own(a), _own(x))
     return y
 
 
@@ -32,19 +32,24 @@ def differences(signal: FloatArray, count: int, lag: int, rows: slice, *, monic:
     p = count - 1 - (i - lag) (the coordinates beta).
     """
     first = 1 if monic else lag
-    columns: FloatArray = _differences(np.ascontiguousarray(signal), count, first, rows.start, rows.stop).T
+    columns: FloatArray = _differences(_own(signal), count, first, rows.start, rows.stop).T
     return columns
 
 
 def free_responses(a: FloatArray, rows: int) -> FloatArray:
     """(M, na) responses of 1/A to states at the start, each of length one; M <= rows: then decayed."""
-    responses: FloatArray = _free_responses(np.ascontiguousarray(a), rows).T
+    responses: FloatArray = _free_responses(_own(a), rows).T
     return responses
 
 
 def is_stable(a: FloatArray, radius: float = 1.0) -> bool:
     """Whether every root of A lies inside a circle, by reflection coefficients (Schur and Cohn)."""
     return bool(_is_stable(a / radius ** np.arange(len(a))))
+
+
+def _own(x: FloatArray) -> FloatArray:
+    """One row that may be written to, as nearly all are: compiled code is made for one kind of array only."""
+    return x if x.flags.c_contiguous and x.flags.writeable else x.copy()
 
 
 @compiled

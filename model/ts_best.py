@@ -171,7 +171,7 @@ def _linear_enough(
     """
     rules = found.of_rules
     count = len(rules.parameters.theta)
-    if (count > 1 and settings.rules != "auto") or INTEGRATES in rules.notes:
+    if settings.rules not in ("auto", 1) or INTEGRATES in rules.notes:
         return None
     choice = linear_choice(TS(nk_hint=settings.nk_hint), train, validation)
     if choice is None:

@@ -1,4 +1,4 @@
-"""Compiled: the simulation error of rules over all runs, its normal equations, and the descent on it.
+"""Compiled: the simulation error of rules over all runs and its normal equations; the descent on it.
 
 What is summed is told in `flysid.model.rules.free_run_error`.
 """
@@ -320,7 +320,7 @@ def descend(
     The method is that of `flysid.model.refine`. A trial point is simulated first, and differentiated only
     where its cost is lower. The cost is not a number where the start of the search diverges. With 0
     iterations p stays where it is; with fewer, nothing is differentiated, either. The loop is not compiled:
-    a step takes as long as 20 rows, and a compiler would take as long for the loop as for what it calls.
+    that would compile all that it calls once more (docs/measured/search.md).
     """
     own, (X, S, slopes), (ring, H, g) = _workspace(lags, par, fixed, size)
     normal, other = (_empty_normal(fixed, size.moving * par.theta.shape[1]) for _ in range(2))
