@@ -96,7 +96,8 @@ def _same_samples(train: Sequence[Stretch], test: Sequence[Stretch]) -> Copy | N
     """
     names = list(dict.fromkeys(s.flight for s in (*train, *test)))
     both = [*train, *test]
-    step, thin = _rounding(both), max(1, sum(len(s.y) for s in both) // MAX_HASHES)
+    step = _rounding(both)
+    thin = max(1, sum(len(s.y) for s in both) // MAX_HASHES)
     known, held = (_windows(part, names, step, thin) for part in (train, test))
     if len(known.hashes) == 0 or len(held.hashes) == 0:
         return None
@@ -120,11 +121,13 @@ def _same_samples(train: Sequence[Stretch], test: Sequence[Stretch]) -> Copy | N
 def _windows(stretches: Sequence[Stretch], names: Sequence[str], step: FloatArray, thin: int) -> _Windows:
     """All windows; of many millions, the same sample of hashes is taken."""
     number = {name: i for i, name in enumerate(names)}
-    counts, length = np.zeros(len(names), dtype=np.int64), dict.fromkeys(names, 0)
+    counts = np.zeros(len(names), dtype=np.int64)
+    length = dict.fromkeys(names, 0)
     parts: list[tuple[Hashes, Indices, Indices]] = []
     steps: dict[int, list[Indices]] = {i: [] for i in range(len(names))}
     for s in stretches:
-        flight, first = number[s.flight], length[s.flight]
+        flight = number[s.flight]
+        first = length[s.flight]
         hashes, rows = _row_hashes(s, step)
         kept = hashes % np.uint64(thin) == 0
         counts[flight] += int(kept.sum())
@@ -234,10 +237,13 @@ def _same_noise(theirs: _Grid, mine: _Grid) -> str:
         x, z = _overlapping(a.x, b.x, _best_lag(a, b))
         if len(x) < max(LEAST_NOISE, COPY_SHARE * mine.samples):
             continue
-        x, z = x - x.mean(), z - z.mean()
+        x = x - x.mean()
+        z = z - z.mean()
         if not (x.any() and z.any()):
             continue
-        x, z = x / np.abs(x).max(), z / np.abs(z).max()  # squares of tiny units would vanish
+        # squares of tiny units would vanish
+        x = x / np.abs(x).max()
+        z = z / np.abs(z).max()
         rho = float(x @ z / np.sqrt((x @ x) * (z @ z)))
         chance = np.sqrt(
             2.0 * np.log(len(a.x) + len(b.x))
@@ -249,7 +255,8 @@ def _same_noise(theirs: _Grid, mine: _Grid) -> str:
 
 def _same_output(theirs: _Grid, mine: _Grid) -> str:
     """How the outputs of two flights agree, or ''; their inputs must agree roughly."""
-    lag, shares = 0, list[float]()
+    lag = 0
+    shares = list[float]()
     if min(theirs.flown, mine.flown) < LEAST_OVERLAP:
         return ""
     for a, b in zip(theirs.outputs, mine.outputs, strict=True):
@@ -285,7 +292,8 @@ def _apart(x: FloatArray, z: FloatArray) -> float:
 
 def _moved_apart(x: FloatArray, z: FloatArray, beside: FloatArray) -> float:
     """RMS difference of x and what lies between z and the samples beside it."""
-    gap, towards = x - z, beside - z
+    gap = x - z
+    towards = beside - z
     power = float(towards @ towards)
     fraction = float(np.clip(gap @ towards / power, 0.0, 1.0)) if power > 0.0 else 0.0
     rest = gap - fraction * towards
@@ -333,12 +341,16 @@ def _on_grids(stretches: Sequence[Stretch], theta: FloatArray | None, dt_s: floa
 
 def _on_grid(stretches: Sequence[Stretch], theta: FloatArray | None, dt_s: float) -> _Grid:
     ordered = sorted(stretches, key=lambda s: s.t0_ns)
-    starts, stop, end_ns = [], 0, ordered[0].t0_ns
+    starts = []
+    stop = 0
+    end_ns = ordered[0].t0_ns
     for s in ordered:
         pause = max(0, round((s.t0_ns - end_ns) * 1e-9 / dt_s))
         starts.append(stop + min(pause, LONGEST_PAUSE))
-        stop, end_ns = starts[-1] + len(s.y), s.t0_ns + round(len(s.y) * dt_s * 1e9)
-    n_u, n_y = ordered[0].u.shape[1], ordered[0].y.shape[1]
+        stop = starts[-1] + len(s.y)
+        end_ns = s.t0_ns + round(len(s.y) * dt_s * 1e9)
+    n_u = ordered[0].u.shape[1]
+    n_y = ordered[0].y.shape[1]
     u, y, e = (np.full((stop, n), np.nan) for n in (n_u, n_y, n_y))
     moving = [np.flatnonzero(_moving(s.y)) for s in ordered]  # on the ground all flights agree
     for start, s, rows in zip(starts, ordered, moving, strict=True):
@@ -399,8 +411,10 @@ def _best_lag(theirs: _Signal, mine: _Signal) -> int:
 
 def _overlapping(a: FloatArray, b: FloatArray, lag: int) -> tuple[FloatArray, FloatArray]:
     """The samples of a and of b moved by `lag` that both have."""
-    mine, theirs = a[max(lag, 0) :], b[max(-lag, 0) :]
+    mine = a[max(lag, 0) :]
+    theirs = b[max(-lag, 0) :]
     common = min(len(mine), len(theirs))
-    mine, theirs = mine[:common], theirs[:common]
+    mine = mine[:common]
+    theirs = theirs[:common]
     both = np.isfinite(mine) & np.isfinite(theirs)
     return mine[both], theirs[both]

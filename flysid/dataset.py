@@ -161,7 +161,8 @@ class Dataset:
         DataError : lengths differ, or a value is not finite.
         UsageError : the lists of u and y have different numbers of segments.
         """
-        us, ys = _as_segments(u), _as_segments(y)
+        us = _as_segments(u)
+        ys = _as_segments(y)
         if len(us) != len(ys):
             raise UsageError(f"u has {len(us)} segments and y has {len(ys)}")
         segments = tuple(
@@ -169,7 +170,8 @@ class Dataset:
         )
         if not segments:
             raise DataError("a dataset needs at least one segment")
-        n_u, n_y = segments[0].u.shape[1], segments[0].y.shape[1]
+        n_u = segments[0].u.shape[1]
+        n_y = segments[0].y.shape[1]
         return cls(
             dt_s=float(dt_s),
             inputs=_signals(inputs, n_u, "u"),

@@ -106,7 +106,8 @@ class FlightWriter:
                 stream.writer = _parquet_writer(stream.path, stream.schema, stream.waiting_bytes)
             self._open += 1
         self._waiting -= stream.waiting_bytes
-        stream.waiting, stream.waiting_bytes = [], 0
+        stream.waiting = []
+        stream.waiting_bytes = 0
         table = in_order(table)
         stream.rows += table.num_rows
         if table.num_rows:
@@ -116,7 +117,8 @@ class FlightWriter:
 
     def _close(self, stream: _Stream) -> None:
         if stream.writer is not None:
-            writer, stream.writer = stream.writer, None
+            writer = stream.writer
+            stream.writer = None
             self._open -= 1
             with writing_to(stream.path):
                 writer.close()
@@ -168,7 +170,8 @@ def _merge(stream: _Stream) -> None:
 def _rows_before(table: pa.Table, key: tuple[int, int]) -> int:
     """How many rows of a table in order come before (boot, time)."""
     boots = int_values(table[BOOT])
-    first, last = np.searchsorted(boots, key[0], "left"), np.searchsorted(boots, key[0], "right")
+    first = np.searchsorted(boots, key[0], "left")
+    last = np.searchsorted(boots, key[0], "right")
     return int(first + np.searchsorted(int_values(table[TIME])[first:last], key[1], "left"))
 
 
@@ -188,7 +191,8 @@ def in_order(table: pa.Table) -> pa.Table:
     """`table` sorted by (boot, time_ns), rows of equal time in order of arrival."""
     if table.num_rows < 2:
         return table
-    boots, times = int_values(table[BOOT]), int_values(table[TIME])
+    boots = int_values(table[BOOT])
+    times = int_values(table[TIME])
     step = np.diff(boots)
     if not (step < 0).any() and not ((np.diff(times) < 0) & (step == 0)).any():
         return table
@@ -199,12 +203,15 @@ def in_order(table: pa.Table) -> pa.Table:
 def _note_times(stream: _Stream, boots: IntArray, times: IntArray) -> None:
     """Note how row groups begin, the spans per boot, whether it is all sorted; rows are in order."""
     stream.starts += zip(boots[::ROWS_PER_GROUP].tolist(), times[::ROWS_PER_GROUP].tolist(), strict=True)
-    first, last = (int(boots[0]), int(times[0])), (int(boots[-1]), int(times[-1]))
+    first = (int(boots[0]), int(times[0]))
+    last = (int(boots[-1]), int(times[-1]))
     stream.is_sorted &= first >= stream.last
     stream.last = max(stream.last, last)
     edges = [0, *(np.flatnonzero(np.diff(boots)) + 1).tolist(), len(boots)]
     for start, stop in pairwise(edges):
-        boot, lo, hi = int(boots[start]), int(times[start]), int(times[stop - 1])
+        boot = int(boots[start])
+        lo = int(times[start])
+        hi = int(times[stop - 1])
         rows, old_lo, old_hi = stream.spans.get(boot, (0, lo, hi))
         stream.spans[boot] = (rows + stop - start, min(lo, old_lo), max(hi, old_hi))
 
@@ -238,7 +245,8 @@ def describe_column(column: pa.Field) -> Column:
 @lru_cache(maxsize=1 << 14)
 def _described(name: str, kind: pa.DataType, metadata: tuple[tuple[bytes, bytes], ...]) -> Column:
     """Logs of one kind share their columns, so that each is described once."""
-    column, facts = pa.field(name, kind, metadata=dict(metadata)), dict(metadata)
+    column = pa.field(name, kind, metadata=dict(metadata))
+    facts = dict(metadata)
     return Column(
         name=name,
         type=str(kind),

@@ -277,7 +277,8 @@ def _membership(
     times: FloatArray, held: Sequence[tuple[float, float]], guard_s: float
 ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
     """Which samples lie in a held-out span, and which in one widened by the guard."""
-    inside, near = np.zeros(len(times), dtype=bool), np.zeros(len(times), dtype=bool)
+    inside = np.zeros(len(times), dtype=bool)
+    near = np.zeros(len(times), dtype=bool)
     for start, stop in held:
         inside |= (times >= start) & (times < stop)
         near |= (times >= start - guard_s) & (times < stop + guard_s)

@@ -48,7 +48,8 @@ def as_record(model: _Signals, u: FloatArray, y: FloatArray, k: int = 1) -> tupl
     """
     if not k >= 1:
         raise UsageError(f"a prediction looks at least one step ahead, not {k}")
-    u, y = as_columns(u, len(model.inputs), "u"), as_columns(y, len(model.outputs), "y")
+    u = as_columns(u, len(model.inputs), "u")
+    y = as_columns(y, len(model.outputs), "y")
     if len(u) != len(y):
         raise UsageError(f"u has {len(u)} samples and y has {len(y)}")
     return u, y

@@ -105,7 +105,8 @@ class _LeastSquaresFit:
     """The one-step fit: orders from one pass over the fitting part, free run on the checking part."""
 
     def __init__(self, settings: ARX, parts: Parts) -> None:
-        self.settings, self.parts = settings, parts
+        self.settings = settings
+        self.parts = parts
         self.n_y, self.n_u = len(parts.train.outputs), len(parts.train.inputs)
         if settings.refine is False and "auto" not in (settings.na, settings.nb, settings.nk):
             self.choice, self.note = self._fixed(), f"Orders as given: {self._fixed()}."
@@ -120,7 +121,8 @@ class _LeastSquaresFit:
         self.note = _order_note(choices, errors, index)
 
     def _fixed(self) -> Choice:
-        s, n_u = self.settings, self.n_u
+        s = self.settings
+        n_u = self.n_u
         return Choice(int(s.na), as_tuple(s.nb, n_u), as_tuple(s.nk, n_u))  # type: ignore[arg-type]
 
     def final(self) -> FittedLinear:
@@ -133,7 +135,8 @@ class _LeastSquaresFit:
         return self._model(self.choice, grid.fit(self.choice), self.note, parts=parts)
 
     def _candidates(self) -> tuple[list[Choice], Grid]:
-        s, n_u = self.settings, self.n_u
+        s = self.settings
+        n_u = self.n_u
         rows = len(self.parts.fit)
         longest = max(len(x) for x in self.parts.fit.segments)
         budget = max(rows // SHARE, 1)
@@ -158,14 +161,17 @@ class _LeastSquaresFit:
 
     def _system(self, choice: Choice, fits: Sequence[LeastSquares]) -> tuple[Difference, tuple[int, ...]]:
         """The equation of the coefficients, and where each output's coefficients stand in flat order."""
-        n_y, n_u = self.n_y, self.n_u
+        n_y = self.n_y
+        n_u = self.n_u
         last = max((k + n for n, k in zip(choice.nb, choice.nk, strict=True) if n), default=1)
         a = np.zeros((choice.na + 1, n_y, n_y))
         a[0] = np.eye(n_y)
-        b, c = np.zeros((last, n_y, n_u)), np.zeros(n_y)
+        b = np.zeros((last, n_y, n_u))
+        c = np.zeros(n_y)
         free: list[int] = []
         for i, fit in enumerate(fits):
-            theta, position = fit.theta, 0
+            theta = fit.theta
+            position = 0
             for j, lag in product(range(n_y), range(1, choice.na + 1)):
                 a[lag, i, j] = -theta[position]
                 free.append((lag - 1) * n_y * n_y + i * n_y + j)
@@ -232,7 +238,8 @@ def _grid(data: Source, choices: Sequence[Choice], offset: bool, scaling: Scalin
     ------
     DataError : the segments are shorter than the lags.
     """
-    n_y, n_u = len(data.outputs), len(data.inputs)
+    n_y = len(data.outputs)
+    n_u = len(data.inputs)
     na = max(c.na for c in choices)
     last = max((k + n - 1 for c in choices for n, k in zip(c.nb, c.nk, strict=True) if n), default=0)
     lags = Grid.lags(n_y, n_u, na, last)

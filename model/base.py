@@ -323,7 +323,9 @@ def try_out(model: Fitted) -> None:
     ------
     ValueError : the shapes or the numbers are not a model's. Whatever the model raises comes through.
     """
-    n_u, n_y, start = len(model.inputs), len(model.outputs), model.n_init
+    n_u = len(model.inputs)
+    n_y = len(model.outputs)
+    start = model.n_init
     if not isinstance(start, int) or not 0 <= start <= MAX_INIT or not 0 < n_y <= MAX_SIGNALS >= n_u:
         raise ValueError(f"{start!r} samples to start from, {n_u} inputs, {n_y} outputs")
     if not (isinstance(model.dt_s, float) and model.dt_s > 0.0):
@@ -335,7 +337,8 @@ def try_out(model: Fitted) -> None:
     u = np.cos(np.arange(n * n_u, dtype=np.float64)).reshape(n, n_u)
     y = np.tile(limits.mean(axis=0), (n, 1)) + np.sin(np.arange(n, dtype=np.float64))[:, None]
     with np.errstate(all="ignore"):
-        free, ahead = model.simulate(u, y[:start]), model.predict(u, y)
+        free = model.simulate(u, y[:start])
+        ahead = model.predict(u, y)
     for name, values in (("free run", free), ("prediction", ahead[start:])):
         if values.shape[1:] != (n_y,) or not np.isfinite(values).all():
             raise ValueError(f"its {name} is not finite")

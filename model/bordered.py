@@ -37,8 +37,10 @@ class Bordered:
     def damped_step(self, scale: FloatArray, damping: float, gradient: FloatArray) -> FloatArray | None:
         """-(H + damping diag(scale²))⁻¹ gradient, or None where that matrix is not positive definite."""
         p, (count, _, q) = len(self.corner), self.border.shape
-        s, inner = scale[:p], scale[p:].reshape(count, q)
-        g, own = gradient[:p] / s, gradient[p:].reshape(count, q) / inner
+        s = scale[:p]
+        inner = scale[p:].reshape(count, q)
+        g = gradient[:p] / s
+        own = gradient[p:].reshape(count, q) / inner
         corner = self.corner / np.outer(s, s) + damping * np.eye(p)
         border = self.border / (s[None, :, None] * inner[:, None, :])
         blocks = self.blocks / (inner[:, :, None] * inner[:, None, :]) + damping * np.eye(q)

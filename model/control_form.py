@@ -63,11 +63,15 @@ def _names(signals: Signals) -> dict[str, list[str]]:
 
 def state_space(system: Difference) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """(A, B, C, D) of a difference equation in observer form, order L n_y."""
-    depth, n_y, n_u = system.depth, system.a.shape[1], system.b.shape[2]
-    a, b = np.zeros((depth + 1, n_y, n_y)), np.zeros((depth + 1, n_y, n_u))
+    depth = system.depth
+    n_y = system.a.shape[1]
+    n_u = system.b.shape[2]
+    a = np.zeros((depth + 1, n_y, n_y))
+    b = np.zeros((depth + 1, n_y, n_u))
     a[: len(system.a)], b[: len(system.b)] = system.a, system.b
     n = depth * n_y
-    big_a, big_b = np.eye(n, k=n_y), np.zeros((n, n_u))
+    big_a = np.eye(n, k=n_y)
+    big_b = np.zeros((n, n_u))
     for lag in range(1, depth + 1):
         rows = slice((lag - 1) * n_y, lag * n_y)
         big_a[rows, :n_y] -= a[lag]
@@ -91,7 +95,8 @@ def with_registers(
         for _ in range(late):  # one more state, the last input as it enters; the others follow
             a = np.block([[a, b[:, [j]]], [np.zeros((1, len(a) + 1))]])
             c = np.hstack([c, d[:, [j]]])
-            b, d = np.vstack([b, np.zeros((1, b.shape[1]))]), d.copy()
+            b = np.vstack([b, np.zeros((1, b.shape[1]))])
+            d = d.copy()
             b[:, j], d[:, j] = 0.0, 0.0
             b[-1, j] = 1.0
     return a, b, c, d

@@ -97,7 +97,8 @@ def without_block(data: Dataset, block: int, blocks: int) -> Dataset:
     DataError : nothing is left.
     """
     total = len(data)
-    begin, end = total * block // blocks, total * (block + 1) // blocks
+    begin = total * block // blocks
+    end = total * (block + 1) // blocks
     kept: list[Segment] = []
     at = 0
     for segment in data.segments:

@@ -115,23 +115,25 @@ def later_inputs(
     if not errors or not any(float(np.ptp(e)) > 0.0 for e in errors):
         return 1.0, 0.0
     d, _ = noise_model(errors)
-    targets, past, later = [], [], []
+    targets = []
+    past = []
+    later = []
     for error, u in zip(errors, inputs, strict=True):
-        e, v = lfilter(d, [1.0], error), lfilter(d, [1.0], u - u.mean(axis=0), axis=0)
+        e = lfilter(d, [1.0], error)
+        v = lfilter(d, [1.0], u - u.mean(axis=0), axis=0)
         rows = np.arange(lags + len(d), len(e) - lags)
         targets.append(e[rows])
         past.append(np.hstack([v[rows - k] for k in range(lags + 1)]))
         later.append(np.hstack([v[rows + k] for k in range(1, lags + 1)]))
-    y, before = (
-        np.concatenate(targets),
-        np.column_stack([np.ones(sum(map(len, targets))), np.concatenate(past)]),
-    )
+    y = np.concatenate(targets)
+    before = np.column_stack([np.ones(sum(map(len, targets))), np.concatenate(past)])
     q, kept = _basis(before)
     rest = y - q @ (q.T @ y)
     after = np.concatenate(later)
     extra, added = _basis(after - q @ (q.T @ after), float(np.linalg.norm(after)))
     gain = float(np.sum((extra.T @ rest) ** 2))
-    total, freedom = float(rest @ rest), len(y) - kept - added
+    total = float(rest @ rest)
+    freedom = len(y) - kept - added
     if freedom < 2 * lags or not added or not total > 0.0:
         return 1.0, 0.0
     ratio = (gain / added) / max((total - gain) / freedom, 1e-300)

@@ -67,13 +67,15 @@ class FIR:
         UsageError : settings that cannot be.
         DataError : no or too short segments, a signal that never changes.
         """
-        n_y, n_u = len(train.outputs), len(train.inputs)
+        n_y = len(train.outputs)
+        n_u = len(train.inputs)
         check_inputs(n_u)
         parts = Parts.measured(train, centred=self.offset)
         taps = self._taps(parts.train, cut=len(parts.train) < len(train))
         lags = Lags.arx((0,) * n_y, (taps,) * n_u, as_tuple(self.nk, n_u))
         gram = grid_gram(train, lags, parts.scaling)
-        rows, means = float(gram[-1, -1]), gram[-1] / gram[-1, -1]
+        rows = float(gram[-1, -1])
+        means = gram[-1] / gram[-1, -1]
         if self.offset:
             gram = centred_gram(gram)
         posteriors = [posterior_of(gram, rows, i, (taps, n_u)) for i in range(n_y)]
@@ -92,7 +94,9 @@ class FIR:
     def _model(
         self, parts: Parts, lags: Lags, posteriors: Sequence[Posterior], means: FloatArray
     ) -> FittedLinear:
-        n_y, n_u, scaling = len(lags.y), len(lags.u), parts.scaling
+        n_y = len(lags.y)
+        n_u = len(lags.u)
+        scaling = parts.scaling
         b = np.zeros((lags.depth + 1, n_y, n_u))
         free: list[int] = []
         for i, posterior in enumerate(posteriors):
@@ -144,12 +148,15 @@ def posterior_of(gram: FloatArray, rows: float, output: int, shape: tuple[int, i
     """Over a grid of decays and scales, the posterior of highest marginal likelihood."""
     taps, n_u = shape
     n = taps * n_u
-    inner, cross, power = gram[:n, :n], gram[:n, n + output], float(gram[n + output, n + output])
+    inner = gram[:n, :n]
+    cross = gram[:n, n + output]
+    power = float(gram[n + output, n + output])
     best: tuple[float, float, float, float] | None = None
     for decay in DECAYS:
         root = _kernel_root(taps, n_u, decay)
         values, vectors = np.linalg.eigh(root.T @ inner @ root)
-        values, rotated = np.maximum(values, 0.0), vectors.T @ (root.T @ cross)
+        values = np.maximum(values, 0.0)
+        rotated = vectors.T @ (root.T @ cross)
         for weight in SCALES:  # prior variance of the first tap in noise variances
             damped = weight / (1.0 + weight * values)
             rest = max(power - float(damped @ rotated**2), 1e-12 * power)

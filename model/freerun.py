@@ -91,7 +91,8 @@ class Difference:
 
     def state_history(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, L, n_y) states before every row, along inputs and outputs that were zero before."""
-        depth, n = self.depth, len(y)
+        depth = self.depth
+        n = len(y)
         z = np.zeros((depth, n + 1, y.shape[1]))
         for i in range(depth - 1, -1, -1):
             lag = i + 1

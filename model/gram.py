@@ -91,8 +91,10 @@ def reduce_data(pieces: Pieces, gram: FloatArray | None = None) -> Triangle:
     pieces : called for every pass over the data.
     gram : of [Phi Y 1], where it is known already (see `lagged_gram`).
     """
-    first, rows = next(iter(pieces())), 0
-    n, m = first[0].shape[1], first[1].shape[1]
+    first = next(iter(pieces()))
+    rows = 0
+    n = first[0].shape[1]
+    m = first[1].shape[1]
     if gram is None:
         gram, rows = _summed(pieces())
     rows = rows or round(float(gram[-1, -1]))
@@ -137,7 +139,9 @@ def lagged_gram(pieces: Iterable[Block], depth: int) -> FloatArray:
 def _segment_gram(pieces: Iterator[FloatArray], depth: int) -> FloatArray:
     """The Gram of one segment: products with lag 0 summed over all rows, the rest from its two ends."""
     window = next(pieces)
-    count, rows, head = len(window), 0, window[:, :depth].copy()
+    count = len(window)
+    rows = 0
+    head = window[:, :depth].copy()
     now = np.zeros((count, count, depth + 1))  # sum over k of x_a(k) x_b(k - q)
     sums = np.zeros(count)
     while True:
@@ -165,7 +169,8 @@ def _displaced(
     means = np.zeros((lags, count))
     means[0] = sums
     for p in range(1, lags):  # one sample enters at the segment's start, one leaves at its end
-        enters, leaves = head[:, depth - p], tail[:, depth - p]
+        enters = head[:, depth - p]
+        leaves = tail[:, depth - p]
         gram[p, p:] = gram[p - 1, p - 1 : -1]
         gram[p, p:] += np.einsum("a,bq->qab", enters, head[:, : depth - p + 1][:, ::-1])
         gram[p, p:] -= np.einsum("a,bq->qab", leaves, tail[:, : depth - p + 1][:, ::-1])
@@ -203,7 +208,8 @@ def lagged_triangle(
             hint="choose smaller orders or delays, or bring longer segments",
         )
     pick = range(len(gram) - 1) if pick is None else pick
-    rows, factor = round(float(gram[-1, -1])), np.append(np.repeat(scale, depth + 1)[list(pick)], 1.0)
+    rows = round(float(gram[-1, -1]))
+    factor = np.append(np.repeat(scale, depth + 1)[list(pick)], 1.0)
     gram = gram[np.ix_([*pick, -1], [*pick, -1])] / np.outer(factor, factor)
     n = len(pick) - targets
     r = triangle_of(gram)
@@ -225,7 +231,8 @@ def _lagged_rows(blocks: Blocks, depth: int, pick: Sequence[int]) -> Iterator[Fl
 
 
 def _summed(pieces: Iterable[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, int]:
-    gram, rows = np.zeros((0, 0)), 0
+    gram = np.zeros((0, 0))
+    rows = 0
     for phi, y in pieces:
         block = np.column_stack([phi, y, np.ones(len(y))])
         gram = block.T @ block if not rows else gram + block.T @ block

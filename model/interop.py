@@ -48,10 +48,12 @@ def from_control(
         transfer = control.tf(control.sample_system(system, step, "zoh") if system.dt == 0 else system)
     except control.ControlMIMONotImplemented as error:
         raise UsageError(f"python-control cannot convert this system: {error}") from error
-    n_y, n_u = transfer.noutputs, transfer.ninputs
+    n_y = transfer.noutputs
+    n_u = transfer.ninputs
     rows = [_common(transfer, i) for i in range(n_y)]
     size = max(len(a) for a, _ in rows)
-    a, b = np.zeros((size, n_y, n_y)), np.zeros((size, n_y, n_u))
+    a = np.zeros((size, n_y, n_y))
+    b = np.zeros((size, n_y, n_u))
     for i, (den, nums) in enumerate(rows):
         a[: len(den), i, i] = den
         b[: len(den), i] = nums.T
@@ -102,7 +104,8 @@ def _common(transfer: Any, i: int) -> tuple[FloatArray, FloatArray]:
     nums = [np.asarray(n, dtype=np.float64) for n in transfer.num[i]]
     same = all(len(d) == len(dens[0]) and np.array_equal(d, dens[0]) for d in dens)
     if same:
-        common, factors = dens[0], [np.ones(1)] * len(dens)
+        common = dens[0]
+        factors = [np.ones(1)] * len(dens)
     else:
         common = np.ones(1)
         for d in dens:

@@ -101,7 +101,8 @@ def _columns(settings: IV, data: Source) -> Columns:
 def _chosen(settings: IV, parts: Parts, columns: Columns) -> tuple[list[Orders], str]:
     """Orders of every output: with references by the response measured through them, else delays by the
     simulation error and the order by the validation free run."""
-    n_u, n_y = len(columns.inputs), len(parts.train.outputs)
+    n_u = len(columns.inputs)
+    n_y = len(parts.train.outputs)
     most = max(1, min(HIGHEST_ORDER, (len(parts.fit) // SHARE - 1) // (1 + n_u)))
     nas = range(1, most + 1) if settings.na == "auto" else [int(settings.na)]
     if len(columns.references) >= n_u and "auto" in (settings.na, settings.nb, settings.nk):

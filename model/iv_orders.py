@@ -36,7 +36,8 @@ def orders_by_reference(
     settings: PolynomialSettings, parts: Parts, columns: Columns, nas: Sequence[int]
 ) -> tuple[list[Orders], str] | None:
     """Orders of every output and a sentence about them; None where the references show no response."""
-    blocks, n_y = blocks_of(parts.whole), len(parts.train.outputs)
+    blocks = blocks_of(parts.whole)
+    n_y = len(parts.train.outputs)
     driven = driven_by(blocks, n_y, columns)
     names = [parts.train.inputs[j].name for j in columns.references]
     found = []
@@ -67,8 +68,12 @@ class _Search:
         output: int,
         measured: MeasuredResponse,
     ) -> None:
-        self.parts, self.blocks, self.columns, self.driven = parts, blocks, columns, driven
-        self.output, self.measured = output, measured
+        self.parts = parts
+        self.blocks = blocks
+        self.columns = columns
+        self.driven = driven
+        self.output = output
+        self.measured = measured
         self.tried: dict[Orders, tuple[bool, float]] = {}
 
     def best(self, settings: PolynomialSettings, nas: Sequence[int]) -> Orders | None:

@@ -42,7 +42,8 @@ class Line:
         DataError : no samples, or a signal that never changes.
         """
         parts = Parts.of(train, train, centred=self.offset)
-        n_u, n_y = len(train.inputs), len(train.outputs)
+        n_u = len(train.inputs)
+        n_y = len(train.outputs)
         data = parts.whole if self.offset else train
         lags = Lags(y=((),) * n_y, u=((0,),) * n_u)
         triangle = reduce_data(lambda: chunks(data, lags))

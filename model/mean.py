@@ -34,7 +34,8 @@ class Mean:
         DataError : no samples, or a signal that never changes.
         """
         parts = Parts.measured(train)
-        n_u, n_y = len(train.inputs), len(train.outputs)
+        n_u = len(train.inputs)
+        n_y = len(train.outputs)
         variance = parts.scaling.y_scale**2 / len(train)
         return FittedLinear(
             structure="mean",

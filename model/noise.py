@@ -25,7 +25,8 @@ def burg(errors: Sequence[FloatArray], order: int) -> list[tuple[FloatArray, flo
     d = np.ones(1)
     found = [(d, variance)]
     for _ in range(order):
-        f, b = [e[1:] for e in forward], [e[:-1] for e in backward]
+        f = [e[1:] for e in forward]
+        b = [e[:-1] for e in backward]
         energy = sum(float(x @ x) for x in f) + sum(float(x @ x) for x in b)
         if not energy > 0.0:
             break
@@ -114,7 +115,8 @@ def k_step_ahead(
     ma, e : (q + 1, n_y) C and (N, n_y) innovations; C = 1 where they are None.
     """
     blank = np.zeros((1, y.shape[1]))  # so that row k - 1 exists
-    y, drive = np.concatenate([blank, y]), np.concatenate([blank, drive])
+    y = np.concatenate([blank, y])
+    drive = np.concatenate([blank, drive])
     e = None if e is None else np.concatenate([blank, e])
     n = len(y)
     ahead: list[FloatArray] = []

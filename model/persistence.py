@@ -35,7 +35,8 @@ class Persistence:
         ------
         DataError : no samples, or a signal that never changes.
         """
-        n_u, n_y = len(train.inputs), len(train.outputs)
+        n_u = len(train.inputs)
+        n_y = len(train.outputs)
         return FittedLinear(
             structure="persistence",
             dt_s=train.dt_s,

@@ -99,10 +99,13 @@ def levenberg_marquardt(
     """
     point = _started(evaluate, theta0)
     scale = _floored(point.diagonal)
-    damping, growth = FIRST_DAMPING, 2.0
+    damping = FIRST_DAMPING
+    growth = 2.0
     best = _Best(point, None if validate is None else _finite_or_inf(validate(point.theta)))
     reason: Reason = "max_iterations"
-    start_cost, accepted, tries = point.cost, 0, 0
+    start_cost = point.cost
+    accepted = 0
+    tries = 0
     while tries < max_iterations:
         if (stop is not None and stop()) or point.cost == 0.0 or _is_stationary(point, scale):
             reason = "converged" if point.cost == 0.0 or _is_stationary(point, scale) else "stopped"
@@ -111,7 +114,8 @@ def levenberg_marquardt(
         step = _step(point, scale, damping)
         new = None if step is None else _try(evaluate, cost, point, step)
         if step is None or new is None:
-            damping, growth = damping * growth, growth * 2.0
+            damping = damping * growth
+            growth = growth * 2.0
             if damping > LARGEST_DAMPING or (step is not None and _is_short(step, point, scale, 1e-15)):
                 reason = "stalled"
                 break
@@ -119,7 +123,8 @@ def levenberg_marquardt(
             continue
         damping, growth = _relax(damping, point, new, step, scale)
         settled = point.cost - new.cost <= tolerance * point.cost or _is_short(step, point, scale, tolerance)
-        point, accepted = new, accepted + 1
+        point = new
+        accepted = accepted + 1
         scale = np.maximum(scale, np.sqrt(point.diagonal))
         best = best.after(point, accepted, validate)
         if settled:

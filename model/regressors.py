@@ -137,9 +137,11 @@ def chunks(
     for segment in usable_segments(data, first):
         for begin in range(first, len(segment), rows):
             end = min(begin + rows, len(segment))
-            u, y = segment.u[begin - first : end], segment.y[begin - first : end]
+            u = segment.u[begin - first : end]
+            y = segment.y[begin - first : end]
             if transform is not None:
-                u, y = transform.u(u), transform.y(y)
+                u = transform.u(u)
+                y = transform.y(y)
             yield regressors(u, y, lags, first), y[first:]
 
 

@@ -55,7 +55,8 @@ def _own(x: FloatArray) -> FloatArray:
 @compiled
 def _filtered(b: FloatArray, a: FloatArray, x: FloatArray) -> FloatArray:
     order = max(a.size, b.size) - 1
-    state, y = np.zeros(order + 1), np.empty(x.size)
+    state = np.zeros(order + 1)
+    y = np.empty(x.size)
     for k in range(x.size):
         value = b[0] * x[k] + state[0]
         for i in range(order):
@@ -71,7 +72,8 @@ def _filtered(b: FloatArray, a: FloatArray, x: FloatArray) -> FloatArray:
 
 @compiled
 def _differences(signal: FloatArray, count: int, lag: int, first: int, stop: int) -> FloatArray:
-    columns, work = np.empty((count, stop - first)), signal.copy()
+    columns = np.empty((count, stop - first))
+    work = signal.copy()
     for power in range(count):
         column = count - 1 - power
         shift = lag + column
@@ -86,7 +88,9 @@ def _differences(signal: FloatArray, count: int, lag: int, first: int, stop: int
 def _free_responses(a: FloatArray, rows: int) -> FloatArray:
     n = a.size - 1
     h = np.zeros(rows + n)
-    peak, quiet, length = 0.0, 0, 0
+    peak = 0.0
+    quiet = 0
+    length = 0
     while length < h.size and quiet < 8 * n + 8:
         value = 1.0 if length == 0 else 0.0
         for i in range(1, min(n, length) + 1):
@@ -108,7 +112,8 @@ def _free_responses(a: FloatArray, rows: int) -> FloatArray:
 
 @compiled
 def _is_stable(a: FloatArray) -> bool:
-    work, lower = a.copy(), np.empty(a.size)
+    work = a.copy()
+    lower = np.empty(a.size)
     for size in range(a.size - 1, 0, -1):
         k = work[size]
         if not abs(k) < 1.0:  # nor a number

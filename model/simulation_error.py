@@ -97,7 +97,8 @@ def to_transfer(theta: FloatArray, orders: Orders) -> Transfer:
     """Coefficients from difference coordinates [alpha, beta_1.., c]."""
     base, matrix = monic_basis(orders.na)
     a = np.concatenate([[1.0], base + matrix @ theta[: orders.na]])
-    b, position = [], orders.na
+    b = []
+    position = orders.na
     for count, delay in zip(orders.nb, orders.nk, strict=True):
         values = free_basis(count) @ theta[position : position + count]
         b.append(np.concatenate([np.zeros(delay), values]) if count else np.zeros(0))
@@ -213,7 +214,8 @@ class OutputError:
         return [self._record_jacobian(transfer, record)[1] for record in self.usable()]
 
     def _record_jacobian(self, transfer: Transfer, record: Record) -> tuple[FloatArray, FloatArray]:
-        orders, first = self.orders, self.start_row()
+        orders = self.orders
+        first = self.start_row()
         forced = transfer.forced(record.u)
         error = (forced - record.y)[first:]
         space = self._nuisance(transfer.a, len(error))
@@ -257,7 +259,9 @@ class OutputError:
 
     def filtered_least_squares(self, a_filter: FloatArray, model: Transfer | None) -> FloatArray:
         """A y = B u + c on signals filtered with 1/a_filter; with a model, its free run is the instrument."""
-        phi_parts, z_parts, y_parts = [], [], []
+        phi_parts = []
+        z_parts = []
+        y_parts = []
         for record in self.usable():
             phi, y = self._filtered_rows(record.u, record.y, a_filter)
             if model is None:
@@ -267,13 +271,16 @@ class OutputError:
             phi_parts.append(phi)
             z_parts.append(z)
             y_parts.append(y)
-        phi, z, y = np.concatenate(phi_parts), np.concatenate(z_parts), np.concatenate(y_parts)
+        phi = np.concatenate(phi_parts)
+        z = np.concatenate(z_parts)
+        y = np.concatenate(y_parts)
         return _instrumental(phi, z, y)
 
     def _filtered_rows(
         self, u: FloatArray, y: FloatArray, a_filter: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        orders, first = self.orders, self.orders.depth
+        orders = self.orders
+        first = self.orders.depth
         rows = slice(first, len(y))
         through = filtered(ONE, a_filter, y)
         columns = [-differences(through, orders.na, 0, rows, monic=True)]
@@ -285,7 +292,8 @@ class OutputError:
         target = through
         for _ in range(orders.na):
             target = np.diff(target, prepend=0.0)
-        phi, goal = np.hstack(columns), target[rows]
+        phi = np.hstack(columns)
+        goal = target[rows]
         space = self._nuisance(a_filter, len(goal))
         return without(space, phi), without(space, goal)
 

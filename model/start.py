@@ -91,7 +91,9 @@ def estimate_start(model: Runs, u: FloatArray, y: FloatArray) -> FloatArray:
         new_cost, new_residual = _cost(model, u, y, trial, scale)
         if not new_cost < cost * (1.0 - 1e-9):
             break
-        best, cost, residual = trial, new_cost, new_residual
+        best = trial
+        cost = new_cost
+        residual = new_residual
     return best
 
 

@@ -122,7 +122,8 @@ class StateSpace:
 def with_choices_made(settings: StateSpace, train: Dataset, validation: Dataset | None = None) -> StateSpace:
     """The same settings with order, method, past and delays as `fit` would choose them."""
     plan = _best_plan(settings, train, validation)
-    choice, nk = plan.choice, tuple(late + 1 for late in plan.late)
+    choice = plan.choice
+    nk = tuple(late + 1 for late in plan.late)
     return replace(settings, order=choice.order, method=choice.method, past=choice.past, nk=nk)
 
 
@@ -335,7 +336,8 @@ def _judged(settings: StateSpace, parts: Parts, choice: Choice, skip: int, *, re
 
 def _units(parts: Parts, n: int, feedthrough: bool) -> FloatArray:
     """What turns A, B, C, drift, level (and D) of scaled deviations into physical units."""
-    y, u = parts.scaling.y_scale, parts.scaling.u_scale
+    y = parts.scaling.y_scale
+    u = parts.scaling.u_scale
     pieces = [np.ones(n * n), np.tile(1.0 / u, n), np.repeat(y, n), np.ones(n), y]
     return np.concatenate([*pieces, *([np.outer(y, 1.0 / u).ravel()] if feedthrough else [])])
 

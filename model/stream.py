@@ -90,11 +90,13 @@ class Late:
 
     def blocks(self) -> Iterator[tuple[int, FloatArray, FloatArray]]:
         """(segment, u, y) with every input as it enters; what the first rows of a segment lack is cut off."""
-        most, current = max(self.late), -1
+        most = max(self.late)
+        current = -1
         held = np.zeros((0, len(self.late)))
         for number, u, y in self.source.blocks():
             if number != current:
-                current, held = number, u[:0]
+                current = number
+                held = u[:0]
             both = np.concatenate([held, u])
             if len(both) > most:
                 yield number, entering(both, self.late), y[most - len(held) :]
@@ -147,10 +149,12 @@ def windows(blocks: Iterable[Block], depth: int) -> Iterator[Block]:
 
     Nothing crosses a segment's edge; segments of at most `depth` samples give nothing.
     """
-    number, held = -1, np.zeros((0, 0))
+    number = -1
+    held = np.zeros((0, 0))
     for current, block in blocks:
         if current != number:
-            number, held = current, block[:, :0]
+            number = current
+            held = block[:, :0]
         held = np.concatenate([held, block], axis=1) if held.shape[1] else block
         if held.shape[1] > depth:
             yield number, held

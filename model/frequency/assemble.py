@@ -60,7 +60,8 @@ class OneTransfer:
     def is_determined(self, lowest: float) -> bool:
         """The data determine every pole; see `rational.is_determined`."""
         covariance = self.theta_covariance()
-        n, units = self.poles, self.problem.coordinates.units
+        n = self.poles
+        units = self.problem.coordinates.units
         physical = (covariance[:n, :n] * np.outer(units[:n], units[:n]))[::-1, ::-1]
         seen = lowest, np.pi / self.problem.dt_s
         return is_determined(self.problem.rational(self.theta), physical, seen)
@@ -101,7 +102,9 @@ def assembled(
 ) -> tuple[FittedLinear, tuple[ContinuousTransfer, ...]]:
     """The model with noise and covariance, and its transfer functions, outputs outermost."""
     model = runner(parts, fits, n_init)
-    noises, blocks, transfers = [], [], []
+    noises = []
+    blocks = []
+    transfers = []
     for i, fit in enumerate(fits):
         errors = fit.problem.errors(fit.theta)
         noises.append(noise_model(errors)[0] if errors else np.ones(1))
@@ -111,7 +114,8 @@ def assembled(
     noise = np.zeros((max(len(d) for d in noises), len(noises)))
     for i, d in enumerate(noises):
         noise[: len(d), i] = d
-    covariance, at = np.zeros((len(model.free),) * 2), 0
+    covariance = np.zeros((len(model.free),) * 2)
+    at = 0
     for block in blocks:
         covariance[at : at + len(block), at : at + len(block)] = block
         at += len(block)
@@ -174,7 +178,8 @@ def _sampled_covariance(parts: Parts, fit: OneTransfer, i: int, covariance: Floa
     columns = []
     for p in range(fit.count):
         step = STEP * max(abs(float(fit.theta[p])), 1e-3)
-        up, down = fit.theta.copy(), fit.theta.copy()
+        up = fit.theta.copy()
+        down = fit.theta.copy()
         up[p], down[p] = fit.theta[p] + step, fit.theta[p] - step
         if (fit.problem.rational(down).dead_time_s < 0.0).any():
             down = fit.theta
@@ -194,9 +199,11 @@ def _transfer(
     """One input to one output, in physical units."""
     i, j = channel
     coordinates = fit.problem.coordinates
-    form, rational = coordinates.form, fit.problem.rational(fit.theta)
+    form = coordinates.form
+    rational = fit.problem.rational(fit.theta)
     gain = float(parts.scaling.y_scale[i] / parts.scaling.u_scale[j])
-    n, first = form.poles, form.poles + sum(m + 1 for m in form.zeros[:j])
+    n = form.poles
+    first = form.poles + sum(m + 1 for m in form.zeros[:j])
     top = list(range(first, first + form.zeros[j] + 1))[::-1]
     bottom = list(range(n))[::-1]
     free = [k for k, t in enumerate(form.dead_time_s) if t is None]

@@ -123,12 +123,15 @@ class ContinuousError:
         columns: list[list[FloatArray]] = []
         for i in range(self.count):
             step = STEP * max(abs(float(theta[i])), 1e-2)
-            up, down = theta.copy(), theta.copy()
+            up = theta.copy()
+            down = theta.copy()
             up[i], down[i] = theta[i] + step, theta[i] - step
             high = self.errors(up)
             low = self.errors(down) if central or high is None else here
             width = step * ((high is not None) + (low is not here and low is not None))
-            above, below = high or here, low or here  # at the edge of what is allowed: one side
+            # at the edge of what is allowed: one side
+            above = high or here
+            below = low or here
             assert above is not None
             assert below is not None
             columns.append([(h - k) / max(width, step) for h, k in zip(above, below, strict=True)])

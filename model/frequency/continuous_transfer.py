@@ -115,7 +115,8 @@ class ContinuousTransfer:
     @property
     def gain(self) -> Estimate:
         """Steady gain G(0); NaN where the model integrates."""
-        top, bottom = float(self.numerator[-1]), float(self.denominator[-1])
+        top = float(self.numerator[-1])
+        bottom = float(self.denominator[-1])
         if bottom == 0.0:
             return Estimate(np.nan, np.nan)
         slope = np.zeros(len(self.covariance))
@@ -133,7 +134,8 @@ class ContinuousTransfer:
     def error_at(self, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(F,) standard errors of ln |G| and of the phase in rad, first order."""
         s = 1j * np.asarray(omega, dtype=np.float64)
-        m, n = len(self.numerator), len(self.denominator) - 1
+        m = len(self.numerator)
+        n = len(self.denominator) - 1
         tops = s[:, None] ** np.arange(m - 1, -1, -1) / np.polyval(self.numerator, s)[:, None]
         bottoms = -(s[:, None] ** np.arange(n - 1, -1, -1)) / np.polyval(self.denominator, s)[:, None]
         slopes = np.hstack([tops, bottoms, -s[:, None]])
@@ -146,7 +148,8 @@ class ContinuousTransfer:
         return tuple(sorted(found, key=lambda m: abs(m.pole)))
 
     def _mode(self, pole: complex) -> ContinuousMode:
-        m, n = len(self.numerator), len(self.denominator) - 1
+        m = len(self.numerator)
+        n = len(self.denominator) - 1
         steep = np.polyval(np.polyder(self.denominator), pole)
         slope = np.zeros(len(self.covariance), dtype=np.complex128)
         if abs(steep) > 0.0:

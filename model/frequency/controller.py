@@ -53,7 +53,8 @@ def _response(
 ) -> ComplexArray:
     """(F,) of driven over driving; `roles` are their columns, `first_lag` the driving one's first."""
     driven, driving = roles
-    rows, goals = [], []
+    rows = []
+    goals = []
     for pair in pairs:
         n = len(pair)
         own = [pair[ORDER - k : n - k, driven] for k in range(1, ORDER + 1)]

@@ -120,7 +120,8 @@ def local_response(
 
 
 def _transformed(records: Sequence[FloatArray], dt_s: float, drives: int) -> list[_Lines]:
-    found, first = [], 0
+    found = []
+    first = 0
     for record in records:
         spectrum = np.fft.rfft(record, axis=0)[1:] / np.sqrt(len(record))
         if len(record) % 2 == 0:
@@ -175,7 +176,9 @@ def _fitted(lines: Sequence[_Lines], place: tuple[float, float, int], n_u: int) 
     place : frequency, half width of the band as a share of it, degree of the transients.
     """
     omega, width, degree = place
-    blocks, rows, where = [], [], []
+    blocks = []
+    rows = []
+    where = []
     for segment in lines:
         at = slice(*np.searchsorted(segment.omega, [omega * (1 - width), omega * (1 + width)]))
         d = (segment.omega[at] - omega) / (omega * width)

@@ -260,7 +260,8 @@ def _sensitivity(loop: MeasuredResponse) -> list[LoopFigure]:
 
 
 def _peak(curve: _Curve) -> LoopFigure:
-    name, level = "peak_db", curve.smooth().real
+    name = "peak_db"
+    level = curve.smooth().real
     top = int(np.argmax(level))
     if top in (0, len(level) - 1):
         return LoopFigure(name, None, why="its highest point lies at the edge of what can be trusted")

@@ -81,7 +81,8 @@ class Coordinates:
         """D (monic, rising powers), numerators (rising), dead times in units of 1 / omega_0."""
         n = self.form.poles
         d = np.append(theta[:n], 1.0)
-        tops, at = [], n
+        tops = []
+        at = n
         for m in self.form.zeros:
             tops.append(theta[at : at + m + 1])
             at += m + 1

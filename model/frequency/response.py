@@ -96,7 +96,8 @@ class MeasuredResponse:
         """(F,) 1 inside the widest band (in octaves) where the coherence counts, else 0; see `band`."""
         averages = self.averages[:, source]
         chance = 1.0 - 0.05 ** (1.0 / np.maximum(averages - 1.0, 0.1))
-        level, own = np.maximum(GOOD_COHERENCE, chance), self.coherence[:, source]
+        level = np.maximum(GOOD_COHERENCE, chance)
+        own = self.coherence[:, source]
         good = _smoothed(own) > level
         edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]])))
         inside = np.zeros(len(self.omega))

@@ -46,7 +46,8 @@ def sampled_response(rational: Rational, omega: FloatArray, dt_s: float, hold: H
 
 def _numerator(a: FloatArray, bottom: FloatArray, top: FloatArray, dead: float, hold: Hold) -> FloatArray:
     """b from lag 0 to the last one that counts; time in samples."""
-    n, whole = len(a) - 1, int(np.floor(dead + 1e-9))
+    n = len(a) - 1
+    whole = int(np.floor(dead + 1e-9))
     lags = np.arange(whole, whole + n + 2)
     if hold == "zero":
         step = _responses(bottom, top, lags[0] - 1 - dead, n + 3, order=1)

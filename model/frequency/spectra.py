@@ -79,7 +79,8 @@ def _lowest(longest: int, dt_s: float) -> float:
 
 def _lengths(records: Sequence[FloatArray]) -> list[int]:
     """Window lengths in samples, longest first, each half of the one before."""
-    total, longest = sum(map(len, records)), max(map(len, records))
+    total = sum(map(len, records))
+    longest = max(map(len, records))
     first = min(longest, total // SHARE)
     return [first >> k for k in range(WINDOWS) if first >> k >= SHORTEST]
 
@@ -105,7 +106,8 @@ class _Spectra:
         own = _tapered(records) if tapered else _hann_frames(records, length)
         size = 1 << (2 * length - 1).bit_length()
         n = records[0].shape[1]
-        total, count = np.zeros((size // 2 + 1, n, n), dtype=np.complex128), 0.0
+        total = np.zeros((size // 2 + 1, n, n), dtype=np.complex128)
+        count = 0.0
         for frames in own:
             f = np.fft.rfft(frames, size, axis=1)
             total += np.einsum("kfi,kfj->fij", np.conj(f), f)
@@ -149,7 +151,8 @@ def _independent(records: Sequence[FloatArray], length: int) -> float:
     hop = max(length // OVERLAP, 1)
     energy = float(taper @ taper)
     rho2 = [(float(taper[j * hop :] @ taper[: length - j * hop]) / energy) ** 2 for j in range(1, OVERLAP)]
-    frames, shared = 0, 0.0
+    frames = 0
+    shared = 0.0
     for record in records:
         k = max((len(record) - length) // hop + 1, 0)
         frames += k
@@ -184,7 +187,9 @@ def _combined(pieces: Sequence[_Spectra], omega: FloatArray) -> tuple[ComplexArr
 
 def _multiple(matrix: ComplexArray) -> FloatArray:
     """(F,) multiple coherence of spectra whose last signal is the output."""
-    uu, uy, yy = matrix[:, :-1, :-1], matrix[:, :-1, -1], matrix[:, -1, -1].real
+    uu = matrix[:, :-1, :-1]
+    uy = matrix[:, :-1, -1]
+    yy = matrix[:, -1, -1].real
     h = _solved(uu, uy)
     explained = np.einsum("fi,fi->f", np.conj(h), uy).real
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -201,7 +206,9 @@ def _conditioned(
 ) -> Spectral:
     """Responses and partial coherences: S_uu H = S_uy; the power of input j that the others do not bring is
     1 / (S_uu^-1)_jj (Bendat & Piersol, 2010, 7.3)."""
-    uu, uy, yy = spectra[:, :-1, :-1], spectra[:, :-1, -1], spectra[:, -1, -1].real
+    uu = spectra[:, :-1, :-1]
+    uy = spectra[:, :-1, -1]
+    yy = spectra[:, -1, -1].real
     h = _solved(uu, uy)
     left = np.maximum(yy - np.einsum("fi,fi->f", np.conj(h), uy).real, 0.0)
     inverse = np.linalg.pinv(uu, rcond=1e-10, hermitian=True)

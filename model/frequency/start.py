@@ -165,7 +165,8 @@ class _Discrete:
         if not self.settings.refine or not self.settings.stable:
             return None
         form = max(candidates, key=lambda f: (f.zeros, -sum(t is None for t in f.dead_time_s)))
-        counts, dt_s = (max(form.poles, 1),) * len(form.zeros), self.parts.train.dt_s
+        counts = (max(form.poles, 1),) * len(form.zeros)
+        dt_s = self.parts.train.dt_s
         try:
             nk = self._delays(form)
             orders = Orders(form.poles, counts, nk, self.settings.offset)
@@ -235,7 +236,8 @@ def _from_response(
 def _pruned(settings: Settings, parts: Parts, fit: OneTransfer) -> OneTransfer:
     """With fewer zeros as long as BIC on the simulation error agrees."""
     while settings.zeros == "auto" and max(fit.problem.coordinates.form.zeros, default=0) > 0:
-        form, rational = fit.problem.coordinates.form, fit.problem.rational(fit.theta)
+        form = fit.problem.coordinates.form
+        rational = fit.problem.rational(fit.theta)
         less = replace(form, zeros=tuple(max(m - 1, 0) for m in form.zeros))
         tops = tuple(n[-(m + 1) :] for n, m in zip(rational.numerators, less.zeros, strict=True))
         other = _refined(settings, parts, less, replace(rational, numerators=tops))
@@ -303,7 +305,8 @@ def _unrefined(settings: Settings, parts: Parts, fit: ResponseFit) -> OneTransfe
     problem = _problem(settings, parts, fit.form, fit.rational)
     coordinates = problem.coordinates
     theta = coordinates.theta(fit.rational)
-    units, order = coordinates.units, coordinates.falling
+    units = coordinates.units
+    order = coordinates.falling
     covariance = np.zeros((problem.count, problem.count))
     covariance[np.ix_(order, order)] = fit.covariance / np.outer(units[order], units[order])
     if problem.has_offset:

@@ -103,7 +103,8 @@ def inverse_hold(b: FloatArray, a: FloatArray, delay: int, dt_s: float) -> tuple
     taps = np.concatenate([taps, np.zeros(n + 1 - len(taps))])
     phi = np.eye(n, k=1)
     phi[:, 0] -= a[1:]
-    gamma, through = taps[1:] - a[1:] * taps[0], taps[0]
+    gamma = taps[1:] - a[1:] * taps[0]
+    through = taps[0]
     poles = np.linalg.eigvals(phi)
     if (np.abs(poles) < 1e-8).any() or ((poles.real < 0) & (np.abs(poles.imag) < 1e-9)).any():
         raise FitError(
@@ -113,7 +114,9 @@ def inverse_hold(b: FloatArray, a: FloatArray, delay: int, dt_s: float) -> tuple
     joint = np.zeros((n + 1, n + 1))
     joint[:n, :n], joint[:n, n], joint[n, n] = phi, gamma, 1.0
     generator = np.real(np.asarray(logm(joint))) / dt_s
-    big_a, big_b, row = generator[:n, :n], generator[:n, n], np.eye(1, n)
+    big_a = generator[:n, :n]
+    big_b = generator[:n, n]
+    row = np.eye(1, n)
     denominator = np.real(np.poly(big_a))
     numerator = np.real(np.poly(big_a - np.outer(big_b, row[0]))) - denominator + through * denominator
     if through == 0.0:

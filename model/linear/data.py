@@ -88,9 +88,12 @@ def _moments(blocks: Iterable[Block]) -> tuple[FloatArray, FloatArray, FloatArra
     for _, block in blocks:
         if not rows:
             first = block[:, 0].copy()
-            total, squares = np.zeros(len(block)), np.zeros(len(block))
-            low, high = first.copy(), first.copy()
-        low, high = np.minimum(low, block.min(axis=1)), np.maximum(high, block.max(axis=1))
+            total = np.zeros(len(block))
+            squares = np.zeros(len(block))
+            low = first.copy()
+            high = first.copy()
+        low = np.minimum(low, block.min(axis=1))
+        high = np.maximum(high, block.max(axis=1))
         block -= first[:, None]
         total += block.sum(axis=1)
         squares += np.einsum("ij,ij->i", block, block)
@@ -239,7 +242,8 @@ def as_tuple(value: int | Sequence[int], count: int) -> tuple[int, ...]:
 
 def shortened(data: Dataset, rows: int) -> Dataset:
     """The first segments, about `rows` samples in all: enough to look for delays."""
-    kept, total = [], 0
+    kept = []
+    total = 0
     for segment in data.segments:
         if total >= rows:
             break

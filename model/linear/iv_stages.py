@@ -71,7 +71,8 @@ class Orders:
 
     def polynomials(self, theta: FloatArray) -> tuple[FloatArray, list[FloatArray], float]:
         """A (monic), B per input (from lag 0), the constant."""
-        b, at = [], self.na
+        b = []
+        at = self.na
         for count, delay in zip(self.nb, self.nk, strict=True):
             b.append(np.concatenate([np.zeros(delay), theta[at : at + count]]))
             at += count
@@ -175,10 +176,14 @@ class _Signals:
         from scipy.signal import lfilter
 
         paths = ([image] if image is not None else []) + [self.images[j] for j in self.inputs if self.images]
-        number, memory, tail, drop = -1, [], np.zeros((0, 0)), 0
+        number = -1
+        memory = []
+        tail = np.zeros((0, 0))
+        drop = 0
         for current, block in self.blocks():
             if current != number:
-                number, drop = current, len(prefilter) - 1
+                number = current
+                drop = len(prefilter) - 1
                 memory = [_Memory(path) for path in paths]
                 tail = np.zeros((1 + len(self.inputs) + len(paths), len(prefilter) - 1))
             made = [m.run(block) for m in memory]
@@ -235,7 +240,9 @@ def _path(orders: Orders, theta: FloatArray, rows: Sequence[int]) -> Path:
 
 
 def _four_stages(signals: _Signals, orders: Orders, driven: Path | None, memory: int) -> Estimate:
-    none, depth, step = np.ones(1), orders.depth, orders.depth + 1
+    none = np.ones(1)
+    depth = orders.depth
+    step = orders.depth + 1
     image = driven
     if image is None:
         plain = signals.gram(depth, None, none)
@@ -283,7 +290,8 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     ------
     FitError : singular.
     """
-    rows, columns = np.linalg.norm(matrix, axis=1), np.linalg.norm(matrix, axis=0)
+    rows = np.linalg.norm(matrix, axis=1)
+    columns = np.linalg.norm(matrix, axis=0)
     if not (rows > 0).all() or not (columns > 0).all():
         raise FitError("an instrument or a regressor is always zero", hint="check delays and references")
     scaled = matrix / rows[:, None]
@@ -321,13 +329,16 @@ def _model(
     found: Sequence[Estimate],
     n_init: int | None,
 ) -> FittedLinear:
-    n_y, n_u = len(orders), len(parts.train.inputs)
+    n_y = len(orders)
+    n_u = len(parts.train.inputs)
     last = max((n + k for o in orders for n, k in zip(o.nb, o.nk, strict=True)), default=1)
     a = np.zeros((max(o.na for o in orders) + 1, n_y, n_y))
-    b, c = np.zeros((max(last, 1), n_y, n_u)), np.zeros(n_y)
+    b = np.zeros((max(last, 1), n_y, n_u))
+    c = np.zeros(n_y)
     free: list[int] = []
     factors: list[float] = []
-    a_size, scaling = a[1:].size, parts.scaling
+    a_size = a[1:].size
+    scaling = parts.scaling
     for i, (own, estimate) in enumerate(zip(orders, found, strict=True)):
         denominator, numerators, c[i] = own.polynomials(estimate.theta)
         a[: len(denominator), i, i] = denominator

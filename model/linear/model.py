@@ -106,7 +106,8 @@ class FittedLinear(FreeRuns):
         y0 = as_columns(y0, len(self.outputs), "y0")
         if len(y0) < min(n, len(u)):
             raise UsageError(f"a simulation starts from {n} measured outputs, not {len(y0)}")
-        du, dy = u - self.u_origin, y0[:n] - self.y_origin
+        du = u - self.u_origin
+        dy = y0[:n] - self.y_origin
         if len(u) <= n:
             return np.array(y0[: len(u)])
         tail = self._after(du, dy) if self.starts is None else self._estimated(du, dy, self.starts)
@@ -126,7 +127,8 @@ class FittedLinear(FreeRuns):
         b = np.zeros((lags, n_y, len(inputs)))
         b[:, :, own] = self.system.b
         places = np.arange(b.size).reshape(b.shape)[:, :, own].ravel()
-        first, after = self.system.a[1:].size, self.system.a[1:].size + self.system.b.size
+        first = self.system.a[1:].size
+        after = self.system.a[1:].size + self.system.b.size
         moved = [
             i if i < first else first + int(places[i - first]) if i < after else i - after + first + b.size
             for i in self.free
@@ -158,7 +160,8 @@ class FittedLinear(FreeRuns):
     @cached_property
     def poles(self) -> ComplexArray:
         """Poles in z, slowest first (without those at zero)."""
-        n_y, n = self.system.a.shape[1], len(self.system.a) - 1
+        n_y = self.system.a.shape[1]
+        n = len(self.system.a) - 1
         if n == 0:
             return np.zeros(0, dtype=np.complex128)
         companion = np.eye(n_y * n, k=-n_y)
@@ -175,7 +178,8 @@ class FittedLinear(FreeRuns):
     @cached_property
     def dc_gain(self) -> FloatArray:
         """(n_y, n_u) steady gain; NaN where the model integrates."""
-        a_sum, b_sum = self.system.a.sum(axis=0), self.system.b.sum(axis=0)
+        a_sum = self.system.a.sum(axis=0)
+        b_sum = self.system.b.sum(axis=0)
         if self.poles.size and np.abs(self.poles - 1.0).min() < 1e-9:
             return np.full(b_sum.shape, np.nan)
         gain: FloatArray = np.linalg.solve(a_sum, b_sum)
@@ -300,7 +304,8 @@ class FittedLinear(FreeRuns):
         return self.system.run(du[n:], self.system.state(du[:n], dy))
 
     def _estimated(self, du: FloatArray, dy: FloatArray, starts: FloatArray) -> FloatArray:
-        n, system = self.n_init, self.system
+        n = self.n_init
+        system = self.system
         drive = system.drive(du)
         zero = np.zeros((system.depth, len(self.outputs)))
         miss = dy - system.respond(drive[:n], zero)
@@ -311,8 +316,10 @@ class FittedLinear(FreeRuns):
 def from_dict(document: Mapping[str, Any]) -> FittedLinear:
     """Rebuild a model from `to_dict()`; damage raises KeyError, TypeError or ValueError (see `base.load`)."""
 
-    outputs, inputs = signals_of(document, "outputs"), signals_of(document, "inputs")
-    n_y, n_u = len(outputs), len(inputs)
+    outputs = signals_of(document, "outputs")
+    inputs = signals_of(document, "inputs")
+    n_y = len(outputs)
+    n_u = len(inputs)
 
     def array(key: str, *shape: int) -> FloatArray:
         return array_of(document, key, *shape)
@@ -320,7 +327,8 @@ def from_dict(document: Mapping[str, Any]) -> FittedLinear:
     def optional(key: str, *shape: int) -> FloatArray | None:
         return None if document.get(key) is None else array(key, *shape)
 
-    noise, ma = optional("noise", -1, n_y), optional("ma", -1, n_y)
+    noise = optional("noise", -1, n_y)
+    ma = optional("ma", -1, n_y)
     system = Difference(monic(array("a", -1, n_y, n_y), "a"), array("b", -1, n_y, n_u), array("c", n_y))
     free = tuple(int(i) for i in document["free"])
     if len(set(free) & set(range(system.a[1:].size + system.b.size + n_y))) < len(free):

@@ -78,7 +78,8 @@ def _data(parts: Parts) -> Hashable:
 def _searched(
     settings: PolynomialSettings, parts: Parts, known_nk: tuple[int, ...] | None
 ) -> tuple[tuple[OneOutput, ...], str]:
-    n_y, n_u = len(parts.train.outputs), len(parts.train.inputs)
+    n_y = len(parts.train.outputs)
+    n_u = len(parts.train.inputs)
     longest = max(len(s) for s in parts.fit.segments)
     most = max(1, min(HIGHEST_ORDER, (len(parts.fit) // SHARE - 1) // (1 + n_u), (longest - 2) // 5))
     nas = range(1, most + 1) if settings.na == "auto" else [int(settings.na)]

@@ -139,7 +139,8 @@ def assemble(
     structure: str, parts: Parts, fits: Sequence[OneOutput], notes: Sequence[str], n_init: int | None = None
 ) -> FittedLinear:
     """One model of several refined outputs, with noise model, start and covariance."""
-    noises, covariances = [], []
+    noises = []
+    covariances = []
     for fit in fits:
         d, variance = noise_model(fit.problem.errors(fit.theta))
         noises.append(d)
@@ -166,7 +167,9 @@ def _joined(transfers: Sequence[Transfer], n_u: int) -> Difference:
     n_y = len(transfers)
     na = max(len(t.a) for t in transfers)
     nb = max((len(b) for t in transfers for b in t.b), default=1)
-    a, b, c = np.zeros((na, n_y, n_y)), np.zeros((max(nb, 1), n_y, n_u)), np.zeros(n_y)
+    a = np.zeros((na, n_y, n_y))
+    b = np.zeros((max(nb, 1), n_y, n_u))
+    c = np.zeros(n_y)
     for i, t in enumerate(transfers):
         a[: len(t.a), i, i] = t.a
         c[i] = t.c
@@ -184,7 +187,8 @@ def _covariance(fit: OneOutput, d: FloatArray, variance: float) -> FloatArray:
     if orders.offset:
         blocks.append(np.ones((1, 1)))
     size = sum(len(b) for b in blocks)
-    outer, position = np.zeros((size, size)), 0
+    outer = np.zeros((size, size))
+    position = 0
     for block in blocks:
         outer[position : position + len(block), position : position + len(block)] = block
         position += len(block)
@@ -195,7 +199,8 @@ def _covariance(fit: OneOutput, d: FloatArray, variance: float) -> FloatArray:
 def _free(system: Difference, fits: Sequence[OneOutput]) -> tuple[int, ...]:
     """Where each output's parameters stand in the flat order."""
     n_y, n_u = system.b.shape[1:]
-    a_size, b_size = system.a[1:].size, system.b.size
+    a_size = system.a[1:].size
+    b_size = system.b.size
     free: list[int] = []
     for i, fit in enumerate(fits):
         orders = fit.problem.orders
@@ -216,7 +221,8 @@ def _joint(covariances: Sequence[FloatArray], fits: Sequence[OneOutput], parts: 
         for count, source in zip(orders.nb, parts.scaling.u_scale, strict=True):
             factors += [float(scale / source)] * count
         factors += [float(scale)] * orders.offset
-    joint, position = np.zeros((len(factors), len(factors))), 0
+    joint = np.zeros((len(factors), len(factors)))
+    position = 0
     for block in covariances:
         joint[position : position + len(block), position : position + len(block)] = block
         position += len(block)
@@ -244,7 +250,9 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
     before: list[list[OneOutput]] = [[] for _ in folds]
     tried: list[tuple[list[OneOutput], FloatArray]] = []
     left_out: list[int] = []
-    least, best, since = np.inf, np.inf, 0
+    least = np.inf
+    best = np.inf
+    since = 0
     for orders in candidates:
         try:
             before = [_fitted(f, orders, b) for f, b in zip(folds, before, strict=True)]
@@ -308,9 +316,11 @@ def _fitted(parts: Parts, orders: Sequence[Orders], before: Sequence[OneOutput])
 
 def raised(transfer: Transfer, orders: Orders) -> FloatArray:
     """The same transfer in higher orders: its poles and zeros, and as many more that cancel."""
-    a, b = transfer.a, list(transfer.b)
+    a = transfer.a
+    b = list(transfer.b)
     for _ in range(orders.na + 1 - len(a)):
-        a, b = np.convolve(a, CANCELLING), [np.convolve(taps, CANCELLING) for taps in b]
+        a = np.convolve(a, CANCELLING)
+        b = [np.convolve(taps, CANCELLING) for taps in b]
     sizes = [k + n for n, k in zip(orders.nb, orders.nk, strict=True)]
     padded = [np.resize(np.append(t, np.zeros(n)), n) for t, n in zip(b, sizes, strict=True)]
     return from_transfer(

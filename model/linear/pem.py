@@ -145,7 +145,8 @@ class PredictionError:
         self, transfer: Transfer, noise: Noise, record: Record, rest: FloatArray, free: FloatArray
     ) -> list[FloatArray]:
         del transfer, free
-        orders, first = self.orders, self.start_row()
+        orders = self.orders
+        first = self.start_row()
         rows = slice(first, len(record.y))
         columns = [_filtered(differences(record.y, orders.na, 0, rows, monic=True), noise.c)]
         columns += [-_filtered(x, noise.c) for x in _input_columns(record.u, orders, rows)]
@@ -157,7 +158,8 @@ class PredictionError:
     def _bj_columns(
         self, transfer: Transfer, noise: Noise, record: Record, rest: FloatArray, free: FloatArray
     ) -> list[FloatArray]:
-        orders, first = self.orders, self.start_row()
+        orders = self.orders
+        first = self.start_row()
         rows = slice(first, len(record.y))
         response = transfer.forced(record.u)
         response[first:] += free
@@ -206,7 +208,8 @@ def innovations_start(errors: Sequence[FloatArray], nc: int, nd: int) -> tuple[F
         return nothing
     samples = sum(len(e) for e in errors)
     long, _ = burg(errors, min(LONG_ORDER, max(samples // 20, nc + nd + 1)))[-1]
-    rows, goals = [], []
+    rows = []
+    goals = []
     deepest = max(nc, nd)
     for v in errors:
         if len(v) <= len(long) + deepest:

@@ -172,7 +172,8 @@ def _covariance(fits: Sequence[NoisyFit], parts: Parts) -> FloatArray:
         factors += [y_scale] * orders.offset
         blocks.append(variance * (outer @ inner[:n, :n] @ outer.T) * np.outer(factors, factors))
     size = sum(len(b) for b in blocks)
-    joint, position = np.zeros((size, size)), 0
+    joint = np.zeros((size, size))
+    position = 0
     for block in blocks:
         joint[position : position + len(block), position : position + len(block)] = block
         position += len(block)

@@ -93,7 +93,8 @@ def _inside(system: Difference) -> Difference:
         for i in range(a.shape[1]):
             a[:, i, i] = stabilised(a[:, i, i], LARGEST)
         return replace(system, a=a)
-    n, n_y = len(a) - 1, a.shape[1]
+    n = len(a) - 1
+    n_y = a.shape[1]
     companion = np.eye(n_y * n, k=-n_y)
     companion[:n_y] = -np.hstack(list(a[1:]))
     shrink = LARGEST / float(np.abs(np.linalg.eigvals(companion)).max())
@@ -116,10 +117,12 @@ class _Refit:
     def piece(self, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """(M, p) responses to a one in every coefficient and (M,) outputs, the start's effect taken out of
         both; None for a segment that is too short."""
-        depth, n_y = self.system.depth, self.system.a.shape[1]
+        depth = self.system.depth
+        n_y = self.system.a.shape[1]
         if len(y) <= depth * (n_y + 2) + len(self.places) // n_y:
             return None
-        du, dy = u - self.model.u_origin, y - self.model.y_origin
+        du = u - self.model.u_origin
+        dy = y - self.model.y_origin
         rest = np.zeros((depth, n_y))
         columns = [self._response(place, du, rest)[depth:] for place in self.places]
         starts = []

@@ -39,12 +39,15 @@ class Past:
 
 def pasts(system: Difference, parts: Parts) -> list[Past]:
     """One per output of a system whose outputs do not feed each other."""
-    depth, small = system.depth, parts.scaling.apply(shortened(parts.train, SEARCH_ROWS))
+    depth = system.depth
+    small = parts.scaling.apply(shortened(parts.train, SEARCH_ROWS))
     found = []
     for i in range(len(system.c)):
         pick = slice(i, i + 1)
         single = Difference(system.a[:, pick, pick], system.b[:, pick], system.c[pick])
-        states, squares, rows = [np.zeros((0, depth))], 0.0, 0
+        states = [np.zeros((0, depth))]
+        squares = 0.0
+        rows = 0
         for segment in small.segments:
             if len(segment) <= 2 * depth + 1:
                 continue
@@ -53,7 +56,8 @@ def pasts(system: Difference, parts: Parts) -> list[Past]:
             left = without(free_space(single.a[:, 0, 0], len(miss)), miss)
             fitted = segment.y[depth:, i] + left
             states.append(single.state_history(segment.u[depth:], fitted[:, None])[depth:, :, 0])
-            squares, rows = squares + float(left @ left), rows + len(left)
+            squares = squares + float(left @ left)
+            rows = rows + len(left)
         found.append(Past(single, np.concatenate(states), float(np.sqrt(squares / rows)) if rows else 1.0))
     return found
 
@@ -77,7 +81,8 @@ def _settled_rows(past: Sequence[Past], rows: int, most: int) -> int:
         better = _start_spread(past, wider)
         if spread < 0.3 or better > 0.8 * spread:
             break
-        rows, spread = wider, better
+        rows = wider
+        spread = better
     return rows
 
 

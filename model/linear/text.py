@@ -40,7 +40,8 @@ class LinearText(DifferenceModel, Protocol):
 
 def conclusion(model: LinearText) -> str:
     """ "v_x(k) = 0.97 v_x(k-1) + 0.003 theta_in(k-1) + 0.01", one equation per output, "; " between."""
-    a, b = model.system.a, model.system.b
+    a = model.system.a
+    b = model.system.b
     constant = constants(model)
     equations = []
     for i, output in enumerate(model.outputs):
@@ -147,7 +148,8 @@ def gain_text(value: float) -> str:
 def _polynomials(model: LinearText) -> list[str]:
     s = model.system
     errors = model.standard_errors
-    a_size, b_size = s.a[1:].size, s.b.size
+    a_size = s.a[1:].size
+    b_size = s.b.size
     a_err = np.concatenate([np.zeros((1, *s.a.shape[1:])), errors[:a_size].reshape(s.a[1:].shape)])
     b_err = errors[a_size : a_size + b_size].reshape(s.b.shape)
     constant = constants(model)

@@ -67,7 +67,8 @@ def response_of(model: DifferenceModel, omega: FloatArray) -> FrequencyResponse:
     g = inverse @ b
     slopes = _slopes(model, delay, inverse, g)
     covariance = model.covariance if len(model.free) else np.full((1, 1), np.nan)
-    real, imaginary = slopes.real, slopes.imag
+    real = slopes.real
+    imaginary = slopes.imag
     size = np.maximum(np.abs(g), np.finfo(float).tiny)
     along = (g.real[..., None] * real + g.imag[..., None] * imaginary) / size[..., None]
     across = (g.real[..., None] * imaginary - g.imag[..., None] * real) / size[..., None] / size[..., None]
@@ -79,7 +80,8 @@ def _slopes(
 ) -> ComplexArray:
     """(M, n_y, n_u, p) derivatives of G with respect to every estimated parameter."""
     n_y = g.shape[1]
-    a_size, b_size = model.system.a[1:].size, model.system.b.size
+    a_size = model.system.a[1:].size
+    b_size = model.system.b.size
     out = np.zeros((*g.shape, max(len(model.free), 1)), dtype=np.complex128)
     for p, index in enumerate(model.free):
         if index < a_size:
@@ -145,19 +147,24 @@ def coefficients_of(model: DifferenceModel) -> list[Coefficient]:
     """
     if not np.isfinite(model.covariance).all():
         return []
-    n_y, n_u = len(model.outputs), len(model.inputs)
-    a_size, b_size = model.system.a[1:].size, model.system.b.size
+    n_y = len(model.outputs)
+    n_u = len(model.inputs)
+    a_size = model.system.a[1:].size
+    b_size = model.system.b.size
     found = []
     for index in model.free:
-        value, error = float(model.flat[index]), float(model.standard_errors[index])
+        value = float(model.flat[index])
+        error = float(model.standard_errors[index])
         if index < a_size:
             lag, i, j = _place(index, (len(model.system.a) - 1, n_y, n_y))
-            name, value = lagged_name(model.outputs[j].name, lag + 1), -value
+            name = lagged_name(model.outputs[j].name, lag + 1)
+            value = -value
         elif index < a_size + b_size:
             lag, i, j = _place(index - a_size, (len(model.system.b), n_y, n_u))
             name = lagged_name(model.inputs[j].name, lag)
         else:
-            i, name = index - a_size - b_size, "1, around the means"
+            i = index - a_size - b_size
+            name = "1, around the means"
         found.append(Coefficient("", model.outputs[i].name, name, value, Z95 * error))
     return found
 

@@ -61,7 +61,8 @@ def _slopes(model: StateModel, resolvent: ComplexArray) -> ComplexArray:
     """(M, n_y, n_u, p) derivatives of G with respect to A, B, C, drift, level (and D), row by row."""
     s = model.realisation
     m, n, (n_y, n_u) = len(resolvent), s.order, s.d.shape
-    left, right = s.c @ resolvent, resolvent @ s.b
+    left = s.c @ resolvent
+    right = resolvent @ s.b
     a = np.einsum("moi,mju->mouij", left, right).reshape(m, n_y, n_u, n * n)
     b = np.einsum("moi,uv->mouiv", left, np.eye(n_u)).reshape(m, n_y, n_u, n * n_u)
     c = np.einsum("op,mju->moupj", np.eye(n_y), right).reshape(m, n_y, n_u, n_y * n)

@@ -63,7 +63,8 @@ def _recursion(system: Realisation, noise: FloatArray, most: int) -> tuple[Float
 
 def _observed(system: Realisation) -> FloatArray:
     """(LOOK, n_y, n) what each state adds to the outputs of the next samples; unstable parts are held."""
-    rows, at = np.empty((LOOK, *system.c.shape)), system.c
+    rows = np.empty((LOOK, *system.c.shape))
+    at = system.c
     radius = max(float(np.abs(np.linalg.eigvals(system.a)).max(initial=0.0)), 1.0)
     for step in range(LOOK):
         rows[step] = at
@@ -141,7 +142,8 @@ def _gains_kernel() -> Any:
         a: FloatArray, c: FloatArray, first: FloatArray, noise: FloatArray, moved: FloatArray, most: int
     ) -> tuple[FloatArray, FloatArray, int]:
         n_y, n = c.shape
-        gains, roots = np.zeros((most, n, n_y)), np.zeros((most + 1, n, n))
+        gains = np.zeros((most, n, n_y))
+        roots = np.zeros((most + 1, n, n))
         R = np.empty((n_y + n, n_y + n))
         for i in range(n):
             for j in range(n):
@@ -178,7 +180,8 @@ def _gains_kernel() -> Any:
                     for i in range(j + 1, n_y + n):
                         R[i, q] -= along * R[i, j]
                 R[j, j] = -length
-            largest, change = 0.0, 0.0
+            largest = 0.0
+            change = 0.0
             for i in range(n):
                 for o in range(n_y - 1, -1, -1):
                     value = R[o, n_y + i]
@@ -211,7 +214,8 @@ def _free_kernel() -> Any:
     def run(a: FloatArray, drive: FloatArray, x0: FloatArray) -> FloatArray:
         rows, n = drive.shape
         states = np.empty((rows, n))
-        x, following = x0.copy(), np.empty(n)
+        x = x0.copy()
+        following = np.empty(n)
         for k in range(rows):
             for i in range(n):
                 states[k, i] = x[i]
@@ -234,7 +238,8 @@ def _filter_kernel() -> Any:
         a: FloatArray, c: FloatArray, drive: FloatArray, miss: FloatArray, gains: FloatArray
     ) -> FloatArray:
         rows, n = drive.shape
-        n_y, last = c.shape[0], len(gains) - 1
+        n_y = c.shape[0]
+        last = len(gains) - 1
         states = np.zeros((rows + 1, n))
         e = np.empty(n_y)
         for k in range(rows):

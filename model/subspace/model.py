@@ -96,7 +96,8 @@ class FittedStateSpace(FreeRuns):
         ------
         UsageError : shapes do not fit the model, or fewer than `n_init` outputs are given.
         """
-        system, n = self.realisation, self.n_init
+        system = self.realisation
+        n = self.n_init
         du = as_columns(u, len(self.inputs), "u") - self.u_origin
         if y0 is None:
             du = self._late(du, -self.u_origin)
@@ -228,7 +229,8 @@ class FittedStateSpace(FreeRuns):
     def _ahead(self, u: FloatArray, y: FloatArray, k: int) -> FloatArray:
         if self.noise is not None:
             return output_error_ahead(self.simulate(u, y[: self.n_init]), y, self.noise, k)
-        system, du = self.realisation, self._late(u - self.u_origin)
+        system = self.realisation
+        du = self._late(u - self.u_origin)
         states = filtered_states(system, du, y - self.y_origin, self.gains)[:-1]
         return ahead(system, states, du, k) + self.y_origin
 
@@ -311,7 +313,9 @@ def resting(
     signals : inputs, outputs.
     """
     a, b, c, d = (np.array(m, dtype=np.float64) for m in matrices)
-    n, n_u, n_y = len(a), b.shape[1], len(c)
+    n = len(a)
+    n_u = b.shape[1]
+    n_y = len(c)
     still = Realisation(
         a, b, c, d, np.zeros((n, n_y)), np.zeros(n), np.zeros(n_y), np.zeros((n_y, n_y)), np.zeros((n, n))
     )
@@ -336,8 +340,11 @@ def from_dict(document: Mapping[str, Any]) -> FittedStateSpace:
     def array(key: str, *shape: int) -> FloatArray:
         return array_of(document, key, *shape)
 
-    inputs, outputs = signals_of(document, "inputs"), signals_of(document, "outputs")
-    n_u, n_y, n = len(inputs), len(outputs), len(document["a"])
+    inputs = signals_of(document, "inputs")
+    outputs = signals_of(document, "outputs")
+    n_u = len(inputs)
+    n_y = len(outputs)
+    n = len(document["a"])
     realisation = Realisation(
         a=array("a", n, n),
         b=array("b", n, n_u),

@@ -49,7 +49,8 @@ class SimulationError:
 
     def system(self, theta: FloatArray) -> Realisation:
         """A realisation without noise of these parameters."""
-        s, at = self.start, 0
+        s = self.start
+        at = 0
         found: list[FloatArray] = []
         for like in (s.a, s.b, s.c, s.drift, s.level, *([s.d] if self.feedthrough else [])):
             found.append(theta[at : at + like.size].reshape(like.shape))
@@ -97,13 +98,18 @@ class SimulationError:
 
     def normal_equations(self, theta: FloatArray) -> NormalEquations:
         """Cost, JᵀJ and Jᵀr, first states eliminated (Kaufman's approximation)."""
-        system, p = self.system(theta), len(theta)
-        total, jtj, jtr = 0.0, np.zeros((p, p)), np.zeros(p)
+        system = self.system(theta)
+        p = len(theta)
+        total = 0.0
+        jtj = np.zeros((p, p))
+        jtr = np.zeros(p)
         for segment in self._usable():
             first = self.first_state(system, segment)
             gram = _gram_of(system, segment, first, sensitive=True, feedthrough=self.feedthrough)
             left = _eliminated(gram, p, system.order)
-            total, jtj, jtr = total + float(left[-1, -1]), jtj + left[:-1, :-1], jtr + left[:-1, -1]
+            total = total + float(left[-1, -1])
+            jtj = jtj + left[:-1, :-1]
+            jtr = jtr + left[:-1, -1]
         return total, jtj, jtr
 
     def first_state(self, system: Realisation, segment: Segment) -> FloatArray:
@@ -129,10 +135,13 @@ class SimulationError:
         """
         from scipy.signal import lfilter
 
-        system, p = self.system(theta), len(theta)
+        system = self.system(theta)
+        p = len(theta)
         errors = [e for e, _ in self.runs(theta)]
         models = [noise_model([e[:, o] for e in errors]) for o in range(len(system.c))]
-        plain, coloured, rows = np.zeros((p, p)), np.zeros((p, p)), 0
+        plain = np.zeros((p, p))
+        coloured = np.zeros((p, p))
+        rows = 0
         for segment in self._usable():
             if rows >= CONFIDENCE_ROWS:
                 break
@@ -190,7 +199,8 @@ def mirrored(system: Realisation) -> Realisation:
 
 def _eliminated(gram: FloatArray, p: int, n: int) -> FloatArray:
     """Of the Gram of [J E r], that of [J r] with the columns E projected out."""
-    e, rest = slice(p, p + n), [*range(p), p + n]
+    e = slice(p, p + n)
+    rest = [*range(p), p + n]
     inner = gram[np.ix_(rest, rest)]
     cross = gram[e][:, rest]
     with np.errstate(invalid="ignore", over="ignore"):
@@ -235,11 +245,13 @@ def _swept(
     p = n * n + n * n_u + n_y * n + n + n_y + (n_y * n_u if feedthrough else 0)
     columns = p if sensitive else 0
     size = max(CHUNK_ROWS // (4 * (columns + n)), 64)
-    x, slopes = first.copy(), np.zeros((n, columns + n))
+    x = first.copy()
+    slopes = np.zeros((n, columns + n))
     slopes[:, columns:] = np.eye(n)
     kernel = _kernel()
     for start in range(0, len(segment), size):
-        u, y = segment.u[start : start + size], segment.y[start : start + size]
+        u = segment.u[start : start + size]
+        y = segment.y[start : start + size]
         matrices = (system.a, system.b, system.c, system.d, system.drift, system.level)
         error, jacobian, x, slopes = kernel(matrices, u, y, x, slopes, sensitive, feedthrough)
         yield error, jacobian
@@ -263,11 +275,15 @@ def _kernel() -> Any:
         rows, n_u = u.shape
         n_y, n = c.shape
         columns = slopes.shape[1]
-        error, jacobian = np.empty((rows, n_y)), np.zeros((rows, n_y, columns))
-        at_b, at_c = n * n, n * n + n * n_u
+        error = np.empty((rows, n_y))
+        jacobian = np.zeros((rows, n_y, columns))
+        at_b = n * n
+        at_c = n * n + n * n_u
         at_drift = at_c + n_y * n
-        at_level, at_d = at_drift + n, at_drift + n + n_y
-        following, moved = np.empty_like(x), np.empty_like(slopes)
+        at_level = at_drift + n
+        at_d = at_drift + n + n_y
+        following = np.empty_like(x)
+        moved = np.empty_like(slopes)
         for k in range(rows):
             for o in range(n_y):
                 value = level[o] - y[k, o]

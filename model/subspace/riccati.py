@@ -15,7 +15,8 @@ def kalman_gain(a: FloatArray, c: FloatArray, q: FloatArray, s: FloatArray, r: F
     """
     from scipy.linalg import solve_discrete_are
 
-    n, floor = len(a), EXACT**2
+    n = len(a)
+    floor = EXACT**2
     try:
         p = solve_discrete_are(a.T, c.T, q + floor * np.eye(n), r + floor * np.eye(len(c)), s=s)
     except (np.linalg.LinAlgError, ValueError):

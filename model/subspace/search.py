@@ -83,14 +83,16 @@ class Projections:
         )
         n_y, n_u = self.signals
         at = len(r.T) - n_y
-        with_u, without = r[at:, at:], r[at - n_u :, at:]
+        with_u = r[at:, at:]
+        without = r[at - n_u :, at:]
         gain = np.linalg.slogdet(without.T @ without)[1] - np.linalg.slogdet(with_u.T @ with_u)[1]
         return bool(gain * columns.rows > n_y * n_u * np.log(columns.rows))
 
 
 def _pasts(settings: SubspaceSettings, data: Dataset) -> list[int]:
     """Horizons that the data afford."""
-    n_y, n_u = len(data.outputs), len(data.inputs)
+    n_y = len(data.outputs)
+    n_u = len(data.inputs)
     lengths = [len(s) for s in data.segments]
     if settings.past != "auto":
         return [settings.past]
@@ -190,9 +192,12 @@ def built(
 ) -> FittedStateSpace:
     """The model of a realisation in scaled deviations; its start long enough to know the state."""
     train = parts.train
-    n, n_y, n_u = realisation.order, len(train.outputs), len(train.inputs)
+    n = realisation.order
+    n_y = len(train.outputs)
+    n_u = len(train.inputs)
     if n_init:
-        gains, rows = gains_of(realisation, n_init), n_init
+        gains = gains_of(realisation, n_init)
+        rows = n_init
     else:
         gains, spread = start_gains(realisation, most_init(parts, n))
         rows = enough(spread, n)

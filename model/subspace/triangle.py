@@ -64,7 +64,8 @@ class Realisation:
 
     def in_units(self, scaling: Scaling) -> Realisation:
         """The same system for inputs and outputs in physical units, still around the origins."""
-        y, u = scaling.y_scale, scaling.u_scale
+        y = scaling.y_scale
+        u = scaling.u_scale
         return Realisation(
             a=self.a,
             b=self.b / u,
@@ -106,7 +107,8 @@ def subspace(
     """
     data = Dataset.from_arrays(list(u), list(y), 1.0)
     scaling = Scaling.of(data)
-    n_y, n_u = len(data.outputs), len(data.inputs)
+    n_y = len(data.outputs)
+    n_u = len(data.inputs)
     past = past or default_past(order, n_y, n_u, [len(s) for s in data.segments])
     triangle = triangle_for(data, scaling, window(past, method))
     projection = project(Columns.of(triangle, (n_y, n_u), past, method, feedthrough=feedthrough), method)
@@ -249,9 +251,11 @@ class Projection:
             )
         left = self.left[:, :order]
         states = left.T @ np.linalg.solve(self.unweight, self.mapping)
-        now, following = self.columns.before @ states.T, self.columns.before_next @ states.T
+        now = self.columns.before @ states.T
+        following = self.columns.before_next @ states.T
         size = np.linalg.norm(now, axis=0) / np.sqrt(self.columns.rows)
-        now, following = now / size, following / size
+        now = now / size
+        following = following / size
         if self.method == "moesp":
             gamma = (self.unweight @ left) * size
             return _by_shifts(self.columns, gamma, now, following)
@@ -265,7 +269,10 @@ def project(columns: Columns, method: Method) -> Projection:
     ------
     DataError : fewer samples than unknowns.
     """
-    n_y, n_u, past, now = columns.n_y, columns.n_u, columns.past, columns.now
+    n_y = columns.n_y
+    n_u = columns.n_u
+    past = columns.past
+    now = columns.now
     unknowns = past * (n_y + n_u) + (now + 1) * n_u + 1
     if columns.rows <= unknowns + n_y:
         raise DataError(
@@ -294,7 +301,9 @@ def _without(known: FloatArray, rest: FloatArray) -> FloatArray:
 
 def _from_long_regression(columns: Columns) -> tuple[FloatArray, FloatArray]:
     """What the past of a long ARX model adds to each future output, and the root of its noise covariance."""
-    n_y, past, n_z = columns.n_y, columns.past, columns.n_y + columns.n_u
+    n_y = columns.n_y
+    past = columns.past
+    n_z = columns.n_y + columns.n_u
     regressors = [columns.before, columns.direct, columns.one]
     theta = _regress(regressors, columns.outputs)
     residual = columns.outputs - np.hstack(regressors) @ theta
@@ -330,14 +339,16 @@ def _oblique(columns: Columns, method: Method) -> tuple[FloatArray, FloatArray, 
 
 def _by_states(columns: Columns, now: FloatArray, following: FloatArray) -> Realisation:
     """Regression on the estimated states: outputs on states and inputs, next states on these and on e."""
-    n, n_u = now.shape[1], columns.n_u
+    n = now.shape[1]
+    n_u = columns.n_u
     seen = [now, columns.direct, columns.one]
     theta = _regress(seen, columns.outputs)
     e = columns.outputs - np.hstack(seen) @ theta
     regressors = [now, columns.inputs, columns.one]
     rho = _regress(regressors, following)
     error = following - np.hstack(regressors) @ rho
-    a, c = rho[:n].T, theta[:n].T
+    a = rho[:n].T
+    c = theta[:n].T
     k, innovation = _gain(a, c, error, e, columns.rows)
     return Realisation(
         a=a,
@@ -368,7 +379,9 @@ def _by_shifts(columns: Columns, gamma: FloatArray, now: FloatArray, following: 
 
 def _input_matrices(columns: Columns, gamma: FloatArray) -> tuple[FloatArray, FloatArray]:
     """B and D from the outputs outside the range of Gamma, which only the inputs explain (linear in both)."""
-    n_y, n_u, n = columns.n_y, columns.n_u, len(gamma.T)
+    n_y = columns.n_y
+    n_u = columns.n_u
+    n = len(gamma.T)
     known = np.hstack([columns.one, columns.future_inputs])
     response = _regress([known, columns.before], columns.future_outputs)[1 : known.shape[1]]
     outside: FloatArray = np.asarray(np.linalg.svd(gamma)[0][:, n:].T)
@@ -380,7 +393,8 @@ def _input_matrices(columns: Columns, gamma: FloatArray) -> tuple[FloatArray, Fl
         below = rest[:, n_y:] @ gamma[: (steps - step - 1) * n_y]
         left.append(np.hstack([rest[:, :n_y], below]))
         right.append(outside @ response[step * n_u : (step + 1) * n_u].T)
-    matrix, target = np.vstack(left), np.vstack(right)
+    matrix = np.vstack(left)
+    target = np.vstack(right)
     if not columns.feedthrough:
         none: FloatArray = np.zeros((n_y, n_u))
         return _regress([matrix[:, n_y:]], target), none
