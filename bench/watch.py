@@ -148,6 +148,7 @@ def main() -> None:
     parser.add_argument("--hours", type=float, default=10.0, help="of nominal flight for false alarms")
     parser.add_argument("--calibration-hours", type=float, default=4.0)
     parser.add_argument("--faults", type=int, default=40, help="flights for each fault")
+    parser.add_argument("--channels", default=",".join(CHANNELS))
     parser.add_argument("--small", action="store_true", help="a tenth of everything")
     options = parser.parse_args()
     share = 0.1 if options.small else 1.0
@@ -160,7 +161,10 @@ def main() -> None:
     faults = max(4, round(share * options.faults))
     for kind in options.models.split(","):
         began = time.process_time()
-        watches = [watch(c, fitted(kind, dataset(c, training)), training, others) for c in CHANNELS]
+        watches = [
+            watch(c, fitted(kind, dataset(c, training)), training, others)
+            for c in options.channels.split(",")
+        ]
         print(f"\n## {kind}\n\n(fitted and calibrated in {time.process_time() - began:.0f} s of CPU)\n")
         false_alarms(watches, nominal)
         delays(watches, faults, "comes at 60 s", AT_S)

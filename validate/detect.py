@@ -9,7 +9,8 @@
 One-step errors in flight are neither white nor Gaussian (wind), so no textbook threshold keeps its promise.
 Thresholds come from held-out flights: largest values per block of time, an exponential tail fitted to those
 above their upper quartile (Coles, An Introduction to Statistical Modeling of Extreme Values, 2001, with
-shape 0), its scale taken at the upper end of its 95 % interval.
+shape 0), its scale taken at the upper end of its 95 % interval. Blocks of one flight share its wind, so that
+the interval counts flights, not blocks.
 Basseville and Nikiforov, Detection of Abrupt Changes, 1993, chapters 2, 5 and 11.
 """
 
@@ -161,13 +162,13 @@ def calibrate(model: Fitted, segments: Sequence[Segment], false_alarms_1_h: floa
         sigma = float(np.std(np.concatenate(mine))) or 1e-12
         drift = HALF_STEP + wander([e / sigma for e in mine], round(LEVEL_S / model.dt_s))
         block = max(1, round(block_s / model.dt_s))
-        tops: list[list[float]] = [[], [], []]
+        tops: list[list[list[float]]] = [[], [], []]
         for e, run in zip(mine, runs, strict=True):
             stats, _ = Sums(drift, round(GLR_S / model.dt_s)).feed(e / sigma)
-            tops[0] += block_maxima(np.abs(stats[:, 0]), block)
-            tops[1] += block_maxima(stats[:, 1], block)
-            tops[2] += block_maxima(np.abs(run.level[:, j]), max(1, round(block_s / LEVEL_EVERY_S)))
-        cusum, glr, level = (threshold(np.array(t), block_s, false_alarms_1_h) for t in tops)
+            tops[0].append(block_maxima(np.abs(stats[:, 0]), block))
+            tops[1].append(block_maxima(stats[:, 1], block))
+            tops[2].append(block_maxima(np.abs(run.level[:, j]), max(1, round(block_s / LEVEL_EVERY_S))))
+        cusum, glr, level = (threshold(t, block_s, false_alarms_1_h) for t in tops)
         band = float(np.quantile(np.abs(np.concatenate([r.last[:, j] for r in runs])), 0.995))
         typical = float(np.mean(np.abs(np.concatenate([s.y[:, j] for s in usable]))))
         found.append(Thresholds(sigma, drift, cusum, glr, level, band, typical, hours))
@@ -185,14 +186,21 @@ def block_maxima(values: FloatArray, block: int) -> list[float]:
     return [float(v) for v in values[: len(values) // block * block].reshape(-1, block).max(axis=1)]
 
 
-def threshold(maxima: FloatArray, block_s: float, per_hour: float) -> float:
-    """What blocks of so many seconds exceed so often in an hour, by an exponential tail."""
-    edge = float(np.quantile(maxima, 0.75))
-    beyond = maxima[maxima > edge] - edge
+def threshold(maxima: Sequence[Sequence[float]], block_s: float, per_hour: float) -> float:
+    """What blocks of so many seconds exceed so often in an hour, by an exponential tail.
+
+    Parameters
+    ----------
+    maxima : of each flight, the largest value of each of its blocks.
+    """
+    every = np.concatenate([np.asarray(flight, dtype=np.float64) for flight in maxima])
+    edge = float(np.quantile(every, 0.75))
+    beyond = every[every > edge] - edge
     if not len(beyond):
         return edge
-    scale = 2.0 * float(beyond.sum()) / float(chi2.ppf(0.05, 2 * len(beyond)))
-    expected = 3600.0 / block_s * len(beyond) / len(maxima)
+    flights = sum(any(top > edge for top in flight) for flight in maxima)
+    scale = float(beyond.mean()) * 2 * flights / float(chi2.ppf(0.05, 2 * flights))
+    expected = 3600.0 / block_s * len(beyond) / len(every)
     return edge + scale * max(0.0, math.log(expected / per_hour))
 
 

@@ -47,13 +47,13 @@ def judged(segment: Segment, limits: object) -> list[npt.NDArray[np.bool_]]:
 @pytest.mark.parametrize("drift", [0.0, 0.002])
 def test_false_alarms_are_those_that_were_asked_for(drift: float) -> None:
     asked = 6.0  # an hour, for each of three detectors
-    limits = calibrate(MODEL, [flown(k, 600, drift=drift) for k in range(6)], asked)[0]
-    hours, count = 2.0, sum(alarms(flown(100 + k, 600, drift=drift), limits) for k in range(12))
+    limits = calibrate(MODEL, [flown(k, 300, drift=drift) for k in range(6)], asked)[0]
+    hours, count = 0.5, sum(alarms(flown(100 + k, 300, drift=drift), limits) for k in range(6))
     assert count <= stats.poisson.ppf(0.999, 3 * asked * hours)
 
 
 def test_a_step_is_found_by_all_three() -> None:
-    limits = calibrate(MODEL, [flown(k, 600) for k in range(3)], 0.1)[0]
+    limits = calibrate(MODEL, [flown(k, 300) for k in range(4)], 0.1)[0]
     before, after = flown(50, 60), flown(51, 60, offset=0.15)
     y = after.y + before.y[-1]
     joined = Segment(np.concatenate([before.u, after.u]), np.concatenate([before.y, y]))
@@ -96,12 +96,18 @@ def test_the_glr_is_the_largest_of_its_windows() -> None:
 def test_a_threshold_of_an_exponential_tail() -> None:
     truth = 10.0 + 2.0 * np.log(60.0 / 0.1)  # 60 blocks an hour, one excess in ten hours
     rng = np.random.default_rng(6)
-    found = [threshold(rng.exponential(2.0, 400) + 10.0, 60.0, 0.1) for _ in range(200)]
+    found = [threshold((rng.exponential(2.0, (400, 1)) + 10.0).tolist(), 60.0, 0.1) for _ in range(200)]
     assert 0.9 < np.mean(np.array(found) > truth) < 1.0  # the upper end of the scale's interval
 
 
+def test_blocks_of_few_flights_tell_less() -> None:
+    tops = np.random.default_rng(7).exponential(2.0, 120)
+    few, many = (threshold(tops.reshape(n, -1).tolist(), 60.0, 0.1) for n in (4, 120))
+    assert few > 1.3 * many
+
+
 def test_equal_blocks_have_their_value_as_threshold() -> None:
-    assert threshold(np.ones(30), 60.0, 0.1) == 1.0
+    assert threshold([[1.0] * 30], 60.0, 0.1) == 1.0
     assert block_maxima(np.arange(10.0), 4) == [3.0, 7.0]
 
 

@@ -26,6 +26,7 @@ from tests.link_sender import frames
 from tests.link_trials import free_port, without_stamps
 
 POOL = frames()
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(autouse=True, scope="module")

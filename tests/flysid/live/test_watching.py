@@ -9,29 +9,34 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from flysid.dataset import Segment, Signal
+from flysid.dataset import FloatArray, Segment, Signal
 from flysid.ingest.synth.synth import Order, fly_one
 from flysid.ingest.synth.telemetry import Series
 from flysid.ingest.synth.writers.mavlink import tlog_bytes
 from flysid.live.causes import likely, meaning_of, visibility
 from flysid.live.spool import whole_records
 from flysid.live.watching import ChannelWatch, known_inputs
-from flysid.validate.detect import calibrate
-from tests.fakes import FirstOrder
+from flysid.validate.detect import Thresholds, calibrate
 from tests.link_trials import free_port
 from tests.validate.test_detect import MODEL, flown
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def made(model: FirstOrder = MODEL) -> ChannelWatch:
-    flights = [flown(k, 600) for k in range(3)]
-    return ChannelWatch("roll", model, calibrate(model, flights, 0.1), known_inputs(flights))
+@cache
+def calibrated() -> tuple[tuple[Thresholds, ...], FloatArray]:
+    flights = [flown(k, 300) for k in range(6)]
+    return calibrate(MODEL, flights, 0.1), known_inputs(flights)
+
+
+def made() -> ChannelWatch:
+    return ChannelWatch("roll", MODEL, *calibrated())
 
 
 def with_fault(seed: int = 70, size: float = 0.2) -> tuple[Segment, float]:
@@ -53,7 +58,7 @@ def test_a_fault_is_one_alarm_with_its_size() -> None:
 
 def test_nominal_flight_is_quiet() -> None:
     watch = made()
-    assert [e for k in range(5) for e in watch.run(flown(200 + k, 300)) if e.kind == "alarm"] == []
+    assert [e for k in range(3) for e in watch.run(flown(200 + k, 200)) if e.kind == "alarm"] == []
 
 
 def test_an_alarm_ends_where_the_fault_does() -> None:
