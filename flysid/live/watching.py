@@ -72,6 +72,7 @@ class _Output:
     thresholds: Thresholds
     sums: Sums
     level: float = 0.0
+    level_before: float = 0.0
     alarmed: bool = False
     quiet: int = 0
 
@@ -111,7 +112,7 @@ class ChannelWatch:
         self._next_level = self._keep
         for output in self._outputs:
             output.sums.forget()
-            output.level = 0.0
+            output.level = output.level_before = 0.0
             output.alarmed = False
 
     @property
@@ -135,9 +136,12 @@ class ChannelWatch:
         self._y = np.concatenate([self._y[-self._keep :], y])
         errors = one_step(self.model, self._u, self._y)[-len(u) :]
         self._seen += len(u)
+        was_outside = self._outside
         events = self._judge_inputs(u, time_s, flight)
-        if self._outside:
-            errors = np.zeros_like(errors)  # the past that a prediction rests on is outside as well
+        if self._outside:  # and after it, for the past that a prediction rests on is outside as well
+            errors[0 if was_outside else self._first_outside(u) :] = 0.0
+        for output in self._outputs:
+            output.level_before = output.level
         self._judge_level()
         for j, output in enumerate(self._outputs):
             stats, since = output.sums.feed(errors[:, j] / output.thresholds.sigma)
@@ -160,7 +164,11 @@ class ChannelWatch:
             f"{self.name} is outside what the model knows: {signal.name} {u[row, k]:.3g} {signal.unit}, "
             f"known {low:.3g} to {high:.3g}; not judged meanwhile"
         )
-        return [Event("outside", self.name, "", time_s + row * self.model.dt_s, flight, text=text)]
+        return [Event("outside", self.name, "", time_s + float(row) * self.model.dt_s, flight, text=text)]
+
+    def _first_outside(self, u: FloatArray) -> int:
+        """The first row in which an input is outside."""
+        return int(np.argmax(((u < self.known[0]) | (u > self.known[1])).any(axis=1)))
 
     def _judge_level(self) -> None:
         """A free run now and then, where its whole stretch is known."""
@@ -181,7 +189,8 @@ class ChannelWatch:
         ratios = np.empty((len(stats), len(DETECTORS)))
         ratios[:, 0] = np.abs(stats[:, 0]) / limits.cusum
         ratios[:, 1] = stats[:, 1] / limits.glr
-        ratios[:, 2] = abs(output.level) / limits.level
+        ratios[:, 2] = abs(output.level_before) / limits.level
+        ratios[-1, 2] = abs(output.level) / limits.level  # known when the last of these samples is
         self.latest[signal.name] = float(ratios[-1].max())
         if output.alarmed:
             return self._judge_end(output, signal.name, ratios, time_s, flight)
