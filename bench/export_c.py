@@ -1,4 +1,4 @@
-"""Exported C beside the models that it comes from: `python -m bench.export_c [RUN]`.
+"""Exported C beside the models that it comes from: `python -m bench.export_c [RUN [LABEL]]`.
 
 Every model of a run (of `flysid demo`: `flysid-demo/run`) and TS models of the public sets, compiled by gcc
 in four ways, along a million random inputs: the largest difference in ulp and in standard deviations of the
@@ -40,14 +40,15 @@ WAYS = {
 }
 
 
-def models(folder: str | None) -> Iterator[tuple[str, Fitted]]:
-    """Every model of a run, then TS models of the public sets."""
+def models(folder: str | None, wanted: str = "") -> Iterator[tuple[str, Fitted]]:
+    """Every model of a run, or those of one label; else TS models of the public sets behind."""
     if folder is not None:
         run_folder = open_run(folder)
         for channel in run_folder.channels:
             for label, model in models_of(run_folder, channel).items():
-                yield f"{channel.name} {label}", model
-    if not FOLDER.is_dir():
+                if wanted in ("", label):
+                    yield f"{channel.name} {label}", model
+    if wanted or not FOLDER.is_dir():
         return
     for name in CASES:
         case = CASES[name]()
@@ -93,7 +94,7 @@ def line(name: str, model: Fitted, folder: Path) -> str:
 
 def main(arguments: list[str]) -> int:
     """Print one line per model, then what an emulated Cortex-M4F needs."""
-    found = list(models(arguments[0] if arguments else None))
+    found = list(models(arguments[0] if arguments else None, *arguments[1:2]))
     for name, model in found:
         with tempfile.TemporaryDirectory() as folder:
             try:

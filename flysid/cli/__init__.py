@@ -27,6 +27,7 @@ VERBS = {
     "doctor": "One line per log: what it holds, what was lost, what to log next time.",
     "export": "Write a flight, or a model (C99, FMU, MATLAB), for other programs.",
     "fit": "Fit linear and Takagi-Sugeno models to an ingested folder.",
+    "gains": "What the gains that a log states mean: crossover, margins, bandwidth, noise.",
     "ingest": "Read flight logs into typed parquet tables.",
     "ls": "List the flights and streams of an ingested folder.",
     "plot": "Plot fields of a log over time, with modes and messages.",

@@ -70,7 +70,7 @@ def run_in_c(
         "start": "plant_set_state(&s, memory);" if memory is not None else "(void)memory;",
     }
     (folder / "harness.c").write_text(HARNESS.format(**words))
-    library = folder / f"plant-{abs(hash((tuple(flags), memory is None)))}.so"
+    library = folder / f"plant-{abs(hash((tuple(flags), memory is None, single)))}.so"
     sources = folder / "plant.c", folder / "harness.c"
     gcc(*WARNINGS, *flags, "-shared", "-fPIC", "-o", library, *sources, "-lm")
     given = np.ascontiguousarray(u, dtype=kind)

@@ -1,0 +1,127 @@
+"""Real flights: what gains do, predicted from flights under other gains: `python -m bench.greenreaper DATA`.
+
+DATA is an ingested folder of ../shared/logs/blackbox/greenreaper_* and hiro_*. From the first four flights of
+greenreaper, the closed loop from setpoint to gyro of every later one with the gains that its header states:
+median error of the complex response, beside that of the plant of that flight itself and of "nothing changed";
+how often the measured response lies in the stated band; and the margins over the series.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.errors import DataError
+from flysid.ingest.lake.lake import Lake
+from flysid.ingest.lake.lake import open as open_lake
+from flysid.loops.blackbox import record_of, settings_of
+from flysid.loops.controller import Controller, betaflight
+from flysid.loops.margins import margins
+from flysid.loops.prediction import Prediction, predict
+from flysid.loops.stick_response import ComplexArray, Loop, closed_loop, plant
+
+BANDS = ((1.0, 4.0), (4.0, 10.0), (10.0, 20.0), (20.0, 35.0))
+EARLY = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """One flight of one axis."""
+
+    name: str
+    loop: Loop
+    controller: Controller
+
+
+def flights(lake: Lake, prefix: str, axis: str) -> list[Flown]:
+    """Those whose names begin with `prefix`, in their order."""
+    found = []
+    for log in sorted((x for x in lake.logs if x.name.startswith(prefix)), key=lambda x: x.name):
+        settings = settings_of(log)
+        record, throttle = record_of(log, axis, settings)
+        loop = Loop.of([record])
+        found.append(Flown(log.name, loop, betaflight(settings, axis, throttle).as_flown(loop, 2.0, 30.0)))
+    return found
+
+
+def told(early: Sequence[Flown], flown: Flown) -> dict[str, ComplexArray]:
+    """The response predicted, with its own plant, and as it was before."""
+    f, c = flown.loop.f, flown.controller
+    own = plant(flown.loop.mean)
+    known = np.asarray(sum(x.loop.mean for x in early))
+    pooled, before = plant(known), closed_loop(known)
+    return {
+        "predicted": pooled * c.reference(f) / (1.0 + pooled * c.feedback(f)),
+        "own fit": own * c.reference(f) / (1.0 + own * c.feedback(f)),
+        "nothing changed": before,
+    }
+
+
+def held(prediction: Prediction, flown: Flown) -> FloatArray:
+    """(F,) whether the measured response lies in the band, its own scatter added."""
+    measured = closed_loop(flown.loop.mean)
+    scatter = closed_loop(flown.loop.draws) - measured
+    away = np.abs(prediction.draws + scatter - prediction.response)
+    inside = np.abs(measured - prediction.response) <= np.quantile(away, 0.95, axis=0)
+    return inside.astype(np.float64)
+
+
+def series(lake: Lake, prefix: str, axis: str, early: int) -> None:
+    """The table of one set of flights."""
+    every = flights(lake, prefix, axis)
+    known, later = every[:early], every[early:]
+    errors: dict[str, list[list[float]]] = {}
+    inside = []
+    for flown in later:
+        measured = closed_loop(flown.loop.mean)
+        at = [(flown.loop.f >= low) & (flown.loop.f < high) for low, high in BANDS]
+        for name, response in told(known, flown).items():
+            gap = np.abs(response - measured) / np.abs(measured)
+            errors.setdefault(name, []).append([float(np.median(gap[band])) for band in at])
+        if len(known) >= 3:
+            good = held(predict([x.loop for x in known], flown.controller), flown)
+            inside.append([float(good[band].mean()) for band in at])
+    print(f"\n{prefix} {axis}: {len(known)} flights known, {len(later)} predicted; " + _words())
+    for name, rows in errors.items():
+        print(f"  {name:16s} " + "  ".join(f"{100 * v:5.1f} %" for v in np.median(rows, axis=0)))
+    if inside:
+        print(
+            f"  {'in the 95 % band':16s} " + "  ".join(f"{100 * v:5.1f} %" for v in np.mean(inside, axis=0))
+        )
+    for flown in every:
+        print(f"  {flown.name[:24]:24s} {_margins(flown)}")
+
+
+def _words() -> str:
+    return "median error at " + ", ".join(f"{low:.0f} to {high:.0f} Hz" for low, high in BANDS)
+
+
+def _margins(flown: Flown) -> str:
+    gains = ", ".join(f"{k} {v:g}" for k, v in flown.controller.gains.items())
+    try:
+        m = margins(flown.loop, flown.controller)
+    except DataError as error:
+        return f"{gains}: {error.message}"
+    miss = flown.controller.miss(flown.loop, *m.band_hz)
+    crossing = (
+        f"crossover {m.crossover_hz.said('.1f', ' Hz')}, phase margin {m.phase_deg.said('.0f', ' deg')}"
+    )
+    rest = f"gain margin {m.gain_db.said('.1f', ' dB')}, Ms {m.ms.said('.2f')}"
+    return f"{gains}: {crossing}, {rest}, controller {100 * miss:.0f} % off"
+
+
+def main(arguments: list[str]) -> int:
+    """Roll and pitch of both sets."""
+    lake = open_lake(arguments[0])
+    for axis in ("roll", "pitch"):
+        series(lake, "greenreaper", axis, EARLY)
+        series(lake, "hiro", axis, 1)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,61 @@
+"""`flysid gains LOG|DATA`: what the gains that a log states mean for its loops."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from flysid.cli.output import check_target, printable, say
+from flysid.cli.source import format_option, opened_flights
+
+
+@click.command("gains")
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option(
+    "--axis",
+    "axes",
+    multiple=True,
+    type=click.Choice(["roll", "pitch", "yaw"]),
+    help="[default: roll, pitch]",
+)
+@click.option("--flight", "flights", multiple=True, help="This flight alone; may be repeated.")
+@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Nyquist plot into this file.")
+@click.option("--force", is_flag=True, help="Replace the picture if it is there.")
+@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
+@format_option
+def command(
+    source: Path,
+    axes: tuple[str, ...],
+    flights: tuple[str, ...],
+    plot: Path | None,
+    force: bool,
+    as_json: bool,
+    format_: str,
+) -> int:
+    """Say what the present gains mean: crossover, margins, bandwidth, noise; each with a 95 % interval.
+
+    Reads the gains from the log's header (Betaflight 3.1 to 3.5), measures the plant through the sticks, and
+    closes the loop. Where the flights do not tell, or the stated gains do not give what the log recorded, it
+    says so, and what to fly (exit code 3 where nothing is known of any axis). It proposes no gains.
+    """
+    from flysid.ingest.lake.selection import Selection, select
+    from flysid.loops.judged import CAUTION, judge
+
+    if plot is not None:
+        check_target(plot, force)
+    with opened_flights(source, format_) as lake:
+        found = judge(select(lake, Selection(flights=flights)).logs, axes or ("roll", "pitch"))
+    known = [j for j in found if j.margins is not None]
+    if as_json:
+        click.echo(json.dumps([j.to_dict() for j in found], indent=1, allow_nan=False))
+    else:
+        click.echo("\n\n".join("\n".join(printable(line) for line in j.lines()) for j in found))
+        say(CAUTION)
+    if plot is not None and known:
+        from flysid.loops.nyquist import draw_nyquist
+
+        draw_nyquist(known, plot)
+        say(f"Nyquist plot: {plot}")
+    return 0 if known else 3

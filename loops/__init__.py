@@ -1,0 +1,1 @@
+"""What a log's present gains mean: the loop of a measured channel, its margins, what other gains would do."""

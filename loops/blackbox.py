@@ -1,0 +1,92 @@
+"""Rate loops of a blackbox log: setpoint, controller's output, gyro on an even grid; the header's gains."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.errors import DataError
+from flysid.loops.controller import AXES
+from flysid.loops.stick_response import Record
+
+RATE_HZ = 500.0
+GAP_S = 0.02
+LARGEST_SHARE = 0.05
+
+
+def settings_of(log: Any) -> dict[str, str]:
+    """A header's settings by name.
+
+    Raises
+    ------
+    DataError : the log is no blackbox log.
+    """
+    if "parameters" not in log.facts.streams or "main" not in log.facts.streams:
+        raise DataError(
+            f"{log.name} is no blackbox log with its header",
+            hint="gains are read from the headers of Betaflight's blackbox logs",
+        )
+    table = log.table("parameters", ["name", "text"]).to_pydict()
+    return dict(zip(table["name"], table["text"], strict=True))
+
+
+def record_of(log: Any, axis: str, settings: Mapping[str, str]) -> tuple[Record, FloatArray]:
+    """One axis of a flight, and the throttle (us).
+
+    Raises
+    ------
+    DataError : fields are missing; the controller's output was at its limit for more than 5 % of the time.
+    """
+    k = list(AXES).index(axis)
+    terms = [f"axis{term}[{k}]" for term in "PID" if term != "D" or axis != "yaw"]
+    columns = ["time_ns", f"gyroADC[{k}]", *terms, "rcCommand[3]"]
+    setpoint = f"setpoint[{k}]"
+    try:
+        main = log.table("main", columns)
+        asked = log.table("setpoint", ["time_ns", setpoint])
+    except (KeyError, DataError) as error:
+        raise DataError(
+            f"{log.name} lacks a field of the {axis} loop: {error}",
+            hint="log PID terms, sticks and gyro (Betaflight before 4.0)",
+        ) from error
+    values = {name: np.asarray(main[name], dtype=np.float64) for name in columns}
+    time = values["time_ns"] * 1e-9
+    output = np.sum([values[name] for name in terms], axis=0)
+    limit = float(settings.get("pidsum_limit_yaw" if axis == "yaw" else "pidsum_limit") or np.inf)
+    share = float((np.abs(output) >= limit - 1.0).mean())
+    if share > LARGEST_SHARE:
+        raise DataError(
+            f"{log.name}: the {axis} controller was at its limit for {100.0 * share:.0f} % of the flight",
+            hint="fly it gentler: at a limit gains say nothing",
+        )
+    r = np.asarray(asked[setpoint], dtype=np.float64)
+    at = np.asarray(asked["time_ns"], dtype=np.float64) * 1e-9
+    record = Record(log.name, RATE_HZ, _pieces(time, at, r, output, values[f"gyroADC[{k}]"]))
+    return record, values["rcCommand[3]"]
+
+
+def _pieces(
+    time: FloatArray, asked_at: FloatArray, r: FloatArray, u: FloatArray, y: FloatArray
+) -> tuple[FloatArray, ...]:
+    """Stretches without a gap, on an even grid."""
+    edges = [0, *(np.flatnonzero(np.diff(time) > GAP_S) + 1), len(time)]
+    found = []
+    for begin, end in itertools.pairwise(edges):
+        if end - begin < 2:
+            continue
+        grid = np.arange(time[begin], time[end - 1], 1.0 / RATE_HZ)
+        own = slice(begin, end)
+        found.append(
+            np.stack(
+                [
+                    np.interp(grid, asked_at, r),
+                    np.interp(grid, time[own], u[own]),
+                    np.interp(grid, time[own], y[own]),
+                ]
+            )
+        )
+    return tuple(found)

@@ -1,0 +1,134 @@
+"""What the gains of an axis mean, flight by flight: measured, checked, put into words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from flysid.errors import DataError
+from flysid.loops.blackbox import record_of, settings_of
+from flysid.loops.controller import AXES, Controller, betaflight, refuse_misfit
+from flysid.loops.margins import Figure, Margins, margins, trusted_band
+from flysid.loops.stick_response import Loop
+
+ALIKE = (
+    "Firmware revision",
+    "dterm_lowpass_hz",
+    "dterm_lowpass2_hz",
+    "dterm_lpf_hz",
+    "dterm_setpoint_weight",
+)
+"""Settings that flights judged together share, besides their gains."""
+CAUTION = (
+    "Calculated from what past flights did; nothing was tried on the vehicle. The margins hold for these "
+    "flights, below the limits of the motors. They are no advice to raise a gain."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """One axis of the flights that flew the same gains.
+
+    Attributes
+    ----------
+    flights : their names.
+    gains : as the firmware names them.
+    refused : why nothing is known; "" where something is.
+    miss : how far the controller that the gains make is from what the log recorded.
+    """
+
+    axis: str
+    flights: tuple[str, ...]
+    gains: Mapping[str, float]
+    refused: str = ""
+    hint: str = ""
+    miss: float = math.nan
+    margins: Margins | None = None
+    loop: Loop | None = None
+    controller: Controller | None = None
+
+    def lines(self) -> list[str]:
+        """At most five lines for people."""
+        gains = ", ".join(f"{name} {value:g}" for name, value in self.gains.items())
+        whose = f"{len(self.flights)} flights" if len(self.flights) > 1 else ", ".join(self.flights)
+        head = f"{self.axis}: {gains} ({whose})" if gains else f"{self.axis} ({whose})"
+        if self.margins is None:
+            return [head, f"  refused: {self.refused}", f"  try: {self.hint}"]
+        m = self.margins
+        grows = f"disturbances grow at most {m.ms.said('.2f')} times (Ms)"
+        noise = f"a deg/s of gyro noise moves the output by at most {m.noise.said('.2f')} of 1000"
+        margin = (
+            f"phase margin {m.phase_deg.said('.0f', ' deg')}, delay margin {m.delay_ms.said('.1f', ' ms')}"
+        )
+        return [
+            head,
+            f"  the loop's gain is one at {m.crossover_hz.said('.1f', ' Hz')}; {margin}",
+            f"  gain margin {m.gain_db.said('.1f', ' dB')}; {grows}",
+            f"  bandwidth from the sticks (-3 dB) {m.bandwidth_hz.said('.1f', ' Hz')}; {noise}",
+            f"  known from {m.band_hz[0]:.0f} to {m.band_hz[1]:.0f} Hz; the stated gains give the recorded "
+            f"output to {100.0 * self.miss:.0f} %",
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        told: dict[str, Any] = {
+            "axis": self.axis,
+            "flights": list(self.flights),
+            "gains": dict(self.gains),
+            "refused": self.refused or None,
+        }
+        if self.margins is None:
+            return told
+        figures = {
+            name: _plain(value) for name, value in vars(self.margins).items() if isinstance(value, Figure)
+        }
+        band = list(self.margins.band_hz)
+        return told | {"controller_miss": self.miss, "band_hz": band, "figures": figures}
+
+
+def _plain(figure: Figure) -> dict[str, Any]:
+    told = asdict(figure)
+    return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in told.items()}
+
+
+def judge(logs: Iterable[Any], axes: Iterable[str] = ("roll", "pitch")) -> list[Judged]:
+    """Every axis of every set of gains, in the order of the flights.
+
+    Parameters
+    ----------
+    logs : flights of a lake.
+
+    Flights of the same gains are judged together. What cannot be known is refused with its reason; nothing is
+    raised.
+    """
+    found = []
+    every = list(logs)
+    for axis in axes:
+        groups: dict[tuple[Any, ...], list[Any]] = {}
+        for log in every:
+            try:
+                key = tuple(settings_of(log).get(name, "") for name in (AXES[axis], *ALIKE))
+            except DataError:
+                key = (log.name,)
+            groups.setdefault(key, []).append(log)
+        found += [_judge(group, axis) for group in groups.values()]
+    return found
+
+
+def _judge(logs: list[Any], axis: str) -> Judged:
+    names = tuple(log.name for log in logs)
+    gains: Mapping[str, float] = {}
+    try:
+        settings = [settings_of(log) for log in logs]
+        parts = [record_of(log, axis, own) for log, own in zip(logs, settings, strict=True)]
+        each = [betaflight(own, axis, throttle) for own, (_, throttle) in zip(settings, parts, strict=True)]
+        gains = each[0].gains
+        loop = Loop.of([record for record, _ in parts])
+        low, high = trusted_band(loop)
+        controller = each[0].as_flown(loop, low, high)
+        miss = refuse_misfit(controller, loop, low, high)
+        return Judged(axis, names, gains, "", "", miss, margins(loop, controller), loop, controller)
+    except DataError as error:
+        return Judged(axis, names, gains, error.message, error.hint)

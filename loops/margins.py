@@ -1,0 +1,178 @@
+"""Margins of a measured loop under given gains, each with a 95 % interval, or why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.stats import t
+
+from flysid.dataset import FloatArray
+from flysid.errors import DataError
+from flysid.loops.controller import Controller
+from flysid.loops.stick_response import ComplexArray, Loop, plant
+
+TRUSTED = 0.4
+NEIGHBOURS = 7  # lines: one that the sticks happened to leave out ends no band
+LOWEST_HZ = 1.5  # three lines of a window of two seconds
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure and its 95 % interval; `why` it is not known where it is None."""
+
+    value: float | None
+    low: float = np.nan
+    high: float = np.nan
+    why: str = ""
+
+    def said(self, form: str, unit: str = "") -> str:
+        """For people: "12.1 Hz [11.0, 13.5]"."""
+        if self.value is None:
+            return f"not determined: {self.why}"
+        return f"{self.value:{form}}{unit} [{self.low:{form}}, {self.high:{form}}]"
+
+
+@dataclass(frozen=True)
+class Margins:
+    """What the present gains mean.
+
+    Attributes
+    ----------
+    band_hz : where the plant is known to `TRUSTED` of itself.
+    crossover_hz, phase_deg, gain_db, delay_ms : where the loop's gain is one; margins there and at -180 deg.
+    ms : the largest sensitivity inside the band: how much disturbances grow at worst.
+    bandwidth_hz : where the answer to the setpoint falls to -3 dB.
+    noise : the largest gain from measurement noise to the controller's output, inside the band.
+    """
+
+    band_hz: tuple[float, float]
+    crossover_hz: Figure
+    phase_deg: Figure
+    gain_db: Figure
+    delay_ms: Figure
+    ms: Figure
+    bandwidth_hz: Figure
+    noise: Figure
+
+
+def trusted_band(loop: Loop) -> tuple[float, float]:
+    """The widest stretch of frequencies, Hz, from `LOWEST_HZ` on in which the plant is known.
+
+    Raises
+    ------
+    DataError : there is none: the sticks did not move the vehicle enough.
+    """
+    spread = median_filter(loop.spread(), NEIGHBOURS, mode="nearest")
+    known = (spread < TRUSTED) & (loop.f >= LOWEST_HZ)
+    first = int(np.argmax(known))
+    if not known[first] or loop.f[first] > 2.0 * LOWEST_HZ:
+        raise DataError(
+            "the sticks moved too little for the loop to be seen through its own disturbances",
+            hint="fly quick stick movements on this axis, a minute of them, in calm air",
+        )
+    wrong = np.flatnonzero(~known[first:])
+    last = first + int(wrong[0]) - 1 if len(wrong) else len(known) - 1
+    if last - first < 3:
+        raise DataError(
+            f"the plant is known between {loop.f[first]:.0f} and {loop.f[last]:.0f} Hz alone",
+            hint="fly quick stick movements on this axis, a minute of them, in calm air",
+        )
+    return float(loop.f[first]), float(loop.f[last])
+
+
+def margins(loop: Loop, controller: Controller) -> Margins:
+    """The figures of one loop.
+
+    Raises
+    ------
+    DataError : the plant is not known anywhere, or not where the loop's gain is one.
+    """
+    low, high = trusted_band(loop)
+    at = (loop.f >= low) & (loop.f <= high)
+    f = loop.f[at]
+    back, forward = controller.feedback(f), controller.reference(f)
+    centre, draws = smoothed(f, plant(loop.mean)[at], plant(loop.draws)[:, at])
+    one = _figures(f, centre, back, forward)
+    if np.isnan(one[0]):
+        raise DataError(
+            f"the loop's gain is not one between {low:.0f} and {high:.0f} Hz, where alone the plant is known",
+            hint="fly quicker stick movements: steps and flicks, on this axis",
+        )
+    every = np.array([_figures(f, g, back, forward) for g in draws])
+    blocks = sum(len(b) for b in loop.blocks)
+    beyond = f"beyond {high:.0f} Hz, where the sticks say nothing"
+    named = [_figure(value, column, beyond, blocks) for value, column in zip(one, every.T, strict=True)]
+    return Margins((low, high), *named)
+
+
+def smoothed(f: FloatArray, centre: ComplexArray, draws: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """The plant (F,) and its draws (D, F) without their scatter from one frequency to the next.
+
+    ln G is a cubic in ln f, its phase with a delay beside, by least squares weighted with the draws' scatter:
+    a largest value, as Ms is, of a ragged curve would be too large.
+    """
+    away = np.log(draws / centre)
+    weight = 1.0 / np.sqrt(np.maximum((np.abs(away) ** 2).mean(axis=0), 1e-8))
+    x = np.log(f / np.sqrt(f[0] * f[-1]))
+    basis = np.stack([np.ones_like(x), x, x**2, x**3], axis=1)
+    size = _onto(basis, weight)
+    turn = _onto(np.column_stack([basis, f]), weight)
+    level, phase = np.log(np.abs(centre)), np.unwrap(np.angle(centre))
+    middle = np.exp(size @ level + 1j * (turn @ phase))
+    return middle, middle * np.exp(away.real @ size.T + 1j * (away.imag @ turn.T))
+
+
+def _onto(basis: FloatArray, weight: FloatArray) -> FloatArray:
+    """(F, F) that takes values to their weighted fit."""
+    found: FloatArray = basis @ np.linalg.pinv(basis * weight[:, None]) * weight
+    return found
+
+
+def _figures(f: FloatArray, g: ComplexArray, back: ComplexArray, forward: ComplexArray) -> list[float]:
+    """In the order of `Margins`; NaN for what is not reached."""
+    loop = g * back
+    size = np.log(np.abs(loop))
+    turn = np.unwrap(np.angle(loop))
+    turn -= (
+        2.0 * np.pi * np.round((turn[0] + 0.5 * np.pi) / (2.0 * np.pi))
+    )  # an integrator's -90 deg at first
+    crossover = _falls(f, size)
+    phase = 180.0 + np.degrees(np.interp(crossover, f, turn)) if np.isfinite(crossover) else np.nan
+    turned = _falls(f, turn + np.pi)
+    gain = -20.0 / np.log(10.0) * np.interp(turned, f, size) if np.isfinite(turned) else np.nan
+    sensitivity = np.abs(1.0 / (1.0 + loop))
+    answer = np.log(np.abs(g * forward / (1.0 + loop)) * np.sqrt(2.0))
+    delay = 1000.0 * phase / (360.0 * crossover)
+    return [
+        crossover,
+        float(phase),
+        float(gain),
+        float(delay),
+        float(sensitivity.max()),
+        _falls(f, answer),
+        float((np.abs(back) * sensitivity).max()),
+    ]
+
+
+def _falls(f: FloatArray, values: FloatArray) -> float:
+    """The last frequency at which values fall through zero; NaN where they do not."""
+    down = np.flatnonzero((values[:-1] > 0.0) & (values[1:] <= 0.0))
+    if not len(down):
+        return np.nan
+    k = int(down[-1])
+    share = values[k] / (values[k] - values[k + 1])
+    return float(np.exp((1.0 - share) * np.log(f[k]) + share * np.log(f[k + 1])))
+
+
+def _figure(value: float, draws: FloatArray, beyond: str, blocks: int) -> Figure:
+    """With its interval; not determined where any draw does not reach it: the interval would be cut off.
+
+    Half the width is Student's t times the draws' standard deviation: a resample of B blocks scatters less
+    than the blocks do.
+    """
+    if np.isnan(value) or not np.isfinite(draws).all():
+        return Figure(None, why=beyond)
+    reach = float(t.ppf(0.975, blocks - 1) * draws.std() * np.sqrt(blocks / (blocks - 1)))
+    return Figure(value, value - reach, value + reach)

@@ -1,0 +1,58 @@
+"""What a closed loop would be under other gains: the plant of some flights, the controller of another.
+
+Plants differ from flight to flight (battery, air, throttle) by more than one flight's own scatter tells. The
+band of a prediction is therefore made of the differences among the flights, by Student's t with one degree of
+freedom less than there are flights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.errors import DataError
+from flysid.loops.controller import Controller
+from flysid.loops.stick_response import DRAWS, ComplexArray, Loop, plant
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """From setpoint to rate at frequencies f (Hz): (F,) the response, and (DRAWS, F) what else it may be."""
+
+    f: FloatArray
+    response: ComplexArray
+    draws: ComplexArray
+
+    def radius(self, level: float = 0.95) -> FloatArray:
+        """(F,) distance from `response` within which a share `level` of the draws lies."""
+        return np.asarray(np.quantile(np.abs(self.draws - self.response), level, axis=0))
+
+
+def predict(flights: Sequence[Loop], controller: Controller) -> Prediction:
+    """The closed loop under a controller, from flights of the same vehicle under any gains.
+
+    Raises
+    ------
+    DataError : fewer than three flights: how much plants differ is not known.
+    """
+    if len(flights) < 3:
+        raise DataError(
+            f"{len(flights)} flights do not tell how much the vehicle differs from one to the next",
+            hint="give three flights or more",
+        )
+    f = flights[0].f
+    pooled = plant(np.asarray(sum(x.mean for x in flights)))
+    apart = np.log(np.array([plant(x.mean) / pooled for x in flights]))
+    n = len(flights)
+    rng = np.random.default_rng(0)
+    weights = rng.standard_normal((DRAWS, n)) * np.sqrt((1.0 + 1.0 / n) / (n - 1))
+    weights *= np.sqrt((n - 1) / rng.chisquare(n - 1, DRAWS))[:, None]
+    draws = pooled * np.exp(weights @ apart)
+    return Prediction(f, _closed(pooled, f, controller), _closed(draws, f, controller))
+
+
+def _closed(g: ComplexArray, f: FloatArray, controller: Controller) -> ComplexArray:
+    return np.asarray(g * controller.reference(f) / (1.0 + g * controller.feedback(f)))

@@ -1,0 +1,158 @@
+"""A loop measured in flight: what the setpoint moves, in the controller's output and in the vehicle.
+
+In a closed loop the ratio of output and input spectra is no response of the plant: both answer disturbances.
+What the setpoint r moves is free of them (joint input-output; Pintelon & Schoukens, 2012, 2.7),
+
+    G = S_ry / S_ru,        T = S_ry / S_rr
+
+with the controller's output u and the measured rate y. The scatter is found by resampling stretches of
+windows, whole flights where there are several.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.dataset import FloatArray
+from flysid.errors import DataError
+
+ComplexArray = npt.NDArray[np.complex128]
+WINDOW_S = 2.0  # shorter ones cut off the loop's memory: 1.5 degrees of phase at 1 s
+OVERLAP = 0.5
+TOGETHER = 4  # windows to a block: stretches this long hardly know of each other
+DRAWS = 200
+LEAST_BLOCKS = 6
+FLIGHTS_TO_RESAMPLE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One flight of a loop on an even grid, in pieces without gaps.
+
+    Attributes
+    ----------
+    rate_hz : samples a second.
+    pieces : (3, N) setpoint, controller's output, measured rate.
+    """
+
+    name: str
+    rate_hz: float
+    pieces: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """Spectra of one or several flights of a loop, and what to resample.
+
+    Attributes
+    ----------
+    f : (F,) Hz.
+    blocks : per flight (B, 3, 3, F) sums of conj(X_i) X_j over the windows of a block; rows setpoint, output,
+        rate.
+    """
+
+    f: FloatArray
+    blocks: tuple[ComplexArray, ...]
+
+    @classmethod
+    def of(cls, records: Sequence[Record], window_s: float = WINDOW_S) -> Loop:
+        """Windows of `window_s`, under a Hann window.
+
+        Raises
+        ------
+        DataError : fewer than ten blocks in all, or flights of different rates.
+        """
+        rate = records[0].rate_hz
+        if any(abs(r.rate_hz - rate) > 1e-9 * rate for r in records):
+            raise DataError("the flights are sampled at different rates", hint="judge one flight at a time")
+        size = round(window_s * rate)
+        if not any(np.ptp(piece[0]) for record in records for piece in record.pieces):
+            raise DataError(
+                "the sticks never move: a loop shows itself in its answer to them",
+                hint="fly quick stick movements on this axis, a minute of them, in calm air",
+            )
+        blocks = tuple(_blocks(record, size) for record in records)
+        if sum(len(b) for b in blocks) < LEAST_BLOCKS:
+            raise DataError(
+                f"{sum(len(b) for b in blocks)} s of flight in one piece are too few for a loop",
+                hint="fly half a minute with sticks moving",
+            )
+        return cls(
+            np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64),
+            tuple(b for b in blocks if len(b)),
+        )
+
+    @cached_property
+    def mean(self) -> ComplexArray:
+        """(3, 3, F) over everything."""
+        return np.asarray(sum(b.sum(axis=0) for b in self.blocks))
+
+    @cached_property
+    def draws(self) -> ComplexArray:
+        """(DRAWS, 3, 3, F) resampled: flights first, where there are at least four, then blocks of each."""
+        rng = np.random.default_rng(0)
+        flights = len(self.blocks)
+        often = np.ones((DRAWS, flights))  # how often a flight is drawn
+        if flights >= FLIGHTS_TO_RESAMPLE:
+            often = rng.multinomial(flights, np.full(flights, 1.0 / flights), DRAWS).astype(np.float64)
+        total = np.zeros((DRAWS, self.blocks[0][0].size), dtype=np.complex128)
+        for i, b in enumerate(self.blocks):
+            counts = rng.multinomial(len(b), np.full(len(b), 1.0 / len(b)), DRAWS) * often[:, [i]]
+            total += counts @ b.reshape(len(b), -1)
+        return total.reshape(DRAWS, *self.blocks[0].shape[1:])
+
+    @property
+    def coherence(self) -> FloatArray:
+        """(F,) of setpoint and rate."""
+        s = self.mean
+        return np.asarray(np.abs(s[0, 2]) ** 2 / (s[0, 0].real * s[2, 2].real))
+
+    def spread(self) -> FloatArray:
+        """(F,) relative standard error of the plant, or of the output's or the rate's answer to the setpoint.
+
+        Of the plant alone it would not do: where the sticks say nothing, output and rate still agree, since
+        the controller makes the one of the other, and their ratio is -1 / C with hardly any scatter.
+        """
+        every = (plant, closed_loop, _output)
+        return np.asarray(np.max([_relative(of(self.draws), of(self.mean)) for of in every], axis=0))
+
+
+def _relative(draws: ComplexArray, centre: ComplexArray) -> FloatArray:
+    away = np.abs(draws - centre) ** 2
+    return np.asarray(np.sqrt(np.median(away, axis=0) / np.log(2.0)) / np.maximum(np.abs(centre), 1e-300))
+
+
+def plant(s: ComplexArray) -> ComplexArray:
+    """From the controller's output to the rate; of spectra (..., 3, 3, F)."""
+    return np.asarray(s[..., 0, 2, :] / s[..., 0, 1, :])
+
+
+def closed_loop(s: ComplexArray) -> ComplexArray:
+    """From the setpoint to the rate."""
+    return np.asarray(s[..., 0, 2, :] / s[..., 0, 0, :])
+
+
+def _output(s: ComplexArray) -> ComplexArray:
+    """From the setpoint to the controller's output."""
+    return np.asarray(s[..., 0, 1, :] / s[..., 0, 0, :])
+
+
+def _blocks(record: Record, size: int) -> ComplexArray:
+    step = max(1, round(size * (1.0 - OVERLAP)))
+    window = np.hanning(size)
+    found = []
+    for piece in record.pieces:
+        starts = np.arange(0, piece.shape[1] - size + 1, step)
+        for group in (starts[i : i + TOGETHER] for i in range(0, len(starts) - TOGETHER + 1, TOGETHER)):
+            total = np.zeros((3, 3, size // 2 + 1), dtype=np.complex128)
+            for at in group:
+                cut = piece[:, at : at + size]
+                X = np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * window, axis=1)
+                total += X.conj()[:, None] * X[None]
+            found.append(total)
+    return np.asarray(found) if found else np.zeros((0, 3, 3, size // 2 + 1), dtype=np.complex128)

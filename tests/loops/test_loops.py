@@ -1,0 +1,197 @@
+"""Margins and predictions of loops whose truth is known, and what must be refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from click.testing import CliRunner
+
+from flysid.cli.gains import command
+from flysid.errors import DataError
+from flysid.loops.controller import betaflight, refuse_misfit
+from flysid.loops.judged import judge
+from flysid.loops.margins import margins, trusted_band
+from flysid.loops.prediction import predict
+from flysid.loops.stick_response import Loop, plant
+from tests.loops.simulated import PID, Vehicle, fly, truth
+
+LOGS = Path("../shared/logs/blackbox")
+HEADER = {
+    "Firmware revision": "Betaflight 3.4.0 (a5ba01666) OMNIBUSF4SD",
+    "rollPID": "46,45,25",
+    "pitchPID": "46,45,25",
+    "dterm_filter_type": "0",
+    "dterm_lowpass_hz": "100",
+    "dterm_lowpass2_hz": "200",
+    "dterm_setpoint_weight": "60",
+    "setpoint_relaxation_ratio": "0",
+    "pidsum_limit": "500",
+}
+STEADY = np.full(10, 1200.0)
+
+
+@dataclass
+class Log:
+    """As much of a stored log as the loops read."""
+
+    name: str
+    tables: dict[str, dict[str, Any]]
+
+    @property
+    def facts(self) -> Any:
+        return SimpleNamespace(streams=dict.fromkeys(self.tables, 1))
+
+    def table(self, stream: str, columns: list[str]) -> pa.Table:
+        return pa.table({name: self.tables[stream][name] for name in columns})
+
+
+def log_of(seconds: float = 60.0, header: dict[str, str] | None = None, **flight: float) -> Log:
+    """A simulated flight as a Betaflight log of its roll axis."""
+    settings = HEADER | (header or {})
+    own = betaflight(HEADER, "roll", STEADY)
+    vehicle = Vehicle(delay_steps=6)
+    record = fly(vehicle, own, seconds, 3, **flight)
+    r, u, y = record.pieces[0]
+    time = (np.arange(len(r)) * 2_000_000).astype(np.int64)
+    nothing = np.zeros(len(r))
+    main = {"time_ns": time, "gyroADC[0]": y, "axisP[0]": u, "axisI[0]": nothing, "axisD[0]": nothing}
+    return Log(
+        "flight",
+        {
+            "main": main | {"rcCommand[3]": nothing + 1200.0},
+            "setpoint": {"time_ns": time, "setpoint[0]": r},
+            "parameters": {"name": list(settings), "text": list(settings.values())},
+        },
+    )
+
+
+def test_margins_hold_the_truth_of_a_known_loop() -> None:
+    vehicle = Vehicle()
+    found = margins(Loop.of([fly(vehicle, PID, 150.0, 5)]), PID)
+    for name, value in truth(vehicle, PID).items():
+        figure = getattr(found, name)
+        assert figure.value is None or figure.low <= value <= figure.high, name
+    assert found.phase_deg.value == pytest.approx(truth(vehicle, PID)["phase_deg"], abs=3.0)
+    assert found.crossover_hz.value == pytest.approx(truth(vehicle, PID)["crossover_hz"], rel=0.05)
+
+
+def test_disturbances_do_not_bend_the_plant() -> None:
+    """What the controller does against them would give -1 / C."""
+    vehicle = Vehicle()
+    loop = Loop.of([fly(vehicle, PID, 200.0, 1, disturbance=150.0)])
+    at = (loop.f >= 4.0) & (loop.f <= 12.0)
+    share = plant(loop.mean)[at] / vehicle.response(loop.f[at])
+    assert abs(np.mean(share) - 1.0) < 0.1
+
+
+def test_a_gain_margin_beyond_the_sticks_is_not_stated() -> None:
+    found = margins(Loop.of([fly(Vehicle(), PID, 60.0, 2)]), PID)
+    assert found.gain_db.value is None
+    assert "where the sticks say nothing" in found.gain_db.said(".1f")
+
+
+@pytest.mark.parametrize("stick", [0.0, 0.5])
+def test_without_sticks_nothing_is_known(stick: float) -> None:
+    with pytest.raises(DataError, match=r"sticks|known between|not one"):
+        margins(Loop.of([fly(Vehicle(), PID, 60.0, 1, stick=stick)]), PID)
+
+
+def test_a_short_flight_is_refused() -> None:
+    with pytest.raises(DataError, match="too few for a loop"):
+        Loop.of([fly(Vehicle(), PID, 8.0, 1)])
+
+
+@pytest.mark.parametrize("change", [{"p": 2.0}, {"p": 0.7}, {"d": 3.0}, {"p": 57.3, "i": 57.3, "d": 57.3}])
+def test_gains_that_did_not_fly_are_refused(change: dict[str, float]) -> None:
+    """Among them those in other units: radians for degrees."""
+    loop = Loop.of([fly(Vehicle(), PID, 60.0, 1)])
+    low, high = trusted_band(loop)
+    assert refuse_misfit(PID, loop, low, high) < 0.1
+    wrong = replace(PID, **{name: getattr(PID, name) * by for name, by in change.items()})
+    with pytest.raises(DataError, match="do not give what the log recorded"):
+        refuse_misfit(wrong, loop, low, high)
+
+
+def test_a_prediction_for_other_gains_holds_on_another_vehicle_of_the_kind() -> None:
+    rng = np.random.default_rng(0)
+
+    def vehicle() -> Vehicle:
+        return Vehicle(70.0 * np.exp(0.1 * rng.standard_normal()), 0.02, 8)
+
+    early = [Loop.of([fly(vehicle(), PID, 60.0, seed)]) for seed in range(4)]
+    later = replace(PID, p=1.6 * PID.p, d=1.3 * PID.d)
+    told = predict(early, later)
+    inside = []
+    for _ in range(20):
+        at = (told.f >= 2.0) & (told.f <= 20.0)
+        f = told.f[at]
+        g = vehicle().response(f)
+        true = g * later.reference(f) / (1.0 + g * later.feedback(f))
+        away = np.abs(true - told.response[at])
+        inside.append(away <= told.radius()[at])
+        assert np.median(away / np.abs(true)) < 0.25
+    assert np.mean(inside) > 0.9
+
+
+def test_two_flights_do_not_tell_how_flights_differ() -> None:
+    loop = Loop.of([fly(Vehicle(), PID, 30.0, 1)])
+    with pytest.raises(DataError, match="2 flights do not tell"):
+        predict([loop, loop], PID)
+
+
+def test_a_log_is_judged_from_its_header() -> None:
+    found = judge([log_of()], ["roll"])[0]
+    assert found.margins is not None
+    assert found.gains == {"rollPID P": 46.0, "I": 45.0, "D": 25.0}
+    own = truth(Vehicle(delay_steps=6), betaflight(HEADER, "roll", STEADY))
+    assert found.margins.phase_deg.value == pytest.approx(own["phase_deg"], abs=5.0)
+    assert len(found.lines()) == 5
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("header", "flight", "why"),
+    [
+        ({"Firmware revision": "Betaflight 4.4.0 (x) Y"}, {}, "is not known here"),
+        ({"Firmware revision": "INAV 7.0.0 (x) Y"}, {}, "is not known here"),
+        ({"Firmware revision": ""}, {}, "unnamed firmware"),
+        ({"rollPID": ""}, {}, "does not state rollPID"),
+        ({"dterm_lowpass_hz": ""}, {}, "does not state dterm_lowpass_hz"),
+        ({"rollPID": "92,45,25"}, {}, "do not give what the log recorded"),
+        ({"pidsum_limit": "100"}, {}, "at its limit"),
+        ({}, {"stick": 0.0}, "sticks"),
+    ],
+)
+def test_what_cannot_be_known_is_refused_with_what_to_fly(
+    header: dict[str, str], flight: dict[str, float], why: str
+) -> None:
+    found = judge([log_of(40.0, header, **flight)], ["roll"])[0]
+    assert found.margins is None
+    assert why in found.refused or "known between" in found.refused
+    assert found.hint
+
+
+def test_a_log_without_gains_is_refused() -> None:
+    log = log_of(20.0)
+    del log.tables["parameters"]
+    assert "no blackbox log" in judge([log], ["roll"])[0].refused
+
+
+@pytest.mark.skipif(not LOGS.is_dir(), reason="no real logs here")
+def test_a_real_log_on_the_command_line(tmp_path: Path) -> None:
+    picture = tmp_path / "nyquist.png"
+    arguments = [str(LOGS / "greenreaper_flight26.bfl"), "--axis", "roll", "--json", "--plot", str(picture)]
+    done = CliRunner().invoke(command, arguments, standalone_mode=False)
+    assert done.exception is None
+    told = json.loads(done.stdout)[0]
+    assert told["gains"] == {"rollPID P": 55.0, "I": 47.0, "D": 30.0}
+    assert told["controller_miss"] < 0.1
+    assert 12.0 < told["figures"]["crossover_hz"]["value"] < 20.0
+    assert picture.stat().st_size > 1000
