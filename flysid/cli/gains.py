@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from flysid.cli.output import check_target, printable, say
-from flysid.cli.source import format_option, opened_flights
+from flysid.cli.source import Words, opened_flights, reading_options
 
 
 @click.command("gains")
@@ -24,7 +24,7 @@ from flysid.cli.source import format_option, opened_flights
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Nyquist plot into this file.")
 @click.option("--force", is_flag=True, help="Replace the picture if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
-@format_option
+@reading_options
 def command(
     source: Path,
     axes: tuple[str, ...],
@@ -32,7 +32,7 @@ def command(
     plot: Path | None,
     force: bool,
     as_json: bool,
-    format_: str,
+    told: Words,
 ) -> int:
     """Say what the present gains mean: crossover, margins, bandwidth, noise; each with a 95 % interval.
 
@@ -45,7 +45,7 @@ def command(
 
     if plot is not None:
         check_target(plot, force)
-    with opened_flights(source, format_) as lake:
+    with opened_flights(source, told) as lake:
         found = judge(select(lake, Selection(flights=flights)).logs, axes or ("roll", "pitch"))
     known = [j for j in found if j.margins is not None]
     if as_json:
