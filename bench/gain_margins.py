@@ -13,7 +13,7 @@ import numpy as np
 from flysid.errors import DataError
 from flysid.loops.margins import margins
 from flysid.loops.stick_response import Loop
-from tests.loops.simulated import PID, Vehicle, fly, truth
+from tests.flysid.loops.simulated import PID, Vehicle, fly, truth
 
 
 def main(arguments: list[str]) -> int:

@@ -12,8 +12,8 @@ import pytest
 from flysid.export.fmu import PLATFORM, fmu_bytes
 from flysid.export.programs import program_of
 from flysid.export.reference import run
-from tests.export.compiled import gcc, needs_gcc
-from tests.export.test_c import example, inputs
+from tests.flysid.export.compiled import gcc, needs_gcc
+from tests.flysid.export.test_c import example, inputs
 
 fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
 pytestmark = needs_gcc

@@ -24,7 +24,7 @@ from flysid.model.linear.model import FittedLinear
 from flysid.model.oe import OE
 from flysid.model.static_ts import StaticTS
 from flysid.model.transfer_function import FittedTF
-from tests.export.compiled import WARNINGS, gcc, needs_gcc, run_in_c, write_c
+from tests.flysid.export.compiled import WARNINGS, gcc, needs_gcc, run_in_c, write_c
 from tests.model_examples import EXAMPLES
 
 EXPORTED = [name for name in EXAMPLES if not name.startswith("ensemble")]

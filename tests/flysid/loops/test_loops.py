@@ -20,7 +20,7 @@ from flysid.loops.judged import judge
 from flysid.loops.margins import margins, trusted_band
 from flysid.loops.prediction import predict
 from flysid.loops.stick_response import Loop, plant
-from tests.loops.simulated import PID, Vehicle, fly, truth
+from tests.flysid.loops.simulated import PID, Vehicle, fly, truth
 
 LOGS = Path("../shared/logs/blackbox")
 HEADER = {

@@ -13,7 +13,7 @@ from scipy.io import loadmat, savemat
 from flysid.export.matlab import matlab_files
 from flysid.export.programs import program_of
 from flysid.export.reference import run
-from tests.export.test_c import example, inputs
+from tests.flysid.export.test_c import example, inputs
 
 
 @pytest.mark.skipif(shutil.which("octave") is None, reason="Octave is not installed")
