@@ -46,10 +46,10 @@ VERBS = {
 }
 
 STEPS = {
-    "Look": ("doctor", "show", "plot", "ls", "recipes"),
+    "Look": ("doctor", "show", "plot", "ls", "recipes", "studio"),
     "Prepare": ("ingest", "record", "synth", "scrub"),
     "Fit": ("fit", "tf", "step"),
-    "Judge": ("validate", "compare", "runs", "reproduce"),
+    "Judge": ("validate", "compare", "runs", "gains", "watch", "reproduce"),
     "Share": ("export",),
     "Try": ("demo",),
 }

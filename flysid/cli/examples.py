@@ -14,6 +14,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "flysid fit data --recipe ardupilot-attitude -o run",
         "flysid fit flight.bin -r ardupilot-attitude --between 2:00..6:30 --mode LOITER -o run",
     ),
+    "gains": ("flysid gains flight.bfl", "flysid gains data --axis roll --plot loop.png"),
     "ingest": ("flysid ingest logs/ -o data", "flysid ingest flight.bin 'more/*.ulg' -o data"),
     "ls": ("flysid ls data", "flysid ls flight.bin --suggest"),
     "plot": (
@@ -29,11 +30,17 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "runs": ("flysid runs", "flysid runs experiments/ --json"),
     "scrub": ("flysid scrub flight.tlog -o shared.tlog", "flysid scrub flight.bin -o shared.bin --force"),
     "show": ("flysid show flight.bin", "flysid show data 2026-05-01 ATT"),
+    "step": (
+        "flysid step flight.bfl -r betaflight-rate -c roll_rate --plot step.png",
+        "flysid step before.bfl -r betaflight-rate -c roll_rate --against after.bfl",
+    ),
+    "studio": ("flysid studio data", "flysid studio data --port 8765 --no-open"),
     "synth": ("flysid synth -o logs", "flysid synth -o logs --plan steps --duration 30 --format tlog"),
     "tf": (
         "flysid tf data -r ardupilot-attitude --plot bode.png",
         "flysid tf flight.csv --from pitch_cmd --to v_x --poles 2",
     ),
+    "watch": ("flysid watch run crash.bin", "flysid watch run udp:0.0.0.0:14550 --fail"),
     "validate": ("flysid validate run", "flysid validate run -o paper --markdown --figures pdf"),
 }
 

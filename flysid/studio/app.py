@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import importlib
 import json
-from collections.abc import AsyncIterator, Callable
+import threading
+from collections.abc import AsyncIterator, Awaitable, Callable
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -31,21 +33,36 @@ if TYPE_CHECKING:
     from flysid.studio.channels import Recipes
     from flysid.studio.flights import Flights
 
+READING = ("flights", "runs", "channels", "uploads")
 FRAME_POLICY = "sandbox allow-scripts; frame-ancestors 'self'"
 SILENCE_S = 10.0  # an event stream says something at least this often
+Handler = Callable[[Request], Awaitable[Response]]
 Form = TypeVar("Form")
 
 
 class Studio:
     """The handlers; each answers one route.
 
-    What reads tables or models is imported by the first request that needs it: the address answers at once.
+    What reads tables or models is imported by one thread while the address answers already; requests that
+    need it wait. Two threads must not import at once: of packages that import their modules, one of them
+    would see a half-made one.
     """
 
     def __init__(self, workspace: Workspace, cache: Path) -> None:
         self.workspace = workspace
         self.jobs = Jobs(workspace.jobs)
         self._cache = cache
+        self._reads = threading.Event()
+        self._explains = threading.Event()
+
+    def load(self) -> None:
+        """Import what reads flights and runs, then what computes models."""
+        for loaded, names in ((self._reads, READING), (self._explains, ("explain",))):
+            try:
+                for name in names:
+                    importlib.import_module(f"flysid.studio.{name}")
+            finally:
+                loaded.set()
 
     @cached_property
     def flights(self) -> Flights:
@@ -224,6 +241,17 @@ class Studio:
         body = model_of(self.workspace, where["run"], where["channel"], where["label"])
         return Response(body, media_type="application/json")
 
+    def _after_loading(self, handler: Handler) -> Handler:
+        """The handler, when what it needs has been imported."""
+        needed = self._explains if handler == self.explanation else self._reads
+
+        async def waiting(request: Request) -> Response:
+            if not needed.is_set():
+                await run_in_threadpool(needed.wait)
+            return await handler(request)
+
+        return waiting
+
     def routes(self) -> list[Route | Mount]:
         """All routes; reads are GET, what makes or changes something is POST, PUT or DELETE."""
         get = [
@@ -253,9 +281,15 @@ class Studio:
         ]
         assets = StaticFiles(directory=str(resources.files("flysid.studio") / "assets"), html=True)
         return [
-            *(Route(f"/api/1/{path}", handler, methods=["GET"]) for path, handler in get),
-            *(Route(f"/api/1/{path}", handler, methods=["POST"]) for path, handler in post),
-            Route("/api/1/recipes/{name}", self.recipe, methods=["GET", "PUT"]),
+            *(
+                Route(f"/api/1/{path}", self._after_loading(handler), methods=["GET"])
+                for path, handler in get
+            ),
+            *(
+                Route(f"/api/1/{path}", self._after_loading(handler), methods=["POST"])
+                for path, handler in post
+            ),
+            Route("/api/1/recipes/{name}", self._after_loading(self.recipe), methods=["GET", "PUT"]),
             Route("/api/1/jobs/{job}", self.job, methods=["GET", "DELETE"]),
             Route("/shared/{name}", shared_asset, methods=["GET"]),
             Mount("/", assets),
@@ -276,6 +310,7 @@ def make_app(workspace: Workspace, key: Key, cache: Path, bounds: Bounds | None 
 
     @contextlib.asynccontextmanager
     async def working(_: Starlette) -> AsyncIterator[None]:
+        threading.Thread(target=studio.load, daemon=True).start()
         task = asyncio.create_task(studio.jobs.work())
         yield
         task.cancel()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import socket
 import threading
 import webbrowser
@@ -54,15 +53,8 @@ def serve(workspace: Workspace, port: int, ready: Callable[[str], None], show: b
     with bound(port) as listening, TemporaryDirectory(dir=workspace.folder, prefix=".views-") as cache:
         key = Key(listening.getsockname()[1])
         app = make_app(workspace, key, Path(cache))
-        threading.Thread(target=_warm_up, daemon=True).start()
         ready(key.address)
         if show:
             threading.Thread(target=webbrowser.open, args=(key.address,), daemon=True).start()
         config = uvicorn.Config(app, log_level="warning", access_log=False, server_header=False)
         uvicorn.Server(config).run(sockets=[listening])
-
-
-def _warm_up() -> None:
-    """Import what the first pages need, while the browser starts."""
-    for name in ("flights", "runs", "channels"):
-        importlib.import_module(f"flysid.studio.{name}")
