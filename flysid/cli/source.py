@@ -219,14 +219,27 @@ def opened(
 
 
 def require_fit(lake: Lake, recipe: str) -> None:
-    """Raise RecipeError where no flight has the streams of any channel; it names the recipes that do fit."""
-    from flysid.ingest.align.recipe import load_recipe
+    """Raise RecipeError where no flight has the streams of any channel.
 
-    if not lake.facts or lake.channels(load_recipe(recipe)):
+    It names what the first channel lacks in the first flight, streams of a like name, and recipes that fit.
+    """
+    from flysid.ingest.align.recipe import load_recipe
+    from flysid.ingest.align.signals import find_source, missing
+
+    asked = load_recipe(recipe)
+    if not lake.facts or lake.channels(asked):
         return
+    first = lake.logs[0]
+    signals = asked.signals_of(next(iter(asked.channels)))
+    absent = next(n for n in signals if find_source(asked.signals[n].sources, first) is None)
+    lacks = missing(absent, asked.signals[absent].sources, [first])
     fitting = [f"{name} ({', '.join(channels)})" for name, channels in lake.recipes().items()]
-    hint = f"these fit: {'; '.join(fitting)}" if fitting else "--from FIELD --to FIELD needs no recipe"
-    raise RecipeError(f"no flight has the streams of recipe {recipe!r}", path=lake.folder, hint=hint)
+    other = f"these fit: {'; '.join(fitting)}" if fitting else "--from FIELD --to FIELD needs no recipe"
+    raise RecipeError(
+        f"no flight has the streams of recipe {recipe!r}: {lacks.message}",
+        path=lake.folder,
+        hint=f"{lacks.hint}; {other}",
+    )
 
 
 @contextmanager

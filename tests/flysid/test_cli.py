@@ -183,4 +183,5 @@ def test_a_recipe_naming_a_stream_that_is_not_there(stream: str, piloted: Path, 
     done = call("fit", piloted, "-r", "mine.toml", "-o", "run", cwd=tmp_path)
     assert done.returncode == 2
     assert stream in done.stderr
+    assert "these fit: ardrone-synthetic (" in done.stderr
     assert not (tmp_path / "run").exists()
