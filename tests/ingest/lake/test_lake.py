@@ -1,4 +1,4 @@
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +23,19 @@ def stream(name: str, unit: str, **columns: np.ndarray) -> StreamPart:
 
 
 def parts(seed: int, roll_moves: bool) -> Generator[StreamPart, None, Summary]:
+    yield from attitudes(seed, roll_moves)
+    return Summary()
+
+
+def attitudes(seed: int, roll_moves: bool = True) -> Iterator[StreamPart]:
+    """Setpoints of 1 deg (standard deviation) and an attitude within a few deg of them."""
     rng = np.random.default_rng(seed)
     nav_roll = rng.normal(size=1000) if roll_moves else np.zeros(1000)
-    yield stream("1.1/NAV_CONTROLLER_OUTPUT", "deg", nav_roll=nav_roll, nav_pitch=rng.normal(size=1000))
-    yield stream("1.1/ATTITUDE", "rad", roll=rng.normal(size=1000), pitch=rng.normal(size=1000))
-    return Summary()
+    nav_pitch = rng.normal(size=1000)
+    roll = np.radians(nav_roll + rng.normal(size=1000))
+    pitch = np.radians(nav_pitch + rng.normal(size=1000))
+    yield stream("1.1/NAV_CONTROLLER_OUTPUT", "deg", nav_roll=nav_roll, nav_pitch=nav_pitch)
+    yield stream("1.1/ATTITUDE", "rad", roll=roll, pitch=pitch)
 
 
 @pytest.fixture

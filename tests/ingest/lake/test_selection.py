@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -17,17 +16,13 @@ from flysid.ingest.formats.base import Parts, Summary
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.selection import Selection, require_one_vehicle, select, vehicles
 from flysid.store import create_data_folder, write_flight
-from tests.ingest.lake.test_lake import stream
+from tests.ingest.lake.test_lake import attitudes
 
 SERIALS = ("0006000000003736323032335111002f0022", "0006000000003535323734325116003d0021")
 
 
 def parts(seed: int, info: dict[str, str]) -> Parts:
-    rng = np.random.default_rng(seed)
-    yield stream(
-        "1.1/NAV_CONTROLLER_OUTPUT", "deg", nav_roll=rng.normal(size=1000), nav_pitch=rng.normal(size=1000)
-    )
-    yield stream("1.1/ATTITUDE", "rad", roll=rng.normal(size=1000), pitch=rng.normal(size=1000))
+    yield from attitudes(seed)
     return Summary(info=info)
 
 
