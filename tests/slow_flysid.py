@@ -1,10 +1,12 @@
 """`python -m tests.slow_flysid`: the command line with linear models at once and a `ts` that takes a minute.
 
-For trials of interrupts. The models are replaced on import, in workers too.
+For trials of interrupts. The models are replaced on import, in workers too. The interrupt is heard even where
+the tests run behind a shell's `&`, which makes all that they start deaf to it.
 """
 
 from __future__ import annotations
 
+import signal
 import time
 from dataclasses import dataclass
 
@@ -35,4 +37,5 @@ setattr(fitting, "estimators", estimators)  # noqa: B010
 setattr(fitting, "dead_times", lambda _: ())  # noqa: B010
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     main()
