@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from flysid.studio.channels import Recipes
     from flysid.studio.flights import Flights
 
-READING = ("flights", "runs", "channels", "uploads")
+ROOMS = ("flights", "uploads", "channels", "runs", "explain")
+"""What is imported while the page opens, in this order."""
 FRAME_POLICY = "sandbox allow-scripts; frame-ancestors 'self'"
 SILENCE_S = 10.0  # an event stream says something at least this often
 Handler = Callable[[Request], Awaitable[Response]]
@@ -52,15 +53,13 @@ class Studio:
         self.workspace = workspace
         self.jobs = Jobs(workspace.jobs)
         self._cache = cache
-        self._reads = threading.Event()
-        self._explains = threading.Event()
+        self._loaded = {room: threading.Event() for room in ROOMS}
 
     def load(self) -> None:
-        """Import what reads flights and runs, then what computes models."""
-        for loaded, names in ((self._reads, READING), (self._explains, ("explain",))):
+        """Import the rooms one after the other; requests wait for theirs."""
+        for room, loaded in self._loaded.items():
             try:
-                for name in names:
-                    importlib.import_module(f"flysid.studio.{name}")
+                importlib.import_module(f"flysid.studio.{room}")
             finally:
                 loaded.set()
 
@@ -241,56 +240,51 @@ class Studio:
         body = model_of(self.workspace, where["run"], where["channel"], where["label"])
         return Response(body, media_type="application/json")
 
-    def _after_loading(self, handler: Handler) -> Handler:
-        """The handler, when what it needs has been imported."""
-        needed = self._explains if handler == self.explanation else self._reads
+    def _after_loading(self, room: str, handler: Handler) -> Handler:
+        """The handler, when the room that it needs has been imported."""
+        loaded = self._loaded[room]
 
         async def waiting(request: Request) -> Response:
-            if not needed.is_set():
-                await run_in_threadpool(needed.wait)
+            if not loaded.is_set():
+                await run_in_threadpool(loaded.wait)
             return await handler(request)
 
         return waiting
 
     def routes(self) -> list[Route | Mount]:
         """All routes; reads are GET, what makes or changes something is POST, PUT or DELETE."""
-        get = [
-            ("about", self.about),
-            ("flights", self.list_flights),
-            ("flights/{flight}", self.describe_flight),
-            ("flights/{flight}/track", self.track),
-            ("flights/{flight}/suggestions", self.suggest),
-            ("series", self.series),
-            ("align", self.align),
-            ("recipes", self.list_recipes),
-            ("uploads/{upload}", self.quick_look),
-            ("jobs", self.list_jobs),
-            ("jobs/{job}/events", self.job_events),
-            ("runs", self.list_runs),
-            ("runs/{run}", self.describe_run),
-            ("runs/{run}/explanation", self.explanation),
-            ("runs/{run}/report.html", self.run_page),
-            ("runs/{run}/models/{channel:path}/{label}", self.model),
-            ("comparisons/{name}/report.html", self.comparison_page),
-        ]
-        post = [
-            ("uploads", self.upload),
-            ("fits", self.fit),
-            ("validates", self.validate),
-            ("compares", self.compare),
+        table = [
+            ("GET", "flights", "flights", self.list_flights),
+            ("GET", "flights/{flight}", "flights", self.describe_flight),
+            ("GET", "flights/{flight}/track", "flights", self.track),
+            ("GET", "flights/{flight}/suggestions", "flights", self.suggest),
+            ("GET", "series", "flights", self.series),
+            ("GET", "align", "channels", self.align),
+            ("GET", "recipes", "channels", self.list_recipes),
+            ("GET", "recipes/{name}", "channels", self.recipe),
+            ("PUT", "recipes/{name}", "channels", self.recipe),
+            ("POST", "uploads", "uploads", self.upload),
+            ("GET", "uploads/{upload}", "uploads", self.quick_look),
+            ("POST", "fits", "channels", self.fit),
+            ("POST", "validates", "runs", self.validate),
+            ("POST", "compares", "runs", self.compare),
+            ("GET", "comparisons/{name}/report.html", "runs", self.comparison_page),
+            ("GET", "runs", "runs", self.list_runs),
+            ("GET", "runs/{run}", "runs", self.describe_run),
+            ("GET", "runs/{run}/explanation", "explain", self.explanation),
+            ("GET", "runs/{run}/report.html", "runs", self.run_page),
+            ("GET", "runs/{run}/models/{channel:path}/{label}", "runs", self.model),
         ]
         assets = StaticFiles(directory=str(resources.files("flysid.studio") / "assets"), html=True)
         return [
             *(
-                Route(f"/api/1/{path}", self._after_loading(handler), methods=["GET"])
-                for path, handler in get
+                Route(f"/api/1/{path}", self._after_loading(room, handler), methods=[method])
+                for method, path, room, handler in table
             ),
-            *(
-                Route(f"/api/1/{path}", self._after_loading(handler), methods=["POST"])
-                for path, handler in post
-            ),
-            Route("/api/1/recipes/{name}", self._after_loading(self.recipe), methods=["GET", "PUT"]),
+            Route("/api/1/about", self.about, methods=["GET"]),
+            Route("/api/1/jobs", self.list_jobs, methods=["GET"]),
             Route("/api/1/jobs/{job}", self.job, methods=["GET", "DELETE"]),
+            Route("/api/1/jobs/{job}/events", self.job_events, methods=["GET"]),
             Route("/shared/{name}", shared_asset, methods=["GET"]),
             Mount("/", assets),
         ]
