@@ -156,16 +156,18 @@ def _first(named: Mapping[str, object]) -> str:
 def _fitted(candidates: Mapping[str, Estimator], fit: Dataset, check: Dataset) -> dict[str, Fitted]:
     models: dict[str, Fitted] = {}
     reasons: list[str] = []
+    lacking: MemoryError | None = None
     for i, (name, estimator) in enumerate(candidates.items()):
         tell("choosing the best linear model", model=name, share=i / len(candidates))
         try:
             models[name] = estimator.fit(fit, check)
         except (DataError, FitError) as error:
             reasons.append(f"{name}: {error}")
-        except MemoryError:
-            reasons.append(f"{name}: out of memory")
+        except MemoryError as error:
+            lacking = error
+            reasons.append(f"{name}: out of memory" + (f": {error}" if str(error) else ""))
     if not models:
-        raise FitError("no linear model could be fitted: " + "; ".join(reasons))
+        raise FitError("no linear model could be fitted: " + "; ".join(reasons)) from lacking
     return models
 
 

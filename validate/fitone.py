@@ -18,11 +18,13 @@ UNFIT = (DataError, FitError, MemoryError)
 
 
 def reason(error: Exception) -> str:
-    """Why something could not be fitted, for people; a lack of memory says nothing by itself."""
-    if not isinstance(error, MemoryError):
-        return str(error)
-    said = f": {error}." if str(error) else "."
-    return f"out of memory{said} Try: fewer --jobs at a time, or a smaller --memory, which fits from disk"
+    """Why something could not be fitted, for people; where memory was lacking, with what to try."""
+    said = str(error)
+    if isinstance(error, MemoryError):
+        said = f"out of memory: {said}" if said else "out of memory"
+    elif not isinstance(error.__cause__, MemoryError):
+        return said
+    return f"{said}. Try: fewer --jobs at a time, or a smaller --memory, which fits from disk"
 
 
 class FitsTo(Protocol[S]):
