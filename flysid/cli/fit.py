@@ -128,7 +128,7 @@ def command(
         check_no_words(data, asked)
     place = fresh_place(output, force) if not is_dataset and is_log(data) else None
     from flysid.ingest.align.doubts import REMARKS
-    from flysid.validate.fitting import fit_file, fit_run
+    from flysid.validate.fitting import FROM_DISK, fit_file, fit_run
     from flysid.validate.run import FitSettings
 
     labels = tuple(label for label in models.replace(" ", "").lower().split(",") if label)
@@ -148,6 +148,8 @@ def command(
     else:
         click.echo(str(output))
     for channel in run.channels:
+        if channel.on_disk:
+            say(f"{channel.name}{FROM_DISK}", quiet)
         for label, why in channel.failed.items():
             say(f"{channel.name}: {label} could not be fitted: {why}")
         for doubt in channel.doubts:
