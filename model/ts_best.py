@@ -57,15 +57,19 @@ _STEPS = 6  # of both models' refinement on the rest
 class BestTS:
     """Settings of a TS model over lags, or over hidden states where these clearly explain more.
 
+    Where no rules pay, the best linear model comes out instead, and its first note says so.
+
     Parameters
     ----------
     rules, antecedents, most_rules, nk_hint, search : see `TS`.
 
     Examples
     --------
-    >>> model = flysid.BestTS(rules=1).fit(train)  # train: see `flysid.Dataset`
-    >>> model.structure in ("ts", "ts_ss")
-    True
+    >>> model = flysid.BestTS().fit(train)  # train: see `flysid.Dataset`; its plant is linear
+    >>> model.structure
+    'arx'
+    >>> model.notes[0]
+    'A linear model is enough: rules were searched for, and none paid.'
     """
 
     rules: int | Literal["auto"] = "auto"
@@ -75,7 +79,7 @@ class BestTS:
     search: SearchSettings = NORMAL
 
     def fit(self, train: Dataset, validation: Dataset | None = None) -> Fitted:
-        """Fit the model over lags, and the other one where that may help; keep the better.
+        """Fit the model over lags, the other one where that may help, and linear ones; keep the best.
 
         Raises
         ------
