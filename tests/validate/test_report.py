@@ -164,7 +164,7 @@ def test_of_many_segments_the_worst_are_among_those_drawn() -> None:
     labels = [s["label"] for s in shown["segments"]]
     assert len(labels) == 60
     assert {"flight-65", "flight-69"} <= set(labels)
-    assert labels == sorted(labels, key=lambda label: int(label[1:]))
+    assert labels == sorted(labels, key=lambda label: int(label.removeprefix("flight-")))
     assert "60 of 70 segments are drawn: the 20 of the largest error" in page.words
     rmse = [c.entry().models[m].segments[65].scores.rmse for m in ("arx", "ts")]
     assert f"flight-65 {number(rmse[0])} → {number(rmse[1])}" in page.words

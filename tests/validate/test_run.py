@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 import sys
 from collections.abc import Iterator
@@ -276,7 +277,13 @@ def test_every_model_has_its_rules_in_words_beside_it(run: Run) -> None:
     assert "\n  R1. If " in words
     assert "\n  R2. If " in words
     assert "v_x(k) = " in words
-    assert "[gain " in words
+    level = r"-?\d+(?:\.\d+)?"
+    known = rf"{level} m/s \({level} to {level}\)"
+    answer = (
+        rf"one more deg of theta_in adds {known} to v_x; 63 % of that is reached after {level} s \({level} to"
+    )
+    assert re.match(rf"  \* (From|Near) v_x = .*, {answer}", words.splitlines()[1])
+    assert re.search(rf"\n  R\d\. If .*\[loudest near v_x = {level} m/s, where {answer}", words)
 
 
 def test_two_fits_give_the_same_files(data: Path, run: Run, tmp_path: Path) -> None:

@@ -216,9 +216,19 @@ def test_without_refinement_the_free_run_is_worse(bent: FittedTS) -> None:
 
 def test_a_model_reads_as_text(bent: FittedTS) -> None:
     text = str(bent)
-    assert "R1. If" in text
-    assert "time constant" in text
-    assert "rules" in text.splitlines()[0]
+    title, first, *rest = text.splitlines()
+    assert "rules" in title
+    level = r"-?\d+(?:\.\d+)?"
+    known = rf"({level}) \(({level}) to ({level})\)"
+    answer = rf"one unit more of u adds {known} to y; 63 % of that is reached after {level} s \({level} to"
+    found = re.match(rf"  \* From y = {level} to {level}, {answer}", first)
+    assert found, first
+    gain, low, high = map(float, found.groups())
+    assert low < gain < high
+    assert low < 1.0 < high  # the plant's at rest at 0: 0.1 / (1 - 1.6 + 0.7)
+    rules = [line for line in rest if re.match(r"  R\d+\. If y\(k-1\) is .* then y\(k\) = ", line)]
+    assert len(rules) == len(bent.rules())
+    assert re.search(rf"\[loudest near y = {level}, where {answer}", rules[0])
 
 
 def test_an_input_without_a_lag_is_the_one_after_its_delay() -> None:
