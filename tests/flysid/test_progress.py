@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -137,17 +138,14 @@ def test_an_interrupt_leaves_a_usable_run(data: Path, tmp_path: Path, jobs: str)
         "json",
     ]
     words += [word for name in CHANNELS for word in ("-c", name)]
-    process = started(tmp_path, *words)
     seen: list[dict[str, Any]] = []
-    try:
+    with started(tmp_path, *words) as process:
         for step in steps(process):
             seen.append(step)
             if step["model"] == "ts" and step["stage"] == "fitting":
                 os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to the workers too
                 break
         out, rest = process.communicate(timeout=60)
-    finally:
-        process.kill()
     assert process.returncode == 130, rest
     assert out == "run\n"
     assert "interrupted: run holds what was finished" in rest
@@ -169,9 +167,13 @@ def test_an_interrupt_leaves_a_usable_run(data: Path, tmp_path: Path, jobs: str)
     assert not list(tmp_path.glob(".*"))
 
 
-def started(folder: Path, *words: str | Path) -> subprocess.Popen[str]:
-    """A process of its own group, as a shell starts it, with models that are quick but for the last."""
-    return subprocess.Popen(
+@contextmanager
+def started(folder: Path, *words: str | Path) -> Iterator[subprocess.Popen[str]]:
+    """A process of its own group, as a shell starts it, with models that are quick but for the last.
+
+    Neither it nor its workers outlive the block, nor do its pipes: a later test would be blamed for them.
+    """
+    with subprocess.Popen(
         [sys.executable, "-m", "tests.slow_flysid", *map(str, words)],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
@@ -179,14 +181,20 @@ def started(folder: Path, *words: str | Path) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-    )
+    ) as process:
+        try:
+            yield process
+        finally:
+            with suppress(ProcessLookupError):  # all have ended
+                os.killpg(process.pid, signal.SIGKILL)
 
 
 def test_an_interrupt_before_anything_is_fitted_leaves_nothing(data: Path, tmp_path: Path) -> None:
-    process = started(tmp_path, "fit", data, "-r", "ardrone-synthetic", "-o", "run", "--progress", "json")
-    next(steps(process))
-    process.send_signal(signal.SIGINT)
-    _, rest = process.communicate(timeout=60)
+    words: list[str | Path] = ["fit", data, "-r", "ardrone-synthetic", "-o", "run", "--progress", "json"]
+    with started(tmp_path, *words) as process:
+        next(steps(process))
+        process.send_signal(signal.SIGINT)
+        _, rest = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "safe to run the same command again" in rest
     assert not list(tmp_path.iterdir())
