@@ -5,7 +5,6 @@ No answer says 500, no file appears outside the studio's folders, memory does no
 
 from __future__ import annotations
 
-import os
 import random
 import subprocess
 import sys
@@ -15,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import quote
 
+from flysid.ingest.lake.workers import anonymous_bytes
 from soak import Budget, Campaign, Outcome
 from soak.row_13_names import hostile
 from tests.flysid.studio.server import FIT, SAMPLES, Server, studio
@@ -48,7 +48,7 @@ def damaged_uploads(place: Path, budget: Budget) -> Outcome:
     logs = [path.read_bytes() for path in sorted(SAMPLES.glob("*.tlog")) + sorted(SAMPLES.glob("*.mcap"))]
     names = hostile(UPLOADS)
     with studio(place / "data") as server:
-        before = resident_mb(server)
+        before = anonymous_mb(server)
         for name in names:
             if not goes_on():
                 break
@@ -82,7 +82,7 @@ def random_queries(place: Path, budget: Budget) -> Outcome:
         sent = server.send("POST", "uploads?name=a.tlog", (SAMPLES / "01-steps-seed2.tlog").read_bytes()).json
         flight = server.wait(sent["job"]["id"])["out"].strip()
         values = [flight, *hostile(60), "nan", "-1", "1e400", "9" * 400, "made:a", "null", "[]", "0", "1200"]
-        before = resident_mb(server)
+        before = anonymous_mb(server)
         for _ in range(QUERIES):
             if not goes_on():
                 break
@@ -121,17 +121,16 @@ def waiting(server: Server) -> int:
     return sum(job["state"] in ("queued", "running") for job in server.get("jobs").json["jobs"])
 
 
-def resident_mb(server: Server) -> float:
+def anonymous_mb(server: Server) -> float:
     """Memory of the server that no file backs."""
-    resident, shared = Path(f"/proc/{server.process.pid}/statm").read_text("utf-8").split()[1:3]
-    return (int(resident) - int(shared)) * os.sysconf("SC_PAGESIZE") / 1e6
+    return anonymous_bytes(server.process.pid) / 1e6
 
 
 def judge_server(server: Server, outcome: Outcome, before_mb: float) -> None:
     """It answers still, and has not grown."""
     if server.get("flights").status != 200:
         outcome.failures.append("the server does not answer any more")
-    outcome.peak_mb = resident_mb(server) - before_mb
+    outcome.peak_mb = anonymous_mb(server) - before_mb
     if outcome.peak_mb > MOST_GROWN_MB:
         outcome.failures.append(f"the server has grown by {outcome.peak_mb:.0f} MB")
 

@@ -100,7 +100,7 @@ class Studio:
         """The suggestions for a flight where they are known, else the job that finds them."""
         query_of(request, forms.Nothing)
         flight = request.path_params["flight"]
-        await run_in_threadpool(self.flights.describe, flight)
+        await run_in_threadpool(self.flights.manifest, flight)
         return answer(await run_in_threadpool(commands.suggestions, self.jobs, self.workspace, flight))
 
     async def align(self, request: Request) -> Response:

@@ -12,10 +12,9 @@ from flysid.dataset import Dataset
 from flysid.errors import RecipeError, StoreError, UsageError
 from flysid.files import slug, write_atomically
 from flysid.ingest.align.recipe import load_recipe, parse_recipe, recipe_text, shipped_recipes
-from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.lake.stretches import beginnings
 from flysid.manifest import FLIGHTS, read_manifest
-from flysid.studio.flights import boot_offsets_s
+from flysid.studio.flights import boot_offsets_s, lake_of
 from flysid.studio.forms import Aligned
 from flysid.studio.places import NotThere, Workspace
 from flysid.validate.report.decimate import decimate, rounded
@@ -109,9 +108,7 @@ def aligned(workspace: Workspace, recipes: Recipes, asked: Aligned) -> dict[str,
     ------
     NotThere : no such flight or recipe. RecipeError, DataError : the flight does not give the channel.
     """
-    lake = open_lake(workspace.data).only([asked.f])
-    if not lake.logs:
-        raise NotThere(f"no flight {asked.f!r}", path=workspace.data)
+    lake = lake_of(workspace.data, asked.f)
     found = lake.align(load_recipe(recipes.place(asked.r)), asked.ch)
     offsets = boot_offsets_s(read_manifest(workspace.data / FLIGHTS / asked.f))
     starts_s = [ns * 1e-9 + offsets.get(boot, 0.0) for boot, ns in beginnings(lake.logs[0]).items()]

@@ -17,7 +17,7 @@ from flysid.errors import UsageError
 from flysid.flight import BOOT, RECEIVED, TIME
 from flysid.ingest.align.recipe import load_recipe, shipped_recipes
 from flysid.ingest.align.signals import load_signal
-from flysid.ingest.lake.lake import StoredLog
+from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.lake.timeline import happenings
 from flysid.ingest.lake.track import read_track
@@ -55,8 +55,9 @@ class Flights:
 
     def describe(self, flight: str) -> dict[str, Any]:
         """Facts, streams with fields, modes, messages and parameter changes of a flight."""
-        manifest = self._manifest(flight)
-        log = self._log(flight)
+        manifest = self.manifest(flight)
+        lake = lake_of(self.data, flight)
+        [log] = lake.logs
         modes, moments = happenings(log, boot_offsets_s(manifest), manifest.duration_s)
         return {
             **_listed(log.facts),
@@ -65,17 +66,17 @@ class Flights:
                 for clock, start_s in zip(manifest.clocks, _starts_s(manifest), strict=True)
             ],
             "streams": [_stream(entry) for entry in manifest.streams if entry.rows],
-            "signals": self._signals(log),
+            "signals": _signals(lake),
             "modes": modes,
             "moments": [[m.time_s, m.kind, m.text] for m in moments],
         }
 
     def track(self, flight: str) -> dict[str, Any]:
         """Where the vehicle flew, for a drawing without tiles; at most about 2,000 points."""
-        table = read_track(self._log(flight))
+        table = read_track(lake_of(self.data, flight).logs[0])
         if table is None:
             return {"points": []}
-        offsets = boot_offsets_s(self._manifest(flight))
+        offsets = boot_offsets_s(self.manifest(flight))
         kept = np.unique(np.linspace(0, table.num_rows - 1, min(table.num_rows, 2000)).astype(int))
         columns = [table[name].to_numpy()[kept] for name in ("time_s", "boot", "lat_deg", "lon_deg")]
         points = [
@@ -95,7 +96,7 @@ class Flights:
         ------
         UsageError : no such flight, stream or field; too many fields; a width or a window that cannot be.
         """
-        manifest = self._manifest(window.f)
+        manifest = self.manifest(window.f)
         start_s, end_s = _span(window, manifest)
         units = [self._unit(manifest, name) for name in window.s]
         head: list[dict[str, Any]] = []
@@ -113,28 +114,12 @@ class Flights:
         text += b" " * (-(4 + len(text)) % 8)
         return b"".join([struct.pack("<I", len(text)), text, *body])
 
-    def _manifest(self, flight: str) -> Manifest:
+    def manifest(self, flight: str) -> Manifest:
+        """What is known of a flight without its tables; raises NotThere."""
         folder = self.data / FLIGHTS / flight
         if not is_name(flight) or not folder.is_dir():
             raise NotThere(f"no flight {flight!r}", path=self.data)
         return read_manifest(folder)
-
-    def _log(self, flight: str) -> StoredLog:
-        lake = open_lake(self.data).only([flight])
-        if not lake.logs:
-            raise NotThere(f"no flight {flight!r}", path=self.data)
-        return lake.logs[0]
-
-    def _signals(self, log: StoredLog) -> list[dict[str, Any]]:
-        """The signals of the recipes that this flight serves: "@recipe" -> [name, unit]."""
-        listed = []
-        for name, channels in open_lake(self.data).only([log.name]).recipes().items():
-            recipe = load_recipe(name)
-            used = dict.fromkeys(s for channel in channels for s in recipe.signals_of(channel))
-            fields = [[signal, recipe.signals[signal].unit] for signal in used]
-            pairs = [list(recipe.signals_of(channel)) for channel in channels]
-            listed.append({"stream": f"{SIGNAL}{name}", "fields": fields, "channels": pairs})
-        return listed
 
     def _unit(self, manifest: Manifest, name: str) -> str:
         """The unit of what a name stands for; raises UsageError where it stands for nothing."""
@@ -156,8 +141,8 @@ class Flights:
         return self._axis(flight, stream), self._pyramid(flight, stream, field)
 
     def _read_signal(self, flight: str, recipe: str, signal: str) -> tuple[Axis, Pyramid]:
-        found = load_signal(signal, load_recipe(recipe).signals[signal], self._log(flight))
-        offsets = boot_offsets_s(self._manifest(flight))
+        found = load_signal(signal, load_recipe(recipe).signals[signal], lake_of(self.data, flight).logs[0])
+        offsets = boot_offsets_s(self.manifest(flight))
         boots = [
             (np.asarray(samples.t_ns * 1e-9 + offsets.get(boot, 0.0)), samples.x)
             for boot, samples in sorted(found.boots.items())
@@ -165,13 +150,33 @@ class Flights:
         return hold(boots, self._cache)
 
     def _read_axis(self, flight: str, stream: str) -> Axis:
-        manifest = self._manifest(flight)
+        manifest = self.manifest(flight)
         folder = self.data / FLIGHTS / flight
         return read_axis(folder, manifest.stream(stream), boot_offsets_s(manifest), self._cache)
 
     def _read_pyramid(self, flight: str, stream: str, field: str) -> Pyramid:
-        manifest = self._manifest(flight)
+        manifest = self.manifest(flight)
         return read_pyramid(self.data / FLIGHTS / flight, manifest.stream(stream), field, self._cache)
+
+
+def lake_of(data: Path, flight: str) -> Lake:
+    """The ingested folder with one flight alone; raises NotThere."""
+    lake = open_lake(data).only([flight])
+    if not lake.logs:
+        raise NotThere(f"no flight {flight!r}", path=data)
+    return lake
+
+
+def _signals(lake: Lake) -> list[dict[str, Any]]:
+    """The signals of the recipes that a lake of one flight serves: "@recipe" -> [name, unit]."""
+    listed = []
+    for name, channels in lake.recipes().items():
+        recipe = load_recipe(name)
+        used = dict.fromkeys(s for channel in channels for s in recipe.signals_of(channel))
+        fields = [[signal, recipe.signals[signal].unit] for signal in used]
+        pairs = [list(recipe.signals_of(channel)) for channel in channels]
+        listed.append({"stream": f"{SIGNAL}{name}", "fields": fields, "channels": pairs})
+    return listed
 
 
 def boot_offsets_s(manifest: Manifest) -> dict[int, float]:

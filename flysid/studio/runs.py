@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from flysid.errors import FlysidError, StoreError
-from flysid.studio.places import NotThere, Workspace, short_id
+from flysid.studio.places import NotThere, Workspace
 from flysid.validate.history import REPORT, RunChannel, run_channels
 from flysid.validate.judge import DOCUMENT, PAGE
 from flysid.validate.run import RUN_FILE
@@ -91,6 +91,3 @@ def _document(path: Path) -> dict[str, Any] | None:
     except (OSError, ValueError, RecursionError) as error:
         raise StoreError("damaged", path=path) from error
     return document
-
-
-__all__ = ["describe_run", "list_runs", "model_of", "page_of", "short_id"]

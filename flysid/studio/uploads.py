@@ -61,8 +61,8 @@ def _look(path: Path) -> dict[str, Any]:
 
     beginning = path.with_name(f".beginning.{path.name}")
     try:
-        with path.open("rb") as log, beginning.open("wb") as part:
-            shutil.copyfileobj(_Limited(log, QUICK_BYTES), part)
+        with path.open("rb") as log:
+            beginning.write_bytes(log.read(QUICK_BYTES))
         found = survey(beginning if path.stat().st_size > QUICK_BYTES else path)
     except FlysidError as error:
         return {"reason": error.advice}
@@ -70,16 +70,3 @@ def _look(path: Path) -> dict[str, Any]:
         beginning.unlink(missing_ok=True)
     streams = {key: [count.rows, count.rate_hz] for key, count in sorted(found.streams.items())}
     return {"format": found.source.format, "streams": streams, "info": dict(found.info)}
-
-
-class _Limited:
-    """The first bytes of a file, as a file."""
-
-    def __init__(self, file: Any, most: int) -> None:
-        self._file = file
-        self._left = most
-
-    def read(self, size: int = -1) -> bytes:
-        part: bytes = self._file.read(min(self._left, size) if size >= 0 else self._left)
-        self._left -= len(part)
-        return part
