@@ -23,7 +23,7 @@ import pyarrow as pa
 
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Source
 from flysid.store import create_data_folder, write_flight
-from tests.browser import CHROMIUM, DRIVER, FLAGS
+from tests.browser import launch
 from tests.flysid.studio.server import Server, studio
 
 PIXELS = 1200
@@ -112,17 +112,6 @@ def over_http(server: Server, samples: int) -> None:
         f"largest answer {max(sizes) / 1e3:.0f} kB (goal 100); server {resident_mb(server):.0f} MB",
         flush=True,
     )
-
-
-def open_browser(folder: Path) -> Any:
-    """Chromium without a window."""
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = str(CHROMIUM)
-    for flag in (*FLAGS, f"--user-data-dir={folder}"):
-        options.add_argument(flag)
-    return webdriver.Chrome(options=options, service=webdriver.ChromeService(str(DRIVER)))
 
 
 def painted(browser: Any, action: str) -> float:
@@ -237,7 +226,7 @@ def main() -> None:
         with studio(data) as server:
             over_http(server, samples)
             together(server, samples, words.people)
-        browser = open_browser(Path(place) / "profile")
+        browser = launch(Path(place) / "profile")
         try:
             with studio(data) as server:
                 in_the_page(server, browser)

@@ -23,6 +23,18 @@ needs_browser = pytest.mark.skipif(
 )
 
 
+def launch(profile: Path) -> Any:
+    """Chromium without a window; its log has every request and every error of a page."""
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = str(CHROMIUM)
+    for flag in (*FLAGS, f"--user-data-dir={profile}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    return webdriver.Chrome(options=options, service=webdriver.ChromeService(str(DRIVER)))
+
+
 def opened(browser: Any, path: Path) -> list[str]:
     """Opens a page; what went wrong: errors in the console, requests that left the file."""
     browser.get_log("performance")

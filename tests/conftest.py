@@ -10,7 +10,7 @@ import pytest
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator
 from flysid.validate import fitting
-from tests.browser import CHROMIUM, DRIVER, FLAGS
+from tests.browser import launch
 
 
 @pytest.fixture
@@ -26,15 +26,8 @@ def arx_alone(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """Chromium without a window; its log has every request and every error of a page."""
-    webdriver = pytest.importorskip(
-        "selenium.webdriver", reason="selenium is not installed: pip install selenium"
-    )
-    options = webdriver.ChromeOptions()
-    options.binary_location = str(CHROMIUM)
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(str(DRIVER)))
+    pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium")
+    driver = launch(tmp_path_factory.mktemp("profile"))
     driver.set_page_load_timeout(30)
     yield driver
     driver.quit()
