@@ -59,7 +59,9 @@ def cascaded_tanks() -> Case:
 def silverbox() -> Case:
     """An electronic Duffing oscillator: multisines train, a growing arrow tests extrapolation."""
     t = np.genfromtxt(FOLDER / "silverbox_snls80mv.csv", delimiter=",", skip_header=1)[:, :2]
-    u, y, dt = t[:, 0], t[:, 1], 1 / 610.35
+    u = t[:, 0]
+    y = t[:, 1]
+    dt = 1 / 610.35
     cut = 40650 + (127400 - 40650) * 3 // 4
     parts = {
         "multisine": slice(cut, 127400),

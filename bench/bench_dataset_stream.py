@@ -53,7 +53,9 @@ def main() -> None:
             f"{time.process_time() - started:.1f} CPU s, peak {peak_mb():.0f} MB"
         )
         started = time.process_time()
-        total, number, power = 0, 0, 0.0
+        total = 0
+        number = 0
+        power = 0.0
         for segment in open_dataset(path):
             number += 1
             total += len(segment)

@@ -27,7 +27,8 @@ from flysid.dataset import Dataset, FloatArray
 
 ROOT = Path(__file__).resolve().parents[1]
 ROWS = 1_000_000
-A, B = [1.0, -1.5, 0.7, -0.1, 0.05], [0.0, 1.0, 0.5, 0.2, 0.1]
+A = [1.0, -1.5, 0.7, -0.1, 0.05]
+B = [0.0, 1.0, 0.5, 0.2, 0.1]
 
 
 def siso(rows: int, seed: int = 0) -> tuple[FloatArray, FloatArray]:
@@ -60,7 +61,8 @@ def ours_grid(u: FloatArray, y: FloatArray) -> Any:
     from flysid.model.regressors import chunks
 
     data = Dataset.from_arrays(u, y, 0.01)
-    lags, scaling = Grid.lags(1, 1, 20, 20), Scaling.of(data)
+    lags = Grid.lags(1, 1, 20, 20)
+    scaling = Scaling.of(data)
     triangle = reduce_data(lambda: chunks(data, lags, transform=scaling), grid_gram(data, lags, scaling))
     grid = Grid(triangle, 1, 1, 20, 20, offset=True)
     return best_of(grid, [Choice(a, (b,), (1,)) for a in range(1, 21) for b in range(1, 21)])
@@ -254,7 +256,8 @@ def main(times: int = 5) -> None:
         base.setdefault(work, seconds)
         ratio = "" if who == "flysid" else f"  {seconds / base[work]:.1f} times ours"
         print(f"{name:45s} {1000 * seconds:9.1f} ms {memory:8.1f} MB{ratio}", flush=True)
-    single, grid = base["ARX(4,4), 1e6"], base["400 orders, 1e6"]
+    single = base["ARX(4,4), 1e6"]
+    grid = base["400 orders, 1e6"]
     print(f"400 orders take {grid / single:.1f} times one fit")
     for work in OCTAVE_WORK:
         answer = by_octave(work, max(times // 2, 1))

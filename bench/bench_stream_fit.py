@@ -64,7 +64,8 @@ def one(name: str, path: str, compare: bool) -> dict[str, float]:
     model = FITS[name].fit(open_dataset(path))
     found = {"s": time.process_time() - began, "mb": peak_mb(), "off": 0.0}
     if compare:
-        disk, memory = coefficients(model), coefficients(FITS[name].fit(open_dataset(path).read()))
+        disk = coefficients(model)
+        memory = coefficients(FITS[name].fit(open_dataset(path).read()))
         found["off"] = float(np.abs(disk - memory).max() / np.abs(memory).max())
     return found
 
@@ -76,7 +77,8 @@ def bare_mb() -> float:
 
 
 def main(rows: int = 100_000_000, size: int = 1_000_000) -> int:
-    worst, off = 0.0, 0.0
+    worst = 0.0
+    off = 0.0
     with tempfile.TemporaryDirectory() as folder:
         for count in (rows // 100, rows):
             path = Path(folder) / f"{count}.parquet"
@@ -93,7 +95,8 @@ def main(rows: int = 100_000_000, size: int = 1_000_000) -> int:
                 if done.returncode:
                     raise SystemExit(f"{name} failed:\n{done.stderr[-2000:]}")
                 found = json.loads(done.stdout.splitlines()[-1])
-                worst, off = max(worst, found["mb"]), max(off, found["off"])
+                worst = max(worst, found["mb"])
+                off = max(off, found["off"])
                 print(
                     f"  {name:22s} {found['s']:7.2f} CPU s {found['mb']:7.1f} MB  off {found['off']:.1e}",
                     flush=True,

@@ -167,7 +167,8 @@ def jax_silverbox() -> Timed:
     train, test = _silverbox()
     u = [np.asarray(s.u) for s in train.segments]
     y = [np.asarray(s.y) for s in train.segments]
-    scale_u, scale_y = float(np.std(u[0])), float(np.std(y[0]))
+    scale_u = float(np.std(u[0]))
+    scale_y = float(np.std(y[0]))
     hidden = 6
 
     def scheduling(x: Any, _: Any, weights: Any) -> Any:

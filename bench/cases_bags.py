@@ -262,7 +262,8 @@ def peer_rosbags(path: Path) -> Any:
     """rosbags' decoder over SQLite's rows, as its reader does, which asks for a metadata.yaml besides."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    store, last = get_typestore(Stores.ROS2_HUMBLE), None
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    last = None
     with contextlib.closing(sqlite3.connect(path)) as link:
         query = "SELECT topic_type, encoded_message_definition FROM message_definitions"
         kind, text = link.execute(query).fetchone()

@@ -28,8 +28,10 @@ from flysid.model.transfer_function import TF
 
 PLANT = Rational(np.array([1.0, 33.3, 0.0]), (np.array([3333.0]),), np.array([0.0075]))
 SWEPT_HZ = (0.5, 12.0)
-AMPLITUDE, GYRO_NOISE = 0.5, 0.5
-P_GAIN, I_GAIN = 0.18, 0.36
+AMPLITUDE = 0.5
+GYRO_NOISE = 0.5
+P_GAIN = 0.18
+I_GAIN = 0.36
 DISTURBANCES = (0.1, 0.15, 0.2)
 
 
@@ -49,7 +51,8 @@ class Loop:
     def flown(self, seed: int) -> Dataset:
         """Inputs u (what the plant gets) and chirp, output rate."""
         rng = np.random.default_rng(seed)
-        n, dt = round(self.seconds * self.rate_hz), 1.0 / self.rate_hz
+        n = round(self.seconds * self.rate_hz)
+        dt = 1.0 / self.rate_hz
         t = np.arange(n) * dt
         added = chirp(t, SWEPT_HZ, AMPLITUDE)
         pole = np.exp(-dt / 0.3)
@@ -105,8 +108,13 @@ def responses(runs: int, first: int) -> None:
     for disturbance in DISTURBANCES:
         loop = Loop(disturbance)
         for name in ("through chirp", "direct"):
-            hits, total, low_hits, low_total, outside = 0, 0, 0, 0, 0
-            gains, edges = [], []
+            hits = 0
+            total = 0
+            low_hits = 0
+            low_total = 0
+            outside = 0
+            gains = []
+            edges = []
             for seed in range(first, first + (max(runs // 10, 1) if name == "direct" else runs)):
                 data = loop.flown(seed)
                 if name == "direct":
@@ -119,9 +127,11 @@ def responses(runs: int, first: int) -> None:
                 edges.append(band)
                 outside += not (swept[0] <= band[0] and band[1] <= swept[1])
                 h, n, _ = held(measured, *band)
-                hits, total = hits + h, total + n
+                hits = hits + h
+                total = total + n
                 h, n, _ = held(measured, band[0], min(8.0, band[1]))
-                low_hits, low_total = low_hits + h, low_total + n
+                low_hits = low_hits + h
+                low_total = low_total + n
                 gains.append(np.median(held(measured, max(8.0, band[0]), min(80.0, band[1]))[2]))
             table = np.array(edges)
             shares = f"{100 * hits / max(total, 1):.1f} | {100 * low_hits / max(low_total, 1):.1f}"
@@ -136,7 +146,10 @@ def poles(runs: int, first: int) -> None:
     )
     for disturbance in DISTURBANCES:
         for name in ("TF through chirp", "TF direct"):
-            misses, found, dead, counts = [], [], [], []
+            misses = []
+            found = []
+            dead = []
+            counts = []
             for seed in range(first, first + (max(runs // 10, 1) if name == "TF direct" else runs)):
                 data = Loop(disturbance).flown(seed)
                 try:
@@ -173,7 +186,9 @@ def instruments(runs: int, first: int) -> None:
     print("| rate, Hz | disturbance | median error of the pole, % | poles found (median) | failed |")
     for rate in (50.0, 100.0, 400.0):
         for disturbance in (0.1, 0.2):
-            misses, counts, failed = [], [], 0
+            misses = []
+            counts = []
+            failed = 0
             for seed in range(first, first + runs):
                 data = Loop(disturbance, rate).flown(seed)
                 try:

@@ -105,7 +105,8 @@ def cortex(files: Mapping[str, str]) -> str:
         options = ("-nostartfiles", "--specs=nano.specs", "-T", "link.ld", "main.c", "plant.c", "-lm")
         _built(place, *options, "-o", "plant.elf")
         _built(place, "-c", "plant.c", "-o", "plant.o")
-        own, whole = _sections(place, "plant.o"), _sections(place, "plant.elf")
+        own = _sections(place, "plant.o")
+        whole = _sections(place, "plant.elf")
         count = NS_A_TICK * _ticks(place) / STEPS
         flash = f"{own['text'] + own['rodata']} B of code and tables"
         linked = f"{whole['text'] + whole['rodata']} B with expf and start-up"

@@ -19,7 +19,9 @@ from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.ts import TS
 
-DT_S, SAMPLES, FINE = 0.02, 3000, 10
+DT_S = 0.02
+SAMPLES = 3000
+FINE = 10
 PLANTS: Mapping[str, tuple[list[float], list[float]]] = {
     "lag": ([1.0], [0.3, 1.0]),
     "attitude": ([40.0], [1.0, 9.0, 40.0]),
@@ -84,7 +86,8 @@ def main() -> None:
         )
     for name, pairs in totals.items():
         own, handed = np.maximum(np.array(pairs), 100 * LEVEL).T
-        better, worse = int((handed < 0.95 * own).sum()), int((handed > 1.05 * own).sum())
+        better = int((handed < 0.95 * own).sum())
+        worse = int((handed > 1.05 * own).sum())
         print(f"{name}: better in {better}, worse in {worse} of {len(pairs)} by more than 5 % of the error")
     print("CPU seconds:", ", ".join(f"{k} {v:.0f}" for k, v in seconds.items()))
 

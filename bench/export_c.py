@@ -77,7 +77,8 @@ def line(name: str, model: Fitted, folder: Path) -> str:
     """One row: difference from `simulate` and from the program, way by way, and the time of a step."""
     program = program_of(model)
     u = inputs(program)
-    free, told = model.simulate(u), run(program, u)[0]
+    free = model.simulate(u)
+    told = run(program, u)[0]
     spread = max(float(free.std(axis=0).max()), 1e-300)
     parts = [f"simulate against its program {np.abs(free - told).max() / spread:.1e} std"]
     for way, flags in WAYS.items():

@@ -25,7 +25,8 @@ from flysid.model.frequency.response import measure_response
 from flysid.model.frequency.sampling import sampled
 from flysid.model.transfer_function import TF
 
-DT_S, SECONDS = 0.02, 120.0
+DT_S = 0.02
+SECONDS = 120.0
 BANDS_HZ = {"longitudinal": (0.05, 1.2), "lateral": (0.02, 0.4), "vertical": (0.05, 2.0)}
 NOISE = 0.05
 """Standard deviation of the noise in that of the output."""
@@ -66,7 +67,8 @@ class Case:
 
 def run(case: Case, seed: int) -> dict[str, tuple[FloatArray, FloatArray]]:
     """(miss, standard error) of every figure by kind of work; the response with a quantile of its own."""
-    data, truth = case.flown(seed), case.truth
+    data = case.flown(seed)
+    truth = case.truth
     low, high = BANDS_HZ[case.loop]
     measured = measure_response(data, points=24, band=(2 * np.pi * 1.5 * low, 2 * np.pi * 0.9 * high))
     g = truth.at(measured.omega)[:, 0] * hold_response(measured.omega, DT_S, "zero")
@@ -94,7 +96,8 @@ def main(runs: int, wanted: Sequence[str] = ()) -> None:
         for excitation in ("chirp", "steps"):
             if wanted and f"{loop}-{excitation}" not in wanted:
                 continue
-            case, failed = Case(loop, excitation), 0
+            case = Case(loop, excitation)
+            failed = 0
             seen: dict[str, list[tuple[FloatArray, FloatArray]]] = {w: [] for w in WORK}
             for seed in range(runs):
                 try:

@@ -50,10 +50,12 @@ def flights(lake: Lake, prefix: str, axis: str) -> list[Flown]:
 
 def told(early: Sequence[Flown], flown: Flown) -> dict[str, ComplexArray]:
     """The response predicted, with its own plant, and as it was before."""
-    f, c = flown.loop.f, flown.controller
+    f = flown.loop.f
+    c = flown.controller
     own = plant(flown.loop.mean)
     known = np.asarray(sum(x.loop.mean for x in early))
-    pooled, before = plant(known), closed_loop(known)
+    pooled = plant(known)
+    before = closed_loop(known)
     return {
         "predicted": pooled * c.reference(f) / (1.0 + pooled * c.feedback(f)),
         "own fit": own * c.reference(f) / (1.0 + own * c.feedback(f)),
@@ -73,7 +75,8 @@ def held(prediction: Prediction, flown: Flown) -> FloatArray:
 def series(lake: Lake, prefix: str, axis: str, early: int) -> None:
     """The table of one set of flights."""
     every = flights(lake, prefix, axis)
-    known, later = every[:early], every[early:]
+    known = every[:early]
+    later = every[early:]
     errors: dict[str, list[list[float]]] = {}
     inside = []
     for flown in later:

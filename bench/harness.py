@@ -90,7 +90,8 @@ def main(target: str, path: str, mode: str) -> None:
     if hasattr(run, "prepare"):
         run.prepare()
     if mode == "warm":
-        base_mb, began = resident_mb(), time.process_time()
+        base_mb = resident_mb()
+        began = time.process_time()
     kept = run(Path(path))
     cpu_s = time.process_time() if mode == "cold" else time.process_time() - began
     del kept

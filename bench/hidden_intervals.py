@@ -46,7 +46,8 @@ def experiment(truth: FittedTSStateSpace, seed: int) -> Dataset:
 
 def refitted(truth: FittedTSStateSpace, data: Dataset) -> FittedTSStateSpace:
     """The truth's numbers refined on one record."""
-    layout, p = truth.layout, truth.parameters
+    layout = truth.layout
+    p = truth.parameters
     runs = runs_of(layout, data.segments, truth.n_init + 2)
     problem = unmoved(layout, runs, p.z_range, p.limits)
     body = Body(p.theta.copy(), p.centre.copy(), p.width.copy())

@@ -55,7 +55,8 @@ def _one(name: str, plant: Plant, seed: int, setting: tuple[int, float]) -> int:
     except FlysidError as fault:
         print(f"{name}, recording {seed}: {fault}", flush=True)
         return 0
-    seconds, count = time.process_time() - begin, len(rules.rules())
+    seconds = time.process_time() - begin
+    count = len(rules.rules())
     print(
         f"{name}, {samples} samples, noise {noise:.0%}, recording {seed}: {count} rules"
         f" {error(rules, test, truth):.4f}, linear state space {error(linear, test, truth):.4f},"

@@ -19,7 +19,10 @@ from flysid.model.frequency.loop_figures import broken_loop, loop_figures
 from flysid.model.frequency.rational import Rational
 from flysid.model.frequency.sampling import sampled, sampled_response
 
-DT_S, SECONDS, GAIN, DEAD_S = 0.005, 60.0, 20.0, 0.03
+DT_S = 0.005
+SECONDS = 60.0
+GAIN = 20.0
+DEAD_S = 0.03
 PLANT = Rational(np.array([1.0, 0.0]), (np.array([GAIN]),), np.array([DEAD_S]))
 
 

@@ -53,7 +53,8 @@ def main(times: int, flights: int = FLIGHTS) -> int:
         return 0
     folder = Path(tempfile.mkdtemp(prefix="flysid-bench-"))
     try:
-        logs, data = folder / "logs", folder / "data"
+        logs = folder / "logs"
+        data = folder / "data"
         logs.mkdir()
         blob = source.read_bytes()
         for k in range(LOGS_AGAIN):
@@ -88,7 +89,8 @@ def small_logs(logs: list[Path], data: Path) -> bool:
     """Logs read, and read and written, in this process, in turns; True where the goal is missed."""
     store.create_data_folder(data)
     jobs = [job for path in logs if isinstance(job := hash_one(path, Limits()), Job)]
-    read, whole = [], []
+    read = []
+    whole = []
     for job in jobs:
         began = time.process_time()
         with open_log(job.path) as log:

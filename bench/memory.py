@@ -58,7 +58,8 @@ def build_by(module: object, function: str) -> Build:
 def ros_payloads(ros: int, size: int) -> Iterator[tuple[int, bytes]]:
     """(time in ns, message) of a sequence of messages with strings and sequences, `size` bytes in all."""
     _, _, templates, places = cases_bags.ros_messages(ros, True)
-    usual, cases_bags.TARGET_BYTES = cases_bags.TARGET_BYTES, size
+    usual = cases_bags.TARGET_BYTES
+    cases_bags.TARGET_BYTES = size
     try:
         for _, time_ns, payload in cases_bags.patched(templates, places):
             yield time_ns, payload
@@ -75,14 +76,16 @@ def build_bag(path: Path, size: int) -> None:
     with path.open("wb") as out:
         counts = {"conn_count": bytes(4), "chunk_count": bytes(4)}
         out.write(rosbag.MAGIC + rosbag.record(b" " * 300, op=b"\x03", index_pos=b"\1" + bytes(7), **counts))
-        parts, waiting = [link], 0
+        parts = [link]
+        waiting = 0
         for time_ns, payload in ros_payloads(1, size):
             when = struct.pack("<II", *divmod(time_ns, 10**9))
             parts.append(rosbag.record(payload, op=b"\x02", conn=bytes(4), time=when))
             waiting += len(payload)
             if waiting > 768_000:
                 out.write(rosbag.chunk(b"".join(parts)))
-                parts, waiting = [], 0
+                parts = []
+                waiting = 0
         out.write(rosbag.chunk(b"".join(parts)))
 
 
@@ -111,7 +114,8 @@ def build_text(path: Path, size: int) -> None:
         while out.tell() < size:
             lines = []
             for number in range(step + 1, step + 1001):
-                us, x = 10_000_000 + 20_000 * number, number % 977 / 7
+                us = 10_000_000 + 20_000 * number
+                x = number % 977 / 7
                 lines.append(f"ATT, {us}, {x:.4f}, {-x:.4f}, {number % 360}, {x / 3:.3f}\n")
                 lines.append(f"IMU, {us + 100}, 0, {x:.5f}, -0.51234, {-9.8 - x:.4f}\n")
                 lines.append(f"IMU, {us + 101}, 1, {x:.5f}, -0.51234, {-9.8 + x:.4f}\n")
@@ -136,12 +140,17 @@ def build_navdata(path: Path, size: int) -> None:
         for first in range(0, size // kind.itemsize, count):
             table = np.zeros(count, dtype=kind)
             number = np.arange(first, first + count)
-            table["head"], table["sequence"] = 0x55667788, number
-            table["time_tag"], table["time_size"] = 1, 8
+            table["head"] = 0x55667788
+            table["sequence"] = number
+            table["time_tag"] = 1
+            table["time_size"] = 8
             table["time"] = (number // 200 % 2048) << 21 | number % 200 * 5000
-            table["demo_size"], table["ref_tag"], table["ref_size"] = 148, 6, 88
+            table["demo_size"] = 148
+            table["ref_tag"] = 6
+            table["ref_size"] = 88
             table["demo"][:, 4] = number % 256
-            table["end_tag"], table["end_size"] = 0xFFFF, 8
+            table["end_tag"] = 0xFFFF
+            table["end_size"] = 8
             raw = table.view(np.uint8).reshape(count, kind.itemsize)
             table["sum"] = raw[:, :-8].sum(axis=1, dtype=np.uint32)
             out.write(table.tobytes())

@@ -28,7 +28,9 @@ from flysid.model.linear.model import FittedLinear
 from flysid.model.oe import OE
 
 ROWS = 1000
-BIAS, COVERAGE, EXCESS = 0.1, (0.93, 0.97), 1.1
+BIAS = 0.1
+COVERAGE = (0.93, 0.97)
+EXCESS = 1.1
 
 
 @dataclass(frozen=True)
@@ -99,13 +101,15 @@ def estimate(model: FittedLinear) -> tuple[FloatArray, FloatArray]:
 def campaign(name: str, experiments: int) -> bool:
     """Print one structure; whether it keeps all its goals."""
     plant, build = CASES[name]
-    found, stated = [], []
+    found = []
+    stated = []
     for seed in range(experiments):
         data = Dataset.from_arrays(*plant.fly(seed), 0.1)
         theta, error = estimate(build().fit(data, data))
         found.append(theta)
         stated.append(error)
-    theta, errors = np.stack(found), np.stack(stated)
+    theta = np.stack(found)
+    errors = np.stack(stated)
     spread = theta.std(axis=0, ddof=1)
     bias = (theta.mean(axis=0) - plant.truth) / spread
     covered = np.mean(np.abs(theta - plant.truth) < 1.959964 * errors, axis=0)

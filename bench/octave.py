@@ -30,7 +30,8 @@ def octave(code: str, u: FloatArray, y: FloatArray) -> list[float] | None:
     from scipy.io import savemat
 
     with tempfile.TemporaryDirectory() as folder:
-        data, script = Path(folder) / "data.mat", Path(folder) / "work.m"
+        data = Path(folder) / "data.mat"
+        script = Path(folder) / "work.m"
         savemat(data, {"u": u.reshape(len(u), -1), "y": y.reshape(len(y), -1)})
         script.write_text(PROLOGUE.replace("{data}", str(data)) + code)
         single = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

@@ -23,7 +23,8 @@ from flysid.validate.compare import across_channels, compare
 from flysid.validate.report import ReportContext, write_report
 from tests.fakes import FirstOrder, flown
 
-GOAL_MS, GOAL_MB = 500.0, 1.5
+GOAL_MS = 500.0
+GOAL_MB = 1.5
 PAINT_LIMIT_MS = 5000
 # The paint is reported once its frame is on the screen, often after the load event: so it is waited for.
 TIMES = """const [limit, done] = arguments, started = performance.now();
@@ -40,7 +41,8 @@ new PerformanceObserver(list => {
 
 def page(folder: Path) -> Path:
     """The report; equal on every machine."""
-    comparisons, train = {}, {}
+    comparisons = {}
+    train = {}
     for i, name in enumerate(("longitudinal", "lateral", "vertical")):
         truth = FirstOrder(a=0.9, b=0.1, d=-0.1 * (i + 1))
         train[name] = flown(truth, [600] * 3, noise=0.02, seed=i)

@@ -84,7 +84,8 @@ def _rest(plant: Plant, u: float) -> FloatArray:
     """The state that a constant input holds, by Newton's method from rest."""
     x = np.array(plant.rest)
     for _ in range(100):
-        f, n = plant.rate(x, u), len(x)
+        f = plant.rate(x, u)
+        n = len(x)
         h = _NUDGE * (1.0 + np.abs(x))
         J = np.stack([(plant.rate(x + h[i] * np.eye(n)[i], u) - f) / h[i] for i in range(n)], axis=1)
         step = np.linalg.solve(J, f)
@@ -146,7 +147,9 @@ def record(plant: Plant, seed: int) -> Dataset:
 def told(name: str, seeds: range) -> str:
     """One line of the table."""
     plant, estimator, inputs = FLOWN[name]
-    rows, rules, alike = [], [], 0
+    rows = []
+    rules = []
+    alike = 0
     for seed in seeds:
         model = estimator().fit(record(plant, seed))
         rows += list(rows_of(model, plant, inputs))

@@ -16,7 +16,11 @@ from scipy.signal import lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.step_response import StepResponse, step_response
 
-DT_S, SECONDS, OMEGA, DAMPING, NOISE = 0.01, 60.0, 12.0, 0.4, 0.1
+DT_S = 0.01
+SECONDS = 60.0
+OMEGA = 12.0
+DAMPING = 0.4
+NOISE = 0.1
 
 
 def polynomials() -> tuple[FloatArray, FloatArray]:
@@ -51,7 +55,10 @@ def held(found: StepResponse) -> float:
 
 def main(runs: int, first: int, noise: float) -> None:
     """Print the figures."""
-    shares, overshoots, inside, cpu = [], [], [], []
+    shares = []
+    overshoots = []
+    inside = []
+    cpu = []
     right = 100.0 * (true_step(200).max() - 1.0)
     for seed in range(first, first + runs):
         data = flown(seed, noise)

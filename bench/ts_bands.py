@@ -25,7 +25,8 @@ STEP = 1e-4
 
 def compared(sure: RuleUncertainty, segment: Segment) -> tuple[float, float, float, float]:
     """First order by small steps, whole draws by first order; how lopsided these are, how often cut off."""
-    u, y0 = segment.u, segment.y[: sure.model.n_init]
+    u = segment.u
+    y0 = segment.y[: sure.model.n_init]
     run = sure.model.simulate(u, y0)
     low, high = sure.simulation_band(u, y0)
     near = replace(sure, covariance=STEP**2 * sure.covariance).draws(400)

@@ -67,7 +67,8 @@ def main() -> None:
     unannounced = announced = 0
     names = list(PLANTS)
     for seed in range(fits):
-        name, title = names[seed % len(names)], list(SETTINGS)[(seed + seed // len(names)) % len(SETTINGS)]
+        name = names[seed % len(names)]
+        title = list(SETTINGS)[(seed + seed // len(names)) % len(SETTINGS)]
         experiment = PLANTS[name](np.random.default_rng(1000 + seed))
         try:
             model = SETTINGS[title].fit(experiment.train)

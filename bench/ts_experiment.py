@@ -27,7 +27,8 @@ class Experiment:
 def integrate(f: Derivative, x0: FloatArray, u: FloatArray, dt: float, substeps: int = 4) -> FloatArray:
     """(N, n) states of x' = f(x, u) under inputs held over each sample; Runge-Kutta of order 4."""
     h = dt / substeps
-    x, out = np.array(x0, dtype=np.float64), np.empty((len(u), len(x0)))
+    x = np.array(x0, dtype=np.float64)
+    out = np.empty((len(u), len(x0)))
     for k, value in enumerate(u):
         out[k] = x
         for _ in range(substeps):

@@ -33,7 +33,9 @@ def commands(rng: np.random.Generator, inputs: int) -> FloatArray:
 
 def lag(v: FloatArray, frequency: float = 3.0, damping: float = 0.7) -> FloatArray:
     """(N,) answer of a second-order lag of gain one to v (N,), frequency in rad/s."""
-    x, y, step = np.zeros(2), [], DT_S / 5
+    x = np.zeros(2)
+    y = []
+    step = DT_S / 5
     for value in v:
         y.append(x[0])
         for _ in range(5):
@@ -89,7 +91,8 @@ def main() -> None:
             rng = np.random.default_rng(seed)
             train = records(plant, 4, (0.02, 0.1)[seed % 2], rng)
             fresh = records(plant, 8, 0.0, rng)
-            linear, ts = ARX().fit(train), TS().fit(train)
+            linear = ARX().fit(train)
+            ts = TS().fit(train)
             print(
                 f"| {plant} | {seed} | {off(linear, fresh):.2f} | {off(ts, fresh):.2f} | "
                 f"{len(ts.rules())} | {list(ts.layout.orders.nb)} |",

@@ -16,7 +16,8 @@ Record = tuple[FloatArray, FloatArray]
 
 def hammerstein(rng: np.random.Generator) -> Experiment:
     """A dead band in front of a second-order lag; three short records, 2 % noise."""
-    dt, n = 0.05, 400
+    dt = 0.05
+    n = 400
 
     def f(x: FloatArray, u: float) -> FloatArray:
         push = np.sign(u) * max(abs(u) - 0.3, 0.0)
@@ -31,7 +32,8 @@ def hammerstein(rng: np.random.Generator) -> Experiment:
 
 def wiener(rng: np.random.Generator) -> Experiment:
     """A sensor that saturates softly behind a second-order lag; three short records, 2 % noise."""
-    dt, n = 0.05, 400
+    dt = 0.05
+    n = 400
 
     def f(x: FloatArray, u: float) -> FloatArray:
         return np.array([x[1], 9.0 * (u - x[0]) - 4.0 * x[1]])
@@ -54,13 +56,16 @@ def linear_servo(rng: np.random.Generator) -> Experiment:
 
 
 def _axis(rng: np.random.Generator, friction: float) -> Experiment:
-    dt, n = 0.004, 3000
+    dt = 0.004
+    n = 3000
 
     def f(x: FloatArray, u: float) -> FloatArray:
         return np.array([x[1], (u - 1.5 * x[1] - friction * np.tanh(x[1] / 0.005)) / 0.8])
 
     def run(goal: FloatArray, bump: FloatArray) -> Record:
-        u, y, x = np.empty(len(goal)), np.empty(len(goal)), np.zeros(2)
+        u = np.empty(len(goal))
+        y = np.empty(len(goal))
+        x = np.zeros(2)
         for k, r in enumerate(goal):
             y[k], u[k] = x[0], np.clip(120.0 * (r - x[0]) - 15.0 * x[1] + bump[k], -10, 10)
             x = integrate(f, x, np.full(2, u[k]), dt, 8)[1]
@@ -75,7 +80,8 @@ def _axis(rng: np.random.Generator, friction: float) -> Experiment:
 
 def linear_modes(rng: np.random.Generator) -> Experiment:
     """Three lightly damped modes, one short record, little noise: a high order, and linear."""
-    dt, n = 1.0, 512
+    dt = 1.0
+    n = 512
     modes = ((0.25, 0.05, 1.0), (0.9, 0.03, 0.5), (1.7, 0.03, -0.4))
 
     def run() -> Record:
@@ -94,7 +100,8 @@ def linear_modes(rng: np.random.Generator) -> Experiment:
 
 def linear_lags(rng: np.random.Generator) -> Experiment:
     """Three lags in a row and a dead time, one short record with 3 % noise."""
-    dt, n = 1.0, 800
+    dt = 1.0
+    n = 800
 
     def f(x: FloatArray, u: float) -> FloatArray:
         return np.array([(u - x[0]) / 4.0, (x[0] - x[1]) / 9.0, (x[1] - x[2]) / 15.0])
@@ -108,7 +115,8 @@ def linear_lags(rng: np.random.Generator) -> Experiment:
 
 def linear_noisy(rng: np.random.Generator) -> Experiment:
     """An oscillation behind a lag; two records, 10 % noise."""
-    dt, n = 0.05, 700
+    dt = 0.05
+    n = 700
 
     def f(x: FloatArray, u: float) -> FloatArray:
         return np.array([x[1], 16.0 * (u - x[0]) - 1.6 * x[1], (x[0] - x[2]) / 0.7])

@@ -23,7 +23,8 @@ from flysid.model.ts import TS
 
 def duffing(rng: np.random.Generator, hardening: float = 0.06) -> Experiment:
     """An oscillator with a hardening spring; of the tests one is a little weaker, one stronger."""
-    dt, n = 1 / 600, 6000
+    dt = 1 / 600
+    n = 6000
 
     def f(x: FloatArray, u: float) -> FloatArray:
         return np.array([x[1], 1.6e5 * (u - x[0] - hardening * x[0] ** 3) - 25.0 * x[1]])
@@ -42,7 +43,8 @@ def stiff(rng: np.random.Generator) -> Experiment:
 
 def tanks(rng: np.random.Generator) -> Experiment:
     """Two tanks in cascade; the upper one flows over, partly into the lower one. One short record."""
-    dt, n = 4.0, 1024
+    dt = 4.0
+    n = 1024
 
     def f(x: FloatArray, u: float) -> FloatArray:
         x = np.maximum(x, 0.0)
@@ -65,7 +67,9 @@ def cart(rng: np.random.Generator) -> Experiment:
         return np.array([x[1], (u - 2.0 * x[1] - 2.0 * np.tanh(x[1] / 0.01)) / 1.0])
 
     def run(goal: FloatArray) -> tuple[FloatArray, FloatArray]:
-        u, y, x = np.empty(len(goal)), np.empty(len(goal)), np.zeros(2)
+        u = np.empty(len(goal))
+        y = np.empty(len(goal))
+        x = np.zeros(2)
         for k, r in enumerate(goal):
             y[k], u[k] = x[0], np.clip(60.0 * (r - x[0]) - 12.0 * x[1], -10, 10)
             x = integrate(f, x, np.full(2, u[k]), dt, 8)[1]
@@ -88,8 +92,10 @@ def propeller(rng: np.random.Generator) -> Experiment:
         )
 
     def run(goal: FloatArray) -> tuple[FloatArray, FloatArray]:
-        u, y = np.empty(len(goal)), np.empty(len(goal))
-        x, total = np.array([0.0, 0.0, 2.0]), 0.0
+        u = np.empty(len(goal))
+        y = np.empty(len(goal))
+        x = np.array([0.0, 0.0, 2.0])
+        total = 0.0
         for k, r in enumerate(goal):
             miss = r - x[0]
             total = float(np.clip(total + 3.0 * dt * miss, -12, 12))
@@ -107,7 +113,8 @@ def propeller(rng: np.random.Generator) -> Experiment:
 
 def drone(rng: np.random.Generator) -> Experiment:
     """Pitch command to speed: attitude lag, quadratic drag, four flights at 50 Hz."""
-    dt, n = 0.02, 1500
+    dt = 0.02
+    n = 1500
 
     def f(x: FloatArray, u: float) -> FloatArray:
         push = 9.81 * np.tan(x[1])
@@ -122,7 +129,8 @@ def drone(rng: np.random.Generator) -> Experiment:
 
 def saturated(rng: np.random.Generator) -> Experiment:
     """A saturating actuator in front of second-order dynamics, four records, a good deal of noise."""
-    dt, n = 0.05, 600
+    dt = 0.05
+    n = 600
 
     def f(x: FloatArray, u: float) -> FloatArray:
         return np.array([x[1], 4.0 * (np.tanh(2.0 * u) - x[0]) - 2.0 * x[1]])
@@ -136,7 +144,8 @@ def saturated(rng: np.random.Generator) -> Experiment:
 
 def arm(rng: np.random.Generator) -> Experiment:
     """A lightly damped flexible arm whose first mode's damping grows with speed; a short record."""
-    dt, n = 1.0, 512
+    dt = 1.0
+    n = 512
 
     def f(x: FloatArray, u: float) -> FloatArray:
         drag = 0.05 * x[1] + 1.5 * x[1] * abs(x[1])
@@ -152,7 +161,8 @@ def arm(rng: np.random.Generator) -> Experiment:
 
 def linear(rng: np.random.Generator) -> Experiment:
     """Nothing to find: a linear second-order lag with noise, four records."""
-    dt, n = 0.05, 600
+    dt = 0.05
+    n = 600
 
     def f(x: FloatArray, u: float) -> FloatArray:
         return np.array([x[1], 4.0 * (u - x[0]) - 2.0 * x[1]])

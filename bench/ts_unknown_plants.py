@@ -32,7 +32,8 @@ def _records(run: Recorder, dt: float, noise: float, rng: np.random.Generator, t
 
 def diode(rng: np.random.Generator) -> Experiment:
     """Wiener-Hammerstein: a diode-like saturation between two third-order filters (Schoukens 2009)."""
-    first, second = cheby1(3, 0.5, 2 * 4.4 / 51.2), cheby2(3, 40, 2 * 5.0 / 51.2)
+    first = cheby1(3, 0.5, 2 * 4.4 / 51.2)
+    second = cheby2(3, 40, 2 * 5.0 / 51.2)
     shaping = cheby1(4, 0.5, 2 * 10.0 / 51.2)
 
     def run() -> Record:
@@ -46,7 +47,8 @@ def diode(rng: np.random.Generator) -> Experiment:
 
 def drives(rng: np.random.Generator) -> Experiment:
     """Coupled electric drives: the sensor gives the absolute value of a speed (Wigren 2017)."""
-    dt, n = 0.02, 500
+    dt = 0.02
+    n = 500
 
     def f(x: FloatArray, u: float) -> FloatArray:
         return np.array([x[1], 120.0 * (x[2] - x[0]) - 3.0 * x[1], (u - x[2]) / 0.6])
@@ -60,15 +62,21 @@ def drives(rng: np.random.Generator) -> Experiment:
 
 def ph(rng: np.random.Generator) -> Experiment:
     """Neutralisation of an acid by a base in a stirred tank (Henson and Seborg, 1994)."""
-    dt, n = 15.0, 1500
-    k1, k2 = 10**-6.35, 10**-10.25
+    dt = 15.0
+    n = 1500
+    k1 = 10**-6.35
+    k2 = 10**-10.25
 
     def run() -> Record:
         u = 15.6 + 3.0 * steps(n, (10, 60), rng)
-        wa, wb = -4.32e-4, 5.28e-4
-        y, low, high = np.empty(n), 0.0, 14.0
+        wa = -4.32e-4
+        wb = 5.28e-4
+        y = np.empty(n)
+        low = 0.0
+        high = 14.0
         for k in range(n):
-            low, high = 1.0, 13.0
+            low = 1.0
+            high = 13.0
             for _ in range(40):
                 p = 0.5 * (low + high)
                 h = 10.0**-p
@@ -88,7 +96,8 @@ def ph(rng: np.random.Generator) -> Experiment:
 
 def exchanger(rng: np.random.Generator) -> Experiment:
     """Flow to temperature: gain and time constant fall with flow; the inlet drifts slowly."""
-    dt, n = 1.0, 4000
+    dt = 1.0
+    n = 4000
 
     def run() -> Record:
         u = 0.4 + 0.3 * steps(n, (30, 150), rng)
@@ -104,7 +113,8 @@ def exchanger(rng: np.random.Generator) -> Experiment:
 
 def bouc_wen(rng: np.random.Generator) -> Experiment:
     """The Bouc-Wen benchmark of hysteresis (Noel and Schoukens, 2016), one period of a multisine."""
-    dt, n = 1 / 750, 4096
+    dt = 1 / 750
+    n = 4096
 
     def f(x: FloatArray, u: float) -> FloatArray:
         y, v, z = x
@@ -120,7 +130,8 @@ def bouc_wen(rng: np.random.Generator) -> Experiment:
 
 def van_der_pol(rng: np.random.Generator) -> Experiment:
     """An oscillation that keeps itself going, pushed by an input: no free run forgets its phase for long."""
-    dt, n = 0.1, 2000
+    dt = 0.1
+    n = 2000
 
     def f(x: FloatArray, u: float) -> FloatArray:
         return np.array([x[1], (1.0 - x[0] ** 2) * x[1] - x[0] + u])
@@ -149,7 +160,8 @@ def _narendra(
             return u, y
 
         k = np.arange(800)
-        slow, fast = np.sin(2 * np.pi * k / 250), np.sin(2 * np.pi * k / 25)
+        slow = np.sin(2 * np.pi * k / 250)
+        fast = np.sin(2 * np.pi * k / 25)
         train = rng.uniform(-1.0, 1.0, 1200)
         tests = [np.where(k < 400, slow, 0.8 * slow + 0.2 * fast), steps(800, (5, 40), rng)]
         return experiment([answer(train)], [answer(u) for u in tests], 1.0, 0.02, rng)
@@ -159,12 +171,14 @@ def _narendra(
 
 def roll(rng: np.random.Generator) -> Experiment:
     """Fixed wing: aileron to roll rate, L_p growing with airspeed, L_da with its square; two inputs."""
-    dt, n = 0.02, 1500
+    dt = 0.02
+    n = 1500
 
     def run() -> Record:
         aileron = np.radians(10.0) * steps(n, (15, 80), rng)
         speed = 20.0 + 8.0 * np.convolve(steps(n + 100, (200, 400), rng), np.full(101, 1 / 101), "valid")
-        p, y = 0.0, np.empty(n)
+        p = 0.0
+        y = np.empty(n)
         for k in range(n):
             y[k] = p
             for _ in range(4):
@@ -176,16 +190,19 @@ def roll(rng: np.random.Generator) -> Experiment:
 
 def quadruple(rng: np.random.Generator) -> Experiment:
     """Two inputs, two outputs, coupled: four tanks (Johansson, 2000)."""
-    dt, n = 3.0, 2500
+    dt = 3.0
+    n = 2500
 
     def run() -> Record:
         u = 3.0 + 2.0 * np.column_stack([steps(n, (20, 100), rng), steps(n, (20, 100), rng)])
-        x, y = np.array([12.0, 12.0, 2.0, 2.0]), np.empty((n, 2))
+        x = np.array([12.0, 12.0, 2.0, 2.0])
+        y = np.empty((n, 2))
         for k in range(n):
             y[k] = 0.5 * x[:2]
             for _ in range(4):
                 out = np.array([0.071, 0.057, 0.071, 0.057]) * np.sqrt(2 * 981.0 * np.maximum(x, 0.0))
-                a, b = 3.33 * u[k, 0], 3.35 * u[k, 1]
+                a = 3.33 * u[k, 0]
+                b = 3.35 * u[k, 1]
                 into = np.array([0.7 * a + out[2], 0.6 * b + out[3], 0.4 * b, 0.3 * a])
                 x = np.maximum(x + dt / 4 * (into - out) / np.array([28.0, 32.0, 28.0, 32.0]), 0.0)
         return u, y
@@ -242,7 +259,8 @@ def drag(
     def plant(rng: np.random.Generator) -> Experiment:
         def run(n: int, times: float) -> Record:
             u = times * steps(n, hold, rng)
-            x, y = np.zeros(2), np.empty(n)
+            x = np.zeros(2)
+            y = np.empty(n)
             for k in range(n):
                 y[k] = x[1]
                 for _ in range(2):
@@ -257,10 +275,13 @@ def drag(
 
 def spin(rng: np.random.Generator) -> Experiment:
     """A rotor that spins up faster than it spins down, thrust with its square."""
-    dt, n = 0.02, 2000
+    dt = 0.02
+    n = 2000
 
     def run() -> Record:
-        u, x, y = 0.5 + 0.45 * steps(n, (15, 100), rng), 0.5, np.empty(n)
+        u = 0.5 + 0.45 * steps(n, (15, 100), rng)
+        x = 0.5
+        y = np.empty(n)
         for k in range(n):
             y[k] = x * x
             for _ in range(4):
@@ -272,10 +293,14 @@ def spin(rng: np.random.Generator) -> Experiment:
 
 def backlash(rng: np.random.Generator) -> Experiment:
     """Play in a gear between a lagging motor and the measured side."""
-    dt, n = 0.02, 3000
+    dt = 0.02
+    n = 3000
 
     def run() -> Record:
-        u, x, place, y = steps(n, (15, 100), rng), 0.0, 0.0, np.empty(n)
+        u = steps(n, (15, 100), rng)
+        x = 0.0
+        place = 0.0
+        y = np.empty(n)
         for k in range(n):
             y[k] = place
             x += dt * (u[k] - x) / 0.3
@@ -287,11 +312,14 @@ def backlash(rng: np.random.Generator) -> Experiment:
 
 def levitation(rng: np.random.Generator) -> Experiment:
     """A magnet's ball in closed loop: unstable by itself, current to gap."""
-    dt, n = 0.005, 3000
+    dt = 0.005
+    n = 3000
 
     def run() -> Record:
         goal = 0.01 + 0.002 * steps(n, (100, 300), rng)
-        u, y, x = np.empty(n), np.empty(n), np.array([0.01, 0.0])
+        u = np.empty(n)
+        y = np.empty(n)
+        x = np.array([0.01, 0.0])
         for k in range(n):
             y[k] = x[0]
             u[k] = np.clip(1.0 + 250.0 * (x[0] - goal[k]) + 6.0 * x[1] + 0.02 * rng.normal(), 0.1, 3.0)

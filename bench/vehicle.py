@@ -58,7 +58,8 @@ def accuracy() -> None:
     scale = np.abs(fly_vehicle(vehicle, commands, period_s=0.5, record_s=0.001).states).max(axis=0)
     physics = vehicle.physics().packed()
     for method, tolerance in (("DOP853", 1e-11), ("RK45", 1e-8)):
-        x, began = vehicle.hover(), time.process_time()
+        x = vehicle.hover()
+        began = time.process_time()
         for u in inputs:
             x = solve_ivp(
                 lambda _, y, u=u: closed_loop_rates(y, u, physics), (0, 0.5), x, method=method,

@@ -90,7 +90,8 @@ def _typical_miss() -> float:
 
 def draw(case: Case, rng: np.random.Generator) -> tuple[list[FloatArray], list[FloatArray], list[str]]:
     """Errors of baseline and model, and the flight of each."""
-    ea, eb = [], []
+    ea = []
+    eb = []
     missed = _missed(rng, case.flights)
     for i in range(case.flights):
         rough = np.exp(0.3 * rng.normal()) * np.ones(case.n)
@@ -123,7 +124,9 @@ def run(case: Case, repetitions: int, seed: int = 4242) -> Outcome:
     """Repeat one case."""
     rng = np.random.default_rng(seed)
     truth = 100.0 * float(np.expm1(case.truth))
-    held, widths, verdicts = 0, [], dict.fromkeys(Verdict, 0)
+    held = 0
+    widths = []
+    verdicts = dict.fromkeys(Verdict, 0)
     for _ in range(repetitions):
         found = change(*draw(case, rng)).interval
         assert found is not None

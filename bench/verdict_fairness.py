@@ -37,7 +37,9 @@ from flysid.validate.compare import compare
 from flysid.validate.trials import FREE_RUN
 
 DT_S = 0.05
-TRAIN, TEST, FRESH = 4, 8, 120
+TRAIN = 4
+TEST = 8
+FRESH = 120
 VERDICTS = ("better", "contested", "same", "worse", "not enough data")
 LENGTH = 500
 CONTENDERS: dict[str, Callable[[tuple[int, ...]], Estimator]] = {
@@ -114,7 +116,8 @@ def nonlinear_plant(rng: np.random.Generator, perfect: float = 0.8) -> Plant:
     kind = str(rng.choice(["saturation", "dead band", "drag"]))
     while True:
         plant = Plant(kind, _nonlinear(kind, rng), 0.0, 0.0)
-        train, test = flights(plant, TRAIN, rng, "t"), flights(plant, TEST, rng, "h")
+        train = flights(plant, TRAIN, rng, "t")
+        test = flights(plant, TEST, rng, "h")
         error = compare([ARX().fit(train)], test, horizons=[FREE_RUN]).entry().models["arx"].scores
         if error.fit_pct is not None and error.fit_pct < 97.0:
             break
@@ -123,7 +126,8 @@ def nonlinear_plant(rng: np.random.Generator, perfect: float = 0.8) -> Plant:
 
 
 def _nonlinear(kind: str, rng: np.random.Generator) -> Callable[[FloatArray], FloatArray]:
-    dynamics, size = linear_dynamics(rng), rng.uniform(0.3, 0.8)
+    dynamics = linear_dynamics(rng)
+    size = rng.uniform(0.3, 0.8)
     if kind == "saturation":
         return lambda u: dynamics(np.tanh(u / size))
     if kind == "dead band":
@@ -182,7 +186,8 @@ class Outcome:
 def judged(plant: Plant, rng: np.random.Generator, seed: int, contender: str = "ts") -> Outcome:
     """Defaults fitted to the plant as `flysid fit` does it, judged, and tried on fresh flights."""
     began = time.process_time()
-    train, test = flights(plant, TRAIN, rng, "t"), flights(plant, TEST, rng, "h")
+    train = flights(plant, TRAIN, rng, "t")
+    test = flights(plant, TEST, rng, "h")
     hint = delays_to_try(dead_times(train), 1)
     linear = linear_estimators(hint)
     choice = choose_baseline(train, linear)
@@ -245,7 +250,8 @@ def row(kind: str, outcomes: Sequence[Outcome], seeds: range) -> str:
     n = len(outcomes)
     count = Counter(o.verdict for o in outcomes)
     covered = [o.covered for o in outcomes if o.covered is not None]
-    better, held = exact_interval(count["better"], n), exact_interval(sum(covered), len(covered))
+    better = exact_interval(count["better"], n)
+    held = exact_interval(sum(covered), len(covered))
     one_rule = sum(o.verdict == "better" and o.rules == 1 for o in outcomes)
     contested = count["contested"]
     cells = (

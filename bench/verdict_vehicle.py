@@ -27,7 +27,8 @@ from flysid.validate.trials import FREE_RUN
 
 NOISE = 0.02
 FLIGHTS = 6
-MUST_NOT_PCT, SHOULD_PCT = -5.0, -10.0
+MUST_NOT_PCT = -5.0
+SHOULD_PCT = -10.0
 
 
 def flights(share: float, column: int, first_seed: int, kinds: tuple[int, ...], *, alone: bool) -> Dataset:

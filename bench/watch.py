@@ -26,7 +26,9 @@ from flysid.validate.detect import DETECTORS, calibrate
 
 PERIOD_S = 0.02
 ALTITUDE_M = 60.0
-TRAINING_S, FAULT_S, AT_S = 150.0, 120.0, 60.0
+TRAINING_S = 150.0
+FAULT_S = 120.0
+AT_S = 60.0
 ASKED_1_H = 0.1
 NOISE = {"thrust": 0.005, "v_z": 0.02, "q": 0.3, "r": 0.3}
 PLANS = (MULTISINE, PILOT, STEPS)
@@ -87,9 +89,11 @@ def fly(seed: int, seconds: float, fault: tuple[float, Vehicle] | None = None) -
     field = wind_field(wind, len(t), PERIOD_S, ALTITUDE_M, rng)
     drone = DRONE
     if fault is not None and fault[0] == 0.0:
-        drone, fault = fault[1], None
+        drone = fault[1]
+        fault = None
     flown = fly_vehicle(drone, command, wind_m_s=field, start=drone.hover(ALTITUDE_M), fault=fault)
-    series, squares = flown.series(), flown.states[:, 12:16] ** 2
+    series = flown.series()
+    squares = flown.states[:, 12:16] ** 2
     frame = DRONE.airframe
     true = {
         "vz_in": command[:, 2],
@@ -174,7 +178,9 @@ def main() -> None:
 def false_alarms(watches: list[ChannelWatch], nominal: list[Flown]) -> None:
     """False alarms by channel and detector, with the exact 95 % bound of their rate."""
     hours = len(nominal) * TRAINING_S / 3600.0
-    total, began, samples = 0, time.process_time(), 0
+    total = 0
+    began = time.process_time()
+    samples = 0
     print(f"Nominal flight, {hours:.1f} h, {ASKED_1_H:g}/h asked for (the vehicle's):\n")
     print("| channel | " + " | ".join(DETECTORS) + " | outside, share of samples |\n|---" + "|---" * 4 + "|")
     for one in watches:

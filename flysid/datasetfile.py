@@ -49,7 +49,9 @@ def write_dataset(path: str | Path, head: tabular.Head, segments: Iterable[Segme
 
 
 def _write(path: Path, head: tabular.Head, segments: Iterable[Segment]) -> int:
-    rows, waiting, held = 0, [], 0
+    rows = 0
+    waiting = []
+    held = 0
     with pq.ParquetWriter(path, tabular.schema_of(head), compression="zstd", compression_level=1) as writer:
         for number, segment in enumerate(segments):
             waiting.append(tabular.batch_of(head, segment, number))
@@ -228,7 +230,8 @@ class DatasetFile:
         yield from (piece for piece in _by_segment(batch) if _number(piece) in self.only)
 
     def _segment(self, parts: list[pa.RecordBatch]) -> Segment:
-        table, n_u = pa.Table.from_batches(parts), len(self.inputs)
+        table = pa.Table.from_batches(parts)
+        n_u = len(self.inputs)
         first = len(tabular.FIXED)
         columns = [table.column(first + i).to_numpy() for i in range(n_u + len(self.outputs))]
         return Segment(
@@ -269,7 +272,8 @@ def open_dataset(path: str | Path) -> DatasetFile:
         raise StoreError("not a dataset file of flysid", path=path, hint=HOW)
     check_version(document.get("version"), tabular.VERSION, "dataset", path)
     try:
-        inputs, outputs = _signals(document["inputs"]), _signals(document["outputs"])
+        inputs = _signals(document["inputs"])
+        outputs = _signals(document["outputs"])
         return DatasetFile(path, float(document["dt_s"]), inputs, outputs, str(document["name"]), rows)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise StoreError(f"damaged dataset: {error}", path=path) from error

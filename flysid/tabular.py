@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 FIXED = ("flight", "segment", "time_ns", "marks")
-FORMAT, VERSION = "flysid-dataset", 1
+FORMAT = "flysid-dataset"
+VERSION = 1
 META = b"flysid"
 
 

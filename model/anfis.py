@@ -24,7 +24,9 @@ from flysid.model.rules.regressor_layout import Layout, Orders, parse_antecedent
 from flysid.model.rules.stages import ordered
 from flysid.model.threads import on_one_thread
 
-_GROWTH, _SHRINKAGE = 1.1, 0.9  # of the step, Jang's heuristic rules
+# of the step, Jang's heuristic rules
+_GROWTH = 1.1
+_SHRINKAGE = 0.9
 _RIDGE = 1e-9  # on consequents, relative: neighbouring rules are nearly collinear
 
 
@@ -72,11 +74,15 @@ class ANFIS:
         layout = self._layout(train)
         learner = _Learner.of(layout, train, self.rules)
         judge = learner if validation is None else learner.on(validation)
-        best, best_error, best_epoch = learner.start, np.inf, 0
+        best = learner.start
+        best_error = np.inf
+        best_epoch = 0
         for epoch, body in enumerate(learner.epochs(self.epochs, self.step)):
             error = judge.error(body)
             if error < best_error:
-                best, best_error, best_epoch = body, error, epoch
+                best = body
+                best_error = error
+                best_epoch = epoch
         notes = (
             f"{self.rules} rules were asked for; memberships and consequents were learned in turn one step "
             f"ahead (ANFIS), epoch {best_epoch} of {self.epochs} was the best.",
@@ -146,7 +152,8 @@ class _Learner:
 
     def epochs(self, count: int, step: float) -> Iterator[Body]:
         """The body after least squares in every epoch; memberships move between epochs."""
-        body, errors = self.start, list[float]()
+        body = self.start
+        errors = list[float]()
         for _ in range(count):
             body = self.with_consequents(body)
             yield body
@@ -228,7 +235,8 @@ def _problem(layout: Layout, runs: tuple[FloatArray, ...]) -> Problem:
 
 
 def _rows(problem: Problem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    layout, d = problem.layout, problem.layout.depth
+    layout = problem.layout
+    d = problem.layout.depth
     E = np.vstack([layout.regressor_values(W) for W in problem.runs]) @ problem.basis.T
     z = np.vstack([layout.antecedent_values(W) for W in problem.runs])
     return E, z, np.vstack([W[d:, : layout.n_y] for W in problem.runs])

@@ -43,7 +43,9 @@ MODEL_FORMAT = "flysid-model"
 MODEL_VERSION = 1
 ENTRY_POINTS = "flysid.structures"
 MAX_FILE_BYTES = 256 << 20
-MAX_INIT, MAX_SIGNALS, TRIED = 1_000_000, 1000, 100
+MAX_INIT = 1_000_000
+MAX_SIGNALS = 1000
+TRIED = 100
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,8 @@ class Bordered:
 
     def damped_step(self, scale: FloatArray, damping: float, gradient: FloatArray) -> FloatArray | None:
         """-(H + damping diag(scale²))⁻¹ gradient, or None where that matrix is not positive definite."""
-        p, (count, _, q) = len(self.corner), self.border.shape
+        p = len(self.corner)
+        (count, _, q) = self.border.shape
         s = scale[:p]
         inner = scale[p:].reshape(count, q)
         g = gradient[:p] / s

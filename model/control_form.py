@@ -68,7 +68,8 @@ def state_space(system: Difference) -> tuple[FloatArray, FloatArray, FloatArray,
     n_u = system.b.shape[2]
     a = np.zeros((depth + 1, n_y, n_y))
     b = np.zeros((depth + 1, n_y, n_u))
-    a[: len(system.a)], b[: len(system.b)] = system.a, system.b
+    a[: len(system.a)] = system.a
+    b[: len(system.b)] = system.b
     n = depth * n_y
     big_a = np.eye(n, k=n_y)
     big_b = np.zeros((n, n_u))
@@ -97,6 +98,7 @@ def with_registers(
             c = np.hstack([c, d[:, [j]]])
             b = np.vstack([b, np.zeros((1, b.shape[1]))])
             d = d.copy()
-            b[:, j], d[:, j] = 0.0, 0.0
+            b[:, j] = 0.0
+            d[:, j] = 0.0
             b[-1, j] = 1.0
     return a, b, c, d

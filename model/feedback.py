@@ -20,7 +20,8 @@ from flysid.model.noise import noise_model
 from flysid.model.start import estimate_start, start_window
 
 LOOK_S = 1.0
-MOST_LAGS, FEWEST_LAGS = 25, 5
+MOST_LAGS = 25
+FEWEST_LAGS = 5
 LEVEL = 1e-4
 SHARE = 0.02
 """Of the innovations' variance that later inputs must explain."""

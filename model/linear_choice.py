@@ -202,7 +202,9 @@ def _judged(models: Mapping[str, Fitted], check: Dataset) -> dict[str, tuple[Flo
     scale = np.where(scale > 0.0, scale, 1.0)
     found = {}
     for name, model in models.items():
-        squares, lost, (low, high) = [], False, model.output_limits
+        squares = []
+        lost = False
+        (low, high) = model.output_limits
         for s, window in scored:
             run = run_from_window(model, s, window)[window:]
             lost = lost or bool(((run <= low) | (run >= high) | ~np.isfinite(run)).any())

@@ -81,7 +81,8 @@ def estimate_start(model: Runs, u: FloatArray, y: FloatArray) -> FloatArray:
     guesses = [measured, *_smooth_guesses(y, model.n_init)]
     costs = [_cost(model, u, y, guess, scale) for guess in guesses]
     at = int(np.argmin([cost for cost, _ in costs]))
-    best, (cost, residual) = guesses[at], costs[at]
+    best = guesses[at]
+    (cost, residual) = costs[at]
     for _ in range(STEPS):
         jacobian = _jacobian(model, u, best, scale)
         if not np.isfinite(jacobian).all():

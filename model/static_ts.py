@@ -85,7 +85,8 @@ class StaticTS:
         """
         del validation
         self._check()
-        n_u, survey = len(train.inputs), _Survey.of(train)
+        n_u = len(train.inputs)
+        survey = _Survey.of(train)
         partition = self._partition(survey, n_u)
         if survey.rows <= self.rules * (n_u + 1):
             raise DataError(
@@ -93,7 +94,8 @@ class StaticTS:
                 hint="ask for fewer rules, or record longer",
             )
         found = fit_consequents(lambda: _pieces(partition, train), self.consequents, self.ridge)
-        y_low, y_high = survey.low[n_u:], survey.high[n_u:]
+        y_low = survey.low[n_u:]
+        y_high = survey.high[n_u:]
         return FittedStaticTS(
             dt_s=train.dt_s,
             inputs=train.inputs,
@@ -127,7 +129,8 @@ class StaticTS:
     def _partition(self, survey: _Survey, n_u: int) -> Partition:
         clusters = cluster(survey.thinned, self.rules, self.method, seed=self.seed)
         centre, left, right = project(clusters, n_u, two_sided=self.two_sided)
-        low, high = survey.low[:n_u], survey.high[:n_u]
+        low = survey.low[:n_u]
+        high = survey.high[:n_u]
         return Partition(centre, left, right, low, high, self.shape, self.conjunction)
 
 
@@ -251,7 +254,8 @@ class FittedStaticTS(FreeRuns):
 
     def table(self, output: int = 0) -> tuple[Row, ...]:
         """Rows of the paper's tables for one output: gains, offset, centre of the cluster."""
-        theta, centre = self.consequents[:, output], self.partition.centre
+        theta = self.consequents[:, output]
+        centre = self.partition.centre
         return tuple(
             Row(tuple(row[:-1].tolist()), float(row[-1]), tuple(c.tolist()))
             for row, c in zip(theta, centre, strict=True)
@@ -259,7 +263,8 @@ class FittedStaticTS(FreeRuns):
 
     def tables(self) -> str:
         """The rules in the form of the paper's tables 1 to 6: two tables for every output."""
-        names, parts = [s.name for s in self.inputs], list[str]()
+        names = [s.name for s in self.inputs]
+        parts = list[str]()
         for i, signal in enumerate(self.outputs):
             rows = self.table(i)
             parts += [f"Fuzzy If-Then rules of {signal.name}", *if_then(rows, names, signal.name), ""]
@@ -302,7 +307,10 @@ class _Survey:
     def of(cls, data: Source) -> _Survey:
         """One pass; DataError where there is nothing to learn from."""
         every = max(1, -(-len(data) // MOST_SAMPLES))
-        at, kept, lows, highs = 0, list[FloatArray](), list[FloatArray](), list[FloatArray]()
+        at = 0
+        kept = list[FloatArray]()
+        lows = list[FloatArray]()
+        highs = list[FloatArray]()
         for u, y in _samples(data):
             piece = np.hstack([u, y])
             kept.append(piece[-at % every :: every].copy())
@@ -311,7 +319,8 @@ class _Survey:
             at += len(piece)
         if not at:
             raise DataError("there are no samples to fit", hint="record longer, or loosen the recipe's cuts")
-        low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+        low = np.min(lows, axis=0)
+        high = np.max(highs, axis=0)
         for j, signal in enumerate(data.inputs):
             if low[j] == high[j]:
                 raise DataError(

@@ -230,7 +230,8 @@ def _records(data: Dataset, output: int, factor: int, taps: int) -> tuple[list[R
             hint="a shorter horizon, or longer segments",
         )
     whole = np.concatenate(found)
-    mean, scale = whole.mean(axis=0), whole.std(axis=0)
+    mean = whole.mean(axis=0)
+    scale = whole.std(axis=0)
     for i, signal in enumerate((*data.inputs, data.outputs[output])):
         if not scale[i] > 1e-12 * max(abs(float(mean[i])), 1e-300):
             raise DataError(
@@ -276,7 +277,8 @@ def _rows(
     from scipy.signal import lfilter
 
     for (u, y), mask in zip(records, masks, strict=True):
-        white_u, white_y = lfilter(d, [1.0], u, axis=0), lfilter(d, [1.0], y)
+        white_u = lfilter(d, [1.0], u, axis=0)
+        white_y = lfilter(d, [1.0], y)
         windows = np.lib.stride_tricks.sliding_window_view(white_u, taps, axis=0)[:, :, ::-1]
         first = taps - 1 + len(d) - 1
         picked = np.flatnonzero(mask[first:]) + first

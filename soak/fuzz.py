@@ -59,7 +59,8 @@ def mutate(blob: bytearray, rng: random.Random, others: list[bytes]) -> None:
     """One change in place."""
     if not blob:
         blob += rng.randbytes(8)
-    at, kind = rng.randrange(len(blob)), rng.randrange(8)
+    at = rng.randrange(len(blob))
+    kind = rng.randrange(8)
     span = min(len(blob) - at, rng.choice((1, 2, 4, 8, 16, 64, 512)))
     if kind == 0:
         blob[at] ^= 1 << rng.randrange(8)
@@ -104,13 +105,16 @@ def no_longer_than(seconds: int) -> Iterator[None]:
 
 def repair_mavlink(blob: bytearray) -> None:
     """The CRC of every frame, as far as frames chain by their lengths or a marker follows."""
-    extra, at = _crc_extra(), 0
+    extra = _crc_extra()
+    at = 0
     while at < len(blob) - 8:
         size = blob[at + 1]
         if blob[at] == 0xFE:
-            head, message = 6, blob[at + 5]
+            head = 6
+            message = blob[at + 5]
         elif blob[at] == 0xFD and at + 10 <= len(blob):
-            head, message = 10, int.from_bytes(blob[at + 7 : at + 10], "little")
+            head = 10
+            message = int.from_bytes(blob[at + 7 : at + 10], "little")
         else:
             at += 1
             continue

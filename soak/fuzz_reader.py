@@ -47,11 +47,13 @@ def seeds(name: str) -> list[bytes]:
 def fuzz(name: str, seed: int, budget: Budget) -> Outcome:
     """Mutate until the time is up."""
     outcome = Outcome(name)
-    corpus, repair = Corpus(seeds(name), random.Random(f"{name}{seed}")), REPAIR.get(name, leave)
+    corpus = Corpus(seeds(name), random.Random(f"{name}{seed}"))
+    repair = REPAIR.get(name, leave)
     for blob in list(corpus.inputs):
         _try(name, blob, corpus, outcome)
     del corpus.inputs[len(seeds(name)) :]
-    first, goes_on = corpus.blocks, budget.clock()
+    first = corpus.blocks
+    goes_on = budget.clock()
     with peak_memory(outcome):
         while goes_on():
             _try(name, corpus.propose(repair), corpus, outcome)

@@ -38,7 +38,9 @@ def mcap_bombs() -> Iterator[tuple[bytes, int]]:
 
 def bag_bombs() -> Iterator[tuple[bytes, int]]:
     """Chunks of bzip2 and lz4 that expand to 256 MB, with and without owning up to it."""
-    blob, at, zeros = rosbag.build(), len(rosbag.MAGIC), bytes(1 << 28)
+    blob = rosbag.build()
+    at = len(rosbag.MAGIC)
+    zeros = bytes(1 << 28)
     honest = rosbag.chunk(zeros, b"bz2")
     packed = lz4.frame.compress(zeros)
     for size in (len(zeros), 1000):
@@ -87,7 +89,8 @@ def _shared(count: int) -> bytes:
     with zipfile.ZipFile(one, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("a0000.tlog", bytes(200_000))
     blob = one.getvalue()
-    start, end = blob.index(b"PK\x01\x02"), blob.index(b"PK\x05\x06")
+    start = blob.index(b"PK\x01\x02")
+    end = blob.index(b"PK\x05\x06")
     entries = b"".join(blob[start:end].replace(b"a0000", b"a%04d" % k) for k in range(count))
     tail = struct.pack("<4s4H2IH", b"PK\x05\x06", 0, 0, count, count, len(entries), start, 0)
     return blob[:start] + entries + tail

@@ -19,7 +19,8 @@ from soak import Budget, Campaign, Outcome
 from tests.format_trials import FORMATS, module_of, read_or_none, sample
 
 ROOT = Path(__file__).resolve().parents[1]
-LOGS, BAD = 200, 10
+LOGS = 200
+BAD = 10
 TIMEOUT_S = 900
 
 

@@ -15,7 +15,8 @@ from soak import Budget, Campaign, Outcome
 from tests.samplelogs.mcap import Topic, json_topic, mcap_file, ros1_topic
 
 ROOT = Path(__file__).resolve().parents[1]
-NAMES, TOGETHER = 500, 50
+NAMES = 500
+TOGETHER = 50
 PARTS = [
     *(
         "../",
@@ -57,8 +58,10 @@ def file_names(names: list[str]) -> list[str]:
 
 def run(budget: Budget) -> Iterator[Outcome]:
     """One outcome for names inside logs, one for names of logs; 50 names a trial."""
-    goes_on, names = budget.clock(), hostile(NAMES)
-    inside, files = Outcome("topics and fields"), Outcome("files")
+    goes_on = budget.clock()
+    names = hostile(NAMES)
+    inside = Outcome("topics and fields")
+    files = Outcome("files")
     for k in range(0, NAMES, TOGETHER):
         some = names[k : k + TOGETHER]
         if goes_on():
@@ -71,7 +74,8 @@ def run(budget: Budget) -> Iterator[Outcome]:
 def _ingest(outcome: Outcome, logs: dict[str, bytes]) -> None:
     """Ingest, list and survey logs; look at what was written and said."""
     with tempfile.TemporaryDirectory() as place:
-        folder, data = Path(place, "logs"), Path(place, "data")
+        folder = Path(place, "logs")
+        data = Path(place, "data")
         folder.mkdir()
         for name, blob in logs.items():
             (folder / name).write_bytes(blob)

@@ -16,13 +16,15 @@ from flysid.errors import FlysidError
 from soak import Budget, Campaign, Outcome
 
 COUNT = 200
-CALLED_BETTER, FOUND = 5.0, 80.0
+CALLED_BETTER = 5.0
+FOUND = 80.0
 
 
 def run(budget: Budget) -> Iterator[Outcome]:
     """One outcome per kind of plant."""
     for kind, share in zip(("linear", "nonlinear"), budget.shares(2), strict=True):
-        outcome, plants = Outcome(f"{kind} plants"), list[Plant]()
+        outcome = Outcome(f"{kind} plants")
+        plants = list[Plant]()
         goes_on = share.clock()
         while outcome.trials < COUNT and goes_on():
             rng = np.random.default_rng(outcome.trials)

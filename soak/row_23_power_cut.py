@@ -35,7 +35,9 @@ for result in ingest_logs(find_logs([sys.argv[1]]), sys.argv[2], bounds=None):
 
 def run(budget: Budget) -> Iterator[Outcome]:
     """One outcome."""
-    outcome, rng, goes_on = Outcome("ingest"), random.Random(23), budget.clock()
+    outcome = Outcome("ingest")
+    rng = random.Random(23)
+    goes_on = budget.clock()
     finished = 0
     with tempfile.TemporaryDirectory(dir="/dev/shm") as place:
         folder = Path(place)
@@ -54,7 +56,8 @@ def run(budget: Budget) -> Iterator[Outcome]:
 
 def cut(folder: Path, rng: random.Random, outcome: Outcome) -> int:
     """Ingest, take the disk away after some flight, look at what it holds; how many had been finished."""
-    disk, copy = folder / "disk", folder / "copy"
+    disk = folder / "disk"
+    copy = folder / "copy"
     with disk.open("wb") as file:
         file.truncate(64 << 20)
     subprocess.run(["mkfs.ext4", "-q", "-F", str(disk)], check=True, capture_output=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from soak import Campaign, Outcome
 
-BEGIN, END = "<!-- soak: begin -->", "<!-- soak: end -->"
+BEGIN = "<!-- soak: begin -->"
+END = "<!-- soak: end -->"
 HEAD = (
     "| # | campaign | subject | trials | rows kept | refused | failures "
     "| peak MB | slowest s | remark | date |\n|---|---|---|---|---|---|---|---|---|---|---|"

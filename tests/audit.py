@@ -72,7 +72,8 @@ def locked() -> dict[str, tuple[tuple[str, ...], int]]:
 
 def installed(roots: Sequence[str], runs: bool) -> Iterator[Package]:
     """The closure of requirements over what is installed here."""
-    waiting, seen = list(roots), set[str]()
+    waiting = list(roots)
+    seen = set[str]()
     while waiting:
         requirement = Requirement(waiting.pop())
         name = canonicalize_name(requirement.name)
@@ -112,7 +113,8 @@ def faults() -> list[str]:
 
 
 def _lock_faults() -> Iterator[str]:
-    pins, text = locked(), LOCK.read_text("utf-8")
+    pins = locked()
+    text = LOCK.read_text("utf-8")
     if re.search(r"https?:|file:|--(extra-)?index-url|--find-links|@ ", text):
         yield "the lock file names a host or a place"
     for requirement in (Requirement(r) for own in project().values() for r in own):

@@ -45,6 +45,10 @@ def opened(browser: Any, path: Path) -> list[str]:
         message = json.loads(entry["message"])["message"]
         if message["method"] == "Network.requestWillBeSent":
             requests.append(message["params"]["request"]["url"])
-    own = (path.as_uri(), "chrome://", "data:")  # the browser's own controls, and what stands in the page, never leave the machine
+    own = (
+        path.as_uri(),
+        "chrome://",
+        "data:",
+    )  # the browser's own controls, and what stands in the page, never leave the machine
     left = [f"request {url}" for url in requests if not url.startswith(own)]
     return left + [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]

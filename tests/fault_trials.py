@@ -112,7 +112,8 @@ class Changes:
         walked = (step for top in tops for step in os.walk(top))  # passes over what vanishes meanwhile
         found = sorted(f"{folder}/{name}" for folder, _, files in walked for name in ("", *files))
         if found != self._last:
-            self._last, self.count = found, self.count + 1
+            self._last = found
+            self.count = self.count + 1
         return self.count
 
 
@@ -126,7 +127,9 @@ def killed_ingests(
     assert verb.run(folder / "whole").returncode == 0
     length = time.monotonic() - began
     whole = visible(folder / "whole")
-    outcome, rng, interrupted = Outcome("ingest"), random.Random(seed), 0
+    outcome = Outcome("ingest")
+    rng = random.Random(seed)
+    interrupted = 0
     while outcome.trials < count and goes_on():
         out = folder / f"data{outcome.trials}"
         with outcome.trial():
@@ -161,17 +164,22 @@ def killed_replacements(
     """
     old = visible(folder / "old")
     shutil.copytree(folder / "old", folder / "new")
-    began, changes = time.monotonic(), Changes(folder / "new")
+    began = time.monotonic()
+    changes = Changes(folder / "new")
     kill_when(verb.command(folder / "new"), folder, lambda: changes.seen() < 0)
-    length, new = time.monotonic() - began, visible(folder / "new")
+    length = time.monotonic() - began
+    new = visible(folder / "new")
     assert new != old
-    outcome, rng, interrupted = Outcome(name), random.Random(1), 0
+    outcome = Outcome(name)
+    rng = random.Random(1)
+    interrupted = 0
     kept = 0
     while outcome.trials < count and goes_on():
         out = folder / f"trial{outcome.trials}"
         shutil.copytree(folder / "old", out)
         with outcome.trial():
-            own, last = Changes(out), rng.randint(1, changes.count)
+            own = Changes(out)
+            last = rng.randint(1, changes.count)
             at_change = partial(_has_reached, own, last)
             due = after(rng.uniform(0.3, 1.05) * length) if outcome.trials % 2 else at_change
             interrupted += kill_when(verb.command(out), folder, due)

@@ -86,7 +86,9 @@ def risk_of(name: str, start: int, end: int) -> int:
 
 def cut(name: str, every: int, goes_on: Ask) -> Outcome:
     """Truncated at every `every`-th byte: all records before the cut stay, and the cut is noticed."""
-    outcome, blob, records = Outcome(name), sample(name), records_of(name)
+    outcome = Outcome(name)
+    blob = sample(name)
+    records = records_of(name)
     borders = sorted({r.end for r in records})
     kept = {0: 0}
     silent = set() if getattr(module_of(name), "KNOWS_ITS_END", False) else set(borders)
@@ -111,16 +113,21 @@ def cut(name: str, every: int, goes_on: Ask) -> Outcome:
 
 def flip(name: str, count: int, goes_on: Ask) -> Outcome:
     """Single bits flipped: at most the record hit is lost, and never in silence."""
-    outcome, blob, rng, whole = Outcome(name), sample(name), random.Random(name), intact(name).rows
+    outcome = Outcome(name)
+    blob = sample(name)
+    rng = random.Random(name)
+    whole = intact(name).rows
     for _ in range(count):
-        byte, bit = rng.randrange(len(blob)), rng.randrange(8)
+        byte = rng.randrange(len(blob))
+        bit = rng.randrange(8)
         if not goes_on():
             break
         damaged = bytearray(blob)
         damaged[byte] ^= 1 << bit
         where = f"bit {bit} of byte {byte}"
         flight = read_or_none(name, bytes(damaged), outcome)
-        rows, risk = (flight.rows if flight is not None else 0), at_risk(name, byte)
+        rows = flight.rows if flight is not None else 0
+        risk = at_risk(name, byte)
         outcome.keep(rows, whole)
         if rows < whole - risk:
             outcome.failures.append(f"{where}: {rows} rows of {whole}, {risk} at risk")
@@ -133,11 +140,15 @@ def insert(name: str, count: int, goes_on: Ask) -> Outcome:
     """Garbage between two records: all rows stay, and exactly the garbage is skipped."""
     if is_addressed(name):
         return overwrite(name, count, goes_on)
-    outcome, blob, rng, whole = Outcome(name), sample(name), random.Random(name), intact(name).rows
+    outcome = Outcome(name)
+    blob = sample(name)
+    rng = random.Random(name)
+    whole = intact(name).rows
     borders = [r.end for r in records_of(name) if r.end < len(blob) and at_risk(name, r.end) < whole]
     harmless = getattr(module_of(name), "HARMLESS", b"")
     for turn in itertools.count():
-        at, size = rng.choice(borders), rng.choice((1, 7, 64, 511, 4096))
+        at = rng.choice(borders)
+        size = rng.choice((1, 7, 64, 511, 4096))
         garbage = bytes(size) if turn % 4 == 0 else rng.randbytes(size)
         if outcome.trials >= count or not goes_on():
             break
@@ -157,12 +168,16 @@ def is_addressed(name: str) -> bool:
 
 def overwrite(name: str, count: int, goes_on: Ask) -> Outcome:
     """Records overwritten by garbage or zeros: at most their rows are lost, and never in silence."""
-    outcome, blob, rng, whole = Outcome(name), sample(name), random.Random(name), intact(name).rows
+    outcome = Outcome(name)
+    blob = sample(name)
+    rng = random.Random(name)
+    whole = intact(name).rows
     records = records_of(name)
     for turn in range(count):
         first = rng.randrange(len(records))
         hit = records[first : first + rng.choice((1, 1, 1, 2, 8))]
-        start, end = hit[0].start, hit[-1].end
+        start = hit[0].start
+        end = hit[-1].end
         garbage = bytes(end - start) if turn % 4 == 0 else rng.randbytes(end - start)
         if not goes_on():
             break
@@ -180,7 +195,8 @@ def _judge_insertion(name: str, at: int, size: int, flight: Flight | None) -> st
     """What is wrong with the reading of a log with `size` bytes of garbage at `at`; None if nothing."""
     if flight is None:
         return "nothing was read"
-    slack, whole = int(getattr(module_of(name), "RESYNC_BYTES", 0)), intact(name).rows
+    slack = int(getattr(module_of(name), "RESYNC_BYTES", 0))
+    whole = intact(name).rows
     damage = flight.damage
     if not damage.lossy:
         return "the garbage was not noticed"
@@ -196,8 +212,11 @@ def _judge_insertion(name: str, at: int, size: int, flight: Flight | None) -> st
 
 def delete(name: str, count: int, goes_on: Ask) -> Outcome:
     """64 bytes deleted (zeroed in a log of places): what they do not touch stays."""
-    outcome, blob, rng = Outcome(name), sample(name), random.Random(name + "-")
-    whole, slack = intact(name).rows, int(getattr(module_of(name), "RESYNC_BYTES", 0))
+    outcome = Outcome(name)
+    blob = sample(name)
+    rng = random.Random(name + "-")
+    whole = intact(name).rows
+    slack = int(getattr(module_of(name), "RESYNC_BYTES", 0))
     while outcome.trials < count and goes_on():
         at = rng.randrange(len(blob) - 64)
         if max(at_risk(name, byte) for byte in range(at, at + 64)) == whole:
@@ -225,7 +244,8 @@ def chimera_end(name: str, at: int) -> int:
 
 def definitions_of(name: str) -> list[tuple[int, int, int]]:
     """Bytes [start, end) that decide over one stream, and rows at risk; the shortest up to 100 bytes."""
-    module, whole = module_of(name), intact(name).rows
+    module = module_of(name)
+    whole = intact(name).rows
     if hasattr(module, "defining"):
         found: list[tuple[int, int, int]] = module.defining(sample(name))
         return found
@@ -238,7 +258,9 @@ def definitions_of(name: str) -> list[tuple[int, int, int]]:
 
 def edit(name: str, goes_on: Ask) -> Outcome:
     """Every byte of definitions set to every value: only their stream's rows are lost, and not in silence."""
-    outcome, blob, whole = Outcome(name), sample(name), intact(name).rows
+    outcome = Outcome(name)
+    blob = sample(name)
+    whole = intact(name).rows
     edits = [
         (byte, value, risk)
         for start, end, risk in definitions_of(name)
@@ -252,7 +274,8 @@ def edit(name: str, goes_on: Ask) -> Outcome:
             outcome.remark = f"of {len(edits):,}"
             break
         flight = read_or_none(name, blob[:byte] + bytes([value]) + blob[byte + 1 :], outcome)
-        rows, where = (flight.rows if flight is not None else 0), f"byte {byte} set to {value}"
+        rows = flight.rows if flight is not None else 0
+        where = f"byte {byte} set to {value}"
         outcome.keep(rows, whole)
         if rows < whole - risk:
             outcome.failures.append(f"{where}: {rows} rows of {whole}, {risk} at risk")
@@ -266,9 +289,13 @@ LENGTHS = (0, 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1)
 
 def length(name: str, count: int, goes_on: Ask) -> Outcome:
     """Extreme numbers of 1, 2, 4 and 8 bytes written anywhere; the first bytes of the log more often."""
-    outcome, blob, rng, whole = Outcome(name), sample(name), random.Random(name + "="), intact(name).rows
+    outcome = Outcome(name)
+    blob = sample(name)
+    rng = random.Random(name + "=")
+    whole = intact(name).rows
     for turn in range(count):
-        width, value = rng.choice((1, 2, 4, 8)), rng.choice(LENGTHS)
+        width = rng.choice((1, 2, 4, 8))
+        value = rng.choice(LENGTHS)
         at = rng.randrange((len(blob) if turn % 2 else 2048) - 8)
         raw = (value & (1 << 8 * width) - 1).to_bytes(width, rng.choice(("little", "big")))
         if not goes_on():

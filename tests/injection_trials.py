@@ -111,7 +111,8 @@ def texts(count: int) -> list[str]:
 def page_with(given: Mapping[str, str]) -> tuple[str, list[str]]:
     """A report with these texts in these fields, and the other forms of the same comparison."""
     pick = {name: given.get(name, f"harmless {name}") for name in FIELDS}
-    arx, ts = FirstOrder(a=0.9, b=0.08), FirstOrder(a=0.9, b=0.1, structure="ts", labels=("R1", pick["rule"]))
+    arx = FirstOrder(a=0.9, b=0.08)
+    ts = FirstOrder(a=0.9, b=0.1, structure="ts", labels=("R1", pick["rule"]))
     inputs = (replace(arx.inputs[0], name=pick["input"]),)
     outputs = (replace(arx.outputs[0], name=pick["output"], unit=pick["unit"]),)
     models = {
@@ -156,7 +157,8 @@ def injections(
     Each page has another text in every field, so that after `count` pages each text has stood in each; with a
     larger `step` in some. Where a page fails, its texts are tried alone. `pages` keeps pages for a browser.
     """
-    outcome, every = Outcome("strings in reports"), texts(count)
+    outcome = Outcome("strings in reports")
+    every = texts(count)
     for number in range(0, count, step):
         if not goes_on():
             break

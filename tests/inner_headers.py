@@ -25,7 +25,8 @@ from tests.format_trials import Ask
 from tests.samplelogs.dataflash import fmt, pack
 
 HEAD = b"\xa3\x95"
-TIME_AT, TIME_END = 3, 11
+TIME_AT = 3
+TIME_END = 11
 LONGEST_US = 1 << 41  # 25 days: no vehicle is up for longer
 
 
@@ -58,7 +59,8 @@ def _make_format(rng: random.Random) -> str:
 
 def make_messages(rng: random.Random, kinds: dict[int, str]) -> list[Message]:
     """Messages with rising times; what they hold is random, or mostly zeros."""
-    time_us, found = rng.choice((0, rng.randrange(10**6), rng.randrange(10**10))), []
+    time_us = rng.choice((0, rng.randrange(10**6), rng.randrange(10**10)))
+    found = []
     for _ in range(rng.randrange(8, 60)):
         number = rng.choice(list(kinds))
         size = packed_length(kinds[number]) - TIME_END
@@ -115,7 +117,8 @@ def trial(rng: random.Random) -> tuple[int, int, int, bool]:
 
 def plant_headers(count: int, goes_on: Ask) -> Outcome:
     """`count` logs of random kinds, each with one header planted."""
-    outcome, rng = Outcome("logs of random formats"), random.Random("headers")
+    outcome = Outcome("logs of random formats")
+    rng = random.Random("headers")
     while outcome.trials < count and goes_on():
         seed = rng.getrandbits(64)
         with outcome.trial():
@@ -128,12 +131,15 @@ def plant_headers(count: int, goes_on: Ask) -> Outcome:
 
 def plant_in_log(path: Path, count: int, goes_on: Ask) -> Outcome:
     """`count` times a header of a known id planted behind the time of a message of a real log."""
-    outcome, rng, blob = Outcome(path.name), random.Random(path.name), path.read_bytes()
+    outcome = Outcome(path.name)
+    rng = random.Random(path.name)
+    blob = path.read_bytes()
     starts, lengths, damage = _walked(blob)
     known = [number for number, length in lengths.items() if length]
     victims = [int(s) for s in starts if blob[s + 2] != FMT_ID and lengths[blob[s + 2]] > TIME_END + 3]
     while outcome.trials < count and goes_on():
-        at, number = rng.choice(victims), rng.choice(known)
+        at = rng.choice(victims)
+        number = rng.choice(known)
         size = lengths[blob[at + 2]]
         ends_there = size - lengths[number]
         place = ends_there if TIME_END <= ends_there <= size - 3 else rng.randrange(TIME_END, size - 2)

@@ -105,8 +105,10 @@ def _spots(value: Any, path: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
 
 def hostile_models(folder: Path, count: int, goes_on: GoesOn = always, seed: int = 0) -> Outcome:
     """Model files that are refused, or that compute plain numbers; nothing in them is ever executed."""
-    outcome, rng = Outcome("model files"), random.Random(seed)
-    mark, path = folder / "executed", folder / "model.json"
+    outcome = Outcome("model files")
+    rng = random.Random(seed)
+    mark = folder / "executed"
+    path = folder / "model.json"
     bases = [Base(p) for version in released() for p in sorted((version / "models").glob("*.json"))]
     for what, raw in islice(chain(raw_files(mark), _broken_files(bases, rng)), count):
         if not goes_on():
@@ -148,9 +150,12 @@ def _try_model(path: Path) -> str:
 def _is_plain(model: Fitted) -> bool:
     """Whether free run and prediction of noise are finite where they must be."""
     rng = np.random.default_rng(0)
-    n, k = ROWS + model.n_init, model.n_init
-    u, y = rng.normal(size=(n, len(model.inputs))), rng.normal(size=(n, len(model.outputs)))
-    free, ahead = model.simulate(u, y[:k]), model.predict(u, y)
+    n = ROWS + model.n_init
+    k = model.n_init
+    u = rng.normal(size=(n, len(model.inputs)))
+    y = rng.normal(size=(n, len(model.outputs)))
+    free = model.simulate(u, y[:k])
+    ahead = model.predict(u, y)
     return bool(np.isfinite(free).all() and np.isfinite(ahead[k:]).all() and free.shape == y.shape)
 
 
@@ -239,7 +244,8 @@ def _verdict_on(make: Callable[[np.random.Generator], tuple[FloatArray, FloatArr
             for _ in range(2):
                 (u, y), (u2, y2) = make(rng), make(rng)
                 sets.append(Dataset.from_arrays([u, u2], [y, y2], 0.02))
-            model, other = estimator.fit(sets[0]), estimators()["line"].fit(sets[0])
+            model = estimator.fit(sets[0])
+            other = estimators()["line"].fit(sets[0])
             comparison = compare({"arx": other, "ts": model}, sets[1])
         text = json.dumps(to_json({"x": comparison}), allow_nan=False)
     except (DataError, FitError) as error:
@@ -256,7 +262,9 @@ def _verdict_on(make: Callable[[np.random.Generator], tuple[FloatArray, FloatArr
 
 def wild_models(count: int, goes_on: GoesOn = always, seed: int = 0) -> Outcome:
     """Released models made unstable or fed far outside their range: divergence is said, all is finite."""
-    outcome, rng, pick = Outcome("wild models"), np.random.default_rng(seed), random.Random(seed)
+    outcome = Outcome("wild models")
+    rng = np.random.default_rng(seed)
+    pick = random.Random(seed)
     bases = [p for version in released() for p in sorted((version / "models").glob("*.json"))]
     diverged = 0
     while outcome.trials < count and goes_on():
@@ -266,9 +274,11 @@ def wild_models(count: int, goes_on: GoesOn = always, seed: int = 0) -> Outcome:
                 why, said = _try_wild(json.loads(path.read_text()), rng)
             except FlysidError as error:
                 outcome.raised += 1
-                why, said = "" if error.message else "an error without words", False
+                why = "" if error.message else "an error without words"
+                said = False
             except Exception as error:  # noqa: BLE001 - the campaign counts it
-                why, said = f"raised {type(error).__name__}: {error}", False
+                why = f"raised {type(error).__name__}: {error}"
+                said = False
         diverged += said
         if why:
             outcome.failures.append(f"{path.stem}: {why}")
@@ -287,7 +297,8 @@ def _try_wild(document: dict[str, Any], rng: np.random.Generator) -> tuple[str, 
     n = 300 + model.n_init
     u = reach * rng.normal(size=(n, len(model.inputs)))
     y = reach * rng.normal(size=(n, len(model.outputs)))
-    free, fire = model.simulate(u, y[: model.n_init])[model.n_init :], model.firing(u, y)
+    free = model.simulate(u, y[: model.n_init])[model.n_init :]
+    fire = model.firing(u, y)
     low, high = model.output_limits
     if not np.isfinite(free).all() or not np.isfinite(model.predict(u, y)[model.n_init :]).all():
         return "not finite", False
@@ -321,7 +332,8 @@ def leaks(count: int, goes_on: GoesOn = always, seed: int = 0) -> Outcome:
     """A copy of one flight under another name: found by content, refused or kept on one side."""
     from flysid.split import plan_split
 
-    outcome, rng = Outcome("copied flights"), np.random.default_rng(seed)
+    outcome = Outcome("copied flights")
+    rng = np.random.default_rng(seed)
     while outcome.trials < count and goes_on():
         flights = []
         for k in range(4):

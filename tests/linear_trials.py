@@ -141,7 +141,8 @@ def _wrong(model: Fitted, data: Dataset) -> str:
     """What a model says that is not finite, or ""."""
     s: Segment = data.segments[0]
     with np.errstate(all="ignore"):
-        free, ahead = model.simulate(s.u, s.y[: model.n_init]), model.predict(s.u, s.y)
+        free = model.simulate(s.u, s.y[: model.n_init])
+        ahead = model.predict(s.u, s.y)
     if not np.isfinite(free).all() or not np.isfinite(ahead[model.n_init :]).all():
         return "its free run or its prediction is not finite"
     text = str(model).lower()

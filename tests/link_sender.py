@@ -34,7 +34,8 @@ def frames(system: int = 1) -> list[bytes]:
 
 def send(port: int, rate: float, seconds: float) -> int:
     """Send for so long; returns how many frames."""
-    pool, sent = frames(), 0
+    pool = frames()
+    sent = 0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.connect(("127.0.0.1", port))
         began = time.monotonic()

@@ -102,7 +102,8 @@ def records_of(path: Path) -> tuple[int, int]:
 
 def steady(folder: Path, rate: int, seconds: float, goal_us: float) -> Outcome:
     """A steady rate: nothing lost, and the CPU of a frame."""
-    outcome, port = Outcome(f"{rate:,} frames/s for {seconds:g} s"), free_port()
+    outcome = Outcome(f"{rate:,} frames/s for {seconds:g} s")
+    port = free_port()
     with outcome.trial(), recorder(folder / f"r{rate}.tlog", [f"udp:127.0.0.1:{port}"]) as record:
         before = record.cpu_s()
         sent = sent_by(sender(port, rate, seconds))
@@ -125,7 +126,8 @@ def steady(folder: Path, rate: int, seconds: float, goal_us: float) -> Outcome:
 
 def small_buffer(folder: Path, rate: int, seconds: float, pause_s: float) -> Outcome:
     """The system's usual buffer, and a recorder that the system does not run for a while."""
-    outcome, port = Outcome(f"buffer of {DEFAULT_BUFFER:,} bytes, held up for {pause_s:g} s"), free_port()
+    outcome = Outcome(f"buffer of {DEFAULT_BUFFER:,} bytes, held up for {pause_s:g} s")
+    port = free_port()
     more = ("--buffer", str(DEFAULT_BUFFER))
     with outcome.trial(), recorder(folder / "small.tlog", [f"udp:127.0.0.1:{port}"], *more) as record:
         sending = sender(port, rate, seconds)
@@ -151,7 +153,9 @@ def small_buffer(folder: Path, rate: int, seconds: float, pause_s: float) -> Out
 
 def killed(folder: Path, count: int, rate: int, goes_on: Callable[[], bool] = lambda: True) -> Outcome:
     """`kill -9` at random moments: files are sound but for one cut frame, and little is missing."""
-    outcome, chance, worst = Outcome("kill -9"), random.Random(24), 0.0
+    outcome = Outcome("kill -9")
+    chance = random.Random(24)
+    worst = 0.0
     for k in range(count):
         if not goes_on():
             break
@@ -178,7 +182,8 @@ def killed(folder: Path, count: int, rate: int, goes_on: Callable[[], bool] = la
 
 def newest_s(content: bytes, size: int) -> float:
     """Time of the last whole record; 0 where there is none."""
-    at, stamp = 0, 0
+    at = 0
+    stamp = 0
     while at < size:
         stamp = int.from_bytes(content[at : at + 8], "big")
         at += _length(content, at)
@@ -195,7 +200,8 @@ def _length(content: bytes, at: int) -> int:
 
 def rotated(folder: Path, rate: int, seconds: float, rule: str) -> Outcome:
     """Parts, one behind the other, are what was sent."""
-    outcome, port = Outcome(f"rotation, {rule}"), free_port()
+    outcome = Outcome(f"rotation, {rule}")
+    port = free_port()
     link = f"udp:127.0.0.1:{port}"
     with outcome.trial(), recorder(folder / "parts.tlog", [link], "--rotate", rule) as record:
         sending = sender(port, rate, seconds, str(folder / "sent.bin"))
@@ -212,7 +218,9 @@ def rotated(folder: Path, rate: int, seconds: float, rule: str) -> Outcome:
 
 def without_stamps(path: Path) -> bytes:
     """The frames of a tlog alone."""
-    content, at, found = path.read_bytes(), 0, []
+    content = path.read_bytes()
+    at = 0
+    found = []
     while at < len(content):
         length = _length(content, at)
         found.append(content[at + 8 : at + length])
@@ -222,7 +230,8 @@ def without_stamps(path: Path) -> bytes:
 
 def full_disk(folder: Path, size: str, rate: int) -> Outcome:
     """A disk that fills up: exit 5, a sound file, a sidecar that says so. Raises PermissionError."""
-    outcome, port = Outcome(f"full disk of {size}"), free_port()
+    outcome = Outcome(f"full disk of {size}")
+    port = free_port()
     with outcome.trial(), small_disk(folder / "disk", size) as disk:
         with recorder(disk / "full.tlog", [f"udp:127.0.0.1:{port}"]) as record:
             sent = sent_by(sender(port, rate, 4.0))
@@ -241,7 +250,8 @@ def full_disk(folder: Path, size: str, rate: int) -> Outcome:
 
 def stalled_disk(folder: Path, rate: int, stall_s: float) -> Outcome:
     """A file system that is frozen for a while loses nothing. Raises PermissionError where none may be."""
-    outcome, port = Outcome(f"disk stalled for {stall_s:g} s"), free_port()
+    outcome = Outcome(f"disk stalled for {stall_s:g} s")
+    port = free_port()
     with outcome.trial(), frozen_disk(folder / "disk", folder / "image") as (disk, freeze):
         with recorder(disk / "stalled.tlog", [f"udp:127.0.0.1:{port}"]) as record:
             sending = sender(port, rate, stall_s + 4.0)
@@ -287,7 +297,8 @@ def frozen_disk(folder: Path, image: Path) -> Iterator[tuple[Path, Callable[[str
 
 def every_frame_comes_back(path: Path) -> bool:
     """Whether the frames of a tlog are those of the sender, in order, from the first on."""
-    pool, content = frames(), without_stamps(path)
+    pool = frames()
+    content = without_stamps(path)
     whole = b"".join(pool)
     times = len(content) // len(whole) + 1
     return (whole * times).startswith(content)

@@ -41,7 +41,8 @@ def plant(u: FloatArray) -> FloatArray:
 def data(n_u: int = 1, n_y: int = 1, *, samples: int = 400, noise: float = 0.02, seed: int = 0) -> Dataset:
     """Two segments of the plant under random steps, with measurement noise and offsets."""
     rng = np.random.default_rng(seed)
-    us, ys = [], []
+    us = []
+    ys = []
     for _ in range(2):
         u = np.zeros((samples, 2))
         u[:, :n_u] = np.repeat(rng.uniform(-1, 1, (samples // 8 + 1, n_u)), 8, axis=0)[:samples]

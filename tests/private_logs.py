@@ -17,7 +17,9 @@ from flysid.ingest.formats.rosbag1.writer import BagWriter
 from tests.samplelogs import blackbox, dataflash, dataflash_text, mcap, navdata, rosbag2, tlog, ulog
 
 STEPS = 60
-LAT, LON, ALT = 48.1234567, -122.7654321, 523.45
+LAT = 48.1234567
+LON = -122.7654321
+ALT = 523.45
 SERIAL = b"0039002F31385114"
 PASSWORD = b"tell no one"
 UID = bytes(range(101, 119))
@@ -56,12 +58,16 @@ def doubles() -> tuple[bytes, ...]:
 
 
 def telemetry() -> Private:
-    link, signed = tlog.sender(), tlog.sender()
-    signed.signing.secret_key, signed.signing.sign_outgoing, signed.signing.timestamp = bytes(32), True, 1
+    link = tlog.sender()
+    signed = tlog.sender()
+    signed.signing.secret_key = bytes(32)
+    signed.signing.sign_outgoing = True
+    signed.signing.timestamp = 1
     out = []
     for k in range(STEPS):
         lat, lon, alt = scaled(k)
-        ms, us = 5000 + 20 * k, tlog.EPOCH_US + 20_000 * k
+        ms = 5000 + 20 * k
+        us = tlog.EPOCH_US + 20_000 * k
         messages = [
             link.attitude_encode(ms, math.sin(0.1 * k), 0.5, -1, 0, 0, 0),
             link.global_position_int_encode(ms, lat, lon, alt, 100 * k, 10, -20, 3, 9000),
@@ -279,7 +285,9 @@ def ardrone() -> Private:
     for k in range(STEPS):
         row = np.zeros(1, dtype=kind)
         lat, lon, alt = track(k)
-        row["latitude"], row["longitude"], row["elevation"] = lat, lon, alt
+        row["latitude"] = lat
+        row["longitude"] = lon
+        row["elevation"] = alt
         row["lat0"], row["long0"], row["lat_fused"], row["long_fused"] = *track(0)[:2], lat, lon
         options = {
             navdata.DEMO: navdata.demo(k),

@@ -73,7 +73,8 @@ def _first_order(model: Fitted, hz: FloatArray) -> FrequencyResponse | None:
 
 def _linear_band(r: FrequencyResponse, place: tuple[int, int]) -> ResponseBand:
     gain = np.abs(r.response[:, *place])
-    reach, turn = Z95 * r.magnitude_error[:, *place], Z95 * r.phase_error[:, *place]
+    reach = Z95 * r.magnitude_error[:, *place]
+    turn = Z95 * r.phase_error[:, *place]
     return ResponseBand(np.maximum(gain - reach, 0.0), gain + reach, -turn, turn)
 
 
@@ -99,7 +100,8 @@ def _drawn_bands(
         if not np.isfinite(drawn[:, r]).all() or not (gain > 0.0).all():
             found.append(None)
             continue
-        reach, turn = _half_width(np.abs(drawn[:, r]) - gain), _half_width(np.angle(drawn[:, r] / own))
+        reach = _half_width(np.abs(drawn[:, r]) - gain)
+        turn = _half_width(np.angle(drawn[:, r] / own))
         found.append(ResponseBand(np.maximum(gain - reach, 0.0), gain + reach, -turn, turn))
     return found
 

@@ -55,7 +55,8 @@ def _column(panels: Any, channel: ChannelTransfers, output: int, source: int) ->
     high = 0.95 * np.pi / channel.data.dt_s
     omega = np.geomspace(high / 1000.0, high, 200) if measured is None else _dense(measured.omega)
     g, gain_band, phase_band = channel.response(output, source, omega)
-    gain, phase = 20.0 * np.log10(np.maximum(np.abs(g), 1e-300)), np.degrees(np.unwrap(np.angle(g)))
+    gain = 20.0 * np.log10(np.maximum(np.abs(g), 1e-300))
+    phase = np.degrees(np.unwrap(np.angle(g)))
     if measured is not None:
         shown, model = channel.phases(output, source, measured)
         _points(panels, measured, source, shown, channel.band(output, source))

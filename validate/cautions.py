@@ -198,7 +198,8 @@ def _noisy_start(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cau
         if FREE_RUN not in c.horizons or not steps:
             continue
         for output in c.test.outputs:
-            free, ahead = c.entry(output.name, FREE_RUN), c.entry(output.name, steps[0])
+            free = c.entry(output.name, FREE_RUN)
+            ahead = c.entry(output.name, steps[0])
             for name in heads(c):
                 pair = [e.models[name].scores.rmse for e in (free, ahead)]
                 if pair[1] > 1.2 * pair[0] and pair[1] > pair[0] + free.resolution:

@@ -95,7 +95,8 @@ def compare(
         raise UsageError("no horizon given", hint="use 'free_run', 10 and 1")
     head = FREE_RUN if FREE_RUN in names else names[0]
     entries: list[Entry] = []
-    scored, start_s = 0, 0.0
+    scored = 0
+    start_s = 0.0
     for horizon in names:
         trials = run_trials(named, test, horizon)
         scored = max(scored, len(trials))
@@ -219,9 +220,11 @@ def _span(s: Segment, dt_s: float) -> tuple[int, int]:
 def _named(models: Sequence[Fitted]) -> dict[str, Fitted]:
     named: dict[str, Fitted] = {}
     for model in models:
-        name, count = model.structure, 2
+        name = model.structure
+        count = 2
         while name in named:
-            name, count = f"{model.structure}-{count}", count + 1
+            name = f"{model.structure}-{count}"
+            count = count + 1
         named[name] = model
     return named
 
@@ -337,8 +340,10 @@ def _pair(panel: _Panel, rotated: _Panel | None, sides: Sides, name: str) -> Pai
     base = sides.base
     in_turn = rotated is not None and {name, base} <= rotated.models.keys()
     panel = rotated if rotated is not None and in_turn else panel
-    a, b = panel.models[base], panel.models[name]
-    ea, eb = panel.errors[base], panel.errors[name]
+    a = panel.models[base]
+    b = panel.models[name]
+    ea = panel.errors[base]
+    eb = panel.errors[name]
     lost = bool(a.diverged or b.diverged)
     found = change(ea, eb, panel.flights, () if in_turn else sides.seen, rotated=in_turn)
     interval = None if lost else found.interval

@@ -46,12 +46,15 @@ def _regressors(
 ) -> tuple[FloatArray, FloatArray]:
     """(N, columns) lagged signals and (N, R) firing strengths, without the first rows of every segment."""
     depth = max(len(lags[0]), len(lags[1])) - 1
-    parts, strengths, left = [], [], MOST_ROWS
+    parts = []
+    strengths = []
+    left = MOST_ROWS
     for segment in data.segments:
         if len(segment) <= depth or left <= 0:
             continue
         n = min(len(segment), left + depth)
-        u, y = segment.u[:n], segment.y[:n]
+        u = segment.u[:n]
+        y = segment.y[:n]
         columns = [
             signal[depth - lag : n - lag, j]
             for used, signal in ((lags[0], y), (lags[1], u))

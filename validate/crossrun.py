@@ -94,7 +94,8 @@ def _refuse_several_vehicles(b: RunSource, chosen: Lake | None, ours: Mapping[st
 
 def expected_of_runs(a: Run, b: Run, label: str | None = None) -> dict[str, Any]:
     """The fields that the document of `judge_runs` will have, with values of their types."""
-    ours, theirs = {c.name: c for c in b.channels}, {c.name: c for c in a.channels}
+    ours = {c.name: c for c in b.channels}
+    theirs = {c.name: c for c in a.channels}
     channels = {}
     for name in (name for name in ours if name in theirs):
         models, head = _both(models_of(a, theirs[name]), models_of(b, ours[name]), label)
@@ -139,7 +140,8 @@ def _training_of(a: RunSource) -> list[HeldOut]:
 
 def _same_split(a: HeldOut, b: HeldOut) -> bool:
     """The same data held out alike: then A's training part ends where B's does, blocks of one flight too."""
-    one, other = Split.from_dict(a.channel.split), Split.from_dict(b.channel.split)
+    one = Split.from_dict(a.channel.split)
+    other = Split.from_dict(b.channel.split)
     return (one.data_sha256, one.train, one.test) == (other.data_sha256, other.train, other.test)
 
 
@@ -202,7 +204,8 @@ def _provenance(
     found |= _both_say("recipe", a.recipe, b.recipe)
     for name, (theirs, ours) in sides.items():
         c = comparisons[name]
-        one, other = theirs.channel.split, ours.channel.split
+        one = theirs.channel.split
+        other = ours.channel.split
         found |= _both_say(f"{name}: split", split_words(one), split_words(other))
         found |= _both_say(f"{name}: data sha256", str(one["data_sha256"]), str(other["data_sha256"]))
         found[f"{name}: flights compared on"] = ", ".join(c.test.flights)

@@ -100,8 +100,10 @@ class Diagnosis:
 
 def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
     """Run every test on the held-out part of `comparison`; `train` gives the ranges seen in training."""
-    models, test = comparison.fitted, comparison.test
-    free, one = run_trials(models, test, FREE_RUN), run_trials(models, test, "1")
+    models = comparison.fitted
+    test = comparison.test
+    free = run_trials(models, test, FREE_RUN)
+    one = run_trials(models, test, "1")
     return Diagnosis(
         outputs=tuple(_output(j, free, one, comparison) for j in range(len(test.outputs))),
         outside=() if train is None else outside_training(train, test),
@@ -155,7 +157,8 @@ def outside_training(train: Dataset, test: Dataset) -> tuple[Outside, ...]:
     for side, signals in (("u", test.inputs), ("y", test.outputs)):
         for i, signal in enumerate(signals):
             seen = np.concatenate([getattr(s, side)[:, i] for s in train.segments])
-            low, high = float(seen.min()), float(seen.max())
+            low = float(seen.min())
+            high = float(seen.max())
             shares = [_share_outside(getattr(s, side)[:, i], low, high) for s in test.segments]
             weights = np.array([len(s) for s in test.segments], dtype=np.float64)
             worst = int(np.argmax(shares))

@@ -62,11 +62,13 @@ class FilePart:
         wanted: dict[int, list[tuple[int, Piece]]] = {}
         for number, piece in enumerate(self.pieces):
             wanted.setdefault(self.file.entries[piece.segment].number, []).append((number, piece))
-        current, at = None, 0
+        current = None
+        at = 0
         for segment, u, y in self.file.subset([e for e in self.file.entries if e.number in wanted]).blocks():
             current, at = segment, at if segment == current else 0
             for number, piece in wanted[segment]:
-                start, stop = max(piece.start - at, 0), min(piece.stop - at, len(y))
+                start = max(piece.start - at, 0)
+                stop = min(piece.stop - at, len(y))
                 if start < stop:
                     yield number, u[start:stop], y[start:stop]
             at += len(y)

@@ -105,7 +105,8 @@ def change(
     scope = Scope.THESE if len(logs) > 1 else Scope.THIS
     if lost:
         return Change(scope, 0, 0, None, by_flight)
-    a, b = np.concatenate(ea) ** 2, np.concatenate(eb) ** 2
+    a = np.concatenate(ea) ** 2
+    b = np.concatenate(eb) ** 2
     tau = _Lengths.of(a, b)
     blocks = int(np.clip(len(a) / (BLOCK_LENGTHS * tau.longest), *BLOCKS))
     return Change(
@@ -145,8 +146,10 @@ def across_flights(logs: Sequence[float], prior: float | None = None, *, rotated
     """
     from scipy.special import stdtr, stdtrit
 
-    n, weight = len(logs), 0 if prior is None else PRIOR_FLIGHTS
-    mean, freedom = float(np.mean(logs)), weight + n - 1
+    n = len(logs)
+    weight = 0 if prior is None else PRIOR_FLIGHTS
+    mean = float(np.mean(logs))
+    freedom = weight + n - 1
     squares = float(np.sum((np.array(logs) - mean) ** 2)) + weight * (prior or 0.0) ** 2
     error = float(np.sqrt(squares / freedom / n)) * (STRETCH if rotated else 1.0)
     half = float(stdtrit(freedom, 0.975)) * error
@@ -186,12 +189,15 @@ def within_flights(a: FloatArray, b: FloatArray, blocks: int, tau: _Lengths) -> 
     error = float(logs.std(ddof=1)) / np.sqrt(blocks)
     centres = sorted((float(logs.mean()), theta))
     half = float(stdtrit(blocks - 1, 0.975)) * error
-    low, high = centres[0] - half, centres[1] + half
+    low = centres[0] - half
+    high = centres[1] + half
     nearest = min(map(abs, centres)) if centres[0] * centres[1] > 0.0 else 0.0
     p = 2.0 * float(stdtr(blocks - 1, -nearest / error)) if error > 1e-12 else float(nearest < 1e-9)
     if len(a) < LONG * tau.longest and error > 1e-12:
         wide = _ratio_of_variances(a, b, theta, tau)
-        low, high, p = min(low, wide[0]), max(high, wide[1]), max(p, wide[2])
+        low = min(low, wide[0])
+        high = max(high, wide[1])
+        p = max(p, wide[2])
     return Interval(_percent(theta), _percent(low), _percent(high), min(p, 1.0))
 
 
@@ -204,7 +210,8 @@ def _ratio_of_variances(
     """
     from scipy.special import fdtr, fdtri
 
-    x, y = a / a.mean(), b / b.mean()
+    x = a / a.mean()
+    y = b / b.mean()
     own = float(np.var(x)) * tau.a + float(np.var(y)) * tau.b
     scale = min(1.0, float(np.sqrt(np.var(y - x) * tau.difference / max(own, _TINY))))
     freedom = (len(a) / tau.b, len(a) / tau.a)

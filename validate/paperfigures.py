@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 KINDS = ("pdf", "svg", "png")
-WIDTH_IN, HEIGHT_IN = 6.7, 7.2
+WIDTH_IN = 6.7
+HEIGHT_IN = 7.2
 SETTINGS: dict[Any, Any] = {
     "pdf.fonttype": 42,
     "svg.fonttype": "none",
@@ -188,7 +189,8 @@ def _time_panels(panels: tuple[Axes, Axes, Axes], context: ReportContext, channe
     _draw_free_run(top, c, trial, j)
     for name, css in drawn(c):
         middle.plot(t, y - trial.yh[name][:, j], **STYLES[css])
-    segment, signal = c.test.segments[trial.segment], context.diagnoses[channel].outputs[j].main_input
+    segment = c.test.segments[trial.segment]
+    signal = context.diagnoses[channel].outputs[j].main_input
     low.plot(t, segment.u[trial.first :, signal], color="0.35", linewidth=0.8)
     middle.set_ylabel(axis_label("error", c.test.outputs[j].unit))
     low.set_ylabel(axis_label(c.test.inputs[signal].name, c.test.inputs[signal].unit))

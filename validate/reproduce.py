@@ -99,7 +99,8 @@ def draw_figures(results: list[LoopResult], folder: Path) -> list[Path]:
 
     paths = []
     for number, result in enumerate(results, start=4):
-        model, (test, _) = result.models["static_ts_7"], experiment(result.paper, "validation")
+        model = result.models["static_ts_7"]
+        (test, _) = experiment(result.paper, "validation")
         assert isinstance(model, FittedStaticTS)
         path = folder / f"figure-{number}-{result.paper.name}.pdf"
         paths.append(write_rules_figure(path, model, test.segments[0]))

@@ -84,7 +84,8 @@ def autocorrelation(errors: Sequence[FloatArray], lags: int) -> Correlation:
 
 def cross_correlation(errors: Sequence[FloatArray], inputs: Sequence[FloatArray], lags: int) -> Correlation:
     """Of the errors e(k) with u(k - lag), lags -`lags` .. `lags`, with Bartlett's band."""
-    e, u = _centred(errors), _centred(inputs)
+    e = _centred(errors)
+    u = _centred(inputs)
     rho = _pooled_products(e, u, lags)
     longest = max(len(s) for s in e)
     rho_e, rho_u = (_pooled_products(x, x, longest - 1)[longest - 1 :] for x in (e, u))
@@ -167,18 +168,26 @@ def spectrum(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
     width = 1 << int(np.log2(max(total / 8.0, 1.0)))
     width = min(width, 4096, 1 << int(np.log2(max(max(len(u) for u in inputs), 1))))
     window = np.hanning(width)
-    unit_u, unit_y = _largest(inputs), _largest(outputs)
-    inputs, outputs = [u / unit_u for u in inputs], [y / unit_y for y in outputs]
-    uu, yy = np.zeros(width // 2 + 1), np.zeros(width // 2 + 1)
-    uy, count = np.zeros(width // 2 + 1, dtype=np.complex128), 0
+    unit_u = _largest(inputs)
+    unit_y = _largest(outputs)
+    inputs = [u / unit_u for u in inputs]
+    outputs = [y / unit_y for y in outputs]
+    uu = np.zeros(width // 2 + 1)
+    yy = np.zeros(width // 2 + 1)
+    uy = np.zeros(width // 2 + 1, dtype=np.complex128)
+    count = 0
     for u, y in zip(inputs, outputs, strict=True):
         for start in range(0, len(u) - width + 1, max(width // 2, 1)):
             fu, fy = (np.fft.rfft((x - x.mean()) * window) for x in (u[start:][:width], y[start:][:width]))
-            uu, yy = uu + np.abs(fu) ** 2, yy + np.abs(fy) ** 2
-            uy, count = uy + np.conj(fu) * fy, count + 1
+            uu = uu + np.abs(fu) ** 2
+            yy = yy + np.abs(fy) ** 2
+            uy = uy + np.conj(fu) * fy
+            count = count + 1
     if count < 3 or width < 16:
         return None
-    uu, yy, uy = uu[1:-1], yy[1:-1], uy[1:-1]
+    uu = uu[1:-1]
+    yy = yy[1:-1]
+    uy = uy[1:-1]
     hz = np.fft.rfftfreq(width, dt_s)[1:-1]
     keep = (uu > 1e-12 * uu.max()) & (yy > 0.0) if uu.max() > 0 else np.zeros(len(uu), dtype=bool)
     if not keep.any():

@@ -16,7 +16,8 @@ from flysid.model.base import Fitted
 LONG = 20_000
 FORGET = 4000
 SHARE = 0.01
-SHORTEST, LONGEST_HOLD = 5, 100
+SHORTEST = 5
+LONGEST_HOLD = 100
 
 
 @dataclass(frozen=True)

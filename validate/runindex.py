@@ -45,9 +45,12 @@ def list_runs(folders: Sequence[str | Path]) -> tuple[list[RunChannel], list[Sto
 
 
 def _listed(root: Path) -> tuple[list[RunChannel], list[StoreError]]:
-    known, now, damaged = _read(root), Indexed(), []
+    known = _read(root)
+    now = Indexed()
+    damaged = []
     for folder in _runs_below(root):
-        name, stamp = os.path.relpath(folder, root), _stamp(folder)
+        name = os.path.relpath(folder, root)
+        stamp = _stamp(folder)
         if name in known and known[name][0] == stamp:
             now[name] = known[name]
             continue

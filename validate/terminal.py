@@ -94,7 +94,9 @@ def _rows(
 ) -> list[Sequence[str]]:
     rows: list[Sequence[str]] = []
     for name in shown_models(entry, comparison):
-        score, pair, info = entry.models[name], entry.pairs.get(name), comparison.models[name]
+        score = entry.models[name]
+        pair = entry.pairs.get(name)
+        info = comparison.models[name]
         s = score.scores
         verdict = standing(name, entry, comparison)
         headline = entry.horizon == comparison.head

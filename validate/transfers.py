@@ -263,8 +263,10 @@ def identify(
             )
     recipe = driven_by(recipe, reference, lake.logs)
     through = recipe.with_references()
-    held, driven = lake.channels(recipe), lake.channels(through)
-    found, skipped = [], {}
+    held = lake.channels(recipe)
+    driven = lake.channels(through)
+    found = []
+    skipped = {}
     wanted = channels or recipe.channels
     for i, name in enumerate(wanted):
         if name not in held:

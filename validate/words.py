@@ -64,7 +64,8 @@ def verdict_words(pair: Pair) -> str:
 
     Without more words a verdict is of another flight.
     """
-    model, base = one_line(pair.model).upper(), one_line(pair.baseline).upper()
+    model = one_line(pair.model).upper()
+    base = one_line(pair.baseline).upper()
     if pair.evidence.diverged_baseline:
         return "both diverged" if pair.evidence.diverged_model else f"{model} better: {base} diverged"
     if pair.evidence.diverged_model:

@@ -58,7 +58,8 @@ def command(
     from flysid.validate.judge import write_judgement
     from flysid.validate.run import open_run
 
-    a, b = RunSource(open_run(run_a), data_a), RunSource(open_run(run_b), data_b)
+    a = RunSource(open_run(run_a), data_a)
+    b = RunSource(open_run(run_b), data_b)
     expected = expected_of_runs(a.run, b.run, label)  # a label that a run lacks is told here
     if condition is not None:
         check_condition(condition, expected)

@@ -123,7 +123,8 @@ def run(recording: Recording, seconds: float | None, quiet: bool) -> None:
 
 def finish(recording: Recording, quiet: bool) -> int:
     """The words that end a recording, and the exit code."""
-    parts, facts = recording.parts, recording.last_facts
+    parts = recording.parts
+    facts = recording.last_facts
     say(f"{counted(parts.frames, 'frame')}, {counted(parts.bytes, 'byte')}", quiet)
     dropped = recording.spool.dropped_frames
     for link in facts["links"]:

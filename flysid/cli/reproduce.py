@@ -98,7 +98,8 @@ def _rule_tables(result: LoopResult) -> list[str]:
 
     static = result.models["static_ts_7"]
     assert isinstance(static, FittedStaticTS)
-    theirs, ours = result.paper.table, static.table()
+    theirs = result.paper.table
+    ours = static.table()
     first, second = re.findall(r"\d", result.paper.tables)
     lines = _beside(
         [f"the paper's table {first}", *if_then(theirs)], [f"flysid's table {first}", *if_then(ours)], 52

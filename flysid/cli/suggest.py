@@ -127,7 +127,8 @@ def _delay(found: Suggestion) -> str:
     loop = " loop" if found.feedback else ""
     if unbounded(found):
         return f"?{loop}"
-    low_ms, high_ms = 1e3 * (found.delay_low_s or 0.0), 1e3 * (found.delay_high_s or 0.0)
+    low_ms = 1e3 * (found.delay_low_s or 0.0)
+    high_ms = 1e3 * (found.delay_high_s or 0.0)
     return f"{1e3 * found.delay_s:.0f} ({low_ms:.0f}-{high_ms:.0f}){loop}"
 
 

@@ -53,7 +53,10 @@ def rendered(template: str, program: Program, name: str, words: Mapping[str, Any
 
 
 def _values(program: Program, name: str, single: float | None) -> dict[str, Any]:
-    lags, m, n, n_y = program.lags, program.memberships, program.n, len(program.outputs)
+    lags = program.lags
+    m = program.memberships
+    n = program.n
+    n_y = len(program.outputs)
     columns = range(len(program.signals))
     deep = [c for c in columns if program.depths[c] > (1 if c < n else 0)]
     fed = [c for c in range(n) if program.depths[c]]
@@ -113,7 +116,8 @@ def _values(program: Program, name: str, single: float | None) -> dict[str, Any]
 
 
 def _fuzzy(program: Program) -> dict[str, Any]:
-    m, lags = program.memberships, program.lags
+    m = program.memberships
+    lags = program.lags
     assert m is not None
     minus = _cells(program, lags.z_column, np.maximum(lags.z_minus, 0)) * (lags.z_minus >= 0)
     return {

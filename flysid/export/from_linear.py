@@ -69,7 +69,9 @@ def _of_difference(model: FittedLinear) -> _States:
 
     The constant is one more input, and the state at rest one more column: its polynomial moves as theirs do.
     """
-    system, n_y, n_u = model.system, len(model.outputs), len(model.inputs)
+    system = model.system
+    n_y = len(model.outputs)
+    n_u = len(model.inputs)
     taps = np.concatenate([system.b, np.zeros((len(system.b), n_y, 1))], axis=2)
     taps[0, :, -1] = system.c
     late = tuple(_first(taps[:, :, j]) for j in range(taps.shape[2]))
@@ -81,7 +83,8 @@ def _of_difference(model: FittedLinear) -> _States:
     depth = moved.depth
     before = np.tile(np.append(-model.u_origin, 0.0), (depth, 1))
     rest = moved.state(before, np.tile(-model.y_origin, (depth, 1)))
-    a, b = _rational(system.a, depth + 1), _rational(moved.b, depth + 1)
+    a = _rational(system.a, depth + 1)
+    b = _rational(moved.b, depth + 1)
     direct = moved.b[0]
     proper = b[1:] - np.einsum("lij,jk->lik", a[1:], b[0])
     polynomials = np.concatenate([proper, _rational(rest[:, :, None], depth)], axis=2)
@@ -169,7 +172,9 @@ def _gramian_root(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _program(model: FittedLinear | FittedStateSpace, s: _States) -> Program:
-    n, n_y, n_u = len(s.a), len(model.outputs), len(model.inputs)
+    n = len(s.a)
+    n_y = len(model.outputs)
+    n_u = len(model.inputs)
     columns = [*range(n_y, n_y + n), *range(n_y + n, n_y + n + n_u), -1]
     delays = [*[1] * n, *s.late, 0]
     theta = np.block([[s.c, s.d, s.g[:, None]], [s.a, s.b, s.f[:, None]]])
@@ -180,9 +185,12 @@ def _program(model: FittedLinear | FittedStateSpace, s: _States) -> Program:
 
 def _finite_response(model: FittedLinear) -> Program:
     """Outputs that depend on inputs alone: taps over lags."""
-    system, n_y, n_u = model.system, len(model.outputs), len(model.inputs)
+    system = model.system
+    n_y = len(model.outputs)
+    n_u = len(model.inputs)
     taps = [(lag, j) for j in range(n_u) for lag in np.flatnonzero(system.b[:, :, j].any(axis=1))]
-    columns, delays = [n_y + j for _, j in taps], [int(lag) for lag, _ in taps]
+    columns = [n_y + j for _, j in taps]
+    delays = [int(lag) for lag, _ in taps]
     theta = np.stack([*(system.b[lag, :, j] for lag, j in taps), system.c], axis=1)
     rest = np.zeros((n_y + n_u, len(system.b)))
     rest[n_y:] = -model.u_origin[:, None]
@@ -197,7 +205,9 @@ def _linear(
     rest: FloatArray,
 ) -> Program:
     none = np.zeros(0, dtype=np.int64)
-    n, n_u, n_y = len(theta), len(model.inputs), len(model.outputs)
+    n = len(theta)
+    n_u = len(model.inputs)
+    n_y = len(model.outputs)
     inner = n - n_y
     rest[n:] = -model.u_origin[:, None]
     return Program(

@@ -59,7 +59,9 @@ def _program(model: FittedTS | FittedTSStateSpace, parameters: Parameters, start
 
 def static_program(model: FittedStaticTS) -> Program:
     """Rules over the present inputs; there is nothing to remember."""
-    n_y, n_u, p = len(model.outputs), len(model.inputs), model.partition
+    n_y = len(model.outputs)
+    n_u = len(model.inputs)
+    p = model.partition
     columns = np.array([*range(n_y, n_y + n_u), -1], dtype=np.int64)
     inputs = columns[:-1]
     none = np.full(n_u, -1, dtype=np.int64)

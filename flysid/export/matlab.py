@@ -57,7 +57,8 @@ def _object(model: Fitted) -> str:
 
 def _polynomials(model: FittedLinear) -> str:
     """idpoly: with 1 / A of the noise where the model has it (ARX), else as an output-error model."""
-    a, b = model.system.a, model.system.b
+    a = model.system.a
+    b = model.system.b
     n_y, n_u = b.shape[1:]
     inputs = [[literal(b[:, i, j]) for j in range(n_u)] for i in range(n_y)]
     own = [[literal(a[:, i, j]) for j in range(n_y)] for i in range(n_y)]

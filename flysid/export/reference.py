@@ -64,7 +64,8 @@ def run(
 
 
 def _tables(program: Program, kind: type) -> _Tables:
-    lags, m = program.lags, program.memberships
+    lags = program.lags
+    m = program.memberships
     none: npt.NDArray[Any] = np.zeros((1, 0), dtype=kind)
 
     def numbers(values: FloatArray) -> npt.NDArray[Any]:
@@ -106,10 +107,19 @@ def _limited(value, low, high):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy")
 def _run(u, y, v, t, shape, least):  # type: ignore[no-untyped-def]
     n_rules, n, n_x = t.theta.shape
-    n_z, n_u, n_y = t.low.size, u.shape[1], y.shape[1]
-    zero, half, one, trapezoid = t.constants[0], t.constants[1], t.constants[2], t.constants[3]
-    two, least_gap, bottom = t.constants[4], t.constants[5], t.constants[6]
-    phi, after, z = np.empty(n_rules, v.dtype), np.empty(n, v.dtype), np.empty_like(t.low)
+    n_z = t.low.size
+    n_u = u.shape[1]
+    n_y = y.shape[1]
+    zero = t.constants[0]
+    half = t.constants[1]
+    one = t.constants[2]
+    trapezoid = t.constants[3]
+    two = t.constants[4]
+    least_gap = t.constants[5]
+    bottom = t.constants[6]
+    phi = np.empty(n_rules, v.dtype)
+    after = np.empty(n, v.dtype)
+    z = np.empty_like(t.low)
     for k in range(u.shape[0]):
         for j in range(n_u):
             v[t.newest[n + j]] = (u[k, j] - t.shift[n + j]) / t.scale[n + j]
@@ -118,7 +128,8 @@ def _run(u, y, v, t, shape, least):  # type: ignore[no-untyped-def]
             if t.z_minus[j] >= 0:
                 value -= v[t.z_minus[j]]
             z[j] = _limited(value, t.low[j], t.high[j])
-        top, total = bottom, zero
+        top = bottom
+        total = zero
         for r in range(n_rules):
             grade = zero if shape == 0 else one
             for j in range(n_z):
@@ -139,7 +150,8 @@ def _run(u, y, v, t, shape, least):  # type: ignore[no-untyped-def]
                 gap = phi[r] - top
                 phi[r] = math.exp(gap) if gap > least_gap else zero
         elif not top > zero:  # no rule fires: the nearest speaks
-            nearest, closest = 0, -one
+            nearest = 0
+            closest = -one
             for r in range(n_rules):
                 far = zero
                 for j in range(n_z):
@@ -147,7 +159,8 @@ def _run(u, y, v, t, shape, least):  # type: ignore[no-untyped-def]
                     d = gap / (t.left[r, j] if gap < zero else t.right[r, j])
                     far += d * d
                 if closest < zero or far < closest:
-                    nearest, closest = r, far
+                    nearest = r
+                    closest = far
             phi[nearest] = one
         for r in range(n_rules):
             total += phi[r]

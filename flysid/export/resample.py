@@ -33,7 +33,8 @@ def resampled(model: Fitted, rate_hz: float) -> Fitted:
         )
     dt_s = 1.0 / rate_hz
     rows = [_sampled(model, i, dt_s) for i in range(len(model.outputs))]
-    n_y, n_u = len(model.outputs), len(model.inputs)
+    n_y = len(model.outputs)
+    n_u = len(model.inputs)
     a = np.zeros((max(len(own) for own, _ in rows), n_y, n_y))
     b = np.zeros((max(len(t) for _, taps in rows for t in taps), n_y, n_u))
     c = np.zeros(n_y)

@@ -63,16 +63,20 @@ class Framer:
 
     def cut(self, arrival: Arrival, *, last: bool = False) -> Cut:
         """The frames of what has arrived, and of what was kept; nothing more will come after the `last`."""
-        raw, ends = arrival.raw, arrival.ends
+        raw = arrival.raw
+        ends = arrival.ends
         if self._kept:
             raw = np.concatenate([np.frombuffer(self._kept, np.uint8), raw])
             ends = ends + len(self._kept)
-        size, position, lost = len(raw), 0, 0
+        size = len(raw)
+        position = 0
+        lost = 0
         starts: list[IntArray] = []
         rejected: list[bytes] = []
         bad = 0
         self._kept = b""
-        self._ends, self._stamps = np.array([0]), arrival.stamps_us[-1:]
+        self._ends = np.array([0])
+        self._stamps = arrival.stamps_us[-1:]
         while position < size:
             before = position
             count, position = walk(raw, position, size, 0, self._extra, self._tables, self._room)

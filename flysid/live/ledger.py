@@ -118,7 +118,9 @@ def enter(
     records: ByteArray,
 ) -> tuple[int, int]:
     """`Ledger.enter`, compiled."""
-    at, boot_at, datagram = 0, -1, 0
+    at = 0
+    boot_at = -1
+    datagram = 0
     for k in range(len(starts)):
         q = starts[k]
         length = np.int64(raw[q + 1])
@@ -126,13 +128,17 @@ def enter(
             payload = q + 10
             end = payload + length + 2 + 13 * np.int64(raw[q + 2])
             signed = np.int64(raw[q + 2])
-            sequence, system, component = np.int64(raw[q + 4]), np.int64(raw[q + 5]), np.int64(raw[q + 6])
+            sequence = np.int64(raw[q + 4])
+            system = np.int64(raw[q + 5])
+            component = np.int64(raw[q + 6])
             message = np.int64(raw[q + 7]) | np.int64(raw[q + 8]) << 8 | np.int64(raw[q + 9]) << 16
         else:
             payload = q + 6
             end = payload + length + 2
             signed = np.int64(0)
-            sequence, system, component = np.int64(raw[q + 2]), np.int64(raw[q + 3]), np.int64(raw[q + 4])
+            sequence = np.int64(raw[q + 2])
+            system = np.int64(raw[q + 3])
+            component = np.int64(raw[q + 4])
             message = np.int64(raw[q + 5])
         while datagram < len(ends) - 1 and ends[datagram] < end:
             datagram += 1

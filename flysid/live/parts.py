@@ -82,7 +82,9 @@ class Parts:
         self.unwritten_frames = 0
         self.refusal = ""
         self.sync_slowest_s = 0.0
-        self._target, self._rotation, self._facts = target, rotation, facts
+        self._target = target
+        self._rotation = rotation
+        self._facts = facts
         self._handle = -1
         self._rejected = 0
         self._reserve = target.with_name(f".{target.name}.reserve")

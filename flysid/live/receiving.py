@@ -109,7 +109,8 @@ class Receiver:
 
     def _watch(self, number: int, link: Link) -> None:
         """Wait for the link's handle, whichever it is now."""
-        handle, known = link.fileno(), self._handles.get(number, -1)
+        handle = link.fileno()
+        known = self._handles.get(number, -1)
         if handle == known:
             return
         if known >= 0:
@@ -136,7 +137,8 @@ class Receiver:
             return self._peers[key]
         name = link.peer_name(address)
         if sum(k[0] == number for k in self._peers) >= PEERS:
-            key, name = (number, b"others"), "others"
+            key = (number, b"others")
+            name = "others"
         if key not in self._peers:
             self._peers[key] = Peer(len(self._peers), link, name, Framer(link.keeps_datagrams))
         return self._peers[key]

@@ -159,7 +159,9 @@ class ChannelWatch:
             return []
         self._outside = True
         row, k = np.argwhere(outside)[0]
-        signal, low, high = self.model.inputs[k], self.known[0, k], self.known[1, k]
+        signal = self.model.inputs[k]
+        low = self.known[0, k]
+        high = self.known[1, k]
         text = (
             f"{self.name} is outside what the model knows: {signal.name} {u[row, k]:.3g} {signal.unit}, "
             f"known {low:.3g} to {high:.3g}; not judged meanwhile"
@@ -184,7 +186,8 @@ class ChannelWatch:
         self, j: int, stats: FloatArray, since: Any, errors: FloatArray, time_s: float, flight: str
     ) -> list[Event]:
         """An alarm where a statistic passes its threshold, and its end."""
-        output, signal = self._outputs[j], self.model.outputs[j]
+        output = self._outputs[j]
+        signal = self.model.outputs[j]
         limits = output.thresholds
         ratios = np.empty((len(stats), len(DETECTORS)))
         ratios[:, 0] = np.abs(stats[:, 0]) / limits.cusum
@@ -201,7 +204,8 @@ class ChannelWatch:
         which = int(np.argmax(ratios[k]))
         values = (abs(float(stats[k, 0])), float(stats[k, 1]), abs(output.level))
         bounds = (limits.cusum, limits.glr, limits.level)
-        output.alarmed, output.quiet = True, 0
+        output.alarmed = True
+        output.quiet = 0
         shift = self._shift(j, errors, int(since[k]), which)
         at = time_s + k * self.model.dt_s
         began = at - (LEVEL_S if which == 2 else since[k] * self.model.dt_s)
@@ -231,7 +235,8 @@ class ChannelWatch:
         n = min(self._keep, len(self._u))
         if n > self.model.n_init + max(2, since):
             start = max(n - self._keep, n - since - self.model.n_init - round(1.0 / self.model.dt_s))
-            u, y = self._u[-n:][start:], self._y[-n:][start:]
+            u = self._u[-n:][start:]
+            y = self._y[-n:][start:]
             apart = (y - self.model.simulate(u, y[: self.model.n_init]))[-max(1, since) :, j]
             return float(apart.mean())
         return float(errors[-max(1, since) :].mean())
@@ -279,7 +284,8 @@ def watch_of(held: HeldOut, label: str | None, false_alarms_1_h: float) -> Chann
 def known_inputs(training: Sequence[Segment]) -> FloatArray:
     """(2, n_u) the inputs of the training flights, a tenth of their span added at both ends."""
     u = np.concatenate([segment.u for segment in training])
-    low, high = u.min(axis=0), u.max(axis=0)
+    low = u.min(axis=0)
+    high = u.max(axis=0)
     return np.stack([low - MARGIN * (high - low), high + MARGIN * (high - low)])
 
 
@@ -290,7 +296,8 @@ def watches_of(
 
     The false alarms an hour are the vehicle's: channels and detectors share them.
     """
-    found, skipped = [], {}
+    found = []
+    skipped = {}
     for one in held:
         try:
             found.append(watch_of(one, label, false_alarms_1_h / len(held)))

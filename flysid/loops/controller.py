@@ -21,7 +21,9 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.loops.stick_response import ComplexArray, Loop
 
-P_SCALE, I_SCALE, D_SCALE = 0.032029, 0.244381, 0.000529
+P_SCALE = 0.032029
+I_SCALE = 0.244381
+D_SCALE = 0.000529
 AXES = {"roll": "rollPID", "pitch": "pitchPID", "yaw": "yawPID"}
 LARGEST_MISS = 0.15
 
@@ -68,7 +70,8 @@ class Controller:
         f = loop.f[at]
         by = 2j * np.pi * f * self.d * s[0, 0]
         rest = s[0, 1] - self.reference(f) * s[0, 0] + self.feedback(f) * s[0, 2]
-        by, rest = by / np.abs(s[0, 1]), rest / np.abs(s[0, 1])
+        by = by / np.abs(s[0, 1])
+        rest = rest / np.abs(s[0, 1])
         return replace(self, weight=float((by.conj() @ rest).real / (by.conj() @ by).real))
 
     def miss(self, loop: Loop, low: float, high: float) -> float:

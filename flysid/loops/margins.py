@@ -92,7 +92,8 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     low, high = trusted_band(loop)
     at = (loop.f >= low) & (loop.f <= high)
     f = loop.f[at]
-    back, forward = controller.feedback(f), controller.reference(f)
+    back = controller.feedback(f)
+    forward = controller.reference(f)
     centre, draws = smoothed(f, plant(loop.mean)[at], plant(loop.draws)[:, at])
     one = _figures(f, centre, back, forward)
     if np.isnan(one[0]):
@@ -119,7 +120,8 @@ def smoothed(f: FloatArray, centre: ComplexArray, draws: ComplexArray) -> tuple[
     basis = np.stack([np.ones_like(x), x, x**2, x**3], axis=1)
     size = _onto(basis, weight)
     turn = _onto(np.column_stack([basis, f]), weight)
-    level, phase = np.log(np.abs(centre)), np.unwrap(np.angle(centre))
+    level = np.log(np.abs(centre))
+    phase = np.unwrap(np.angle(centre))
     middle = np.exp(size @ level + 1j * (turn @ phase))
     return middle, middle * np.exp(away.real @ size.T + 1j * (away.imag @ turn.T))
 

@@ -85,7 +85,8 @@ def validate(workspace: Workspace, asked: Validate) -> tuple[list[str], Path]:
 
 def compare(workspace: Workspace, asked: Compare) -> tuple[list[str], Path]:
     """The words that compare two runs, and the folder of the page."""
-    a, b = workspace.run(asked.a), workspace.run(asked.b)
+    a = workspace.run(asked.a)
+    b = workspace.run(asked.b)
     out = workspace.folder / "comparisons" / f"{asked.a}-{asked.b}"
     return ["compare", str(a), str(b), "-o", str(out), "--force"], out
 

@@ -167,7 +167,8 @@ def extremes_between(pyramid: Pyramid, starts: IntArray, stops: IntArray) -> tup
     """The lowest and the highest value of each half-open range of samples; NaN where it holds no number."""
     lows = np.full(len(starts), np.nan)
     highs = np.full(len(starts), np.nan)
-    left, right = starts.copy(), stops.copy()
+    left = starts.copy()
+    right = stops.copy()
     for level, values in enumerate(pyramid.levels):
         is_top = level == len(pyramid.levels) - 1
         inner_left = right if is_top else np.minimum(-(-left // BLOCK) * BLOCK, right)
@@ -176,7 +177,8 @@ def extremes_between(pyramid: Pyramid, starts: IntArray, stops: IntArray) -> tup
             low, high = _gathered(values, begin, end)
             lows = np.fmin(lows, low)
             highs = np.fmax(highs, high)
-        left, right = inner_left // BLOCK, inner_right // BLOCK
+        left = inner_left // BLOCK
+        right = inner_right // BLOCK
     return lows, highs
 
 

@@ -91,7 +91,8 @@ def align_to_file(
     job, logs, dt_ns = _prepare(flights, recipe, channel)
     first = next(log for log in logs if job.absent(log) is None)
     steps = {n: load_signal(n, spec, first).resolution for n, spec in job.specs.items()}
-    inputs, outputs = job.signals_as(job.inputs, [steps]), job.signals_as(job.outputs, [steps])
+    inputs = job.signals_as(job.inputs, [steps])
+    outputs = job.signals_as(job.outputs, [steps])
     head = Dataset(dt_ns / 1e9, inputs, outputs, segments=(), name=channel)
     reports: list[FlightReport] = []
 
@@ -316,7 +317,8 @@ class _Boot:
         return spans or []
 
     def _spans_of(self, name: str, series: Series) -> list[Span]:
-        spec, period = self.job.specs[name], resample.period_ns(series.t_ns)
+        spec = self.job.specs[name]
+        period = resample.period_ns(series.t_ns)
         if spec.max_gap_s is not None:
             gap = min(spec.max_gap_s * 1e9, float(resample.FOREVER))
         else:

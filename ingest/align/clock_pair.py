@@ -28,7 +28,9 @@ IntArray = npt.NDArray[np.int64]
 MIN_CORRELATION = 0.5
 ITERATIONS = 12
 HUBER = 1.345
-NARROW_PERIODS, NARROW_S = 3.0, 0.03  # standard deviation of the narrow Gaussian: the larger of the two
+# standard deviation of the narrow Gaussian: the larger of the two
+NARROW_PERIODS = 3.0
+NARROW_S = 0.03
 WIDE_S = 2.0  # and of the wide one
 SIGNIFICANT = 2.0
 
@@ -85,12 +87,14 @@ def fit_clock(reference: Series, other: Series, max_offset_s: float = 10.0, drif
     if len(reference.x) < 20 or len(other.x) < 20:
         raise DataError("too few samples to align two clocks", hint="record longer")
     narrow = max(NARROW_S, NARROW_PERIODS * max(period_ns(reference.t_ns), period_ns(other.t_ns)) * 1e-9)
-    reference, other = band_passed(reference, narrow), band_passed(other, narrow)
+    reference = band_passed(reference, narrow)
+    other = band_passed(other, narrow)
     start = _first_offset(reference, other, max_offset_s)
     usable = _inside(reference, other, start)
     if int(usable.sum()) < 20:
         raise DataError("the two recordings do not overlap", hint="check that both are of the same flight")
-    t, y = other.t_ns[usable], other.x[usable]
+    t = other.t_ns[usable]
+    y = other.x[usable]
     at_ns = int((t[0] + t[-1]) // 2)
     pair = _Pair(_Curve.of(reference, at_ns), np.asarray((t - at_ns) * 1e-9, dtype=np.float64), y)
     found = _refined(pair, start, drift, at_ns)
@@ -203,7 +207,8 @@ def _gauss_newton(pair: _Pair, theta: FloatArray, drift: bool) -> tuple[FloatArr
 
 def _linearised(pair: _Pair, theta: FloatArray, drift: bool) -> tuple[FloatArray, FloatArray, float]:
     """Jacobian for (gain, bias, offset, drift), residual of the best gain and bias, and that gain."""
-    s, y = pair.s, pair.y
+    s = pair.s
+    y = pair.y
     value, slope = pair.curve.at(s + theta[0] + theta[1] * s)
     base = np.stack([value, np.ones_like(value)], axis=1)
     (gain, bias), *_ = np.linalg.lstsq(base, y, rcond=None)

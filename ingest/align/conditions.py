@@ -78,8 +78,10 @@ def _spans(condition: Condition, log: Log) -> tuple[dict[int, list[Span]], str]:
         return spans, f": {stream}.{loaded.field} is {seen}"
     column = source.fields[0]
     table = log.table(stream, [TIME, BOOT, base_column(column, log.columns(stream))])
-    values, names = column_values(table, column), names_of(table, stream, column, log.info)
-    boots, t_ns = np.asarray(table[BOOT].to_numpy()), np.asarray(table[TIME].to_numpy())
+    values = column_values(table, column)
+    names = names_of(table, stream, column, log.info)
+    boots = np.asarray(table[BOOT].to_numpy())
+    t_ns = np.asarray(table[TIME].to_numpy())
     spans = {}
     for boot in np.unique(boots).tolist():
         rows = np.flatnonzero(boots == boot)
@@ -99,7 +101,8 @@ def _held(
         return _spans_true(t_ns, _is_wanted(values, condition, names), margin_ns)
     begins = is_one_of(values, condition.set_by, names)
     told = begins | is_one_of(values, condition.cleared_by, names)
-    t_ns, holds = t_ns[told], begins[told]
+    t_ns = t_ns[told]
+    holds = begins[told]
     if len(t_ns) == 0:  # nothing is known: nothing is cut
         return [(ALWAYS, resample.FOREVER)]
     return _spans_true(np.append(ALWAYS, t_ns), np.append(~holds[0], holds), margin_ns)

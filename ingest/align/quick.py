@@ -74,7 +74,8 @@ def dataset_from(
     logs = [FlightLog(s if isinstance(s, Flight) else read(s, time_unit=time_unit)) for s in sources]
     driving, driven = ([words] if isinstance(words, str) else list(words) for words in (inputs, outputs))
     recipe = parse_recipe(tomllib.loads(quick_recipe(logs, driving, driven, dt_s)))
-    signals, count = list(recipe.signals), len(dict.fromkeys(driving))
+    signals = list(recipe.signals)
+    count = len(dict.fromkeys(driving))
     both = ChannelSpec(tuple(signals[:count]), tuple(recipe.channels))
     name = ", ".join(recipe.channels)
     return align(logs, replace(recipe, channels={name: both}), name).dataset

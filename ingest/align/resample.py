@@ -46,11 +46,14 @@ def tidy(t_ns: IntArray, x: FloatArray, max_rate: float | None = None) -> Series
     With `max_rate`, per second, samples that jump away from their neighbours faster are dropped too.
     """
     finite = np.isfinite(x)
-    times, values = t_ns[finite], x[finite]
+    times = t_ns[finite]
+    values = x[finite]
     order = np.argsort(times, kind="stable")
-    times, values = times[order], values[order]
+    times = times[order]
+    values = values[order]
     last = np.append(np.diff(times) > 0, True)[: len(times)]
-    times, values = times[last], values[last]
+    times = times[last]
+    values = values[last]
     jumps = spikes(times, values, max_rate) if max_rate is not None else np.zeros(len(times), dtype=bool)
     lost = (int((~finite).sum()), int((~last).sum()), int(jumps.sum()))
     return Series(times[~jumps], values[~jumps], *lost)
@@ -101,7 +104,8 @@ def spans_between_gaps(t_ns: IntArray, max_gap_ns: float, after_ns: float = 1) -
     if len(t_ns) == 0:
         return []
     cuts = np.flatnonzero(np.diff(t_ns) > max_gap_ns)
-    firsts, lasts = np.append(0, cuts + 1), np.append(cuts, len(t_ns) - 1)
+    firsts = np.append(0, cuts + 1)
+    lasts = np.append(cuts, len(t_ns) - 1)
     tail = int(min(after_ns, FOREVER))
     return [(int(t_ns[a]), int(t_ns[b]) + tail) for a, b in zip(firsts, lasts, strict=True)]
 
@@ -111,7 +115,8 @@ def intersect(first: Sequence[Span], second: Sequence[Span]) -> list[Span]:
     out: list[Span] = []
     i = j = 0
     while i < len(first) and j < len(second):
-        start, stop = max(first[i][0], second[j][0]), min(first[i][1], second[j][1])
+        start = max(first[i][0], second[j][0])
+        stop = min(first[i][1], second[j][1])
         if start < stop:
             out.append((start, stop))
         if first[i][1] < second[j][1]:

@@ -215,7 +215,8 @@ def load_source(source: Source, stream: str, unit: str, log: Log) -> Loaded:
             told = f"no row of {stream} has {column} = {wanted}: {column} is {logged}"
             return Loaded({}, stream, "/".join(source.fields), notes=(told,))
     table = _in_order(source, _rows_timed(source, rows))
-    boots, t_ns = _integers(table[BOOT]), _times(source, table)
+    boots = _integers(table[BOOT])
+    t_ns = _times(source, table)
     columns = _matrix(source, table)
     transform = TRANSFORMS[source.transform]
     gain, notes = _gain(source, stream, unit, table)
@@ -338,7 +339,8 @@ def _rows_timed(source: Source, table: pa.Table) -> pa.Table:
 
 def _in_order(source: Source, table: pa.Table) -> pa.Table:
     """Rows by boot and time; rows of equal time keep their order."""
-    boots, times = _integers(table[BOOT]), _times(source, table)
+    boots = _integers(table[BOOT])
+    times = _times(source, table)
     order = np.lexsort((times, boots))
     return table if (np.diff(order) == 1).all() else table.take(pa.array(order))
 

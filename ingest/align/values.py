@@ -33,7 +33,8 @@ def column_values(table: pa.Table, name: str) -> npt.NDArray[np.generic]:
     if name not in table.column_names:
         match = ELEMENT.match(name)
         assert match is not None  # _has_fields saw to it
-        name, element = match[1], int(match[2])
+        name = match[1]
+        element = int(match[2])
     column = table[name].combine_chunks()
     if isinstance(column, pa.ChunkedArray):
         column = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)

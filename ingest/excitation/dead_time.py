@@ -45,7 +45,8 @@ class DeadTime:
         pair = f"dead time {self.input} -> {self.output}"
         if self.delay is None:
             return f"{pair}: not handed over, {self.reason}"
-        low, high = 1e3 * self.delay.low_s, 1e3 * self.delay.high_s
+        low = 1e3 * self.delay.low_s
+        high = 1e3 * self.delay.high_s
         found = f"{pair}: {1e3 * self.delay.delay_s:.0f} ms [{low:.0f}, {high:.0f}]"
         if self.reason:
             return f"{found}, not handed over: {self.reason}"

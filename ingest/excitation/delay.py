@@ -66,7 +66,9 @@ def cross_correlation(
 ) -> tuple[FloatArray, FloatArray]:
     """(lags in s, correlation in [-1, 1]); positive lags: the output comes after the input."""
     lags = max(1, round(max_lag_s / data.dt_s))
-    total, power_u, power_y = np.zeros(2 * lags + 1), 0.0, 0.0
+    total = np.zeros(2 * lags + 1)
+    power_u = 0.0
+    power_y = 0.0
     for segment in data.segments:
         u = segment.u[:, column] - segment.u[:, column].mean()
         y = segment.y[:, output] - segment.y[:, output].mean()
@@ -75,7 +77,8 @@ def cross_correlation(
         reach = min(lags, len(u) - 1)
         total[lags : lags + reach + 1] += product[: reach + 1]
         total[lags - reach : lags] += product[size - reach :]
-        power_u, power_y = power_u + float(u @ u), power_y + float(y @ y)
+        power_u = power_u + float(u @ u)
+        power_y = power_y + float(y @ y)
     scale = np.sqrt(power_u * power_y)
     lag_s = np.asarray(np.arange(-lags, lags + 1) * data.dt_s, dtype=np.float64)
     return lag_s, np.asarray(total / scale if scale > 0 else total)
@@ -93,9 +96,13 @@ def impulse_response(
     ------
     DataError : the segments are too short.
     """
-    before, after = round(before_s / data.dt_s), max(2, round(length_s / data.dt_s))
+    before = round(before_s / data.dt_s)
+    after = max(2, round(length_s / data.dt_s))
     taps = before + after + 1
-    gram, right, squares, rows = np.zeros((taps, taps)), np.zeros(taps), 0.0, 0
+    gram = np.zeros((taps, taps))
+    right = np.zeros(taps)
+    squares = 0.0
+    rows = 0
     for segment in data.segments:
         if len(segment) <= 2 * taps:
             continue
@@ -104,7 +111,8 @@ def impulse_response(
         phi = np.lib.stride_tricks.sliding_window_view(u, taps)[:, ::-1]
         gram += phi.T @ phi
         right += phi.T @ y
-        squares, rows = squares + float(y @ y), rows + len(y)
+        squares = squares + float(y @ y)
+        rows = rows + len(y)
     if rows <= taps:
         raise DataError(
             f"channel {data.name!r}: segments are too short for an impulse response of {taps} samples",
@@ -170,7 +178,8 @@ def _pieces(data: Dataset, column: int, output: int, min_length: int) -> list[Pi
     for segment in sorted(data.segments, key=len, reverse=True):
         if len(segment) < min_length or (pieces and total + len(segment) > MAX_SAMPLES):
             break
-        u, y = segment.u[:MAX_SAMPLES, column], segment.y[:MAX_SAMPLES, output]
+        u = segment.u[:MAX_SAMPLES, column]
+        y = segment.y[:MAX_SAMPLES, output]
         pieces.append((u - u.mean(), y - y.mean()))
         total += len(u)
     if not pieces:

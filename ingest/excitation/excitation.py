@@ -115,7 +115,10 @@ def spectrum(data: Dataset, column: int = 0, output: int = 0, window_s: float | 
     length = _window_length(data, window_s)
     taper = np.hanning(length + 2)[1:-1]
     bins = length // 2 + 1
-    s_uu, s_yy, s_uy, count = np.zeros(bins), np.zeros(bins), np.zeros(bins, dtype=complex), 0
+    s_uu = np.zeros(bins)
+    s_yy = np.zeros(bins)
+    s_uy = np.zeros(bins, dtype=complex)
+    count = 0
     for segment in data.segments:
         for start in range(0, len(segment) - length + 1, max(1, length // 2)):
             u = _transformed(segment.u[start : start + length, column], taper)

@@ -238,13 +238,16 @@ def head_of(path: Path, limits: Limits | None = None) -> tuple[str, bytes]:
     file, inside = locate(path)
     if not inside:
         with file.open("rb") as opened:
-            name, head = file.name, _head(opened)
+            name = file.name
+            head = _head(opened)
     else:
         member = _member(file, inside, limits)
         with map_file(file) as view:
-            name, head = PurePosixPath(inside).name, first_bytes(member_pieces(view, member), HEAD_BYTES)
+            name = PurePosixPath(inside).name
+            head = first_bytes(member_pieces(view, member), HEAD_BYTES)
     if is_compressed(head):
-        name, head = own_name(name), first_bytes(unpacked_pieces(memoryview(head)), HEAD_BYTES)
+        name = own_name(name)
+        head = first_bytes(unpacked_pieces(memoryview(head)), HEAD_BYTES)
     return name, head
 
 

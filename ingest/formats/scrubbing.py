@@ -81,7 +81,8 @@ def scrub_log(
         called .zip.
     WriteError : `out` cannot be written.
     """
-    log, out = Path(log), Path(out)
+    log = Path(log)
+    out = Path(out)
     limits = limits or Limits()
     if out.exists() and log.exists() and out.samefile(log):
         raise UsageError("the copy would replace the log", path=out, hint="choose another name with -o")

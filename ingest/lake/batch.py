@@ -116,7 +116,8 @@ def _ingest_into(
         work = partial(work_on, data=folder, limits=limits, replace=force)
         tasks: deque[Task] = deque(logs.paths)
         hashed: dict[Path, Job | Result] = {}
-        read, to_read = 0, 0
+        read = 0
+        to_read = 0
         for task, outcome in _done(work, tasks, _workers(logs.paths, jobs), bounds, folder):
             if isinstance(outcome, Result) and isinstance(task, Job):
                 read += task.size

@@ -71,7 +71,8 @@ class Manifests(Sequence[Manifest]):
     """Manifests of flights, each read from its folder when it is asked for, and not kept."""
 
     def __init__(self, folder: Path, ids: Sequence[str]) -> None:
-        self._folder, self._ids = folder, ids
+        self._folder = folder
+        self._ids = ids
 
     def __len__(self) -> int:
         return len(self._ids)

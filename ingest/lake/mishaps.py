@@ -116,7 +116,8 @@ def _attitude_lost(log: Log) -> Iterator[Mishap]:
 
 
 def _far_apart(asked: Samples, come: Samples) -> list[Span]:
-    wanted, series = resample.tidy(asked.t_ns, asked.x), resample.tidy(come.t_ns, come.x)
+    wanted = resample.tidy(asked.t_ns, asked.x)
+    series = resample.tidy(come.t_ns, come.x)
     if not (len(wanted.t_ns) and len(series.t_ns)):
         return []
     inside = (series.t_ns >= wanted.t_ns[0]) & (series.t_ns <= wanted.t_ns[-1])

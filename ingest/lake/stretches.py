@@ -66,9 +66,12 @@ def parse_between(text: str) -> tuple[float, float]:
     """
     first, dots, last = text.partition("..")
     try:
-        low, high = (_seconds(first) if first else 0.0), (_seconds(last) if last else float("inf"))
+        low = _seconds(first) if first else 0.0
+        high = _seconds(last) if last else float("inf")
     except ValueError:
-        low, high, dots = 0.0, 0.0, ""
+        low = 0.0
+        high = 0.0
+        dots = ""
     if text and (not dots or low >= high):
         raise UsageError(
             f"{text!r} are not two times since the beginning of the flight",
@@ -96,7 +99,8 @@ def beginnings(log: Log) -> dict[int, int]:
     if longest is None:
         return {}
     table = log.table(longest, [BOOT, TIME])
-    boots, times = np.asarray(table[BOOT].to_numpy()), np.asarray(table[TIME].to_numpy())
+    boots = np.asarray(table[BOOT].to_numpy())
+    times = np.asarray(table[TIME].to_numpy())
     return {int(boot): int(times[boots == boot].min()) for boot in np.unique(boots)}
 
 

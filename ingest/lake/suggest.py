@@ -108,11 +108,13 @@ def _suggest_channel(log: Log, recipe: Recipe, channel: str) -> list[Suggestion]
 
 def _refused(log: Log, recipe: Recipe, channel: str, error: DataError | RecipeError) -> Suggestion:
     """A channel that gives no dataset, and why."""
-    spec, text = recipe.channel(channel), error.message
+    spec = recipe.channel(channel)
+    text = error.message
     words = text.removeprefix(f"channel {channel!r}").removeprefix(":").strip()
     verdict: Verdict = "too short"
     if "no excitation" in text:
-        verdict, words = "too quiet", "nothing moves: " + words.partition("no excitation: ")[2]
+        verdict = "too quiet"
+        words = "nothing moves: " + words.partition("no excitation: ")[2]
     elif "never holds" in text:
         verdict = "excluded"
     hint = f"; {error.hint}" if error.hint and verdict != "excluded" else ""
@@ -124,7 +126,8 @@ def _assess(
     data: Dataset, spec: ChannelSpec, flight: str, recipe: str, pair: tuple[int, int], notes: tuple[str, ...]
 ) -> Suggestion:
     column, output = pair
-    moves, seen = excitation(data, column), spectrum(data, column, output)
+    moves = excitation(data, column)
+    seen = spectrum(data, column, output)
     delay = _delay(data, column, output)
     coherence = share_explained(moves, seen)
     verdict, advice = _verdict(data, spec, column, moves, seen)
@@ -162,9 +165,11 @@ def _verdict(
     data: Dataset, spec: ChannelSpec, column: int, moves: Excitation, seen: Spectrum
 ) -> tuple[Verdict, str]:
     """In this order: nothing moved, too short, too slow, not explained or in a narrow band, good."""
-    name, unit = data.inputs[column].name, data.inputs[column].unit
+    name = data.inputs[column].name
+    unit = data.inputs[column].unit
     coherence = share_explained(moves, seen)
-    rate, duration = 1.0 / data.dt_s, len(data) * data.dt_s
+    rate = 1.0 / data.dt_s
+    duration = len(data) * data.dt_s
     if moves.quiet:
         return "too quiet", f"{name} moves by {moves.rms:.2g} {unit} rms; fly steps, doublets or a sweep"
     if duration < MIN_DURATION_S:

@@ -154,7 +154,8 @@ def _count(count: StreamCount, table: pa.Table) -> None:
     if not table.num_rows:
         return
     count.rows += table.num_rows
-    times, boots = table[TIME].to_numpy(), table[BOOT].to_numpy()
+    times = table[TIME].to_numpy()
+    boots = table[BOOT].to_numpy()
     for boot in np.unique(boots).tolist():
         inside = times[boots == boot]
         n, first, last = count.spans.get(boot, (0, int(inside.min()), int(inside.max())))

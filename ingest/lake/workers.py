@@ -152,13 +152,15 @@ class _Worker(Generic[Task, Outcome]):
             return self._lost(memory_reason(self._bounds.memory_bytes))  # sooner than it was watched
         if kind == "raised":
             raise content
-        task, self._task = self._task, None
+        task = self._task
+        self._task = None
         if self._is_grown():
             self.end()
         return task, content
 
     def _broken_bound(self) -> str:
-        seconds, memory = self._bounds.seconds, self._bounds.memory_bytes
+        seconds = self._bounds.seconds
+        memory = self._bounds.memory_bytes
         if not self._is_ready:
             return ""
         if seconds is not None and time.monotonic() - self._since > seconds:
@@ -174,7 +176,8 @@ class _Worker(Generic[Task, Outcome]):
 
     def _lost(self, broken: str) -> tuple[Task, Lost]:
         assert self._task is not None
-        task, self._task = self._task, None
+        task = self._task
+        self._task = None
         if not broken:
             self._process.join(JOIN_S)
         code = self._process.exitcode
@@ -188,7 +191,8 @@ class _Worker(Generic[Task, Outcome]):
 
     def end(self) -> None:
         """Kill it; what it was at is not finished."""
-        self.has_ended, self._task = True, None
+        self.has_ended = True
+        self._task = None
         self.connection.close()
         self._process.kill()
         self._process.join(JOIN_S)

@@ -62,7 +62,8 @@ def low_altitude(altitude_m: float, wind_20ft_m_s: float, airspeed_m_s: float) -
     shape = 0.177 + 0.000823 * feet
     sigma_w = 0.1 * wind_20ft_m_s
     sigma_u = sigma_w / shape**0.4
-    length_w, length_u = feet * FOOT_M, feet / shape**1.2 * FOOT_M
+    length_w = feet * FOOT_M
+    length_u = feet / shape**1.2 * FOOT_M
     speed = max(airspeed_m_s, LEAST_AIRSPEED_M_S)
     return Intensity((sigma_u, sigma_u, sigma_w), (length_u / speed, length_u / speed, length_w / speed))
 
@@ -70,7 +71,8 @@ def low_altitude(altitude_m: float, wind_20ft_m_s: float, airspeed_m_s: float) -
 def spectrum(intensity: Intensity, axis: int, omega_rad_s: npt.ArrayLike) -> FloatArray:
     """One-sided power spectral density of u (0), v (1) or w (2), (m/s)^2 per rad/s; integrates to sigma^2."""
     omega = np.asarray(omega_rad_s, dtype=np.float64)
-    sigma, tau = intensity.sigma[axis], intensity.tau_s[axis]
+    sigma = intensity.sigma[axis]
+    tau = intensity.tau_s[axis]
     x = (tau * omega) ** 2
     if axis == 0:
         return np.asarray(sigma**2 * (2.0 * tau / np.pi) / (1.0 + x))
@@ -112,7 +114,8 @@ def _second_order(sigma: float, tau_s: float, dt_s: float, noise: FloatArray) ->
     move = decay * np.array([[1.0 - step, -step], [step, 1.0 + step]])
     # what noise adds over a step keeps the covariance P = I/4: Q = P - M P M'
     added = np.linalg.cholesky(0.25 * (np.eye(2) - move @ move.T))
-    x, y = 0.5 * noise[0], np.empty(len(noise))
+    x = 0.5 * noise[0]
+    y = np.empty(len(noise))
     for k in range(len(noise)):
         y[k] = np.sqrt(3.0) * x[0] + x[1]
         if k + 1 < len(noise):
@@ -135,10 +138,8 @@ def wind_field(wind: Wind, n: int, dt_s: float, altitude_m: float, rng: np.rando
     if not 0.0 <= wind.speed_m_s < 100.0:
         raise UsageError(f"a wind of {wind.speed_m_s:g} m/s", hint="between 0 and 100 m/s")
     angle = np.radians(wind.towards_deg)
-    along, across = (
-        np.array([np.cos(angle), np.sin(angle), 0.0]),
-        np.array([-np.sin(angle), np.cos(angle), 0.0]),
-    )
+    along = np.array([np.cos(angle), np.sin(angle), 0.0])
+    across = np.array([-np.sin(angle), np.cos(angle), 0.0])
     air = np.tile(wind.speed_m_s * along, (n, 1))
     if wind.turbulent and wind.speed_m_s > 0.0:
         intensity = low_altitude(altitude_m, wind.speed_m_s, wind.speed_m_s)

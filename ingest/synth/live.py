@@ -60,7 +60,9 @@ def _send(recording: Recording, link: socket.socket, address: tuple[str, int], p
     """One flight; late messages go out at once, in order."""
     from flysid.ingest.synth.writers.mavlink import timed_frames
 
-    count, start, first_ns = 0, pace.clock(), int(recording.state.time_ns[0])
+    count = 0
+    start = pace.clock()
+    first_ns = int(recording.state.time_ns[0])
     for due_ns, frame in timed_frames(recording):
         wait = start + (due_ns - first_ns) * 1e-9 / pace.speed - pace.clock()
         if wait > 0.0:

@@ -70,7 +70,8 @@ def random_phase_multisine(
     UsageError : no harmonic of the record lies in the band.
     """
     t = np.asarray(time_s, dtype=np.float64)
-    n, base_hz = len(t), 1.0 / (len(t) * (t[1] - t[0]))
+    n = len(t)
+    base_hz = 1.0 / (len(t) * (t[1] - t[0]))
     low, high = (edge / base_hz for edge in band_hz)
     lines = np.arange(max(1, int(np.ceil(low - 1e-9))), min(int(high + 1e-9), (n - 1) // 2) + 1)
     if not len(lines):
@@ -176,7 +177,8 @@ def pilot(time_s: npt.ArrayLike, peak: float, rng: np.random.Generator) -> Float
 
 def _lag(x: FloatArray, pole: float) -> FloatArray:
     """First-order low pass from rest: y[k] = pole y[k-1] + (1 - pole) x[k]."""
-    y, state = np.empty(len(x)), 0.0
+    y = np.empty(len(x))
+    state = 0.0
     for k, value in enumerate(x):
         state = pole * state + (1.0 - pole) * float(value)
         y[k] = state

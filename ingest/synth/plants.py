@@ -138,7 +138,9 @@ def fly(
     u = np.asarray(u, dtype=np.float64)
     x = np.zeros(len(b)) if x0 is None else np.asarray(x0, dtype=np.float64)
     if hold == "first" and len(u):  # in z = x - ramp u the step needs no later command
-        x, bd, d = x - ramp * u[0], bd + ad @ ramp - ramp, d + float(c @ ramp)
+        x = x - ramp * u[0]
+        bd = bd + ad @ ramp - ramp
+        d = d + float(c @ ramp)
     y = np.empty(len(u))
     for k, uk in enumerate(u):
         y[k] = c @ x + d * uk
@@ -160,7 +162,8 @@ def _canonical(
     numerator: FloatArray, denominator: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Controllable canonical form (A, B, C, D) of a proper transfer function."""
-    num, den = np.trim_zeros(numerator, "f"), np.trim_zeros(denominator, "f")
+    num = np.trim_zeros(numerator, "f")
+    den = np.trim_zeros(denominator, "f")
     n = len(den) - 1
     if len(num) > n + 1:
         raise UsageError("the transfer function is not proper: it differentiates its input")
@@ -179,7 +182,9 @@ def _held(a: FloatArray, b: FloatArray, dt_s: float) -> tuple[FloatArray, FloatA
 
     n = len(b)
     block = np.zeros((n + 2, n + 2))
-    block[:n, :n], block[:n, n], block[n, n + 1] = a * dt_s, b * dt_s, 1.0
+    block[:n, :n] = a * dt_s
+    block[:n, n] = b * dt_s
+    block[n, n + 1] = 1.0
     exponential = expm(block)
     return exponential[:n, :n], exponential[:n, n], exponential[:n, n + 1]
 

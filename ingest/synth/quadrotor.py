@@ -20,7 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-STATES, INPUTS = 26, 7
+STATES = 26
+INPUTS = 7
 
 
 class Physics(NamedTuple):
@@ -110,18 +111,32 @@ class Physics(NamedTuple):
 @njit(cache=True)
 def airframe(x, w1, w2, w3, w4, wx, wy, wz, f, out):  # type: ignore[no-untyped-def]
     """out[:12] = rates of the rigid body at rotor speeds w1..w4 in wind; (8), (9) and the effects."""
-    sp, cp = math.sin(x[6]), math.cos(x[6])
-    st, ct = math.sin(x[7]), math.cos(x[7])
-    ss, cs = math.sin(x[8]), math.cos(x[8])
-    r11, r12, r13 = cs * ct - sp * ss * st, -cp * ss, cs * st + ct * sp * ss
-    r21, r22, r23 = ct * ss + cs * sp * st, cp * cs, ss * st - cs * ct * sp
-    r31, r32, r33 = -cp * st, sp, cp * ct
-    s1, s2, s3, s4 = f.rotor_1 * w1 * w1, w2 * w2, w3 * w3, w4 * w4
+    sp = math.sin(x[6])
+    cp = math.cos(x[6])
+    st = math.sin(x[7])
+    ct = math.cos(x[7])
+    ss = math.sin(x[8])
+    cs = math.cos(x[8])
+    r11 = cs * ct - sp * ss * st
+    r12 = -cp * ss
+    r13 = cs * st + ct * sp * ss
+    r21 = ct * ss + cs * sp * st
+    r22 = cp * cs
+    r23 = ss * st - cs * ct * sp
+    r31 = -cp * st
+    r32 = sp
+    r33 = cp * ct
+    s1 = f.rotor_1 * w1 * w1
+    s2 = w2 * w2
+    s3 = w3 * w3
+    s4 = w4 * w4
     lift = f.k_f * (s1 + s2 + s3 + s4) / (f.m * f.load)
     if f.ground_radius > 0.0:  # Cheeseman and Bennett (1955), no nearer than one radius
         ratio = f.ground_radius / (4.0 * max(x[2], f.ground_radius))
         lift /= 1.0 - ratio * ratio
-    vx, vy, vz = x[3] - wx, x[4] - wy, x[5] - wz
+    vx = x[3] - wx
+    vy = x[4] - wy
+    vz = x[5] - wz
     speed = math.sqrt(vx * vx + vy * vy + vz * vz)
     dx = -(f.drag_x + f.quad_xy * speed) * (r11 * vx + r21 * vy + r31 * vz)
     dy = -(f.drag_y + f.quad_xy * speed) * (r12 * vx + r22 * vy + r32 * vz)
@@ -130,14 +145,20 @@ def airframe(x, w1, w2, w3, w4, wx, wy, wz, f, out):  # type: ignore[no-untyped-
     out[3] = r11 * dx + r12 * dy + r13 * dz
     out[4] = r21 * dx + r22 * dy + r23 * dz
     out[5] = r31 * dx + r32 * dy + r33 * dz - f.g
-    p, q, r = x[9], x[10], x[11]
+    p = x[9]
+    q = x[10]
+    r = x[11]
     turn = (ct * r - st * p) / cp
-    out[6], out[7], out[8] = ct * p + st * r, q - sp * turn, turn
+    out[6] = ct * p + st * r
+    out[7] = q - sp * turn
+    out[8] = turn
     spin = f.j_rotor * (w2 + w4 - w1 - w3)
     mx = f.l * f.k_f * (s2 - s4) - f.gyro * ((f.izz - f.iyy) * q * r + q * spin)
     my = f.l * f.k_f * (s3 - s1) - f.gyro * ((f.ixx - f.izz) * r * p - p * spin)
     mz = f.k_m * (s1 - s2 + s3 - s4) - f.gyro * (f.iyy - f.ixx) * p * q
-    out[9], out[10], out[11] = mx / f.ixx, my / f.iyy, mz / f.izz
+    out[9] = mx / f.ixx
+    out[10] = my / f.iyy
+    out[11] = mz / f.izz
 
 
 @njit(cache=True)
@@ -154,8 +175,10 @@ def _rotor(square, volts, f):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def rates(x, u, f, out):  # type: ignore[no-untyped-def]
     """out = dx/dt of vehicle and inner loop at input u."""
-    ss, cs = math.sin(x[8]), math.cos(x[8])
-    ahead, right = cs * x[3] + ss * x[4], ss * x[3] - cs * x[4]
+    ss = math.sin(x[8])
+    cs = math.cos(x[8])
+    ahead = cs * x[3] + ss * x[4]
+    right = ss * x[3] - cs * x[4]
     # tilt references: shaped command less the velocity assist, whose authority is limited
     lean = math.tanh((f.pitch_kp * ahead + f.pitch_ki * x[18]) / f.assist_max) * f.assist_max
     bank = math.tanh((f.roll_kp * right + f.roll_ki * x[19]) / f.assist_max) * f.assist_max
@@ -176,7 +199,8 @@ def rates(x, u, f, out):  # type: ignore[no-untyped-def]
     if f.tilt_hold > 0.0:
         want /= max(math.cos(x[6]) * math.cos(x[7]), 0.5)
     # attitude loop and mixer: equation (9) solved for the squared speeds
-    w2, damp = f.att_w * f.att_w, 2.0 * f.att_z * f.att_w
+    w2 = f.att_w * f.att_w
+    damp = 2.0 * f.att_z * f.att_w
     mx = f.ixx * (w2 * (x[17] - x[6]) + damp * (out[17] - x[9])) / (2.0 * f.l * f.k_f)
     my = f.iyy * (w2 * (x[16] - x[7]) + damp * (out[16] - x[10])) / (2.0 * f.l * f.k_f)
     mz = f.izz * f.yaw_k * (u[3] - x[11]) / (4.0 * f.k_m)
@@ -184,8 +208,10 @@ def rates(x, u, f, out):  # type: ignore[no-untyped-def]
     load = (x[12] ** 3 + x[13] ** 3 + x[14] ** 3 + x[15] ** 3) / (4.0 * f.rotor_hover**3)
     out[25] = f.drain * load
     volts = 1.0 - f.sag * x[25] - f.droop * (load - 1.0)
-    n1, n2 = _rotor(base - my + mz, volts, f), _rotor(base + mx - mz, volts, f)
-    n3, n4 = _rotor(base + my + mz, volts, f), _rotor(base - mx - mz, volts, f)
+    n1 = _rotor(base - my + mz, volts, f)
+    n2 = _rotor(base + mx - mz, volts, f)
+    n3 = _rotor(base + my + mz, volts, f)
+    n4 = _rotor(base - mx - mz, volts, f)
     if f.motor_tau > 0.0:
         out[12], out[13] = (n1 - x[12]) / f.motor_tau, (n2 - x[13]) / f.motor_tau
         out[14], out[15] = (n3 - x[14]) / f.motor_tau, (n4 - x[15]) / f.motor_tau
@@ -204,7 +230,11 @@ def integrate(x, inputs, f, dt, hold, record):  # type: ignore[no-untyped-def]
     """
     n = x.size
     every = inputs.shape[0] * hold // record.shape[0]
-    k1, k2, k3, k4, y = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    k1 = np.empty(n)
+    k2 = np.empty(n)
+    k3 = np.empty(n)
+    k4 = np.empty(n)
+    y = np.empty(n)
     step = 0
     for row in range(inputs.shape[0]):
         u = inputs[row]

@@ -161,7 +161,8 @@ def rigid_body_rates(
     rotors_rad_s : (4,) front, left, rear, right.
     wind_m_s : (3,) in world axes.
     """
-    x, out = np.zeros(STATES), np.zeros(STATES)
+    x = np.zeros(STATES)
+    out = np.zeros(STATES)
     x[:12] = state
     w1, w2, w3, w4 = (float(w) for w in np.asarray(rotors_rad_s))
     air = [float(v) for v in np.asarray(wind_m_s)]
@@ -226,7 +227,8 @@ def fly_vehicle(
     UsageError : shapes or periods do not fit. DataError : the flight hit the ground or was lost.
     """
     inputs = _inputs(vehicle, np.asarray(commands, dtype=np.float64), wind_m_s, period_s)
-    hold, every = round(period_s / STEP_S), round(record_s / STEP_S)
+    hold = round(period_s / STEP_S)
+    every = round(record_s / STEP_S)
     if hold < 1 or every < 1 or len(inputs) * hold % every:
         raise UsageError(
             f"a record every {record_s:g} s does not divide a flight of {len(inputs) * period_s:g} s"

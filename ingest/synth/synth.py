@@ -129,7 +129,8 @@ def flights(order: Order) -> list[Recording]:
 def fly_one(order: Order, index: int) -> Recording:
     """Fly one flight of the order; independent of the others, so they can be flown in any order."""
     plan = plan_named(order.plan)
-    vehicle, manoeuvre = index // len(plan), plan[index % len(plan)]
+    vehicle = index // len(plan)
+    manoeuvre = plan[index % len(plan)]
     rng = np.random.default_rng([order.seed, index])
     period_s = PERIOD_NS * 1e-9
     time_s = np.arange(round(order.duration_s / period_s), dtype=np.float64) * period_s

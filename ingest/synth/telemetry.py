@@ -83,7 +83,8 @@ def in_sending_order(*times_ns: IntArray) -> tuple[IntArray, IntArray, IntArray]
 
 def as_bytes(rows: npt.NDArray[np.void]) -> list[bytes]:
     """The bytes of each record of a contiguous array, gaps between fields included."""
-    blob, size = rows.view(np.uint8).tobytes(), rows.dtype.itemsize
+    blob = rows.view(np.uint8).tobytes()
+    size = rows.dtype.itemsize
     return [blob[i : i + size] for i in range(0, len(blob), size)]
 
 
@@ -92,7 +93,8 @@ def throttle(recording: Recording, time_ns: IntArray) -> FloatArray:
     state = recording.state
     thrust = state.values.get("thrust", np.ones(len(state)))
     start = int(state.time_ns[0])
-    at, grid = (time_ns - start).astype(np.float64), (state.time_ns - start).astype(np.float64)
+    at = (time_ns - start).astype(np.float64)
+    grid = (state.time_ns - start).astype(np.float64)
     return np.clip(0.5 * np.interp(at, grid, thrust), 0.0, 1.0)
 
 

@@ -30,7 +30,8 @@ UNITS |= dict.fromkeys(("phi", "theta", "psi"), "deg")
 
 def truth_table(recording: Recording) -> pa.Table:
     """The truth as an Arrow table."""
-    truth, command = recording.truth, recording.command
+    truth = recording.truth
+    command = recording.command
     held = np.maximum(np.searchsorted(command.time_ns, truth.time_ns, side="right") - 1, 0)
     columns = {name: values[held] for name, values in command.values.items()} | dict(truth.values)
     fields = [pa.field(TIME, pa.int64(), metadata=field_metadata(unit="ns"))]

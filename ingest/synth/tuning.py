@@ -44,7 +44,9 @@ class Linear:
 
 def linearise(vehicle: Vehicle, altitude_m: float = 20.0) -> Linear:
     """Vehicle and inner loop about hover, in still air, on a full battery, without the link's delay."""
-    physics, x0, u0 = vehicle.physics().packed(), vehicle.hover(altitude_m), np.zeros(INPUTS)
+    physics = vehicle.physics().packed()
+    x0 = vehicle.hover(altitude_m)
+    u0 = np.zeros(INPUTS)
 
     def slope(direction: FloatArray, on_input: bool, size: float) -> FloatArray:
         ends = []
@@ -59,7 +61,9 @@ def linearise(vehicle: Vehicle, altitude_m: float = 20.0) -> Linear:
     b = np.column_stack([slope(e, True, 1e-5) for e in np.eye(INPUTS)[:3]])
     b[:, :2] *= np.pi / 180.0
     c = np.zeros((3, STATES))
-    c[0, 3], c[1, 4], c[2, 5] = 1.0, -1.0, 1.0
+    c[0, 3] = 1.0
+    c[1, 4] = -1.0
+    c[2, 5] = 1.0
     return Linear(a, b, c)
 
 

@@ -123,9 +123,11 @@ class _Problem:
         s = 1j * self.x
         powers = s[:, None] ** np.arange(max(len(d), *(len(t) for t in tops)))
         bottom = powers[:, : len(d)] @ d
-        error, slopes = np.empty(len(s), dtype=complex), np.zeros((len(s), len(theta)), dtype=complex)
+        error = np.empty(len(s), dtype=complex)
+        slopes = np.zeros((len(s), len(theta)), dtype=complex)
         slopes[:, : self.form.poles] = -powers[:, : self.form.poles] / bottom[:, None]
-        at, free = self.form.poles, len(theta) - sum(t is None for t in self.form.dead_time_s)
+        at = self.form.poles
+        free = len(theta) - sum(t is None for t in self.form.dead_time_s)
         for j, top in enumerate(tops):
             mine = self.source == j
             value = powers[mine, : len(top)] @ top
@@ -166,9 +168,11 @@ class _Problem:
     def _iterated(self, g: ComplexArray) -> tuple[FloatArray, list[FloatArray]]:
         """D and N_j minimising |N_j - g D|^2 / |g D_before|^2."""
         s = 1j * self.x
-        n, zeros = self.form.poles, self.form.zeros
+        n = self.form.poles
+        zeros = self.form.zeros
         before = np.ones(len(s), dtype=complex)
-        d, tops = np.ones(1), [np.ones(1)] * len(zeros)
+        d = np.ones(1)
+        tops = [np.ones(1)] * len(zeros)
         size = self.weight[:, 0]
         for _ in range(ROUNDS):
             scale = (size / np.abs(g * before))[:, None]
@@ -356,12 +360,14 @@ def _picked(
 
 def _finished(problem: _Problem, theta: FloatArray, n_u: int) -> ResponseFit:
     residual, jacobian = problem.residuals(theta)
-    m, coordinates = len(problem.x), problem.coordinates
+    m = len(problem.x)
+    coordinates = problem.coordinates
     errors = np.concatenate([residual[:m] / problem.weight[:, 0], residual[m:] / problem.weight[:, 1]])
     chi2, points = problem.chi2(errors)
     covariance = _sandwich(problem, jacobian) * np.outer(coordinates.units, coordinates.units)
     covariance = covariance * _inflation(chi2, points - len(theta))
-    rational, n = coordinates.rational(theta), problem.form.poles
+    rational = coordinates.rational(theta)
+    n = problem.form.poles
     falling = covariance[np.ix_(coordinates.falling, coordinates.falling)]
     seen = float(problem.x.min()) * problem.omega_0, np.pi / problem.dt_s
     return ResponseFit(
@@ -402,7 +408,8 @@ def _sandwich(problem: _Problem, jacobian: FloatArray) -> FloatArray:
 def _tischler(problem: _Problem, errors: FloatArray, n_u: int) -> FloatArray:
     """(n_u,) J per input, from errors in ln |G| and rad."""
     m = len(problem.x)
-    db, deg = DB * errors[:m], np.degrees(errors[m:])
+    db = DB * errors[:m]
+    deg = np.degrees(errors[m:])
     each = problem.trust * (db**2 + PHASE_WEIGHT * deg**2)
     return np.array([20.0 * float(np.mean(each[problem.source == j])) for j in range(n_u)])
 
@@ -421,7 +428,8 @@ def choose_fit(
     ------
     DataError : an input without trustworthy frequencies. FitError : none of the orders could be fitted.
     """
-    fits, why = [], None
+    fits = []
+    why = None
     for form in candidates:
         try:
             fits.append(fit_response(measured, form, weighting=weighting, hold=hold, bands=bands))

@@ -112,7 +112,9 @@ def inverse_hold(b: FloatArray, a: FloatArray, delay: int, dt_s: float) -> tuple
             hint="choose a lower order, or sample faster",
         )
     joint = np.zeros((n + 1, n + 1))
-    joint[:n, :n], joint[:n, n], joint[n, n] = phi, gamma, 1.0
+    joint[:n, :n] = phi
+    joint[:n, n] = gamma
+    joint[n, n] = 1.0
     generator = np.real(np.asarray(logm(joint))) / dt_s
     big_a = generator[:n, :n]
     big_b = generator[:n, n]

@@ -53,9 +53,13 @@ def damped_step(normal, scale, damping, step):  # type: ignore[no-untyped-def]
     The blocks are eliminated first (the Schur complement): many short runs are as cheap as a long one.
     """
     corner, border, blocks, slope = normal
-    free, runs, q = corner.shape[0], border.shape[0], border.shape[2]
-    C, right = np.empty((free, free)), np.empty(free)
-    lower, half = np.empty((runs, q, q)), np.empty((runs, q, free + 1))
+    free = corner.shape[0]
+    runs = border.shape[0]
+    q = border.shape[2]
+    C = np.empty((free, free))
+    right = np.empty(free)
+    lower = np.empty((runs, q, q))
+    half = np.empty((runs, q, free + 1))
     for i in range(free):
         right[i] = -slope[i] / scale[i]
         for j in range(i + 1):
@@ -117,7 +121,9 @@ def damped_step(normal, scale, damping, step):  # type: ignore[no-untyped-def]
 def diagonal_of(normal, diagonal):  # type: ignore[no-untyped-def]
     """The diagonal of the Gauss-Newton matrix; False where a number of `normal` is not finite."""
     corner, border, blocks, slope = normal
-    free, runs, q = corner.shape[0], border.shape[0], border.shape[2]
+    free = corner.shape[0]
+    runs = border.shape[0]
+    q = border.shape[2]
     total = 0.0
     for i in range(free):
         diagonal[i] = corner[i, i]

@@ -29,7 +29,8 @@ def clustered_stage(linear: Stage, antecedents: tuple[Antecedent, ...], rules: i
         return linear
     layout = replace(linear.problem.layout, antecedents=antecedents)
     problem = linear.problem.with_antecedents(layout)
-    d, n_y = layout.depth, layout.n_y
+    d = layout.depth
+    n_y = layout.n_y
     z = np.vstack([layout.antecedent_values(W) for W in problem.runs])
     Y = np.vstack([W[d:, :n_y] for W in problem.runs])
     centre, width, _ = project(cluster(np.hstack([z, Y]), rules), z.shape[1], two_sided=False)

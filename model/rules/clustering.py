@@ -128,7 +128,8 @@ def _iterate(
     for _ in range(60):
         weight = grade**_FUZZINESS
         centre = weight.T @ X / np.maximum(weight.sum(axis=0), 1e-300)[:, None]
-        before, grade = grade, _grades(squares(centre, weight))
+        before = grade
+        grade = _grades(squares(centre, weight))
         if np.abs(grade - before).max() < 1e-4:
             break
     return centre, grade

@@ -146,13 +146,17 @@ def fit_consequents(
         cross-validation. Without one, directions that the data do not show are left at zero.
     """
     phi = next(pieces())[0]
-    rules, share = phi.shape[1], _SHARE_GLOBAL[criterion]
+    rules = phi.shape[1]
+    share = _SHARE_GLOBAL[criterion]
     triangle: Triangle = reduce_data(lambda: _weighed(pieces(), share))
-    n, m = triangle.n, triangle.m
-    R, Q = triangle.r[: n + m, :n], triangle.r[: n + m, n : n + m]
+    n = triangle.n
+    m = triangle.m
+    R = triangle.r[: n + m, :n]
+    Q = triangle.r[: n + m, n : n + m]
     samples = triangle.rows // ((share > 0.0) + rules * (share < 1.0))
     if ridge == 0.0:
-        solution, taken = np.linalg.lstsq(R, Q, rcond=_RCOND)[0], 0.0
+        solution = np.linalg.lstsq(R, Q, rcond=_RCOND)[0]
+        taken = 0.0
     else:
         solution, taken = _ridged(R, Q, rules, samples, ridge)
     theta = solution.reshape(rules, n // rules, m).transpose(0, 2, 1)
@@ -217,7 +221,9 @@ def weighted(phi: FloatArray, X: FloatArray) -> FloatArray:
 
 
 def _lagged_pieces(model: FittedTS, data: Source) -> Pieces:
-    layout, d, n_y = model.layout, model.n_init, model.layout.n_y
+    layout = model.layout
+    d = model.n_init
+    n_y = model.layout.n_y
     blocks = blocks_of(data)
 
     def read() -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:

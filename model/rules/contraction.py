@@ -35,7 +35,8 @@ def is_contracting(
     n = seen.shape[1]
     steps = int(np.clip(sum(len(W) for W in runs), *_STEPS))
     W = probe_run(runs, n, steps, seed=0)[steps:]
-    middle, last = seen.mean(axis=0), len(W) - len(W) // 4
+    middle = seen.mean(axis=0)
+    last = len(W) - len(W) // 4
     reach = np.where(seen[1] > seen[0], seen[1] - seen[0], 1.0)
     reference = _run(W, middle, depth, lags, par)[last:]
     for start in _starts(seen, middle):

@@ -20,7 +20,9 @@ def to_nonlinear_system(model: FittedTS) -> Any:
     import control
 
     refuse_other_models(model)
-    n, n_y, n_u = model.n_init, len(model.outputs), len(model.inputs)
+    n = model.n_init
+    n_y = len(model.outputs)
+    n_u = len(model.inputs)
     free = model.unlimited()  # a linear model runs on beyond the limits at which its output is cut off
 
     def newest(x: FloatArray, u: FloatArray) -> FloatArray:

@@ -15,9 +15,13 @@ from flysid.model.rules.bordered_step import Normal, damped_step, diagonal_of
 from flysid.model.rules.kernel import IntArray, Lags, Parameters, compiled, simulate, stray, sweep
 
 HOLD = 3.0  # weight on memberships, relative to the ridge on consequents
-_NARROWEST, _WIDEST = 0.02, 3.0  # widths in ranges of the antecedent: sets that words can name
+# widths in ranges of the antecedent: sets that words can name
+_NARROWEST = 0.02
+_WIDEST = 3.0
 _MOST_LOG_WIDTH = 30.0
-_FIRST_DAMPING, _LARGEST_DAMPING, _SMALLEST_DAMPING = 1e-3, 1e16, 1e-24
+_FIRST_DAMPING = 1e-3
+_LARGEST_DAMPING = 1e16
+_SMALLEST_DAMPING = 1e-24
 _SMALLEST_RELAXATION = 0.1
 
 
@@ -72,7 +76,8 @@ class Sizes(NamedTuple):
 def _expand(p, fixed, par):  # type: ignore[no-untyped-def]
     """Parameters at a vector of unknowns: centres within the data, widths that words can name."""
     n_rules, n, n_x = par.theta.shape
-    n_b, n_z = fixed.basis.shape[0], par.centre.shape[1]
+    n_b = fixed.basis.shape[0]
+    n_z = par.centre.shape[1]
     if fixed.chosen.size == 0:  # as they were given
         return
     for r in range(n_rules):
@@ -86,7 +91,8 @@ def _expand(p, fixed, par):  # type: ignore[no-untyped-def]
     at = n_rules * n * n_b
     for r in range(n_rules):
         for j in range(n_z):
-            low, high = fixed.z_known[0, j], fixed.z_known[1, j]
+            low = fixed.z_known[0, j]
+            high = fixed.z_known[1, j]
             span = max(high - low, 1e-12)
             par.centre[r, j] = min(max(p[at + r * n_z + j], low), high)
             log_width = p[at + (n_rules + r) * n_z + j]
@@ -101,8 +107,10 @@ def _departure(p, fixed, par, slopes):  # type: ignore[no-untyped-def]
     `slopes` (R n n_b + 2 R n_z,) becomes half its gradient.
     """
     n_rules, n = par.theta.shape[:2]
-    m, n_z = n * fixed.basis.shape[0], par.centre.shape[1]
-    total, at = 0.0, n_rules * m
+    m = n * fixed.basis.shape[0]
+    n_z = par.centre.shape[1]
+    total = 0.0
+    at = n_rules * m
     for i in range(slopes.size):
         slopes[i] = 0.0
     if n_rules == 1:
@@ -160,11 +168,14 @@ def _cost(p, lags, par, fixed, size, X, S, slopes):  # type: ignore[no-untyped-d
     n_rules, n, _ = par.theta.shape
     _expand(p, fixed, par)
     at = n_rules * n * fixed.basis.shape[0] + 2 * par.centre.size
-    q, total, pull = size.moving * n, 0.0, np.empty(size.moving * n)
+    q = size.moving * n
+    total = 0.0
+    pull = np.empty(size.moving * n)
     for s in range(fixed.edges.size - 1):
         total += _begin(p, at + s * q, s, fixed, size, n, X)
         total += size.samples * _unlikely(p, at + s * q, fixed, pull)
-        begin, end = fixed.edges[s] + size.depth, fixed.edges[s + 1]
+        begin = fixed.edges[s] + size.depth
+        end = fixed.edges[s + 1]
         simulate(X, begin, end, lags, par)
         for k in range(begin, end):
             for i in range(size.n_y):
@@ -200,9 +211,12 @@ def _normal(p, lags, par, fixed, size, X, S, slopes, ring, H, g, normal):  # typ
     m = n * fixed.basis.shape[0]
     at = n_rules * m + 2 * par.centre.size
     corner, border, blocks, slope = normal
-    free, q, runs = corner.shape[0], size.moving * n, fixed.edges.size - 1
+    free = corner.shape[0]
+    q = size.moving * n
+    runs = fixed.edges.size - 1
     common = ring.shape[2] - q
-    none, pull = np.empty((0, size.n_y, 0)), np.empty(q)
+    none = np.empty((0, size.n_y, 0))
+    pull = np.empty(q)
     for i in range(free):
         slope[i] = 0.0
         for j in range(free):
@@ -306,7 +320,8 @@ def _workspace(
 
 
 def _empty_normal(fixed: Fixed, q: int) -> Normal:
-    free, runs = fixed.chosen.size, fixed.edges.size - 1
+    free = fixed.chosen.size
+    runs = fixed.edges.size - 1
     return Normal(
         np.empty((free, free)), np.empty((runs, free, q)), np.empty((runs, q, q)), np.empty(free + runs * q)
     )
@@ -326,7 +341,8 @@ def descend(
     normal, other = (_empty_normal(fixed, size.moving * par.theta.shape[1]) for _ in range(2))
     place = np.concatenate([fixed.chosen, np.arange(slopes.size, p.size)])
     count = place.size
-    step, diagonal = np.empty(count), np.empty(count)
+    step = np.empty(count)
+    diagonal = np.empty(count)
     if iterations < 0:
         return _cost(p, lags, own, fixed, size, X, S, slopes), normal
     cost = _normal(p, lags, own, fixed, size, X, S, slopes, ring, H, g, normal)
@@ -334,23 +350,30 @@ def descend(
         return (cost if iterations == 0 else math.nan), normal
     scale = np.sqrt(diagonal)
     scale = np.maximum(scale, 1e-8 * (scale.max(initial=0.0) or 1.0))
-    damping, growth, tries = _FIRST_DAMPING, 2.0, 0
+    damping = _FIRST_DAMPING
+    growth = 2.0
+    tries = 0
     while tries < iterations:
         if cost == 0.0 or np.abs(normal.slope / scale).max(initial=0.0) <= 1e-14 * math.sqrt(cost):
             break
         tries += 1
-        better, value, short, long = False, 0.0, 0.0, 0.0
+        better = False
+        value = 0.0
+        short = 0.0
+        long = 0.0
         solved = damped_step(normal, scale, damping, step)
         if solved:
             trial = p.copy()
             trial[place] += step
-            short, long = float(((scale * step) ** 2).sum()), float(((scale * p[place]) ** 2).sum())
+            short = float(((scale * step) ** 2).sum())
+            long = float(((scale * p[place]) ** 2).sum())
             value = _cost(trial, lags, own, fixed, size, X, S, slopes)
             if value < cost:
                 value = _normal(trial, lags, own, fixed, size, X, S, slopes, ring, H, g, other)
                 better = value < cost and diagonal_of(other, diagonal)
         if not better:
-            damping, growth = damping * growth, growth * 2.0
+            damping = damping * growth
+            growth = growth * 2.0
             if damping > _LARGEST_DAMPING or (solved and math.sqrt(short) <= 1e-15 * math.sqrt(long)):
                 break
             tries -= growth <= 2.0**8  # the first rejections in a row cost no iteration

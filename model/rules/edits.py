@@ -91,7 +91,8 @@ def _apart(body: Body) -> Body:
 def prune(context: SearchContext, chosen: Candidate) -> tuple[Candidate, list[str]]:
     """The chosen model without what validation does not miss, and a sentence about every edit."""
     # `chosen` may have been judged on other parts too, harder or easier ones; the edits are not
-    limit, said = context.judge(chosen.stage).mean, list[str]()
+    limit = context.judge(chosen.stage).mean
+    said = list[str]()
     while context.settings.search.prune and chosen.stage.rules > 1:
         offers = [(what, context.judge(stage)) for what, stage in refined_edits(context, chosen.stage)]
         good = [(what, c) for what, c in offers if c.stable and c.mean <= limit]
@@ -125,14 +126,16 @@ def merge_and_split(context: SearchContext, models: Sequence[Candidate], at: int
     Little data are left alone: every quarter of them was asked for the number of rules already, and one
     more choice by the same quarters gained nothing on plants with known truth.
     """
-    chosen, larger = models[at], list(models[at + 1 : at + 2])
+    chosen = models[at]
+    larger = list(models[at + 1 : at + 2])
     if context.folds or chosen.stage.rules < 2:
         return chosen
     for _ in range(context.settings.search.exchanges):
         found = _again(context, chosen, larger or one_more(context, chosen))
         if found is chosen:
             break
-        chosen, larger = found, []
+        chosen = found
+        larger = []
     return chosen
 
 

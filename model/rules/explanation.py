@@ -94,10 +94,12 @@ def explain(model: FittedTS, u: FloatArray, y: FloatArray, row: int) -> Explanat
     ------
     UsageError : the row has no full history, or is not there.
     """
-    u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
+    u = np.asarray(u, dtype=float)
+    y = np.asarray(y, dtype=float)
     refuse_row(model, row, len(y))
     begin = row - model.n_init
-    part_u, part_y = u[begin : row + 1], y[begin : row + 1]
+    part_u = u[begin : row + 1]
+    part_y = y[begin : row + 1]
     shares = model.firing(part_u, part_y)[-1]
     alone = model.rule_outputs(part_u, part_y)[-1]
     z = antecedent_values(model, part_u, part_y)[-1]

@@ -138,7 +138,8 @@ class FittedTS(Ruled):
 
         Rows of zeros before the inputs where it starts from rest; raises as `simulate`.
         """
-        d, n_y = self.n_init, self.layout.n_y
+        d = self.n_init
+        n_y = self.layout.n_y
         u = as_columns(u, len(self.inputs), "u")
         if y0 is None:
             before = np.concatenate([np.zeros((d, u.shape[1])), u])
@@ -163,7 +164,9 @@ class FittedTS(Ruled):
 
     def rule_outputs(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, R, n_y) what every rule concludes along measured data; NaN in the first n_init rows."""
-        W, d, n_y = self._stack(u, y), self.n_init, self.layout.n_y
+        W = self._stack(u, y)
+        d = self.n_init
+        n_y = self.layout.n_y
         result = np.full((len(W), len(self.parameters.theta), n_y), np.nan)
         part = np.einsum("rim,nm->nri", self.parameters.theta, self.layout.regressor_values(W))
         result[d:] = part * self.layout.scale[:n_y] + self.layout.shift[:n_y]
@@ -174,7 +177,8 @@ class FittedTS(Ruled):
 
         A is (na, n_y, n_y), B is (largest input lag + 1, n_y, n_u), c is (n_y,).
         """
-        n_y, n_u = self.layout.n_y, len(self.inputs)
+        n_y = self.layout.n_y
+        n_u = len(self.inputs)
         deepest = max([0, *(lag for c, lag in self.layout.regressors if c >= n_y)])
         result = []
         for theta in self.consequents:
@@ -228,7 +232,8 @@ class FittedTS(Ruled):
 
     def to_dict(self) -> dict[str, Any]:
         """Everything needed to rebuild the model, as JSON types only."""
-        layout, p = self.layout, self.parameters
+        layout = self.layout
+        p = self.parameters
         return {
             **head_of(self),
             "na": layout.orders.na,
@@ -350,7 +355,8 @@ def time_constant(radius: float, dt_s: float) -> float:
 def from_dict(document: Mapping[str, Any]) -> FittedTS:
     """Rebuild what `to_dict` gave; raises StoreError where the parts do not fit each other."""
     numbers = {name: np.array(value, dtype=np.float64) for name, value in document["parameters"].items()}
-    rules, n_z = len(numbers["theta"]), len(document["antecedents"])
+    rules = len(numbers["theta"])
+    n_z = len(document["antecedents"])
     numbers["centre"] = numbers["centre"].reshape(rules, n_z)
     numbers["width"] = numbers["width"].reshape(rules, n_z)
     numbers["z_range"] = numbers["z_range"].reshape(2, n_z)

@@ -100,7 +100,8 @@ class FittedTSStateSpace(Ruled):
         UsageError : shapes do not fit, or k < 1.
         """
         u, y = as_record(self, u, y, k)
-        first, out = self.n_init + k - 1, np.full(y.shape, np.nan)
+        first = self.n_init + k - 1
+        out = np.full(y.shape, np.nan)
         for rows in (self.n_init, full_window(self.n_init, self.dt_s)):
             begin = rows + k - 1
             if begin < len(y):
@@ -121,8 +122,11 @@ class FittedTSStateSpace(Ruled):
     def rule_outputs(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, R, n_y) what every rule concludes along measured data, hidden states from the free run; NaN in
         the first n_init rows."""
-        W, theta, n_y = self.seen(u, y), self.parameters.theta, self.layout.n_y
-        d, rows = max(self.n_init, self.layout.depth), len(W)
+        W = self.seen(u, y)
+        theta = self.parameters.theta
+        n_y = self.layout.n_y
+        d = max(self.n_init, self.layout.depth)
+        rows = len(W)
         result = np.full((rows, len(theta), n_y), np.nan)
         if rows > d:
             x = [
@@ -135,9 +139,11 @@ class FittedTSStateSpace(Ruled):
 
     def states(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, n) states of the free run along measured data, physical units (hidden ones in spreads)."""
-        u, y = as_columns(u, len(self.inputs), "u"), as_columns(y, self.layout.n_y, "y")
+        u = as_columns(u, len(self.inputs), "u")
+        y = as_columns(y, self.layout.n_y, "y")
         rows = min(len(y), max(self.n_init, start_window(self.n_init, len(y), self.dt_s)))
-        W, n = self.run(self.layout.stack(u, y[:rows]), rows), self.layout.n
+        W = self.run(self.layout.stack(u, y[:rows]), rows)
+        n = self.layout.n
         return np.asarray(W[:, :n] * self.layout.scale[:n] + self.layout.shift[:n])
 
     # -- what the rules say ------------------------------------------------------------------------------
@@ -157,9 +163,13 @@ class FittedTSStateSpace(Ruled):
         return tuple(self._polynomials(theta) for theta in self.consequents)
 
     def _polynomials(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        n, n_y, n_u = self.layout.n, self.layout.n_y, len(self.inputs)
-        step, M = theta[:, :n], np.eye(n)
-        A, c = np.zeros((n, n_y, n_y)), np.zeros(n_y)
+        n = self.layout.n
+        n_y = self.layout.n_y
+        n_u = len(self.inputs)
+        step = theta[:, :n]
+        M = np.eye(n)
+        A = np.zeros((n, n_y, n_y))
+        c = np.zeros(n_y)
         B = np.zeros((n + self.layout.depth, n_y, n_u))
         for j in range(n):
             for m, (column, lag) in enumerate(self.layout.regressors[:-1]):
@@ -172,14 +182,18 @@ class FittedTSStateSpace(Ruled):
         return A, B, c
 
     def _rule(self, r: int) -> Rule:
-        layout, n, n_y = self.layout, self.layout.n, self.layout.n_y
-        theta, names = self.consequents[r], layout.regressor_names[:-1]
+        layout = self.layout
+        n = self.layout.n
+        n_y = self.layout.n_y
+        theta = self.consequents[r]
+        names = layout.regressor_names[:-1]
         text = ", ".join(
             equation(lagged_name(s.name, 0), theta[i, :-1], names, theta[i, -1])
             for i, s in enumerate(layout.signals[:n])
         )
         radius = float(np.abs(self.local_poles()[r]).max())
-        left, gain = np.eye(n) - theta[:, :n], np.zeros((n, len(layout.inputs)))
+        left = np.eye(n) - theta[:, :n]
+        gain = np.zeros((n, len(layout.inputs)))
         for m, (column, _) in enumerate(layout.regressors[:-1]):
             if column >= n:
                 gain[:, column - n] += theta[:, m]
@@ -201,7 +215,8 @@ class FittedTSStateSpace(Ruled):
 
     def __str__(self) -> str:
         """The rules and how they were chosen, in words."""
-        count, layout = len(self.parameters.theta), self.layout
+        count = len(self.parameters.theta)
+        layout = self.layout
         title = f"Takagi-Sugeno state-space model, {count} rule{'s' if count > 1 else ''}, {layout.n} states"
         title += f" ({layout.hidden} hidden), {self.n_parameters} parameters"
         return in_words(title, self.rules(), self.notes, (self.outputs, self.inputs), self.operating_points)
@@ -228,7 +243,9 @@ class FittedTSStateSpace(Ruled):
         """
         from flysid.model.rules.state_local_models import linearise
 
-        n_y, n, shift = self.layout.n_y, self.layout.n, self.layout.shift
+        n_y = self.layout.n_y
+        n = self.layout.n
+        shift = self.layout.shift
         known = np.concatenate([shift[:n_y], shift[n:]])
         values = values_at([s.name for s in (*self.outputs, *self.inputs)], known, at)
         return linearise(self, values[n_y:], values[:n_y])
@@ -317,7 +334,9 @@ class FittedTSStateSpace(Ruled):
     def seen(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """W with measured outputs and the free run's hidden states."""
         u, y = as_record(self, u, y)
-        W, n, n_y = self.layout.stack(u, y), self.layout.n, self.layout.n_y
+        W = self.layout.stack(u, y)
+        n = self.layout.n
+        n_y = self.layout.n_y
         states = self.states(u, y)
         W[:, n_y:n] = (states[:, n_y:] - self.layout.shift[n_y:n]) / self.layout.scale[n_y:n]
         return W
@@ -326,7 +345,8 @@ class FittedTSStateSpace(Ruled):
 def from_dict(document: Mapping[str, Any]) -> FittedTSStateSpace:
     """Rebuild a model from `to_dict()`; damage raises KeyError, TypeError or ValueError (see `base.load`)."""
     numbers = {name: np.array(value, dtype=np.float64) for name, value in document["parameters"].items()}
-    rules, n_z = len(numbers["theta"]), len(document["antecedents"])
+    rules = len(numbers["theta"])
+    n_z = len(document["antecedents"])
     for name, shape in (("centre", (rules, n_z)), ("width", (rules, n_z)), ("z_range", (2, n_z))):
         numbers[name] = numbers[name].reshape(shape)
     layout = StateLayout(

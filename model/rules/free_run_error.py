@@ -101,7 +101,8 @@ class Body:
 
     def moved(self, p: FloatArray) -> Body:
         """The body at another vector."""
-        m, n = self.a.size, self.centre.size
+        m = self.a.size
+        n = self.centre.size
         return Body(
             p[:m].reshape(self.a.shape).copy(),
             p[m : m + n].reshape(self.centre.shape).copy(),
@@ -112,7 +113,8 @@ class Body:
         """Centres within the data, widths between 1/50 and 3 of its range: sets that words can name."""
         low, high = z_range
         span = np.maximum(high - low, 1e-12)
-        centre, width = np.clip(self.centre, low, high), np.clip(self.width, 0.02 * span, 3.0 * span)
+        centre = np.clip(self.centre, low, high)
+        width = np.clip(self.width, 0.02 * span, 3.0 * span)
         return replace(self, centre=centre, width=width)
 
 
@@ -172,7 +174,8 @@ class RuleProblem(Generic[L]):
     def fixed(self, body: Body, chosen: IntArray) -> Fixed:
         """What a descent from a body does not move, as the compiled code takes it."""
         W, edges = self.stacked
-        layout, m = self.layout, self.layout.n * len(self.basis)
+        layout = self.layout
+        m = self.layout.n * len(self.basis)
         hidden = np.arange(layout.n) >= layout.n_y
         drift = np.where(hidden, _DRIFT / max(1, len(self.runs) * int(hidden.sum())), 0.0)
         return Fixed(
@@ -207,7 +210,9 @@ class RuleProblem(Generic[L]):
 
     def starts(self, runs: Sequence[FloatArray]) -> FloatArray:
         """(S, moving, n) what given runs, simulated or measured, start from."""
-        d, moving, n = self.layout.depth, self.layout.moving, self.layout.n
+        d = self.layout.depth
+        moving = self.layout.moving
+        n = self.layout.n
         return np.stack([W[d - moving : d, :n] for W in runs])
 
     def measured_initial(self) -> FloatArray:
@@ -220,7 +225,8 @@ class RuleProblem(Generic[L]):
         Noisy lags of a high order can start a simulation that runs into its limits, where no gradient
         shows the way back.
         """
-        d, n_y = self.layout.depth, self.layout.n_y
+        d = self.layout.depth
+        n_y = self.layout.n_y
         found = []
         for W in self.runs:
             rows = np.arange(min(len(W), max(2 * d, 10)), dtype=np.float64)
@@ -268,7 +274,9 @@ class RuleStage(Generic[L]):
 
     def mean_square(self) -> float:
         """Mean squared simulation error, without the ridge."""
-        first, n_y, total = self.layout.uncompared, self.layout.n_y, 0.0
+        first = self.layout.uncompared
+        n_y = self.layout.n_y
+        total = 0.0
         for run, W in zip(self.simulated(), self.problem.runs, strict=True):
             gap = run[first:, :n_y] - W[first:, :n_y]
             total += float((gap * gap).sum())
@@ -301,7 +309,8 @@ class RuleStage(Generic[L]):
         self, p: FloatArray, iterations: int, tolerance: float = 0.0, chosen: IntArray | None = None
     ) -> tuple[float, Normal]:
         """`kernel.descend` from p, which moves; the ridge holds memberships where they are in this stage."""
-        problem, par = self.problem, self.problem.parameters(self.body)
+        problem = self.problem
+        par = self.problem.parameters(self.body)
         fixed = problem.fixed(self.body, self.body.free if chosen is None else chosen)
         cost, found = descend(p, problem.layout.lags, par, fixed, problem.sizes, iterations, tolerance)
         return float(cost), found
@@ -330,7 +339,8 @@ def runs_of(layout: RuleLayout, segments: Sequence[Segment], least: int) -> tupl
 
 def started_run(layout: RuleLayout, W: FloatArray, start: FloatArray, par: Parameters) -> FloatArray:
     """W simulated from the last (moving, n) rows before the first computed one."""
-    run, d = W.copy(), layout.depth
+    run = W.copy()
+    d = layout.depth
     run[d - layout.moving : d, : layout.n] = start
     free_run(run, d, layout.lags, par)
     return run
@@ -362,7 +372,10 @@ def run_sensitivities(
     initial : (moving, n) its start.
     """
     layout = problem.layout
-    d, n, n_y, first = layout.depth, layout.n, layout.n_y, layout.depth - layout.moving
+    d = layout.depth
+    n = layout.n
+    n_y = layout.n_y
+    first = layout.depth - layout.moving
     run = W.copy()
     run[first:d, :n] = initial
     ring = _ring(layout, body.size + initial.size)
@@ -386,8 +399,10 @@ def _sensitivities(
     problem: RuleProblem[L], body: Body, run: FloatArray, rows: slice, ring: FloatArray
 ) -> FloatArray:
     J = np.empty((rows.stop - rows.start, problem.layout.n_y, ring.shape[2]))
-    basis, par = np.ascontiguousarray(problem.basis), problem.parameters(body)
-    within, lags = (rows.start, rows.stop), problem.layout.lags
+    basis = np.ascontiguousarray(problem.basis)
+    par = problem.parameters(body)
+    within = (rows.start, rows.stop)
+    lags = problem.layout.lags
     own = ring.shape[2] - body.size
     sweep(run, run, within, lags, par, basis, own, ring, J, np.zeros((0, 0)), np.zeros(0))
     return J

@@ -88,7 +88,8 @@ def best_started(problem: Problem, body: Body) -> Stage:
 
 def embedded_start(stage: Stage, problem: Problem) -> tuple[Stage, ...]:
     """A lower-order linear model written as one of `problem`'s orders (the new lags weigh nothing)."""
-    old, new = stage.problem.layout.regressors, problem.layout.regressors
+    old = stage.problem.layout.regressors
+    new = problem.layout.regressors
     if not set(old) <= set(new):
         return ()
     theta = np.zeros((1, problem.layout.n_y, len(new)))
@@ -105,7 +106,9 @@ def _linear_starts(problem: Problem) -> Iterator[Body]:
     """Least squares, then instrumental-variable estimates that start from it."""
     X = np.vstack([problem.layout.regressor_values(W) for W in problem.runs])
     E = X @ problem.basis.T
-    d, n_y, n_z = problem.layout.depth, problem.layout.n_y, problem.z_range.shape[1]
+    d = problem.layout.depth
+    n_y = problem.layout.n_y
+    n_z = problem.z_range.shape[1]
     Y = np.vstack([W[d:, :n_y] for W in problem.runs]) - X @ problem.offset.T
     a: FloatArray = np.zeros((E.shape[1], n_y))
     for _ in range(3):  # repeated on the remainder: the regressors are nearly collinear
@@ -180,7 +183,8 @@ def insertions(stage: Stage, antecedent: Antecedent) -> list[Stage]:
         if len(chosen) < 10 or span == 0.0:
             continue
         for place in _PLACES:
-            centre, width = wide.body.centre[rule].copy(), wide.body.width[rule].copy()
+            centre = wide.body.centre[rule].copy()
+            width = wide.body.width[rule].copy()
             centre[j] = np.quantile(chosen, place)
             width[j] = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)
             if stage.rules == 1:
@@ -192,7 +196,8 @@ def insertions(stage: Stage, antecedent: Antecedent) -> list[Stage]:
 def _z_and_firing(stage: Stage, runs: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Antecedents and firing strengths along runs."""
     problem = stage.problem
-    lags, par = problem.layout.lags, problem.parameters(stage.body)
+    lags = problem.layout.lags
+    par = problem.parameters(stage.body)
     d = problem.layout.depth
     z = np.vstack([problem.layout.antecedent_values(W) for W in runs])
     return z, np.vstack([firing(W, d, lags, par)[d:] for W in runs])
@@ -200,12 +205,14 @@ def _z_and_firing(stage: Stage, runs: Sequence[FloatArray]) -> tuple[FloatArray,
 
 def thinned(stage: Stage, samples: int) -> Stage:
     """The stage on at most about `samples` rows: evenly spaced pieces, started where the model is."""
-    problem, depth = stage.problem, stage.problem.layout.depth
+    problem = stage.problem
+    depth = stage.problem.layout.depth
     total = sum(len(W) for W in problem.runs)
     if total <= samples:
         return stage
     length = max(_PIECE, 20 * depth)
-    pieces, initial = [], []
+    pieces = []
+    initial = []
     every = max(1, round(total / samples))
     count = 0
     for W, run in zip(problem.runs, stage.simulated(), strict=True):

@@ -19,7 +19,8 @@ from flysid.model.rules.regressor_layout import Antecedent, Layout
 if TYPE_CHECKING:
     from flysid.model.rules.state_layout import StateLayout
 
-MAX_LAG, MAX_STATES = 10_000, 1000
+MAX_LAG = 10_000
+MAX_STATES = 1000
 
 
 def check(layout: Layout, parameters: Parameters, noise: FloatArray | None) -> None:
@@ -30,7 +31,9 @@ def check(layout: Layout, parameters: Parameters, noise: FloatArray | None) -> N
     StoreError : one is out of its range, or does not fit the others.
     ValueError : a noise model that does not begin with 1.
     """
-    orders, n_u, n_y = layout.orders, len(layout.inputs), layout.n_y
+    orders = layout.orders
+    n_u = len(layout.inputs)
+    n_y = layout.n_y
     _require(n_y >= 1 and len(orders.nb) == len(orders.nk) == n_u, "orders that do not fit the signals")
     _require(all(_is_lag(value, 0) for value in (orders.na, *orders.nb, *orders.nk)), "orders out of range")
     _check_antecedents(layout.antecedents, n_y, n_y + n_u, MAX_LAG)
@@ -43,7 +46,8 @@ def check(layout: Layout, parameters: Parameters, noise: FloatArray | None) -> N
 
 def check_states(layout: StateLayout, parameters: Parameters, noise: FloatArray) -> None:
     """The same for a TS state-space model; raises StoreError."""
-    n_u, n_y = len(layout.inputs), layout.n_y
+    n_u = len(layout.inputs)
+    n_y = layout.n_y
     _require(n_y >= 1 and 0 <= layout.hidden <= MAX_STATES, "states out of range")
     lags = [lag for own in layout.input_lags for lag in own]
     _require(len(layout.input_lags) == n_u and all(_is_lag(lag, 0) for lag in lags), "lags out of range")

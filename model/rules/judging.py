@@ -30,7 +30,9 @@ INTEGRATES = (
 """What users are told of a model that does not come back."""
 _BLOCKS = 16
 _FAR = 10.0  # ranges: in a closed loop an output that integrates is never seen to move as it can
-_LONG_SEED, _LONG_HOLD = 2, 100  # samples that random inputs are held, at most
+# samples that random inputs are held, at most
+_LONG_SEED = 2
+_LONG_HOLD = 100
 _MOST_AWAY = 0.2  # of the samples: models that were any good on fresh data stayed below a tenth
 _ROUNDING = 1e-5  # of a pole at one that stands twice
 _RESOLUTION = 1e-10  # mean squares (of normalised outputs) below this are all "exact"
@@ -51,7 +53,8 @@ def hold_out(train: Dataset, least: int, fold: int = 0) -> tuple[Dataset, Datase
     last: list[Segment] = []
     for segment in usable:
         n = len(segment)
-        begin, end = n - (fold + 1) * (n // 4), n - fold * (n // 4)
+        begin = n - (fold + 1) * (n // 4)
+        end = n - fold * (n // 4)
         parts = [segment.slice(a, b, train.dt_s) for a, b in ((0, begin), (end, n)) if b - a >= least]
         if end - begin < least or not parts:
             first.append(segment)
@@ -69,9 +72,11 @@ def initial_state_gain(stage: Stage) -> FloatArray:
     first samples would start a fourth-order model with noise a million times amplified. Without noise the
     differences vanish and so does the correction.
     """
-    problem, d = stage.problem, stage.problem.layout.depth
+    problem = stage.problem
+    d = stage.problem.layout.depth
     n_y = problem.layout.n_y
-    features, targets = [], []
+    features = []
+    targets = []
     for run, W in zip(stage.simulated(), problem.runs, strict=True):
         features.append(_windows(W, d))
         targets.append(_windows(run[:, :n_y] - W[:, :n_y], d))
@@ -129,10 +134,12 @@ def free_run_errors(stage: Stage, runs: Sequence[FloatArray], window: int) -> li
     The first `window` rows only give the initial state, as in the comparison on held-out data: a choice
     must not hang on how well a few noisy samples start a high order.
     """
-    n_y, runner = stage.problem.layout.n_y, _Runner(stage)
+    n_y = stage.problem.layout.n_y
+    runner = _Runner(stage)
     errors = []
     for W in runs:
-        u, y = W[:, n_y:], W[:, :n_y]
+        u = W[:, n_y:]
+        y = W[:, :n_y]
         start = estimate_start(runner, u[:window], y[:window])
         errors.append(runner.simulate(u, start)[window:] - y[window:])
     return errors
@@ -209,14 +216,17 @@ def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
     output are asked instead (the range widened tenfold), as its output may go anywhere. Lags are held at
     the limits here, those of a single rule too (`unheld`): one that stays there is too near to instability.
     """
-    problem, n_y = stage.problem, stage.problem.layout.n_y
-    y, limits = _pushed(stage, steps, seed)[steps + steps // 4 :], problem.limits
+    problem = stage.problem
+    n_y = stage.problem.layout.n_y
+    y = _pushed(stage, steps, seed)[steps + steps // 4 :]
+    limits = problem.limits
     if problem.integrates:
         if not _rules_settle(stage):
             return False
         runs = stage.simulated()
         usual = np.concatenate([np.diff(run[:, :n_y], axis=0) for run in runs])
-        y, limits = np.diff(y, axis=0), widened(np.stack([usual.min(axis=0), usual.max(axis=0)]), _FAR)
+        y = np.diff(y, axis=0)
+        limits = widened(np.stack([usual.min(axis=0), usual.max(axis=0)]), _FAR)
     if not _share_at(y, limits) < 0.02:
         return False
     return problem.integrates or (_returns(stage, steps) and _is_contracting(stage))
@@ -236,7 +246,8 @@ def _returns(stage: Stage, steps: int) -> bool:
 
 def _pushed(stage: Stage, steps: int, seed: int, longest: int | None = None) -> FloatArray:
     """(2 steps, n_y) outputs under the inputs of `probe_run`, held at the limits."""
-    problem, n_y = stage.problem, stage.problem.layout.n_y
+    problem = stage.problem
+    n_y = stage.problem.layout.n_y
     W = probe_run(problem.runs, n_y, steps, seed, longest)
     free_run(W, problem.layout.depth, problem.layout.lags, problem.parameters(stage.body))
     return W[:, :n_y]
@@ -248,7 +259,8 @@ def _share_at(y: FloatArray, limits: FloatArray) -> float:
 
 
 def _is_contracting(stage: Stage) -> bool:
-    problem, layout = stage.problem, stage.problem.layout
+    problem = stage.problem
+    layout = stage.problem.layout
     y = np.vstack([run[:, : layout.n_y] for run in stage.simulated()])
     seen = np.stack([y.min(axis=0), y.max(axis=0)])
     return is_contracting(problem.runs, seen, layout.depth, layout.lags, problem.parameters(stage.body))

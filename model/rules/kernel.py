@@ -117,7 +117,9 @@ def _clamp(value, low, high):  # type: ignore[no-untyped-def]
 def simulate(W, begin, end, lags, par):  # type: ignore[no-untyped-def]
     """Write rows begin..end - 1 of W's simulated columns from its own earlier rows, in place."""
     n_rules, n, n_x = par.theta.shape
-    x, z, phi = np.empty(n_x), np.empty(lags.z_lag.size), np.empty(n_rules)
+    x = np.empty(n_x)
+    z = np.empty(lags.z_lag.size)
+    phi = np.empty(n_rules)
     for k in range(begin, end):
         _regress(W, k, lags, x)
         _antecedents(W, k, lags, par, z)
@@ -167,7 +169,8 @@ def firing(W: FloatArray, first: int, lags: Lags, par: Parameters) -> FloatArray
 
 @compiled
 def _firing(W, first, lags, par, strength):  # type: ignore[no-untyped-def]
-    z, phi = np.empty(lags.z_lag.size), np.empty(strength.shape[1])
+    z = np.empty(lags.z_lag.size)
+    phi = np.empty(strength.shape[1])
     for k in range(first, W.shape[0]):
         _antecedents(W, k, lags, par, z)
         _fire(z, par, phi)
@@ -194,16 +197,26 @@ def sweep(X, W, rows, lags, par, basis, own, ring, J, H, g):  # type: ignore[no-
     H, g : (M, M), (M,) J'J (lower triangle) and J'e are added to them; empty to leave that out.
     """
     n_rules, n, n_x = par.theta.shape
-    n_z, n_b, n_y = lags.z_lag.size, basis.shape[0], J.shape[1]
-    deep, size = ring.shape[0], ring.shape[2]
-    common, stressed = size - own, W.shape[0] == 0
-    x, z, phi = np.empty(n_x), np.empty(n_z), np.empty(n_rules)
-    e, part = np.empty(n_b), np.empty(n_rules)
-    inverse, lean = np.empty((n_rules, n_z)), np.empty((n_rules, n_z))
-    G, new = np.empty((deep, n)), np.empty((n, size))
+    n_z = lags.z_lag.size
+    n_b = basis.shape[0]
+    n_y = J.shape[1]
+    deep = ring.shape[0]
+    size = ring.shape[2]
+    common = size - own
+    stressed = W.shape[0] == 0
+    x = np.empty(n_x)
+    z = np.empty(n_z)
+    phi = np.empty(n_rules)
+    e = np.empty(n_b)
+    part = np.empty(n_rules)
+    inverse = np.empty((n_rules, n_z))
+    lean = np.empty((n_rules, n_z))
+    G = np.empty((deep, n))
+    new = np.empty((n, size))
     at_centre = n_rules * n * n_b
     at_width = at_centre + n_rules * n_z
-    sums, keeps = H.shape[0] > 0, J.shape[0] > 0
+    sums = H.shape[0] > 0
+    keeps = J.shape[0] > 0
     square = 0.0
     for r in range(n_rules):
         for j in range(n_z):

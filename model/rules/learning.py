@@ -299,7 +299,8 @@ def rule_verdict(settings: Settings, models: Sequence[Candidate], at: int) -> li
 def with_spread(model: Candidate, models: Sequence[Candidate]) -> str:
     """ "0.134 +- 0.012": the error, and one standard error of its distance to the best stable model's."""
     best = min((m for m in models if m.stable), key=lambda m: m.mean, default=model)
-    error, gap = float(np.sqrt(model.mean)), model.errors - best.errors
+    error = float(np.sqrt(model.mean))
+    gap = model.errors - best.errors
     if model is best or len(gap) < 2 or not error > 0.0:
         return f"{error:.3g}"
     # of the root of the mean square, to first order

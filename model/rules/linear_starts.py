@@ -110,7 +110,8 @@ def _orders(system: Difference) -> Orders:
 def as_difference(model: FittedStateSpace) -> Difference:
     """The state space as a difference equation with its characteristic polynomial."""
     r = model.realisation
-    n, n_y = r.order, len(r.c)
+    n = r.order
+    n_y = len(r.c)
     a = np.real(np.poly(r.a)) if n else np.ones(1)
     states = np.column_stack([r.b, r.drift])
     response = [np.column_stack([r.d, np.zeros(n_y)])]
@@ -173,7 +174,8 @@ def arx_start(problem: Problem, data: Dataset) -> tuple[Stage, ...]:
 
 def consequents(found: LinearModel, layout: Layout) -> FloatArray:
     """(n_y, n_x) the linear model's equation over `layout`'s regressors, in its normalised units."""
-    a, b = found.system.a, found.system.b
+    a = found.system.a
+    b = found.system.b
     theta = np.zeros((layout.n_y, len(layout.regressors)))
     rest = found.system.c + a.sum(axis=0) @ found.y_origin - b.sum(axis=0) @ found.u_origin
     for m, (column, lag) in enumerate(layout.regressors):

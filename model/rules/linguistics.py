@@ -45,7 +45,8 @@ def pieces(partition: Partition) -> tuple[list[Piece], list[list[int]]]:
     Rules with nearly the same set are one level. Pieces below 3 % of the range are left to their neighbours;
     a level that is nowhere the strongest, or hardly anywhere, has none.
     """
-    low, high = float(partition.low[0]), float(partition.high[0])
+    low = float(partition.low[0])
+    high = float(partition.high[0])
     levels = _levels_of(partition)
     centre, left, right = (
         np.array([[side[rules, 0].mean()] for rules in levels])
@@ -132,7 +133,8 @@ def _named_pieces(
 
 def _signs(piece: Piece, span: float) -> tuple[int, ...]:
     """-1, 0, 1: below, at, above zero; a piece that reaches far to both sides is cut there."""
-    below, above = max(-piece.low, 0.0), max(piece.high, 0.0)
+    below = max(-piece.low, 0.0)
+    above = max(piece.high, 0.0)
     if piece.high <= 0.0 or piece.low >= 0.0:
         return (-1,) if piece.high <= 0.0 else (1,)
     if max(below, above) <= _AROUND_ZERO * span:

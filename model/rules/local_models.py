@@ -50,12 +50,16 @@ def polytope(model: FittedTS) -> tuple[StateSpace, ...]:
 
 def _companion(model: FittedTS, A: FloatArray, B: FloatArray, c: FloatArray) -> StateSpace:
     na, n_y, _ = A.shape
-    past_inputs, n_u = len(B) - 1, B.shape[2]
-    n, m = na * n_y, past_inputs * n_u
+    past_inputs = len(B) - 1
+    n_u = B.shape[2]
+    n = na * n_y
+    m = past_inputs * n_u
     C = np.zeros((n_y, n + m))
     C[:, :n] = np.concatenate(list(A), axis=1) if na else np.zeros((n_y, 0))
     C[:, n:] = np.concatenate(list(B[1:]), axis=1) if past_inputs else np.zeros((n_y, 0))
-    step, drive, offset = np.zeros((n + m, n + m)), np.zeros((n + m, n_u)), np.zeros(n + m)
+    step = np.zeros((n + m, n + m))
+    drive = np.zeros((n + m, n_u))
+    offset = np.zeros(n + m)
     if na:
         step[:n_y], drive[:n_y], offset[:n_y] = C, B[0], c
         step[n_y:n, : n - n_y] = np.eye(n - n_y)
@@ -75,19 +79,23 @@ def linearise(model: FittedTS, u: FloatArray, y: FloatArray) -> StateSpace:
     UsageError : u or y has another length than the model's signals; the model's output is at its limit there.
     """
     refuse_other_models(model)
-    u, y = np.atleast_1d(np.asarray(u, dtype=float)), np.atleast_1d(np.asarray(y, dtype=float))
+    u = np.atleast_1d(np.asarray(u, dtype=float))
+    y = np.atleast_1d(np.asarray(y, dtype=float))
     if u.shape != (len(model.inputs),) or y.shape != (len(model.outputs),):
         raise UsageError(
             f"u has shape {u.shape} and y {y.shape}",
             hint=f"give {len(model.inputs)} inputs and {len(model.outputs)} outputs",
         )
-    d, n_y = model.n_init, len(y)
-    U, Y = np.tile(u, (d + 1, 1)), np.tile(y, (d + 1, 1))
+    d = model.n_init
+    n_y = len(y)
+    U = np.tile(u, (d + 1, 1))
+    Y = np.tile(y, (d + 1, 1))
     model = model.unlimited()
     refuse_limit(model.one_step(U, Y)[d], model.output_limits)
 
     def next_output(k: int, column: int, size: float) -> FloatArray:
-        moved_u, moved_y = U.copy(), Y.copy()
+        moved_u = U.copy()
+        moved_y = Y.copy()
         if column < n_y:
             moved_y[d - k, column] += size
         else:
@@ -99,7 +107,8 @@ def linearise(model: FittedTS, u: FloatArray, y: FloatArray) -> StateSpace:
     na = max(
         [model.layout.orders.na, *(max(a.lag, a.minus) for a in model.layout.antecedents if a.column < n_y)]
     )
-    A, B = np.zeros((na, n_y, n_y)), np.zeros((deepest + 1, n_y, len(u)))
+    A = np.zeros((na, n_y, n_y))
+    B = np.zeros((deepest + 1, n_y, len(u)))
     for column, scale in enumerate(model.layout.scale):
         size = 1e-5 * float(scale)
         lags = range(1, na + 1) if column < n_y else range(deepest + 1)

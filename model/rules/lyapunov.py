@@ -111,12 +111,14 @@ def _slackless(
     blocks: Sequence[tuple[FloatArray, FloatArray]], x: FloatArray, E: FloatArray
 ) -> FloatArray | None:
     """P once the slack, the last of the unknowns x, is below zero."""
-    weight, steps = 1.0 / float(x[-1]), 0
+    weight = 1.0 / float(x[-1])
+    steps = 0
     while steps < _STEPS:
         for _ in range(_NEWTON):
             g, H = _slopes(blocks, x, weight)
             step: FloatArray = np.asarray(np.linalg.lstsq(H, -g, rcond=1e-14)[0], dtype=np.float64)
-            gain, steps = float(-g @ step), steps + 1
+            gain = float(-g @ step)
+            steps = steps + 1
             size = _size(blocks, x, step, weight, gain) if gain > _CENTRED else 0.0
             if size == 0.0:
                 break
@@ -134,7 +136,8 @@ def _slopes(
     blocks: Sequence[tuple[FloatArray, FloatArray]], x: FloatArray, weight: float
 ) -> tuple[FloatArray, FloatArray]:
     """Gradient and Hessian of the barrier."""
-    g, H = np.zeros(len(x)), np.zeros((len(x), len(x)))
+    g = np.zeros(len(x))
+    H = np.zeros((len(x), len(x)))
     g[-1] = weight
     for F0, F in blocks:
         inverse = np.linalg.inv(np.linalg.cholesky(_at((F0, F), x)))
@@ -153,7 +156,8 @@ def _size(
     gain: float,
 ) -> float:
     """How much of a Newton step lowers the barrier; 0 where nothing does."""
-    now, size = _barrier(blocks, x, weight), 1.0
+    now = _barrier(blocks, x, weight)
+    size = 1.0
     while size > 1e-10:
         if _barrier(blocks, x + size * step, weight) <= now - 1e-4 * size * gain:
             return size

@@ -59,7 +59,8 @@ def normalised(log_strength: FloatArray, distance: FloatArray) -> FloatArray:
     silent = ~np.isfinite(top)
     if silent.any():
         nearest = distance[silent].argmin(axis=1)
-        log_strength, top = log_strength.copy(), np.where(silent, 0.0, top)
+        log_strength = log_strength.copy()
+        top = np.where(silent, 0.0, top)
         log_strength[np.flatnonzero(silent), nearest] = 0.0
     strength = np.exp(log_strength - top[:, None])
     strength /= (strength @ np.ones(strength.shape[1]))[:, None]
@@ -104,7 +105,8 @@ class Partition:
         ------
         UsageError : no such variable.
         """
-        j, count = variable, self.centre.shape[1]
+        j = variable
+        count = self.centre.shape[1]
         if not 0 <= j < count:
             raise UsageError(f"no antecedent variable {j!r}", hint=f"there are {count}, counted from 0")
         distance = standardised(

@@ -125,7 +125,8 @@ class _Asked:
 
 
 def _of_output(asked: _Asked) -> Iterable[OperatingPoint]:
-    numbers, output = asked.numbers, asked.output
+    numbers = asked.numbers
+    output = asked.output
     y = np.concatenate([s.y[:, output] for s in asked.train.segments])
     low, high = np.quantile(y, _FLOWN)
     wanted = _levels(y)
@@ -153,7 +154,8 @@ def _levels(y: FloatArray) -> FloatArray:
 
 def _main_input(numbers: Numbers, output: int) -> int:
     """The input that moves the output most over its own spread, at the mean of training."""
-    steady, n = SteadyMap(numbers.layout), numbers.parameters.theta.shape[1]
+    steady = SteadyMap(numbers.layout)
+    n = numbers.parameters.theta.shape[1]
     whole = steady.summed(steady.tangent(numbers.parameters, np.zeros(len(numbers.layout.scale))))
     gains = np.linalg.pinv(np.eye(n) - whole[:, :n]) @ whole[:, n:]
     return int(np.abs(gains[output]).argmax())
@@ -166,7 +168,8 @@ def walked(
 
     From the mean of training outwards, each place from the one before, as far as there are such places.
     """
-    layout, par = numbers.layout, numbers.parameters
+    layout = numbers.layout
+    par = numbers.parameters
     steady = SteadyMap(layout)
     found: dict[float, tuple[FloatArray, Tangent]] = {}
     normal = (levels - layout.shift[output]) / layout.scale[output]
@@ -192,7 +195,8 @@ def _flown(
     found: Mapping[float, tuple[FloatArray, Tangent]], numbers: Numbers, train: Dataset, moved: int
 ) -> dict[float, Place]:
     """Of the places those that are stable and within what the input has flown."""
-    layout, steady = numbers.layout, SteadyMap(numbers.layout)
+    layout = numbers.layout
+    steady = SteadyMap(numbers.layout)
     column = numbers.parameters.theta.shape[1] + moved
     u = np.concatenate([s.u[:, moved] for s in train.segments])
     low, high = (np.quantile(u, _PUSHED) - layout.shift[column]) / layout.scale[column]
@@ -205,10 +209,13 @@ def _flown(
 
 
 def _point(asked: _Asked, place: Place, moved: int) -> OperatingPoint:
-    layout, n = asked.numbers.layout, asked.numbers.parameters.theta.shape[1]
-    n_y, dt = len(asked.train.outputs), asked.train.dt_s
+    layout = asked.numbers.layout
+    n = asked.numbers.parameters.theta.shape[1]
+    n_y = len(asked.train.outputs)
+    dt = asked.train.dt_s
     inputs = range(len(asked.train.inputs))
-    output, steady = asked.output, asked.map
+    output = asked.output
+    steady = asked.map
     answers = [steady.answer(place.tangent, j, place.samples) for j in inputs]
     at = place.w * layout.scale + layout.shift
     figures = _figures(steady, asked.numbers.parameters, place, output, moved)
@@ -216,7 +223,8 @@ def _point(asked: _Asked, place: Place, moved: int) -> OperatingPoint:
     error = _errors(asked, place, moved, figures)
     wide = Z95 * np.minimum(error, _LOST)
     unit = layout.scale[output] / layout.scale[n:]
-    gain, reached = figures[0] * unit, figures[1] * dt
+    gain = figures[0] * unit
+    reached = figures[1] * dt
     ends = np.stack([-wide, wide], axis=1)  # (2 figures, low and high, inputs)
     gains = np.sort(gain * np.exp(ends[0]), axis=0)
     return OperatingPoint(
@@ -250,7 +258,9 @@ def _errors(asked: _Asked, place: Place, moved: int, figures: FloatArray) -> Flo
     sure = asked.sure
     if sure is None:
         return np.full(figures.shape, np.nan)
-    steady, centre, square = asked.map, sure.centre(), np.full(figures.shape, _FLOOR**2)
+    steady = asked.map
+    centre = sure.centre()
+    square = np.full(figures.shape, _FLOOR**2)
     root = root_of(sure.covariance)
     with np.errstate(all="ignore"):
         for direction in root.T[np.abs(root).max(axis=0) > 0.0]:
@@ -268,7 +278,8 @@ def _of_neighbour(asked: _Asked, place: Place, moved: int, figures: FloatArray) 
     """(2, n_u) logarithms of what the neighbour says there over what this one does; 0 without one."""
     if asked.neighbour is None:
         return np.zeros(figures.shape)
-    own, other = asked.numbers.layout, asked.neighbour.layout
+    own = asked.numbers.layout
+    other = asked.neighbour.layout
     level = place.w[asked.output] * own.scale[asked.output] + own.shift[asked.output]
     mean = float(own.shift[asked.output])
     found = walked(
@@ -287,7 +298,8 @@ def _of_neighbour(asked: _Asked, place: Place, moved: int, figures: FloatArray) 
     said = _figures(steady, asked.neighbour.parameters, Place(w, tangent, samples), asked.output, moved)
     if said is None:
         return np.full(figures.shape, np.inf)
-    n, m = asked.numbers.parameters.theta.shape[1], asked.neighbour.parameters.theta.shape[1]
+    n = asked.numbers.parameters.theta.shape[1]
+    m = asked.neighbour.parameters.theta.shape[1]
     units = (other.scale[asked.output] / other.scale[m:]) / (own.scale[asked.output] / own.scale[n:])
     ratio = said / figures
     ratio[0] *= units

@@ -15,7 +15,9 @@ Signals = tuple[Sequence[Signal], Sequence[Signal]]
 """Outputs and inputs."""
 _ALIKE = np.log(1.1)  # figures so near each other are the same in words
 _HARDLY = np.log(4.0)  # from end to end of an interval: a factor of two either way
-_OVERSHOOT, _WRONG_WAY = 0.05, 0.02  # shares of a change that are worth a word
+# shares of a change that are worth a word
+_OVERSHOOT = 0.05
+_WRONG_WAY = 0.02
 
 
 def sentences(points: Sequence[OperatingPoint], signals: Signals) -> list[str]:
@@ -76,7 +78,8 @@ def _level(point: OperatingPoint) -> float:
 def _place(group: Sequence[OperatingPoint], own: Sequence[OperatingPoint], signal: Signal) -> str:
     unit = f" {signal.unit}" if signal.unit else ""
     levels = np.array([_level(p) for p in group])
-    low, high = float(levels.min()), float(levels.max())
+    low = float(levels.min())
+    high = float(levels.max())
     skipped = any(low < _level(p) < high for p in own if p not in group)
     if len(group) == 1:
         return f"Near {signal.name} = {_rounded(low, own)}{unit}"

@@ -15,7 +15,9 @@ from flysid.model.rules.vocabulary import Axis, number
 
 ELSEWHERE = "always, most where no other rule does"
 _INTEGRATES = "integrates"
-_LEAST_PUSH, _MOST_PUSH = 0.05, 3.0  # spreads of an input: a hair, and farther than it ever went
+# spreads of an input: a hair, and farther than it ever went
+_LEAST_PUSH = 0.05
+_MOST_PUSH = 3.0
 _NEARLY_ONE = 0.999  # a pole so near to one nearly integrates
 _ON_CIRCLE = 1e-6  # a pole so near to one that it integrates, but for rounding
 

@@ -27,7 +27,8 @@ def probe_run(
     """
     rng = np.random.default_rng(seed)
     pool = np.vstack([W[:, n_y:] for W in runs])
-    low, high = pool.min(axis=0), pool.max(axis=0)
+    low = pool.min(axis=0)
+    high = pool.max(axis=0)
     hold = max(2, len(pool) // 200)
     begins = rng.integers(0, max(1, len(pool) - hold), size=-(-steps // hold))
     usual = np.vstack([pool[b : b + hold] for b in begins])[:steps]

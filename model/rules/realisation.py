@@ -23,7 +23,9 @@ _SINGULAR = 1e-6  # coordinates closer to dependent than this are not offered
 PLAIN = "plain"
 """The coordinates that a realisation comes in; hidden states are then made uncorrelated."""
 PLAIN_WORDS = "uncorrelated with the outputs and with each other"
-_STEPS, _SETTLED = 12, 1e-10  # of the search for the state before a run, which one step nearly finds
+# of the search for the state before a run, which one step nearly finds
+_STEPS = 12
+_SETTLED = 1e-10
 _CLOSED = 60  # rows that suffice to start a run while fitting
 
 
@@ -55,8 +57,10 @@ class Realisation:
     @classmethod
     def of(cls, layout: StateLayout, theta: FloatArray) -> Realisation:
         """The system that a consequent (n, n_x), in the order of `layout.regressors`, stands for."""
-        n, n_u = layout.n, len(layout.inputs)
-        A, c = np.zeros((n, n)), np.zeros(n)
+        n = layout.n
+        n_u = len(layout.inputs)
+        A = np.zeros((n, n))
+        c = np.zeros(n)
         B = {lag: np.zeros((n, n_u)) for own in layout.input_lags for lag in own}
         for m, (column, lag) in enumerate(layout.regressors):
             if column < 0:
@@ -88,12 +92,14 @@ def realised(fitted: FittedLinear, shift: FloatArray, scale: FloatArray) -> Real
     refinement that follows makes up for it.
     """
     n_y = len(fitted.outputs)
-    a, b = fitted.system.a, fitted.system.b
+    a = fitted.system.a
+    b = fitted.system.b
     rest = fitted.system.c + a.sum(axis=0) @ (fitted.y_origin - shift[:n_y])
     rest = (rest - b.sum(axis=0) @ (fitted.u_origin - shift[n_y:])) / scale[:n_y]
     order = max(len(a) - 1, 1)
     n = order * n_y
-    A, c = np.eye(n, k=n_y), np.concatenate([rest, np.zeros(n - n_y)])
+    A = np.eye(n, k=n_y)
+    c = np.concatenate([rest, np.zeros(n - n_y)])
     for lag in range(1, len(a)):
         A[(lag - 1) * n_y : lag * n_y, :n_y] -= a[lag] * scale[None, :n_y] / scale[:n_y, None]
     delays = [_first_lag(b[:, :, j]) for j in range(b.shape[2])]
@@ -145,7 +151,8 @@ def uncorrelated(covariance: FloatArray, n_y: int) -> FloatArray:
     T = np.eye(n)
     if n == n_y:
         return T
-    seen, cross = covariance[:n_y, :n_y], covariance[n_y:, :n_y]
+    seen = covariance[:n_y, :n_y]
+    cross = covariance[n_y:, :n_y]
     R = np.linalg.lstsq(seen, cross.T, rcond=1e-12)[0].T
     left = covariance[n_y:, n_y:] - R @ cross.T
     size = np.sqrt(np.maximum(np.diag(covariance)[n_y:], 1e-300))
@@ -204,7 +211,8 @@ def initial_states(
 
         weight * sum_k |y(k) - yhat(k; x)|^2 + (x - mean)' inverse (x - mean)
     """
-    d, n_y = layout.depth, layout.n_y
+    d = layout.depth
+    n_y = layout.n_y
     found = []
     for W in runs:
         part = np.ascontiguousarray(W[: d - 1 + max(rows, 1)])
@@ -218,7 +226,9 @@ def _likely(
     layout: StateLayout, W: FloatArray, par: Parameters, prior: Prior, guess: FloatArray
 ) -> tuple[float, FloatArray]:
     """Cost and state (n,) that a search from a guess ends in; the guess where the model runs away from it."""
-    samples, n_x, none = float((len(W) - layout.depth + 1) * layout.n_y), par.theta.shape[2], np.zeros((0, 0))
+    samples = float((len(W) - layout.depth + 1) * layout.n_y)
+    n_x = par.theta.shape[2]
+    none = np.zeros((0, 0))
     fixed = Fixed(
         np.eye(n_x),
         np.zeros(par.theta.shape[1:]),

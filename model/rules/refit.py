@@ -31,7 +31,8 @@ def refit(chosen: Candidate, data: Dataset, runs: Sequence[FloatArray], iteratio
 
 def on_all_runs(stage: Stage, runs: Sequence[FloatArray], iterations: int) -> Stage:
     """The stage with its numbers refined on `runs`; unchanged where that would make it unstable."""
-    whole, known = antecedent_range(stage.problem.layout, runs), stage.problem.z_range
+    whole = antecedent_range(stage.problem.layout, runs)
+    known = stage.problem.z_range
     wider = np.stack([np.minimum(whole[0], known[0]), np.maximum(whole[1], known[1])])
     # differences of measured outputs are mostly noise: their range is that of the simulation
     change = np.array([a.minus >= 0 for a in stage.problem.layout.antecedents], dtype=bool)
@@ -46,7 +47,8 @@ def _rings_newly(found: Stage, known: Stage) -> bool:
 
 def as_problem(layout: Layout, parameters: Parameters, runs: tuple[FloatArray, ...]) -> tuple[Problem, Body]:
     """A fitted model as refinement writes it: consequents in a basis in which `runs` are well conditioned."""
-    theta, p = parameters.theta, parameters
+    theta = parameters.theta
+    p = parameters
     held = holds_integrator(theta, layout.orders.na)
     basis = np.ascontiguousarray(first_basis(layout, runs, integrating=held))
     trained = widened(p.z_range, -REACH / (1.0 + 2.0 * REACH))

@@ -81,7 +81,8 @@ def lags_of(regressors: Sequence[tuple[int, int]], antecedents: Sequence[Anteced
 
 def antecedent_values(antecedents: Sequence[Antecedent], W: FloatArray, depth: int) -> FloatArray:
     """(N - depth, n_z) antecedents along W (N, signals), from row `depth` on."""
-    n, columns = len(W), []
+    n = len(W)
+    columns = []
     for a in antecedents:
         z = W[depth - a.lag : n - a.lag, a.column]
         columns.append(z if a.minus < 0 else z - W[depth - a.minus : n - a.minus, a.column])
@@ -179,7 +180,8 @@ class Layout:
 
     def regressor_values(self, W: FloatArray) -> FloatArray:
         """(N - depth, n_x) regressors along normalised W, from row `depth` on."""
-        d, n = self.depth, len(W)
+        d = self.depth
+        n = len(W)
         columns = [np.ones(max(n - d, 0)) if c < 0 else W[d - lag : n - lag, c] for c, lag in self.regressors]
         return np.stack(columns, axis=1)
 

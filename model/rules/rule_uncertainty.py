@@ -131,7 +131,8 @@ class RuleUncertainty(Uncertainty[FittedTS]):
         at its ends, always to the same side of the run, and their band is lopsided and too wide: 2 to 120
         times on the plants of `bench.ts_bands`, where small steps agree with this band to 2 %.
         """
-        model, n_y = self.model, self.model.layout.n_y
+        model = self.model
+        n_y = self.model.layout.n_y
         middle = model.simulate(u, y0)
         run = model.started(u, y0)
         half = np.zeros((len(run), n_y))
@@ -156,7 +157,8 @@ def uncertainty(model: FittedTS, train: Dataset) -> RuleUncertainty:
     if sum(len(W) - model.n_init for W in runs) * model.layout.n_y <= model.n_parameters:
         raise DataError("fewer samples than numbers in the model: nothing can be said about its uncertainty")
     problem, body = as_problem(model.layout, model.parameters, runs)
-    jacobians, errors = [], []
+    jacobians = []
+    errors = []
     for W, initial in zip(runs, best_started(problem, body).initial, strict=True):
         J, e = _sensitivities(problem, body, W, initial)
         jacobians.append(J)
@@ -166,7 +168,8 @@ def uncertainty(model: FittedTS, train: Dataset) -> RuleUncertainty:
 
 def check_signals(signals: Sequence[Signal], train: Dataset) -> None:
     """Raise UsageError where the data hold other signals than a model's outputs and inputs."""
-    names, known = [s.name for s in (*train.outputs, *train.inputs)], [s.name for s in signals]
+    names = [s.name for s in (*train.outputs, *train.inputs)]
+    known = [s.name for s in signals]
     if names != known:
         raise UsageError(
             f"the data hold {names}, the model has {known}", hint="give the data that the model was fitted to"

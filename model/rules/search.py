@@ -41,7 +41,8 @@ def search(context: SearchContext, linear: Sequence[Candidate]) -> list[Candidat
     settings = context.settings
     most = context.most_rules
     kept = context.lanes
-    models, lanes = [linear[0]], _starts(context, linear)
+    models = [linear[0]]
+    lanes = _starts(context, linear)
     tell("1 rule", share=1 / (most + 1), validation=float(np.sqrt(linear[0].mean)))
     if not settings.refine:
         looked_at = variables(settings, linear[0].stage.problem.layout)
@@ -207,7 +208,8 @@ def variables(settings: Settings, layout: Layout) -> tuple[Antecedent, ...]:
 
 def found_antecedents(layout: Layout) -> tuple[Antecedent, ...]:
     """Variables to split along: the newest output, the newest two inputs, and the change of every output."""
-    n_y, orders = layout.n_y, layout.orders
+    n_y = layout.n_y
+    orders = layout.orders
     newest = [Antecedent(i, 1) for i in range(n_y)] if orders.na else []
     inputs = [
         Antecedent(n_y + j, lag)

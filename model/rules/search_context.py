@@ -21,7 +21,9 @@ from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.rules.stages import refine
 
 SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
-_ORDER_GAIN, _ORDER_LOSS = 0.01, 0.05  # of the mean square: never, and at most, worth an order
+# of the mean square: never, and at most, worth an order
+_ORDER_GAIN = 0.01
+_ORDER_LOSS = 0.05
 _ORDER_MISFIT = 0.1  # of the training mean square, which more lags always lower a little
 _STEPS = 8  # of a linear model's refinement on other parts of the data
 _WORSE_FIT = 1.5  # of the training mean square: one good validation does not make up for it
@@ -108,7 +110,8 @@ class SearchContext:
 
     def ready(self, stage: Stage) -> Stage:
         """A linear stage to grow from: with its output limits and with stress."""
-        problem, n_y = stage.problem, stage.problem.layout.n_y
+        problem = stage.problem
+        n_y = stage.problem.layout.n_y
         y = np.vstack([W[:, :n_y] for W in problem.runs])
         margin = (_FAR if problem.integrates else 1.0) * np.ptp(y, axis=0)
         limits = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])

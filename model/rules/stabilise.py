@@ -65,7 +65,8 @@ def with_stable_rules(
     refuse_other_data(model, train)
     if not 0.0 < largest < 1.0:
         raise UsageError(f"largest={largest!r}", hint="give a pole radius between 0 and 1")
-    theta, layout = model.parameters.theta, model.layout
+    theta = model.parameters.theta
+    layout = model.layout
     if holds_integrator(theta, layout.orders.na):
         raise UsageError("the process integrates: every rule has a pole at one, and none can be stable")
 
@@ -131,7 +132,8 @@ def _nearest(start: FloatArray, mean: FloatArray, holds: Callable[[FloatArray], 
     """The point on the line from `mean`, which holds, to `start` that is the last that was found to hold."""
     if holds(start):
         return start
-    inside, outside = 0.0, 1.0
+    inside = 0.0
+    outside = 1.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (inside + outside)
         if holds(mean + middle * (start - mean)):
@@ -143,7 +145,8 @@ def _nearest(start: FloatArray, mean: FloatArray, holds: Callable[[FloatArray], 
 
 def _refined(model: FittedTS, theta: FloatArray, runs: tuple[FloatArray, ...]) -> Stage:
     """The drawn rules with everything but their poles refined; as drawn where nothing got better."""
-    layout, p = model.layout, model.parameters
+    layout = model.layout
+    p = model.parameters
     past = np.array([0 <= column < layout.n_y for column, _ in layout.regressors])
     basis = np.zeros((len(past), len(past)))
     for block in (past, ~past):

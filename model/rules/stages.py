@@ -47,7 +47,8 @@ def inserted(stage: RuleStage[L], centre: FloatArray, width: FloatArray) -> Rule
     The blend near the centre stays nearly what it was, so that nothing learned is lost, whereas replacing
     a rule by two changes its weight against all others.
     """
-    body, z_range = stage.body, stage.problem.z_range
+    body = stage.body
+    z_range = stage.problem.z_range
     distance = (centre - body.centre) / body.width
     strength = -0.5 * (distance * distance).sum(axis=1)
     phi = np.exp(strength - strength.max())

@@ -29,9 +29,11 @@ def finished(
     intervals : say what the model does at operating points, and how surely.
     neighbour : the model with one rule more, or one fewer where growth ended, see `operating_points`.
     """
-    layout, n_y = stage.layout, stage.layout.n_y
+    layout = stage.layout
+    n_y = stage.layout.n_y
     y = np.vstack([s.y for s in train.segments])
-    low, high = y.min(axis=0), y.max(axis=0)
+    low = y.min(axis=0)
+    high = y.max(axis=0)
     fitted = FittedTSStateSpace(
         dt_s=train.dt_s,
         layout=layout,

@@ -70,7 +70,8 @@ class StateContext:
 
     def _stage(self, real: Realisation, data: Dataset, iterations: int) -> StateStage:
         shift, scale = self.scaled
-        n_y, hidden = len(data.outputs), len(real.A) - len(data.outputs)
+        n_y = len(data.outputs)
+        hidden = len(real.A) - len(data.outputs)
         layout = StateLayout(
             data.outputs,
             data.inputs,

@@ -19,9 +19,11 @@ def explain(model: FittedTSStateSpace, u: FloatArray, y: FloatArray, row: int) -
     ------
     UsageError : the row has no full history, or is not there.
     """
-    u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
+    u = np.asarray(u, dtype=float)
+    y = np.asarray(y, dtype=float)
     refuse_row(model, row, len(y))
-    layout, par = model.layout, model.parameters
+    layout = model.layout
+    par = model.parameters
     W = model.seen(u[: row + 1], y[: row + 1])
     shares = firing(W, row, layout.lags, par)[row]
     x = np.array([1.0 if column < 0 else W[row - lag, column] for column, lag in layout.regressors])

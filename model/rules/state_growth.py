@@ -28,7 +28,9 @@ _HIDDEN_LIMIT = 12.0  # spreads that a hidden state may reach
 _FLOOR = 1e-3  # of the metric's diagonal, added to it: directions that the linear model does not feel
 _START_ROWS = 400  # of a run from which a linear start takes its initial state
 _PIECE = 600  # rows of a piece, where long records are thinned
-_FEW, _MORE = 3000, 4000  # rows for ranking insertions, and for trying the best ones
+# rows for ranking insertions, and for trying the best ones
+_FEW = 3000
+_MORE = 4000
 _OVERFLOW = 1e9  # spreads: a state beyond has run away
 _FEWEST = 10  # samples of a region that takes another rule
 _MARGIN = 0.1  # of its range, by which a hidden antecedent's range is widened
@@ -61,16 +63,21 @@ def linear_stage(
     ----------
     ends : (2, n_y) normalised outputs at which the plant itself saturates; infinite where it does not.
     """
-    n, n_y, d = layout.n, layout.n_y, layout.depth
+    n = layout.n
+    n_y = layout.n_y
+    d = layout.depth
     y = np.vstack([W[d - 1 :, :n_y] for W in runs])
-    margin, limits = np.ptp(y, axis=0), np.full((2, n), np.inf) * np.array([[-1.0], [1.0]])
+    margin = np.ptp(y, axis=0)
+    limits = np.full((2, n), np.inf) * np.array([[-1.0], [1.0]])
     limits[:, :n_y] = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
     problem = unmoved(layout, runs, np.zeros((2, 0)), limits)
     nowhere = Prior(np.zeros(n), 1e-6 * np.eye(n), 1.0)
     stage = _linear(problem, real, nowhere)
     states = np.vstack([r[d - 1 :, :n] for r in stage.simulated()])
-    spread, middle = states.std(axis=0), states.mean(axis=0)
-    spread[:n_y], middle[:n_y] = 1.0, 0.0
+    spread = states.std(axis=0)
+    middle = states.mean(axis=0)
+    spread[:n_y] = 1.0
+    middle[:n_y] = 0.0
     spread = np.where((spread > 1e-12) & np.isfinite(spread), spread, 1.0)
     if whiten and np.abs(states).max() < _OVERFLOW:
         T = uncorrelated(np.cov(states, rowvar=False).reshape(n, n), n_y)
@@ -130,7 +137,8 @@ def on_other_runs(stage: StateStage, runs: tuple[FloatArray, ...]) -> StateStage
 
 def with_variables(stage: StateStage, antecedents: tuple[Antecedent, ...]) -> StateStage:
     """The same model looking at more antecedents, in which every rule covers everything."""
-    old, layout = stage.layout.antecedents, replace(stage.layout, antecedents=antecedents)
+    old = stage.layout.antecedents
+    layout = replace(stage.layout, antecedents=antecedents)
     z_range = antecedent_range(layout, _seen(stage))
     span = z_range[1] - z_range[0]
     hidden = np.array([layout.n_y <= a.column < layout.n for a in antecedents])
@@ -148,7 +156,8 @@ def with_variables(stage: StateStage, antecedents: tuple[Antecedent, ...]) -> St
 
 def _seen(stage: StateStage) -> list[FloatArray]:
     """Training runs as measured, with the hidden states as simulated."""
-    hidden, found = slice(stage.layout.n_y, stage.layout.n), []
+    hidden = slice(stage.layout.n_y, stage.layout.n)
+    found = []
     for run, W in zip(stage.simulated(), stage.problem.runs, strict=True):
         both = W.copy()
         both[:, hidden] = run[:, hidden]
@@ -176,10 +185,12 @@ class Insertion:
 
     def _into(self, wide: StateStage, z: FloatArray, strongest: npt.NDArray[np.intp]) -> StateStage | None:
         j = wide.layout.antecedents.index(self.antecedent)
-        span, chosen = float(np.ptp(z[:, j])), z[strongest == self.rule, j]
+        span = float(np.ptp(z[:, j]))
+        chosen = z[strongest == self.rule, j]
         if len(chosen) < _FEWEST or span == 0.0:
             return None
-        centre, width = wide.body.centre[self.rule].copy(), wide.body.width[self.rule].copy()
+        centre = wide.body.centre[self.rule].copy()
+        width = wide.body.width[self.rule].copy()
         centre[j] = np.quantile(chosen, self.place)
         width[j] = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)
         if wide.rules == 1:
@@ -206,7 +217,9 @@ def insertions(stage: StateStage, candidates: Sequence[Antecedent]) -> list[tupl
 
 def z_and_firing(stage: StateStage) -> tuple[FloatArray, FloatArray]:
     """Antecedents and firing strengths along the simulated runs."""
-    lags, par, d = stage.layout.lags, stage.problem.parameters(stage.body), stage.layout.depth
+    lags = stage.layout.lags
+    par = stage.problem.parameters(stage.body)
+    d = stage.layout.depth
     runs = stage.simulated()
     z = np.vstack([stage.layout.antecedent_values(W) for W in runs])
     return z, np.vstack([firing(W, d, lags, par)[d:] for W in runs])

@@ -53,7 +53,8 @@ class Judged:
 
 def free_run_errors(stage: StateStage, runs: Sequence[FloatArray], window: int) -> list[FloatArray]:
     """(N - window, n_y) simulated minus measured outputs of every run, started from its first rows."""
-    par, n_y = stage.problem.parameters(stage.body), stage.layout.n_y
+    par = stage.problem.parameters(stage.body)
+    n_y = stage.layout.n_y
     rows = window - stage.layout.depth + 1
     first = initial_states(stage.layout, runs, par, prior_of(stage), rows)
     pairs = zip(runs, first, strict=True)
@@ -81,7 +82,8 @@ def is_bounded(stage: StateStage, seed: int = 0) -> bool:
     at which the plant itself saturates are no limits in this sense. It must also forget how it was
     started, in its hidden states above all (`flysid.model.rules.contraction`).
     """
-    problem, layout = stage.problem, stage.layout
+    problem = stage.problem
+    layout = stage.layout
     n = layout.n
     W = probe_run(problem.runs, n, _STEPS, seed)
     free_run(W, layout.depth, layout.lags, problem.parameters(stage.body))

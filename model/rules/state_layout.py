@@ -100,7 +100,8 @@ class StateLayout:
 
     def stack(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """W (N, n + n_u) of the kernels, normalised; hidden states, and outputs not given, are zero."""
-        n_y, n = self.n_y, self.n
+        n_y = self.n_y
+        n = self.n
         W = np.zeros((len(u), n + len(self.inputs)))
         W[: len(y), :n_y] = (y - self.shift[:n_y]) / self.scale[:n_y]
         W[:, n:] = (u - self.shift[n:]) / self.scale[n:]

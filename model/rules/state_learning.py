@@ -86,7 +86,8 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     if at == 0:
         final, words = context.single(family.start.system, train)
     else:
-        final, words = ordered(context.on_everything(family, at, train)), family.words
+        final = ordered(context.on_everything(family, at, train))
+        words = family.words
     notes = [
         _why(family, words, systems),
         *_ends(context.ends, train),
@@ -141,7 +142,8 @@ def _parts(
 def _why(family: Family, words: str, systems: Sequence[System]) -> str:
     tried = "; ".join(dict.fromkeys(s.title for s in systems))
     many = f" (tried, in several coordinates: {tried})" if len(systems) > 1 else ""
-    layout, title = family.folds[0][0].stage.layout, family.start.system.title
+    layout = family.folds[0][0].stage.layout
+    title = family.start.system.title
     hidden = f" Hidden states: {words}, in units of their spread in training." if layout.hidden else ""
     return f"From {title}{many}.{hidden}"
 

@@ -26,9 +26,13 @@ def polytope(model: FittedTSStateSpace) -> tuple[StateSpace, ...]:
 
 
 def _companion(model: FittedTSStateSpace, theta: FloatArray) -> StateSpace:
-    layout, n, n_u = model.layout, model.layout.n, len(model.inputs)
+    layout = model.layout
+    n = model.layout.n
+    n_u = len(model.inputs)
     size = n + layout.depth * n_u
-    A, B, offset = np.zeros((size, size)), np.zeros((size, n_u)), np.zeros(size)
+    A = np.zeros((size, size))
+    B = np.zeros((size, n_u))
+    offset = np.zeros(size)
     for m, (column, lag) in enumerate(layout.regressors):
         if column < 0:
             offset[:n] = theta[:, m]
@@ -63,7 +67,9 @@ def linearise(model: FittedTSStateSpace, u: FloatArray, y: FloatArray | None = N
     """
     u = np.atleast_1d(np.asarray(u, dtype=float))
     held = None if y is None else np.atleast_1d(np.asarray(y, dtype=float))
-    layout, n, n_y = model.layout, model.layout.n, model.layout.n_y
+    layout = model.layout
+    n = model.layout.n
+    n_y = model.layout.n_y
     if u.shape != (len(model.inputs),) or (held is not None and held.shape != (n_y,)):
         raise UsageError(
             f"u has shape {u.shape}" + ("" if held is None else f" and y {held.shape}"),
@@ -74,7 +80,8 @@ def linearise(model: FittedTSStateSpace, u: FloatArray, y: FloatArray | None = N
     refuse_limit(next_states(model, s, u)[:n], limits)
     scale = layout.scale
     sizes = 1e-5 * np.concatenate([scale[:n], np.tile(scale[n:], layout.depth)])
-    A, B = np.zeros((len(s), len(s))), np.zeros((len(s), len(u)))
+    A = np.zeros((len(s), len(s)))
+    B = np.zeros((len(s), len(u)))
     A[:n] = _jacobian(lambda at: next_states(model, at, u), s, sizes)
     B[:n] = _jacobian(lambda at: next_states(model, s, at), u, 1e-5 * scale[n:])
     _shift_register(A, B, n)
@@ -90,9 +97,11 @@ def resting_states(model: FittedTSStateSpace, u: FloatArray, y: FloatArray | Non
     ------
     UsageError : Newton's method finds none.
     """
-    layout, n = model.layout, model.layout.n
+    layout = model.layout
+    n = model.layout.n
     free = np.arange(0 if y is None else layout.n_y, n)
-    scale, past = layout.scale[:n], np.tile(u, layout.depth)
+    scale = layout.scale[:n]
+    past = np.tile(u, layout.depth)
     x = model.prior.mean * scale + layout.shift[:n]
     if y is not None:
         x[: layout.n_y] = y
@@ -133,7 +142,9 @@ def certificate(model: FittedTSStateSpace) -> Certificate:
 
 def next_states(model: FittedTSStateSpace, s: FloatArray, u: FloatArray) -> FloatArray:
     """(n,) x(k) from s(k) and u(k), physical units."""
-    layout, n, n_u = model.layout, model.layout.n, len(model.inputs)
+    layout = model.layout
+    n = model.layout.n
+    n_u = len(model.inputs)
     d = layout.depth
     inputs = np.vstack([np.asarray(s[n:]).reshape(d, n_u)[::-1], np.atleast_1d(u)])
     W = layout.stack(inputs, np.zeros((0, layout.n_y)))
@@ -149,7 +160,9 @@ def to_nonlinear_system(model: FittedTSStateSpace) -> Any:
     """
     import control
 
-    n, n_y, n_u = model.layout.n, model.layout.n_y, len(model.inputs)
+    n = model.layout.n
+    n_y = model.layout.n_y
+    n_u = len(model.inputs)
 
     def output(_t: float, s: FloatArray, u: FloatArray, _params: Any) -> FloatArray:
         return next_states(model, s, u)[:n_y]

@@ -217,7 +217,8 @@ def _sampled(data: Dataset, rows: int) -> Dataset:
     """About `rows` rows of a dataset in evenly spaced pieces."""
     if len(data) <= rows:
         return data
-    pieces, size = [], max(_PIECE, min(len(data), 3 * rows) // _PIECES)
+    pieces = []
+    size = max(_PIECE, min(len(data), 3 * rows) // _PIECES)
     for segment in data.segments:
         count = max(1, round(len(segment) / size))
         edges = np.linspace(0, len(segment), count + 1).astype(int)

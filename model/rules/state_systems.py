@@ -79,8 +79,10 @@ def linear_systems(
     ------
     FitError : no stable linear model was found.
     """
-    n_y, n_u = len(train.outputs), len(train.inputs)
-    best, found = (None, [])
+    n_y = len(train.outputs)
+    n_u = len(train.inputs)
+    best = None
+    found = []
     if settings.states == "auto":
         best = best_state_space(settings, train, validation, scaled)
         found = [best] if best else []
@@ -156,8 +158,12 @@ def realised_states(model: FittedStateSpace, shift: FloatArray, scale: FloatArra
     X = T w + E u + s has the outputs first; where the outputs do not show n_y independent directions of w,
     X has more entries than w, and moves in their image.
     """
-    system, n_y = model.realisation, len(model.outputs)
-    y_shift, u_shift, y_scale, u_scale = shift[:n_y], shift[n_y:], scale[:n_y], scale[n_y:]
+    system = model.realisation
+    n_y = len(model.outputs)
+    y_shift = shift[:n_y]
+    u_shift = shift[n_y:]
+    y_scale = scale[:n_y]
+    u_scale = scale[n_y:]
     offset = u_shift - model.u_origin
     root = _spread(system.state, system.a)
     C = np.asarray(system.c @ root / y_scale[:, None])
@@ -165,8 +171,10 @@ def realised_states(model: FittedStateSpace, shift: FloatArray, scale: FloatArra
     level = (system.level + system.d @ offset + model.y_origin - y_shift) / y_scale
     T = np.vstack([C, _unseen(C)])
     back = np.linalg.pinv(T)
-    E, s = np.zeros((len(T), len(u_scale))), np.zeros(len(T))
-    E[:n_y], s[:n_y] = D, level
+    E = np.zeros((len(T), len(u_scale)))
+    s = np.zeros(len(T))
+    E[:n_y] = D
+    s[:n_y] = level
     inverse = np.linalg.inv(root)
     A = T @ (inverse @ system.a @ root) @ back
     B = T @ (inverse @ system.b * u_scale) - A @ E

@@ -44,8 +44,10 @@ class StateUncertainty(Uncertainty[FittedTSStateSpace]):
         Of the ratio N / D that a gain is, by Fieller's theorem (1954): where D, which vanishes for a rule
         that integrates, is not surely another number than 0, nothing bounds it.
         """
-        top, under = _numerators(self.model), _denominators(self.model)
-        J, K = self._slopes(_numerators), self._slopes(_denominators)
+        top = _numerators(self.model)
+        under = _denominators(self.model)
+        J = self._slopes(_numerators)
+        K = self._slopes(_denominators)
         a = under**2 - self._product(K, K)
         b = top * under - self._product(J, K)
         root = np.sqrt(np.maximum(b * b - a * (top**2 - self._product(J, J)), 0.0))
@@ -59,7 +61,8 @@ class StateUncertainty(Uncertainty[FittedTSStateSpace]):
 
     def simulation_band(self, u: FloatArray, y0: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """(lower, upper), (N, n_y) each: pointwise 95 % band of the free run over what is uncertain."""
-        model, layout = self.model, self.model.layout
+        model = self.model
+        layout = self.model.layout
         middle = model.simulate(u, y0)
         W = model.started(u, y0)
         rows = len(W) - len(middle)
@@ -67,7 +70,8 @@ class StateUncertainty(Uncertainty[FittedTSStateSpace]):
         half = np.zeros_like(middle)
         for within, J in swept(self.problem_of_states, self.body, run):
             part = np.sqrt(np.maximum(np.einsum("kip,pq,kiq->ki", J, self.covariance, J), 0.0))
-            first, last = max(within.start - rows, 0), within.stop - rows
+            first = max(within.start - rows, 0)
+            last = within.stop - rows
             if last > 0:
                 half[first:last] = part[len(part) - (last - first) :]
         half *= _Z95 * layout.scale[: layout.n_y]
@@ -96,7 +100,8 @@ class StateUncertainty(Uncertainty[FittedTSStateSpace]):
 
     def _slopes(self, of: Callable[[FittedTSStateSpace], FloatArray]) -> FloatArray:
         """(..., P) derivatives of a figure to all consequents, by central differences."""
-        centre, slopes = self.body.vector(), []
+        centre = self.body.vector()
+        slopes = []
         for j in range(self.body.a.size):  # no rule's own figures hang on memberships
             step = np.zeros(len(centre))
             step[j] = _NUDGE
@@ -129,7 +134,8 @@ def uncertainty(model: FittedTSStateSpace, train: Dataset) -> StateUncertainty:
     UsageError : the data hold other signals than the model.
     DataError : fewer samples than numbers in the model.
     """
-    layout, par = model.layout, model.parameters
+    layout = model.layout
+    par = model.parameters
     check_signals((*layout.outputs, *layout.inputs), train)
     runs = shortened(runs_of(layout, train.segments, model.n_init + 2))
     if sum(len(W) - layout.depth for W in runs) * layout.n_y <= model.n_parameters:

@@ -78,7 +78,8 @@ class SteadyMap:
     @cached_property
     def terms(self) -> Lags:
         """Everything that a step looks back to: regressors but the constant, and antecedents."""
-        lags, own = self.layout.lags, self.layout.lags.column >= 0
+        lags = self.layout.lags
+        own = self.layout.lags.column >= 0
         minus = lags.z_minus >= 0
         empty = np.zeros(0, dtype=np.int64)
         return Lags(
@@ -128,7 +129,8 @@ class SteadyMap:
         start : (n + n_u,) all other columns of outputs and states are searched from here, inputs stay,
         moved : but this one, which holds the output there.
         """
-        n, w = par.theta.shape[1], start.copy()
+        n = par.theta.shape[1]
+        w = start.copy()
         free = [*(c for c in range(n) if c != output), n + moved]
         for _ in range(_NEWTON):
             tangent = self.tangent(par, w)
@@ -159,10 +161,12 @@ class SteadyMap:
 
     def answer(self, tangent: Tangent, moved: int, samples: int) -> Answer:
         """The tangent's answer to a step of one input, over so many samples."""
-        n, depth = len(tangent.value), self._depth
+        n = len(tangent.value)
+        depth = self._depth
         W = np.zeros((depth + samples, self._columns))
         W[depth:, n + moved] = 1.0
-        nothing, far = np.zeros((1, 0)), np.full(n, 1e300)
+        nothing = np.zeros((1, 0))
+        far = np.full(n, 1e300)
         par = Parameters(
             np.ascontiguousarray(tangent.weights[None]),
             nothing,

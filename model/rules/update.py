@@ -221,7 +221,8 @@ class _Known:
 
 def _random_steps(stage: Stage) -> Stage:
     """The model under random steps of all lengths, from rest: what a flight usually shows."""
-    layout, rng = stage.problem.layout, np.random.default_rng(0)
+    layout = stage.problem.layout
+    rng = np.random.default_rng(0)
     W = np.zeros((_USUAL, len(layout.signals)))
     for column in range(layout.n_y, len(layout.signals)):
         lengths = np.exp(rng.uniform(0.0, np.log(0.1 * _USUAL), _USUAL)).astype(int) + 1
@@ -262,7 +263,8 @@ def _radii(stage: Stage, a: FloatArray) -> FloatArray:
 def _normal(stage: Stage, weights: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """J'wJ (P, P) and J'we (P,) over consequents, first outputs of every run projected out."""
     size = stage.body.a.size
-    H, g = np.zeros((size, size)), np.zeros(size)
+    H = np.zeros((size, size))
+    g = np.zeros(size)
     for i, weight in enumerate(weights):
         J, error = _run(stage, i)
         root = np.sqrt(weight)[:, None]
@@ -285,7 +287,8 @@ def _run(stage: Stage, i: int) -> tuple[FloatArray, FloatArray]:
 
 def _one_step_ahead(model: FittedTS, data: Dataset, forgetting: float, trust: float) -> FloatArray:
     """(R, n_y, n_x) consequents after recursive least squares on lags as they were measured."""
-    layout, par = model.layout, model.parameters
+    layout = model.layout
+    par = model.parameters
     rules, n_y, n_x = par.theta.shape
     theta = par.theta.transpose(0, 2, 1).reshape(rules * n_x, n_y).copy()
     parts = [_design(layout, par, s.u, s.y) for s in data.segments if len(s) > model.n_init]
@@ -298,7 +301,8 @@ def _one_step_ahead(model: FittedTS, data: Dataset, forgetting: float, trust: fl
 
 def _design(layout: Layout, par: Parameters, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Regressors weighted by firing strengths (M, R n_x) and outputs (M, n_y), normalised units."""
-    W, d = layout.stack(u, y), layout.depth
+    W = layout.stack(u, y)
+    d = layout.depth
     phi = firing(W, d, layout.lags, par)[d:]
     return weighted(phi, layout.regressor_values(W)), W[d:, : layout.n_y]
 

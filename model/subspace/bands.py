@@ -60,7 +60,9 @@ def response_of(model: StateModel, omega: FloatArray) -> FrequencyResponse:
 def _slopes(model: StateModel, resolvent: ComplexArray) -> ComplexArray:
     """(M, n_y, n_u, p) derivatives of G with respect to A, B, C, drift, level (and D), row by row."""
     s = model.realisation
-    m, n, (n_y, n_u) = len(resolvent), s.order, s.d.shape
+    m = len(resolvent)
+    n = s.order
+    (n_y, n_u) = s.d.shape
     left = s.c @ resolvent
     right = resolvent @ s.b
     a = np.einsum("moi,mju->mouij", left, right).reshape(m, n_y, n_u, n * n)

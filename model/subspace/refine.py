@@ -241,7 +241,8 @@ def _swept(
     sensitive: bool = True,
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Errors (simulated minus measured) and their derivatives (rows, n_y, p + n), in pieces."""
-    n, (n_y, n_u) = system.order, system.d.shape
+    n = system.order
+    (n_y, n_u) = system.d.shape
     p = n * n + n * n_u + n_y * n + n + n_y + (n_y * n_u if feedthrough else 0)
     columns = p if sensitive else 0
     size = max(CHUNK_ROWS // (4 * (columns + n)), 64)

@@ -11,7 +11,9 @@ from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import DataError
 from flysid.ingest.align.resample import Series, decimate, hold, linear
 
-BASE_S, DT_S, SAMPLES = 0.01, 0.04, 8000
+BASE_S = 0.01
+DT_S = 0.04
+SAMPLES = 8000
 
 
 def flown(plan: int, weather: int, white: float = 0.02, gusts: float = 0.05) -> tuple[FloatArray, FloatArray]:
@@ -35,12 +37,14 @@ def recorded(
     t = np.round(np.arange(SAMPLES) * BASE_S * 1e9).astype(np.int64)[cut][::every]
     u, y = (x[cut][::every] for x in flight)
     if step:
-        u, y = np.round(u / step) * step, np.round(y / step) * step
+        u = np.round(u / step) * step
+        y = np.round(y / step) * step
     coarse = np.arange(t[0] + phase_ms * 1_000_000, t[-1], round(DT_S * 1e9), dtype=np.int64)
     ratio = max(1, round(DT_S / (every * BASE_S)))
     steps = np.arange((len(coarse) - 1) * ratio + 1)
     grid = coarse[0] + np.round(steps * (DT_S * 1e9 / ratio)).astype(np.int64)
-    held, states = hold(Series(t, u), grid), linear(Series(t, y), grid)
+    held = hold(Series(t, u), grid)
+    states = linear(Series(t, y), grid)
     return Segment(decimate(held, ratio), decimate(states, ratio), t0_ns=int(coarse[0]), flight=name)
 
 
@@ -160,7 +164,8 @@ MOVED: dict[str, Recorder] = {
 def test_a_copy_of_a_short_flight_is_found(case: str, rows: int) -> None:
     for seed in range(3):
         record = SHORT.get(case, as_it_is)
-        flight, other = record(*short(seed, rows)), record(*short(seed + 50, rows))
+        flight = record(*short(seed, rows))
+        other = record(*short(seed + 50, rows))
         copy = MOVED.get(case, as_it_is)(*flight)
         first, second, third = (
             [Segment(u, y, flight=name)]
@@ -176,7 +181,8 @@ def test_a_copy_of_a_short_flight_is_found(case: str, rows: int) -> None:
 @pytest.mark.parametrize("step", [1e-6, 0.3])
 def test_short_flights_that_are_only_alike_are_no_copies(rows: int, step: float) -> None:
     for seed in range(3):
-        first, again = short(seed, rows, noise=0.1), short(seed, rows, weather=1, noise=0.1)
+        first = short(seed, rows, noise=0.1)
+        again = short(seed, rows, weather=1, noise=0.1)
         a, b, c = (
             Segment(u, coarse(y, step), flight=name)
             for name, (u, y) in zip("abc", (first, again, short(seed + 50, rows)), strict=True)

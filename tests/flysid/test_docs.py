@@ -67,7 +67,8 @@ def _stands_for_something(span: str, names: dict[str, object]) -> bool:
 
 def test_the_guards_of_report_md_are_understood() -> None:
     text = (ROOT / "docs" / "report.md").read_text("utf-8")
-    arx, ts = FirstOrder(b=0.08), FirstOrder(structure="ts", labels=("R1", "R2"))
+    arx = FirstOrder(b=0.08)
+    ts = FirstOrder(structure="ts", labels=("R1", "R2"))
     document = to_json({"roll": compare([arx, ts], flown(ts, [60] * 5, noise=0.02))})
     expressions = re.findall(r"--fail-if '([^']+)'", text)
     fields = re.findall(r"`(free_run\.[\w.]+)`", text)

@@ -98,7 +98,8 @@ class Greedy:
 def test_no_memory_costs_a_model_or_a_channel_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, models: str, on_disk: bool
 ) -> None:
-    greedy, modest = Greedy(("vertical",)), Greedy(())
+    greedy = Greedy(("vertical",))
+    modest = Greedy(())
     known: dict[str, Any] = {"arx": greedy if models == "all" else modest, "iv": greedy}
     for name in ("fitting.linear_estimators", "fitting.estimators", "fitdisk.streaming_estimators"):
         monkeypatch.setattr(f"flysid.validate.{name}", lambda *_: known)

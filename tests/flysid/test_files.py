@@ -68,7 +68,9 @@ class Recorder:
     def __init__(self, flights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.flights = flights
         self.seen: list[tuple[str, list[str]]] = []
-        fsync, whole, rename = os.fsync, files.sync_file_system, Path.rename
+        fsync = os.fsync
+        whole = files.sync_file_system
+        rename = Path.rename
 
         def noted_fsync(handle: int) -> None:
             self._note("fsync " + Path(os.readlink(f"/proc/self/fd/{handle}")).name)

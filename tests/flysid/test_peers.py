@@ -14,7 +14,8 @@ from flysid.model.arx import ARX
 def record(rows: int = 3000, seed: int = 0) -> tuple[FloatArray, FloatArray]:
     """Two inputs, one output of fourth order."""
     rng = np.random.default_rng(seed)
-    u, y = rng.standard_normal((rows, 2)), np.zeros((rows, 1))
+    u = rng.standard_normal((rows, 2))
+    y = np.zeros((rows, 1))
     e = 0.1 * rng.standard_normal(rows)
     for k in range(4, rows):
         past = y[k - 4 : k, 0][::-1]

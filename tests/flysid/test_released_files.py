@@ -26,7 +26,8 @@ MODELS = [path for folder in released() for path in sorted((folder / "models").g
 def test_a_released_model_computes_what_it_did(path: Path) -> None:
     model = load(path)
     case = json.loads((path.parents[1] / "expected.json").read_text())[path.name]
-    u, y = np.array(case["u"]), np.array(case["y"])
+    u = np.array(case["u"])
+    y = np.array(case["y"])
     assert np.allclose(model.simulate(u, y[: model.n_init]), case["free_run"], rtol=1e-6, atol=1e-9)
     assert np.allclose(np.nan_to_num(model.predict(u, y)), case["one_step"], rtol=1e-6, atol=1e-9)
     assert model.rules()

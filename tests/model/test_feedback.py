@@ -39,8 +39,13 @@ def open_loop(kind: str, seed: int) -> Dataset:
 def closed_loop(gain: float, lag: int, seed: int) -> Dataset:
     """u(k) = r(k) - gain y(k - lag)."""
     rng = np.random.default_rng(seed)
-    b, a, v, r = B.ravel(), A, disturbed(rng), 0.5 * steps(N, rng, 25)
-    x, y, u = np.zeros(N), np.zeros(N), np.zeros(N)
+    b = B.ravel()
+    a = A
+    v = disturbed(rng)
+    r = 0.5 * steps(N, rng, 25)
+    x = np.zeros(N)
+    y = np.zeros(N)
+    u = np.zeros(N)
     for k in range(2, N):
         x[k] = -a[1] * x[k - 1] - a[2] * x[k - 2] + b[1] * u[k - 1] + b[2] * u[k - 2]
         y[k] = x[k] + v[k]

@@ -34,7 +34,8 @@ def written_out(system: Difference, u: FloatArray, y: FloatArray, start: int) ->
 def test_the_recursion(seed: int, n_y: int, n_u: int, diagonal: bool) -> None:
     rng = np.random.default_rng(seed)
     system = random_system(rng, n_y, n_u, diagonal=diagonal)
-    u, y = rng.standard_normal((40, n_u)), rng.standard_normal((40, n_y))
+    u = rng.standard_normal((40, n_u))
+    y = rng.standard_normal((40, n_y))
     start = max(system.depth, 1)
     run = system.run(u[start:], system.state(u[:start], y[:start]))
     expected = written_out(system, u, y, start)
@@ -44,7 +45,8 @@ def test_the_recursion(seed: int, n_y: int, n_u: int, diagonal: bool) -> None:
 def test_states_along_a_record_continue_it() -> None:
     rng = np.random.default_rng(5)
     system = random_system(rng, 2, 1, diagonal=False)
-    u, zero = rng.standard_normal((30, 1)), np.zeros((system.depth, 2))
+    u = rng.standard_normal((30, 1))
+    zero = np.zeros((system.depth, 2))
     run = system.run(u, zero)
     states = system.state_history(u, run)
     for k in (0, 1, 2, 17):

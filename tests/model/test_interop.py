@@ -47,7 +47,8 @@ def test_a_continuous_system_is_sampled_behind_a_hold() -> None:
 
 
 def test_several_denominators_are_brought_to_one() -> None:
-    fast, slow = control.tf([1.0], [1.0, -0.5], 0.1), control.tf([0.2, 0.1], [1.0, -0.9, 0.1], 0.1)
+    fast = control.tf([1.0], [1.0, -0.5], 0.1)
+    slow = control.tf([0.2, 0.1], [1.0, -0.9, 0.1], 0.1)
     both = control.tf([[fast.num[0][0], slow.num[0][0]]], [[fast.den[0][0], slow.den[0][0]]], 0.1)
     u = np.random.default_rng(1).standard_normal((50, 2))
     assert from_control(both).simulate(u) == pytest.approx(

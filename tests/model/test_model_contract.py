@@ -93,10 +93,12 @@ def test_causality(name: str, seed: int, row: int, k: int) -> None:
     """Changing the future changes nothing before it."""
     model = fitted(name)
     u, y = signals(model, seed)
-    later_u, later_y = u.copy(), y.copy()
+    later_u = u.copy()
+    later_y = y.copy()
     later_u[row + 1 :] += 0.3
     later_y[max(row - k + 1, 0) :] += 0.1
-    a, b = model.predict(u, y, k), model.predict(later_u, later_y, k)
+    a = model.predict(u, y, k)
+    b = model.predict(later_u, later_y, k)
     assert np.array_equal(a[: row + 1], b[: row + 1], equal_nan=True)
     n = model.n_init
     early = model.simulate(u, y[:n])
@@ -149,9 +151,11 @@ def test_other_units_scale_the_predictions(name: str, a: float, b: float) -> Non
     allowed = SCALING_TOLERANCE.get(name, 1e-6) * np.ptp(segment.y)
     assert other.n_init == n
     y = segment.y
-    run, other_run = model.simulate(segment.u, y[:n]), other.simulate(a * segment.u, b * y[:n])
+    run = model.simulate(segment.u, y[:n])
+    other_run = other.simulate(a * segment.u, b * y[:n])
     assert np.abs(other_run / b - run).max() < allowed
-    one, other_one = model.predict(segment.u, y, 1)[n:], other.predict(a * segment.u, b * y, 1)[n:]
+    one = model.predict(segment.u, y, 1)[n:]
+    other_one = other.predict(a * segment.u, b * y, 1)[n:]
     assert np.abs(other_one / b - one).max() < allowed
 
 

@@ -25,7 +25,8 @@ from flysid.model.subspace.triangle import Realisation
 def creeping(coupled: bool = False) -> Dataset:
     """A plant with a pole just outside the circle, over spans so short that this hardly shows."""
     rng = np.random.default_rng(0)
-    us, ys = [], []
+    us = []
+    ys = []
     for _ in range(4):
         u = np.repeat(rng.choice([-1.0, 1.0], (40, 2)), 5, axis=0)
         y = np.zeros((200, 2))
@@ -63,7 +64,8 @@ def test_a_state_space_and_an_instrumental_estimate_are_made_stable_on_request()
         StateSpace(order=1, method="pbsid", past=3, refine=False, feedthrough=False, nk=1),
         IV(na=1, nb=1, nk=1),
     ):
-        loose, held = settings.fit(data), replace(settings, stable=True).fit(data)
+        loose = settings.fit(data)
+        held = replace(settings, stable=True).fit(data)
         assert not loose.is_stable
         assert any("Unstable" in note and "stable=True" in note for note in loose.notes)
         assert held.is_stable
@@ -79,7 +81,8 @@ def test_a_state_space_and_an_instrumental_estimate_are_made_stable_on_request()
 def test_a_drift_of_every_segment_is_estimated_or_taken_out() -> None:
     """The plant's gain is 1; the drift would pull it far off."""
     rng = np.random.default_rng(0)
-    us, ys = [], []
+    us = []
+    ys = []
     for slope in (2e-3, -3e-3):
         u = np.repeat(rng.choice([-1.0, 1.0], 60), 10)
         y = lfilter([0.0, 0.1], [1.0, -0.9], u) + slope * np.arange(600) + 0.02 * rng.standard_normal(600)

@@ -34,7 +34,8 @@ def close(a: FloatArray, b: FloatArray) -> bool:
 
 @pytest.mark.parametrize("estimator", [ARX(na=2, nb=2, nk=1, refine=False), FIR(taps=20)])
 def test_polynomials_from_disk_are_those_from_memory(stored: DatasetFile, estimator: ARX | FIR) -> None:
-    disk, memory = estimator.fit(stored), estimator.fit(WHOLE)
+    disk = estimator.fit(stored)
+    memory = estimator.fit(WHOLE)
     assert close(disk.flat, memory.flat)
     assert close(disk.covariance, memory.covariance)
     assert np.array_equal(disk.output_limits, memory.output_limits)
@@ -44,7 +45,8 @@ def test_polynomials_from_disk_are_those_from_memory(stored: DatasetFile, estima
 @pytest.mark.parametrize("method", ["pbsid", "moesp"])
 def test_a_state_space_from_disk_is_that_from_memory(stored: DatasetFile, method: str) -> None:
     estimator = StateSpace(order=3, method=method, past=6, refine=False)  # type: ignore[arg-type]
-    disk, memory = estimator.fit(stored).realisation, estimator.fit(WHOLE).realisation
+    disk = estimator.fit(stored).realisation
+    memory = estimator.fit(WHOLE).realisation
     for power in range(5):
         at = [r.c @ np.linalg.matrix_power(r.a, power) @ np.hstack([r.b, r.k]) for r in (disk, memory)]
         assert close(*at)
@@ -60,7 +62,8 @@ def test_a_delay_from_disk_is_that_in_memory(stored: DatasetFile) -> None:
         assert np.array_equal(np.concatenate([y for _, y in found]), segment.y)
     assert np.array_equal(late.head(100).segments[0].u, memory.segments[0].u[:100])
     settings = StateSpace(order=3, method="pbsid", past=6, refine=False, nk=(4, 8))
-    disk, given = settings.fit(stored), settings.fit(WHOLE)
+    disk = settings.fit(stored)
+    given = settings.fit(WHOLE)
     assert disk.delays == given.delays == (3, 7)
     assert close(disk.dc_gain, given.dc_gain)
 
@@ -76,7 +79,8 @@ def test_choices_are_made_on_the_head_and_said(stored: DatasetFile) -> None:
 
 def test_intervals_of_the_first_samples_are_not_given_out_for_those_of_all(stored: DatasetFile) -> None:
     settings = StateSpace(order=3, method="pbsid", past=10, refine=False)
-    disk, memory = settings.fit(stored), settings.fit(WHOLE)
+    disk = settings.fit(stored)
+    memory = settings.fit(WHOLE)
     assert len(memory.covariance)
     assert not len(disk.covariance)
     assert "none (from disk" in str(disk)
@@ -95,7 +99,8 @@ def test_a_degenerate_file_takes_the_stable_way(tmp_path: Path) -> None:
     smooth = Dataset.from_arrays(np.sin(1e-3 * t) + 1e-3 * np.cos(0.011 * t), np.sin(1e-3 * t + 0.3), 0.01)
     write_dataset(tmp_path / "smooth.parquet", smooth)
     estimator = ARX(na=2, nb=2, nk=1, refine=False)
-    disk, memory = estimator.fit(open_dataset(tmp_path / "smooth.parquet")), estimator.fit(smooth)
+    disk = estimator.fit(open_dataset(tmp_path / "smooth.parquet"))
+    memory = estimator.fit(smooth)
     assert np.abs(disk.predict(*_signals(smooth)) - memory.predict(*_signals(smooth)))[5:].max() < 1e-9
 
 

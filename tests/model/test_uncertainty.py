@@ -11,7 +11,8 @@ from flysid.errors import UsageError
 from flysid.model.arx import ARX
 from flysid.model.linear.model import FittedLinear
 
-A, B = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5]
+A = [1.0, -1.5, 0.7]
+B = [0.0, 1.0, 0.5]
 OMEGA = np.array([0.0, 0.5, 3.0, 8.0])
 
 

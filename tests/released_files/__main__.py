@@ -33,7 +33,8 @@ def write(folder: Path) -> None:
         model = build(dataset)
         file = f"{slug(name)}.json"
         model.save(folder / "models" / file)
-        u, y = dataset.segments[0].u[:SAMPLES], dataset.segments[0].y[:SAMPLES]
+        u = dataset.segments[0].u[:SAMPLES]
+        y = dataset.segments[0].y[:SAMPLES]
         expected[file] = {
             "u": u.tolist(),
             "y": y.tolist(),

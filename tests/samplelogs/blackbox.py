@@ -89,7 +89,8 @@ def _log(number: int, start_us: int, frames: int) -> list[Piece]:
     """One log: header, frames, events; the recorder pauses once."""
     writer = Writer(KINDS, SETTINGS)
     pieces = [Piece(line, 1, number) for line in writer.header()] + [Piece(b"H \n", 0, number)]
-    iteration, group = 0, 0
+    iteration = 0
+    group = 0
 
     def add(raw: bytes) -> None:
         pieces.append(Piece(raw, 1, number, group))
@@ -130,7 +131,8 @@ def build() -> bytes:
 
 
 def records(blob: bytes) -> list[Record]:  # noqa: ARG001
-    found, at = [], 0
+    found = []
+    at = 0
     for piece in pieces():
         found.append(Record(at, at + len(piece.raw), piece.rows))
         at += len(piece.raw)

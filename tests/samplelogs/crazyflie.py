@@ -14,7 +14,9 @@ UNCHECKED = True
 RESYNC_BYTES = (
     33  # an event counts where the head behind it is sound; garbage at the end takes the checksum along
 )
-FIXED, RANGE, MARK = 0xFFFF, 0, 7
+FIXED = 0xFFFF
+RANGE = 0
+MARK = 7
 KINDS: dict[int, tuple[str, list[str]]] = {
     FIXED: (
         "fixedFrequency",

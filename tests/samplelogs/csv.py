@@ -16,7 +16,8 @@ def build() -> bytes:
     """A header with units and its rows, 20 ms apart."""
     lines = ["time_s,pitch_cmd [deg],v_x [m/s],z (m),mode,rssi"]
     for i in range(ROWS):
-        command, speed = 5 * math.sin(0.1 * i), 0.3 * math.cos(0.07 * i)
+        command = 5 * math.sin(0.1 * i)
+        speed = 0.3 * math.cos(0.07 * i)
         rssi = f"{200 - i % 7}" if i % 10 == 0 else ""
         lines.append(f"{100 + 0.02 * i:.3f},{command:.4f},{speed:.5f},{-0.01 * i:.3f},HOVER,{rssi}")
     return "\n".join(lines).encode() + b"\n"
@@ -24,7 +25,8 @@ def build() -> bytes:
 
 def records(blob: bytes) -> list[Record]:
     """Every line."""
-    found, at = [], 0
+    found = []
+    at = 0
     for number, line in enumerate(blob.splitlines(keepends=True)):
         found.append(Record(at, at + len(line), int(number > 0)))
         at += len(line)

@@ -68,7 +68,8 @@ def build() -> bytes:
 def records(blob: bytes) -> list[Record]:
     """Every message; all of them are rows."""
     lengths = {n: 3 + struct.calcsize("<" + "".join(CODES[c] for c in TYPES[n][1])) for n in TYPES}
-    found, at = [], 0
+    found = []
+    at = 0
     while at < len(blob):
         found.append(Record(at, at + lengths[blob[at + 2]], 1))
         at = found[-1].end

@@ -33,7 +33,8 @@ def build() -> bytes:
 
 def records(blob: bytes) -> list[Record]:
     """Every line."""
-    found, at = [], 0
+    found = []
+    at = 0
     for line in blob.splitlines(keepends=True):
         found.append(Record(at, at + len(line), 1))
         at += len(line)

@@ -37,7 +37,8 @@ def _line(kind: str, stamp: float, data: dict[str, object]) -> str:
 
 def records(blob: bytes) -> list[Record]:
     """Every line."""
-    found, at = [], 0
+    found = []
+    at = 0
     for line in blob.splitlines(keepends=True):
         found.append(Record(at, at + len(line), 1))
         at += len(line)

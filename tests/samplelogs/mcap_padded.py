@@ -91,7 +91,8 @@ def padded_mcap(features: Set[str], pads: Mapping[int, bytes] | Pad) -> bytes:
         create_time=1, log_time=2, name="file", media_type="text/plain", data=b"\x05\x06\x07"
     )
     metadata = mcap.Metadata(name="craft", metadata={"mass": "2 kg"})
-    attached, described = file.add(attachment), file.add(metadata)
+    attached = file.add(attachment)
+    described = file.add(metadata)
     data_crc = zlib.crc32(file.out) if "crc" in features else 0
     file.add(mcap.DataEnd(data_section_crc=data_crc))
     start = len(file.out)
@@ -118,7 +119,8 @@ def _write_data(file: Builder, features: Set[str], pad: Pad) -> mcap.ChunkIndex 
     raw = bytes(inner.out)
     packed = zstandard.compress(raw) if "zstd" in features else raw
     name = "zstd" if "zstd" in features else ""
-    first, last = 10**9, 10**9 + ROWS - 1
+    first = 10**9
+    last = 10**9 + ROWS - 1
     chunk = mcap.Chunk(
         compression=name,
         data=packed,

@@ -10,7 +10,12 @@ import numpy as np
 from tests.samplelogs import Record
 
 SUFFIX = ".navdata"
-DEMO, TIME, REFERENCES, PWM, ALTITUDE, DETECT = 0, 1, 6, 9, 10, 16
+DEMO = 0
+TIME = 1
+REFERENCES = 6
+PWM = 9
+ALTITUDE = 10
+DETECT = 16
 
 
 def option(tag: int, body: bytes) -> bytes:
@@ -59,9 +64,11 @@ def build() -> bytes:
 
 def records(blob: bytes) -> list[Record]:
     """A packet gives a row of the header and one per option, but none for vision_detect."""
-    found, at = [], 0
+    found = []
+    at = 0
     while at < len(blob):
-        rows, place = 1, at + 16
+        rows = 1
+        place = at + 16
         while True:
             tag, size = struct.unpack_from("<HH", blob, place)
             place += size
@@ -80,7 +87,8 @@ def udp(payload: bytes, source: int, target: int, number: int = 0) -> list[bytes
     for at in range(0, len(whole), 1480):
         piece = whole[at : at + 1480]
         more = 0x2000 if at + 1480 < len(whole) else 0
-        size, flags = 20 + len(piece), more | at // 8
+        size = 20 + len(piece)
+        flags = more | at // 8
         head = struct.pack(
             ">BBHHHBBH4s4s", 0x45, 0, size, number, flags, 64, 17, 0, b"\xc0\xa8\1\1", b"\xc0\xa8\1\2"
         )

@@ -13,7 +13,8 @@ import pyarrow.parquet as pq
 from tests.samplelogs import Record
 
 SUFFIX = ".parquet"
-ROWS, PER_GROUP = 400, 100
+ROWS = 400
+PER_GROUP = 100
 ADDRESSED = True  # the footer knows every page by its place
 
 

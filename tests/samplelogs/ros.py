@@ -154,7 +154,8 @@ def _filled(types: dict[str, Any], cls: Any, message: dict[str, Any]) -> Any:
         value = message[name]
         base = kind.partition("[")[0]
         if base in ("time", "duration"):
-            getattr(instance, name).secs, getattr(instance, name).nsecs = value["secs"], value["nsecs"]
+            getattr(instance, name).secs = value["secs"]
+            getattr(instance, name).nsecs = value["nsecs"]
             continue
         if isinstance(value, dict):
             value = _filled(types, types[base], value)

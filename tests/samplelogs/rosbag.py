@@ -95,7 +95,8 @@ def build() -> bytes:
 
 def records(blob: bytes) -> list[Record]:  # noqa: ARG001
     """Records, those inside plain chunks for themselves."""
-    found, at = [], 0
+    found = []
+    at = 0
     for data, rows, _ in pieces():
         found.append(Record(at, at + len(data), rows))
         at += len(data)

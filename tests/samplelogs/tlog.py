@@ -34,14 +34,16 @@ def stamped(micros: int, packed: bytes) -> bytes:
 
 def build() -> bytes:
     """60 steps of 20 ms: attitude, position, now and then a heartbeat, a text, a ground station."""
-    vehicle, station = sender(), sender(255, 190)
+    vehicle = sender()
+    station = sender(255, 190)
     signed = sender()
     signed.signing.secret_key = bytes(range(32))
     signed.signing.sign_outgoing = True
     signed.signing.timestamp = 1
     out = []
     for i in range(STEPS):
-        ms, micros = 5000 + 20 * i, EPOCH_US + 20_000 * i
+        ms = 5000 + 20 * i
+        micros = EPOCH_US + 20_000 * i
         angle = math.sin(0.1 * i)
         out.append(
             stamped(
@@ -64,9 +66,11 @@ def build() -> bytes:
 
 def records(blob: bytes) -> list[Record]:
     """Every frame with its timestamp; all lengths are as pymavlink wrote them."""
-    found, at = [], 0
+    found = []
+    at = 0
     while at < len(blob):
-        marker, size = blob[at + 8], blob[at + 9]
+        marker = blob[at + 8]
+        size = blob[at + 9]
         total = size + 8 if marker == 0xFE else size + 12 + 13 * (blob[at + 10] & 1)
         found.append(Record(at, at + 8 + total, 1))
         at += 8 + total

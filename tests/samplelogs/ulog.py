@@ -86,7 +86,8 @@ ROWS = {"D": 1, "P": 1, "Q": 2, "L": 1, "C": 1, "O": 1, "M": 1}
 
 
 def records(blob: bytes) -> list[Record]:
-    found, at = [Record(0, len(HEAD), 0)], len(HEAD)
+    found = [Record(0, len(HEAD), 0)]
+    at = len(HEAD)
     while at < len(blob):
         size, kind = struct.unpack_from("<HB", blob, at)
         found.append(Record(at, at + 3 + size, ROWS.get(chr(kind), 0)))

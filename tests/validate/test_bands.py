@@ -89,7 +89,8 @@ def test_a_model_that_does_not_know_has_none() -> None:
 def test_fewer_words_have_a_price_on_the_page_and_in_the_document() -> None:
     """Three rules for a plant that two describe: merging two of them costs next to nothing, and is said."""
     data = flown(FirstOrder(a=0.9, b=0.1, d=-0.3), [300] * 4, noise=0.02)
-    spare, arx = TS(rules=3, na=1, nb=1, nk=1).fit(data), ARX(na=1, nb=1, nk=1).fit(data)
+    spare = TS(rules=3, na=1, nb=1, nk=1).fit(data)
+    arx = ARX(na=1, nb=1, nk=1).fit(data)
     c = compare(
         [arx, spare], flown(FirstOrder(a=0.9, b=0.1, d=-0.3), [300] * 6, noise=0.02, seed=4), train=data
     )

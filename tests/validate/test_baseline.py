@@ -49,7 +49,8 @@ def test_the_best_by_validation_is_the_baseline() -> None:
 
 
 def test_arx_stays_where_nothing_is_clearly_better() -> None:
-    near, nearer = Gives(FirstOrder(a=0.9, b=0.1004)), Gives(FirstOrder(a=0.9, b=0.0999))
+    near = Gives(FirstOrder(a=0.9, b=0.1004))
+    nearer = Gives(FirstOrder(a=0.9, b=0.0999))
     for arx, other in ((near, nearer), (nearer, near)):
         choice = choose_baseline(TRAIN, {"arx": arx, "oe": other})
         assert choice.label == "arx"
@@ -75,8 +76,10 @@ def test_data_too_short_to_choose_on_leave_arx() -> None:
 
 
 def test_references_do_what_their_names_say() -> None:
-    mean, held = Mean().fit(TRAIN), Persistence().fit(TRAIN)
-    u, y = TEST.segments[0].u, TEST.segments[0].y
+    mean = Mean().fit(TRAIN)
+    held = Persistence().fit(TRAIN)
+    u = TEST.segments[0].u
+    y = TEST.segments[0].y
     level = np.mean(np.concatenate([s.y for s in TRAIN.segments]))
     assert np.allclose(mean.simulate(u, y[:0]), level, rtol=1e-12)
     assert np.allclose(mean.predict(u, y, 3)[2:], level, rtol=1e-12)

@@ -47,10 +47,12 @@ def _data(seed: int) -> Dataset:
 
 
 def test_a_model_of_another_package_is_checked_like_one_of_ours() -> None:
-    train, test = _data(0), _data(1)
+    train = _data(0)
+    test = _data(1)
     ours = TS(rules=2, na=1, nb=1, nk=1).fit(train)
     theirs: Any = Theirs(ours)
-    own, other = check(ours, test, train), check(theirs, test, train)
+    own = check(ours, test, train)
+    other = check(theirs, test, train)
     assert own.certificate == other.certificate != ""
     assert own.proved == other.proved
     assert [str(s) for s in own.simpler] == [str(s) for s in other.simpler] != []

@@ -47,7 +47,8 @@ def test_a_model_that_runs_away_is_caught_and_told_of() -> None:
 
 def test_the_condition_is_that_of_the_lagged_signals() -> None:
     rng = np.random.default_rng(3)
-    us, ys = rng.normal(size=(2, 500, 1)), rng.normal(size=(2, 500, 1))
+    us = rng.normal(size=(2, 500, 1))
+    ys = rng.normal(size=(2, 500, 1))
     white = Dataset.from_arrays(list(us), list(ys), 0.05)
     model = ARX(na=2, nb=1, nk=1, refine=False).fit(white)
     (found,) = conditions(model, white)
@@ -75,7 +76,8 @@ def test_intervals_hold_the_gain_of_a_linear_plant() -> None:
 
 
 def test_the_page_and_the_document_tell_the_checks() -> None:
-    train, test = flown(TRUTH, [600] * 3, noise=0.05), flown(TRUTH, [400] * 5, noise=0.05, seed=1)
+    train = flown(TRUTH, [600] * 3, noise=0.05)
+    test = flown(TRUTH, [400] * 5, noise=0.05, seed=1)
     ts = TS(rules=2, na=1, nb=1, nk=1).fit(train)
     assert "yapunov" in check(ts, test, train).certificate
     c = compare([ARX(na=1, nb=1, nk=1).fit(train), ts], test, train=train)

@@ -85,7 +85,8 @@ def test_the_same_samples_start_every_model_and_none_is_scored() -> None:
     (trial,) = run_trials({"arx": slow, "ts": TS}, test, "free_run")
     assert trial.first == 10
     assert len(trial.y) == 90
-    u, y = test.segments[0].u, test.segments[0].y
+    u = test.segments[0].u
+    y = test.segments[0].y
     for name, model in (("ts", TS), ("arx", slow)):
         start = estimate_start(model, u[:10], y[:10])
         np.testing.assert_array_equal(trial.yh[name], model.simulate(u, start)[10:])

@@ -67,7 +67,8 @@ def test_blocks_of_one_flight_serve_only_where_both_runs_held_out_the_same() -> 
 
 
 def test_other_units_or_rates_are_not_compared() -> None:
-    a, b = held(flown("a"), flown("z")), held(flown("x"), flown("d"))
+    a = held(flown("a"), flown("z"))
+    b = held(flown("x"), flown("d"))
     with pytest.raises(DataError, match="different outputs"):
         unseen(a, replace(b, test=replace(b.test, outputs=(Signal(b.test.outputs[0].name, "km/h"),))))
     with pytest.raises(DataError, match="different sample times"):

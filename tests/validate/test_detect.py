@@ -22,7 +22,8 @@ def flown(
     rng = np.random.default_rng(seed)
     n = round(seconds / MODEL.dt_s)
     u = np.repeat(rng.standard_normal((n // 20 + 1, 1)), 20, axis=0)[:n]
-    slow, y = 0.0, np.zeros((n, 1))
+    slow = 0.0
+    y = np.zeros((n, 1))
     for k in range(1, n):
         slow = 0.98 * slow + drift * rng.standard_normal()
         y[k] = MODEL.a * y[k - 1] + MODEL.b * u[k - 1] + noise * rng.standard_normal() + slow + offset
@@ -48,13 +49,15 @@ def judged(segment: Segment, limits: object) -> list[npt.NDArray[np.bool_]]:
 def test_false_alarms_are_those_that_were_asked_for(drift: float) -> None:
     asked = 6.0  # an hour, for each of three detectors
     limits = calibrate(MODEL, [flown(k, 300, drift=drift) for k in range(6)], asked)[0]
-    hours, count = 0.5, sum(alarms(flown(100 + k, 300, drift=drift), limits) for k in range(6))
+    hours = 0.5
+    count = sum(alarms(flown(100 + k, 300, drift=drift), limits) for k in range(6))
     assert count <= stats.poisson.ppf(0.999, 3 * asked * hours)
 
 
 def test_a_step_is_found_by_all_three() -> None:
     limits = calibrate(MODEL, [flown(k, 300) for k in range(4)], 0.1)[0]
-    before, after = flown(50, 60), flown(51, 60, offset=0.15)
+    before = flown(50, 60)
+    after = flown(51, 60, offset=0.15)
     y = after.y + before.y[-1]
     joined = Segment(np.concatenate([before.u, after.u]), np.concatenate([before.y, y]))
     found = judged(joined, limits)
@@ -79,7 +82,8 @@ def test_the_cusum_is_the_textbooks() -> None:
     up = down = 0.0
     expected = []
     for e in errors:
-        up, down = max(0.0, up + e - 0.5), max(0.0, down - e - 0.5)
+        up = max(0.0, up + e - 0.5)
+        down = max(0.0, down - e - 0.5)
         expected.append(up if up >= down else -down)
     np.testing.assert_allclose(Sums(0.5, 50).feed(errors)[0][:, 0], expected)
 

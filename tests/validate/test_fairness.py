@@ -26,7 +26,8 @@ from flysid.validate.compare import compare
 def test_fuzzy_is_not_called_better_on_a_linear_plant(seed: int) -> None:
     rng = np.random.default_rng(seed)
     plant = linear_plant(rng)
-    train, test = flights(plant, 3, rng, "t"), flights(plant, 6, rng, "h")
+    train = flights(plant, 3, rng, "t")
+    test = flights(plant, 6, rng, "h")
     ts = TS(rules=2, na=2, nb=2, nk=1).fit(train)
     pair = compare([ARX(refine=False).fit(train), ARX().fit(train), ts], test, baseline="arx-2").verdict["y"]
     assert pair.verdict != "better"
@@ -35,7 +36,8 @@ def test_fuzzy_is_not_called_better_on_a_linear_plant(seed: int) -> None:
 def test_a_true_advantage_is_found_with_real_fits() -> None:
     rng = np.random.default_rng(4)
     plant = nonlinear_plant(rng)
-    train, test = flights(plant, 3, rng, "t"), flights(plant, 8, rng, "h")
+    train = flights(plant, 3, rng, "t")
+    test = flights(plant, 8, rng, "h")
     pair = compare([ARX().fit(train), TS(rules=3, na=2, nb=2, nk=1).fit(train)], test).verdict["y"]
     assert pair.verdict == "better"
     assert pair.ci95 is not None
@@ -47,7 +49,8 @@ def test_one_rule_of_little_data_is_no_worse_than_arx(seed: int) -> None:
     """Orders chosen on one quarter of it were: worse by a third on one plant, and on the other it rang on."""
     rng = np.random.default_rng(seed)
     plant = nonlinear_plant(rng)
-    train, test = flights(plant, 4, rng, "t"), flights(plant, 8, rng, "h")
+    train = flights(plant, 4, rng, "t")
+    test = flights(plant, 8, rng, "h")
     pair = compare([ARX().fit(train), TS(most_rules=1).fit(train)], test).verdict["y"]
     assert pair.change_pct is not None
     assert pair.change_pct < 5.0

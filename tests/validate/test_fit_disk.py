@@ -46,7 +46,8 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> DatasetFile:
 
 def test_a_part_is_its_pieces_whatever_the_blocks(file: DatasetFile) -> None:
     pieces = (Piece(0, 10, 400), Piece(0, 450, 590), Piece(3, 0, 600), Piece(5, 599, 600))
-    part, all_of_it = FilePart(file, pieces), file.read()
+    part = FilePart(file, pieces)
+    all_of_it = file.read()
     assert isinstance(part, OnDisk)
     assert len(part) == 390 + 140 + 600 + 1
     for piece, segment in zip(pieces, part.read().segments, strict=True):

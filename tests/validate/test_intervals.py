@@ -49,7 +49,8 @@ def test_a_typical_flight_is_the_geometric_mean_with_students_t() -> None:
 
 def test_up_to_four_flights_the_prior_widens_and_models_that_predict_alike_limit_it() -> None:
     """By hand: two flights, the same ratio; squares 2 x 0.3^2, 3 degrees of freedom, over 2 flights."""
-    bare, helped = across_flights([-0.4, -0.4]), across_flights([-0.4, -0.4], 0.3)
+    bare = across_flights([-0.4, -0.4])
+    helped = across_flights([-0.4, -0.4], 0.3)
     assert bare.p == 0.0
     half = 3.1824463 * np.sqrt(2 * 0.3**2 / 3 / 2)
     assert helped.low_pct == pytest.approx(100 * np.expm1(-0.4 - half))
@@ -63,7 +64,8 @@ def test_up_to_four_flights_the_prior_widens_and_models_that_predict_alike_limit
 
 def test_rotation_stretches_the_interval() -> None:
     logs = [-0.5, -0.3, -0.4, -0.2, -0.4, -0.45]
-    plain, rotated = across_flights(logs, 0.3), across_flights(logs, 0.3, rotated=True)
+    plain = across_flights(logs, 0.3)
+    rotated = across_flights(logs, 0.3, rotated=True)
     widths = [np.log1p(i.high_pct / 100) - np.log1p(i.low_pct / 100) for i in (plain, rotated)]
     assert widths[1] == pytest.approx(1.2 * widths[0])
 
@@ -80,7 +82,8 @@ def test_the_interval_is_the_same_whichever_model_is_the_baseline() -> None:
     rng = np.random.default_rng(6)
     ea, eb = ([rng.normal(size=300) for _ in range(3)] for _ in range(2))
     for flights in (list("abc"), ["a"] * 3):
-        one, other = change(ea, eb, flights).interval, change(eb, ea, flights).interval
+        one = change(ea, eb, flights).interval
+        other = change(eb, ea, flights).interval
         assert one is not None
         assert other is not None
         assert np.log1p(one.low_pct / 100) == pytest.approx(-np.log1p(other.high_pct / 100))

@@ -16,11 +16,14 @@ from flysid.validate.metrics import pooled, resolution_of, root_mean_square, sco
 
 def exact(y: FloatArray, yh: FloatArray) -> dict[str, float]:
     """The definitions, term by term, in rational arithmetic; only the roots are rounded."""
-    ys, hs = [Fraction(float(v)) for v in y], [Fraction(float(v)) for v in yh]
+    ys = [Fraction(float(v)) for v in y]
+    hs = [Fraction(float(v)) for v in yh]
     n = len(ys)
     e = [a - b for a, b in zip(ys, hs, strict=True)]
-    mean_y, mean_e = sum(ys, Fraction(0)) / n, sum(e, Fraction(0)) / n
-    sse, sst = sum(v * v for v in e), sum((v - mean_y) ** 2 for v in ys)
+    mean_y = sum(ys, Fraction(0)) / n
+    mean_e = sum(e, Fraction(0)) / n
+    sse = sum(v * v for v in e)
+    sst = sum((v - mean_y) ** 2 for v in ys)
     return {
         "rmse": math.sqrt(sse / n),
         "mae": float(sum(abs(v) for v in e) / n),
@@ -37,7 +40,8 @@ def test_agrees_with_exact_arithmetic(seed: int) -> None:
     rng = np.random.default_rng(seed)
     y = rng.normal(3.0, 2.0, 400)
     yh = y + rng.normal(0.3, 10.0 ** rng.uniform(-3, 1), 400)
-    ours, truth = scores(y, yh), exact(y, yh)
+    ours = scores(y, yh)
+    truth = exact(y, yh)
     for name, value in truth.items():
         assert getattr(ours, name) == pytest.approx(value, rel=1e-12, abs=1e-12), name
 
@@ -45,7 +49,8 @@ def test_agrees_with_exact_arithmetic(seed: int) -> None:
 def test_agrees_with_scikit_learn() -> None:
     sklearn = pytest.importorskip("sklearn.metrics")
     rng = np.random.default_rng(1)
-    y, yh = rng.normal(size=1000), rng.normal(size=1000)
+    y = rng.normal(size=1000)
+    yh = rng.normal(size=1000)
     ours = scores(y, yh)
     assert ours.rmse == pytest.approx(math.sqrt(sklearn.mean_squared_error(y, yh)), rel=1e-12)
     assert ours.mae == pytest.approx(sklearn.mean_absolute_error(y, yh), rel=1e-12)
@@ -55,7 +60,8 @@ def test_agrees_with_scikit_learn() -> None:
 
 
 def test_pooled_is_over_all_samples_and_fit_uses_their_common_mean() -> None:
-    a, b = np.array([0.0, 0.0, 0.0]), np.array([10.0, 10.0])
+    a = np.array([0.0, 0.0, 0.0])
+    b = np.array([10.0, 10.0])
     s = pooled([a, b], [a + 1.0, b])
     assert s.n == 5
     assert s.rmse == pytest.approx(math.sqrt(3 / 5))
@@ -81,8 +87,10 @@ def test_constant_output_has_no_percentages() -> None:
 @given(st.floats(1e-150, 1e150), st.integers(0, 1000))
 def test_scaling_the_output_scales_errors_and_keeps_percentages(scale: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    y, yh = rng.normal(size=50), rng.normal(size=50)
-    one, many = scores(y, yh), scores(scale * y, scale * yh)
+    y = rng.normal(size=50)
+    yh = rng.normal(size=50)
+    one = scores(y, yh)
+    many = scores(scale * y, scale * yh)
     assert many.rmse == pytest.approx(scale * one.rmse, rel=1e-9)
     assert many.fit_pct == pytest.approx(one.fit_pct, rel=1e-9, abs=1e-9)
     assert many.vaf_pct == pytest.approx(one.vaf_pct, rel=1e-9, abs=1e-9)

@@ -20,8 +20,10 @@ def test_the_first_screen_of_one_model_says_its_error_and_no_interval() -> None:
 
 
 def test_models_that_a_constant_equals_are_not_called_better() -> None:
-    test, train = flown(TS, [300] * 6, noise=0.02), flown(TS, [300], noise=0.02, seed=5)
-    away, far = replace(ARX, c=0.9), replace(TS, c=0.5)
+    test = flown(TS, [300] * 6, noise=0.02)
+    train = flown(TS, [300], noise=0.02, seed=5)
+    away = replace(ARX, c=0.9)
+    far = replace(TS, c=0.5)
     lost = compare([away, far], test, train=train)
     assert lost.verdict["y"].verdict == "better"
     page = Page(render(ReportContext.of({"roll": lost}))).words
@@ -52,7 +54,8 @@ def test_units_of_all_channels_are_told() -> None:
 
 
 def test_a_baseline_worse_than_the_mean_is_said_first() -> None:
-    test, train = flown(TS, [300] * 6, noise=0.02), flown(TS, [300], noise=0.02, seed=5)
+    test = flown(TS, [300] * 6, noise=0.02)
+    train = flown(TS, [300], noise=0.02, seed=5)
     c = compare([replace(ARX, c=0.9), TS], test, train=train)
     (words,) = narrative.worse_than_constant({"roll": c})
     rmse = {name: score.scores.rmse for name, score in c.entry().models.items()}

@@ -35,7 +35,8 @@ def test_every_kind_and_equal_bytes(kind: str, start: bytes, tmp_path: Path) -> 
 def test_names_are_text_and_a_linear_contender_gets_its_frequency_response(tmp_path: Path) -> None:
     evil = "$\\frac{$ ../x \x1b"
     signals = (Signal(evil, evil),)
-    arx, oe = FirstOrder(b=0.08, outputs=signals), FirstOrder(structure="oe", outputs=signals)
+    arx = FirstOrder(b=0.08, outputs=signals)
+    oe = FirstOrder(structure="oe", outputs=signals)
     test = replace(flown(oe, [200], noise=0.02), outputs=signals)
     (path,) = write_figures(tmp_path, ReportContext.of({evil: compare([arx, oe], test)}), "svg")
     text = path.read_text("utf-8")

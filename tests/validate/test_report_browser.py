@@ -24,7 +24,9 @@ pytestmark = needs_browser
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three channels, twelve held-out segments each."""
-    comparisons, train, sweeps = {}, {}, {}
+    comparisons = {}
+    train = {}
+    sweeps = {}
     for i, name in enumerate(("longitudinal", "lateral", "vertical")):
         arx = FirstOrder(a=0.9, b=0.07 + 0.015 * i)
         ts = FirstOrder(a=0.9, b=0.1, structure="ts", labels=tuple(f"R{r + 1}" for r in range(5)))

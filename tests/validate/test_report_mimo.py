@@ -20,7 +20,8 @@ from flysid.validate.terminal import summary, table
 def flights(count: int, seed: int) -> Dataset:
     """y1 follows u1; y2 follows u2 and the one before."""
     rng = np.random.default_rng(seed)
-    us, ys = [], []
+    us = []
+    ys = []
     for _ in range(count):
         u = np.repeat(rng.normal(size=(40, 2)), 10, axis=0)
         y = np.zeros((400, 2))

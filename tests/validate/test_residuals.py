@@ -21,9 +21,11 @@ def test_white_errors_pass_and_red_ones_fail() -> None:
 
 def test_autocorrelation_agrees_with_the_definition() -> None:
     rng = np.random.default_rng(1)
-    a, b = rng.normal(size=50), rng.normal(size=31)
+    a = rng.normal(size=50)
+    b = rng.normal(size=31)
     mean = np.concatenate([a, b]).mean()
-    a0, b0 = a - mean, b - mean
+    a0 = a - mean
+    b0 = b - mean
     expected = [(a0[k:] @ a0[:-k] + b0[k:] @ b0[:-k]) / (a0 @ a0 + b0 @ b0) for k in range(1, 6)]
     np.testing.assert_allclose(autocorrelation([a, b], 5).rho, expected, rtol=1e-10)
 
@@ -42,7 +44,8 @@ def test_bartletts_band_keeps_two_slow_independent_signals_apart() -> None:
     rng = np.random.default_rng(3)
     wrong = right = 0
     for _ in range(40):
-        e, u = ar1(3000, 0.97, rng), ar1(3000, 0.97, rng)
+        e = ar1(3000, 0.97, rng)
+        u = ar1(3000, 0.97, rng)
         c = cross_correlation([e], [u], 10)
         right += c.outside > 0
         wrong += bool((np.abs(c.rho) > 2.58 / np.sqrt(3000)).any())
@@ -52,7 +55,9 @@ def test_bartletts_band_keeps_two_slow_independent_signals_apart() -> None:
 
 def test_spectrum_of_a_first_order_system() -> None:
     rng = np.random.default_rng(5)
-    n, a, dt = 20000, 0.9, 0.05
+    n = 20000
+    a = 0.9
+    dt = 0.05
     u = rng.normal(size=n)
     y = np.zeros(n)
     for k in range(1, n):

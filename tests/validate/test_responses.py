@@ -21,7 +21,8 @@ class WithPolynomials(FirstOrder):
     """The same model, saying what it is."""
 
     def local_polynomials(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
-        A, B = np.array([[[self.a]]]), np.array([[[0.0]], [[self.b]]])
+        A = np.array([[[self.a]]])
+        B = np.array([[[0.0]], [[self.b]]])
         return tuple((A, (r + 1) * B, np.zeros(1)) for r in range(len(self.labels)))
 
 

@@ -229,7 +229,8 @@ def test_the_headline_is_about_the_model_that_was_asked_for(run: Run) -> None:
 
 
 def test_the_demo_says_what_a_loss_means(judgement: Judgement) -> None:
-    arx, ts = FirstOrder(), FirstOrder(b=0.07, structure="ts", labels=("R1", "R2"))
+    arx = FirstOrder()
+    ts = FirstOrder(b=0.07, structure="ts", labels=("R1", "R2"))
     lost = compare([arx, ts], flown(arx, [300] * 6, noise=0.02))
     won = compare(
         [replace(ts, structure="arx"), replace(arx, structure="ts", labels=("R1", "R2"))], lost.test
@@ -396,7 +397,8 @@ def test_other_models_are_fitted_on_request(data: Path, tmp_path: Path) -> None:
 def test_every_label_makes_an_estimator_that_knows_what_was_asked_for() -> None:
     settings = FitSettings(rules=2, antecedents=("v_x(k-1)",), models=("anfis", "ensemble"), rotate=False)
     found = fitting.estimators(settings, "arx", (4,))
-    anfis, ensemble = found["anfis"], found["ensemble"]
+    anfis = found["anfis"]
+    ensemble = found["ensemble"]
     assert isinstance(anfis, ANFIS)
     assert isinstance(ensemble, Ensemble)
     assert (anfis.rules, anfis.nk, anfis.antecedents) == (2, 4, ("v_x(k-1)",))

@@ -26,7 +26,8 @@ def decimate(
     middle = np.minimum(starts + size // 2, n - 1)
     times = np.unique(np.ravel(np.column_stack([t[starts], t[middle]])))
     if len(times) != 2 * len(starts):  # the last bucket holds one sample
-        starts, middle = starts[:-1], middle[:-1]
+        starts = starts[:-1]
+        middle = middle[:-1]
         times = np.ravel(np.column_stack([t[starts], t[middle]]))
     return times, {name: _extremes(values, starts, size) for name, values in series.items()}
 
@@ -35,7 +36,8 @@ def _extremes(values: FloatArray, starts: npt.NDArray[np.int_], size: int) -> Fl
     out = np.empty(2 * len(starts))
     for i, start in enumerate(starts):
         bucket = values[int(start) : int(start) + size]
-        low, high = int(np.argmin(bucket)), int(np.argmax(bucket))
+        low = int(np.argmin(bucket))
+        high = int(np.argmax(bucket))
         out[2 * i], out[2 * i + 1] = bucket[min(low, high)], bucket[max(low, high)]
     return out
 

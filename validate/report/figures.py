@@ -122,7 +122,8 @@ def _curve(curve: Curve, hz: FloatArray, axes: tuple[Axes, Axes], stem: str, sty
     degrees = np.unwrap(np.angle(curve.response)) * 180 / np.pi
     parts = []
     if curve.band is not None:
-        few, b = slice(None, None, 3), curve.band
+        few = slice(None, None, 3)
+        b = curve.band
         db = [20 * np.log10(np.maximum(v, 1e-12))[few] for v in (b.low, b.high)]
         turned = [(degrees + v * 180 / np.pi)[few] for v in (b.turn_low, b.turn_high)]
         for one, (low, high) in ((gain, db), (phase, turned)):
@@ -222,7 +223,8 @@ def coverage(train: FloatArray | None, test: FloatArray, words: tuple[str, str])
 def sweep_figure(sweep: Sweep, unit: str) -> Markup:
     """Error over the number of rules, with one standard error."""
     x = np.array(sweep.rules, dtype=np.float64)
-    error, spread = np.array(sweep.error), np.array(sweep.spread)
+    error = np.array(sweep.error)
+    spread = np.array(sweep.spread)
     limits = [error - spread, error + spread]
     if sweep.linear is not None:
         limits.append(np.array([sweep.linear[0] - sweep.linear[1], sweep.linear[0] + sweep.linear[1]]))

@@ -129,7 +129,8 @@ def title(pairs: Heads, idle: Sequence[str] = ()) -> str:
     """The verdict in one sentence; `idle` is `as_good_as_constant`."""
     if not pairs:
         return "One model, nothing to compare it with."
-    model, base = called(pairs[0][1].model), base_words(pairs)
+    model = called(pairs[0][1].model)
+    base = base_words(pairs)
     scope = narrow_scope(pairs)
     worth = [(n, p) for n, p in pairs if n not in idle]
     count = {v: sum(p.verdict is v and p.scope in (scope, Scope.ANOTHER) for _, p in worth) for v in Verdict}
@@ -330,7 +331,8 @@ def _units(pairs: Heads) -> str:
     said = []
     for kind in dict.fromkeys(p.unit.partition(" ")[0] for _, p in pairs):
         alike = dict.fromkeys((p.units, p.unit) for _, p in pairs if p.unit.startswith(kind))
-        few, many = min(units for units, _ in alike), max(units for units, _ in alike)
+        few = min(units for units, _ in alike)
+        many = max(units for units, _ in alike)
         number_of = f"{few}" if few == many else f"{few} to {many}"
         unit = next(iter(alike))[1] if len(alike) == 1 else {"blocks": "blocks of time"}.get(kind, kind)
         said.append(f"{number_of} {one_line(unit)}")

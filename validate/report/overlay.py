@@ -74,7 +74,8 @@ def worth_drawing(comparison: Comparison, trials: Sequence[Trial], output: int) 
 def _strip(source: Source, at: int, place: tuple[int, int], banded: bool) -> Strip:
     """`at` is the place of the trial, `place` is (output, input)."""
     trial = source.diagnosis.free_runs[at]
-    comparison, (output, signal) = source.comparison, place
+    comparison = source.comparison
+    (output, signal) = place
     segment = comparison.test.segments[trial.segment]
     t = comparison.dt_s * np.arange(trial.first, len(segment), dtype=np.float64)
     names = drawn(comparison)
@@ -178,7 +179,8 @@ def still(strip: Strip, titles: tuple[str, str, str], label: str) -> Markup:
         line(low, strip.t, strip.u, "input"),
     ]
     for css, lower, upper in strip.bands:
-        low_edge, high_edge = np.clip(lower, *top.y), np.clip(upper, *top.y)
+        low_edge = np.clip(lower, *top.y)
+        high_edge = np.clip(upper, *top.y)
         parts.append(area(top, strip.t[::THIN], low_edge, high_edge, f"sure {css}"))
     for (_, css, values), error in zip(strip.models, strip.errors, strict=True):
         parts += [line(top, strip.t, values, css), line(middle, strip.t, error, css)]

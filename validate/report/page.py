@@ -49,7 +49,8 @@ def render(context: ReportContext) -> str:
     comparisons = context.comparisons
     diagnoses = context.diagnoses
     parts = _sections(context, diagnoses)
-    pairs, idle = narrative.heads(comparisons), narrative.as_good_as_constant(comparisons)
+    pairs = narrative.heads(comparisons)
+    idle = narrative.as_good_as_constant(comparisons)
     styles = load_asset("uPlot.min.css") + "\n" + load_asset("page.css")
     scripts = [load_asset("uPlot.iife.min.js"), load_asset("page.js")]
     return (
@@ -104,15 +105,18 @@ def _seconds_of_training(context: ReportContext) -> float | None:
 def _reach(pairs: Sequence[Pair]) -> tuple[float, float]:
     """Common axis of all interval bars: holds every interval up to -100 and +100 percent, and zero."""
     ends = [v for p in pairs for v in (*(p.ci95 or ()), p.change_pct) if v is not None]
-    low, high = min([-10.0, *ends]), max([10.0, *ends])
-    low, high = max(low, -100.0), min(high, 100.0)
+    low = min([-10.0, *ends])
+    high = max([10.0, *ends])
+    low = max(low, -100.0)
+    high = min(high, 100.0)
     margin = 0.05 * (high - low)
     return low - margin, high + margin
 
 
 def _drawn(comparisons: Mapping[str, Comparison]) -> list[tuple[str, str]]:
     """(CSS class, name) of the curves on the cards."""
-    first, pairs = next(iter(comparisons.values())), narrative.heads(comparisons)
+    first = next(iter(comparisons.values()))
+    pairs = narrative.heads(comparisons)
     words = [narrative.base_words(pairs) if pairs else narrative.called(first.baseline)]
     words += [narrative.called(first.contender)] if first.contender else []
     return list(zip(("arx", "ts"), words, strict=False))
@@ -196,7 +200,8 @@ def _models(context: ReportContext) -> list[dict[str, Any]]:
             entry = c.entry(output.name, c.head)
             ranked = sorted(entry.models.items(), key=lambda item: item[1].scores.rmse)
             for i, (name, score) in enumerate(ranked):
-                info, pair = c.models[name], entry.pairs.get(name)
+                info = c.models[name]
+                pair = entry.pairs.get(name)
                 words = standing(name, entry, c)
                 first = min((s.diverged_s for s in score.diverged if s.diverged_s is not None), default=None)
                 rows.append(

@@ -37,14 +37,16 @@ def antecedent_range(name: str, data: Dataset) -> tuple[float, float] | None:
     terms = _terms(name, signals)
     if not terms:
         return None
-    low, high = np.inf, -np.inf
+    low = np.inf
+    high = -np.inf
     for segment in data.segments:
         columns = np.hstack([segment.y, segment.u])
         deepest = max(lag for _, lag, _ in terms)
         if len(segment) <= deepest:
             continue
         total = sum(sign * columns[deepest - lag : len(columns) - lag, i] for i, lag, sign in terms)
-        low, high = min(low, float(np.min(total))), max(high, float(np.max(total)))
+        low = min(low, float(np.min(total)))
+        high = max(high, float(np.max(total)))
     return (low, high) if low < high else None
 
 
@@ -159,7 +161,8 @@ def strongest_runs(firing: FloatArray, t: FloatArray, shortest: float) -> list[t
     last = float(t[-1])
     runs: list[tuple[float, float, int]] = []
     for start, end in zip(starts, ends, strict=True):
-        begin, finish = float(t[start]), float(t[end]) if end < len(t) else last
+        begin = float(t[start])
+        finish = float(t[end]) if end < len(t) else last
         rule = int(winner[start])
         if runs and (finish - begin < shortest or runs[-1][2] == rule):
             runs[-1] = (runs[-1][0], finish, runs[-1][2])

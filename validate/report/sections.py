@@ -163,7 +163,8 @@ def _with_unit(name: str, unit: str) -> str:
 
 
 def _residuals(source: Source, j: int) -> tuple[Panel, ...]:
-    c, d = source.comparison, source.diagnosis.outputs[j]
+    c = source.comparison
+    d = source.diagnosis.outputs[j]
     panels = []
     for model, css in overlay.drawn(c):
         test = d.whiteness[model]
@@ -187,7 +188,8 @@ def _dependence(correlation: Correlation, c: Comparison, model: str, css: str, i
     verdict = "some dynamics missing" if correlation.fails else "nothing left that the input explains"
     if correlation.blind and not correlation.fails:
         verdict = "too little data to tell" if correlation.rho.any() else "the input does not move"
-    name, peak = one_line(c.test.inputs[i].name), f"{rho:+.2f}".replace("-", "−")
+    name = one_line(c.test.inputs[i].name)
+    peak = f"{rho:+.2f}".replace("-", "−")
     return Panel(
         f"{one_line(model).upper()}: cross-correlation of free-run error with {name}",
         f"peak {peak} at {lag * c.dt_s:.2f} s; {correlation.outside} of {correlation.tested} causal lags "
@@ -267,7 +269,8 @@ def _static(source: Source, j: int, signal: int) -> Panel:
     fixed = np.mean(np.concatenate([s.u for s in data.segments]), axis=0)
     levels = np.linspace(float(u.min()), float(u.max()), 25)
     steady = {css: steady_outputs(c.fitted[m], levels, fixed, j, signal) for m, css in overlay.drawn(c)}
-    x, name = _with_unit(c.test.inputs[signal].name, c.test.inputs[signal].unit), c.test.outputs[j].name
+    x = _with_unit(c.test.inputs[signal].name, c.test.inputs[signal].unit)
+    name = c.test.outputs[j].name
     return Panel(
         "Static map",
         f"dots: {'training' if source.train else 'held-out'} samples; lines: where each model settles, "
@@ -301,7 +304,8 @@ def _rule_rows(source: Source, name: str, css: str, place: tuple[int, int]) -> t
     rows = [_rule_row(rule, colour, place, known=known) for rule, colour in zip(rules, colours, strict=True)]
     if checks is None or checks.intervals is None:
         return tuple(rows)
-    sure, (j, signal) = checks.intervals, place
+    sure = checks.intervals
+    (j, signal) = place
     slow = sure.reached_s
     return tuple(
         replace(
@@ -317,7 +321,8 @@ def _rule_rows(source: Source, name: str, css: str, place: tuple[int, int]) -> t
 def _rule_row(rule: Rule, css: str, place: tuple[int, int], *, known: bool) -> RuleRow:
     """A row; with what the model does where the rule is the strongest, where that is `known`."""
     j, signal = place
-    gain, tau = float(np.asarray(rule.dc_gain)[j, signal]), rule.time_constant_s
+    gain = float(np.asarray(rule.dc_gain)[j, signal])
+    tau = rule.time_constant_s
     without = UNSTABLE if rule.pole_radius > 1.0 + 1e-6 else ""
     if known:
         here = next((p for p in rule.here if p.output == j), None)

@@ -39,7 +39,9 @@ class Axes:
         low, high = self.x
         values = np.asarray(x, dtype=np.float64)
         if self.log_x:
-            low, high, values = np.log10(low), np.log10(high), np.log10(np.maximum(values, 1e-300))
+            low = np.log10(low)
+            high = np.log10(high)
+            values = np.log10(np.maximum(values, 1e-300))
         return self.left + self.width * (values - low) / (high - low)
 
     def py(self, y: FloatArray | float) -> FloatArray:
@@ -67,7 +69,8 @@ def span(*series: FloatArray, pad: float = 0.05, around: float | None = None) ->
         values = np.append(values, around)
     if not len(values):
         return -1.0, 1.0
-    low, high = float(values.min()), float(values.max())
+    low = float(values.min())
+    high = float(values.max())
     margin = pad * (high - low) or max(0.5 * abs(high), 0.5)
     return low - margin, high + margin
 
@@ -79,7 +82,8 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
         return []
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * min((m for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= raw * 0.999), default=10.0)
-    first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
+    first = np.ceil(low / step - 1e-9)
+    last = np.floor(high / step + 1e-9)
     return [float(i * step) for i in np.arange(first, last + 1)]
 
 
@@ -172,13 +176,15 @@ def _path(px: FloatArray, py: FloatArray) -> str:
 
 def area(axes: Axes, x: FloatArray, low: FloatArray, high: FloatArray, css: str) -> Markup:
     """The area between two curves."""
-    forth, back = _path(axes.px(x), axes.py(high)), _path(axes.px(x[::-1]), axes.py(low[::-1]))
+    forth = _path(axes.px(x), axes.py(high))
+    back = _path(axes.px(x[::-1]), axes.py(low[::-1]))
     return Markup('<path d="{}L{}Z" class="{}"/>').format(forth, back[1:], css)
 
 
 def box(x: tuple[float, float], y: tuple[float, float], css: str) -> Markup:
     """A rectangle in pixels; nothing where it has no area."""
-    width, height = abs(x[1] - x[0]), abs(y[1] - y[0])
+    width = abs(x[1] - x[0])
+    height = abs(y[1] - y[0])
     if width <= 0.0 or height <= 0.0:
         return Markup("")
     return Markup('<rect x="{}" y="{}" width="{}" height="{}" class="{}"/>').format(

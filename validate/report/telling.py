@@ -16,7 +16,8 @@ from flysid.validate.trials import Trial
 from flysid.validate.words import one_line
 
 SECONDS = 10.0
-WIDTH, HEIGHT = 340.0, 132.0
+WIDTH = 340.0
+HEIGHT = 132.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,8 @@ def most_telling(comparison: Comparison, trials: Sequence[Trial], output: int) -
     """
     rows = max(2, round(SECONDS / comparison.dt_s))
     names = [name for name, _ in drawn(comparison)]
-    best, found = -1.0, Moment(trials[0], 0, min(rows, len(trials[0].y)))
+    best = -1.0
+    found = Moment(trials[0], 0, min(rows, len(trials[0].y)))
     for trial in trials:
         runs = [trial.yh[name][:, output] for name in names]
         apart = np.nan_to_num((runs[0] - (runs[1] if len(runs) > 1 else trial.y[:, output])) ** 2)
@@ -44,7 +46,8 @@ def most_telling(comparison: Comparison, trials: Sequence[Trial], output: int) -
         means = (sums[length:] - sums[:-length]) / length
         at = int(np.argmax(means))
         if means[at] > best:
-            best, found = float(means[at]), Moment(trial, at, at + length)
+            best = float(means[at])
+            found = Moment(trial, at, at + length)
     return found
 
 

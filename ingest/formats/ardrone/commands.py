@@ -48,7 +48,9 @@ class Commands:
     def add(self, payload: bytes, received_ns: int) -> None:
         """All commands of one datagram."""
         for found in _COMMAND.finditer(payload):
-            kind, sequence, rest = found[1], int(found[2]), found[3]
+            kind = found[1]
+            sequence = int(found[2])
+            rest = found[3]
             if len(self._moves) + len(self._settings) >= MAX_COMMANDS:
                 self.unread += 1
             elif kind in (b"PCMD", b"PCMD_MAG"):

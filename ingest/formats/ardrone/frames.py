@@ -23,7 +23,10 @@ MAX_PACKET_BYTES = 1 << 16
 MAX_OPTIONS = 200
 MAX_MAKEUPS = 512
 HEADERS = (b"\x88\x77\x66\x55", b"\x89\x77\x66\x55")
-GOOD, BAD_SUM, BROKEN, CUT = 0, 1, 2, 3
+GOOD = 0
+BAD_SUM = 1
+BROKEN = 2
+CUT = 3
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,8 @@ def sort_packets(data: Bytes, at: Index, stop: Index) -> Sorted:
     for _ in range(MAX_MAKEUPS):
         if not len(todo):
             break
-        first, todo = int(todo[0]), todo
+        first = int(todo[0])
+        todo = todo
         try:
             makeup = parse_makeup(data, int(at[first]), int(stop[first]))
         except EOFError:

@@ -44,7 +44,13 @@ def _all(names: str, dtype: str, unit: str = "", scale: float = 1.0) -> tuple[Op
     return tuple(OptionField(name, dtype, 0, unit, scale) for name in names.split())
 
 
-F4, I4, U4, U2, I2, U1, F8 = "<f4", "<i4", "<u4", "<u2", "<i2", "u1", "<f8"
+F4 = "<f4"
+I4 = "<i4"
+U4 = "<u4"
+U2 = "<u2"
+I2 = "<i2"
+U1 = "u1"
+F8 = "<f8"
 FLY_STATES = dict(
     enumerate(["OK", "LOST_ALT", "LOST_ALT_GO_DOWN", "ALT_OUT_ZONE", "COMBINED_YAW", "BRAKE", "NO_VISION"])
 )
@@ -60,7 +66,8 @@ CONTROL_STATES = {
     8: "TRANS_LANDING",
     9: "TRANS_LOOPING",
 }
-MILLIDEGREE, MILLIMETRE = ("deg", 1e-3), ("m", 1e-3)
+MILLIDEGREE = ("deg", 1e-3)
+MILLIMETRE = ("m", 1e-3)
 
 DEMO = Option(
     "demo",

@@ -40,11 +40,13 @@ from flysid.ingest.formats.common.clock import UtcFit, interpolate
 from flysid.ingest.formats.common.gather import Bytes, Index, Values, as_bytes, numbers, rows
 from flysid.ingest.formats.common.tally import Tally
 
-NAVDATA_PORT, AT_PORT = 5554, 5556
+NAVDATA_PORT = 5554
+AT_PORT = 5556
 WRAP_NS = 2048 * 10**9
 DEMO_PERIOD_NS = 10**9 // 15
 MAX_SEQUENCE_GAP = 100_000
-TIME_TAG, CHECKSUM_TAG = 1, 0xFFFF
+TIME_TAG = 1
+CHECKSUM_TAG = 0xFFFF
 Boots = NDArray[np.int32]
 _Clock = tuple[Index, Index, Boots, Index | None]
 SOURCES = {"clock": "navdata time", "arrival": "arrival", "sequence": "sequence at 15 Hz"}
@@ -159,7 +161,8 @@ class Decoder:
     def _unwrapped(self, raw: Index) -> tuple[Index, Boots]:
         """Seconds and microseconds as ns since the first wrap; packets without a time take the last one's."""
         clock = (raw >> 21) * 10**9 + (raw & 0x1FFFFF) * 1000
-        time_ns, boot = np.empty(len(raw), dtype=np.int64), np.empty(len(raw), dtype=np.int32)
+        time_ns = np.empty(len(raw), dtype=np.int64)
+        boot = np.empty(len(raw), dtype=np.int32)
         known = np.maximum.accumulate(np.where(raw >= 0, np.arange(len(raw)), -1))
         start = self._last_ns if self._last_ns >= 0 else int(clock[raw >= 0][0]) if (raw >= 0).any() else 0
         clock = np.where(known >= 0, clock[known], start)
@@ -196,7 +199,8 @@ def _columns(option: Option, table: Values) -> list[tuple[pa.Field, pa.Array]]:
 
 
 def _read_raw(view: memoryview, limits: Limits, decoder: Decoder) -> Iterator[StreamPart]:
-    data, at = as_bytes(view), 0
+    data = as_bytes(view)
+    at = 0
     while at < len(data):
         stop = min(len(data), at + limits.batch_bytes + MAX_PACKET_BYTES)
         final = stop == len(data)
@@ -289,7 +293,8 @@ def _read_capture(view: memoryview, limits: Limits, decoder: Decoder) -> Iterato
             size += len(datagram.content)
             if size >= limits.batch_bytes:
                 yield from _decode_datagrams(held, decoder)
-                held, size = [], 0
+                held = []
+                size = 0
     yield from _decode_datagrams(held, decoder)
     decoder.tally.undecode("at", commands.unread)
     yield from _command_parts(commands, decoder)
@@ -318,14 +323,17 @@ def _command_parts(commands: Commands, decoder: Decoder) -> Iterator[StreamPart]
     if decoder.knots:
         received, vehicle, boots = (np.concatenate(k) for k in zip(*decoder.knots, strict=True))
         rising = np.append(True, np.diff(np.maximum.accumulate(received)) > 0)
-        received, vehicle, boots = received[rising], vehicle[rising], boots[rising]
+        received = received[rising]
+        vehicle = vehicle[rising]
+        boots = boots[rising]
         times = {s: interpolate(a, received, vehicle, 1.0) for s, a in arrivals.items()}
         boot = {
             s: boots[np.clip(np.searchsorted(received, a, side="right") - 1, 0, None)]
             for s, a in arrivals.items()
         }
     else:
-        times, boot = arrivals, {s: np.zeros(len(a), dtype=np.int32) for s, a in arrivals.items()}
+        times = arrivals
+        boot = {s: np.zeros(len(a), dtype=np.int32) for s, a in arrivals.items()}
     for stream, table in commands.tables(times, boot).items():
         yield StreamPart(stream, table)
 

@@ -40,7 +40,8 @@ def scrub(view: memoryview, scrubber: Scrubber, limits: Limits) -> Iterator[byte
         makeup = makeups[start]
         packet = bytearray(view[start : start + makeup.size])
         _scrub_packet(packet, makeup, scrubber)
-        kept, free = kept + len(packet), start + makeup.size
+        kept = kept + len(packet)
+        free = start + makeup.size
         yield bytes(packet)
     scrubber.note(rules.UNREADABLE, "between packets", len(data) - kept)
 

@@ -15,7 +15,8 @@ import numpy.typing as npt
 ByteArray = npt.NDArray[np.uint8]
 IntArray = npt.NDArray[np.int64]
 
-WRONG, PAST_END = -1, -2
+WRONG = -1
+PAST_END = -2
 
 
 @numba.njit(cache=True, nogil=True)
@@ -26,7 +27,8 @@ def byte(raw: ByteArray, at: int) -> int:
 @numba.njit(cache=True, nogil=True)
 def unsigned_vb(raw: ByteArray, at: int, stop: int) -> tuple[int, int]:
     """(value, where it ends or an error): 7 bits a byte, the lowest first, bit 7 where more follow."""
-    value, shift = 0, 0
+    value = 0
+    shift = 0
     while shift < 35:
         if at >= stop:
             return 0, PAST_END

@@ -80,8 +80,11 @@ class Walker:
     def __init__(
         self, raw: ByteArray, start: int, stop: int, layout: Layout, tally: Tally, batch_bytes: int
     ) -> None:
-        self._raw, self._at, self._stop = raw, start, stop
-        self._program, self._tally = layout.program, tally
+        self._raw = raw
+        self._at = start
+        self._stop = stop
+        self._program = layout.program
+        self._tally = tally
         self._state = np.zeros(1, dtype=kernel.STATE).view(np.recarray)[0]
         for name, value in layout.settings.items():
             self._state[name] = value
@@ -108,7 +111,8 @@ class Walker:
 
     def blocks(self) -> Iterator[Block]:
         """All rows of the log."""
-        state, limit = self._state, self._at
+        state = self._state
+        limit = self._at
         while self._at < state["content_end"]:
             if self._at >= limit:
                 limit = self._at + self._batch_bytes
@@ -143,7 +147,8 @@ class Walker:
 
     def _pass_over(self, reached: int) -> None:
         """Go on at the next I frame behind damage, or at the End event, or at the end."""
-        state, at = self._state, self._at
+        state = self._state
+        at = self._at
         self.rejected += kernel.close_group(state, reached != kernel.FALL)
         self._at = recovery.find_intra(self._raw, at + 1, self._program, state, self._scratch, self._found)
         if self._at >= 0:
@@ -158,7 +163,8 @@ class Walker:
 
     def _judge_seam(self) -> None:
         """An I frame that does not go on from its group: which of both is right?"""
-        state, found = self._state, self._found
+        state = self._state
+        found = self._found
         sure = recovery.is_confirmed(self._raw, self._at, self._program, state, self._scratch, found)
         falls = int(np.int32(np.uint32((int(found[1]) - int(state["us"])) & 0xFFFFFFFF))) < 0
         first = state["confirmed_us"] < 0
@@ -198,7 +204,8 @@ class Walker:
                 values[:, :left] = values[:, count : count + left].copy()
                 us[:left] = us[count : count + left].copy()
                 span[:, :left] = span[:, count : count + left].copy()
-            self._state[name], self._state[f"{name}_open"] = left, 0
+            self._state[name] = left
+            self._state[f"{name}_open"] = 0
         return rows
 
 

@@ -37,14 +37,32 @@ State = Any  # a record of STATE
 INTRA, INTER, SLOW, GPS, HOME, EVENT = range(6)
 LETTERS = tuple(b"IPSGHE")
 END_TEXT = tuple(b"End of log")
-SIGNED_VB, UNSIGNED_VB, NEG_14BIT, TAG8_8SVB = 0, 1, 3, 6
-TAG2_3S32, TAG8_4S16, NULL, TAG2_3SVARIABLE = 7, 8, 9, 10
-NOTHING, PREVIOUS, STRAIGHT_LINE, AVERAGE, CONSTANT, MOTOR_0, INCREMENT, AT_HOME, AT_TIME = (
-    0, 1, 2, 3, 4, 5, 6, 7, 10,
-)  # fmt: skip
-SYNC, ADJUSTMENT, RESUME, DISARM, MODE, IMU_FAILURE, CUSTOM_DATA, CUSTOM_STRING, END = (
-    0, 13, 14, 15, 30, 40, 100, 101, 255,
-)  # fmt: skip
+SIGNED_VB = 0
+UNSIGNED_VB = 1
+NEG_14BIT = 3
+TAG8_8SVB = 6
+TAG2_3S32 = 7
+TAG8_4S16 = 8
+NULL = 9
+TAG2_3SVARIABLE = 10
+NOTHING = 0
+PREVIOUS = 1
+STRAIGHT_LINE = 2
+AVERAGE = 3
+CONSTANT = 4
+MOTOR_0 = 5
+INCREMENT = 6
+AT_HOME = 7
+AT_TIME = 10
+SYNC = 0
+ADJUSTMENT = 13
+RESUME = 14
+DISARM = 15
+MODE = 30
+IMU_FAILURE = 40
+CUSTOM_DATA = 100
+CUSTOM_STRING = 101
+END = 255
 ROTORFLIGHT = (50, 51, 52)  # governor, rescue, airborne: one number each
 LONGEST_FRAME = 256
 LONGEST_PAUSE_US = 10_000_000
@@ -115,7 +133,9 @@ STATE = np.dtype(
 @numba.njit(cache=True, nogil=True)
 def next_iteration(state: State, iteration: int) -> int:
     """The loop iteration after `iteration` that is logged: (i mod I + num - 1) mod den < num."""
-    interval, share, of = state.interval, state.numerator, state.denominator
+    interval = state.interval
+    share = state.numerator
+    of = state.denominator
     place = iteration % interval + 1
     if share == 0:
         place = interval
@@ -141,12 +161,15 @@ def read_fields(
 ) -> int:
     """Read the fields of a frame from behind its type byte into `values`; where it ends, or an error."""
     many = np.empty(8, dtype=np.int64)
-    count, k, homes = program.size[kind], 0, 0
+    count = program.size[kind]
+    k = 0
+    homes = 0
     stop = min(stop, at + LONGEST_FRAME)
     if count == 0:
         return WRONG
     while k < count:
-        encoding, span = program.encoding[kind, k], 1
+        encoding = program.encoding[kind, k]
+        span = 1
         if program.predictor[kind, k] == INCREMENT:
             values[k] = next_iteration(state, before[k])
             if program.unsigned[kind, k]:
@@ -176,7 +199,8 @@ def read_fields(
         if at < 0:
             return at
         for j in range(min(span, count - k)):
-            value, predictor = many[j], program.predictor[kind, k]
+            value = many[j]
+            predictor = program.predictor[kind, k]
             unsigned = program.unsigned[kind, k]
             if predictor == PREVIOUS:
                 value += before[k]
@@ -284,12 +308,20 @@ def close_group(state: State, keep: bool) -> int:
     gone = 0
     if not keep:
         gone = state.main - state.main_open
-        state.main, state.slow, state.gps = state.main_open, state.slow_open, state.gps_open
-        state.home, state.event = state.home_open, state.event_open
-        state.iteration, state.us = state.confirmed_iteration, state.confirmed_us
-    state.main_open, state.slow_open, state.gps_open = state.main, state.slow, state.gps
-    state.home_open, state.event_open = state.home, state.event
-    state.confirmed_iteration, state.confirmed_us = state.iteration, state.us
+        state.main = state.main_open
+        state.slow = state.slow_open
+        state.gps = state.gps_open
+        state.home = state.home_open
+        state.event = state.event_open
+        state.iteration = state.confirmed_iteration
+        state.us = state.confirmed_us
+    state.main_open = state.main
+    state.slow_open = state.slow
+    state.gps_open = state.gps
+    state.home_open = state.home
+    state.event_open = state.event
+    state.confirmed_iteration = state.iteration
+    state.confirmed_us = state.us
     state.has_group = 0
     return gone
 
@@ -342,7 +374,8 @@ def walk(
         elif kind == INTER and not state.has_group:
             return NO_FRAME, at
         else:
-            newest, older = state.newest, state.older
+            newest = state.newest
+            older = state.older
             free = 3 - newest - older if newest != older else (newest + 1) % 3
             place = free if kind <= INTER else kind + 1
             if kind == HOME:
@@ -373,7 +406,8 @@ def walk(
                     if not goes_on and not (state.resumed and step_us >= 0 and iteration >= due):
                         return SEAM, at
                 close_group(state, True)
-                state.has_group, state.resumed = 1, 0
+                state.has_group = 1
+                state.resumed = 0
                 state.group_iteration = iteration
                 state.older = free
             state.newest = free
@@ -396,7 +430,8 @@ def walk(
             else:
                 state.homeless += 1
         elif kind == HOME:
-            state.has_home, state.home_0 = 1, values[0]
+            state.has_home = 1
+            state.home_0 = values[0]
             state.home_1 = values[1] if program.size[HOME] > 1 else 0
             _keep(tables.home, tables.home_us, tables.home_span, state.home, values, state.us, at, end)
             state.home += 1

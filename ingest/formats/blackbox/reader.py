@@ -105,7 +105,8 @@ class _Reader:
         self.tally = Tally()
         self.clocks: list[ClockMap] = []
         self.info: dict[str, str] = {}
-        self._view, self._limits = view, limits
+        self._view = view
+        self._limits = limits
         self._raw: ByteArray = np.frombuffer(view, dtype=np.uint8)
         self._schemas: dict[str, list[pa.Schema]] = {}
 
@@ -128,7 +129,8 @@ class _Reader:
             yield from self._frames(log, stop)
         yield from self._outstanding(log)
         yield self._parameters(log)
-        first_us, last_us = max(log.first_us, 0), max(log.last_us, 0)
+        first_us = max(log.first_us, 0)
+        last_us = max(log.last_us, 0)
         self.clocks.append(ClockMap(boot, first_us * US_NS, last_us * US_NS, *_utc(header, first_us)))
 
     def _learn(self, header: Header) -> None:
@@ -297,7 +299,8 @@ class _Reader:
 
 def _looked_up(rates: Rates, stick: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
     """(n,) setpoints of (n,) sticks: whole numbers of a small range, so each is computed once."""
-    low, high = int(stick.min()), int(stick.max())
+    low = int(stick.min())
+    high = int(stick.max())
     if high - low > len(stick):
         return rates.setpoint(stick).astype(np.float32)
     table = rates.setpoint(np.arange(low, high + 1)).astype(np.float32)

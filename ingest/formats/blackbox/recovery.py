@@ -42,9 +42,13 @@ def is_confirmed(
         return 0
     found[0] = scratch[0, state.iteration_at] if state.iteration_at >= 0 else 0
     found[1] = scratch[0, state.time_at]
-    iteration, us, newest, older = found[0], found[1], 0, 0
+    iteration = found[0]
+    us = found[1]
+    newest = 0
+    older = 0
     while end < state.content_end:
-        kind, at = kind_of(raw[end]), end + 1
+        kind = kind_of(raw[end])
+        at = end + 1
         free = 3 - newest - older if newest != older else (newest + 1) % 3
         if kind == EVENT:
             end = read_event(raw, at, state.end, event)
@@ -67,7 +71,10 @@ def is_confirmed(
                 return 0
             if kind == INTRA:
                 return 2 if state.iteration_at < 0 or stated == next_iteration(state, iteration) else 0
-            older, newest, us, iteration = newest, free, now, stated
+            older = newest
+            newest = free
+            us = now
+            iteration = stated
     return 1
 
 

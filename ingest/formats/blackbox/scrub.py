@@ -173,7 +173,8 @@ class _Again:
                 event = bytes([kernel.LETTERS[kernel.EVENT], kernel.RESUME])
                 stated = event + unsigned_vb(iteration) + unsigned_vb(us)
                 yield begin, stated + bytes(self._view[begin:end])
-            last_begin, last = begin, iteration
+            last_begin = begin
+            last = iteration
         self._last_main = last_begin, last
 
     def _scrubbed(self, kind: str, rows: Rows) -> npt.NDArray[Any]:
@@ -196,7 +197,8 @@ class _Again:
             return
         number, _, _, at, size = rows.values
         for k in np.flatnonzero(np.isin(number, (kernel.CUSTOM_DATA, kernel.CUSTOM_STRING))).tolist():
-            begin, text = int(rows.span[0, k]), bytes(self._view[int(at[k]) : int(at[k] + size[k])])
+            begin = int(rows.span[0, k])
+            text = bytes(self._view[int(at[k]) : int(at[k] + size[k])])
             is_data = number[k] == kernel.CUSTOM_DATA
             clean = bytes(len(text)) if is_data else rules.redacted(text)
             self._scrubber.note(rules.CONTENT if is_data else rules.TEXT, "events", clean != text)

@@ -42,7 +42,8 @@ def _fits(values: Sequence[int], bits: Sequence[int]) -> bool:
 
 def _packed(parts: Sequence[tuple[int, int]]) -> bytes:
     """(value, bits) one after the other, the highest bit first, filled up to a byte."""
-    number, size = 0, 0
+    number = 0
+    size = 0
     for value, bits in parts:
         number = number << bits | value & (1 << bits) - 1
         size += bits
@@ -80,7 +81,9 @@ def tag8_4s16(values: Sequence[int], version: int) -> bytes:
 
 
 def _old_tag8_4s16(values: Sequence[int]) -> bytes:
-    tag, out, k = 0, b"", 0
+    tag = 0
+    out = b""
+    k = 0
     while k < 4:
         value = values[k]
         if k < 3 and _fits([value, values[k + 1]], [4, 4]) and (value or values[k + 1]):
@@ -104,7 +107,8 @@ def tag8_8svb(values: Sequence[int]) -> bytes:
 
 def groups(encodings: Sequence[int]) -> list[tuple[int, int, int]]:
     """(first field, number of fields, encoding) of what is written at once."""
-    found, k = [], 0
+    found = []
+    k = 0
     while k < len(encodings):
         span = {7: 3, 8: 4, 10: 3}.get(encodings[k], 1)
         if encodings[k] == 6:
@@ -202,7 +206,8 @@ class Writer:
         last: Sequence[int] = [0] * len(fields.names)
         older = last
         if kind == "P":
-            last, older = self.history[-1], self.history[-2]
+            last = self.history[-1]
+            older = self.history[-2]
         elif kind in self.before:
             last = self.before[kind]
         if code == 3:

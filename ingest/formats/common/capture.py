@@ -14,9 +14,16 @@ from flysid.ingest.formats.common import pcap, pcapng
 from flysid.ingest.formats.common.pcap import Packet
 from flysid.ingest.formats.common.tally import Tally
 
-LOOPBACK, ETHERNET, RAW_BSD, RAW_OPENBSD, RAW, SLL, SLL2 = 0, 1, 12, 14, 101, 113, 276
+LOOPBACK = 0
+ETHERNET = 1
+RAW_BSD = 12
+RAW_OPENBSD = 14
+RAW = 101
+SLL = 113
+SLL2 = 276
 VLAN_TYPES = (0x8100, 0x88A8)
-UDP, TCP = 17, 6
+UDP = 17
+TCP = 6
 MAX_PENDING = 64
 
 
@@ -118,13 +125,15 @@ def _payload(packet: Packet, frame: bytes, pending: _Fragments) -> Payload | Non
     start = _ip_start(frame, packet.link)
     if start < 0 or len(frame) < start + 20 or frame[start] >> 4 != 4:
         return None
-    protocol, place = frame[start + 9], (packet.at, packet.time_ns)
+    protocol = frame[start + 9]
+    place = (packet.at, packet.time_ns)
     if protocol not in (UDP, TCP):
         return None
     head = 4 * (frame[start] & 15)
     total = int.from_bytes(frame[start + 2 : start + 4], "big") or len(frame) - start  # 0: cut by the card
     flags = int.from_bytes(frame[start + 6 : start + 8], "big")
-    body, hosts = frame[start + head : start + total], frame[start + 12 : start + 20]
+    body = frame[start + head : start + total]
+    hosts = frame[start + 12 : start + 20]
     if flags & 0x3FFF:  # more to come, or not the first
         key = hosts + frame[start + 4 : start + 6]
         whole = pending.add(key, ((flags & 0x1FFF) * 8, body, bool(flags & 0x2000)), place)
@@ -138,5 +147,6 @@ def _payload(packet: Packet, frame: bytes, pending: _Fragments) -> Payload | Non
     if protocol == UDP:
         size = int.from_bytes(body[4:6], "big")
         return Payload(*place, flow, source, target, body[8 : max(size, 8)])
-    content, number = body[4 * (body[12] >> 4) :], int.from_bytes(body[4:8], "big")
+    content = body[4 * (body[12] >> 4) :]
+    number = int.from_bytes(body[4:8], "big")
     return Payload(*place, flow, source, target, content, number) if content else None

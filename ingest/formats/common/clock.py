@@ -41,8 +41,11 @@ def is_outlier(time_ns: IntArray, tolerance_ns: int = BACK_STEP_NS) -> BoolArray
     if not (steps < -tolerance_ns).any() and not (ends > JUMP_NS).any():
         return flagged
     median = _median_of_three(time_ns[:-2], time_ns[1:-1], time_ns[2:])
-    left, right, middle = median[: -SIDE - 1], median[SIDE + 1 :], time_ns[SIDE:-SIDE]
-    low, high = middle < left - tolerance_ns, middle > right + tolerance_ns
+    left = median[: -SIDE - 1]
+    right = median[SIDE + 1 :]
+    middle = time_ns[SIDE:-SIDE]
+    low = middle < left - tolerance_ns
+    high = middle > right + tolerance_ns
     flagged[SIDE:-SIDE] = np.where(left <= right, low | high, low & high)
     flagged[:SIDE] = np.abs(time_ns[:SIDE] - median[SIDE]) > JUMP_NS
     flagged[-SIDE:] = np.abs(time_ns[-SIDE:] - median[-SIDE - 1]) > JUMP_NS
@@ -123,7 +126,8 @@ def _is_late(time_ns: IntArray, at: int, usual_ns: float) -> bool:
 def wrap_points(counter_ns: IntArray, period_ns: int) -> IntArray:
     """Indices i where a counter of that period starts again at zero: two high values, then two low ones."""
     margin = 3600 * SECOND_NS
-    high, low = counter_ns > period_ns - margin, counter_ns < margin
+    high = counter_ns > period_ns - margin
+    low = counter_ns < margin
     return np.flatnonzero(high[:-3] & high[1:-2] & low[2:-1] & low[3:]) + 2
 
 
@@ -138,7 +142,8 @@ def split_points(falls: list[Fall], streams: list[Extent]) -> list[int]:
     group: list[Fall] = []
     for fall in [*sorted(falls, key=lambda f: f.after), Fall(1 << 62, 1 << 62, 0)]:
         if group and fall.before >= group[0].after:
-            at, size = group[0].after, max(f.size_ns for f in group)
+            at = group[0].after
+            size = max(f.size_ns for f in group)
             able = sum(s.first < at <= s.last and s.step_ns <= size for s in streams)
             if 2 * len(group) >= able:
                 splits.append(at)
@@ -192,7 +197,8 @@ class UtcFit:
         """More pairs of a boot, in order; `utc_ns` None where nothing anchors them."""
         if not len(vehicle_ns):
             return
-        low, high = int(vehicle_ns.min()), int(vehicle_ns.max())
+        low = int(vehicle_ns.min())
+        high = int(vehicle_ns.max())
         self.first_ns[boot] = min(low, self.first_ns.get(boot, low))
         self.last_ns[boot] = max(high, self.last_ns.get(boot, high))
         if utc_ns is not None:
@@ -248,7 +254,8 @@ def fit_line(x: IntArray, y: IntArray) -> tuple[int, float, int]:
     slope = float(np.median(rise[moved] / run[moved])) if moved.any() else 1.0
     if not (np.isfinite(slope) and slope > 0):
         slope = 1.0
-    x0, y0 = int(x[0]), int(y[0])
+    x0 = int(x[0])
+    y0 = int(y[0])
     residual = (y - y0) - slope * (x - x0)
     offset = float(np.median(residual))
     spread = float(np.median(np.abs(residual - offset)))

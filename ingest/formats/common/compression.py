@@ -66,7 +66,8 @@ def unpacked_pieces(view: memoryview) -> Iterator[bytes]:
 
     Raises ChunkError where they end early or are damaged; what stands before has been given.
     """
-    at, is_gzip = 0, view[: len(GZIP_MAGIC)] == GZIP_MAGIC
+    at = 0
+    is_gzip = view[: len(GZIP_MAGIC)] == GZIP_MAGIC
     name = "gzip" if is_gzip else "zstd"
     while at < len(view):
         if at and _is_padding(view, at):
@@ -112,7 +113,8 @@ def _frame(
     make: Callable[[], Decoder], error_type: type[Exception], view: memoryview, start: int, step: int
 ) -> Generator[bytes, None, int]:
     """The expanded bytes of the frame at `start`; returns where it ends. Raises ChunkError."""
-    decoder, released = make(), start
+    decoder = make()
+    released = start
     for at in range(start, len(view), step):
         try:
             yield decoder.decompress(view[at : at + step])
@@ -167,7 +169,8 @@ def expanded(pieces: Iterator[bytes], packed_bytes: int, limits: Limits) -> Iter
     """The pieces as one mapped file; as much of it as there is where the end or the middle is damaged."""
     most = max(FREE_BYTES, int(limits.max_ratio * packed_bytes))
     with tempfile.TemporaryFile() as file:
-        written, lost = 0, ""
+        written = 0
+        lost = ""
         try:
             for piece in pieces:
                 written += file.write(piece)

@@ -44,7 +44,8 @@ def whole_lines(view: memoryview, start: int, size: int, longest: int) -> Iterat
         data = bytes(view[start : start + size])
         if b"\n" not in data:
             data = bytes(view[start : start + longest])
-        end, stop = data.rfind(b"\n") + 1, start + len(data)
+        end = data.rfind(b"\n") + 1
+        stop = start + len(data)
         if stop == len(view) and end < len(data):
             yield LineBatch(start, data[:end], stop, "the last line has no end", is_cut=True)
         elif end == 0:

@@ -68,7 +68,9 @@ def packets(view: memoryview, tally: Tally) -> Iterator[Packet]:
     style = _style(bytes(view[:FILE_HEAD_BYTES]))
     if style is None:
         return
-    at, last_s, released = FILE_HEAD_BYTES, -1, 0
+    at = FILE_HEAD_BYTES
+    last_s = -1
+    released = 0
     while at < len(view):
         if at - released > RELEASE_BYTES:
             release(view, released, at)

@@ -18,12 +18,17 @@ from flysid.ingest.formats.base import release
 from flysid.ingest.formats.common.pcap import RELEASE_BYTES, Packet
 from flysid.ingest.formats.common.tally import Tally
 
-SECTION, INTERFACE, OBSOLETE, SIMPLE, PACKET = 0x0A0D0D0A, 1, 2, 3, 6
+SECTION = 0x0A0D0D0A
+INTERFACE = 1
+OBSOLETE = 2
+SIMPLE = 3
+PACKET = 6
 ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
 MAGIC = b"\x0a\x0d\x0d\x0a"
 LEAST_BLOCK = 12
 MOST_BLOCK = 16 << 20
-RESOLUTION, OFFSET = 9, 14
+RESOLUTION = 9
+OFFSET = 14
 
 
 def is_pcapng(head: bytes) -> bool:
@@ -93,7 +98,9 @@ def _recover(view: memoryview, at: int, order: str, tally: Tally) -> int:
 def _interface(view: memoryview, body: tuple[int, int], order: str) -> tuple[int, int, int]:
     """Link type, ticks a second, and seconds to add."""
     at, end = body
-    link, ticks, offset_s = struct.unpack_from(order + "H", view, at)[0], 10**6, 0
+    link = struct.unpack_from(order + "H", view, at)[0]
+    ticks = 10**6
+    offset_s = 0
     at += 8
     while at + 4 <= end:
         code, size = struct.unpack_from(order + "2H", view, at)

@@ -40,10 +40,14 @@ LOCATED_COMMANDS = (
     43003,
 )  # MAV_CMD: parameters 5 to 7 are a place
 
-POSITION, ALTITUDE, IDENTITY, TEXT, PARAMETER, CONTENT = (
-    "positions", "altitudes above sea level", "identifiers", "words in texts", "parameters", "embedded data",
-)  # fmt: skip
-UNREADABLE, SIGNATURE = "bytes that could not be read", "signatures"
+POSITION = "positions"
+ALTITUDE = "altitudes above sea level"
+IDENTITY = "identifiers"
+TEXT = "words in texts"
+PARAMETER = "parameters"
+CONTENT = "embedded data"
+UNREADABLE = "bytes that could not be read"
+SIGNATURE = "signatures"
 
 _LATITUDE = re.compile(r"^((?:.*_)?)(lat|latitude)(_int|_deg|_fused?|\d)?$")
 _PAIR = re.compile(r"^((gps_)(?:coord|home))\[0\]$")  # of blackbox: latitude, then longitude
@@ -213,7 +217,8 @@ def _places(names: tuple[str, ...]) -> tuple[tuple[str, str, tuple[str, ...]], .
         match = _LATITUDE.match(last)
         if match is None:
             continue
-        before, after = path + dot + match[1], match[3] or ""
+        before = path + dot + match[1]
+        after = match[3] or ""
         lon = next(
             (n for word in ("lon", "lng", "longitude", "long") if (n := before + word + after) in names), None
         )

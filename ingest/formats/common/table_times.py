@@ -70,7 +70,8 @@ def plausible_units(times: FloatArray, span: float) -> list[str]:
     step = _step(times)
     if step == 0.0:
         return ["s"]
-    usual, dated = [], []
+    usual = []
+    dated = []
     for unit, unit_ns in TIME_UNITS_NS.items():
         size = unit_ns / 1e9
         if step * size < FASTEST_S or span * size > LONGEST_S:

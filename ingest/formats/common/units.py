@@ -85,7 +85,8 @@ def factor(unit: str, wanted: str) -> float:
     ------
     RecipeError : a unit is not known, or they measure different things.
     """
-    from_unit, to_unit = _ALIASES.get(unit, unit), _ALIASES.get(wanted, wanted)
+    from_unit = _ALIASES.get(unit, unit)
+    to_unit = _ALIASES.get(wanted, wanted)
     if from_unit == to_unit:
         return 1.0
     if from_unit not in _UNITS or to_unit not in _UNITS:

@@ -153,7 +153,8 @@ class VehicleTime:
         clocked : all streams that carry a time (`unwrapped`).
         arrival : (n,) arrival of every message in nanoseconds UTC, or its position where `utc` is False.
         """
-        self._arrival, self._utc = arrival, utc
+        self._arrival = arrival
+        self._utc = utc
         owners = sorted({stream.source[0] for stream in clocked})
         self._knots = {system: self._make_knots(system, clocked) for system in owners}
         if self.main is None or (self.main not in self.vehicles and self.vehicles & set(self._knots)):
@@ -240,7 +241,8 @@ class VehicleTime:
             np.maximum.accumulate(times[start:stop], out=times[start:stop])
             arrival = self._arrival[rows[start:stop]] if self._utc else None
             state.fit.add(state.boot + number, times[start:stop], arrival)
-        first_boot, state.boot = state.boot, state.boot + len(splits)
+        first_boot = state.boot
+        state.boot = state.boot + len(splits)
         if len(rows):
             state.tail = self._arrival[rows[-SIDE:]], times[-SIDE:].copy()
         whole = frozenset(s.source for s, g in zip(streams, good, strict=True) if s is g)
@@ -282,17 +284,20 @@ class VehicleTime:
 
     def _between(self, owner: int, rows: IntArray, knots: Knots | None) -> tuple[IntArray, IntArray]:
         """Time and boot of messages between the knots of `owner`."""
-        state, arrival = self._systems[owner], self._arrival
+        state = self._systems[owner]
+        arrival = self._arrival
         slope = 1.0 / state.fit.slope(state.boot) if self._utc else 0.0
         if knots is None or not len(knots.rows):
             at, time = (int(a[-1]) for a in state.tail) if len(state.tail[0]) else (int(arrival[0]), 0)
             ahead = ((arrival[rows] - at) * slope).astype(np.int64)
             return time + np.maximum(ahead, 0), np.full(len(rows), state.boot, dtype=np.int64)
         after = np.searchsorted(knots.rows, rows, side="right")
-        left, right = np.maximum(after - 1, 0), np.minimum(after, len(knots.rows) - 1)
+        left = np.maximum(after - 1, 0)
+        right = np.minimum(after, len(knots.rows) - 1)
         boots = knots.boots_of(np.maximum(rows, knots.rows[0]))
         right = np.where(knots.boots_of(knots.rows[right]) == boots, right, left)
-        start, stop = arrival[knots.rows[left]], arrival[knots.rows[right]]
+        start = arrival[knots.rows[left]]
+        stop = arrival[knots.rows[right]]
         share = np.clip((arrival[rows] - start) / np.maximum(stop - start, 1), 0.0, 1.0)
         step = knots.time_ns[right] - knots.time_ns[left]
         beyond = ((arrival[rows] - start) * slope).astype(np.int64)
@@ -336,9 +341,11 @@ def _boots(state: _System, streams: list[Clocked]) -> list[int]:
     joined = []
     for stream in streams:
         last = state.last.get(stream.source)
-        rows, times = stream.rows, stream.time_ns
+        rows = stream.rows
+        times = stream.time_ns
         if last is not None:
-            rows, times = np.append(-1, rows), np.append(last, times)
+            rows = np.append(-1, rows)
+            times = np.append(last, times)
         state.last[stream.source] = int(times[-1])
         joined.append((rows, times))
         falls += [

@@ -23,9 +23,13 @@ from flysid.ingest.formats.common.compression import (
 )
 
 ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06", b"PK\x07\x08PK\x03\x04")
-STORED, DEFLATED, ZSTANDARD = 0, 8, 93
+STORED = 0
+DEFLATED = 8
+ZSTANDARD = 93
 _LOCAL = struct.Struct("<4s5H3I2H")
-_IS_ENCRYPTED, _SIZES_FOLLOW, _IS_UTF8 = 1, 8, 1 << 11
+_IS_ENCRYPTED = 1
+_SIZES_FOLLOW = 8
+_IS_UTF8 = 1 << 11
 _IN_ZIP64 = 0xFFFFFFFF
 _PIECE = 1 << 20
 _ZIP64 = struct.Struct("<QQ")
@@ -78,7 +82,8 @@ def member_pieces(view: memoryview, member: Member) -> Iterator[bytes]:
         raise ChunkError(member.fault)
     start = _data_start(view, member)
     packed = view[start : start + member.packed]
-    total, crc = 0, 0
+    total = 0
+    crc = 0
     for piece in _unpacked(packed, member.method):
         total += len(piece)
         crc = zlib.crc32(piece, crc)

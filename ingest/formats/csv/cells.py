@@ -20,7 +20,8 @@ from flysid.ingest.formats.common.table_times import to_ns
 from flysid.ingest.formats.csv.layouts import MISSING, NUMBER, STAMP, ZONE, Layout
 
 BoolArray = npt.NDArray[np.bool_]
-LINE_END, QUOTE = 10, 34
+LINE_END = 10
+QUOTE = 34
 WHOLE = r"^\d{1,19}$"  # nanoseconds since 1970 have more digits than a float
 _WHITE = np.frombuffer(b" \t\r\n", dtype=np.uint8)
 
@@ -97,7 +98,8 @@ def stamps(text: pa.Array) -> tuple[IntArray, BoolArray]:
     """Dates and times of day (ISO 8601) as ns since 1970; without a zone they are taken as UTC."""
     shaped = pc.match_substring_regex(text, STAMP)
     zoned = pc.match_substring_regex(text, ZONE + "$")
-    found, known = np.zeros(len(text), dtype=np.int64), np.zeros(len(text), dtype=bool)
+    found = np.zeros(len(text), dtype=np.int64)
+    known = np.zeros(len(text), dtype=bool)
     for mine, kind in ((pc.invert(zoned), pa.timestamp("ns")), (zoned, pa.timestamp("ns", "UTC"))):
         stamps = _cast_stamps(pc.if_else(pc.and_(shaped, mine), text, pa.scalar(None, pa.string())), kind)
         hit = _bools(stamps.is_valid())

@@ -155,7 +155,9 @@ def cells_of(line: str, separator: bytes) -> list[str]:
     """The cells of a line; a separator inside quotes separates nothing."""
     if '"' not in line:
         return [part.strip() for part in line.split(separator.decode())]
-    sign, parts, quoted = separator.decode(), [""], False
+    sign = separator.decode()
+    parts = [""]
+    quoted = False
     for piece in re.split(f'(["{re.escape(sign)}])', line):
         if piece == '"':
             quoted = not quoted
@@ -170,11 +172,13 @@ def _header(
     table: Sequence[tuple[int, list[str]]],
 ) -> tuple[list[tuple[str, str]], list[list[str]], int]:
     """(name, unit) of every column, the rows below, and where the first row or the header begins."""
-    first, rows = table[0][1], [row for _, row in table]
+    first = table[0][1]
+    rows = [row for _, row in table]
     if all(_NUMBER.match(c) or c in MISSING or _DECIMAL_COMMA.match(c) or _STAMP.match(c) for c in first):
         return [(f"c{i + 1}", "") for i in range(len(first))], rows, table[0][0]
     named = [named_and_measured(cell, i) for i, cell in enumerate(first)]
-    names, units = once_each([name for name, _ in named]), [unit for _, unit in named]
+    names = once_each([name for name, _ in named])
+    units = [unit for _, unit in named]
     if len(rows) > 2 and any(rows[1]) and all(is_known(c.strip("[]()")) for c in rows[1]):
         units = [cell.strip("[]()") or unit for cell, unit in zip(rows[1], units, strict=True)]
         return list(zip(names, units, strict=True)), rows[2:], table[2][0]

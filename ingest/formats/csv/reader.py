@@ -116,7 +116,8 @@ def _trimmed(values: pa.Array) -> pa.Array:
 
 def _preamble(reader: _Reader, before: bytes) -> None:
     """Lines before the first row: comments, header and units are understood, others are counted."""
-    at, cells = 0, len(reader.layout.columns)
+    at = 0
+    cells = len(reader.layout.columns)
     for raw in before.splitlines(keepends=True):
         line = raw.removeprefix(b"\xef\xbb\xbf").strip()
         is_plain = (
@@ -177,7 +178,8 @@ def _sound_times(reader: _Reader, columns: list[pa.Array]) -> IntArray | None:
         return (reader.rows + np.arange(len(columns[0]), dtype=np.int64)) * ROW_NS
     values = columns[stated.index]
     if stated.unit_ns == 1:
-        time_ns, known = as_int64(values.fill_null(0)), ~np.asarray(values.is_null())
+        time_ns = as_int64(values.fill_null(0))
+        known = ~np.asarray(values.is_null())
     elif stated.unit_ns:
         time_ns, known = counted(values, stated.unit_ns)
     else:
@@ -196,13 +198,15 @@ def _picked(reader: _Reader, data: bytes, base: int) -> tuple[list[pa.Array], In
     rows = np.flatnonzero(lines.is_whole)
     if reader.layout.time is None:
         number = np.cumsum(~lines.is_blank) - 1
-        time_ns, fits = (reader.rows + number[rows]) * ROW_NS, np.ones(len(rows), dtype=bool)
+        time_ns = (reader.rows + number[rows]) * ROW_NS
+        fits = np.ones(len(rows), dtype=bool)
     else:
         time_ns, fits = stated_times(lines, rows, reader.layout)
         fits[fits] = ~is_outlier(time_ns[fits])
     reader.rows += int((~lines.is_blank).sum())
     untimely = set(rows[~fits].tolist())
-    rows, time_ns = rows[fits], time_ns[fits]
+    rows = rows[fits]
+    time_ns = time_ns[fits]
     _count_skipped(reader, lines, untimely, base)
     return [_counted_column(reader, lines, rows, i) for i in range(len(reader.layout.columns))], time_ns
 
@@ -215,7 +219,8 @@ def _count_skipped(reader: _Reader, lines: Lines, untimely: set[int], base: int)
 
 
 def _counted_column(reader: _Reader, lines: Lines, rows: IntArray, index: int) -> pa.Array:
-    found, name = column_of(lines, rows, reader.layout, index), reader.layout.columns[index].name
+    found = column_of(lines, rows, reader.layout, index)
+    name = reader.layout.columns[index].name
     if found.wrong:
         reader.tally.undecode(f"{STREAM}.{name}", found.wrong, f"{found.example[:40]!r} is not a number")
     return found.values

@@ -103,7 +103,8 @@ class Walker:
 
         `content` must reach LOOK_AHEAD bytes beyond `limit`, except at the end, where limit == len(content).
         """
-        batch, data = _prepare(content, limit, self._last_ns), content
+        batch = _prepare(content, limit, self._last_ns)
+        data = content
         ids, codes = self._learnt()
         kinds: list[CodeArray] = []
         position = self._search(batch, base, 0, ids) if self._lost_at is not None else 0
@@ -183,7 +184,8 @@ class Walker:
         return end
 
     def _close(self, end: int, reason: str) -> None:
-        start, self._lost_at = self._lost_at, None
+        start = self._lost_at
+        self._lost_at = None
         if start is None or start >= end:
             return
         self.bytes_skipped += end - start
@@ -231,7 +233,8 @@ def _clean_stretch(batch: _Batch, position: int, ids: Ids) -> int:
     Stops at a FMT, at the limit, or at damage. Headers inside a message are passed over one at a time.
     """
     lengths = ids.lengths
-    index, size = int(np.searchsorted(batch.heads, position)), FIRST_STRETCH
+    index = int(np.searchsorted(batch.heads, position))
+    size = FIRST_STRETCH
     while index < len(batch.heads) and batch.heads[index] == position and position < batch.limit:
         heads = batch.heads[index : index + size]
         step = lengths[batch.ids[index : index + size]]
@@ -253,7 +256,9 @@ def _clean_stretch(batch: _Batch, position: int, ids: Ids) -> int:
         if _is_several(batch, position, end, ids):
             break
         batch.starts.append(batch.heads[index : index + 1])
-        index, position, size = after, end, FIRST_STRETCH
+        index = after
+        position = end
+        size = FIRST_STRETCH
     return position
 
 

@@ -38,7 +38,8 @@ class Ids:
 
 def meaning(definitions: Definitions) -> Ids:
     """The ids as they are defined now."""
-    clocks, doubtful = {}, set()
+    clocks = {}
+    doubtful = set()
     for number, index in definitions.current.items():
         layout = definitions.items[index].layout
         if layout is None:
@@ -66,7 +67,8 @@ class Neighbours:
     def admit(self, time_ns: int) -> bool:
         """Whether a time is in order, but for the second that messages may be late."""
         before, behind = self._ends()
-        follows, leads = time_ns >= before - BACK_STEP_NS, time_ns <= behind + BACK_STEP_NS
+        follows = time_ns >= before - BACK_STEP_NS
+        leads = time_ns <= behind + BACK_STEP_NS
         return (follows and leads) if before <= behind else (follows or leads)
 
     def _ends(self) -> tuple[int, int]:
@@ -122,7 +124,8 @@ def is_several(data: memoryview, span: tuple[int, int], heads: IntArray, ids: Id
     near : the times around it.
     """
     start, end = span
-    is_doubtful, own_ns = data[start + 2] in ids.doubtful, stated_ns(data, start, ids)
+    is_doubtful = data[start + 2] in ids.doubtful
+    own_ns = stated_ns(data, start, ids)
     if not is_doubtful and (own_ns is None or near.admit(own_ns)):
         return False
     for at in heads.tolist():
@@ -137,7 +140,8 @@ def is_several(data: memoryview, span: tuple[int, int], heads: IntArray, ids: Id
 
 def _are_in_order(data: memoryview, inner: list[int], ids: Ids, near: Neighbours) -> bool:
     """Whether all of these messages state times that rise from one neighbour to the other, or are FMTs."""
-    last, behind = near.before or 0, near.behind
+    last = near.before or 0
+    behind = near.behind
     for at in inner:
         if data[at + 2] == FMT_ID and is_consistent(*stated_definition(data, at)):
             continue

@@ -202,9 +202,11 @@ class Units:
         """The definition's layout with units and factors, and its instance column ("" where none)."""
         assert definition.layout is not None
         unit_ids, factor_ids = self.of_message.get(definition.number, ("", ""))
-        fields, instance = [], ""
+        fields = []
+        instance = ""
         for i, spec in enumerate(definition.layout.fields):
-            unit_id, factor_id = unit_ids[i : i + 1], factor_ids[i : i + 1]
+            unit_id = unit_ids[i : i + 1]
+            factor_id = factor_ids[i : i + 1]
             instance = spec.name if unit_id == "#" and not instance else instance
             fields.append(self._with_unit(spec, unit_id, factor_id))
         return replace(definition.layout, fields=tuple(fields)), instance

@@ -66,7 +66,8 @@ class _Reader:
 
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
     """Parts of a DataFlash log; see `Format.read`."""
-    reader, position = _Reader(), 0
+    reader = _Reader()
+    position = 0
     while position < len(view):
         start = position
         size = min(limits.batch_bytes + LOOK_AHEAD, len(view) - start)
@@ -134,7 +135,8 @@ def _records(matrix: ByteMatrix, layout: Layout) -> npt.NDArray[np.void]:
 def _learn(reader: _Reader, definition: Definition, matrix: ByteMatrix) -> None:
     """Take in units, the firmware's name and counts of dropped messages."""
     layout = _layout_of(definition)
-    names, records = layout.dtype.names or (), _records(matrix, layout)
+    names = layout.dtype.names or ()
+    records = _records(matrix, layout)
     if definition.name == "UNIT" and {"Id", "Label"} <= set(names):
         reader.units.labels.update(
             (chr(int(i) & 255), _text(label))

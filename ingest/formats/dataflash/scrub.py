@@ -25,7 +25,9 @@ DEFINING = frozenset({"FMT", "FMTU", "UNIT", "MULT"})
 
 def scrub(view: memoryview, scrubber: Scrubber, limits: Limits) -> Iterator[bytes]:
     """The log's messages, scrubbed."""
-    walker, position, kept = Walker(), 0, 0
+    walker = Walker()
+    position = 0
+    kept = 0
     while position < len(view):
         start = position
         size = min(limits.batch_bytes + LOOK_AHEAD, len(view) - start)
@@ -43,7 +45,9 @@ def _scrubbed(messages: Messages, items: list[Definition], scrubber: Scrubber) -
         return b""
     lengths = np.array([item.length for item in items], dtype=np.int64)[messages.code]
     known = np.array([item.layout is not None for item in items])[messages.code]
-    starts, lengths, codes = messages.start[known], lengths[known], messages.code[known]
+    starts = messages.start[known]
+    lengths = lengths[known]
+    codes = messages.code[known]
     scrubber.note(rules.UNREADABLE, "messages of unknown layout", int((~known).sum()))
     ends = np.cumsum(lengths)
     places = ends - lengths
@@ -71,7 +75,8 @@ def _scrub_kind(
 
 def scrub_messages(rows: npt.NDArray[Any], definition: Definition, scrubber: Scrubber) -> None:
     """Scrub decoded messages of one definition in place."""
-    layout, where = definition.layout, definition.name
+    layout = definition.layout
+    where = definition.name
     assert layout is not None
     scales = {f.name: f.scale for f in layout.fields}
     columns = {name: Column(name, name, scales.get(name)) for name in layout.dtype.names or ()}

@@ -18,7 +18,8 @@ from flysid.ingest.formats.dataflash.scrub import CONTENT, DEFINING
 def scrub(view: memoryview, scrubber: Scrubber, limits: Limits) -> Iterator[bytes]:
     """The log's lines, scrubbed."""
     labels: dict[str, list[str]] = {}
-    position, lost = 0, 0
+    position = 0
+    lost = 0
     while position < len(view):
         piece = bytes(view[position : position + limits.batch_bytes])
         end = piece.rfind(b"\n") + 1 or len(piece)

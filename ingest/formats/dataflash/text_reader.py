@@ -43,7 +43,9 @@ from flysid.ingest.formats.dataflash.reader import (
 )
 
 FMT_LINE = re.compile(rb"(?:^|\n)FMT, ?\d+, ?\d+, ?\w+, ?\w+, ?\w")
-WHOLE, REAL, DIVIDED = frozenset("bBhHiIqQ"), frozenset("fdgcCeEL"), frozenset("cCeEL")
+WHOLE = frozenset("bBhHiIqQ")
+REAL = frozenset("fdgcCeEL")
+DIVIDED = frozenset("cCeEL")
 MAX_LINE_BYTES = 4096
 _LINE_HEAD = re.compile(
     r"(?=([A-Z][A-Z0-9]{1,3}), (-?\d+,.*))"
@@ -130,7 +132,8 @@ def _group(reader: _Reader, data: bytes, base: int) -> dict[int, _Lines]:
     for row, line in enumerate(_split(data)):
         end = start + len(line)
         if extra := _before_fmt(line):
-            line, start = line[extra:], start + extra
+            line = line[extra:]
+            start = start + extra
             _skip(reader, blank, start, "no format known for this line")
             blank = start
         head = end - len(line.lstrip(b"\r\n"))
@@ -194,7 +197,8 @@ def _define(reader: _Reader, rest: str) -> int | None:
         return None
     if cells[4].count(",") >= max(1, len(cells[3])):  # more labels than fields: two lines run into one
         return None
-    number, length = int(cells[0]), packed_length(cells[3]) or HEADER_BYTES
+    number = int(cells[0])
+    length = packed_length(cells[3]) or HEADER_BYTES
     if number != FMT_ID and number < 256:
         reader.definitions.add(number, length, cells[2], cells[3], cells[4].replace(" ", ""))
         reader.by_name[cells[2]] = reader.definitions.current.get(number, 0)

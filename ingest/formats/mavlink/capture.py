@@ -84,7 +84,8 @@ class Capture:
             yield self._closed(batch)
 
     def _closed(self, batch: Batch) -> tuple[Batch, int]:
-        base, self._base = self._base, self._base + len(batch.data)
+        base = self._base
+        self._base = self._base + len(batch.data)
         self._places.append((np.array(batch.starts) + base, np.array(batch.places)))
         return batch, base
 
@@ -101,7 +102,8 @@ class Capture:
     def _of_tcp(self, found: Payload) -> bytes:
         """The frames that end in this segment. What was sent before is passed over; a gap ends what waits."""
         stream = self._streams.setdefault(found.flow, _Stream())
-        number, content = found.sequence or 0, found.content
+        number = found.sequence or 0
+        content = found.content
         if stream.expected is not None:
             behind = (stream.expected - number) % SEQUENCES
             if behind < SEQUENCES // 2:

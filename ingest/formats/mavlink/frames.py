@@ -24,7 +24,8 @@ from flysid.flight import Damage, Region
 from flysid.ingest.formats.mavlink.dialect import UNKNOWN
 
 MARKER = re.compile(rb"[\xfd\xfe]")
-V1, V2 = 0xFE, 0xFD
+V1 = 0xFE
+V2 = 0xFD
 SIGNED = 0x01
 SIGNATURE_BYTES = 13
 LOOK_AHEAD = 8192
@@ -117,14 +118,17 @@ def plain_chain(crc_extra: npt.NDArray[np.int16]) -> Chain:
 
 def _linked(raw: ByteArray, position: int, limit: int, stamp: int) -> tuple[IntArray, IntArray]:
     """Frames that follow each other by their lengths alone from `position` on, where they start and end."""
-    first, size = position + stamp, len(raw)
+    first = position + stamp
+    size = len(raw)
     window = raw[first : limit + stamp]
     at = np.flatnonzero(window + 3 < 2) + first  # the markers FD and FE, in 8 bits
     at = at[at + 8 <= size]
-    is_v2, flags = raw[at] == V2, raw[at + 2]
+    is_v2 = raw[at] == V2
+    flags = raw[at + 2]
     ends = at + raw[at + 1] + np.where(is_v2, 12 + SIGNATURE_BYTES * (flags & SIGNED).astype(np.int64), 8)
     whole = (ends <= size) & ~(is_v2 & (flags > SIGNED))
-    at, ends = at[whole], ends[whole]
+    at = at[whole]
+    ends = ends[whole]
     place = np.full(len(window) + 1, -1, dtype=np.int32)
     place[at - first] = np.arange(len(at))
     following = place[np.minimum(ends + stamp - first, len(window))].tolist()
@@ -150,7 +154,9 @@ def _checked(raw: ByteArray, starts: IntArray, ends: IntArray, crc_extra: npt.ND
     seed = crc_extra[np.minimum(number, len(crc_extra) - 1)]
     unknown = (number >= len(crc_extra)) | (seed == UNKNOWN)
     count = int(unknown.argmax()) if unknown.any() else len(starts)
-    starts, seed, is_v2 = starts[:count], seed[:count], is_v2[:count]
+    starts = starts[:count]
+    seed = seed[:count]
+    is_v2 = is_v2[:count]
     crc_at = starts + raw[starts + 1] + np.where(is_v2, 10, 6)
     base = int(starts[0]) if count else 0
     body = raw[base : int(ends[count - 1])].tobytes() if count else b""
@@ -223,12 +229,15 @@ class Scanner:
 
     def _recover(self, batch: _Batch, position: int) -> int:
         """What stopped the chain at `position`? Returns where to go on."""
-        buffer, q = batch.buffer, position + self.stamp
+        buffer = batch.buffer
+        q = position + self.stamp
         head = read_header(buffer, q)
-        self._reason, self._expected = "no MAVLink frame", -1
+        self._reason = "no MAVLink frame"
+        self._expected = -1
         if head is not None and self._is_known(head.message):
             self.bad_checksums += 1
-            self._reason, self._expected = "bad checksum", batch.base + head.end
+            self._reason = "bad checksum"
+            self._expected = batch.base + head.end
         elif head is not None and self._is_confirmed(buffer, head.end):
             key = (*divmod(_sender(buffer, q), 256), head.message)
             self.unknown[key] = self.unknown.get(key, 0) + 1
@@ -243,7 +252,9 @@ class Scanner:
         chance markers inside garbage.
         """
         assert self._lost_at is not None
-        buffer, base, limit = batch.buffer, batch.base, batch.limit
+        buffer = batch.buffer
+        base = batch.base
+        limit = batch.limit
         lost = self._lost_at - base
         for match in MARKER.finditer(buffer, begin, min(limit + self.stamp, len(buffer))):
             q = match.start()
@@ -268,7 +279,8 @@ class Scanner:
 
     def _close(self, end: int, reason: str) -> None:
         """The lost region ends at file offset `end`."""
-        start, self._lost_at = self._lost_at, None
+        start = self._lost_at
+        self._lost_at = None
         if start is None or start == end:
             return
         self.bytes_skipped += end - start

@@ -57,7 +57,8 @@ def walk(
     starts: IntArray,
 ) -> tuple[int, int]:
     """Fill `starts` with the frames from `position` on; (how many, where it stopped)."""
-    count, size = 0, len(raw)
+    count = 0
+    size = len(raw)
     while position < limit and count < len(starts):
         q = position + stamp
         if q + 8 > size:

@@ -15,7 +15,8 @@ COMPILE_ABOVE_BYTES = 64 << 20  # the compiled walk takes 1 s to load and saves 
 def may_chain(head: bytes, stamp: int, stop: int = 16384) -> bool:
     """Cheap test before the dialect is imported: do three markers follow one another by their lengths?"""
     for match in MARKER.finditer(head, stamp if stamp else 0, stop):
-        at, hops = match.start(), 0
+        at = match.start()
+        hops = 0
         while hops < 3 and at + 8 <= len(head) and head[at] in (V1, V2):
             is_v2 = head[at] == V2
             if is_v2 and head[at + 2] > 1:

@@ -131,7 +131,8 @@ class Pieces:
 
 def _read_capture(view: memoryview, name: str, limits: Limits) -> Parts:
     """Parts of the MAVLink that a capture holds."""
-    capture, reader = Capture(load_dialect().crc_extra), None
+    capture = Capture(load_dialect().crc_extra)
+    reader = None
     for batch, base in capture.batches(view, limits.batch_bytes):
         if reader is None:
             dialect = choose_dialect(bytes(batch.data[:PROBE_BYTES]), 0)
@@ -149,7 +150,8 @@ def _read_capture(view: memoryview, name: str, limits: Limits) -> Parts:
 
 def frame_batches(view: memoryview, limits: Limits) -> Iterator[tuple[Frames, Dialect, int]]:
     """Valid frames batch by batch, the dialect that knows them, and where in the file the batch ends."""
-    stamp, name = first_stamp_bytes(view), DEFAULT
+    stamp = first_stamp_bytes(view)
+    name = DEFAULT
     scanner = make_scanner(name, stamp, len(view))
     frames, position = _next_frames(scanner, view, 0, limits)
     if scanner.bad_checksums or scanner.unknown:
@@ -277,7 +279,8 @@ def _count_gaps(reader: _Reader, frames: Frames) -> None:
     """Messages missing per sender by the 8-bit sequence number; repeats and late frames are no gap."""
     senders = _senders(frames)
     order = np.argsort(senders.astype(np.uint16), kind="stable")
-    who, sequence = senders[order], frames.sequence[order].astype(np.int64)
+    who = senders[order]
+    sequence = frames.sequence[order].astype(np.int64)
     first = np.flatnonzero(np.diff(who, prepend=-1))
     steps = np.diff(sequence, prepend=0) % 256
     for i, sender in zip(first.tolist(), who[first].tolist(), strict=True):

@@ -64,7 +64,8 @@ def scrub(view: memoryview, scrubber: Scrubber, limits: Limits) -> Iterator[byte
         payloads = _payloads(frames, dialect, scrubber)
         for i in range(len(frames)):
             record, size, was_signed = _record(frames, i, payloads.get(i), dialect)
-            read, signed = read + size, signed + was_signed
+            read = read + size
+            signed = signed + was_signed
             yield record
     scrubber.note(rules.UNREADABLE, "between frames", len(view) - read)
     scrubber.note(rules.SIGNATURE, "frames", signed)
@@ -143,8 +144,10 @@ def _record(frames: Frames, i: int, payload: bytes | None, dialect: Dialect) -> 
     """One record as it shall be written, the bytes that it had, and whether it was signed."""
     import fastcrc
 
-    buffer, q = frames.buffer, int(frames.start[i])
-    at, length = int(frames.payload[i]), int(frames.length[i])
+    buffer = frames.buffer
+    q = int(frames.start[i])
+    at = int(frames.payload[i])
+    length = int(frames.length[i])
     has_stamp = frames.stamp_us is not None and int(frames.stamp_us[i]) >= 0
     first = q - 8 if has_stamp else q
     is_signed = buffer[q] == V2 and bool(buffer[q + 2] & 1)

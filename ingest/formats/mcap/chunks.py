@@ -117,7 +117,9 @@ def walk(data: bytes | memoryview, start: int, stop: int, registry: Registry | N
     """
     places: list[int] = []
     definitions: list[Definition] = []
-    keep, length_at, at = places.append, U64.unpack_from, start
+    keep = places.append
+    length_at = U64.unpack_from
+    at = start
     bound = None if registry is None else registry.bound
     while at + HEAD_BYTES <= stop:
         op = data[at]

@@ -152,7 +152,8 @@ class McapReader:
 
     def _define_all(self, start: int, stop: int, checked: bool) -> None:
         while (end := record_end(self.view, start, stop)) > 0:
-            op, body = self.view[start], start + HEAD_BYTES
+            op = self.view[start]
+            body = start + HEAD_BYTES
             if op in (SCHEMA, CHANNEL):
                 self._define(op, body, end)
                 if checked and end >= body + 2:
@@ -263,7 +264,8 @@ class McapReader:
 
         `base` is where the places in `found` count from. Returns the messages to keep and where to go on.
         """
-        last, stop = base + int(found.messages[-1]), base + found.stop
+        last = base + int(found.messages[-1])
+        stop = base + found.stop
         resume = self._next(last + 1)
         if resume >= stop:
             if is_cut_off(self.view, stop, self._limit) and resume >= self._limit:

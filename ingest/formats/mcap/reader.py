@@ -72,8 +72,10 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     FormatError : there is not one message in the file, nor the end that an empty log would have.
     """
     tally = Tally()
-    reader, topics = McapReader(view, limits, tally), Topics(tally)
-    batch, released = _Batch(), 0
+    reader = McapReader(view, limits, tally)
+    topics = Topics(tally)
+    batch = _Batch()
+    released = 0
     for block in reader.blocks():
         batch.add(block)
         if batch.payload >= min(limits.batch_bytes, BATCH_BYTES):

@@ -34,8 +34,19 @@ from flysid.ingest.formats.common.gather import Bytes, Index, as_bytes
 from flysid.ingest.formats.messages.channel import Channel, Schema
 
 MAGIC = b"\x89MCAP0\r\n"
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 2, 3, 4, 5, 6, 7
-ATTACHMENT, STATISTICS, METADATA, DATA_END, LAST_KNOWN, FIRST_PRIVATE = 9, 11, 12, 15, 15, 0x80
+HEADER = 1
+FOOTER = 2
+SCHEMA = 3
+CHANNEL = 4
+MESSAGE = 5
+CHUNK = 6
+MESSAGE_INDEX = 7
+ATTACHMENT = 9
+STATISTICS = 11
+METADATA = 12
+DATA_END = 15
+LAST_KNOWN = 15
+FIRST_PRIVATE = 0x80
 HEAD_BYTES = 9
 MESSAGE_HEAD_BYTES = 31  # with the 9 bytes of the record's own head
 MAX_CHANNELS = 65536
@@ -168,7 +179,8 @@ def _extent(view: memoryview, at: int, limit: int) -> tuple[int, int]:
     if at + HEAD_BYTES > limit:
         return -1, -1
     op, length = HEAD.unpack_from(view, at)
-    body, end = at + HEAD_BYTES, at + HEAD_BYTES + length
+    body = at + HEAD_BYTES
+    end = at + HEAD_BYTES + length
     if end > limit or op == 0:
         return -1, -1
     fields_end = _FIELDS_END.get(op)

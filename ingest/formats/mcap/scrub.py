@@ -82,7 +82,8 @@ class _Sink:
         return self._at
 
     def drain(self) -> bytes:
-        pieces, self._pieces = self._pieces, []
+        pieces = self._pieces
+        self._pieces = []
         return b"".join(pieces)
 
 
@@ -101,7 +102,8 @@ def _topic(writer: Any, channel: Channel, scrubber: Scrubber) -> tuple[int, Clea
 
 def _cleaner(channel: Channel, scrubber: Scrubber) -> Clean | None:
     """What cleans one message of a channel. Raises DefinitionError where its schema gives no layout."""
-    where, schema = channel.topic, channel.schema
+    where = channel.topic
+    schema = channel.schema
     if channel.encoding == "json":
         return lambda raw: _json(raw, where, scrubber)
     if schema is None:

@@ -80,7 +80,10 @@ class Run:
 
     def layout(self, phase: int, wire: Wire) -> tuple[np.dtype[np.void], int]:
         """Structured type of the run for a start at `phase` (mod the greatest alignment), and its size."""
-        at, names, formats, offsets = phase, [], [], []
+        at = phase
+        names = []
+        formats = []
+        offsets = []
         for number, leaf in enumerate(self.leaves):
             kind = np.dtype(wire.order + ("u1" if leaf.dtype == "b1" else leaf.dtype))
             at += -at % min(kind.itemsize, wire.align)
@@ -371,7 +374,8 @@ def _even_elements(cursors: Cursors, step: Elements, count: Index) -> Columns | 
     """Elements of one fixed size, all at once; None where they vary."""
     if len(step.steps) != 1 or not isinstance(step.steps[0], Run):
         return None
-    run, wire = step.steps[0], cursors.wire
+    run = step.steps[0]
+    wire = cursors.wire
     unit = run.unit(wire)
     if run.leads(wire):
         cursors.skip_gaps(unit, count, room=False)

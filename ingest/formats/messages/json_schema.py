@@ -113,7 +113,8 @@ def decode_json(data: Bytes, at: Index, size: Index, layout: JsonLayout) -> tupl
     table = _read_lines(data, at, size, layout)
     if table is not None:
         return _flatten(table), np.arange(len(at))
-    objects, kept = [], []
+    objects = []
+    kept = []
     for number, (start, length) in enumerate(zip(at.tolist(), size.tolist(), strict=True)):
         try:
             value = json.loads(data[start : start + length].tobytes())

@@ -38,7 +38,8 @@ _TYPES: Mapping[int, str] = {
     9: "str",
     10: "message",
 }
-_ENUM, _BYTES_TYPE = 8, 12
+_ENUM = 8
+_BYTES_TYPE = 12
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,8 @@ def decode_protobuf(data: Bytes, at: Index, size: Index, layout: ProtoLayout) ->
 
     window = data.data
     parse = layout.message.FromString
-    messages, kept = [], []
+    messages = []
+    kept = []
     for number, (start, length) in enumerate(zip(at.tolist(), size.tolist(), strict=True)):
         try:
             messages.append(parse(bytes(window[start : start + length])))

@@ -103,7 +103,8 @@ def cleaner_for(channel: Channel, scrubber: Scrubber) -> Clean | None:
 
     Corrections for receivers are None too: they tell where the base is.
     """
-    schema, where = channel.schema, channel.topic
+    schema = channel.schema
+    where = channel.topic
     if schema is None or channel.fault or CORRECTIONS in f"{where} {schema.name}".lower():
         return None
     wires = {("ros1", "ros1msg"): 1, ("cdr", "ros2msg"): 2}
@@ -191,7 +192,8 @@ class _Walk:
         return int(struct.unpack_from(self._wire.order + "I", self._data, self._take(4))[0])
 
     def _take(self, size: int) -> int:
-        at, self._at = self._at, self._at + size
+        at = self._at
+        self._at = self._at + size
         if self._at > len(self._data):
             raise MessageError("the message ends early")
         return at

@@ -112,7 +112,8 @@ def _protobuf_decoder(name: str, raw: bytes) -> Decoder:
 
 def _ros1_decoder(name: str, text: str) -> Decoder:
     kind = parse_definition(name, text, 1)
-    steps, notes = plan(kind), _unit_notes(name, kind)
+    steps = plan(kind)
+    notes = _unit_notes(name, kind)
     zeros = largest_run(steps)
 
     def decode_batch(messages: Messages) -> Decoded:
@@ -125,18 +126,21 @@ def _ros1_decoder(name: str, text: str) -> Decoder:
 
 def _cdr_decoder(name: str, text: str) -> Decoder:
     kind = parse_definition(name, text, 2)
-    steps, notes = plan(kind), _unit_notes(name, kind)
+    steps = plan(kind)
+    notes = _unit_notes(name, kind)
     zeros = largest_run(steps)
 
     def decode_batch(messages: Messages) -> Decoded:
         data = _padded(messages.data, zeros)
-        groups, longer = [], 0
+        groups = []
+        longer = 0
         kinds = np.where(messages.size >= 4, data[messages.at + 1], 255)
         for kind in np.unique(kinds).tolist():
             wire = CDR_WIRES.get(kind)
             which = np.flatnonzero(kinds == kind)
             if wire is not None:
-                at, size = messages.at[which] + 4, messages.size[which] - 4
+                at = messages.at[which] + 4
+                size = messages.size[which] - 4
                 columns, kept, surplus = decode(data, at, size, steps, wire)
                 groups.append((_taken(columns, kept), which[kept]))
                 longer += surplus
@@ -235,7 +239,8 @@ class Topic:
 
     def _key(self, schema: pa.Schema, taken: dict[str, pa.Schema]) -> str:
         """The stream of this topic that has this schema; a new one, `~2` on, where none has."""
-        number, key = 1, self.channel.topic
+        number = 1
+        key = self.channel.topic
         while key in taken and not taken[key].equals(schema, check_metadata=True):
             number += 1
             key = f"{self.channel.topic}~{number}"
@@ -310,7 +315,8 @@ def own_times(
     found: dict[str, Index] = {}
     for stamp in _STAMPS:
         for seconds, fraction in _PARTS:
-            s, f = columns.get(f"{stamp}.{seconds}"), columns.get(f"{stamp}.{fraction}")
+            s = columns.get(f"{stamp}.{seconds}")
+            f = columns.get(f"{stamp}.{fraction}")
             if _is_whole(s) and _is_whole(f):
                 found[stamp] = _integers(s) * 10**9 + _integers(f)
         unit = ((notes.get(stamp) or {}).get(b"unit", b"")).decode()

@@ -84,7 +84,8 @@ class _Queue:
         size = np.array([len(p) for p in self.payloads], dtype=np.int64)
         data = np.frombuffer(b"".join([*self.payloads, bytes(ZERO_PAGE)]), dtype=np.uint8)
         log_ns = np.array(self.times, dtype=np.int64)
-        self.payloads, self.times = [], []
+        self.payloads = []
+        self.times = []
         return Messages(data, np.cumsum(size) - size, size, log_ns)
 
 

@@ -67,7 +67,8 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     FormatError : there is not one record in the file.
     """
     tally = Tally()
-    reader, topics = BagReader(view, limits, tally), Topics(tally)
+    reader = BagReader(view, limits, tally)
+    topics = Topics(tally)
     released = 0
 
     def passed() -> None:

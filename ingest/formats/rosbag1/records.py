@@ -19,7 +19,12 @@ from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common.tally import Tally
 
 MAGIC = b"#ROSBAG V2.0\n"
-MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
+MESSAGE = 2
+BAG = 3
+INDEX = 4
+CHUNK = 5
+CHUNK_INFO = 6
+CONNECTION = 7
 MAX_HEADER_BYTES = 1 << 16
 _U32 = struct.Struct("<I")
 _NEEDS: Mapping[int, Mapping[bytes, int]] = {  # size of each field; 0 for any
@@ -191,11 +196,13 @@ class BagReader:
             self._tally.bad_checksums += isinstance(error, DamagedChunkError)
             self._tally.skip(chunk.start, chunk.end, str(error))
             return
-        at, bad = 0, False
+        at = 0
+        bad = False
         while at < len(data):
             record = record_at(data, at, len(data))
             if record is None or record.end > len(data):
-                at, bad = next_record(data, at + 1, len(data)), True
+                at = next_record(data, at + 1, len(data))
+                bad = True
                 continue
             yield data, record
             at = record.end

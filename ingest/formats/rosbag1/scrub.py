@@ -60,7 +60,8 @@ class _Topics:
     """Connections of the log, those of the copy, and what cleans their messages."""
 
     def __init__(self, writer: BagWriter, scrubber: Scrubber) -> None:
-        self._writer, self._scrubber = writer, scrubber
+        self._writer = writer
+        self._scrubber = scrubber
         self._known: dict[int, tuple[bytes, Mapping[bytes, bytes]]] = {}
         self._ready: dict[int, tuple[int, Clean] | None] = {}
 

@@ -98,7 +98,8 @@ class BagWriter:
         }
         about[b"count"] = struct.pack("<I", len(self._index))
         self._infos.append(record(CHUNK_INFO, about, counts))
-        self._chunk, self._index = bytearray(), {}
+        self._chunk = bytearray()
+        self._index = {}
 
 
 def _packed(kind: bytes, data: bytes) -> bytes:

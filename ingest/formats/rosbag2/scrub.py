@@ -81,7 +81,8 @@ def _topic(
     link: sqlite3.Connection, number: int, channel: Channel, scrubber: Scrubber
 ) -> tuple[int, Clean] | None:
     """The number of the topic in the copy and what cleans its messages; None where they cannot be decoded."""
-    schema, clean = channel.schema, cleaner_for(channel, scrubber)
+    schema = channel.schema
+    clean = cleaner_for(channel, scrubber)
     if clean is None or schema is None:
         return None
     link.execute("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '', '')", (number, channel.topic, schema.name))

@@ -21,7 +21,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 MAGIC = b"SQLite format 3\0"
-INNER, LEAF = 5, 13
+INNER = 5
+LEAF = 13
 HEADER_BYTES = 100
 DEFAULT_PAGE_BYTES = 4096
 MAX_PAYLOAD_BYTES = 1 << 28
@@ -105,7 +106,8 @@ class Database:
         if page[base] != LEAF:
             raise PageError("not a leaf of a table")
         cells: list[Cell] = []
-        taken, fault = 0, ""
+        taken = 0
+        fault = ""
         for at in _places(page, base, 8):
             try:
                 cell, end = self._leaf_cell(page, at)
@@ -122,7 +124,9 @@ class Database:
         base = HEADER_BYTES if number == 1 else 0
         if page[base] != INNER:
             raise PageError("not an inner page of a table")
-        children, taken, fault = [], 0, ""
+        children = []
+        taken = 0
+        fault = ""
         for at in _places(page, base, 12):
             if at + 5 > len(page):
                 continue
@@ -184,7 +188,8 @@ class Database:
     def _uncovered(self, page: memoryview, base: int, head: int, taken: int) -> str:
         """Why cells, free blocks and fragments do not fill the page exactly; "" where they do."""
         first, cells, content, fragments = _head(page, base)
-        free, at = 0, first
+        free = 0
+        at = first
         while at and at + 4 <= len(page) and free < len(page):
             size = int.from_bytes(page[at + 2 : at + 4], "big")
             free += max(size, 4)

@@ -29,7 +29,10 @@ class Tables:
         self._owned = bytearray(self.database.pages + 1)
         self._roots: dict[str, tuple[int, list[str]]] = {}
         for row in self._tree(1, _is_schema):
-            kind, name, root, sql = row[0], row[1], row[3], row[4]
+            kind = row[0]
+            name = row[1]
+            root = row[3]
+            sql = row[4]
             if kind == "table" and isinstance(name, str) and isinstance(root, int) and isinstance(sql, str):
                 self._roots.setdefault(name, (root, _column_names(sql)))
 

@@ -81,7 +81,8 @@ class DataDecoder:
         self, index: int, which: Index, ahead: NDArray[np.bool_], time_us: Index, now_us: int
     ) -> Index:
         """The records whose time can be used; that of a retained first one is set to its neighbours'."""
-        stream, first = self.subscriptions[index].stream, int(which[0])
+        stream = self.subscriptions[index].stream
+        first = int(which[0])
         if ahead[first] and index not in self._previous_ns and time_us[first] < MAX_RETAINED_US:
             near = np.flatnonzero(~ahead[first + 1 : first + NEIGHBOURS])
             time_us[first] = time_us[first + 1 + near[0]] if len(near) else now_us

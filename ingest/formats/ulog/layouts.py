@@ -150,7 +150,8 @@ def parse_field(text: str) -> tuple[str, int | None, str] | None:
 def _place(found: tuple[str, int | None, str], prefix: str, at: int, state: _State) -> int:
     """Add one field at `at`; returns where the next one begins."""
     kind, size, name = found
-    count, path = size or 0, prefix + name
+    count = size or 0
+    path = prefix + name
     if kind in NUMBERS:
         if size == 0:
             return at

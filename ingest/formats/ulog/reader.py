@@ -86,7 +86,8 @@ class UlogReader:
         framer = self._framer
         framer.stop = stop
         framer.changed()
-        batch, since = _Batch(), at
+        batch = _Batch()
+        since = at
         self._batch = batch
         while at < framer.stop:
             head = framer.head(at)
@@ -100,7 +101,8 @@ class UlogReader:
             if batch.size >= self._limits.batch_bytes:
                 yield from self._decoder.parts(batch.runs, self._time_us)
                 release(self.view, since, at)
-                batch, since = _Batch(), at
+                batch = _Batch()
+                since = at
                 self._batch = batch
         yield from self._decoder.parts(batch.runs, self._time_us)
 
@@ -232,7 +234,8 @@ class UlogReader:
                 self._framer.changed()
 
     def _subscribe(self, body: memoryview) -> None:
-        number, instance = body[1] | body[2] << 8, body[0]
+        number = body[1] | body[2] << 8
+        instance = body[0]
         topic = bytes(body[3:]).decode("utf-8", "replace")
         try:
             layout = flatten(topic, self._formats)

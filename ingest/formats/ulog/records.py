@@ -70,7 +70,9 @@ class Sizes:
         self.known: NDArray[np.bool_] = np.zeros(65536, dtype=np.bool_)  # was ever subscribed
 
     def subscribe(self, number: int, subscription: int, least: int, most: int) -> None:
-        self.subscription[number], self.least[number], self.most[number] = subscription, least, most
+        self.subscription[number] = subscription
+        self.least[number] = least
+        self.most[number] = most
         self.known[number] = True
 
     def remove(self, number: int) -> None:
@@ -136,7 +138,8 @@ class Framer:
         found = []
         while at + HEAD_BYTES < self.stop:
             size, kind = HEAD.unpack_from(self.view, at)
-            body, end = at + HEAD_BYTES, at + HEAD_BYTES + size
+            body = at + HEAD_BYTES
+            end = at + HEAD_BYTES + size
             key = body + (kind in b"MQ")
             if kind not in b"IMPQ" or not key + 2 <= end <= self.stop:
                 break
@@ -289,7 +292,8 @@ class Framer:
         number = numbers(data, places + 3, "<u2")
         fits = (size - 2 >= self.sizes.least[number]) & (size - 2 <= self.sizes.most[number])
         fits &= places + HEAD_BYTES + size <= self.stop
-        places, number = places[fits], number[fits]
+        places = places[fits]
+        number = number[fits]
         stop = places + HEAD_BYTES + size[fits]
         breaks = np.append(np.flatnonzero(stop[:-1] != places[1:]), max(len(places) - 1, 0))
         run_end = breaks[np.searchsorted(breaks, np.arange(len(places)))]

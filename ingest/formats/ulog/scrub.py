@@ -32,15 +32,20 @@ class _Pass:
     """One walk over the file."""
 
     def __init__(self, view: memoryview, scrubber: Scrubber, limits: Limits) -> None:
-        self._view, self._scrubber, self._limits = view, scrubber, limits
+        self._view = view
+        self._scrubber = scrubber
+        self._limits = limits
         self._framer = Framer(view, len(view))
         self._formats: dict[str, str] = {}
         self._topics: list[tuple[str, UlogLayout]] = []
 
     def pieces(self) -> Iterator[bytes]:
-        view, framer = self._view, self._framer
+        view = self._view
+        framer = self._framer
         yield bytes(view[:FILE_HEAD_BYTES])
-        at, waiting, lost = FILE_HEAD_BYTES, 0, 0
+        at = FILE_HEAD_BYTES
+        waiting = 0
+        lost = 0
         batch: list[bytes] = []
         while at < framer.stop:
             run = framer.data_run(at) if framer.head(at)[0] == ord("D") else None
@@ -53,10 +58,12 @@ class _Pass:
             else:
                 end = framer.next_record(at + 1)
                 lost += min(end, framer.stop) - at
-            waiting, at = waiting + end - at, end
+            waiting = waiting + end - at
+            at = end
             if waiting >= self._limits.batch_bytes:
                 yield b"".join(batch)
-                batch, waiting = [], 0
+                batch = []
+                waiting = 0
         yield b"".join(batch)
         self._scrubber.note(rules.UNREADABLE, "between records", lost)
 
@@ -130,7 +137,8 @@ class _Pass:
         self._formats[name] = fields
 
     def _subscribe(self, body: bytes) -> None:
-        number, name = struct.unpack("<H", body[1:3])[0], body[3:].decode("utf-8", "replace")
+        number = struct.unpack("<H", body[1:3])[0]
+        name = body[3:].decode("utf-8", "replace")
         sizes = self._framer.sizes
         try:
             layout = flatten(name, self._formats)

@@ -33,8 +33,10 @@ from flysid.ingest.synth.writers.ros_messages import LIMITS, fraction
 MAGIC = 0x55667788
 FLYING_STATE = 0x0F8000D1  # flying, everything works
 HOVERING = 4 << 16
-DRONE, GROUND = bytes((192, 168, 1, 1)), bytes((192, 168, 1, 2))
-NAVDATA_PORT, COMMAND_PORT = 5554, 5556
+DRONE = bytes((192, 168, 1, 1))
+GROUND = bytes((192, 168, 1, 2))
+NAVDATA_PORT = 5554
+COMMAND_PORT = 5556
 YAW_LIMIT = 1.745
 
 OPTIONS: tuple[tuple[int, str, int, tuple[tuple[str, str], ...]], ...] = (
@@ -71,7 +73,9 @@ def pcap_bytes(recording: Recording) -> bytes:
 
 def _dtype() -> np.dtype[Any]:
     """The whole packet; bytes of an option that are not named stay zero."""
-    names, formats, offsets = ["magic", "state", "sequence", "vision"], ["<u4"] * 4, [0, 4, 8, 12]
+    names = ["magic", "state", "sequence", "vision"]
+    formats = ["<u4"] * 4
+    offsets = [0, 4, 8, 12]
     at = 16
     for _, name, size, fields in OPTIONS:
         names += [f"{name}.tag", f"{name}.size"]
@@ -95,9 +99,11 @@ def _packets(recording: Recording) -> npt.NDArray[np.void]:
     rows: npt.NDArray[np.void] = np.zeros(len(state), dtype=_dtype())
     rows["magic"], rows["state"], rows["sequence"] = MAGIC, FLYING_STATE, np.arange(1, len(state) + 1)
     for tag, name, size, _ in OPTIONS:
-        rows[f"{name}.tag"], rows[f"{name}.size"] = tag, size
+        rows[f"{name}.tag"] = tag
+        rows[f"{name}.size"] = size
     rows["time"] = _wrapped_time(state.time_ns)
-    rows["ctrl_state"], rows["battery"] = HOVERING, 90
+    rows["ctrl_state"] = HOVERING
+    rows["battery"] = 90
     rows["theta"], rows["phi"], rows["psi"] = (
         1000.0 * v for v in (-state["theta"], state["phi"], state["psi"])
     )
@@ -109,7 +115,8 @@ def _packets(recording: Recording) -> npt.NDArray[np.void]:
     rows["ref_theta"] = np.round(-1000.0 * recording.command["theta_in"][at])
     rows["ref_phi"] = np.round(1000.0 * recording.command["phi_in"][at])
     rows["vz_ref"] = 1000.0 * recording.command["vz_in"][at]
-    rows["end.tag"], rows["end.size"] = 0xFFFF, 8
+    rows["end.tag"] = 0xFFFF
+    rows["end.size"] = 8
     matrix = rows.view(np.uint8).reshape(len(rows), -1)
     rows["checksum"] = matrix[:, :-8].sum(axis=1, dtype=np.uint32)
     return rows

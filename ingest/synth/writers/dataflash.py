@@ -63,7 +63,8 @@ class Kind:
     def rows(self, n: int) -> npt.NDArray[np.void]:
         """n messages with nothing in them but their headers."""
         rows = np.zeros(n, dtype=self.dtype)
-        rows["_head"], rows["_type"] = HEAD, self.number
+        rows["_head"] = HEAD
+        rows["_type"] = self.number
         return rows
 
 
@@ -146,7 +147,8 @@ def _estimate(state: Series) -> npt.NDArray[np.void]:
     rows["TimeUS"] = state.time_ns // 1000
     rows["Roll"], rows["Pitch"] = _cents(state["phi"]), _cents(-state["theta"])
     rows["Yaw"] = _cents(state["psi"] % 360.0) % 36000
-    c, s = np.cos(np.radians(state["psi"])), np.sin(np.radians(state["psi"]))
+    c = np.cos(np.radians(state["psi"]))
+    s = np.sin(np.radians(state["psi"]))
     rows["VN"], rows["VE"] = c * state["vx"] - s * state["vy"], s * state["vx"] + c * state["vy"]
     rows["VD"], rows["dPD"] = -state["vz"], -state["vz"]
     rows["PN"], rows["PE"], rows["PD"] = state["x"], state["y"], -state["z"]
@@ -160,5 +162,6 @@ def _climb(recording: Recording, held: dict[str, FloatArray]) -> npt.NDArray[np.
     rows["DCRt"], rows["CRt"] = _cents(held["vz_in"]), _cents(state["vz"])
     height = state["z"] + recording.start_height_m
     rows["Alt"], rows["BAlt"] = height, _cents(height)
-    rows["ThO"], rows["ThH"] = throttle(recording, state.time_ns), 0.5
+    rows["ThO"] = throttle(recording, state.time_ns)
+    rows["ThH"] = 0.5
     return rows

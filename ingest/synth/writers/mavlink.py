@@ -61,8 +61,10 @@ def timed_frames(recording: Recording) -> Iterator[tuple[int, bytes]]:
 
 def _sources(recording: Recording) -> list[tuple[Any, Encoder]]:
     """(send times, encoder of one row) per message type; ties are sent in this order."""
-    command, state = recording.command, recording.state
-    first, last = int(state.time_ns[0]), int(state.time_ns[-1])
+    command = recording.command
+    state = recording.state
+    first = int(state.time_ns[0])
+    last = int(state.time_ns[-1])
     beats = np.arange(first, last + 1, SECOND_NS, dtype=np.int64)
     return [
         (beats, _heartbeat),
@@ -100,7 +102,8 @@ def _attitude_target(command: Series, thrust: FloatArray) -> Encoder:
 def _climb_target(command: Series, system: int) -> Encoder:
     from pymavlink.dialects.v20 import common
 
-    time_ms, down = command.time_ns // MS_NS, -command["vz_in"]
+    time_ms = command.time_ns // MS_NS
+    down = -command["vz_in"]
     frame = common.MAV_FRAME_LOCAL_NED
 
     def encode(link: Any, k: int) -> Message:
@@ -125,8 +128,10 @@ def _attitude(state: Series) -> Encoder:
 
 def _local_position(state: Series) -> Encoder:
     time_ms = state.time_ns // MS_NS
-    c, s = np.cos(np.radians(state["psi"])), np.sin(np.radians(state["psi"]))
-    north, east = c * state["vx"] - s * state["vy"], s * state["vx"] + c * state["vy"]
+    c = np.cos(np.radians(state["psi"]))
+    s = np.sin(np.radians(state["psi"]))
+    north = c * state["vx"] - s * state["vy"]
+    east = s * state["vx"] + c * state["vy"]
     ned = np.column_stack([state["x"], state["y"], -state["z"], north, east, -state["vz"]])
 
     def encode(link: Any, k: int) -> Message:
@@ -137,6 +142,8 @@ def _local_position(state: Series) -> Encoder:
 
 def quaternion(roll_rad: FloatArray, pitch_rad: FloatArray) -> FloatArray:
     """(N, 4) w, x, y, z of roll after pitch at heading 0 (Z-Y-X Euler angles)."""
-    cr, sr = np.cos(roll_rad / 2), np.sin(roll_rad / 2)
-    cp, sp = np.cos(pitch_rad / 2), np.sin(pitch_rad / 2)
+    cr = np.cos(roll_rad / 2)
+    sr = np.sin(roll_rad / 2)
+    cp = np.cos(pitch_rad / 2)
+    sp = np.sin(pitch_rad / 2)
     return np.column_stack([cr * cp, sr * cp, cr * sp, -sr * sp])

@@ -93,7 +93,8 @@ def _ros_bytes(recording: Recording, ros: Dialect) -> bytes:
     file = io.BytesIO()
     writer = Writer(file, chunk_size=256 * 1024, compression=CompressionType.NONE)
     writer.start(profile=ros.name, library="flysid")
-    sent, seen = recording.command.time_ns, recording.state.time_ns
+    sent = recording.command.time_ns
+    seen = recording.state.time_ns
     topics = (
         ("/cmd_vel", "geometry_msgs/Twist", TWIST, sent, _twist(recording, ros)),
         ("/ardrone/navdata", "ardrone_autonomy/Navdata", NAVDATA, seen, _navdata(recording, ros)),
@@ -131,7 +132,8 @@ def snake(name: str) -> str:
 
 def layout(fields: Sequence[Field], aligned: bool) -> np.dtype[Any]:
     """The bytes of a message of fixed size: packed, or CDR with its 4 bytes in front."""
-    offsets, at = [], 4 if aligned else 0
+    offsets = []
+    at = 4 if aligned else 0
     for _, code in fields:
         size = np.dtype(code).itemsize
         unit = 1 if code.startswith("S") else size
@@ -157,8 +159,10 @@ def _stamped(recording: Recording, frame: str, fields: Sequence[Field], ros: Dia
     head += [("sec", "<u4"), ("nanosec", "<u4"), ("length", "<u4"), ("frame_id", f"S{len(text)}")]
     utc_ns: IntArray = recording.boot_utc_ns + recording.state.time_ns
     rows = _rows(len(utc_ns), [*head, *fields], ros)
-    rows["sec"], rows["nanosec"] = utc_ns // SECOND_NS, utc_ns % SECOND_NS
-    rows["length"], rows["frame_id"] = len(text), text
+    rows["sec"] = utc_ns // SECOND_NS
+    rows["nanosec"] = utc_ns % SECOND_NS
+    rows["length"] = len(text)
+    rows["frame_id"] = text
     if not ros.aligned:
         rows["seq"] = np.arange(len(rows))
     return rows
@@ -181,8 +185,10 @@ def _navdata(recording: Recording, ros: Dialect) -> npt.NDArray[np.void]:
     fields = [
         (name, "<u4" if kind.endswith("[]") else NUMPY[kind]) for kind, name in pairs
     ]  # empty: length 0
-    rows, state = _stamped(recording, "ardrone_base_link", fields, ros), recording.state
-    rows["batteryPercent"], rows["state"] = 90.0, FLYING
+    rows = _stamped(recording, "ardrone_base_link", fields, ros)
+    state = recording.state
+    rows["batteryPercent"] = 90.0
+    rows["state"] = FLYING
     rows["rotX"], rows["rotY"], rows["rotZ"] = state["phi"], state["theta"], -state["psi"]
     rows["vx"], rows["vy"] = 1000.0 * state["vx"], -1000.0 * state["vy"]
     rows["altd"] = np.round(1000.0 * (state["z"] + recording.start_height_m))
@@ -193,7 +199,8 @@ def _navdata(recording: Recording, ros: Dialect) -> npt.NDArray[np.void]:
 
 def _pose(recording: Recording, ros: Dialect) -> npt.NDArray[np.void]:
     names = ("px", "py", "pz", "qx", "qy", "qz", "qw")
-    rows, state = _stamped(recording, "world", [(n, "<f8") for n in names], ros), recording.state
+    rows = _stamped(recording, "world", [(n, "<f8") for n in names], ros)
+    state = recording.state
     rows["px"], rows["py"], rows["pz"] = state["x"], -state["y"], state["z"] + recording.start_height_m
     for name, value in zip(names[3:], _orientation(state["phi"], state["theta"], -state["psi"]), strict=True):
         rows[name] = value

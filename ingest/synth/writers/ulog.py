@@ -54,7 +54,8 @@ TOPICS = {
 
 def ulog_bytes(recording: Recording) -> bytes:
     """The whole log."""
-    command, state = recording.command, recording.state
+    command = recording.command
+    state = recording.state
     rows = [_setpoint(recording), _climb(command), _attitude(state), _position(state)]
     raw = [as_bytes(table) for table in rows]
     due, topic, row = in_sending_order(command.time_ns, command.time_ns, state.time_ns, state.time_ns)
@@ -136,14 +137,19 @@ def _attitude(state: Series) -> npt.NDArray[np.void]:
 
 def _turned(q: FloatArray, yaw_rad: FloatArray) -> FloatArray:
     """(N, 4) yaw applied before (to the left of) the tilt q."""
-    c, s = np.cos(yaw_rad / 2)[:, None], np.sin(yaw_rad / 2)[:, None]
-    w, x, y, z = q[:, :1], q[:, 1:2], q[:, 2:3], q[:, 3:]
+    c = np.cos(yaw_rad / 2)[:, None]
+    s = np.sin(yaw_rad / 2)[:, None]
+    w = q[:, :1]
+    x = q[:, 1:2]
+    y = q[:, 2:3]
+    z = q[:, 3:]
     return np.hstack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
 
 
 def _position(state: Series) -> npt.NDArray[np.void]:
     rows = _table(state, POSITION)
-    c, s = np.cos(np.radians(state["psi"])), np.sin(np.radians(state["psi"]))
+    c = np.cos(np.radians(state["psi"]))
+    s = np.sin(np.radians(state["psi"]))
     rows["x"], rows["y"], rows["z"] = state["x"], state["y"], -state["z"]
     rows["vx"], rows["vy"] = c * state["vx"] - s * state["vy"], s * state["vx"] + c * state["vy"]
     rows["vz"], rows["heading"] = -state["vz"], np.radians(state["psi"])

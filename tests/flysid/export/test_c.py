@@ -89,7 +89,8 @@ def test_the_self_test_passes_and_fails_where_one_number_is_wrong(
     name: str, single: bool, tmp_path: Path
 ) -> None:
     folder = write_c(program_of(example(name)), tmp_path, single=single)
-    source, check = folder / "plant.c", folder / "check"
+    source = folder / "plant.c"
+    check = folder / "check"
     arguments = (*WARNINGS, "-O2", "-o", check, source, folder / "check.c", "-lm")
     gcc(*arguments)
     assert subprocess.run([check], check=False, capture_output=True).returncode == 0
@@ -188,7 +189,8 @@ def test_fast_sampling_of_order_four_survives_float32_in_balanced_states() -> No
     model = linear(a.tolist(), [0.0, a.sum()])
     u = inputs(model, 20_000)
     program = program_of(model)
-    double, single = run(program, u)[0], run(program, u, single=True)[0]
+    double = run(program, u)[0]
+    single = run(program, u, single=True)[0]
     assert np.sqrt(np.mean((double - single) ** 2)) < 1e-3 * np.std(double)
 
 

@@ -19,7 +19,8 @@ from tests.flysid.export.test_c import example, inputs
 @pytest.mark.skipif(shutil.which("octave") is None, reason="Octave is not installed")
 def test_octave_equals_the_model_from_rest_and_from_a_memory(tmp_path: Path) -> None:
     names = ["ts", "ts_ss", "oe", "fir", "static ts, two inputs and outputs", "statespace, late input", "tf"]
-    given, script = {}, ["load('in.mat');"]
+    given = {}
+    script = ["load('in.mat');"]
     for i, name in enumerate(names):
         model = example(name)
         for file, text in matlab_files(model, program_of(model), f"m{i}").items():

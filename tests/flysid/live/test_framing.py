@@ -21,7 +21,8 @@ def arrival(content: bytes, *ends: int) -> Arrival:
 
 
 def cut_all(framer: Framer, pieces: list[bytes]) -> tuple[list[bytes], bytes]:
-    found, rejected = [], b""
+    found = []
+    rejected = b""
     for cut in [*(framer.cut(arrival(piece)) for piece in pieces), framer.finish()]:
         content = cut.raw.tobytes()
         for q in cut.starts.tolist():
@@ -36,7 +37,9 @@ def cut_all(framer: Framer, pieces: list[bytes]) -> tuple[list[bytes], bytes]:
 @given(st.lists(st.integers(0, 255), min_size=1, max_size=40), st.lists(st.integers(1, 90), min_size=1))
 def test_frames_do_not_depend_on_where_the_stream_is_cut(numbers: list[int], lengths: list[int]) -> None:
     sent = [POOL[k] for k in numbers]
-    stream, pieces, at = b"".join(sent), [], 0
+    stream = b"".join(sent)
+    pieces = []
+    at = 0
     for k in range(len(stream)):
         length = lengths[k % len(lengths)]
         pieces.append(stream[at : at + length])

@@ -66,7 +66,8 @@ def test_a_sequence_that_jumps_back_is_followed() -> None:
 
 
 def told_times(times_ms: list[int]) -> list[bytes]:
-    link, made = common.MAVLink(None, srcSystem=1, srcComponent=1), []
+    link = common.MAVLink(None, srcSystem=1, srcComponent=1)
+    made = []
     for k, time_ms in enumerate(times_ms):
         link.seq = k
         made.append(bytes(link.attitude_encode(time_ms, 0.1, 0, 0, 0, 0, 0.5).pack(link)))

@@ -63,7 +63,8 @@ def send(port: int, *contents: bytes, at: socket.socket | None = None) -> None:
 
 
 def test_what_was_sent_is_what_pymavlink_and_flysid_read(tmp_path: Path) -> None:
-    port, target = free_port(), tmp_path / "flight.tlog"
+    port = free_port()
+    target = tmp_path / "flight.tlog"
     before = time.time()
     with recording(target, f"udp:127.0.0.1:{port}") as made:
         send(port, *POOL)
@@ -127,7 +128,8 @@ def test_ten_systems_on_two_links(tmp_path: Path) -> None:
 
 
 def test_garbage_is_kept_beside_and_costs_no_frame(tmp_path: Path) -> None:
-    port, target = free_port(), tmp_path / "noisy.tlog"
+    port = free_port()
+    target = tmp_path / "noisy.tlog"
     noise = os.urandom(1000)
     with recording(target, f"udp:127.0.0.1:{port}") as made:
         send(port, *(part for frame in POOL[:100] for part in (noise, frame)))
@@ -266,7 +268,8 @@ def test_a_new_part_begins_where_a_vehicle_was_started_anew(tmp_path: Path) -> N
     from tests.flysid.live.test_ledger import told_times
 
     port = free_port()
-    before, after = told_times([60_000 + k for k in range(50)]), told_times([200 + k for k in range(30)])
+    before = told_times([60_000 + k for k in range(50)])
+    after = told_times([200 + k for k in range(30)])
     with recording(tmp_path / "boots.tlog", f"udp:127.0.0.1:{port}", rotation=Rotation(boot=True)) as made:
         send(port, *before, *after)
         wait_for(80, made)

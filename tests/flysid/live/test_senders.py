@@ -36,7 +36,8 @@ def test_pymavlink_sends_and_reads_again(tmp_path: Path) -> None:
 
 
 def test_flysids_own_sender(tmp_path: Path) -> None:
-    port, target = free_port(), tmp_path / "s.tlog"
+    port = free_port()
+    target = tmp_path / "s.tlog"
     with recording(target, f"udp:127.0.0.1:{port}") as made:
         words = ["synth", "--live", f"udp:127.0.0.1:{port}", "--duration", "5", "--speed", "20", "-q"]
         command = [sys.executable, "-m", "flysid", *words, "--plan", "paper"]
@@ -73,7 +74,8 @@ def test_mavproxy_forwards(tmp_path: Path) -> None:
     program = shutil.which("mavproxy.py")
     if program is None:
         pytest.skip("MAVProxy is not installed: pip install MAVProxy, in an environment of its own (GPL)")
-    first, second = free_port(), free_port()
+    first = free_port()
+    second = free_port()
     ports = [f"--master=udp:127.0.0.1:{first}", f"--out=udp:127.0.0.1:{second}"]
     got = through(
         [program, *ports, "--non-interactive", "--streamrate=-1"], first, second, tmp_path / "m.tlog"
@@ -85,7 +87,8 @@ def test_mavlink_router_forwards(tmp_path: Path) -> None:
     program = shutil.which("mavlink-routerd")
     if program is None:
         pytest.skip("mavlink-router is not installed")
-    first, second = free_port(), free_port()
+    first = free_port()
+    second = free_port()
     words = [program, "-t", "0", "-e", f"127.0.0.1:{second}", f"127.0.0.1:{first}"]
     got = through(words, first, second, tmp_path / "r.tlog")
     assert sum(frame in got for frame in POOL) > 100

@@ -82,7 +82,8 @@ def test_an_attack_is_refused_and_the_genuine_stream_goes_on(attack: str) -> Non
 
 
 def test_a_whole_recording_played_again_is_refused() -> None:
-    guard, genuine = Guard(KEY), signed(300)
+    guard = Guard(KEY)
+    genuine = signed(300)
     assert all(judge(guard, *genuine))
     assert not any(judge(guard, *genuine))
     assert guard.refused[0, OLD] == 300
@@ -154,7 +155,8 @@ def test_a_recording_refuses_and_counts(tmp_path: Path) -> None:
     from tests.flysid.live.test_recording import recording, send, wait_for
     from tests.link_trials import free_port, without_stamps
 
-    port, genuine = free_port(), signed(100)
+    port = free_port()
+    genuine = signed(100)
     with recording(tmp_path / "s.tlog", f"udp:127.0.0.1:{port}", guard=Guard(KEY)) as made:
         send(port, *genuine[:50], unsigned(), genuine[3], *signed(1, OTHER), *genuine[50:])
         wait_for(100, made)

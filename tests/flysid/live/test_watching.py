@@ -41,7 +41,8 @@ def made() -> ChannelWatch:
 
 def with_fault(seed: int = 70, size: float = 0.2) -> tuple[Segment, float]:
     """A flight whose plant is pushed from half its time on, and that time."""
-    before, after = flown(seed, 60), flown(seed + 1, 60, offset=size)
+    before = flown(seed, 60)
+    after = flown(seed + 1, 60, offset=size)
     u, y = (np.concatenate([getattr(s, n) for s in (before, after)]) for n in ("u", "y"))
     return Segment(u, y, t0_ns=5_000_000_000), 65.0
 
@@ -178,7 +179,8 @@ def test_a_log_with_a_fault_says_when_and_what(place: Path) -> None:
 
 def test_a_link_is_watched_and_recorded(place: Path) -> None:
     """The faulty flight over UDP, five times as fast as it was flown."""
-    port, copy = free_port(), place / "copy.tlog"
+    port = free_port()
+    copy = place / "copy.tlog"
     command = [sys.executable, "-m", "flysid", "watch", str(place / "run"), f"udp:127.0.0.1:{port}"]
     command += ["-o", str(copy), "--json", "--for", "90"]
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
@@ -208,7 +210,8 @@ def play(log: Path, port: int, speed: float) -> None:
 
     from flysid.ingest.formats.mavlink.frames import read_header
 
-    content, at = log.read_bytes(), 0
+    content = log.read_bytes()
+    at = 0
     first = int.from_bytes(content[:8], "big")
     began = time.monotonic()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:

@@ -71,9 +71,14 @@ def fly(
 def _run(r, d, noise, numbers, delay):  # type: ignore[no-untyped-def]
     p, i, kd, weight, cut1, cut2, gain, lag = numbers
     n = r.size
-    u, y = np.zeros(n), np.zeros(n)
-    rate, torque, total = 0.0, 0.0, 0.0
-    low1, low2, before = 0.0, 0.0, 0.0
+    u = np.zeros(n)
+    y = np.zeros(n)
+    rate = 0.0
+    torque = 0.0
+    total = 0.0
+    low1 = 0.0
+    low2 = 0.0
+    before = 0.0
     a1 = 1.0 - np.exp(-2.0 * np.pi * cut1 * STEP_S)
     a2 = 1.0 - np.exp(-2.0 * np.pi * cut2 * STEP_S)
     keep = np.exp(-STEP_S / lag)

@@ -36,7 +36,8 @@ class Page:
     """A browser at a studio; remembers nothing of an earlier one."""
 
     def __init__(self, browser: Any, server: Server) -> None:
-        self.browser, self.server = browser, server
+        self.browser = browser
+        self.server = server
         browser.get_log("performance")
         browser.get_log("browser")
         browser.get("about:blank")
@@ -210,7 +211,8 @@ def test_from_the_job_to_the_verdict_explained(browser: Any, judged: Server) -> 
     assert not page.wrong()
     data = judged.get(f"runs/{run['id']}/explanation", {"ch": "vertical"}).json
     [item] = held_out(open_run(run["folder"]))
-    segment, first = item.test.segments[0], data["first"]
+    segment = item.test.segments[0]
+    first = data["first"]
     u = segment.u.copy()
     moved = np.arange(len(u)) * item.test.dt_s >= round(first * item.test.dt_s, 2)
     u[moved, 0] += 0.3

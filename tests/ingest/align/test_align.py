@@ -60,7 +60,8 @@ def recipe(u: Mapping[str, Any] | None = None, y: Mapping[str, Any] | None = Non
 
 T50 = np.arange(500, dtype=np.int64) * 20 * MS + 7 * MS
 RNG = np.random.default_rng(0)
-U50, Y50 = RNG.normal(size=500), RNG.normal(size=500)
+U50 = RNG.normal(size=500)
+Y50 = RNG.normal(size=500)
 
 
 def test_equal_rates_come_through_bit_for_bit() -> None:
@@ -186,7 +187,8 @@ def test_a_missing_unit_is_refused_and_a_disagreeing_one_is_noted() -> None:
 def test_the_grid_takes_the_slower_rate_and_faster_states_are_filtered() -> None:
     t200 = np.arange(4000, dtype=np.int64) * 5 * MS
     s = t200 * 1e-9
-    slow, fast = np.sin(2 * np.pi * 0.5 * s), np.sin(2 * np.pi * 19.7 * s)
+    slow = np.sin(2 * np.pi * 0.5 * s)
+    fast = np.sin(2 * np.pi * 19.7 * s)
     t20 = t200[::10]
     u = np.sign(np.sin(2 * np.pi * 0.1 * t20 * 1e-9))
     aligned = align([flight_of(CMD=table(t20, u=u), STATE=table(t200, y=slow + fast))], recipe(), "c")
@@ -227,7 +229,8 @@ def test_quaternions_and_the_heading_frame() -> None:
     turns = Rotation.from_euler("ZY", np.column_stack([yaw, pitch]))
     q = np.roll(turns.as_quat(), 1, axis=1)  # the scalar first
     forward = 2.0 * np.cos(np.arange(500) / 30)
-    vn, ve = forward * np.cos(yaw), forward * np.sin(yaw)
+    vn = forward * np.cos(yaw)
+    ve = forward * np.sin(yaw)
     wrapped = (yaw + np.pi) % (2 * np.pi) - np.pi
     log = flight_of(
         **{
@@ -433,9 +436,11 @@ def test_no_sample_is_made_up_inside_a_gap_whatever_the_stamps(
     y = Y50[keep]
     if disorder == "shuffle":
         order = rng.permutation(len(t))
-        t, y = t[order], y[order]
+        t = t[order]
+        y = y[order]
     elif disorder == "repeat":
-        t, y = np.repeat(t, 2), np.repeat(y, 2)
+        t = np.repeat(t, 2)
+        y = np.repeat(y, 2)
     try:
         data = dataset([flight_of(CMD=table(T50, u=U50), STATE=table(t, y=y))], recipe(rate_hz=50.0), "c")
     except DataError:

@@ -30,9 +30,13 @@ def simulated(duration_s: float = 150.0) -> tuple[dict[str, FloatArray], dict[st
     """Navdata and motion capture of one motion, each with noise; navdata with jitter and drop-outs."""
     rng = np.random.default_rng(0)
     t = np.arange(0.0, duration_s, 1 / 1000)
-    roll, pitch, yaw = np.radians(smooth(t, 1, 4.0)), np.radians(smooth(t, 2, 3.0)), smooth(t, 3, 0.6)
-    forward, left = smooth(t, 4, 0.8), smooth(t, 5, 0.5)
-    v_x, v_y = forward * np.cos(yaw) - left * np.sin(yaw), forward * np.sin(yaw) + left * np.cos(yaw)
+    roll = np.radians(smooth(t, 1, 4.0))
+    pitch = np.radians(smooth(t, 2, 3.0))
+    yaw = smooth(t, 3, 0.6)
+    forward = smooth(t, 4, 0.8)
+    left = smooth(t, 5, 0.5)
+    v_x = forward * np.cos(yaw) - left * np.sin(yaw)
+    v_y = forward * np.sin(yaw) + left * np.cos(yaw)
     position = [np.cumsum(v) / 1000 for v in (v_x, v_y)]
 
     t_nav = np.sort(
@@ -80,7 +84,8 @@ def test_truth_comes_back_from_two_clocks_jitter_and_drop_outs(tmp_path: Path) -
         ]
         assert "drift +" in note
         assert len(aligned.dataset.segments) == 2  # cut at the drop-out
-        errors, truths = [], []
+        errors = []
+        truths = []
         for s in aligned.dataset.segments:
             truth = smooth(s.time_s(aligned.dataset.dt_s) - START, seed, scale)
             errors.append(s.y[:, 0] - truth)

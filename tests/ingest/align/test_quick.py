@@ -83,7 +83,8 @@ def test_a_word_that_means_nothing_or_too_much_names_what_is_near() -> None:
 @pytest.mark.usefixtures("arx_alone")
 def test_from_a_table_to_a_verdict(tmp_path: Path) -> None:
     table(tmp_path / "steps.csv", "time,u,y")
-    run, log = tmp_path / "run", str(tmp_path / "steps.csv")
+    run = tmp_path / "run"
+    log = str(tmp_path / "steps.csv")
     words = ["fit", log, "--from", "u", "--to", "y", "-o", str(run), "-m", "arx", "-q"]
     assert CliRunner().invoke(root, words).exit_code == 0
     assert (tmp_path / "run.data").is_dir()

@@ -102,7 +102,8 @@ def test_hold_keeps_the_last_command_and_knows_nothing_before_the_first() -> Non
 @pytest.mark.parametrize("ratio", [2, 5, 16])
 def test_the_low_pass_keeps_slow_and_removes_fast_parts(ratio: int) -> None:
     n = np.arange(400 * ratio) / ratio  # in grid samples
-    slow, fast = np.sin(2 * np.pi * 0.1 * n), np.sin(2 * np.pi * 0.8 * n)
+    slow = np.sin(2 * np.pi * 0.1 * n)
+    fast = np.sin(2 * np.pi * 0.8 * n)
     kept = resample.decimate(slow, ratio)
     inner = slow[5 * ratio : -5 * ratio : ratio][: len(kept)]
     np.testing.assert_allclose(kept, inner, atol=5e-3)

@@ -16,8 +16,11 @@ from flysid.model.frequency.response import measure_response
 from tests.ingest.align.test_align import flight_of, table
 
 RECIPE = "ardupilot-sysid"
-RATE_ROLL, RATE_PITCH, MIX_ROLL = 7, 8, 10
-SECONDS, DT_S = 40.0, 0.01
+RATE_ROLL = 7
+RATE_PITCH = 8
+MIX_ROLL = 10
+SECONDS = 40.0
+DT_S = 0.01
 
 
 def responded(u: FloatArray, gain: float) -> FloatArray:

@@ -41,7 +41,8 @@ def test_nothing_is_handed_over_where_the_data_do_not_tell() -> None:
 
 
 def test_ts_on_a_short_record_bridges_a_dead_time_handed_over_or_found_by_the_linear_side() -> None:
-    train, test = late(7), late(7, noise=0.0)
+    train = late(7)
+    test = late(7, noise=0.0)
     s = test.segments[0]
     for hint in (delays_to_try(dead_times(train), 1), ()):
         model = TS(rules=1, nk_hint=hint).fit(train)
@@ -52,7 +53,8 @@ def test_ts_on_a_short_record_bridges_a_dead_time_handed_over_or_found_by_the_li
 
 def test_a_delay_beyond_the_range_of_the_search_is_tried_where_it_is_handed_over() -> None:
     train = late(30)  # 0.6 s; the search itself ends at 0.5 s
-    own, handed = ARX().fit(train), ARX(nk_hint=(31,)).fit(train)
+    own = ARX().fit(train)
+    handed = ARX(nk_hint=(31,)).fit(train)
     first = [int(np.flatnonzero(np.abs(m.system.b[:, 0, 0]))[0]) for m in (own, handed)]
     assert first[0] <= 26
     assert first[1] in (30, 31, 32)

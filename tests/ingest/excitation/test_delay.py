@@ -24,7 +24,8 @@ def lagged(
     from scipy.signal import lfilter
 
     rng = np.random.default_rng(seed)
-    fine, steps = DT / 10, 10
+    fine = DT / 10
+    steps = 10
     u = np.repeat(rng.normal(size=240), 25 * steps)
     late = np.concatenate([np.zeros(round(delay_s / fine)), u])[: len(u)]
     pole = np.exp(-fine / tau_s)

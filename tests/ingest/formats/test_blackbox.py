@@ -74,7 +74,8 @@ def compare_with_chirp_core(path: Path, size: int | None = None) -> None:
                 continue
             if stream not in flight and flight.damage.lossy:
                 continue  # the other takes slow frames inside a wound, too
-            ours, theirs = matrix(flight, stream, boot), np.array(frames, dtype=np.int64)
+            ours = matrix(flight, stream, boot)
+            theirs = np.array(frames, dtype=np.int64)
             assert other.frame_defs[kind]["name"] == flight[stream].column_names[2:]
             np.testing.assert_array_equal(ours, theirs, err_msg=f"{path.name}, log {boot}, {stream}")
     assert flight["main"].num_rows == total > 0
@@ -128,7 +129,8 @@ def layouts(draw: st.DrawFn) -> tuple[dict[str, Fields], list[list[int]], int, s
     count = draw(st.integers(1, 24))
     signed = [0, 0, *draw(st.lists(st.integers(0, 1), min_size=count, max_size=count))]
     codes = st.lists(st.sampled_from(ENCODINGS), min_size=count, max_size=count)
-    first, later = draw(codes), draw(codes)
+    first = draw(codes)
+    later = draw(codes)
     absolute = st.lists(st.sampled_from([0, 4, 5, 8, 9, 11]), min_size=count, max_size=count)
     relative = st.lists(st.sampled_from([0, 1, 2, 3, 4, 5, 8, 9, 11]), min_size=count, max_size=count)
     names = ["loopIteration", "time", "motor[0]", *(f"f[{k}]" for k in range(count - 1))]
@@ -157,10 +159,13 @@ def in_range(raw: int, encoding: int) -> int:
 def test_what_was_written_is_read(case: tuple[dict[str, Fields], list[list[int]], int, str]) -> None:
     kinds, frames, version, share = case
     writer = Writer(kinds, {**SETTINGS, "P interval": share}, version)
-    out, rows, iteration = [*writer.header()], [], 0
+    out = [*writer.header()]
+    rows = []
+    iteration = 0
     for k, differences in enumerate(frames):
         kind = "I" if iteration % 16 == 0 else "P"
-        fields, values = kinds[kind], [iteration, 1000 + 700 * k]
+        fields = kinds[kind]
+        values = [iteration, 1000 + 700 * k]
         codes = [code for _, span, code in groups(fields.encoding) for _ in range(span)]
         for n, raw in enumerate(differences, start=2):
             value = writer.prediction(kind, n, values) + in_range(raw, codes[n])
@@ -221,7 +226,8 @@ def pieces_of(log: int = 0) -> list[sample.Piece]:
 
 def test_an_i_frame_whose_number_is_wrong_costs_its_group_only() -> None:
     """Its own group does not go on into the next one; the frames behind tell which of both is wrong."""
-    pieces, whole = pieces_of(), read(b"".join(p.raw for p in pieces_of()))
+    pieces = pieces_of()
+    whole = read(b"".join(p.raw for p in pieces_of()))
     heads = [k for k, p in enumerate(pieces) if p.group > 0 and p.raw[:1] == b"I"]
     for head in heads[2:10]:
         for shift in (3, 12):
@@ -259,7 +265,8 @@ def test_a_pause_announced_by_the_log_is_no_damage() -> None:
 def test_a_wound_longer_than_any_pause_does_not_end_the_log() -> None:
     """An I frame far ahead counts where its group leads to another one."""
     writer = Writer(KINDS, {**SETTINGS, "P interval": "1/1"})
-    out, iteration = [*writer.header()], 0
+    out = [*writer.header()]
+    iteration = 0
     for k in range(200):
         if k == 80:
             out.append(b"\x9c" * 300)
@@ -309,7 +316,9 @@ def test_a_header_that_cannot_be_read_by_says_why(line: bytes, why: str) -> None
 def test_inav_ends_with_a_reason_and_logs_at_a_share_of_its_loops() -> None:
     changed = {"Firmware revision": "INAV 6.1.0 (1234abcd) MATEKF722", "P interval": "2/4"}
     writer = Writer(KINDS, {**SETTINGS, **changed})
-    out, iteration, iterations = [*writer.header()], 0, []
+    out = [*writer.header()]
+    iteration = 0
+    iterations = []
     for k in range(100):
         out.append(writer.frame("I" if iteration % 16 == 0 else "P", sample.main_values(k, iteration, 5)))
         iterations.append(iteration)
@@ -432,7 +441,8 @@ def test_the_recipe_takes_old_and_newer_logs(name: str) -> None:
         assert 1 / data.dt_s == pytest.approx(250.0)
         assert len(data) * data.dt_s > 40.0
     roll = dataset([flight], recipe, "roll_rate")
-    asked, turned = np.concatenate([s.u for s in roll.segments]), np.concatenate([s.y for s in roll.segments])
+    asked = np.concatenate([s.u for s in roll.segments])
+    turned = np.concatenate([s.y for s in roll.segments])
     assert np.corrcoef(asked[:, 0], turned[:, 0])[0, 1] > 0.95
 
 

@@ -22,7 +22,8 @@ from tests.samplelogs import navdata
 from tests.samplelogs.tlog import frame, sender
 
 START_NS = 1_700_000_000 * 10**9
-VEHICLE, STATION = (b"\x0a\x00\x00\x01", 14550), (b"\x0a\x00\x00\x02", 14550)
+VEHICLE = (b"\x0a\x00\x00\x01", 14550)
+STATION = (b"\x0a\x00\x00\x02", 14550)
 Packet = tuple[int, bytes]
 
 
@@ -83,7 +84,10 @@ def over_udp(frames: list[bytes]) -> list[Packet]:
 
 def over_tcp(frames: list[bytes]) -> list[Packet]:
     """The stream cut anywhere; a segment sent twice; numbers that wrap."""
-    stream, at, packets, rng = b"".join(frames), 0, [], random.Random(2)
+    stream = b"".join(frames)
+    at = 0
+    packets = []
+    rng = random.Random(2)
     first = 2**32 - 500
     while at < len(stream):
         size = rng.randrange(1, 90)
@@ -138,7 +142,8 @@ def test_damage_in_a_capture_is_counted_in_bytes_of_the_file() -> None:
 
 
 def test_two_systems_on_two_flows_are_told_apart() -> None:
-    one, two = sender(), sender(2)
+    one = sender()
+    two = sender(2)
     packets = []
     for i, (first, second) in enumerate(zip(flying(one, 50), flying(two, 50), strict=True)):
         packets += [(START_NS + i * 10**7, udp(first)), (START_NS + i * 10**7, udp(second, STATION, VEHICLE))]

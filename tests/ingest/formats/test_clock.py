@@ -47,14 +47,16 @@ def test_a_reboot_is_no_outlier() -> None:
 
 
 def test_steps_of_one_stream_alone_do_not_split() -> None:
-    four, falls = [Extent(0, 99, 1)] * 4, [Fall(10, 12, 9), Fall(9, 15, 9), Fall(8, 13, 9), Fall(40, 41, 9)]
+    four = [Extent(0, 99, 1)] * 4
+    falls = [Fall(10, 12, 9), Fall(9, 15, 9), Fall(8, 13, 9), Fall(40, 41, 9)]
     assert split_points(falls[:1], four) == []
     assert split_points(falls, four) == [12]
     assert split_points([falls[0], falls[3]], four[:1]) == [12, 41]
 
 
 def test_streams_that_cannot_have_seen_a_reboot_have_no_say() -> None:
-    over, slow = Extent(50, 99, 1), Extent(0, 99, 10)
+    over = Extent(50, 99, 1)
+    slow = Extent(0, 99, 10)
     assert split_points([Fall(10, 12, 9)], [Extent(0, 99, 1), over, over, slow, slow]) == [12]
 
 
@@ -69,7 +71,8 @@ def test_a_clock_that_begins_anew_within_a_second_is_told_from_late_messages() -
 
 def test_a_leap_is_what_the_arrivals_do_not_explain() -> None:
     vehicle = np.arange(100, dtype=np.int64) * SECOND_NS
-    gap, leap = vehicle + (vehicle > 50 * SECOND_NS) * 600 * SECOND_NS, vehicle.copy()
+    gap = vehicle + (vehicle > 50 * SECOND_NS) * 600 * SECOND_NS
+    leap = vehicle.copy()
     leap[60:] += 7200 * SECOND_NS
     assert leaps(gap, gap // 27, 10 * SECOND_NS).tolist() == []
     assert leaps(leap, vehicle // 27, 10 * SECOND_NS).tolist() == [60]
@@ -85,7 +88,8 @@ def test_a_wrap_is_told_from_an_outlier() -> None:
 
 
 def test_interpolation_keeps_nanoseconds() -> None:
-    knots, values = np.array([0, 10, 20]), np.array([0, 100, 300]) + 1_700_000_000_000_000_001
+    knots = np.array([0, 10, 20])
+    values = np.array([0, 100, 300]) + 1_700_000_000_000_000_001
     got = interpolate(np.array([-5, 0, 5, 15, 20, 25]), knots, values, slope=2.0) - values[0]
     assert got.tolist() == [-10, 0, 50, 200, 300, 310]
 

@@ -67,11 +67,13 @@ def test_units_are_those_that_the_firmware_documents() -> None:
 
 def test_nothing_is_invented_behind_damage() -> None:
     """Every row read from a damaged log stands in the sound one."""
-    blob, rng = sample.build(), random.Random(17)
+    blob = sample.build()
+    rng = random.Random(17)
     sound = {name: {row[0] for row in rows} for name, rows in plain(blob).items()}
     first = len(sample.header())
     for _ in range(150):
-        at, size = rng.randrange(first, len(blob) - 100), rng.choice((1, 5, 29, 64))
+        at = rng.randrange(first, len(blob) - 100)
+        size = rng.choice((1, 5, 29, 64))
         kind = rng.choice(("zeros", "noise", "gone"))
         middle = {"zeros": bytes(size), "noise": rng.randbytes(size), "gone": b""}[kind]
         damaged = blob[:at] + middle + blob[at + size :]

@@ -188,7 +188,9 @@ def test_missing_is_missing_and_nonsense_is_counted() -> None:
 
 def test_losses_are_in_the_order_of_the_file() -> None:
     rows = [f"{i / 10},{i},{i}\n" for i in range(20)]
-    rows[5], rows[9], rows[12] = "0.5,1\n", "nine,1,1\n", "1\n"
+    rows[5] = "0.5,1\n"
+    rows[9] = "nine,1,1\n"
+    rows[12] = "1\n"
     flight = read("time,u,y\n" + "".join(rows))
     starts = [r.start for r in flight.damage.regions]
     assert len(starts) == 3
@@ -288,7 +290,8 @@ def test_cell_by_cell_says_what_the_fast_way_says() -> None:
 def test_damage_above_the_second_row_is_counted(damage: tuple[int, bytes]) -> None:
     from tests.samplelogs import csv as sample
 
-    blob, (at, raw) = sample.build(), damage
+    blob = sample.build()
+    (at, raw) = damage
     whole, flight = (
         collect(memoryview(b), "a.csv", all_formats()["csv"], Limits())
         for b in (blob, blob[:at] + raw + blob[at + len(raw) :])

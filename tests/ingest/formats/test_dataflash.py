@@ -59,14 +59,16 @@ def dfreader_rows(path: Path) -> dict[str, list[Any]]:
 @needs_logs
 @pytest.mark.parametrize("name", ["copter_437s.bin", "pymavlink_test.BIN"])
 def test_every_field_is_what_dfreader_reads(name: str) -> None:
-    flight, expected = flysid.read(LOGS / name), dfreader_rows(LOGS / name)
+    flight = flysid.read(LOGS / name)
+    expected = dfreader_rows(LOGS / name)
     assert set(flight.streams) == set(expected)
     for stream, table in flight.tables.items():
         assert table.num_rows == len(expected[stream]), stream
         columns = table.to_pydict()
         for i, theirs in enumerate(expected[stream]):
             for label, character in zip(theirs.fmt.columns, theirs.fmt.format, strict=False):
-                ours, value = columns[label][i], getattr(theirs, label)
+                ours = columns[label][i]
+                value = getattr(theirs, label)
                 if character in SCALED:
                     value = round(value / SCALED[character])
                 value = list(value) if isinstance(value, bytes) else value
@@ -76,7 +78,8 @@ def test_every_field_is_what_dfreader_reads(name: str) -> None:
 @needs_logs
 def test_units_come_from_the_log() -> None:
     flight = flysid.read(LOGS / "sitl_copter_49s.BIN")
-    gps, att = flight["GPS"].schema, flight["ATT"].schema
+    gps = flight["GPS"].schema
+    att = flight["ATT"].schema
     assert (field_unit(gps.field("Lat")), field_scale(gps.field("Lat"))) == ("deg", 1e-7)
     assert (field_unit(att.field("DesRoll")), field_scale(att.field("DesRoll"))) == ("deg", 0.01)
     assert (field_unit(att.field("TimeUS")), field_scale(att.field("TimeUS"))) == ("s", 1e-6)
@@ -90,7 +93,8 @@ def test_units_come_from_the_log() -> None:
 
 
 def test_a_definition_that_changes_begins_a_new_stream() -> None:
-    form, later = "QB", "QBf"
+    form = "QB"
+    later = "QBf"
     blob = define(128, *TYPES[128]) + define(20, "ABC", form, "TimeUS,A")
     blob += b"".join(message(20, form, 1000 * i, i) for i in range(5))
     blob += define(20, "ABC", later, "TimeUS,A,B") + b"".join(
@@ -233,7 +237,8 @@ def test_damage_anywhere_never_raises_and_small_batches_agree(edits: list[tuple[
     blob = bytearray(b"".join(fmt(n) for n in TYPES) + build()[-1500:])
     for at, garbage in edits:
         blob[800 + at : 800 + at] = garbage
-    whole, pieces = read(bytes(blob)), read(bytes(blob), batch_bytes=512)
+    whole = read(bytes(blob))
+    pieces = read(bytes(blob), batch_bytes=512)
     assert pieces.rows == whole.rows
     assert pieces.damage.bytes_skipped == whole.damage.bytes_skipped
 

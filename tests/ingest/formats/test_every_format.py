@@ -60,7 +60,9 @@ def test_inputs_and_outputs_come_back(logs: Path, suffix: str, axis: str) -> Non
     recipe, channel, sign = CHANNELS[suffix]
     columns = ("theta_in", "vx")
     if axis == "sideways":
-        channel, sign, columns = SIDEWAYS[channel], 1.0, ("phi_in", "vy")
+        channel = SIDEWAYS[channel]
+        sign = 1.0
+        columns = ("phi_in", "vy")
     data: Dataset = dataset([flysid.read(path)], recipe, channel)
     assert data.dt_s == pytest.approx(0.02)
     assert len(data.segments) == 2  # nothing across the drop-out

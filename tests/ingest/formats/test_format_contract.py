@@ -32,7 +32,11 @@ from tests.format_trials import (
     sample,
 )
 
-CUT_EVERY, FLIPS, INSERTIONS, DELETIONS = 29, 500, 200, 50  # `make soak` makes more of them
+# `make soak` makes more of them
+CUT_EVERY = 29
+FLIPS = 500
+INSERTIONS = 200
+DELETIONS = 50
 
 each_format = pytest.mark.parametrize("name", FORMATS)
 
@@ -51,7 +55,8 @@ def rows_of(name: str, blob: bytes) -> int:
 
 @each_format
 def test_the_sample_is_deterministic_and_its_records_cover_it(name: str) -> None:
-    blob, records = sample(name), records_of(name)
+    blob = sample(name)
+    records = records_of(name)
     assert module_of(name).build() == blob
     assert 4_000 < len(blob) < 80_000
     assert records[0].start == 0
@@ -101,7 +106,8 @@ def test_tables_begin_with_time_and_boot_and_are_named_once(name: str) -> None:
 @each_format
 def test_small_batches_give_the_same_fields(name: str) -> None:
     """The log in many batches: the same rows in the same order, whatever the batch's border cuts."""
-    whole, pieces = intact(name), read(name, sample(name), batch_bytes=2048)
+    whole = intact(name)
+    pieces = read(name, sample(name), batch_bytes=2048)
     assert pieces.streams == whole.streams
     for stream, table in whole.tables.items():
         other = pieces.tables[stream]

@@ -36,14 +36,16 @@ def test_every_field_of_a_telemetry_log_is_what_the_log_itself_says() -> None:
     path = LOGS / "tlog" / "sitl_copter_98s.tlog"
     blob = printed(path, "--show-source")
     assert detect(blob[:65536], "log.json").name == "mavlogdump"
-    flight, log = read(blob), flysid.read(path)
+    flight = read(blob)
+    log = flysid.read(path)
     assert not flight.damage.lossy
     assert set(flight.streams) == set(log.streams)
     for stream, table in log.tables.items():
         other = flight.tables[stream]
         assert other.num_rows == table.num_rows
         for name in table.column_names:
-            left, right = other[name].to_pylist(), table[name].to_pylist()
+            left = other[name].to_pylist()
+            right = table[name].to_pylist()
             if name in (
                 "time_ns",
                 "recv_ns",
@@ -59,7 +61,8 @@ def test_every_field_of_a_telemetry_log_is_what_the_log_itself_says() -> None:
 @pytest.mark.parametrize("name", ["pymavlink_test.BIN", "copter_437s.bin"])
 def test_every_field_of_a_dataflash_log_is_what_the_log_itself_says(name: str) -> None:
     path = LOGS / "dataflash" / name
-    flight, log = read(printed(path)), flysid.read(path)
+    flight = read(printed(path))
+    log = flysid.read(path)
     compared = 0
     printed_scale = {
         row["Name"]: {
@@ -75,7 +78,8 @@ def test_every_field_of_a_dataflash_log_is_what_the_log_itself_says(name: str) -
             continue  # the log's own reader keeps instances apart
         other = flight.tables[kind]
         for column in set(table.column_names) & set(other.column_names) - {"time_ns", "boot"}:
-            left, right = other[column].to_pylist(), table[column].to_pylist()
+            left = other[column].to_pylist()
+            right = table[column].to_pylist()
             if isinstance(right[0], (int, float)):
                 expected = np.array(right, dtype=float) * printed_scale[kind].get(column, 1.0)
                 assert np.allclose(np.array(left, dtype=float), expected, rtol=1e-6, equal_nan=True)

@@ -92,8 +92,10 @@ def test_a_cut_between_two_records_is_seen_by_the_index_that_is_missing() -> Non
 
 
 def test_a_chunk_refused_for_its_size_is_no_bad_checksum() -> None:
-    blob, at = sample.build(), len(sample.MAGIC)
-    bomb, damaged = sample.chunk(bytes(50_000_000), b"bz2"), bytearray(sample.chunk(bytes(5000), b"bz2"))
+    blob = sample.build()
+    at = len(sample.MAGIC)
+    bomb = sample.chunk(bytes(50_000_000), b"bz2")
+    damaged = bytearray(sample.chunk(bytes(5000), b"bz2"))
     damaged[-8] ^= 1
     for inserted, bad in ((bomb, 0), (bytes(damaged), 1)):
         flight = collect(memoryview(blob[:at] + inserted + blob[at:]), "a.bag", FORMATS["rosbag"], Limits())

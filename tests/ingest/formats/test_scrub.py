@@ -81,7 +81,8 @@ def test_no_secret_bytes_remain(private: tuple[Private, Path], gps: str) -> None
 def test_the_copy_reads_without_loss_and_nothing_else_has_changed(private: tuple[Private, Path]) -> None:
     _, path = private
     done, out = scrubbed(path)
-    before, after = flysid.read(path), flysid.read(out)
+    before = flysid.read(path)
+    after = flysid.read(out)
     assert not after.damage.lossy
     gone = set(before.tables) - set(after.tables)
     assert all(any(key in where for what, where in done.removed if what == "embedded data") for key in gone)
@@ -106,7 +107,8 @@ def same(a: pa.ChunkedArray, b: pa.ChunkedArray) -> bool:
 def test_a_shifted_position_keeps_its_metres(private: tuple[Private, Path]) -> None:
     log, path = private
     _, out = scrubbed(path)
-    before, after = degrees(flysid.read(path), log), degrees(flysid.read(out), log)
+    before = degrees(flysid.read(path), log)
+    after = degrees(flysid.read(out), log)
     assert len(before) == len(after)
     assert np.abs(after).max() < 0.02
     metres = [METRES * (d - d.mean(0)) * [1.0, np.cos(np.radians(d[:, 0].mean()))] for d in (before, after)]
@@ -152,7 +154,8 @@ def test_a_real_blackbox_log_flies_as_before_elsewhere(tmp_path: Path) -> None:
         pytest.skip("no ../shared/logs")
     out = tmp_path / "out.bbl"
     done = scrub_log(log, out)
-    before, after = flysid.read(log), flysid.read(out)
+    before = flysid.read(log)
+    after = flysid.read(out)
     assert not after.damage.lossy
     for stream in ("main", "slow", "events"):
         assert after[stream].equals(before[stream])
@@ -280,7 +283,8 @@ def test_a_compressed_bag_stays_compressed_and_a_topic_of_no_known_type_is_left_
         file.write(writer.head() + body.read())
     done = scrub_log(log, tmp_path / "b.bag")
     assert done.removed == {("bytes that could not be read", "messages of /strange"): 20_000}
-    before, after = flysid.read(log), flysid.read(tmp_path / "b.bag")
+    before = flysid.read(log)
+    after = flysid.read(tmp_path / "b.bag")
     assert b"compression=" + kind in (tmp_path / "b.bag").read_bytes()
     assert not after.damage.lossy
     assert list(after.tables) == ["/motion"]

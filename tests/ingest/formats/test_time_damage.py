@@ -17,7 +17,9 @@ from flysid.ingest.align.align import Aligned, align
 from tests.ingest.align.test_align import MS, flight_of, recipe, table
 
 IntArray = npt.NDArray[np.int64]
-N, PERIOD = 1500, 20 * MS  # 30 s at 50 Hz
+# 30 s at 50 Hz
+N = 1500
+PERIOD = 20 * MS
 T = np.arange(N, dtype=np.int64) * PERIOD + 5_000_000_000
 RECIPE = recipe(rate_hz=50.0)
 BRIDGED = 2.5 * PERIOD  # a pause up to here is one lost sample
@@ -94,7 +96,8 @@ def test_repeated_stamps_are_counted_exactly_and_the_last_value_holds(share: flo
     for seed in range(20):
         rng = np.random.default_rng(seed)
         twice = np.flatnonzero(rng.random(N) < share)
-        t, y = np.concatenate([T[twice], T]), np.concatenate([np.full(len(twice), 99.0), truth(T)])
+        t = np.concatenate([T[twice], T])
+        y = np.concatenate([np.full(len(twice), 99.0), truth(T)])
         order = np.argsort(t, kind="stable")
         found = aligned(t[order], y[order])
         np.testing.assert_array_equal(np.concatenate([s.y[:, 0] for s in found.dataset.segments]), truth(T))

@@ -61,7 +61,8 @@ def same(ours: object, theirs: object) -> bool:
 @needs_logs
 @pytest.mark.parametrize("name", ["sitl_copter_98s", "sitl_vtol_v1"])
 def test_every_field_is_what_pymavlink_reads(name: str) -> None:
-    flight, expected = flysid.read(LOGS / f"{name}.tlog"), pymavlink_rows(LOGS / f"{name}.tlog")
+    flight = flysid.read(LOGS / f"{name}.tlog")
+    expected = pymavlink_rows(LOGS / f"{name}.tlog")
     assert set(flight.streams) == set(expected)
     for stream, table in flight.tables.items():
         columns = table.to_pydict()
@@ -93,7 +94,8 @@ def test_a_clock_that_runs_27_times_too_fast_is_followed() -> None:
     flight = flysid.read(LOGS / "sitl_x27_two_boots_stray_bytes.tlog")
     assert 1 / flight.clocks[1].slope == pytest.approx(27.1, abs=0.5)
     heartbeats = flight["1.1/HEARTBEAT"]
-    times, boots = heartbeats["time_ns"].to_numpy(), heartbeats["boot"].to_numpy()
+    times = heartbeats["time_ns"].to_numpy()
+    boots = heartbeats["boot"].to_numpy()
     gaps = np.diff(times[boots == 1]) * 1e-9
     assert np.median(gaps) == pytest.approx(1.0, abs=0.05)
 
@@ -148,10 +150,14 @@ def test_every_message_comes_back(dialect: str, form: str) -> None:
     import importlib
 
     module = importlib.import_module(f"pymavlink.dialects.v20.{dialect}")
-    mav, rng = module.MAVLink(None, srcSystem=3, srcComponent=4), random.Random(form)
+    mav = module.MAVLink(None, srcSystem=3, srcComponent=4)
+    rng = random.Random(form)
     if form == "signed":
-        mav.signing.secret_key, mav.signing.sign_outgoing, mav.signing.timestamp = bytes(32), True, 1
-    sent, frames = [], []
+        mav.signing.secret_key = bytes(32)
+        mav.signing.sign_outgoing = True
+        mav.signing.timestamp = 1
+    sent = []
+    frames = []
     for number, kind in sorted(module.mavlink_map.items()):
         if form == "v1" and (number > 255 or kind.unpacker.size > 255):
             continue
@@ -164,7 +170,8 @@ def test_every_message_comes_back(dialect: str, form: str) -> None:
     for message in sent:
         row = flight.tables[f"3.4/{message.msgname}"].to_pylist()[0]
         for name in message.fieldnames:
-            ours, theirs = row[name], getattr(message, name)
+            ours = row[name]
+            theirs = getattr(message, name)
             theirs = theirs.decode() if isinstance(theirs, bytes) else theirs
             pairs = zip(ours, theirs, strict=True) if isinstance(ours, list) else [(ours, theirs)]
             assert all(same(a, b) for a, b in pairs), f"{message.msgname}.{name}"
@@ -185,7 +192,8 @@ def flying(mav: Any, count: int, first_ms: int = 1000, step_ms: int = 20) -> lis
 
 
 def test_messages_without_a_clock_lie_between_their_neighbours() -> None:
-    vehicle, station = sender(), sender(255, 190)
+    vehicle = sender()
+    station = sender(255, 190)
     frames: list[bytes] = []
     for i, attitude in enumerate(flying(vehicle, 100)):
         frames.append(attitude)
@@ -261,7 +269,8 @@ def test_a_clock_that_leaps_is_cut_there_and_said(batch_bytes: int) -> None:
 
 def test_a_gap_in_the_record_is_no_leap() -> None:
     vehicle = sender()
-    early, late = log_of(flying(vehicle, 100), 20_000), log_of(flying(vehicle, 100, 603_000), 20_000)
+    early = log_of(flying(vehicle, 100), 20_000)
+    late = log_of(flying(vehicle, 100, 603_000), 20_000)
     size = len(late) // 100
     moved = bytearray(late)
     for at in range(0, len(late), size):
@@ -354,7 +363,8 @@ def test_the_compiled_walk_stops_where_the_plain_one_does(data: st.DataObject) -
     cut = as_array(bytes(blob[: data.draw(st.integers(0, len(blob)))]))
     limit = data.draw(st.integers(0, len(cut)))
     seeds = load_dialect().crc_extra
-    plain, compiled = plain_chain(seeds)(cut, 0, limit, 8), compiled_chain(seeds)(cut, 0, limit, 8)
+    plain = plain_chain(seeds)(cut, 0, limit, 8)
+    compiled = compiled_chain(seeds)(cut, 0, limit, 8)
     assert plain[0].tolist() == compiled[0].tolist()
     assert plain[1] == compiled[1]
 

@@ -78,7 +78,8 @@ def assert_equals_pyulog(flight: Flight, peer: Any) -> None:
 @needs_logs
 @pytest.mark.parametrize("path", INTACT, ids=lambda p: p.stem)
 def test_real_logs_equal_pyulog_bit_for_bit(path: Path) -> None:
-    flight, peer = flysid.read(path), pyulog(str(path))
+    flight = flysid.read(path)
+    peer = pyulog(str(path))
     assert_equals_pyulog(flight, peer)
     assert not flight.damage.lossy, flight.damage
     assert flight.damage.dropouts.get("records", 0) == len(peer.dropouts)
@@ -106,7 +107,8 @@ def test_a_record_of_the_wrong_size_is_named_and_the_rest_equals_pyulog() -> Non
 @needs_logs
 def test_a_damaged_log_keeps_at_least_what_pyulog_keeps() -> None:
     path = LOGS / "corrupt_format_not_utf8.ulg"
-    flight, peer = flysid.read(path), pyulog(str(path))
+    flight = flysid.read(path)
+    peer = pyulog(str(path))
     assert flight.damage.lossy
     for item in peer.data_list:
         stream = item.name + (f"#{item.multi_id}" if item.multi_id else "")

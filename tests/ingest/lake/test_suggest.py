@@ -69,7 +69,8 @@ def test_what_stands_in_the_way_is_named() -> None:
 def test_an_oscillation_is_no_band() -> None:
     """One frequency at which both move says nothing of a response."""
     t_s = T * 1e-9
-    u, y = np.sin(2 * np.pi * 3.0 * t_s), np.sin(2 * np.pi * 3.0 * t_s - 1.0)
+    u = np.sin(2 * np.pi * 3.0 * t_s)
+    y = np.sin(2 * np.pi * 3.0 * t_s - 1.0)
     noise = RNG.normal(scale=0.3, size=(2, len(T)))
     found = one(u + noise[0], y + noise[1])
     assert found.band_hz is not None

@@ -33,7 +33,8 @@ def test_spectra_of_long_records_are_the_theoretical_ones() -> None:
     from scipy.signal import welch
 
     intensity = low_altitude(20.0, 6.0, 6.0)
-    dt_s, n = 0.1, 80_000
+    dt_s = 0.1
+    n = 80_000
     record = turbulence(intensity, n, dt_s, np.random.default_rng(11))
     for axis in range(3):
         hz, density = welch(record[:, axis], fs=1 / dt_s, nperseg=4096)

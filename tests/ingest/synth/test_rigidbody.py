@@ -23,7 +23,8 @@ from flysid.ingest.synth.rigid_body import (
     rigid_body_rates,
 )
 
-DRONE, IDEAL = Vehicle(), Vehicle(effects=PAPER)
+DRONE = Vehicle()
+IDEAL = Vehicle(effects=PAPER)
 GYRO = Vehicle(effects=replace(PAPER, gyroscopic=True))
 FRAME = DRONE.airframe
 
@@ -42,7 +43,8 @@ def test_without_effects_it_is_the_papers_equations(seed: int) -> None:
     state, w = random_state(seed)
     (phi, theta, psi), (ixx, iyy, izz) = state[6:9], FRAME.inertia_kg_m2
     thrust = FRAME.thrust_factor * np.sum(w**2)
-    s, c = np.sin, np.cos
+    s = np.sin
+    c = np.cos
     expected = np.array(
         [
             thrust / FRAME.mass_kg * (c(psi) * s(theta) + c(theta) * s(phi) * s(psi)),
@@ -82,7 +84,8 @@ def test_drag_takes_energy_from_motion_through_the_air(seed: int) -> None:
 
 
 def turned(state: FloatArray, angle: float) -> FloatArray:
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     out = state.copy()
     for i in (0, 3):
         out[i], out[i + 1] = c * state[i] - s * state[i + 1], s * state[i] + c * state[i + 1]
@@ -125,14 +128,17 @@ def test_a_mirror_image_flies_as_a_mirror_image(seed: int) -> None:
 
 def test_the_hover_linearisation_is_the_one_derived_by_hand() -> None:
     """At hover: x'' = g theta - d x', y'' = -g phi - d y', z'' = 2 k_F w0 / m sum(dw) - d z', and so on."""
-    hover, w0 = np.zeros(12), np.full(4, FRAME.hover_rad_s)
+    hover = np.zeros(12)
+    w0 = np.full(4, FRAME.hover_rad_s)
     hover[2] = 1e4  # ground effect falls with the square of the height
     (ixx, iyy, izz), g = FRAME.inertia_kg_m2, FRAME.gravity_m_s2
     a = np.zeros((12, 12))
     a[:3, 3:6], a[6:9, 9:12] = np.eye(3), np.eye(3)
-    a[3, 7], a[4, 6] = g, -g
+    a[3, 7] = g
+    a[4, 6] = -g
     a[3:6, 3:6] = -np.diag(FRAME.linear_drag_1_s)
-    thrust, lever = 2 * FRAME.thrust_factor * w0[0], FRAME.arm_m
+    thrust = 2 * FRAME.thrust_factor * w0[0]
+    lever = FRAME.arm_m
     b = np.zeros((12, 4))
     b[5] = thrust / FRAME.mass_kg
     b[9] = np.array([0, 1, 0, -1]) * lever * thrust / ixx
@@ -165,7 +171,8 @@ def reference(vehicle: Vehicle, inputs: FloatArray, period_s: float, x0: FloatAr
     """The same equations by scipy's eighth-order method at a tolerance of 1e-11, piece by piece."""
     from scipy.integrate import solve_ivp
 
-    physics, x = vehicle.physics().packed(), x0
+    physics = vehicle.physics().packed()
+    x = x0
     for u in inputs:
         x = solve_ivp(
             lambda _, y, u=u: closed_loop_rates(y, u, physics), (0, period_s), x, method="DOP853",
@@ -208,7 +215,8 @@ def test_signs_are_those_of_the_papers_figure() -> None:
 
 def step_to(theta: float = 0.0, vz: float = 0.0, n: int = 250) -> FloatArray:
     commands = np.zeros((n, 3))
-    commands[:, 0], commands[:, 2] = theta, vz
+    commands[:, 0] = theta
+    commands[:, 2] = vz
     return commands
 
 

@@ -59,7 +59,8 @@ def column(flight: flysid.Flight, stream: str, name: str) -> FloatArray:
 
 
 def along_heading(north: FloatArray, east: FloatArray, psi_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-    c, s = np.cos(np.radians(psi_deg)), np.sin(np.radians(psi_deg))
+    c = np.cos(np.radians(psi_deg))
+    s = np.sin(np.radians(psi_deg))
     return c * north + s * east, -s * north + c * east
 
 
@@ -76,7 +77,9 @@ def close(got: FloatArray, expected: FloatArray, step: float) -> None:
 
 
 def test_dataflash(recording: Recording, tmp_path: Path) -> None:
-    flight, state, sent = read_back(recording, "dataflash", tmp_path), recording.state, recording.command
+    flight = read_back(recording, "dataflash", tmp_path)
+    state = recording.state
+    sent = recording.command
     np.testing.assert_array_equal(column(flight, "ATT", "TimeUS") * 1000, state.time_ns)
     close(column(flight, "ATT", "DesPitch") / 100, -sent["theta_in"], 0.00501)
     close(column(flight, "ATT", "DesRoll") / 100, sent["phi_in"], 0.00501)
@@ -95,7 +98,9 @@ def test_dataflash(recording: Recording, tmp_path: Path) -> None:
 
 
 def test_ulog(recording: Recording, tmp_path: Path) -> None:
-    flight, state, sent = read_back(recording, "ulog", tmp_path), recording.state, recording.command
+    flight = read_back(recording, "ulog", tmp_path)
+    state = recording.state
+    sent = recording.command
     roll, pitch, _ = euler(column(flight, "vehicle_attitude_setpoint", "q_d"))
     close(roll, sent["phi_in"], 2e-5)
     close(-pitch, sent["theta_in"], 2e-5)
@@ -127,7 +132,9 @@ def test_ulog_is_what_pyulog_reads(recording: Recording, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("name", ["mcap-ros1", "mcap-ros2"])
 def test_ros(recording: Recording, name: str, tmp_path: Path) -> None:
-    flight, state, sent = read_back(recording, name, tmp_path), recording.state, recording.command
+    flight = read_back(recording, name, tmp_path)
+    state = recording.state
+    sent = recording.command
     limit = np.degrees(0.209)
     close(column(flight, "/cmd_vel", "linear.x") * limit, sent["theta_in"], 1e-9)
     close(-column(flight, "/cmd_vel", "linear.y") * limit, sent["phi_in"], 1e-9)
@@ -165,7 +172,9 @@ def test_ros_messages_are_what_the_official_decoders_read(recording: Recording) 
 
 @pytest.mark.parametrize("name", ["navdata", "pcap"])
 def test_navdata(recording: Recording, name: str, tmp_path: Path) -> None:
-    flight, state, sent = read_back(recording, name, tmp_path), recording.state, recording.command
+    flight = read_back(recording, name, tmp_path)
+    state = recording.state
+    sent = recording.command
     close(column(flight, "demo", "vx") / 1000, state["vx"], 1e-6)
     close(column(flight, "demo", "vy") / 1000, state["vy"], 1e-6)
     close(-column(flight, "demo", "theta") / 1000, state["theta"], 1e-5)
@@ -257,7 +266,8 @@ def test_wind_is_refused_by_plants_that_do_not_feel_it_and_felt_by_the_other() -
 
 def test_effects_can_be_switched_off_by_name() -> None:
     assert tuple(f.name for f in fields(Effects)) == EFFECTS
-    whole, without = fly_one(BOLD, 0), fly_one(Order(**{**vars(BOLD), "without": ("quadratic_drag",)}), 0)
+    whole = fly_one(BOLD, 0)
+    without = fly_one(Order(**{**vars(BOLD), "without": ("quadratic_drag",)}), 0)
     assert np.abs(whole.truth["vx"] - without.truth["vx"]).max() > 1e-3
     with pytest.raises(UsageError, match="no effect 'gravity'"):
         Order(plant="ardrone", without=("gravity",))

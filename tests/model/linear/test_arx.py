@@ -37,7 +37,8 @@ def sines(seconds: float, *rates: float) -> FloatArray:
 
 def steps(seconds: float, dt_s: float, seed: int) -> FloatArray:
     """A random telegraph signal, changing at most every 0.4 s."""
-    hold, n = int(0.4 / dt_s), int(seconds / dt_s)
+    hold = int(0.4 / dt_s)
+    n = int(seconds / dt_s)
     return np.repeat(np.random.default_rng(seed).choice([-0.3, 0.3], n // hold + 1), hold)[:n]
 
 
@@ -50,7 +51,8 @@ def truth_error(model: FittedLinear, u: FloatArray, truth: FloatArray, noise: fl
 
 @every_plant
 def test_the_plants_order_is_exact_without_noise(plant: str) -> None:
-    u, held = sines(400, 0.1, 0.2, 0.3, 0.4, 0.5), sines(400, 0.1, 0.2, 0.3, 0.4)
+    u = sines(400, 0.1, 0.2, 0.3, 0.4, 0.5)
+    held = sines(400, 0.1, 0.2, 0.3, 0.4)
     n = ORDER[plant]
     train = Dataset.from_arrays(u, response(plant, u, 0.01), 0.01)
     model = ARX(na=n, nb=n, nk=1, refine=False).fit(train)
@@ -60,7 +62,8 @@ def test_the_plants_order_is_exact_without_noise(plant: str) -> None:
 @every_plant
 def test_defaults_free_run_within_a_tenth_of_the_noise(plant: str) -> None:
     dt = 0.02
-    u, held = steps(120, dt, 1), steps(120, dt, 2)
+    u = steps(120, dt, 1)
+    held = steps(120, dt, 2)
     noisy = response(plant, u, dt) + 0.02 * np.random.default_rng(3).standard_normal(len(u))
     model = ARX().fit(Dataset.from_arrays(u, noisy, dt))
     assert truth_error(model, held, response(plant, held, dt), 0.02) < 0.002
@@ -69,7 +72,8 @@ def test_defaults_free_run_within_a_tenth_of_the_noise(plant: str) -> None:
 
 def test_the_papers_signals_with_noise_at_100_hz() -> None:
     """Least squares one step ahead is useless here; the defaults notice and refine."""
-    u, held = sines(400, 0.1, 0.2, 0.3, 0.4, 0.5), sines(400, 0.1, 0.2, 0.3, 0.4)
+    u = sines(400, 0.1, 0.2, 0.3, 0.4, 0.5)
+    held = sines(400, 0.1, 0.2, 0.3, 0.4)
     truth = response("lateral", held, 0.01)
     noisy = response("lateral", u, 0.01) + 0.02 * np.random.default_rng(4).standard_normal(len(u))
     train = Dataset.from_arrays(u, noisy, 0.01)
@@ -178,5 +182,6 @@ def test_collinear_inputs_still_predict() -> None:
     model = ARX(na=2, nb=2, nk=1, refine=False).fit(twice)
     alone = ARX(na=2, nb=2, nk=1, refine=False).fit(train)
     segment = twice.segments[0]
-    one, other = model.predict(segment.u, segment.y), alone.predict(segment.u[:, :1], segment.y)
+    one = model.predict(segment.u, segment.y)
+    other = alone.predict(segment.u[:, :1], segment.y)
     assert one[2:] == pytest.approx(other[2:], abs=1e-8)

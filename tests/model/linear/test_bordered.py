@@ -14,7 +14,9 @@ from flysid.model.rules.growth import first_basis, insertions, linear_stage
 from flysid.model.rules.probe_inputs import probe_run
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, scaling
 
-P, SEGMENTS, Q = 4, 3, 2
+P = 4
+SEGMENTS = 3
+Q = 2
 
 
 def test_the_step_is_the_dense_one() -> None:
@@ -27,7 +29,8 @@ def test_the_step_is_the_dense_one() -> None:
     H = jacobian.T @ jacobian
     own = [slice(P + s * Q, P + (s + 1) * Q) for s in range(SEGMENTS)]
     found = Bordered(H[:P, :P], np.stack([H[:P, o] for o in own]), np.stack([H[o, o] for o in own]))
-    g, scale = rng.normal(size=len(H)), rng.uniform(0.5, 2.0, size=len(H))
+    g = rng.normal(size=len(H))
+    scale = rng.uniform(0.5, 2.0, size=len(H))
     expected = -np.linalg.solve(H + 0.1 * np.diag(scale**2), g)
     step = found.damped_step(scale, 0.1, g)
     assert step is not None

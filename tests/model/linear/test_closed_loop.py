@@ -28,7 +28,9 @@ def flown() -> list[Dataset]:
 def test_through_the_chirp_the_plant_lies_in_the_intervals_and_the_band_in_the_sweep(
     flown: list[Dataset],
 ) -> None:
-    hits, total, bias = 0, 0, []
+    hits = 0
+    total = 0
+    bias = []
     for data in flown:
         measured = measure_response(data, reference=["chirp"], points=40)
         band = measured.band()
@@ -36,7 +38,8 @@ def test_through_the_chirp_the_plant_lies_in_the_intervals_and_the_band_in_the_s
         assert 2 * np.pi * SWEPT_HZ[0] < band[0] < 15.0
         assert 30.0 < band[1] < 2 * np.pi * SWEPT_HZ[1]
         good, count, errors_db = held(measured, *band)
-        hits, total = hits + good, total + count
+        hits = hits + good
+        total = total + count
         bias.append(np.median(errors_db))
         assert measured.reference == ("chirp",)
     assert 0.88 < hits / total <= 1.0
@@ -75,7 +78,8 @@ def test_two_references_tell_two_inputs_apart() -> None:
     n = 6000
     r = rng.standard_normal((n, 2))
     v = np.convolve(rng.standard_normal(n), [1.0, 0.8, 0.5], mode="same")
-    u, y = np.zeros((n, 2)), np.zeros(n)
+    u = np.zeros((n, 2))
+    y = np.zeros(n)
     for k in range(n):
         y[k] = 2.0 * u[k - 1, 0] * (k > 0) - u[k - 2, 1] * (k > 1) + v[k]
         u[k] = r[k] - [0.3 * y[k], -0.2 * y[k]]

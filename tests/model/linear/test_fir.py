@@ -21,13 +21,15 @@ def experiment(seed: int, noise: float = 0.3, samples: int = 250) -> Dataset:
 
 
 def plain(data: Dataset, taps: int) -> FloatArray:
-    u, y = data.segments[0].u[:, 0], data.segments[0].y[:, 0]
+    u = data.segments[0].u[:, 0]
+    y = data.segments[0].y[:, 0]
     rows = [np.append(u[k - taps + 1 : k + 1][::-1], 1.0) for k in range(taps - 1, len(u))]
     return np.asarray(np.linalg.lstsq(np.array(rows), y[taps - 1 :], rcond=None)[0][:taps])
 
 
 def test_regularisation_pays() -> None:
-    ours, theirs = [], []
+    ours = []
+    theirs = []
     for seed in range(5):
         data = experiment(seed)
         taps = FIR(taps=60).fit(data).system.b[:, 0, 0]

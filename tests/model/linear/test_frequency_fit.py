@@ -71,7 +71,8 @@ def test_an_unstable_plant_under_a_controller_is_found() -> None:
     """y = 2 / (s - 0.5) u, u = r - 2 y, r a sweep far above the noise."""
     rng = np.random.default_rng(3)
     r = 3.0 * steps(12000, rng)
-    y, u = np.zeros(12000), np.zeros(12000)
+    y = np.zeros(12000)
+    u = np.zeros(12000)
     pole = np.exp(0.5 * DT_S)
     for k in range(12000):
         if k:

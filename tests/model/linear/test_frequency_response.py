@@ -48,7 +48,8 @@ def experiment(seed: int, excitation: str, noise: float = 0.002, n: int = 4000) 
 @pytest.mark.parametrize("excitation", ["chirp", "steps"])
 def test_intervals_hold_the_plant_as_often_as_they_say(excitation: str) -> None:
     """Gain and phase at every trusted frequency of 40 flights; a fixed band, so that luck is not selected."""
-    gain, phase = [], []
+    gain = []
+    phase = []
     for seed in range(40):
         m = measure_response(experiment(seed, excitation), points=24, band=(1.0, 8.0))
         g = truth(m.omega)
@@ -72,7 +73,8 @@ def test_every_method_finds_the_plant(method: Method) -> None:
 
 def test_the_error_is_the_one_of_the_textbook() -> None:
     m = measure_response(experiment(0, "steps"))
-    g2, n_d = m.coherence[:, 0], m.averages[:, 0]
+    g2 = m.coherence[:, 0]
+    n_d = m.averages[:, 0]
     assert m.error[:, 0] == pytest.approx(np.sqrt(1 - g2) / (np.sqrt(g2) * np.sqrt(2 * n_d)))
 
 
@@ -91,7 +93,8 @@ def test_two_inputs_are_told_apart() -> None:
     """The second input follows the first in part; each keeps its own response (conditioning)."""
     rng = np.random.default_rng(1)
     n = 8000
-    first, other = steps(n, rng), steps(n, rng)
+    first = steps(n, rng)
+    other = steps(n, rng)
     second = 0.6 * first + other
     b2, a2, _ = cont2discrete(([2.0], [1.0, 3.0]), DT_S, "zoh")
     y = lfilter(B.ravel(), A, first) + lfilter(b2.ravel(), a2, second) + 1e-3 * rng.standard_normal(n)

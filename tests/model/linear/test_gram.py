@@ -30,7 +30,8 @@ def pieces(phi: FloatArray, y: FloatArray, size: int = 37) -> Iterator[tuple[Flo
 @given(seed=st.integers(0, 2**31), rows=st.integers(1, 200), columns=st.integers(1, 6))
 def test_any_subset_of_columns_solves_like_an_ordinary_solver(seed: int, rows: int, columns: int) -> None:
     rng = np.random.default_rng(seed)
-    phi, y = rng.standard_normal((rows, columns)), rng.standard_normal((rows, 2))
+    phi = rng.standard_normal((rows, columns))
+    y = rng.standard_normal((rows, 2))
     triangle = reduce_data(lambda: pieces(phi, y))
     subset = sorted(rng.permutation(columns)[: rng.integers(1, columns + 1)].tolist())
     matrix = np.column_stack([phi[:, subset], np.ones(rows)])

@@ -16,7 +16,8 @@ TRUTH = np.array([-1.5, 0.7, 0.5, 0.3])
 
 def coloured(rng: np.random.Generator, rows: int, size: float) -> FloatArray:
     """Noise on the output with a slow autoregression."""
-    v, e = np.zeros(rows), size * rng.standard_normal(rows)
+    v = np.zeros(rows)
+    e = size * rng.standard_normal(rows)
     for k in range(1, rows):
         v[k] = 0.9 * v[k - 1] + e[k] + 0.5 * e[k - 1]
     return v
@@ -27,7 +28,9 @@ def experiment(seed: int, rows: int = 1500, *, gain: float = 0.0, noise: float =
     rng = np.random.default_rng(seed)
     r = np.repeat(rng.standard_normal(rows // 4 + 1), 4)[:rows]
     v = coloured(rng, rows, noise)
-    p, u, y = np.zeros(rows), np.zeros(rows), np.zeros(rows)
+    p = np.zeros(rows)
+    u = np.zeros(rows)
+    y = np.zeros(rows)
     for k in range(rows):
         if k > 1:
             p[k] = 1.5 * p[k - 1] - 0.7 * p[k - 2] + 0.5 * u[k - 1] + 0.3 * u[k - 2]
@@ -90,7 +93,8 @@ def test_orders_and_delays_are_chosen_and_said() -> None:
 def test_without_noise_the_truth_is_found() -> None:
     model = IV(na=2, nb=2, nk=1).fit(only_u(experiment(3, noise=0.0)))
     assert theta(model) == pytest.approx(TRUTH, abs=1e-6)
-    u, y = (only_u(experiment(4, noise=0.0)).segments[0].u, experiment(4, noise=0.0).segments[0].y)
+    u = only_u(experiment(4, noise=0.0)).segments[0].u
+    y = experiment(4, noise=0.0).segments[0].y
     assert model.simulate(u, y[: model.n_init]) == pytest.approx(y, abs=1e-3)
 
 

@@ -43,7 +43,8 @@ def test_the_same_loop_from_its_setpoint() -> None:
 def test_bandwidth_of_a_second_order_loop() -> None:
     """9 rad/s, damping 0.5: -3 dB at 11.4 rad/s, peak 1.25 dB; the phase stays above -180 degrees."""
     rng = np.random.default_rng(0)
-    dt_s, omega = 0.01, 9.0
+    dt_s = 0.01
+    omega = 9.0
     n = 8000
     u = np.repeat(rng.standard_normal(n // 20), 20)
     s = omega * np.array([-0.5 + 1j * np.sqrt(0.75), -0.5 - 1j * np.sqrt(0.75)])

@@ -170,7 +170,8 @@ def test_robot_arm() -> None:
 def test_silverbox() -> None:
     """A weak nonlinearity: the linear figures, mV. Selection sees three quarters of the multisine."""
     table = np.genfromtxt(benchmark("silverbox_snls80mv.csv"), delimiter=",", skip_header=1)[:, :2]
-    arrow, multisine = table[100:40575], table[40650:127400]
+    arrow = table[100:40575]
+    multisine = table[40650:127400]
     cut = int(0.75 * len(multisine))
     model = OE().fit(Dataset.from_arrays(multisine[:cut, 0], multisine[:cut, 1], 1 / 610.35))
     parts = (multisine[cut:], arrow, arrow[:32_000])

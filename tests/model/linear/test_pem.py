@@ -14,13 +14,17 @@ from flysid.model.bj import BJ
 from flysid.model.linear.pem import Kind, PredictionError, innovations_start
 from flysid.model.simulation_error import Orders, Record, Transfer, from_transfer
 
-A, B, C, D = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5], [1.0, -0.6, 0.2], [1.0, -0.9]
+A = [1.0, -1.5, 0.7]
+B = [0.0, 1.0, 0.5]
+C = [1.0, -0.6, 0.2]
+D = [1.0, -0.9]
 TRUTH = np.array([-1.5, 0.7, 1.0, 0.5])
 
 
 def experiment(kind: Kind, seed: int, samples: int = 600) -> tuple[FloatArray, FloatArray]:
     rng = np.random.default_rng(seed)
-    u, e = rng.standard_normal(samples), 0.3 * rng.standard_normal(samples)
+    u = rng.standard_normal(samples)
+    e = 0.3 * rng.standard_normal(samples)
     noise = lfilter(C, A if kind == "armax" else D, e)
     return u, np.asarray(lfilter(B, A, u) + noise)
 
@@ -47,14 +51,16 @@ def test_unbiased_and_as_sure_as_promised(kind: Kind) -> None:
         if kind == "armax"
         else BJ(na=2, nb=2, nk=1, nc=2, nd=1, offset=False)
     )
-    estimates, promised = [], []
+    estimates = []
+    promised = []
     for seed in range(25):
         u, y = experiment(kind, seed)
         data = Dataset.from_arrays(u, y, 0.1)
         model = settings.fit(data, data)
         estimates.append(model.flat[list(model.free)])
         promised.append(model.standard_errors[list(model.free)])
-    spread, mean = np.std(estimates, axis=0), np.mean(estimates, axis=0)
+    spread = np.std(estimates, axis=0)
+    mean = np.mean(estimates, axis=0)
     assert np.abs(mean - TRUTH).max() < 3 * (spread / np.sqrt(25)).max()
     assert spread == pytest.approx(np.mean(promised, axis=0), rel=0.4)
     inside = np.abs(np.array(estimates) - TRUTH) < 1.96 * np.array(promised)
@@ -73,8 +79,10 @@ def test_one_step_errors_are_the_innovations() -> None:
 
 def test_a_feedback_loop_does_not_bias_armax() -> None:
     rng = np.random.default_rng(6)
-    e, r = 0.5 * rng.standard_normal(6000), rng.standard_normal(6000)
-    y, u = np.zeros(6000), np.zeros(6000)
+    e = 0.5 * rng.standard_normal(6000)
+    r = rng.standard_normal(6000)
+    y = np.zeros(6000)
+    u = np.zeros(6000)
     for k in range(2, 6000):
         y[k] = 0.9 * y[k - 1] + 0.5 * u[k - 1] + e[k] + 0.8 * e[k - 1]
         u[k] = r[k] - 0.5 * y[k]

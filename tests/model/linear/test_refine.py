@@ -86,8 +86,10 @@ def test_validation_keeps_the_best_point_and_stops() -> None:
     rng = np.random.default_rng(3)
     x = np.linspace(-1, 1, 14)
     held = np.linspace(-0.95, 0.95, 30)
-    a, b = np.vander(x, 13), np.vander(held, 13)
-    y, z = x + 0.3 * rng.standard_normal(14), held + 0.3 * rng.standard_normal(30)
+    a = np.vander(x, 13)
+    b = np.vander(held, 13)
+    y = x + 0.3 * rng.standard_normal(14)
+    z = held + 0.3 * rng.standard_normal(30)
 
     def validate(theta: FloatArray) -> float:
         return float(np.sum((b @ theta - z) ** 2))

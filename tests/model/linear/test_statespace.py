@@ -31,11 +31,14 @@ def fly(
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.uniform(-1, 1, (rows // 3 + 1, 2)), 3, axis=0)[:rows]
     e = noise * rng.standard_normal((rows, 2))
-    x, y, delayed = rng.standard_normal(3), np.zeros((rows, 2)), np.zeros(2)
+    x = rng.standard_normal(3)
+    y = np.zeros((rows, 2))
+    delayed = np.zeros(2)
     for k in range(rows):
         u[k] -= feedback * delayed
         y[k] = C @ x + D @ u[k] + e[k]
-        x, delayed = A @ x + B @ u[k] + K @ e[k], y[k]
+        x = A @ x + B @ u[k] + K @ e[k]
+        delayed = y[k]
     return u, y + level
 
 
@@ -82,7 +85,8 @@ def test_no_feedthrough_is_estimated_where_it_was_ruled_out() -> None:
 
 
 def test_the_kalman_gain_solves_the_filter_equation() -> None:
-    q, r = np.diag([0.1, 0.2, 0.3]), np.diag([0.5, 1.0])
+    q = np.diag([0.1, 0.2, 0.3])
+    r = np.diag([0.5, 1.0])
     gain = kalman_gain(A, C, q, np.zeros((3, 2)), r)
     p = np.eye(3)
     for _ in range(500):
@@ -92,12 +96,14 @@ def test_the_kalman_gain_solves_the_filter_equation() -> None:
 
 def test_gains_of_the_first_samples_are_those_of_the_covariance_form() -> None:
     """Whose recursion squares what the roots keep; with little noise it would lose its digits."""
-    r, p = np.array([[0.5, 0.1], [0.1, 1.0]]), np.diag([2.0, 1.0, 0.5])
+    r = np.array([[0.5, 0.1], [0.1, 1.0]])
+    p = np.diag([2.0, 1.0, 0.5])
     still = np.zeros(3)
     system = Realisation(A, B, C, D, K, still, still[:2], r, p)
     gains = gains_of(system, 40)
     for gain in gains:
-        cross, seen = A @ p @ C.T + K @ r, C @ p @ C.T + r
+        cross = A @ p @ C.T + K @ r
+        seen = C @ p @ C.T + r
         assert gain == pytest.approx(cross @ np.linalg.inv(seen), abs=1e-7)
         p = A @ p @ A.T + K @ r @ K.T - gain @ cross.T
     assert gains[-1] == pytest.approx(K, abs=1e-3)
@@ -134,7 +140,8 @@ def test_one_step_predictions_leave_the_innovations() -> None:
 def test_rest_is_rest_with_inputs_and_outputs_at_zero() -> None:
     model = StateSpace(order=3, past=10, method="pbsid").fit(data(noise=0.0, level=0.0))
     u = fly(200, 11)[0]
-    x, y = np.zeros(3), np.zeros((200, 2))
+    x = np.zeros(3)
+    y = np.zeros((200, 2))
     for k in range(200):
         y[k], x = C @ x + D @ u[k], A @ x + B @ u[k]
     assert model.simulate(u) == pytest.approx(y, abs=1e-6)
@@ -165,7 +172,8 @@ def test_python_control_gets_the_same_matrices_and_gives_them_back() -> None:
 
 
 def _by_hand(system: Realisation, u: FloatArray) -> npt.NDArray[np.float64]:
-    x, rows = np.zeros(system.order), []
+    x = np.zeros(system.order)
+    rows = []
     for row in u:
         rows.append(system.c @ x + system.d @ row)
         x = system.a @ x + system.b @ row
@@ -175,7 +183,8 @@ def _by_hand(system: Realisation, u: FloatArray) -> npt.NDArray[np.float64]:
 def late_plant(rows: int = 1500, late: int = 14) -> tuple[FloatArray, FloatArray]:
     """First order behind a dead time far longer than the horizons tried."""
     rng = np.random.default_rng(8)
-    u, y = np.repeat(rng.standard_normal((rows // 3, 1)), 3, axis=0), np.zeros((rows, 1))
+    u = np.repeat(rng.standard_normal((rows // 3, 1)), 3, axis=0)
+    y = np.zeros((rows, 1))
     for k in range(late + 1, rows):
         y[k] = 0.9 * y[k - 1] + 0.5 * u[k - 1 - late]
     return u, y + 0.02 * rng.standard_normal((rows, 1))

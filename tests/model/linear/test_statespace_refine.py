@@ -76,7 +76,8 @@ def test_a_refined_model_free_runs_better_and_carries_bands() -> None:
 
 def test_an_estimate_that_is_not_refined_knows_how_far_off_it_is() -> None:
     """MOESP and PBSID of too low an order for coloured noise are biased: their intervals are wide enough."""
-    omega, inside = np.array([1.0, 3.0, 6.0]), []
+    omega = np.array([1.0, 3.0, 6.0])
+    inside = []
     z = np.exp(1j * omega * 0.1)
     truth = np.abs(np.polyval([0.5, 1.0, 0.0], 1 / z) / np.polyval([0.7, -1.5, 1.0], 1 / z))
     for seed in range(8):

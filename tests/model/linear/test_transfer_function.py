@@ -119,7 +119,8 @@ def drifting() -> Dataset:
     """Three segments, each with its own offset and drift."""
     rng = np.random.default_rng(5)
     b, a, _ = cont2discrete(PLANTS["longitudinal"], 0.05, "zoh")
-    us, ys = [], []
+    us = []
+    ys = []
     for slope in (0.02, -0.03, 0.01):
         u = np.repeat(rng.choice([-1.0, 1.0], 100), 6) + 0.3
         t = 0.05 * np.arange(len(u))
@@ -159,7 +160,8 @@ def test_a_model_of_measured_signals_holds_them_straight() -> None:
 def test_an_unstable_estimate_is_named() -> None:
     rng = np.random.default_rng(3)
     r = np.repeat(rng.standard_normal(600), 10)
-    y, u = np.zeros(6000), np.zeros(6000)
+    y = np.zeros(6000)
+    u = np.zeros(6000)
     pole = np.exp(0.5 * 0.02)
     for k in range(6000):
         if k:

@@ -29,7 +29,8 @@ def test_known_groups_are_found(method: Method) -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_units_of_the_columns_do_not_matter(method: Method) -> None:
-    one, other = cluster(groups(), 3, method), cluster(groups(1e6), 3, method)
+    one = cluster(groups(), 3, method)
+    other = cluster(groups(1e6), 3, method)
     assert np.allclose(one.centre * [1.0, 1e6], other.centre, rtol=1e-6)
 
 

@@ -30,7 +30,8 @@ def error(model: FittedStaticTS) -> float:
 def test_local_ones_are_weighted_least_squares_of_every_rule() -> None:
     u, y = curve(noise=0.1)
     model = fitted(StaticTS(rules=5, consequents="local"), noise=0.1)
-    X, phi = np.c_[u, np.ones(len(u))], model.firing(u, y)
+    X = np.c_[u, np.ones(len(u))]
+    phi = model.firing(u, y)
     for r in range(5):
         expected = np.linalg.solve(X.T @ (phi[:, [r]] * X), X.T @ (phi[:, r] * y))
         assert model.consequents[r, 0] == pytest.approx(expected, rel=1e-8)
@@ -42,7 +43,8 @@ def test_mixed_ones_lower_the_mean_of_both_errors() -> None:
     found: dict[str, float] = {}
     for criterion in ("global", "local", "mixed"):
         model = fitted(StaticTS(rules=5, consequents=criterion), noise=0.1)
-        phi, alone = model.firing(u, y), X @ model.consequents[:, 0].T
+        phi = model.firing(u, y)
+        alone = X @ model.consequents[:, 0].T
         together = float(((y - (phi * alone).sum(axis=1)) ** 2).sum())
         apart = float((phi * (y[:, None] - alone) ** 2).sum())
         found |= {f"{criterion} together": together, f"{criterion} apart": apart}
@@ -73,8 +75,10 @@ def test_a_ridge_goes_from_the_plain_fit_to_the_line(criterion: Criterion) -> No
 
 def test_a_ridge_is_that_of_the_textbook() -> None:
     u, y = curve(200, 0.1)
-    model, ridge = fitted(StaticTS(rules=3, ridge=0.01), 200, 0.1), 0.01
-    X, phi = np.c_[u, np.ones(len(u))], model.firing(u, y)
+    model = fitted(StaticTS(rules=3, ridge=0.01), 200, 0.1)
+    ridge = 0.01
+    X = np.c_[u, np.ones(len(u))]
+    phi = model.firing(u, y)
     design = np.hstack([phi[:, [r]] * X for r in range(3)])
     weight = np.diag(np.tile(ridge * (X * X).sum(axis=0), 3))
     line = np.tile(np.linalg.lstsq(X, y, rcond=None)[0], 3)
@@ -83,7 +87,8 @@ def test_a_ridge_is_that_of_the_textbook() -> None:
 
 
 def test_the_ridge_from_the_data_is_small_where_rules_are_sure_and_helps_where_they_are_not() -> None:
-    auto, plain = StaticTS(rules=9, ridge="auto"), StaticTS(rules=9)
+    auto = StaticTS(rules=9, ridge="auto")
+    plain = StaticTS(rules=9)
     assert error(fitted(auto)) < 1.2 * error(fitted(plain))
     errors = np.array([[error(fitted(how, 40, 0.5, seed)) for how in (auto, plain)] for seed in range(12)])
     assert errors[:, 0].mean() < 0.8 * errors[:, 1].mean()
@@ -92,7 +97,8 @@ def test_the_ridge_from_the_data_is_small_where_rules_are_sure_and_helps_where_t
 
 @pytest.mark.parametrize("ridge", ["auto", 0.0])
 def test_consequents_of_a_dynamic_model_likewise(ridge: object) -> None:
-    model, data = known_model(), experiment(known_model(), 1)
+    model = known_model()
+    data = experiment(known_model(), 1)
     again = refit_consequents(model, data, criterion="local", ridge=ridge)  # type: ignore[arg-type]
     assert "local least squares" in again.notes[-1]
     assert again.parameters.theta.shape == model.parameters.theta.shape

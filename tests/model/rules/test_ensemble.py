@@ -15,7 +15,8 @@ from flysid.model.base import Fitted
 from flysid.model.ensemble import Ensemble, without_block
 from flysid.model.static_ts import StaticTS
 
-B, A = [0.0, 0.2], [1.0, -0.8]
+B = [0.0, 0.2]
+A = [1.0, -0.8]
 SMALL = ARX(na=1, nb=1, nk=1, refine=False)
 
 

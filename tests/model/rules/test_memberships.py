@@ -25,14 +25,16 @@ def partition(
 
 
 def test_product_of_gaussians_is_equation_7_and_2() -> None:
-    p, z = partition(), np.array([[0.1, 0.1]])
+    p = partition()
+    z = np.array([[0.1, 0.1]])
     width = np.where(z - p.centre < 0, p.left, p.right)
     strength = np.exp(-0.5 * ((z - p.centre) / width) ** 2).prod(axis=1)
     assert np.allclose(p.firing(z)[0], strength / strength.sum(), rtol=1e-13)
 
 
 def test_minimum_takes_the_weaker_membership() -> None:
-    p, z = partition(conjunction="minimum"), np.array([[0.1, 0.1]])
+    p = partition(conjunction="minimum")
+    z = np.array([[0.1, 0.1]])
     grades = np.minimum(p.grades(0, z[:, 0]), p.grades(1, z[:, 1]))[0]
     assert np.allclose(p.firing(z)[0], grades / grades.sum(), rtol=1e-12)
 

@@ -56,7 +56,8 @@ def test_one_rule_over_lags_has_the_linear_models_coefficients(asked: dict[str, 
     train = lag(2)
     settings = TS(rules=1, search=EFFORTS["quick"], **asked)  # type: ignore[arg-type]
     with sharing():
-        model, choice = settings.fit(train), linear_choice(settings, train, None)
+        model = settings.fit(train)
+        choice = linear_choice(settings, train, None)
     assert isinstance(model, FittedTS)
     assert choice is not None
     linear = as_linear(choice[1])
@@ -82,7 +83,8 @@ def test_a_state_space_with_delays_becomes_its_difference_equation() -> None:
 
 
 def test_a_fit_is_done_once_within_a_scope_and_forgotten_after() -> None:
-    train, again = lag(5), lag(5)
+    train = lag(5)
+    again = lag(5)
     with sharing():
         first = ARX(na=1, nb=1, nk=1).fit(train)
         assert ARX(na=1, nb=1, nk=1).fit(again) is first

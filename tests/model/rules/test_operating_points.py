@@ -123,7 +123,8 @@ def test_an_integrating_process_has_no_places() -> None:
 
 def test_a_larger_model_that_says_otherwise_widens_the_intervals(flown: tuple[FittedTS, Dataset]) -> None:
     model, data = flown
-    numbers, sure = Numbers(model.layout, model.parameters), model.uncertainty(data)
+    numbers = Numbers(model.layout, model.parameters)
+    sure = model.uncertainty(data)
     theta = model.parameters.theta.copy()
     theta[:, :, model.layout.orders.na : -1] *= 1.2
     other = Numbers(model.layout, model.parameters._replace(theta=theta))

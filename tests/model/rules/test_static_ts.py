@@ -130,7 +130,9 @@ def test_tables_are_those_of_the_paper() -> None:
     assert lines[2].startswith("2. If theta_in is A2 and phi_in is A2 then v_x = ")
     assert lines[6].split() == ["Rule#", "Consequent", "Offset", "Centre", "of", "cluster"]
     row = model.table(1)[2]
-    gain, offset, centre = model.consequents[2, 1, :2], model.consequents[2, 1, 2], model.partition.centre[2]
+    gain = model.consequents[2, 1, :2]
+    offset = model.consequents[2, 1, 2]
+    centre = model.partition.centre[2]
     assert np.array_equal([*row.gains, row.offset, *(row.centre or ())], [*gain, offset, *centre])
     assert lines[-1].split()[0] == "3."
     printed = [float(word.strip(",")) for word in lines[-1].split()[1:]]

@@ -88,7 +88,8 @@ def test_start_is_kept_and_prediction_is_nan_before_it(bent: FittedTS) -> None:
 
 def test_k_step_prediction_is_a_free_run_from_k_samples_before(bent: FittedTS) -> None:
     u, y = second_order(60, 3, bend=0.1)
-    k, d = 6, bent.n_init
+    k = 6
+    d = bent.n_init
     ahead = bent.predict(u, y, k)
     one = bent.predict(u[: d + k], np.r_[y[:d], np.zeros(k)], 1)
     # one step at a time, feeding predictions back by hand

@@ -64,7 +64,8 @@ def free_run_gap(model: FittedTSStateSpace, test: Dataset, truth: list[FloatArra
 
 
 def system_of(dataset: Dataset, states: int = 2) -> tuple[StateContext, System]:
-    settings, scaled = TSStateSpace(states=states, nk=1), scaling(dataset)
+    settings = TSStateSpace(states=states, nk=1)
+    scaled = scaling(dataset)
     systems = linear_systems(settings, dataset, None, scaled)
     return StateContext(settings, 30, saturation_limits(dataset), scaled), systems[0]
 
@@ -81,13 +82,15 @@ def test_a_lagging_actuator_and_drag_are_found() -> None:
 def test_every_coordinate_is_the_same_linear_model() -> None:
     """Realisations in all coordinates answer an input as the difference equation does."""
     dataset = data(2, 2, noise=0.0)
-    fitted, (shift, scale) = OE(na=2, nb=2, nk=1).fit(dataset), scaling(dataset)
+    fitted = OE(na=2, nb=2, nk=1).fit(dataset)
+    (shift, scale) = scaling(dataset)
     choices = list(coordinates(realised(fitted, shift, scale), 2).values())
     u = dataset.segments[0].u
     expected = fitted.simulate(u) - fitted.simulate(np.zeros_like(u))
     assert len({c.words for c in choices}) > 1
     for choice in choices:
-        x, rows = np.zeros(len(choice.A)), [np.zeros(2)]
+        x = np.zeros(len(choice.A))
+        rows = [np.zeros(2)]
         for inputs in u[:-1] / scale[2:]:
             x = choice.A @ x + choice.B[1] @ inputs
             rows.append(x[:2] * scale[:2])
@@ -133,7 +136,8 @@ def test_an_overflow_is_an_end_and_a_peak_is_not() -> None:
 
 def test_python_control_follows_sample_by_sample() -> None:
     control = pytest.importorskip("control")
-    model, segment = flown(), vehicle().segments[1]
+    model = flown()
+    segment = vehicle().segments[1]
     x = model.states(segment.u, segment.y)
     rows = 60
     system = to_nonlinear_system(model)
@@ -151,7 +155,8 @@ def test_the_polytope_says_what_the_rules_say() -> None:
     r = int(np.argmax(model.centres[:, 0]))
     far = replace_firing(model, r)
     local = polytope(model)[r]
-    s, u = np.array([0.4, -0.3, 0.1]), np.array([0.2])
+    s = np.array([0.4, -0.3, 0.1])
+    u = np.array([0.2])
     assert (local.A @ s + local.B @ u + local.f)[:2] == pytest.approx(next_states(far, s, u), abs=1e-9)
     assert np.sort(np.abs(np.linalg.eigvals(local.A)))[-2:] == pytest.approx(
         np.sort(np.abs(model.local_poles()[r])), abs=1e-9
@@ -289,7 +294,8 @@ def test_a_state_space_in_coordinates_of_its_outputs_is_the_same_model(feedthrou
     assert real.input_lags == (((0, 1), (2, 3)) if feedthrough else ((1,), (3,)))
     u = np.array(dataset.segments[0].u[:200])
     late = np.stack([u[:, 0], np.concatenate([np.full(2, model.u_origin[1]), u[:-2, 1]])], axis=1)
-    U, lagged = (u - shift[2:]) / scale[2:], (late - shift[2:]) / scale[2:]
+    U = (u - shift[2:]) / scale[2:]
+    lagged = (late - shift[2:]) / scale[2:]
     s = model.realisation
     w = np.zeros(3)
     first = s.d @ (late[0] - model.u_origin) + s.level + model.y_origin
@@ -310,7 +316,8 @@ def test_on_a_linear_plant_one_rule_is_the_linear_side() -> None:
     plant = LINEAR["linear vehicle"]
     train, _ = plant.dataset((1,), 400, 0.05)
     test, truth = plant.dataset((101,), 1000, 0.05)
-    rules, linear = TSStateSpace(most_rules=2, iterations=10).fit(train), StateSpace().fit(train)
+    rules = TSStateSpace(most_rules=2, iterations=10).fit(train)
+    linear = StateSpace().fit(train)
     assert len(rules.rules()) == 1
     assert "One rule is enough" in str(rules)
     assert trial_gap(rules, test, truth) < 1.1 * trial_gap(linear, test, truth)
@@ -323,7 +330,8 @@ def trial_gap(model: Fitted, test: Dataset, truth: list[FloatArray]) -> float:
 
 
 def test_an_explanation_adds_up() -> None:
-    model, segment = flown(), vehicle().segments[0]
+    model = flown()
+    segment = vehicle().segments[0]
     told = model.explain(segment.u, segment.y, 100)
     assert sum(v.share for v in told.voices) == pytest.approx(1.0)
     together = sum(v.share * v.output[0] for v in told.voices)
@@ -335,7 +343,8 @@ def test_an_explanation_adds_up() -> None:
 
 
 def test_rules_by_themselves_are_those_of_the_explanation() -> None:
-    model, segment = flown(), vehicle().segments[0]
+    model = flown()
+    segment = vehicle().segments[0]
     alone = model.rule_outputs(segment.u, segment.y)
     assert alone.shape == (len(segment), 2, 1)
     assert np.isnan(alone[: model.n_init]).all()
@@ -349,7 +358,8 @@ def test_rules_by_themselves_are_those_of_the_explanation() -> None:
 
 def test_a_linearisation_predicts_small_steps() -> None:
     """Around the rest at an input, the linear model follows the fuzzy one to second order."""
-    model, u = flown(), np.array([0.15])
+    model = flown()
+    u = np.array([0.15])
     local = linearise(model, u)
     x = resting_states(model, u)
     s = np.concatenate([x, u])
@@ -381,7 +391,8 @@ def test_a_certificate_of_the_rules_is_a_proof() -> None:
 
 def test_intervals_hold_the_gain_and_follow_from_the_data() -> None:
     """The drag's gain at a crawl, 9.81 / 0.2, is not seen; intervals are finite and around the estimate."""
-    sure, model = intervals(), flown()
+    sure = intervals()
+    model = flown()
     low, high = sure.gain_interval[:, :, 0, 0]
     gains = np.array([rule.dc_gain[0, 0] for rule in model.rules()])
     assert ((low < gains) & (gains < high)).all()

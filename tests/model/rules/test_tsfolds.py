@@ -30,7 +30,8 @@ def candidate(fold: SearchContext, model: FittedTS, share: float) -> Candidate:
 
 def test_a_search_that_went_astray_is_replaced_by_refits(truth: FittedTS, fold: SearchContext) -> None:
     """Of all models: one rule that was grown must not stand beside two that saw more."""
-    model, astray = candidate(fold, truth, 0.0), candidate(fold, truth, 1.0)
+    model = candidate(fold, truth, 0.0)
+    astray = candidate(fold, truth, 1.0)
     assert astray.stage.cost > 1.5 * model.stage.cost
     first, second = not_astray(fold, [model, model], [model, astray])
     assert second.stage.cost < 1.05 * model.stage.cost
@@ -39,12 +40,14 @@ def test_a_search_that_went_astray_is_replaced_by_refits(truth: FittedTS, fold: 
 
 
 def test_rules_that_were_found_are_kept(truth: FittedTS, fold: SearchContext) -> None:
-    model, found = candidate(fold, truth, 0.0), candidate(fold, truth, 0.02)
+    model = candidate(fold, truth, 0.0)
+    found = candidate(fold, truth, 0.02)
     assert not_astray(fold, [model], [found]) == [found]
 
 
 def test_a_model_that_is_no_better_replaces_nothing(truth: FittedTS, fold: SearchContext) -> None:
     """The cost elsewhere was low, but a refit to this part is not: the part is hard."""
-    poor, grown = candidate(fold, truth, 1.0), candidate(fold, truth, 0.0)
+    poor = candidate(fold, truth, 1.0)
+    grown = candidate(fold, truth, 0.0)
     flattered = replace(poor, stage=replace(poor.stage, cost=1e-9))
     assert not_astray(fold, [flattered], [grown]) == [grown]

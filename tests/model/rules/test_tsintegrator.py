@@ -52,7 +52,8 @@ def lag(n: int) -> Dataset:
 def test_a_state_space_as_a_difference_equation_runs_alike() -> None:
     data = axis(400, 3, 0.01)
     model = StateSpace(order=2, refine=False, nk=1).fit(data)
-    system, u = as_difference(model), data.segments[0].u
+    system = as_difference(model)
+    u = data.segments[0].u
     rest = model.simulate(u)
     y = rest.copy()
     for k in range(2, len(u)):

@@ -44,7 +44,8 @@ def plain_step(W: FloatArray, k: int, p: Parameters) -> FloatArray:
 
 
 def test_free_run_is_the_plain_model() -> None:
-    W, p = inputs(60), parameters()
+    W = inputs(60)
+    p = parameters()
     expected = W.copy()
     for k in range(2, 60):
         expected[k, :2] = plain_step(expected, k, p)
@@ -53,7 +54,8 @@ def test_free_run_is_the_plain_model() -> None:
 
 
 def test_prediction_restarts_from_measurements_and_leaves_them_alone() -> None:
-    W, p = inputs(40), parameters()
+    W = inputs(40)
+    p = parameters()
     W[:, :2] = np.random.default_rng(2).normal(size=(40, 2))
     before = W.copy()
     ahead = predict(W, 2, 3, LAGS, p)
@@ -65,13 +67,16 @@ def test_prediction_restarts_from_measurements_and_leaves_them_alone() -> None:
 
 
 def test_sensitivities_are_the_derivatives_of_the_free_run() -> None:
-    p, n, depth = parameters(), 50, 2
+    p = parameters()
+    n = 50
+    depth = 2
     basis = np.random.default_rng(3).normal(size=(5, 5))
     a = p.theta @ np.linalg.inv(basis)
     size = a.size + 2 * p.centre.size
 
     def run(v: FloatArray) -> FloatArray:
-        m, c = a.size, p.centre.size
+        m = a.size
+        c = p.centre.size
         q = Parameters(
             np.ascontiguousarray(v[:m].reshape(a.shape) @ basis),
             np.ascontiguousarray(v[m : m + c].reshape(p.centre.shape)),
@@ -90,11 +95,14 @@ def test_sensitivities_are_the_derivatives_of_the_free_run() -> None:
         for i in range(2):
             J[k, i, size + 2 * k + i] = 1.0
     ring = J[:depth].copy()
-    W, later = inputs(n), J[depth:].copy()
-    H, g = np.zeros((len(v), len(v))), np.zeros(len(v))
+    W = inputs(n)
+    later = J[depth:].copy()
+    H = np.zeros((len(v), len(v)))
+    g = np.zeros(len(v))
     square = sweep(inputs(n), W, (depth, n), LAGS, p, basis, depth * 2, ring, later, H, g)
     J[depth:] = later
-    flat, gaps = later.reshape(-1, len(v)), inputs(n)
+    flat = later.reshape(-1, len(v))
+    gaps = inputs(n)
     free_run(gaps, depth, LAGS, p)
     error = (gaps - W)[depth:, :2].ravel()
     assert square == pytest.approx(error @ error)
@@ -110,7 +118,8 @@ def test_sensitivities_are_the_derivatives_of_the_free_run() -> None:
 
 @pytest.mark.parametrize("bad", [1e308, -1e308])
 def test_absurd_inputs_end_at_the_limits(bad: float) -> None:
-    W, p = inputs(30), parameters()
+    W = inputs(30)
+    p = parameters()
     W[5:, 2] = bad
     free_run(W, 2, LAGS, p)
     assert np.isfinite(W).all()

@@ -42,7 +42,8 @@ def test_both_kinds_have_the_same_methods(model: Kind) -> None:
     assert corners[0].A.shape == corners[1].A.shape
     found = model.certificate()
     assert found.reason
-    u, y = DATA.segments[0].u, DATA.segments[0].y
+    u = DATA.segments[0].u
+    y = DATA.segments[0].y
     low, high = model.uncertainty(DATA).simulation_band(u, y[: model.n_init])
     assert (low <= high).all()
     assert model.outside_share(u, y) < 0.05  # of changes, the simulated ones are what was seen
@@ -62,7 +63,8 @@ def test_python_control_follows_one_rule_beyond_its_limits() -> None:
     control = pytest.importorskip("control")
     model = TS(rules=1, na=2, nb=1, nk=1, iterations=5).fit(DATA)
     u = np.concatenate([np.full(60, 30.0), np.full(60, -1.0)])[:, None]
-    run, d = model.simulate(u), model.n_init
+    run = model.simulate(u)
+    d = model.n_init
     assert (run == model.output_limits[1]).any()
     assert pytest.approx(model.polytope()[0].A, abs=1e-6) == model.linearise(at={"y": 100.0}).A
     answer = control.input_output_response(

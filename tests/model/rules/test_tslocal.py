@@ -27,7 +27,9 @@ def model() -> FittedTS:
 
 def test_the_blend_of_the_polytope_is_the_model(model: FittedTS) -> None:
     u, y = flight(60, 2)
-    rules, phi, one = polytope(model), model.firing(u, y), model.one_step(u, y)
+    rules = polytope(model)
+    phi = model.firing(u, y)
+    one = model.one_step(u, y)
     k = 30
     x = np.array([y[k - 1], y[k - 2], u[k - 1], u[k - 2]])
     blend = sum(p * (s.C @ x + s.D @ [u[k]] + s.g) for p, s in zip(phi[k], rules, strict=True))
@@ -38,7 +40,8 @@ def test_the_blend_of_the_polytope_is_the_model(model: FittedTS) -> None:
 
 def test_linearisation_predicts_small_steps(model: FittedTS) -> None:
     local = linearise(model, np.array([0.2]), np.array([0.1]))
-    u, y = np.full(8, 0.2), np.full(8, 0.1)
+    u = np.full(8, 0.2)
+    y = np.full(8, 0.1)
     base = model.one_step(u, y)[-1, 0]
     y2 = y.copy()
     y2[-2] += 1e-4
@@ -48,7 +51,8 @@ def test_linearisation_predicts_small_steps(model: FittedTS) -> None:
 
 
 def test_linearise_takes_signals_by_name_and_means_for_the_rest(model: FittedTS) -> None:
-    u, y = model.inputs[0].name, model.outputs[0].name
+    u = model.inputs[0].name
+    y = model.outputs[0].name
     mean_y, mean_u = model.layout.shift
     for at, u_at, y_at in (({u: 0.2, y: 0.1}, 0.2, 0.1), ({u: 0.2}, 0.2, mean_y), ({}, mean_u, mean_y)):
         expected = linearise(model, np.array([u_at]), np.array([y_at]))

@@ -35,7 +35,8 @@ def with_twin(model: FittedTS) -> FittedTS:
 
 
 def test_a_rule_said_twice_is_merged_for_nothing(truth: FittedTS) -> None:
-    train, validation = experiment(truth, 1), experiment(truth, 2)
+    train = experiment(truth, 1)
+    validation = experiment(truth, 2)
     simpler, steps = simplify(with_twin(truth), train, validation)
     assert len(simpler.rules()) == 2
     assert [s.what for s in steps] == ["R2 and R3 merged"]
@@ -44,7 +45,8 @@ def test_a_rule_said_twice_is_merged_for_nothing(truth: FittedTS) -> None:
 
 
 def test_rules_that_matter_stay_and_their_price_is_told(truth: FittedTS) -> None:
-    train, validation = experiment(truth, 1), experiment(truth, 2)
+    train = experiment(truth, 1)
+    validation = experiment(truth, 2)
     kept, steps = simplify(truth, train, validation)
     assert kept is truth
     assert steps == ()
@@ -69,8 +71,10 @@ def test_a_condition_that_says_nothing_is_left_out(truth: FittedTS) -> None:
 
 def test_words_are_left_out_by_what_they_cost_on_the_same_data(truth: FittedTS) -> None:
     """A model that was also judged on harder parts of the data keeps the rules that it needs."""
-    train, check = experiment(truth, 1), experiment(truth, 2)
-    layout, least = truth.layout, truth.n_init + 10
+    train = experiment(truth, 1)
+    check = experiment(truth, 2)
+    layout = truth.layout
+    least = truth.n_init + 10
     context = SearchContext(TS(), train, check, layout.shift, layout.scale, least)
     stage = unrefined(*as_problem(layout, truth.parameters, runs_of(layout, train.segments, least)))
     here = context.judge(stage)

@@ -75,7 +75,8 @@ def test_rules_that_need_a_common_function_are_drawn_together(data: Dataset) -> 
     """Two stable rules of second order that can be switched to run away."""
     truth = TS(rules=2, na=2, nb=1, nk=1, antecedents=["u(k-1)"], iterations=5).fit(data)
     theta = truth.parameters.theta.copy()
-    theta[0, 0, :2], theta[1, 0, :2] = (1.9, -0.96), (0.2, -0.96)
+    theta[0, 0, :2] = (1.9, -0.96)
+    theta[1, 0, :2] = (0.2, -0.96)
     wild = replace(truth, parameters=truth.parameters._replace(theta=theta))
     assert not certificate(wild).proved
     assert max(rule.pole_radius for rule in wild.rules()) < 0.99

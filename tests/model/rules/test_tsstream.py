@@ -32,7 +32,8 @@ def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> DatasetFile:
 
 
 def test_dynamic_consequents_from_disk_are_those_from_memory(model: FittedTS, stored: DatasetFile) -> None:
-    disk, memory = refit_consequents(model, stored), refit_consequents(model, WHOLE)
+    disk = refit_consequents(model, stored)
+    memory = refit_consequents(model, WHOLE)
     assert disk.consequents == pytest.approx(memory.consequents, rel=1e-9)
     assert "1499 samples" in disk.notes[-1]
 
@@ -51,7 +52,8 @@ def test_they_are_the_least_squares_solution(model: FittedTS) -> None:
 @pytest.mark.parametrize("method", ["gustafson-kessel", "subtractive"])
 def test_a_static_model_from_disk_is_that_from_memory(stored: DatasetFile, method: str) -> None:
     settings = StaticTS(rules=3, method=method)  # type: ignore[arg-type]
-    disk, memory = settings.fit(stored), settings.fit(WHOLE)
+    disk = settings.fit(stored)
+    memory = settings.fit(WHOLE)
     assert disk.consequents == pytest.approx(memory.consequents, rel=1e-9)
     assert np.array_equal(disk.partition.centre, memory.partition.centre)
     assert np.array_equal(disk.output_limits, memory.output_limits)

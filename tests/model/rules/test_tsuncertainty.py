@@ -39,7 +39,8 @@ def test_more_data_make_narrower_intervals(truth: FittedTS) -> None:
 def test_the_same_draws_every_time_and_every_run_finite(truth: FittedTS) -> None:
     data = experiment(truth, 4)
     sure = uncertainty(truth, data)
-    first, second = sure.draws(5), sure.draws(5)
+    first = sure.draws(5)
+    second = sure.draws(5)
     assert all(np.array_equal(a.consequents, b.consequents) for a, b in zip(first, second, strict=True))
     low, high = sure.simulation_band(np.full((50, 1), 1e6))
     assert np.isfinite(low).all()
@@ -53,7 +54,8 @@ def test_the_band_is_what_small_steps_of_the_numbers_do(
     data = experiment(truth, 7)
     model = refitted(truth, data)
     sure = uncertainty(model, data)
-    u, y0 = steps(3, 400), None if from_rest else data.segments[0].y[: model.n_init]
+    u = steps(3, 400)
+    y0 = None if from_rest else data.segments[0].y[: model.n_init]
     run = model.simulate(u, y0)
     low, high = sure.simulation_band(u, y0)
     near = replace(sure, covariance=1e-8 * sure.covariance).draws(1000)
@@ -69,7 +71,8 @@ def test_the_band_is_what_small_steps_of_the_numbers_do(
 
 
 def test_other_signals_are_refused(truth: FittedTS) -> None:
-    u, y = np.zeros((50, 2)), np.zeros(50)
+    u = np.zeros((50, 2))
+    y = np.zeros(50)
     with pytest.raises(UsageError, match="the model has"):
         uncertainty(truth, Dataset.from_arrays(u, y, truth.dt_s))
 
@@ -94,7 +97,8 @@ def test_a_gain_that_the_data_do_not_bound_has_no_interval(truth: FittedTS) -> N
 
 def test_noisy_first_outputs_do_not_hide_what_the_data_know() -> None:
     """Lags of 200 Hz, measured with noise, start a run of third order at its limits."""
-    dt, n = 0.005, 2000
+    dt = 0.005
+    n = 2000
     rng = np.random.default_rng(1)
     u = np.repeat(rng.uniform(-1, 1, n // 100), 100)
     slow = np.polymul([0.4, 1.0], np.polymul([0.1, 1.0], [0.05, 1.0]))

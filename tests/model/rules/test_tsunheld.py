@@ -69,7 +69,8 @@ def test_a_start_is_found_where_the_first_guess_leaves_the_limits(
 
 
 def test_rules_and_what_does_not_come_back_are_held(fitted: FittedTS) -> None:
-    lags, par = fitted.layout.lags, fitted.parameters
+    lags = fitted.layout.lags
+    par = fitted.parameters
     assert np.ptp(unheld(lags, par).limits) > 50 * np.ptp(par.limits)
     two = par._replace(
         theta=np.repeat(par.theta, 2, axis=0),

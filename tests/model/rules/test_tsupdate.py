@@ -62,9 +62,12 @@ def test_old_samples_are_forgotten(model: FittedTS) -> None:
 
 
 def test_one_step_ahead_it_is_weighted_least_squares(model: FittedTS) -> None:
-    fresh, forgetting, trust = data(400, 5, 0.15, noise=0.02), 0.99, 50.0
+    fresh = data(400, 5, 0.15, noise=0.02)
+    forgetting = 0.99
+    trust = 50.0
     newer = update(model, fresh, forgetting=forgetting, trust_samples=trust, error="one step")
-    W, d = model.layout.stack(fresh.segments[0].u, fresh.segments[0].y), model.n_init
+    W = model.layout.stack(fresh.segments[0].u, fresh.segments[0].y)
+    d = model.n_init
     x = model.layout.regressor_values(W)
     phi = model.firing(fresh.segments[0].u, fresh.segments[0].y)[d:]
     X = (phi[:, :, None] * x[:, None, :]).reshape(len(x), -1)

@@ -189,7 +189,8 @@ def test_rules_over_several_antecedents_have_different_words(
     widths = np.array(width).reshape(5, 2)[: len(centres)]
     ends = np.array([-1.2, -1.2]), np.array([1.2, 1.2])
     partition = Partition(np.array(centres), widths, widths, *ends)
-    names, units = ["v_x(k-1)", "u(k-1)"], ["m/s", "deg"]
+    names = ["v_x(k-1)", "u(k-1)"]
+    units = ["m/s", "deg"]
     said = [condition_in_words(partition, r, names, units) for r in range(len(centres))]
     words = [re.sub(r" is A\d+| \(about [^)]*\)", "", s) for s in said]
     assert len(set(words)) == len(words)
@@ -243,8 +244,10 @@ def rule(gain: list[list[float]], radius: float = 0.9) -> Rule:
 
 
 def test_gains_have_units_and_of_several_names() -> None:
-    vx, vy = Signal("v_x", "m/s"), Signal("v_y", "m/s")
-    tilt, climb = Signal("theta_in", "deg"), Signal("vz_in", "m/s")
+    vx = Signal("v_x", "m/s")
+    vy = Signal("v_y", "m/s")
+    tilt = Signal("theta_in", "deg")
+    climb = Signal("vz_in", "m/s")
     assert gains(rule([[0.3]]), ([vx], [tilt])) == ["0.3 m/s per deg"]
     assert gains(rule([[0.3]]), ([vx], [climb])) == ["0.3"]
     assert gains(rule([[0.3]])) == ["0.3"]
