@@ -9,7 +9,7 @@ $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "flysid needs Python 3.11 or newer; try: make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet -e '.[dev,docs,plot,studio,xlsx]'
+	$(BIN)/python -m pip install --quiet -e '.[dev,docs,fleet,plot,studio,xlsx]'
 	touch $@
 
 demo: $(VENV)/.installed  ## the main job on embedded data, ends with a report

@@ -9,7 +9,6 @@ goes to stderr.
 
 from __future__ import annotations
 
-import importlib
 import sys
 from pathlib import Path
 
@@ -17,7 +16,7 @@ import click
 
 import flysid
 from flysid.cli.config import FILE, defaults_of
-from flysid.cli.examples import epilog
+from flysid.cli.lazy import LazyVerbs
 from flysid.cli.output import printable
 from flysid.errors import FlysidError
 
@@ -26,6 +25,7 @@ VERBS = {
     "demo": "Fly, ingest, fit and validate on embedded data; end with a report.",
     "doctor": "One line per log: what it holds, what was lost, what to log next time.",
     "export": "Write a flight, or a model (C99, FMU, MATLAB), for other programs.",
+    "fleet": "Many logs of many vehicles: catalogue, upkeep, models.",
     "fit": "Fit linear and Takagi-Sugeno models to an ingested folder.",
     "gains": "What the gains that a log states mean: crossover, margins, bandwidth, noise.",
     "ingest": "Read flight logs into typed parquet tables.",
@@ -51,46 +51,17 @@ STEPS = {
     "Fit": ("fit", "tf", "step"),
     "Judge": ("validate", "compare", "runs", "gains", "watch", "reproduce"),
     "Share": ("export",),
+    "Many": ("fleet",),
     "Try": ("demo",),
 }
 """What a user does, in this order, and with which verbs."""
 
 
-class LazyVerbs(click.Group):
-    """Imports a verb's module when the verb is run; `--help` imports none of them."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        return sorted(VERBS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        if cmd_name not in VERBS:
-            return None
-        command: click.Command = importlib.import_module(f"flysid.cli.{cmd_name}").command
-        command.epilog = command.epilog or epilog(cmd_name)
-        return command
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        width = max(map(len, VERBS))
-        listed = {verb for verbs in STEPS.values() for verb in verbs}
-        more = tuple(verb for verb in VERBS if verb not in listed)
-        for step, verbs in (STEPS | ({"More": more} if more else {})).items():
-            with formatter.section(step):
-                formatter.write_dl([(verb.ljust(width), VERBS[verb]) for verb in verbs])
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and args[0] not in VERBS and not args[0].startswith("-"):
-            import difflib
-
-            near = difflib.get_close_matches(args[0], VERBS, n=1)
-            hint = f" Did you mean {near[0]!r}?" if near else ""
-            raise click.UsageError(f"no verb {args[0]!r}.{hint}", ctx)
-        return super().resolve_command(ctx, args)
-
-
 @click.group(
     cls=LazyVerbs,
+    verbs=VERBS,
+    modules="flysid.cli.{}",
+    steps=STEPS,
     context_settings={"help_option_names": ["-h", "--help"], "auto_envvar_prefix": "FLYSID"},
     epilog="'flysid VERB --help' has examples.",
 )

@@ -14,6 +14,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "flysid fit data --recipe ardupilot-attitude -o run",
         "flysid fit flight.bin -r ardupilot-attitude --between 2:00..6:30 --mode LOITER -o run",
     ),
+    "fleet": ("flysid fleet ls data", "flysid fleet ls data --firmware 4.5.7"),
     "gains": ("flysid gains flight.bfl", "flysid gains data --axis roll --plot loop.png"),
     "ingest": ("flysid ingest logs/ -o data", "flysid ingest flight.bin 'more/*.ulg' -o data"),
     "ls": ("flysid ls data", "flysid ls flight.bin --suggest"),
