@@ -13,7 +13,7 @@ from flysid.errors import UsageError
 
 if TYPE_CHECKING:
     from flysid.ingest.synth.dryden import Gust
-    from flysid.ingest.synth.synth import Order
+    from flysid.ingest.synth.synth import Change, Order
     from flysid.ingest.synth.telemetry import Recording
 
 Writer = tuple[str, Callable[["Recording"], bytes]]
@@ -54,6 +54,13 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.option("--altitude", default=20.0, show_default=True, metavar="M", help="Above ground at the start.")
 @click.option(
     "--fleet", default=1, show_default=True, metavar="N", help="Vehicles, their parameters dispersed."
+)
+@click.option(
+    "--change",
+    "changes",
+    multiple=True,
+    metavar="VEHICLE:FLIGHT:WHAT:FACTOR",
+    help="From its flight on, a vehicle's mass, thrust, drag or lag is so many times what it was.",
 )
 @click.option("--seed", default=1, show_default=True, help="Same seed, same bytes.")
 @click.option(
@@ -136,6 +143,7 @@ def ordered(*, dropouts: tuple[str, ...], **options: Any) -> Order:
         gusts=tuple(parse_gust(text) for text in options["gusts"]),
         altitude_m=options["altitude"],
         without=options["without"],
+        changes=tuple(parse_change(text) for text in options["changes"]),
     )
 
 
@@ -212,6 +220,19 @@ def parse_gust(text: str) -> Gust:
         return Gust(start, rise, (x, y, z))
     except ValueError:
         raise UsageError(f"no gust {text!r}", hint="START:RISE:X:Y:Z, e.g. 20:2:3:0:-1") from None
+
+
+def parse_change(text: str) -> Change:
+    """VEHICLE:FLIGHT:WHAT:FACTOR."""
+    from flysid.ingest.synth.synth import Change
+
+    try:
+        vehicle, flight, name, factor = text.split(":")
+        return Change(int(vehicle), int(flight), name, float(factor))
+    except ValueError:
+        raise UsageError(
+            f"no change {text!r}", hint="VEHICLE:FLIGHT:WHAT:FACTOR, e.g. 3:2:mass:1.25"
+        ) from None
 
 
 def make_folder(folder: Path) -> None:

@@ -120,6 +120,7 @@ PLANS: Mapping[str, tuple[Manoeuvre, ...]] = {
     "amplitude-sweep": (SWEEP,),
     "pilot": (PILOT,),
     "demo": DEMO,
+    "routine": (MULTISINE, PILOT, MULTISINE, PILOT),
     "mixed": (MULTISINE, DOUBLETS, MULTISINE, STEPS, PULSES_3211, PILOT),
 }
 

@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 
 STATES = 26
+ROTORS = 4
 INPUTS = 7
 
 
@@ -30,8 +31,8 @@ class Physics(NamedTuple):
     Attributes
     ----------
     m, g, l : mass, gravity, arm.
-    load, rotor_1 : true mass over m; the front rotor's thrust over what its speed should give. The inner
-        loop knows of neither.
+    load, lift, rotor_1 : true mass over m; thrust of all rotors, and of the front one beside, over what their
+        speed should give. The inner loop knows of none.
     ixx, iyy, izz : moments of inertia. k_f, k_m : thrust and torque per squared rotor speed.
     drag_x, drag_y, drag_z : linear (blade) drag per mass, 1/s. quad_xy, quad_z : quadratic, 1/m.
     gyro : 1 with gyroscopic torques. j_rotor : inertia of one rotor.
@@ -49,6 +50,7 @@ class Physics(NamedTuple):
 
     m: float
     load: float
+    lift: float
     rotor_1: float
     g: float
     l: float  # noqa: E741
@@ -126,10 +128,10 @@ def airframe(x, w1, w2, w3, w4, wx, wy, wz, f, out):  # type: ignore[no-untyped-
     r31 = -cp * st
     r32 = sp
     r33 = cp * ct
-    s1 = f.rotor_1 * w1 * w1
-    s2 = w2 * w2
-    s3 = w3 * w3
-    s4 = w4 * w4
+    s1 = f.lift * f.rotor_1 * w1 * w1
+    s2 = f.lift * w2 * w2
+    s3 = f.lift * w3 * w3
+    s4 = f.lift * w4 * w4
     lift = f.k_f * (s1 + s2 + s3 + s4) / (f.m * f.load)
     if f.ground_radius > 0.0:  # Cheeseman and Bennett (1955), no nearer than one radius
         ratio = f.ground_radius / (4.0 * max(x[2], f.ground_radius))
@@ -167,14 +169,14 @@ def _clip(value, bound):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _rotor(square, volts, f):  # type: ignore[no-untyped-def]
-    """Speed a motor is told, within its limits, at this voltage."""
-    return volts * min(max(math.sqrt(max(square, 0.0)), f.rotor_min), f.rotor_max)
+def _told(square, f):  # type: ignore[no-untyped-def]
+    """Speed a motor is told, within its limits."""
+    return min(max(math.sqrt(max(square, 0.0)), f.rotor_min), f.rotor_max)
 
 
 @njit(cache=True)
 def rates(x, u, f, out):  # type: ignore[no-untyped-def]
-    """out = dx/dt of vehicle and inner loop at input u."""
+    """out (30,) = dx/dt of vehicle and inner loop at input u, then the speeds that the motors are told."""
     ss = math.sin(x[8])
     cs = math.cos(x[8])
     ahead = cs * x[3] + ss * x[4]
@@ -208,10 +210,14 @@ def rates(x, u, f, out):  # type: ignore[no-untyped-def]
     load = (x[12] ** 3 + x[13] ** 3 + x[14] ** 3 + x[15] ** 3) / (4.0 * f.rotor_hover**3)
     out[25] = f.drain * load
     volts = 1.0 - f.sag * x[25] - f.droop * (load - 1.0)
-    n1 = _rotor(base - my + mz, volts, f)
-    n2 = _rotor(base + mx - mz, volts, f)
-    n3 = _rotor(base + my + mz, volts, f)
-    n4 = _rotor(base - mx - mz, volts, f)
+    out[26] = _told(base - my + mz, f)
+    out[27] = _told(base + mx - mz, f)
+    out[28] = _told(base + my + mz, f)
+    out[29] = _told(base - mx - mz, f)
+    n1 = volts * out[26]
+    n2 = volts * out[27]
+    n3 = volts * out[28]
+    n4 = volts * out[29]
     if f.motor_tau > 0.0:
         out[12], out[13] = (n1 - x[12]) / f.motor_tau, (n2 - x[13]) / f.motor_tau
         out[14], out[15] = (n3 - x[14]) / f.motor_tau, (n4 - x[15]) / f.motor_tau
@@ -225,23 +231,24 @@ def rates(x, u, f, out):  # type: ignore[no-untyped-def]
 def integrate(x, inputs, f, dt, hold, record):  # type: ignore[no-untyped-def]
     """Classical Runge-Kutta of order 4 at step dt; x (26,) is moved to the end.
 
-    Each row of inputs (M, 7) is held for `hold` steps; record (M * hold // every, 26) takes the state before
-    every `every`-th step, with every = M * hold // len(record).
+    Each row of inputs (M, 7) is held for `hold` steps; record (M * hold // every, 30) takes the state before
+    every `every`-th step, and what the motors are told then, with every = M * hold // len(record).
     """
     n = x.size
     every = inputs.shape[0] * hold // record.shape[0]
-    k1 = np.empty(n)
-    k2 = np.empty(n)
-    k3 = np.empty(n)
-    k4 = np.empty(n)
+    k1 = np.empty(n + 4)
+    k2 = np.empty(n + 4)
+    k3 = np.empty(n + 4)
+    k4 = np.empty(n + 4)
     y = np.empty(n)
     step = 0
     for row in range(inputs.shape[0]):
         u = inputs[row]
         for _ in range(hold):
-            if step % every == 0:
-                record[step // every, :] = x
             rates(x, u, f, k1)
+            if step % every == 0:
+                record[step // every, :n] = x
+                record[step // every, n:] = k1[n:]
             for i in range(n):
                 y[i] = x[i] + 0.5 * dt * k1[i]
             rates(y, u, f, k2)

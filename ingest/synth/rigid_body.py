@@ -17,7 +17,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.ingest.synth.inner_loop import InnerLoop
 from flysid.ingest.synth.plants import LOOPS
-from flysid.ingest.synth.quadrotor import INPUTS, STATES, Physics, airframe, integrate, rates
+from flysid.ingest.synth.quadrotor import INPUTS, ROTORS, STATES, Physics, airframe, integrate, rates
 
 STEP_S = 0.001
 NAMES = ("x", "y", "z", "vx", "vy", "vz", "phi", "theta", "psi", "p", "q", "r")
@@ -34,8 +34,8 @@ class Airframe:
     of this class: motor lag, drag (Faessler et al., 2018, find 0.2 to 0.5 1/s of blade drag), voltage
     droop, transport delay of the Wi-Fi link.
 
-    `load` and `rotor_1` are faults: true mass over the mass that the inner loop knows, and the front rotor's
-    thrust over what its speed should give.
+    `load`, `lift` and `rotor_1` are faults: true mass over the mass that the inner loop knows, and the thrust
+    of all rotors, and of the front one beside, over what their speed should give.
     """
 
     mass_kg: float = 0.429
@@ -54,6 +54,7 @@ class Airframe:
     droop: float = 0.03
     gravity_m_s2: float = 9.81
     load: float = 1.0
+    lift: float = 1.0
     rotor_1: float = 1.0
 
     @property
@@ -112,7 +113,8 @@ def _body(a: Airframe, on: Effects) -> dict[str, float]:
     drag = a.linear_drag_1_s if on.linear_drag else (0.0, 0.0, 0.0)
     quad = a.quadratic_drag_1_m if on.quadratic_drag else (0.0, 0.0)
     return {
-        "m": a.mass_kg, "load": a.load, "rotor_1": a.rotor_1, "g": a.gravity_m_s2, "l": a.arm_m,
+        "m": a.mass_kg, "load": a.load, "lift": a.lift, "rotor_1": a.rotor_1, "g": a.gravity_m_s2,
+        "l": a.arm_m,
         "ixx": ixx, "iyy": iyy, "izz": izz,
         "k_f": a.thrust_factor, "k_m": a.torque_factor,
         "drag_x": drag[0], "drag_y": drag[1], "drag_z": drag[2], "quad_xy": quad[0], "quad_z": quad[1],
@@ -172,25 +174,29 @@ def rigid_body_rates(
 
 def closed_loop_rates(x: FloatArray, u: FloatArray, physics: Physics | np.void) -> FloatArray:
     """(26,) time derivative of vehicle and inner loop; states and inputs in `quadkernel`'s order."""
-    out = np.empty(STATES)
+    out = np.empty(STATES + ROTORS)
     rates(x, u, physics.packed() if isinstance(physics, Physics) else physics, out)
-    return out
+    return out[:STATES]
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """States (N, 26) at a fixed period from t = 0; `series` gives them in the paper's signs and units.
 
-    thrust is the rotors' lift over that of hover.
+    `told` (N, 4) are the speeds that the motors are told, rad/s. thrust is the rotors' lift over that of
+    hover; throttle, and the torques roll_effort (right side down), pitch_effort (nose up) and yaw_effort (to
+    the right), are what the inner loop asks of the rotors, in the thrust of hover.
     """
 
     dt_s: float
     states: FloatArray
     hover_rad_s: float
+    told: FloatArray
 
     def series(self) -> Mapping[str, FloatArray]:
-        """vx, vy (right), vz (m/s) along the heading, x, y, z (m), angles (deg), rates (deg/s), thrust."""
+        """vx, vy (right), vz (m/s) along the heading, x, y, z (m), angles (deg), rates (deg/s), efforts."""
         s = self.states
+        front, left, rear, starboard = (self.told**2 / self.hover_rad_s**2).T
         heading = s[:, 8]
         ahead = np.cos(heading) * s[:, 3] + np.sin(heading) * s[:, 4]
         right = np.sin(heading) * s[:, 3] - np.cos(heading) * s[:, 4]
@@ -199,6 +205,8 @@ class Trajectory:
             "vx": ahead, "vy": right, "vz": s[:, 5], "x": s[:, 0], "y": -s[:, 1], "z": s[:, 2],
             "psi": -np.degrees(heading), **angles,
             "thrust": np.mean(s[:, 12:16] ** 2, axis=1) / self.hover_rad_s**2,
+            "throttle": (front + left + rear + starboard) / 4.0, "roll_effort": (left - starboard) / 2.0,
+            "pitch_effort": (front - rear) / 2.0, "yaw_effort": (left + starboard - front - rear) / 4.0,
         }  # fmt: skip
 
 
@@ -233,7 +241,7 @@ def fly_vehicle(
         raise UsageError(
             f"a record every {record_s:g} s does not divide a flight of {len(inputs) * period_s:g} s"
         )
-    record = np.empty((len(inputs) * hold // every, STATES))
+    record = np.empty((len(inputs) * hold // every, STATES + ROTORS))
     x = vehicle.hover() if start is None else np.array(start, dtype=np.float64)
     row = len(record) if fault is None else round(fault[0] / record_s)
     at = row * every // hold
@@ -241,7 +249,7 @@ def fly_vehicle(
     if fault is not None:
         integrate(x, inputs[at:], fault[1].physics().packed(), STEP_S, hold, record[row:])
     _check(record, record_s)
-    return Trajectory(record_s, record, vehicle.airframe.hover_rad_s)
+    return Trajectory(record_s, record[:, :STATES], vehicle.airframe.hover_rad_s, record[:, STATES:])
 
 
 def _inputs(

@@ -1,7 +1,8 @@
 """Instruments: own rate, latency, noise, bias, quantisation, drop-outs. Truth in, samples out, seeded.
 
 Rates and noises of the presets: motion capture 120 Hz and below a millimetre (the paper's Vicon); AR.Drone
-navdata 200 Hz, or 15 Hz with navdata_demo; autopilot telemetry 4 to 50 Hz.
+navdata 200 Hz, or 15 Hz with navdata_demo; autopilot telemetry 4 to 50 Hz, an autopilot's own log 50 Hz with
+gyros of 0.3 deg/s.
 """
 
 from __future__ import annotations
@@ -61,11 +62,15 @@ NAVDATA = Sensor(
 )
 NAVDATA_DEMO = Sensor(15.0, NAVDATA.noise, NAVDATA.bias, NAVDATA.resolution, NAVDATA.latency_s, loss=0.002)
 TELEMETRY = velocity_sensor(50.0, 0.02)
+AUTOPILOT = Sensor(
+    50.0, dict.fromkeys(("vx", "vy", "vz"), 0.02) | dict.fromkeys(("p", "q", "r"), 0.3), {}, {}
+)
 TELEMETRY_SLOW = Sensor(4.0, TELEMETRY.noise, {}, dict.fromkeys(("vx", "vy", "vz"), 0.01), loss=0.01)
 
 SENSORS: Mapping[str, Sensor] = {
     "telemetry": TELEMETRY,
     "telemetry-slow": TELEMETRY_SLOW,
+    "autopilot": AUTOPILOT,
     "navdata": NAVDATA,
     "navdata-demo": NAVDATA_DEMO,
     "motion-capture": MOTION_CAPTURE,

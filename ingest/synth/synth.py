@@ -18,7 +18,7 @@ from flysid.ingest.synth.dryden import Gust, Wind
 from flysid.ingest.synth.plans import GENTLE, Manoeuvre, plan_named
 from flysid.ingest.synth.sensors import SENSORS, Sensor, observe, velocity_sensor
 from flysid.ingest.synth.telemetry import MS_NS, SECOND_NS, Recording, Series
-from flysid.ingest.synth.vehicles import VEHICLES, Air
+from flysid.ingest.synth.vehicles import CHANGES, VEHICLES, Air
 
 EPOCH_NS = 1_767_225_600 * SECOND_NS  # 2026-01-01T00:00:00Z
 APART_NS = 600 * SECOND_NS
@@ -51,6 +51,29 @@ WRITERS: Mapping[str, tuple[str, Callable[[Recording], bytes]]] = {
 
 
 @dataclass(frozen=True)
+class Change:
+    """Something of a vehicle is `factor` times what it was, from a flight on.
+
+    Attributes
+    ----------
+    vehicle, flight : counted from 1, in the fleet and in the plan.
+    name : of `vehicles.CHANGES`.
+    factor : above 0.
+    """
+
+    vehicle: int
+    flight: int
+    name: str
+    factor: float
+
+    def __post_init__(self) -> None:
+        if self.name not in CHANGES:
+            raise UsageError(f"no change {self.name!r}", hint="one of " + ", ".join(CHANGES))
+        if self.vehicle < 1 or self.flight < 1 or not 0.0 < self.factor < np.inf:
+            raise UsageError("vehicles and flights of a change count from 1, its factor is above 0")
+
+
+@dataclass(frozen=True)
 class Order:
     """What is to be flown.
 
@@ -69,6 +92,7 @@ class Order:
     gusts : for plants that feel wind.
     altitude_m : above ground at the start, for plants that have a ground.
     without : effects to switch off, names of `rigidbody.Effects`, for plants that have them.
+    changes : what happens to vehicles, for plants that have effects.
     """
 
     plant: str = "ardrone-linear"
@@ -84,6 +108,7 @@ class Order:
     gusts: tuple[Gust, ...] = ()
     altitude_m: float = 20.0
     without: tuple[str, ...] = ()
+    changes: tuple[Change, ...] = ()
 
     def __post_init__(self) -> None:
         for kind, name, known in (("plant", self.plant, VEHICLES), ("sensor", self.sensor, SENSORS)):
@@ -100,8 +125,11 @@ class Order:
             )
         if not 1 <= self.fleet <= 250:
             raise UsageError(f"a fleet of {self.fleet}", hint="1 to 250 vehicles")
-        if (self.wind_m_s or self.gusts or self.without) and not VEHICLES[self.plant].effects:
+        if (self.wind_m_s or self.gusts or self.without or self.changes) and not VEHICLES[self.plant].effects:
             raise UsageError(f"the plant {self.plant!r} has neither wind nor effects", hint="--plant ardrone")
+        for change in self.changes:
+            if change.vehicle > self.fleet:
+                raise UsageError(f"no vehicle {change.vehicle} in a fleet of {self.fleet}")
         for name in self.without:
             if name not in VEHICLES[self.plant].effects:
                 raise UsageError(
@@ -143,6 +171,11 @@ def fly_one(order: Order, index: int) -> Recording:
         order.seed,
         order.altitude_m,
         order.without,
+        tuple(
+            (change.name, change.factor)
+            for change in order.changes
+            if change.vehicle == vehicle + 1 and index % len(plan) + 1 >= change.flight
+        ),
     )
     truth = VEHICLES[order.plant].fly(command, period_s, air)
     return Recording(

@@ -50,7 +50,7 @@ class Recording:
     boot_utc_ns : UTC of vehicle time zero.
     command : theta_in, phi_in (deg), vz_in (m/s), as sent.
     state : measured vx, vy, vz (m/s), x, y, z (m), theta, phi, psi (deg); and, where the vehicle has rotors,
-        p, q, r (deg/s) and thrust (lift over the lift of hover).
+        p, q, r (deg/s), thrust (lift over the lift of hover) and the efforts of `rigid_body.Trajectory`.
     truth : the same without sensor errors.
     seed : of the link's jitter.
     lost : [start, end) vehicle times in nanoseconds during which nothing reached the recorder.

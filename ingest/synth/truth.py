@@ -22,8 +22,8 @@ UNITS = {
     "p": "deg/s",
     "q": "deg/s",
     "r": "deg/s",
-    "thrust": "",
 }
+UNITS |= dict.fromkeys(("thrust", "throttle", "roll_effort", "pitch_effort", "yaw_effort"), "")
 UNITS |= dict.fromkeys(("vx", "vy", "vz"), "m/s") | dict.fromkeys("xyz", "m")
 UNITS |= dict.fromkeys(("phi", "theta", "psi"), "deg")
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from flysid.ingest.synth.rigid_body import Vehicle
 
 ATTITUDE_LAG_S = 0.12
+CHANGES = ("mass", "thrust", "drag", "lag")
 # Spread of a fleet, as standard deviations of the logarithm.
 SPREAD = {"mass_kg": 0.03, "thrust_factor": 0.03, "motor_lag_s": 0.1, "sag": 0.1}
 
@@ -30,6 +31,7 @@ class Air:
     vehicle, seed : which of a fleet flies; the first is the nominal one, `seed` disperses the others.
     altitude_m : at the start.
     without : names of the effects that are switched off.
+    changes : what has changed on this vehicle: a name of `CHANGES` and a factor.
     """
 
     wind: Wind
@@ -38,6 +40,7 @@ class Air:
     seed: int = 0
     altitude_m: float = 20.0
     without: tuple[str, ...] = ()
+    changes: tuple[tuple[str, float], ...] = ()
 
 
 Truth = dict[str, FloatArray]
@@ -77,6 +80,8 @@ def fly_rigid_body(command: FloatArray, dt_s: float, air: Air) -> Truth:
     vehicle = Vehicle(effects=replace(ALL, **dict.fromkeys(air.without, False)))
     if air.vehicle:
         vehicle = dispersed(vehicle, np.random.default_rng([air.seed, air.vehicle, 2]))
+    for name, factor in air.changes:
+        vehicle = changed(vehicle, name, factor)
     wind = replace(air.wind, towards_deg=float(air.rng.uniform(0.0, 360.0)))
     field = wind_field(wind, len(command), dt_s, air.altitude_m, air.rng)
     start = vehicle.hover(air.altitude_m)
@@ -102,6 +107,25 @@ def dispersed(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
         inertia_kg_m2=(inertia[0], inertia[1], inertia[2]),
     )
     return replace(vehicle, airframe=airframe)
+
+
+def changed(vehicle: Vehicle, name: str, factor: float) -> Vehicle:
+    """The vehicle after something, a name of `CHANGES`, of which its inner loop knows nothing."""
+    a = vehicle.airframe
+    drag = {"mass": 1.0 / factor, "drag": factor}.get(name, 1.0)  # drag is per mass
+    x, y, z = a.linear_drag_1_s
+    quad_xy, quad_z = a.quadratic_drag_1_m
+    return replace(
+        vehicle,
+        airframe=replace(
+            a,
+            load=a.load * (factor if name == "mass" else 1.0),
+            lift=a.lift * (factor if name == "thrust" else 1.0),
+            motor_lag_s=a.motor_lag_s * (factor if name == "lag" else 1.0),
+            linear_drag_1_s=(drag * x, drag * y, drag * z),
+            quadratic_drag_1_m=(drag * quad_xy, drag * quad_z),
+        ),
+    )
 
 
 def _lagged(u: FloatArray, keep: float) -> FloatArray:

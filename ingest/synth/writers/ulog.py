@@ -2,7 +2,8 @@
 
 Header: magic, version 1, start time. Then records of u16 size, u8 kind, body: B flags, F formats, I
 information, A subscriptions, D data. Topics are PX4's: vehicle_attitude_setpoint (q_d), vehicle_attitude
-(q), vehicle_local_position_setpoint (vz) and vehicle_local_position (north-east-down). Times are
+(q), vehicle_local_position_setpoint (vz) and vehicle_local_position (north-east-down); and, where the vehicle
+has rotors, vehicle_angular_velocity, vehicle_thrust_setpoint and vehicle_torque_setpoint. Times are
 microseconds since boot. There is no radio: nothing arrives late; a drop-out is a pause of the logger,
 written as an O record.
 """
@@ -10,6 +11,7 @@ written as an O record.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -44,22 +46,43 @@ POSITION: Fields = [
     ("timestamp", "<u8"), ("timestamp_sample", "<u8"),
     *((n, "<f4") for n in ("x", "y", "z", "vx", "vy", "vz", "heading")),
 ]  # fmt: skip
+VECTOR: Fields = [("timestamp", "<u8"), ("timestamp_sample", "<u8"), ("xyz", "3<f4")]
 TOPICS = {
     "vehicle_attitude_setpoint": SETPOINT,
     "vehicle_local_position_setpoint": CLIMB,
     "vehicle_attitude": ATTITUDE,
     "vehicle_local_position": POSITION,
 }
+ROTORS = dict.fromkeys(
+    ("vehicle_angular_velocity", "vehicle_thrust_setpoint", "vehicle_torque_setpoint"), VECTOR
+)
+RELEASE = 0x010F02FF  # 1.15.2
+
+
+def topics(recording: Recording) -> dict[str, npt.NDArray[np.void]]:
+    """The rows of every topic, in the order in which what is due at once is written."""
+    command = recording.command
+    state = recording.state
+    found = {
+        "vehicle_attitude_setpoint": _setpoint(recording),
+        "vehicle_local_position_setpoint": _climb(command),
+        "vehicle_attitude": _attitude(state),
+        "vehicle_local_position": _position(state),
+    }
+    return found | _efforts(state) if "throttle" in state.values else found
+
+
+def facts(recording: Recording) -> dict[str, str]:
+    """What the log says of the vehicle: its own number in its fleet, in the 24 digits of a board's."""
+    return {"sys_name": "PX4", "ver_hw": "FLYSID_SYNTH", "sys_uuid": f"{recording.system:024x}"}
 
 
 def ulog_bytes(recording: Recording) -> bytes:
     """The whole log."""
-    command = recording.command
-    state = recording.state
-    rows = [_setpoint(recording), _climb(command), _attitude(state), _position(state)]
-    raw = [as_bytes(table) for table in rows]
-    due, topic, row = in_sending_order(command.time_ns, command.time_ns, state.time_ns, state.time_ns)
-    pieces = [_preamble(recording)]
+    tables = topics(recording)
+    raw = [as_bytes(table) for table in tables.values()]
+    due, topic, row = in_sending_order(*(1000 * t["timestamp"].astype(np.int64) for t in tables.values()))
+    pieces = [_preamble(recording, list(tables))]
     pauses = sorted(recording.lost)
     reached = heard(recording, due)
     for i in range(len(due)):
@@ -82,18 +105,21 @@ def _dtype(fields: Fields) -> np.dtype[Any]:
     return np.dtype(parts)
 
 
-def _preamble(recording: Recording) -> bytes:
+def _preamble(recording: Recording, names: Sequence[str]) -> bytes:
     first_us = int(recording.state.time_ns[0]) // 1000
     utc_s = struct.pack(
         "<Q", (recording.boot_utc_ns + int(recording.state.time_ns[0])) // SECOND_NS * 1_000_000
     )
     parts = [MAGIC + struct.pack("<Q", first_us), _record("B", bytes(40))]
-    for name, fields in TOPICS.items():
+    layouts = TOPICS | ROTORS
+    for name in names:
+        fields = layouts[name]
         parts.append(_record("F", f"{name}:{''.join(_declared(f) for f in fields)}".encode()))
-    for key, value in (("char[3] sys_name", b"PX4"), ("char[12] ver_hw", b"FLYSID_SYNTH"),
-                       ("uint64_t time_ref_utc_us", utc_s)):  # fmt: skip
+    said = [(f"char[{len(value)}] {name}", value.encode()) for name, value in facts(recording).items()]
+    release = ("uint32_t ver_sw_release", struct.pack("<I", RELEASE))
+    for key, value in (*said, release, ("uint64_t time_ref_utc_us", utc_s)):
         parts.append(_record("I", bytes([len(key)]) + key.encode() + value))
-    for number, name in enumerate(TOPICS):
+    for number, name in enumerate(names):
         parts.append(_record("A", struct.pack("<BH", 0, number) + name.encode()))
     return b"".join(parts)
 
@@ -144,6 +170,19 @@ def _turned(q: FloatArray, yaw_rad: FloatArray) -> FloatArray:
     y = q[:, 2:3]
     z = q[:, 3:]
     return np.hstack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
+
+
+def _efforts(state: Series) -> dict[str, npt.NDArray[np.void]]:
+    """Rates, and what controllers ask of the rotors (half at hover); axes forward, right, down."""
+    rates, thrust, torque = (_table(state, VECTOR) for _ in range(3))
+    rates["xyz"] = np.radians(np.column_stack([state["p"], -state["q"], -state["r"]]))
+    thrust["xyz"][:, 2] = -np.clip(0.5 * state["throttle"], 0.0, 1.0)
+    torque["xyz"] = 0.5 * np.column_stack([state[f"{axis}_effort"] for axis in ("roll", "pitch", "yaw")])
+    return {
+        "vehicle_angular_velocity": rates,
+        "vehicle_thrust_setpoint": thrust,
+        "vehicle_torque_setpoint": torque,
+    }
 
 
 def _position(state: Series) -> npt.NDArray[np.void]:
