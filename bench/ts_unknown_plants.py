@@ -19,7 +19,8 @@ from flysid.dataset import FloatArray
 from flysid.errors import FlysidError
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.model.base import Fitted
-from flysid.model.linear_choice import choose_baseline, confirmed, linear_estimators
+from flysid.model.linear_choice import choose_baseline, confirmed
+from flysid.model.one_rule import linear_rivals
 from flysid.model.ts_best import BestTS
 
 Record = tuple[FloatArray, FloatArray]
@@ -378,7 +379,7 @@ def fitted(plant: Experiment) -> tuple[str, Fitted, Fitted, float]:
     """The baseline's label, its model, the TS model, and its CPU seconds, all as `flysid fit` makes them."""
     train = plant.train
     hint = delays_to_try(dead_times(train), 1)
-    linear = linear_estimators(hint)
+    linear = linear_rivals(hint)
     choice = choose_baseline(train, linear)
     models = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
     base = confirmed(choice, models, train).label

@@ -30,7 +30,8 @@ from flysid.errors import FlysidError
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
-from flysid.model.linear_choice import choose_baseline, confirmed, linear_estimators
+from flysid.model.linear_choice import choose_baseline, confirmed
+from flysid.model.one_rule import linear_rivals
 from flysid.model.ts import TS
 from flysid.model.ts_best import BestTS
 from flysid.validate.compare import compare
@@ -189,7 +190,7 @@ def judged(plant: Plant, rng: np.random.Generator, seed: int, contender: str = "
     train = flights(plant, TRAIN, rng, "t")
     test = flights(plant, TEST, rng, "h")
     hint = delays_to_try(dead_times(train), 1)
-    linear = linear_estimators(hint)
+    linear = linear_rivals(hint)
     choice = choose_baseline(train, linear)
     models: dict[str, Fitted] = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
     base = confirmed(choice, models, train).label

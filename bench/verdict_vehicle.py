@@ -20,7 +20,8 @@ from bench.vehicle import PERIOD_S, flight
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.ingest.synth.plants import LOOPS
 from flysid.model.base import Fitted
-from flysid.model.linear_choice import choose_baseline, confirmed, linear_estimators
+from flysid.model.linear_choice import choose_baseline, confirmed
+from flysid.model.one_rule import linear_rivals
 from flysid.model.ts_best import BestTS
 from flysid.validate.compare import compare
 from flysid.validate.trials import FREE_RUN
@@ -47,7 +48,7 @@ def judged(share: float, column: int, *, alone: bool) -> str:
     """One line of the table."""
     train = flights(share, column, 1, (0, 1), alone=alone)
     test = flights(share, column, 50, (1, 2), alone=alone)
-    linear = linear_estimators()
+    linear = linear_rivals()
     choice = choose_baseline(train, linear)
     models: dict[str, Fitted] = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
     base = confirmed(choice, models, train).label

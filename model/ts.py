@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from flysid.dataset import Dataset
+from flysid.model.one_rule import linear_choice
 from flysid.model.rules.assembly import finished
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.learning import learn
@@ -73,7 +74,7 @@ class TS:
         DataError : no or too few samples, a signal that never moves.
         FitError : no stable model was found.
         """
-        learned = learn(self, train, validation)
+        learned = learn(self, train, validation, linear_choice)
         model = finished(
             learned.stage, train, learned.notes, intervals=self.refine, neighbour=learned.neighbour
         )

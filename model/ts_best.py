@@ -20,6 +20,7 @@ from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Fitted
 from flysid.model.linear.model import FittedLinear
 from flysid.model.noise import noise_model
+from flysid.model.one_rule import linear_choice
 from flysid.model.rules.assembly import finished as finished_lagged
 from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.fitted_states import FittedTSStateSpace
@@ -27,7 +28,6 @@ from flysid.model.rules.free_run_error import runs_of
 from flysid.model.rules.judging import INTEGRATES, hold_out
 from flysid.model.rules.learning import SWEEP, Learned
 from flysid.model.rules.learning import learn as learn_lagged
-from flysid.model.rules.linear_starts import linear_choice
 from flysid.model.rules.refit import on_all_runs
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.search_context import SPARE_ROWS
@@ -45,6 +45,8 @@ from flysid.model.ts_state_space import TSStateSpace
 
 LINEAR_ENOUGH = "A linear model is enough: "
 """How the notes of a model begin that the search for rules gave up for."""
+Linear = FittedLinear | FittedStateSpace | FittedTS | FittedTSStateSpace
+"""What the linear side may choose; of rules, a single one."""
 _FORETOLD = 0.5  # share of the free run's error that its own past must explain
 _RESOLUTION = 1e-3  # of the outputs' spread: a free-run error below leaves nothing to explain
 _MOST_OUTPUTS = 2
@@ -106,7 +108,7 @@ class Contest:
     hidden: FittedTSStateSpace | None = None
     advantage: Advantage = field(default_factory=Advantage)
     fits: bool = False
-    linear: FittedLinear | FittedStateSpace | None = None
+    linear: Linear | None = None
 
     @property
     def clear(self) -> bool:
@@ -147,7 +149,7 @@ def _of_rules(settings: BestTS, train: Dataset, validation: Dataset | None) -> C
     asked = {
         name: getattr(settings, name) for name in ("rules", "antecedents", "most_rules", "nk_hint", "search")
     }
-    known = learn_lagged(TS(**asked), train, validation)
+    known = learn_lagged(TS(**asked), train, validation, linear_choice)
     lagged = finished_lagged(
         known.stage, train, known.notes, intervals=known.linear is None, neighbour=known.neighbour
     )
@@ -168,7 +170,7 @@ def _of_rules(settings: BestTS, train: Dataset, validation: Dataset | None) -> C
 
 def _linear_enough(
     settings: BestTS, found: Contest, train: Dataset, validation: Dataset | None
-) -> FittedLinear | FittedStateSpace | None:
+) -> Linear | None:
     """The linear side's choice where one rule is enough, or where it fits better than the rules.
 
     None where rules are kept, or where the one rule holds an integrator, which no linear structure does.
@@ -181,7 +183,7 @@ def _linear_enough(
     if choice is None:
         return None
     model = choice[1]
-    assert isinstance(model, FittedLinear | FittedStateSpace)
+    assert isinstance(model, Linear)
     if count == 1:
         said = "rules were searched for, and none paid."
     elif not advantage([block_errors((model, rules), validation or train)]).gain < 0.0:

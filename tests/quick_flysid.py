@@ -25,7 +25,7 @@ def estimators(*_: object) -> dict[str, Estimator]:
 
 if __name__ == "__main__":
     for name, instead in (
-        ("linear_estimators", linear),
+        ("linear_rivals", linear),
         ("estimators", estimators),
         ("dead_times", lambda _: ()),
     ):

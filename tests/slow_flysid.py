@@ -32,7 +32,7 @@ def estimators(*_: object) -> dict[str, Estimator]:
     return quick_flysid.estimators() | {"ts": Slow()}
 
 
-setattr(fitting, "linear_estimators", quick_flysid.linear)  # noqa: B010 - mypy
+setattr(fitting, "linear_rivals", quick_flysid.linear)  # noqa: B010 - mypy
 setattr(fitting, "estimators", estimators)  # noqa: B010
 setattr(fitting, "dead_times", lambda _: ())  # noqa: B010
 

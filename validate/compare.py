@@ -171,9 +171,9 @@ def sides_of(
     if contender is not None and (contender not in models or contender == base):
         raise UsageError(f"the contender {contender!r} is not among the models compared with {base!r}")
     contender = contender or _contender(models, base)
-    if kind_of(models[base].structure) == "rules":
-        return Sides(base, contender, (), frozenset(), frozenset(seen))
     one_rule = _one_rule(models)
+    if kind_of(models[base].structure) == "rules" and base not in one_rule:
+        return Sides(base, contender, (), frozenset(), frozenset(seen))
     fuzzy = contender is not None and (
         contender in one_rule or kind_of(models[contender].structure) == "rules"
     )

@@ -26,7 +26,8 @@ from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.base import Estimator
-from flysid.model.linear_choice import choose_baseline, confirmed, linear_estimators
+from flysid.model.linear_choice import choose_baseline, confirmed
+from flysid.model.one_rule import linear_rivals
 from flysid.model.shared import sharing
 from flysid.progress import Step, tell, through
 from flysid.split import plan_split
@@ -86,7 +87,7 @@ def estimators(
         "mean": Mean(),
         "persistence": Persistence(),
         "line": Line(),
-        **linear_estimators(nk_hint),
+        **linear_rivals(nk_hint),
         "fir": FIR(),
         "iv": IV(nk_hint=nk_hint),
         "tf": TF(nk_hint=nk_hint),
@@ -126,7 +127,7 @@ class MemoryJob(ChannelJob[Dataset]):
             late = dead_times(train)
             hint = delays_to_try(late, len(train.inputs))
             started = time.perf_counter()
-            choice = choose_baseline(train, linear_estimators(hint))
+            choice = choose_baseline(train, linear_rivals(hint))
             fits = Fits(seconds={CHOICE: time.perf_counter() - started})
         wanted = estimators(settings, choice.label, hint)
         plan = FitPlan(tuple(wanted), turns)
@@ -175,7 +176,7 @@ def _so_far(channel: ChannelRun, labels: Iterable[str]) -> ChannelRun:
 def _of_a_fold(settings: FitSettings, fits: Fits, train: Dataset) -> dict[str, Estimator]:
     """The run's models again, with the delays that this fold's training part speaks for."""
     hint = delays_to_try(dead_times(train), len(train.inputs))
-    every = {**linear_estimators(hint), **estimators(settings, BESIDE[0], hint)}
+    every = {**linear_rivals(hint), **estimators(settings, BESIDE[0], hint)}
     return {label: estimator for label, estimator in every.items() if label in fits.models}
 
 

@@ -22,6 +22,7 @@ from flysid.validate.document import to_json
 from flysid.validate.judgedparts import chosen_lake, restricted
 from flysid.validate.paperfigures import write_figures
 from flysid.validate.report.context import ReportContext
+from flysid.validate.report.narrative import worse_than_constant
 from flysid.validate.report.page import render
 from flysid.validate.run import FitSettings, HeldOut, Run, asked_for, held_out
 from flysid.validate.tables import to_csv, to_markdown
@@ -64,7 +65,9 @@ class Judgement:
     def table(self) -> str:
         """The comparison for a terminal: every model, channel and horizon, verdicts in words, warnings."""
         times = self.context.fit_seconds
-        parts = [table(self.comparisons, times), summary(self.comparisons), *self._beware(), *self._simpler()]
+        poor = "\n".join(worse_than_constant(self.comparisons))
+        head = [table(self.comparisons, times), poor, summary(self.comparisons)]
+        parts = [*head, *self._beware(), *self._simpler()]
         return "\n\n".join(part for part in parts if part)
 
     def _beware(self) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from flysid.model.linear.settings import check_hint
 from flysid.model.rules.edits import merge_and_split, prune
 from flysid.model.rules.free_run_error import Stage, runs_of
 from flysid.model.rules.judging import INTEGRATES, Candidate, choose, hold_out, is_bounded
-from flysid.model.rules.linear_starts import as_linear, as_stage, linear_choice
+from flysid.model.rules.linear_starts import Asked, as_linear, as_stage
 from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import (
     Antecedent,
@@ -58,6 +58,10 @@ class Learned:
     linear: Fitted | None = None
 
 
+LinearSide = Callable[[Asked, Dataset, Dataset | None], tuple[str, Fitted] | None]
+"""What the linear side chooses for settings and data, and its name; None where it has nothing."""
+
+
 class _Linear(NamedTuple):
     """A linear model, the same as a stage of one rule, and how it was found."""
 
@@ -66,8 +70,14 @@ class _Linear(NamedTuple):
     notes: tuple[str, ...]
 
 
-def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Learned:
+def learn(
+    settings: Settings, train: Dataset, validation: Dataset | None, linear_side: LinearSide | None = None
+) -> Learned:
     """Choose orders, then rules, by the validation free run; see the module's parts for the methods.
+
+    Parameters
+    ----------
+    linear_side : whose choice a single rule is; where it is None, a single rule is the search's own.
 
     Raises
     ------
@@ -110,7 +120,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     stage = known = ordered(chosen.stage)
     near = [*models[at + 1 :], *models[at - 1 : at]]
     neighbour = next((m.stage for m in near if m.stable), None)
-    linear = _linear_side(context, chosen.stage, train, validation)
+    linear = None if linear_side is None else _linear(linear_side, context, chosen.stage, train, validation)
     if linear is not None:
         words = (*linear.notes, *rule_verdict(settings, models, at))
         return Learned(linear.stage, words, neighbour, linear.model)
@@ -124,8 +134,8 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     return Learned(stage, (*notes, *rule_verdict(settings, models, at), _method(settings)), neighbour)
 
 
-def _linear_side(
-    context: SearchContext, chosen: Stage, train: Dataset, validation: Dataset | None
+def _linear(
+    linear_side: LinearSide, context: SearchContext, chosen: Stage, train: Dataset, validation: Dataset | None
 ) -> _Linear | None:
     """One rule is the linear side's choice, parameter for parameter.
 
@@ -135,7 +145,7 @@ def _linear_side(
     settings = context.settings
     if chosen.rules > 1 or chosen.problem.integrates or not settings.refine:
         return None
-    found = linear_choice(settings, train, validation)
+    found = linear_side(settings, train, validation)
     model = None if found is None else as_linear(found[1])
     if found is None or model is None:
         return None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -19,11 +19,10 @@ from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.freerun import Difference
 from flysid.model.linear.model import FittedLinear
-from flysid.model.linear_choice import best_linear, linear_estimators
-from flysid.model.oe import OE
 from flysid.model.rules.free_run_error import Body, Problem, Stage
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.regressor_layout import Layout, Orders
+from flysid.model.rules.rule_model import Ruled
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.model import FittedStateSpace
 
@@ -130,32 +129,26 @@ def as_difference(model: FittedStateSpace) -> Difference:
     return Difference(a[:, None, None] * np.eye(n_y), late, b[:, :, -1].sum(axis=0) + a.sum() * r.level)
 
 
-def linear_choice(settings: Asked, train: Dataset, validation: Dataset | None) -> tuple[str, Fitted] | None:
-    """The linear side's choice among models of the orders asked for, and its name; None where it has none.
-
-    Where nothing is asked for it is the baseline of `flysid fit`, the same fit.
-    """
-    hint = tuple(settings.nk_hint)
-    candidates = linear_estimators(hint)
-    if (settings.na, settings.nb, settings.nk) != ("auto", "auto", "auto"):
-        asked: dict[str, Any] = {"na": settings.na, "nb": settings.nb, "nk": settings.nk, "nk_hint": hint}
-        candidates = {"arx": ARX(**asked), "oe": OE(**asked)}
-    try:
-        choice, model = best_linear(train, validation, candidates)
-    except FlysidError:
-        return None
-    return choice.label, model
-
-
 def as_linear(model: Fitted) -> LinearModel | None:
     """A fitted linear model as a difference equation; None where its order is too high for one."""
     if isinstance(model, FittedLinear):
         system = model.system
     elif isinstance(model, FittedStateSpace) and model.order <= _MOST_STATES:
         system = as_difference(model)
+    elif isinstance(model, Ruled) and model.structure == "ts" and len(model.parameters.theta) == 1:
+        system = _equation(model)
+        still = np.zeros(len(model.inputs)), np.zeros(len(model.outputs))
+        return LinearModel(model.structure, _orders(system), system, *still, ARX())
     else:
         return None
     return LinearModel(model.structure, _orders(system), system, model.u_origin, model.y_origin, ARX())
+
+
+def _equation(model: Ruled) -> Difference:
+    """The equation of one rule, in physical units."""
+    a, b, c = model.local_polynomials()[0]
+    here = np.eye(len(model.outputs))[None]
+    return Difference(np.concatenate([here, -a]), b, c)
 
 
 def as_stage(found: LinearModel, problem: Problem) -> Stage:

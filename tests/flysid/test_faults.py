@@ -101,7 +101,7 @@ def test_no_memory_costs_a_model_or_a_channel_only(
     greedy = Greedy(("vertical",))
     modest = Greedy(())
     known: dict[str, Any] = {"arx": greedy if models == "all" else modest, "iv": greedy}
-    for name in ("fitting.linear_estimators", "fitting.estimators", "fitdisk.streaming_estimators"):
+    for name in ("fitting.linear_rivals", "fitting.estimators", "fitdisk.streaming_estimators"):
         monkeypatch.setattr(f"flysid.validate.{name}", lambda *_: known)
     settings = FitSettings(channels=("vertical", "lateral"), memory_mb=0.0 if on_disk else 64.0)
     run = fit_run(open_lake(small_data(tmp_path)), "ardrone-synthetic", tmp_path / "run", settings)
@@ -129,7 +129,7 @@ def test_no_memory_to_align_costs_that_channel_only(tmp_path: Path, monkeypatch:
         return align(self, recipe, channel)
 
     monkeypatch.setattr(Lake, "align", greedy)
-    monkeypatch.setattr("flysid.validate.fitting.linear_estimators", lambda *_: {"arx": Greedy(())})
+    monkeypatch.setattr("flysid.validate.fitting.linear_rivals", lambda *_: {"arx": Greedy(())})
     monkeypatch.setattr("flysid.validate.fitting.estimators", lambda *_: {"arx": Greedy(())})
     settings = FitSettings(channels=("vertical", "lateral"), rotate=False)
     run = fit_run(lake, "ardrone-synthetic", tmp_path / "run", settings)

@@ -10,8 +10,9 @@ import pytest
 from flysid.dataset import Dataset
 from flysid.errors import FitError
 from flysid.model.base import Fitted
-from flysid.model.linear_choice import choose_baseline, confirmed, linear_estimators
+from flysid.model.linear_choice import choose_baseline, confirmed
 from flysid.model.mean import Mean
+from flysid.model.one_rule import linear_rivals
 from flysid.model.persistence import Persistence
 from flysid.validate.cautions import cautions
 from flysid.validate.compare import across_channels, compare
@@ -58,7 +59,7 @@ def test_arx_stays_where_nothing_is_clearly_better() -> None:
         assert choice.words.endswith("none is clearly better than ARX") is beaten
     with pytest.raises(FitError, match="no linear model"):
         choose_baseline(TRAIN, {"arx": Gives(None)})
-    assert set(linear_estimators()) >= {"arx", "oe", "armax", "bj", "statespace"}
+    assert set(linear_rivals()) >= {"arx", "oe", "armax", "bj", "statespace"}
 
 
 def test_a_winner_by_luck_is_not_kept() -> None:

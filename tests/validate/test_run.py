@@ -53,7 +53,7 @@ def two_candidates() -> Iterator[None]:
         return {name: e for name, e in linear_estimators(nk_hint).items() if name in ("arx", "oe")}
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fitting, "linear_estimators", two)
+        patch.setattr(fitting, "linear_rivals", two)
         yield
 
 
@@ -86,7 +86,7 @@ def turned(data: Path) -> Run:
     settings = FitSettings(channels=(CHANNEL,), models=("line",))
     given: dict[str, Estimator] = {"arx": ARX(na=2, nb=2, nk=1, refine=False), "oe": OE(na=1, nb=1, nk=1)}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fitting, "linear_estimators", lambda _=(): given)
+        patch.setattr(fitting, "linear_rivals", lambda _=(): given)
         return fit_run(open_lake(data), "ardrone-synthetic", data.parent / "turned", settings)
 
 

@@ -24,6 +24,8 @@ NAMES = {
     "ts": "fuzzy model",
     "ts_lags": "fuzzy model over lags",
     "ts_ss": "fuzzy state-space model",
+    "one_rule": "linear model of one rule",
+    "one_rule_ss": "linear state-space model of one rule",
     "anfis": "ANFIS model",
     "ensemble": "ensemble of fuzzy models",
     "static-ts": "static fuzzy model",

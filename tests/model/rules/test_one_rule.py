@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bench import accuracy_data
 from flysid.dataset import Dataset
 from flysid.model.arx import ARX
+from flysid.model.base import Fitted
 from flysid.model.linear.model import FittedLinear
-from flysid.model.linear_choice import best_linear, linear_estimators
+from flysid.model.linear_choice import best_linear, choose_baseline, free_run_errors, linear_estimators
+from flysid.model.one_rule import OneRule, linear_choice, linear_rivals
 from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.linear_starts import as_linear, linear_choice
+from flysid.model.rules.linear_starts import as_linear
 from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.shared import sharing
 from flysid.model.statespace import StateSpace
@@ -35,7 +38,7 @@ def lag(seed: int, samples: int = 400, late: int = 2) -> Dataset:
 def test_where_rules_do_not_pay_the_baseline_comes_back() -> None:
     train = lag(0)
     found = BestTS(search=EFFORTS["quick"]).fit(train)
-    choice, linear = best_linear(train, None, linear_estimators())
+    choice, linear = best_linear(train, None, linear_rivals())
     assert found.structure == choice.label == linear.structure
     assert isinstance(found, FittedLinear)
     assert isinstance(linear, FittedLinear)
@@ -93,3 +96,40 @@ def test_a_fit_is_done_once_within_a_scope_and_forgotten_after() -> None:
         with sharing():
             assert ARX(na=1, nb=1, nk=1).fit(train) is first
     assert ARX(na=1, nb=1, nk=1).fit(train) is not first
+
+
+def test_models_of_one_rule_compete_for_the_baseline() -> None:
+    choice = choose_baseline(lag(7), linear_rivals())
+    assert {"one_rule", "one_rule_ss"} <= choice.rmse.keys()
+
+
+@pytest.mark.skipif(not accuracy_data.FOLDER.is_dir(), reason="no public sets here")
+def test_where_one_rule_finds_the_better_orders_it_is_the_baseline() -> None:
+    case = accuracy_data.dryer()
+    with sharing():
+        choice, model = best_linear(case.train, None, linear_rivals())
+        _, before = best_linear(case.train, None, linear_estimators())
+    errors = free_run_errors({"after": model, "before": before}, case.tests["test"])
+    assert choice.label == "one_rule"
+    assert errors["after"].mean() < 0.7 * errors["before"].mean()
+
+
+def test_one_rule_is_its_equation_over_lags() -> None:
+    data = lag(8)
+    model = OneRule().fit(data)
+    equation = as_linear(model)
+    assert equation is not None
+    u = np.zeros((60, 1))
+    u[25:] = 1.0
+    start = np.zeros((equation.system.depth, 1))
+    expected = model.simulate(u) - model.simulate(0.0 * u)
+    response = equation.system.run(u, start) - equation.system.run(0.0 * u, start)
+    assert response == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_baseline_of_one_rule_is_a_linear_one() -> None:
+    train = lag(9)
+    models: dict[str, Fitted] = {"arx": ARX(na=1, nb=1, nk=1).fit(train), "one_rule": OneRule().fit(train)}
+    models["ts"] = TS(rules=2, na=1, nb=1, nk=2).fit(train)
+    compared = compare(models, lag(10), baseline="one_rule", horizons=["free_run"])
+    assert set(compared.entry().rivals) == {"arx"}
