@@ -56,7 +56,8 @@ def compare(
     """Compare fitted models on held-out data.
 
     Where every held-out flight is one that the models have not seen, the verdict is of *another flight*, and
-    flights are its units; else of *these flights* or *this flight*, and its units are blocks of time.
+    flights are its units; else of *these flights*, *the held-out
+    flight* or *this flight*, and its units are blocks of time.
 
     Parameters
     ----------
@@ -87,7 +88,7 @@ def compare(
     named = dict(models) if isinstance(models, Mapping) else _named(models)
     if train is not None:
         named = with_references(named, train)
-        seen = {*seen, *_in_both(train, test)}
+        seen = {*seen, *_in_both(train, test), *(set(train.flights) - set(test.flights))}
     check_models(named, test)
     sides = sides_of(named, baseline, contender, seen)
     names = [horizon_name(h) for h in dict.fromkeys(horizons)]

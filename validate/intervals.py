@@ -6,7 +6,8 @@ unlike flights are; a weak prior helps (Smyth 2004, moderated t), with the weigh
 l of half of what the two predictions differ by relative to the errors (their geometric mean). Models that
 predict alike cannot have unlike luck; models that are far apart, and both near the vehicle, can.
 
-*These flights*: the held-out parts are of flights that the models trained on, or there is one flight only.
+*These flights*: the held-out parts are of flights that the models trained on, or there is one flight only:
+*this flight* where there is no other, *the held-out flight* where others were trained on.
 The units are 4 to 12 blocks of time, with t on their log ratios (Ibragimov & Mueller 2010), which needs no
 equal variances. Where the time is shorter than 25 correlation lengths of the errors, blocks are not
 independent; the interval then also covers that of an F ratio of two variances.
@@ -41,6 +42,7 @@ class Scope(StrEnum):
 
     ANOTHER = "another flight"
     THESE = "these flights"
+    HELD = "the held-out flight"
     THIS = "this flight"
 
 
@@ -91,7 +93,7 @@ def change(
     Parameters
     ----------
     flights : of every segment.
-    seen : flights that the models were trained on, other parts of them than these.
+    seen : flights that the models were trained on; of those that are here, other parts than these.
     rotated : every flight was left out once, and judged by models of the others.
     """
     ea, eb = _scaled(ea, eb)
@@ -102,7 +104,7 @@ def change(
         prior = _prior(ea, eb) if len(logs) <= FEW else None
         found = None if lost else across_flights(list(logs.values()), prior, rotated=rotated)
         return Change(Scope.ANOTHER, len(logs), 0, found, by_flight, rotated=rotated)
-    scope = Scope.THESE if len(logs) > 1 else Scope.THIS
+    scope = Scope.THESE if len(logs) > 1 else Scope.HELD if set(seen) - set(logs) else Scope.THIS
     if lost:
         return Change(scope, 0, 0, None, by_flight)
     a = np.concatenate(ea) ** 2

@@ -106,7 +106,7 @@ def scope_words(pair: Pair) -> list[str]:
         said.append("one flight cannot say whether another would agree")
     if pair.basis.slow:
         said.append(
-            f"the error changes slower than {pair.scope} last{'s' * (pair.scope is Scope.THIS)}: only a "
+            f"the error changes slower than {pair.scope} last{'s' * (pair.scope is not Scope.THESE)}: only a "
         )
         said[-1] += "large difference can be seen"
     return said

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from flysid.ingest.lake.suggest import Suggestion
 
 HEADINGS = ("FLIGHT", "CHANNEL", "INPUT", "TIME", "RATE", "COH.", "BAND, Hz", "DEAD TIME, ms")
-ORDER = ("good", "weak", "too slow", "too short", "too quiet", "excluded")
-USABLE = ("good", "weak")
+ORDER = ("good", "closed loop", "weak", "too slow", "too short", "too quiet", "excluded")
+USABLE = ("good", "closed loop", "weak")
 WIDTH = 100
 LONGEST_NAME = 18
 COHERENCE = "COH.: coherence, the share of the output's power that a linear model of the input can explain"

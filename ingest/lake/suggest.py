@@ -25,7 +25,7 @@ from flysid.ingest.excitation.excitation import (
 )
 from flysid.progress import tell
 
-Verdict = Literal["good", "weak", "too slow", "too quiet", "too short", "excluded"]
+Verdict = Literal["good", "closed loop", "weak", "too slow", "too quiet", "too short", "excluded"]
 ALONE = "fly steps or doublets on this axis alone, in calm air"
 
 
@@ -43,7 +43,7 @@ class Suggestion:
     delay_s, delay_low_s, delay_high_s : dead time and what cannot be told from it; None where unknown.
     sign : +1 where the output follows the input, -1 where it goes against it, 0 where unknown (see `Delay`).
     feedback : the input answers the output (a pilot or controller): open-loop methods are biased.
-    verdict, advice : in words.
+    verdict, advice : in words; "closed loop" would be good, were there no loop that a reference drives.
     """
 
     flight: str
@@ -131,6 +131,9 @@ def _assess(
     delay = _delay(data, column, output)
     coherence = share_explained(moves, seen)
     verdict, advice = _verdict(data, spec, column, moves, seen)
+    if verdict == "good" and spec.reference and data.inputs[column].name not in spec.reference:
+        verdict = "closed loop"
+        advice = _through(spec.reference, advice)
     return Suggestion(
         flight=flight,
         recipe=recipe,
@@ -152,6 +155,13 @@ def _assess(
         feedback=delay is not None and delay.feedback,
         notes=notes,
     )
+
+
+def _through(reference: Sequence[str], short: str) -> str:
+    """What to do with a pair inside a loop, whose input answers its output."""
+    names = " ".join(f"--reference {name}" for name in reference)
+    words = f"recorded in closed loop, which biases a fit: flysid tf DATA {names}"
+    return f"{words}; {short}" if short else words
 
 
 def _delay(data: Dataset, column: int, output: int) -> Delay | None:

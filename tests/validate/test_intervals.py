@@ -31,6 +31,15 @@ def test_the_scope_is_another_flight_only_where_several_flights_are_unseen() -> 
     seen = change(ea, eb, flights, seen=["g", "x"])
     assert (seen.scope, seen.units, seen.block) == (Scope.THESE, 12, 100)
     assert change(ea, eb, ["f"] * 4).scope is Scope.THIS
+    assert change(ea, eb, ["f"] * 4, seen=["f"]).scope is Scope.THIS
+
+
+def test_one_flight_held_out_of_several_is_not_this_flight() -> None:
+    """Three flights fitted, one left out: "this flight" would be said of a log that stands alone."""
+    rng = np.random.default_rng(0)
+    ea, eb = ([rng.normal(size=300)] for _ in range(2))
+    assert change(ea, eb, ["h"], seen=["f", "g"]).scope is Scope.HELD
+    assert str(Scope.HELD) == "the held-out flight"
 
 
 def test_a_typical_flight_is_the_geometric_mean_with_students_t() -> None:

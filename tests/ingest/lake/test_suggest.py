@@ -104,6 +104,23 @@ def test_advice_is_said_once_with_its_flights_and_channels() -> None:
     assert advice(both[:2], {"a": "a"}) == ["roll, pitch: fly more"]
 
 
+def test_a_pair_inside_a_loop_is_no_good_one() -> None:
+    """What a controller gives answers what it drives; the recipe knows the setpoint that excites the loop."""
+    goal = np.repeat(RNG.normal(size=120), 25)
+    u = goal + 0.3 * RNG.normal(size=len(goal))
+    streams = {"CMD": table(T, u=u), "STATE": table(T, y=lag(u, 2)), "GOAL": table(T, r=goal)}
+    log = FlightLog(Flight(Source("f", "tlog", 1, "0" * 64), streams))
+    signals = RECIPE_DOCUMENT["signals"] | {
+        "r": {"unit": "deg", "hold": "zero", "sources": [{"stream": "GOAL", "field": "r", "unit": "deg"}]}
+    }
+    inside = RECIPE_DOCUMENT["channels"]["c"] | {"reference": ["r"]}
+    around = RECIPE_DOCUMENT["channels"]["c"] | {"inputs": ["r"], "reference": ["r"]}
+    recipe = parse_recipe(RECIPE_DOCUMENT | {"signals": signals, "channels": {"pid": inside, "loop": around}})
+    pid, loop = suggest([log], [recipe])
+    assert (pid.verdict, loop.verdict) == ("closed loop", "good")
+    assert "flysid tf DATA --reference r" in pid.advice
+
+
 def test_a_flight_without_the_streams_has_no_suggestion() -> None:
     log = Flight(Source("f", "tlog", 1, "0" * 64), {"CMD": table(T50, u=np.zeros(500))})
     assert suggest([FlightLog(log)], [RECIPE]) == []
