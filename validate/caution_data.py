@@ -8,7 +8,15 @@ from flysid.ingest.align.doubts import REMARKS, Doubt
 from flysid.validate.caution import Caution, join
 from flysid.validate.words import one_line
 
-WEIGHTS: Mapping[str, float] = {"quiet": 9.0, "slow": 6.0, "narrow": 4.5, "pooled": 3.5, "band": 0.4}
+WEIGHTS: Mapping[str, float] = {
+    "quiet": 9.0,
+    "slow": 6.0,
+    "short": 5.5,
+    "narrow": 4.5,
+    "holes": 4.2,
+    "pooled": 3.5,
+    "band": 0.4,
+}
 """Coherence is left out: it is judged on the held-out part, by a rule of its own."""
 
 

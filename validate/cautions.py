@@ -20,6 +20,7 @@ from flysid.validate.caution_models import (
 from flysid.validate.comparison import Comparison, Pair
 from flysid.validate.diagnostics import Diagnosis, Outside
 from flysid.validate.intervals import FEW, Scope
+from flysid.validate.nearness import UNUSUAL
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
 from flysid.validate.words import one_line, percent
@@ -62,7 +63,7 @@ def cautions(
 
 def _rules() -> tuple[Callable[[Comparisons, Diagnoses], Iterator[Caution]], ...]:
     return (
-        _diverged, useless, contested, one_rule, runs_away, _unstable, _unexplained, _extrapolates,
+        _diverged, useless, contested, one_rule, runs_away, _unstable, _unexplained, _extrapolates, _holes,
         _missing_dynamics, _undecided, _few, unsure_gains, collinear, _feedback, _noisy_start, _not_white,
         _one_step_flatters, _idle_rules, spare_words, _unused,
     )  # fmt: skip
@@ -138,6 +139,22 @@ def _extrapolates(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Ca
             "every number here.",
             "train on flights that reach this range, or hold out others.",
             2.0 + worst.share,
+        )
+
+
+def _holes(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
+    """Held-out samples where training has been all around, and never near."""
+    of = [(name, d.near) for name, d in diagnoses.items() if d.near is not None and d.near.far > UNUSUAL]
+    if of:
+        said = join(f"{name} ({100 * near.far:.0f} %)" for name, near in of)
+        channel, worst = max(of, key=lambda item: item[1].far)
+        where = one_line(comparisons[channel].segments[worst.worst_segment])
+        yield Caution(
+            "warning",
+            "Held-out samples lie in holes of the training data, inside its range but far from every sample: "
+            f"{said}, most in {where} ({100 * worst.worst_far:.0f} %). What models do there was never seen.",
+            "train on inputs of many levels, at many outputs; three levels say nothing of what is between.",
+            2.0 + worst.far,
         )
 
 

@@ -12,6 +12,7 @@ from flysid.model.base import Fitted
 from flysid.model.feedback import Feedback, feedback
 from flysid.validate.checks import Checks, check
 from flysid.validate.comparison import Comparison
+from flysid.validate.nearness import Nearness, nearness
 from flysid.validate.residuals import (
     Correlation,
     Spectrum,
@@ -85,6 +86,7 @@ class Diagnosis:
     pole_radius : largest pole modulus over the rules, by model.
     changes : per input, share of held-out samples that differ from the one before.
     checks : of the models of the headline: stability, conditioning, intervals.
+    near : how far held-out samples are from training samples; None without training data, or too few.
     loops : per output, whether the input answers it, in the training data where known.
     """
 
@@ -96,6 +98,7 @@ class Diagnosis:
     checks: Mapping[str, Checks]
     free_runs: tuple[Trial, ...]
     loops: tuple[Feedback, ...] = ()
+    near: Nearness | None = None
 
 
 def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
@@ -117,6 +120,7 @@ def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
         changes=tuple(_changes(test, i) for i in range(len(test.inputs))),
         free_runs=free,
         loops=() if train is None else feedback(models[comparison.baseline], train),
+        near=None if train is None else nearness(train, test, max(1, comparison.lags)),
     )
 
 

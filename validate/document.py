@@ -25,7 +25,8 @@ def to_json(
 ) -> dict[str, Any]:
     """{"channels": {NAME: {HORIZON: {"models", "change_pct", "ci95", "verdict", ...}, "about": {...}}}}.
 
-    "scope" is what the verdict speaks of: "another flight", or only "these flights" or "this flight".
+    "scope" is what the verdict speaks of: "another flight", or only "these flights",
+    "the held-out flight" or "this flight".
     A channel with several outputs is listed once per output, as "channel/output". "change_pct", "ci95"
     and "verdict" speak of the contender ("ts" where there is one) against the baseline, which "about" names;
     "one_rule": the contender has one rule, so it is a linear model. "pairs" holds every model against the
@@ -72,6 +73,7 @@ def _diagnosis(d: Diagnosis, comparison: Comparison) -> dict[str, Any]:
         "outside_training": [
             {"signal": o.signal.name, "share": o.share, "low": o.low, "high": o.high} for o in d.outside
         ],
+        "distance_to_training": None if d.near is None else asdict(d.near),
         "rule_use": {name: asdict(use) for name, use in d.rule_use.items()},
         "checks": {name: _checks(c) for name, c in d.checks.items()},
         "feedback": [asdict(loop) | {"closed": loop.closed} for loop in d.loops],

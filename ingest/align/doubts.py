@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from flysid.dataset import Dataset
 from flysid.ingest.align.recipe import ChannelSpec
+from flysid.ingest.excitation.enough import too_short_alone
 from flysid.ingest.excitation.excitation import (
     GOOD_COHERENCE,
     Spectrum,
@@ -17,7 +21,9 @@ from flysid.ingest.excitation.excitation import (
 )
 
 MOST_NAMES = 4
-REMARKS = ("band",)
+REMARKS = ("holes", "band")
+LEVELS = 5
+"""Of an input that takes no more values than these, what lies between them is not known."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +32,8 @@ class Doubt:
 
     Attributes
     ----------
-    kind : "quiet", "slow", "unexplained", "narrow", "pooled" or "band"; REMARKS are no faults.
+    kind : "quiet", "slow", "short", "unexplained", "narrow", "holes", "pooled" or "band"; REMARKS are no
+        faults.
     text : what is the matter, no full stop.
     todo : what to log, to fly or to choose next time.
     """
@@ -41,7 +48,11 @@ class Doubt:
 
 def doubts(data: Dataset, spec: ChannelSpec) -> tuple[Doubt, ...]:
     """All reasons to doubt models of a dataset, worst first; `spec` tells how fast its dynamics are."""
-    return (*_quiet(data), *_slow(data, spec), *_unexplained(data), *_pooled(data), *_band(data))
+    found = (
+        _quiet(data), _slow(data, spec), _short(data), _unexplained(data), _pooled(data), _holes(data),
+        _band(data),
+    )  # fmt: skip
+    return tuple(itertools.chain.from_iterable(found))
 
 
 def _quiet(data: Dataset) -> Iterator[Doubt]:
@@ -65,6 +76,13 @@ def _slow(data: Dataset, spec: ChannelSpec) -> Iterator[Doubt]:
             f"{spec.min_rate_hz:.3g} Hz",
             spec.remedy or "log faster",
         )
+
+
+def _short(data: Dataset) -> Iterator[Doubt]:
+    seconds = len(data) * data.dt_s
+    if len(data.flights) == 1 and (todo := too_short_alone(seconds)):
+        words, _, remedy = todo.partition(": ")
+        yield Doubt("short", words, remedy)
 
 
 def _unexplained(data: Dataset) -> Iterator[Doubt]:
@@ -100,6 +118,18 @@ def _pooled(data: Dataset) -> Iterator[Doubt]:
             f"flights of {len(vehicles)} vehicles are pooled ({_few(vehicles)}): a model is their average",
             "--vehicle fits one of them; flysid compare sets two runs side by side",
         )
+
+
+def _holes(data: Dataset) -> Iterator[Doubt]:
+    for i, signal in enumerate(data.inputs):
+        levels = np.unique(np.concatenate([s.u[:, i] for s in data.segments]))
+        if 1 < len(levels) <= LEVELS:
+            values = ", ".join(f"{v:.3g}" for v in levels)
+            yield Doubt(
+                "holes",
+                f"input {signal.name} takes {len(levels)} values only ({values} {signal.unit}".rstrip() + ")",
+                "rules know nothing of what lies between them: fly more levels, or a sweep",
+            )
 
 
 def _band(data: Dataset) -> Iterator[Doubt]:

@@ -14,6 +14,7 @@ from flysid.validate.caution_models import COLLINEAR
 from flysid.validate.checks import Checks
 from flysid.validate.comparison import Comparison
 from flysid.validate.diagnostics import Diagnosis
+from flysid.validate.nearness import UNUSUAL
 from flysid.validate.report.overlay import drawn
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.words import number, one_line
@@ -168,6 +169,11 @@ def _data_rows(c: Comparison, d: Diagnosis, j: int) -> Iterator[CheckRow]:
         shares = ", ".join(f"{one_line(o.signal.name)} {100 * o.share:.1f} %" for o in d.outside)
         good = max(o.share for o in d.outside) <= 0.01
         yield CheckRow("Outside the training range", "share of held-out samples", (Finding(shares, good),))
+    if d.near is not None:
+        near = f"{100 * d.near.far:.1f} % in holes inside the range; median {d.near.typical:.2g} spreads"
+        usual = f"99 % of training samples keep {d.near.usual:.2g}"
+        good = d.near.far <= UNUSUAL
+        yield CheckRow("Distance to the nearest training sample", usual, (Finding(near, good),))
     moves = ", ".join(
         f"{one_line(s.name)} {100 * v:.0f} %" for s, v in zip(c.test.inputs, d.changes, strict=True)
     )

@@ -44,12 +44,18 @@ def test_good_data_have_a_band_and_no_fault() -> None:
         (data(1e-6 * U), "quiet", "e-06 deg rms only"),
         (data(dt_s=0.1), "slow", "10 Hz shows the dynamics up to 5 Hz only, this channel needs 20 Hz"),
         (data(y=RNG.normal(size=len(U))), "unexplained", "y does not follow u at any frequency"),
+        (data(U[:2500], Y[:2500]), "short", "50 s by themselves will hardly give a verdict"),
+        (data(np.sign(U), Y), "holes", "input u takes 2 values only (-1, 1 deg)"),
         (oscillation(), "narrow", "less than an octave"),
         (data(vehicles=("b", "a", "b")), "pooled", "flights of 2 vehicles are pooled (a, b)"),
     ],
 )
 def test_each_fault_is_named_with_its_remedy(of: Dataset, kind: str, words: str) -> None:
     assert [words in d.text and d.todo != "" for d in doubts(of, SPEC) if d.kind == kind] == [True]
+
+
+def test_several_short_flights_are_no_short_flight() -> None:
+    assert "short" not in {d.kind for d in doubts(data(U[:1000], Y[:1000], vehicles=("a", "b")), SPEC)}
 
 
 def test_the_page_says_once_what_holds_for_several_channels() -> None:
