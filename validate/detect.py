@@ -229,7 +229,7 @@ def levels(model: Fitted, u: FloatArray, y: FloatArray) -> Levels:
     """The free run's levels along a segment."""
     every = max(1, round(LEVEL_EVERY_S / model.dt_s))
     at = np.arange(run_samples(model), len(y) + 1, every) - 1
-    found = [level_at_end(model, u[: k + 1], y[: k + 1]) for k in at.tolist()]
+    found = [level_at_end(model, y[: k + 1], run_at_end(model, u[: k + 1], y[: k + 1])) for k in at.tolist()]
     shape = (len(at), y.shape[1])
     return Levels(
         at,
@@ -243,9 +243,13 @@ def run_samples(model: Fitted) -> int:
     return model.n_init + max(2, round(RUN_S / model.dt_s))
 
 
-def level_at_end(model: Fitted, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n_y,) level and (n_y,) last difference of the free run that ends with these samples."""
+def run_at_end(model: Fitted, u: FloatArray, y: FloatArray) -> FloatArray:
+    """(n, n_y) the free run that ends with these samples, begun `RUN_S` ago."""
     n = run_samples(model)
-    free = model.simulate(u[-n:], y[-n:][: model.n_init])
-    apart = y[-n:] - free
+    return model.simulate(u[-n:], y[-n:][: model.n_init])
+
+
+def level_at_end(model: Fitted, y: FloatArray, free: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n_y,) level and (n_y,) last difference of a free run that ends with these samples."""
+    apart = y[-len(free) :] - free
     return apart[-max(1, round(LEVEL_S / model.dt_s)) :].mean(axis=0), apart[-1]

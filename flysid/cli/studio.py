@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import importlib.util
+import signal
+import time
+from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from flysid.cli.output import say
 from flysid.errors import UsageError
+
+if TYPE_CHECKING:
+    from flysid.live.session import Session
 
 
 @click.command("studio")
@@ -18,19 +25,49 @@ from flysid.errors import UsageError
     "--runs", "runs", multiple=True, type=click.Path(path_type=Path), help="Also list runs in here."
 )
 @click.option("--open/--no-open", "show", default=True, show_default=True, help="Open the browser.")
-def command(data: Path, port: int, runs: tuple[Path, ...], show: bool) -> None:
+@click.option(
+    "--live", "links", multiple=True, metavar="LINK", help="Record this link, and show what it brings."
+)
+@click.option(
+    "--watch", "run", type=click.Path(path_type=Path), help="With --live: a run's models beside it."
+)
+@click.option(
+    "--false-alarms", default=0.1, show_default=True, metavar="RATE", help="An hour, of the vehicle."
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    help="With --live: the tlog.  [default: a new one in DATA.studio/recordings]",
+)
+def command(
+    data: Path,
+    port: int,
+    runs: tuple[Path, ...],
+    show: bool,
+    links: tuple[str, ...],
+    run: Path | None,
+    false_alarms: float,
+    output: Path | None,
+) -> int:
     """See logs, choose, fit, judge and compare in the browser.
 
     DATA is an ingested folder, or a new one; the studio keeps its uploads, jobs and runs in DATA.studio.
     The server answers on this machine alone, to the address that it prints. Whatever the page does is a
     command that it shows. Ctrl-C ends the server; a fit that runs goes on, and the next studio finds it.
 
+    With --live what a link brings is recorded (see 'flysid record') and drawn as it comes; with --watch
+    beside what a run's models expect, with alarms (see 'flysid watch').
+
     \b
     flysid studio
     flysid studio data --port 8765 --no-open
+    flysid studio --live udp:0.0.0.0:14550 --watch run
     """
     if importlib.util.find_spec("starlette") is None or importlib.util.find_spec("uvicorn") is None:
         raise UsageError("the studio is not installed", hint='pip install "flysid[studio]"')
+    if not links and (run is not None or output is not None):
+        raise UsageError("--watch and -o belong to --live", hint="--live udp:0.0.0.0:14550")
     from flysid.studio.places import open_workspace
     from flysid.studio.serve import serve
 
@@ -40,4 +77,49 @@ def command(data: Path, port: int, runs: tuple[Path, ...], show: bool) -> None:
         click.echo(address)
         say("Ctrl-C ends the server")
 
-    serve(workspace, port, ready, show)
+    if not links:
+        serve(workspace, port, ready, show)
+        return 0
+    session = open_session(links, run, false_alarms, output or new_recording(workspace.folder / "recordings"))
+    from flysid.cli.record import finish
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # the server raises what ended it once more
+    session.start()
+    try:
+        with suppress(KeyboardInterrupt):
+            serve(workspace, port, ready, show, session)
+    finally:
+        session.stop()
+
+    for path in session.recording.parts.paths:
+        click.echo(path)
+    return finish(session.recording, quiet=False)
+
+
+def new_recording(folder: Path) -> Path:
+    """A name by the time of day, in a folder that exists."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / f"{time.strftime('%Y-%m-%dT%H%M%S')}.tlog"
+
+
+def open_session(links: tuple[str, ...], run: Path | None, false_alarms: float, target: Path) -> Session:
+    """Links to be recorded, with the watches of a run where one is given; not yet started."""
+    from flysid.cli.record import opened
+    from flysid.cli.watch import calibrated, recipe_of
+    from flysid.live.receiving import warm_up
+    from flysid.live.recording import Recording
+    from flysid.live.session import Session
+    from flysid.validate.run import open_run
+
+    watches = []
+    recipe = None
+    if run is not None:
+        fitted = open_run(run)
+        recipe = recipe_of(fitted, "a link")
+        say("calibrating on held-out flights")
+        watches = calibrated(fitted, None, (), None, false_alarms)
+    warm_up()
+    recording = Recording(opened(links, None, sends=False), target)
+    for text in recording.receiver.warnings():
+        say(text)
+    return Session(recording, watches, recipe)

@@ -18,6 +18,7 @@ from flysid.cli.output import counted, printable, say
 from flysid.errors import DataError, UsageError
 
 if TYPE_CHECKING:
+    from flysid.ingest.align.recipe import Recipe
     from flysid.live.watching import ChannelWatch, Event
     from flysid.validate.run import Run
 
@@ -67,8 +68,6 @@ def command(
     Thresholds come from the run's held-out flights. An input outside the training flights is shown, and is no
     alarm. The vehicle is never commanded.
     """
-    if not 0.0 < false_alarms <= 3600.0:
-        raise UsageError(f"{false_alarms:g} false alarms an hour", hint="above 0, e.g. 0.1")
     from flysid.validate.run import open_run
 
     opened = open_run(run)
@@ -98,6 +97,8 @@ def calibrated(
     run: Run, data: Path | None, channels: tuple[str, ...], label: str | None, false_alarms: float
 ) -> list[ChannelWatch]:
     """The watches of the chosen channels; says which cannot be watched. Raises where none can."""
+    if not 0.0 < false_alarms <= 3600.0:
+        raise UsageError(f"{false_alarms:g} false alarms an hour", hint="above 0, e.g. 0.1")
     from flysid.live.watching import watches_of
     from flysid.validate.run import held_out
 
@@ -114,21 +115,27 @@ def calibrated(
     return watches
 
 
+def recipe_of(run: Run, source: str) -> Recipe:
+    """How a run's channels are read from a log or a link; raises UsageError where the run does not say."""
+    from flysid.ingest.align.recipe import load_recipe
+    from flysid.validate.run import RECIPE_FILE
+
+    if not run.recipe:
+        raise UsageError(
+            f"this run was fitted to a dataset file: it does not say how to read {source}", path=run.folder
+        )
+    return load_recipe(run.folder / RECIPE_FILE)
+
+
 def look_back(
     run: Run, watches: list[ChannelWatch], log: Path, tell: Callable[[Event], None], quiet: bool
 ) -> None:
     """All events of a log, in the order of time."""
     import flysid
     from flysid.ingest.align.align import segments_of
-    from flysid.ingest.align.recipe import load_recipe
-    from flysid.validate.run import RECIPE_FILE
 
-    if not run.recipe:
-        raise UsageError(
-            "this run was fitted to a dataset file: it does not say how to read a log", path=run.folder
-        )
+    recipe = recipe_of(run, "a log")
     flight = flysid.read(log)
-    recipe = load_recipe(run.folder / RECIPE_FILE)
     events = []
     for one in watches:
         report, segments = segments_of(flight, recipe, one.name, one.model.dt_s)
@@ -152,18 +159,12 @@ def follow(
 ) -> None:
     """Watch a link until interrupted, or the time is over."""
     from flysid.cli.record import run as record
-    from flysid.ingest.align.recipe import load_recipe
     from flysid.live.following import Follower
     from flysid.live.links import open_link
     from flysid.live.receiving import Receiver, warm_up
     from flysid.live.recording import Recording, heartbeat_of
-    from flysid.validate.run import RECIPE_FILE
 
-    if not run.recipe:
-        raise UsageError(
-            "this run was fitted to a dataset file: it does not say how to read a link", path=run.folder
-        )
-    follower = Follower(watches, load_recipe(run.folder / RECIPE_FILE), tell)
+    follower = Follower(watches, recipe_of(run, "a link"), tell)
     warm_up()
     opened = open_link(link, sends=heartbeat)
     stop = threading.Event()

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import pyarrow as pa
 
-from flysid.errors import RecipeError
+from flysid.errors import DataError, RecipeError
 from flysid.flight import TIME
 from flysid.ingest.align.align import segments_of
 from flysid.ingest.align.recipe import Recipe
@@ -67,6 +67,8 @@ class RollingLog:
 class Follower:
     """Watches channels of a live vehicle.
 
+    It follows the first sender that is heard; another one is followed when that one has fallen silent.
+
     Parameters
     ----------
     watches : of the channels.
@@ -87,10 +89,16 @@ class Follower:
         self._newest_ns = {w.name: 0 for w in self.watches}
         self._heard_s = {w.name: time.monotonic() for w in self.watches}
         self._silent: set[str] = set()
+        self._peer = -1
+        self._peer_heard_s = float("-inf")
 
     def listen(self, piece: Piece) -> None:
         """Take records from the thread that receives; never waits."""
-        if piece.frames:
+        now = time.monotonic()
+        if piece.peer != self._peer and now - self._peer_heard_s > MISSING_S:
+            self._peer = piece.peer
+        if piece.frames and piece.peer == self._peer:
+            self._peer_heard_s = now
             with self._guard:
                 self._waiting.append(piece.content)
 
@@ -120,7 +128,7 @@ class Follower:
         dt_ns = round(dt_s * 1e9)
         try:
             _, segments = segments_of(self._log, self._recipe, watch.name, dt_s)
-        except RecipeError:
+        except (RecipeError, DataError):
             return  # its streams have not come yet: silent
         for segment in segments:
             last_ns = segment.t0_ns + (len(segment) - 1) * dt_ns

@@ -160,10 +160,10 @@ class Receiver:
         records, boot = self.ledger.enter(peer.number, cut.raw, starts, cut.ends, cut.stamps_us)
         if boot > 0:
             before = whole_records(records, boot)[1]
-            self.sink(Piece(records[:boot], before))
-            self.sink(Piece(records[boot:], len(starts) - before, boots=True))
+            self.sink(Piece(records[:boot], before, peer=peer.number))
+            self.sink(Piece(records[boot:], len(starts) - before, boots=True, peer=peer.number))
         else:
-            self.sink(Piece(records, len(starts), boots=boot == 0))
+            self.sink(Piece(records, len(starts), boots=boot == 0, peer=peer.number))
 
     def _reject(self, peer: Peer, content: bytes) -> None:
         if content:

@@ -20,11 +20,13 @@ class Piece:
     content : the bytes.
     frames : how many records they hold; 0 for bytes that are no frame.
     boots : a vehicle was started anew: what follows may begin a new part.
+    peer : who sent it, a number.
     """
 
     content: bytes
     frames: int
     boots: bool = False
+    peer: int = 0
 
 
 class Spool:

@@ -11,6 +11,7 @@ import numpy as np
 from flysid.dataset import FloatArray, Segment
 from flysid.errors import DataError, UsageError
 from flysid.live.causes import likely, meaning_of, visibility
+from flysid.live.traces import Trace
 from flysid.model.base import Fitted
 from flysid.validate.detect import (
     DETECTORS,
@@ -22,6 +23,7 @@ from flysid.validate.detect import (
     calibrate,
     level_at_end,
     one_step,
+    run_at_end,
     run_samples,
 )
 from flysid.validate.run import HeldOut
@@ -87,12 +89,14 @@ class ChannelWatch:
     model : predicts one step ahead and runs freely.
     thresholds : one per output (`flysid.validate.detect.calibrate`).
     known : (2, n_u) lowest and highest inputs that are judged (`known_inputs`).
+    trace : keeps what was seen, for a page; None where nobody looks.
     """
 
     name: str
     model: Fitted
     thresholds: tuple[Thresholds, ...]
     known: FloatArray
+    trace: Trace | None = None
     latest: dict[str, float] = field(default_factory=dict)
     _outside: bool = False
 
@@ -135,6 +139,8 @@ class ChannelWatch:
         self._u = np.concatenate([self._u[-self._keep :], u])
         self._y = np.concatenate([self._y[-self._keep :], y])
         errors = one_step(self.model, self._u, self._y)[-len(u) :]
+        if self.trace is not None:
+            self.trace.add(time_s, self.model.dt_s, y, y - errors)
         self._seen += len(u)
         was_outside = self._outside
         events = self._judge_inputs(u, time_s, flight)
@@ -178,7 +184,10 @@ class ChannelWatch:
             return
         self._next_level = self._seen + max(1, round(LEVEL_EVERY_S / self.model.dt_s))
         clean = self._clean >= self._keep
-        level = level_at_end(self.model, self._u, self._y)[0] if clean else np.zeros(len(self._outputs))
+        free = run_at_end(self.model, self._u, self._y)
+        if self.trace is not None:
+            self.trace.add_run(free)
+        level = level_at_end(self.model, self._y, free)[0] if clean else np.zeros(len(self._outputs))
         for j, output in enumerate(self._outputs):
             output.level = float(level[j])
 

@@ -27,6 +27,7 @@ from flysid.errors import FlysidError, UsageError, WriteError
 from flysid.studio import commands, forms
 from flysid.studio.guard import Bounds, Guard, Key
 from flysid.studio.jobs import Job, Jobs
+from flysid.studio.live import Live, seen_by, stream
 from flysid.studio.places import NotThere, Workspace, is_name
 
 if TYPE_CHECKING:
@@ -49,8 +50,10 @@ class Studio:
     would see a half-made one.
     """
 
-    def __init__(self, workspace: Workspace, cache: Path) -> None:
+    def __init__(self, workspace: Workspace, cache: Path, live: Live | None, leaving: asyncio.Event) -> None:
         self.workspace = workspace
+        self._live = live
+        self._leaving = leaving
         self.jobs = Jobs(workspace.jobs)
         self._cache = cache
         self._loaded = {room: threading.Event() for room in ROOMS}
@@ -78,7 +81,10 @@ class Studio:
     async def about(self, request: Request) -> Response:
         query_of(request, forms.Nothing)
         data = str(self.workspace.data)
-        return answer({"version": flysid.__version__, "data": data, "folder": str(self.workspace.folder)})
+        folder = str(self.workspace.folder)
+        return answer(
+            {"version": flysid.__version__, "data": data, "folder": folder, "live": self._live is not None}
+        )
 
     async def list_flights(self, request: Request) -> Response:
         asked = query_of(request, forms.Listing)
@@ -192,9 +198,10 @@ class Studio:
         yield f"event: job\ndata: {json.dumps(told(self.jobs.get(job_id)))}\n\n"
         lines = self.jobs.events(job_id, after)
         waiting = asyncio.ensure_future(anext(lines, None))
+        leaving = asyncio.ensure_future(self._leaving.wait())
         try:
-            while True:
-                await asyncio.wait([waiting], timeout=SILENCE_S)
+            while not leaving.done():
+                await asyncio.wait([waiting, leaving], timeout=SILENCE_S, return_when=asyncio.FIRST_COMPLETED)
                 if not waiting.done():
                     yield ": still at it\n\n"
                     continue
@@ -205,7 +212,24 @@ class Studio:
                 waiting = asyncio.ensure_future(anext(lines, None))
         finally:
             waiting.cancel()
+            leaving.cancel()
         yield f"event: ended\ndata: {json.dumps(told(self.jobs.get(job_id)))}\n\n"
+
+    @property
+    def live(self) -> Live:
+        if self._live is None:
+            raise NotThere("no link is open", hint="flysid studio --live udp:0.0.0.0:14550")
+        return self._live
+
+    async def describe_live(self, request: Request) -> Response:
+        query_of(request, forms.Nothing)
+        return answer(self.live.describe())
+
+    async def live_events(self, request: Request) -> Response:
+        """What the link brings, as server-sent events; `Last-Event-ID` resumes."""
+        query_of(request, forms.Nothing)
+        seen = seen_by(request.headers.get("last-event-id", ""))
+        return StreamingResponse(stream(self.live, seen, self._leaving), media_type="text/event-stream")
 
     async def list_runs(self, request: Request) -> Response:
         from flysid.studio.runs import list_runs
@@ -285,12 +309,21 @@ class Studio:
             Route("/api/1/jobs", self.list_jobs, methods=["GET"]),
             Route("/api/1/jobs/{job}", self.job, methods=["GET", "DELETE"]),
             Route("/api/1/jobs/{job}/events", self.job_events, methods=["GET"]),
+            Route("/api/1/live", self.describe_live, methods=["GET"]),
+            Route("/api/1/live/events", self.live_events, methods=["GET"]),
             Route("/shared/{name}", shared_asset, methods=["GET"]),
             Mount("/", assets),
         ]
 
 
-def make_app(workspace: Workspace, key: Key, cache: Path, bounds: Bounds | None = None) -> Guard:
+def make_app(
+    workspace: Workspace,
+    key: Key,
+    cache: Path,
+    leaving: asyncio.Event,
+    bounds: Bounds | None = None,
+    live: Live | None = None,
+) -> Guard:
     """The application, guarded.
 
     Parameters
@@ -298,9 +331,11 @@ def make_app(workspace: Workspace, key: Key, cache: Path, bounds: Bounds | None 
     workspace : its folders.
     key : what a browser must show.
     cache : an empty folder for mapped fields.
+    leaving : set when the server is to end: streams end then.
     bounds : of requests' bodies.
+    live : what is recorded and watched meanwhile.
     """
-    studio = Studio(workspace, cache)
+    studio = Studio(workspace, cache, live, leaving)
 
     @contextlib.asynccontextmanager
     async def working(_: Starlette) -> AsyncIterator[None]:

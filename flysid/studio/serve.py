@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import socket
 import threading
@@ -9,12 +10,14 @@ import webbrowser
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import FrameType
 
 import uvicorn
 
 from flysid.errors import UsageError
 from flysid.studio.app import make_app
 from flysid.studio.guard import Key
+from flysid.studio.live import Live
 from flysid.studio.places import Workspace
 
 HOST = "127.0.0.1"
@@ -40,7 +43,21 @@ def bound(port: int) -> Iterator[socket.socket]:
         yield listening
 
 
-def serve(workspace: Workspace, port: int, ready: Callable[[str], None], show: bool) -> None:
+class Server(uvicorn.Server):
+    """Ends with the first Ctrl-C, for it tells event streams that it does."""
+
+    def __init__(self, config: uvicorn.Config, leaving: asyncio.Event) -> None:
+        super().__init__(config)
+        self._leaving = leaving
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        self._leaving.set()
+        super().handle_exit(sig, frame)
+
+
+def serve(
+    workspace: Workspace, port: int, ready: Callable[[str], None], show: bool, live: Live | None = None
+) -> None:
     """Serve until interrupted.
 
     Parameters
@@ -49,12 +66,15 @@ def serve(workspace: Workspace, port: int, ready: Callable[[str], None], show: b
     port : 0 takes a free one.
     ready : is told the address with the token, when it answers.
     show : open it in the browser.
+    live : what is recorded and watched meanwhile; its page is opened first.
     """
     with bound(port) as listening, TemporaryDirectory(dir=workspace.folder, prefix=".views-") as cache:
         key = Key(listening.getsockname()[1])
-        app = make_app(workspace, key, Path(cache))
-        ready(key.address)
+        leaving = asyncio.Event()
+        app = make_app(workspace, key, Path(cache), leaving, live=live)
+        address = key.address if live is None else f"{key.address}#/live"
+        ready(address)
         if show:
-            threading.Thread(target=webbrowser.open, args=(key.address,), daemon=True).start()
+            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
         config = uvicorn.Config(app, log_level="warning", access_log=False, server_header=False)
-        uvicorn.Server(config).run(sockets=[listening])
+        Server(config, leaving).run(sockets=[listening])

@@ -70,7 +70,7 @@ def spikes(t_ns: IntArray, x: FloatArray, max_rate: float) -> npt.NDArray[np.boo
 
 
 def period_ns(t_ns: IntArray) -> float:
-    """Mean distance of samples, in ns, with pauses left out; inf for fewer than two samples.
+    """Mean distance of samples, in ns, with pauses left out; inf where all samples, or one, have one time.
 
     Where two thirds of the distances lie near their median, the mean of those is taken; otherwise
     (bursts) the mean of all that are below five times the mean.
@@ -82,7 +82,7 @@ def period_ns(t_ns: IntArray) -> float:
     near = steps[(steps > 0.5 * middle) & (steps < 1.5 * middle)]
     if 3 * len(near) > 2 * len(steps):
         return float(near.mean())
-    return float(steps[steps <= 5 * steps.mean()].mean())
+    return float(steps[steps <= 5 * steps.mean()].mean()) or float(steps.mean()) or float("inf")
 
 
 def nice_period_ns(period: float) -> int:

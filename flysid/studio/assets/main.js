@@ -5,8 +5,9 @@ import { showFlights } from "./flights.js";
 import { showChannels } from "./channels.js";
 import { showRuns } from "./runs.js";
 import { showJobs } from "./jobs.js";
+import { showLive } from "./live.js";
 
-const PAGES = { flights: showFlights, channels: showChannels, runs: showRuns, jobs: showJobs };
+const PAGES = { flights: showFlights, channels: showChannels, runs: showRuns, jobs: showJobs, live: showLive };
 const main = document.getElementById("main");
 let leave = null;
 
@@ -26,5 +27,8 @@ const turn = guarded(async () => {
 });
 
 window.addEventListener("hashchange", turn);
-get("about").then((about) => { document.getElementById("place").textContent = about.data + " \u00b7 flysid " + about.version; }, complain);
+get("about").then((about) => {
+  document.getElementById("place").textContent = about.data + " \u00b7 flysid " + about.version;
+  document.querySelector("nav a[data-page=live]").hidden = !about.live;
+}, complain);
 turn();

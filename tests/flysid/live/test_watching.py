@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -16,17 +15,15 @@ import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray, Segment, Signal
-from flysid.ingest.synth.synth import Order, fly_one
-from flysid.ingest.synth.telemetry import Series
-from flysid.ingest.synth.writers.mavlink import tlog_bytes
+from flysid.ingest.align.recipe import load_recipe
 from flysid.live.causes import likely, meaning_of, visibility
-from flysid.live.spool import whole_records
+from flysid.live.following import Follower
+from flysid.live.spool import Piece, whole_records
 from flysid.live.watching import ChannelWatch, known_inputs
 from flysid.validate.detect import Thresholds, calibrate
+from tests.flysid.live.flown import FAULT_S, ROOT, flysid, play
 from tests.link_trials import free_port
 from tests.validate.test_detect import MODEL, flown
-
-ROOT = Path(__file__).resolve().parents[3]
 
 
 @cache
@@ -120,43 +117,6 @@ def test_words_name_causes_and_what_cannot_be_seen() -> None:
 # ------------------------------------------------------------------------------------- the whole way
 
 
-def flysid(*words: object, module: str = "flysid") -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", module, *map(str, words)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
-
-
-FAULT_S = 40.0
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run on simulated flights, a nominal log, and one whose forward speed is off from 40 s on."""
-    folder = tmp_path_factory.mktemp("watch")
-    order = Order(plan="mixed", duration_s=120.0, seed=5)
-    (folder / "logs").mkdir()
-    for k in range(4):
-        recording = fly_one(order, k)
-        (folder / "logs" / f"{k}.tlog").write_bytes(tlog_bytes(recording))
-    done = flysid("ingest", folder / "logs", "-o", folder / "data", "-q")
-    assert done.returncode == 0, done.stderr
-    fit = ("fit", folder / "data", "-r", "ardrone-synthetic", "-o", folder / "run", "-q", "--holdout", "0.5")
-    done = flysid(*fit, "--channel", "longitudinal", module="tests.quick_flysid")
-    assert done.returncode == 0, done.stderr
-    recording = fly_one(replace(order, seed=6, duration_s=80.0), 0)
-    (folder / "good.tlog").write_bytes(tlog_bytes(recording))
-    late = recording.state.time_ns >= recording.state.time_ns[0] + FAULT_S * 1e9
-    values = {**recording.state.values, "vx": recording.state["vx"] + 0.4 * late}
-    broken = replace(recording, state=Series(recording.state.time_ns, values))
-    (folder / "bad.tlog").write_bytes(tlog_bytes(broken))
-    return folder
-
-
 def test_a_log_that_is_as_it_was(place: Path) -> None:
     done = flysid("watch", place / "run", place / "good.tlog", "--fail")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -204,27 +164,15 @@ def test_a_link_is_watched_and_recorded(place: Path) -> None:
     assert whole_records(copy.read_bytes(), copy.stat().st_size)[0] > 1000
 
 
-def play(log: Path, port: int, speed: float) -> None:
-    """Send a tlog's frames when their time has come."""
-    import socket
-
-    from flysid.ingest.formats.mavlink.frames import read_header
-
-    content = log.read_bytes()
-    at = 0
-    first = int.from_bytes(content[:8], "big")
-    began = time.monotonic()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-        while at < len(content):
-            head = read_header(content, at + 8)
-            assert head is not None
-            due = (int.from_bytes(content[at : at + 8], "big") - first) * 1e-6 / speed
-            time.sleep(max(0.0, due - (time.monotonic() - began)))
-            link.sendto(content[at + 8 : head.end], ("127.0.0.1", port))
-            at = head.end
-
-
 def test_a_channel_that_does_not_exist_is_named(place: Path) -> None:
     done = flysid("watch", place / "run", place / "good.tlog", "--channel", "lateral")
     assert done.returncode == 2
     assert "no channel 'lateral'" in done.stderr
+
+
+def test_of_two_senders_one_is_followed() -> None:
+    """Two vehicles with one number: their samples are never mixed."""
+    follower = Follower([], load_recipe("ardrone-synthetic"), lambda _: None)
+    for peer in (3, 4, 3):
+        follower.listen(Piece(bytes([peer]), 1, peer=peer))
+    assert follower._waiting == [b"\x03", b"\x03"]

@@ -57,7 +57,7 @@ class Server:
 
     @property
     def token(self) -> str:
-        return self.address.rpartition("=")[2]
+        return self.address.rpartition("=")[2].partition("#")[0]
 
     def raw(
         self, method: str, path: str, body: bytes | None = None, headers: Mapping[str, str] | None = None
@@ -93,10 +93,10 @@ class Server:
 
 
 @contextmanager
-def studio(data: Path) -> Iterator[Server]:
+def studio(data: Path, *more: str) -> Iterator[Server]:
     """Start `flysid studio` on a free port; end it as Ctrl-C does."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "flysid", "studio", str(data), "--no-open"],
+        [sys.executable, "-m", "flysid", "studio", str(data), "--no-open", *more],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -42,7 +42,7 @@ class Page:
         browser.get_log("browser")
         browser.get("about:blank")
         browser.get(server.address)
-        self.ready("flights")
+        self.ready(server.address.partition("#/")[2] or "flights")
 
     def go(self, address: str) -> None:
         self.browser.get("about:blank")

@@ -39,6 +39,8 @@ def test_the_period_ignores_pauses_and_bursts() -> None:
     bursts = np.sort(np.concatenate([np.arange(0, 1000, 100), np.arange(0, 1000, 100) + 1])) * MS
     assert resample.period_ns(bursts) == pytest.approx(50 * MS, rel=0.1)
     assert resample.period_ns(np.array([5])) == float("inf")
+    assert resample.period_ns(np.array([5, 5, 5])) == float("inf")
+    assert resample.period_ns(np.array([5, 5, 5, 9])) == pytest.approx(4 / 3)  # two senders, one clock
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,89 @@
+"""The live page in a real browser: a vehicle over UDP, beside its model, with a fault."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flysid.live.spool import whole_records
+from flysid.live.traces import Trace
+from tests.browser import needs_browser
+from tests.flysid.live.flown import FAULT_S, play
+from tests.flysid.studio.server import studio
+from tests.flysid.studio.test_browser import Page, until
+from tests.link_trials import free_port
+
+SPEED = 8.0
+STATE = """
+const { charts, view } = document.querySelector("main").live;
+return { rows: charts[0].rows, end: view.end, span: view.span, newest: view.newest };
+"""
+
+
+def test_a_reader_who_comes_late_is_given_newer_rows_and_all_that_may_have_changed() -> None:
+    trace = Trace(outputs=1, capacity=8, settles=2)
+    for k in range(6):
+        y = np.array([[2.0 * k], [2.0 * k + 1]])
+        trace.add(2.0 * k, 1.0, y, y + 0.5)
+    trace.add_run(np.array([[7.0], [8.0], [9.0]]))
+    first, rows = trace.since(0)
+    assert first == 4  # eight are kept
+    assert [row[0] for row in rows] == list(range(4, 12))
+    assert [row[3] for row in rows] == [None] * 6 + [8.0, 9.0]
+    assert trace.since(12) == (10, rows[-2:])
+    assert trace.since(0, most=3)[0] == 9
+    trace.add(12.0, 1.0, np.arange(20.0)[:, None], np.zeros((20, 1)))  # more than the ring holds
+    assert [row[1] for row in trace.since(0)[1]] == list(range(12, 20))
+
+
+def test_without_a_link_there_is_no_live_page(tmp_path: Path) -> None:
+    pytest.importorskip("starlette", reason='the studio is not installed: pip install "flysid[studio]"')
+    with studio(tmp_path / "data") as server:
+        assert server.get("about").json["live"] is False
+        refused = server.get("live")
+        assert (refused.status, refused.json["hint"]) == (404, "flysid studio --live udp:0.0.0.0:14550")
+
+
+@needs_browser
+def test_a_vehicle_is_seen_beside_its_model_and_recorded(place: Path, tmp_path: Path, browser: Any) -> None:
+    """Its forward speed goes wrong in flight: the page shows it, says it, and the file holds all of it."""
+    pytest.importorskip("starlette", reason='the studio is not installed: pip install "flysid[studio]"')
+    port = free_port()
+    target = tmp_path / "flight.tlog"
+    words = ("--live", f"udp:127.0.0.1:{port}", "--watch", str(place / "run"), "-o", str(target))
+    with studio(tmp_path / "data", *words) as server:
+        page = Page(browser, server)
+        until(lambda: "nothing has come" in page.find("main").text)
+        threading.Thread(target=play, args=(place / "bad.tlog", port, SPEED), daemon=True).start()
+        until(lambda: len(page.js(STATE)["rows"]) > 300)
+        page.js("document.querySelector('.chart').focus()")
+        before = page.js(STATE)
+        page.find(".chart").send_keys("+")  # shorter, and still following
+        nearer = page.js(STATE)
+        assert nearer["span"] < before["span"]
+        assert nearer["end"] is None
+        page.find(".chart").send_keys(" ")
+        assert page.js(STATE)["end"] is not None
+        assert "Paused" in page.find("button[aria-pressed]").text
+        page.find("button[aria-pressed]").click()
+        assert page.js(STATE)["end"] is None
+        alarm = until(lambda: [e.text for e in page.all("li.alarm")], 60.0)[-1]
+        assert 12.0 + FAULT_S <= float(alarm.split()[1]) < 12.0 + FAULT_S + 3.0
+        assert "v_x <- theta_in left its band" in alarm
+        rows = page.js(STATE)["rows"]
+        times = np.array([row[0] for row in rows])
+        assert (np.diff(times) > 0.0).all()
+        free = np.array([np.nan if row[3] is None else row[3] for row in rows])
+        assert np.isfinite(free).mean() > 0.5  # a free run is known once 10 s have come
+        assert page.js("return document.documentElement.scrollWidth <= innerWidth")
+        assert not [e for e in browser.get_log("browser") if e["level"] == "SEVERE"]
+    content = target.read_bytes()
+    assert whole_records(content, len(content))[0] == len(content)
+    state = json.loads(target.with_name("flight.tlog.json").read_text())
+    assert state["state"] == "closed"
+    assert state["frames"] > 1000
