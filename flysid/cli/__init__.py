@@ -30,6 +30,7 @@ VERBS = {
     "gains": "What the gains that a log states mean: crossover, margins, bandwidth, noise.",
     "ingest": "Read flight logs into typed parquet tables.",
     "ls": "List the flights and streams of an ingested folder.",
+    "plan": "Plan the flight to fly next; what more flying would make known.",
     "plot": "Plot fields of a log over time, with modes and messages.",
     "recipes": "List the recipes, or explain one; which ones fit a log.",
     "record": "Record MAVLink links into a tlog, whole and counted.",
@@ -47,7 +48,7 @@ VERBS = {
 
 STEPS = {
     "Look": ("doctor", "show", "plot", "ls", "recipes", "studio"),
-    "Prepare": ("ingest", "record", "synth", "scrub"),
+    "Prepare": ("ingest", "record", "synth", "scrub", "plan"),
     "Fit": ("fit", "tf", "step"),
     "Judge": ("validate", "compare", "runs", "gains", "watch", "reproduce"),
     "Share": ("export",),

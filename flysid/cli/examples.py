@@ -18,6 +18,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "gains": ("flysid gains flight.bfl", "flysid gains data --axis roll --plot loop.png"),
     "ingest": ("flysid ingest logs/ -o data", "flysid ingest flight.bin 'more/*.ulg' -o data"),
     "ls": ("flysid ls data", "flysid ls flight.bin --suggest"),
+    "plan": (
+        "flysid plan --axis roll=0.1 --axis pitch=0.1 --band 0.3 12 -o plan",
+        "flysid plan run --more 3 --aim 4",
+    ),
     "plot": (
         "flysid plot flight.bin --pair attitude",
         "flysid plot flight.bin ATT.DesRoll,ATT.Roll 'RCOU.C*' -o roll.png",

@@ -1,0 +1,297 @@
+"""`flysid plan [SOURCE]`: the flight to fly next, and what more flying would tell."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from flysid.cli.output import check_target, printable
+from flysid.cli.source import Words, opened, selection_options, words_options
+from flysid.errors import UsageError
+
+if TYPE_CHECKING:
+    from flysid.ingest.lake.selection import Selection
+    from flysid.plan.flightplan import Axis, FlightPlan
+    from flysid.plan.precision import Known
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """What a source tells a plan: its axes, a band, the recipe of its log, and how well it is known."""
+
+    axes: tuple[Axis, ...] = ()
+    band_hz: tuple[float, float] | None = None
+    recipe: str = ""
+    known: tuple[Known, ...] = ()
+    unknown: tuple[str, ...] = ()
+
+
+@click.command("plan")
+@click.argument("source", type=click.Path(path_type=Path), required=False)
+@click.option(
+    "--axis",
+    "axes",
+    multiple=True,
+    metavar="NAME=PEAK",
+    help="What to command, and how far to either side, with its unit: theta_in=5deg; may be repeated. Of a "
+    "run or flights: instead of their inputs, as far as the last flight went.",
+)
+@click.option("--limit", "limits", multiple=True, metavar="NAME=PEAK", help="An axis goes no further.")
+@click.option(
+    "--band",
+    nargs=2,
+    type=float,
+    metavar="LOW HIGH",
+    help="Hz.  [default: around the poles of a run's models]",
+)
+@click.option("--seconds", default=60.0, show_default=True, help="Of the whole flight.")
+@click.option("--rate", default=50.0, show_default=True, metavar="HZ", help="Rows a second in plan.csv.")
+@click.option(
+    "--kind",
+    default="multisine",
+    show_default=True,
+    type=click.Choice(["multisine", "chirp", "doublets"]),
+    help="Multisines on all axes at once, or one axis after the other.",
+)
+@click.option(
+    "--ardupilot",
+    "place",
+    type=click.Choice(["mixer", "rate", "angle", "recover"]),
+    help="With --kind chirp: also SID_* parameters; where the sweep enters.",
+)
+@click.option("--px4-plane", is_flag=True, help="With --kind chirp: also FW_AT_* parameters (PX4 v1.16 on).")
+@click.option("--more", default=3.0, show_default=True, metavar="MINUTES", help="More of the same, of a run.")
+@click.option("--aim", type=float, metavar="PERCENT", help="How long until figures are known this well.")
+@click.option("--channel", "-c", "channels", multiple=True, help="Of the recipe or run; may be repeated.")
+@click.option(
+    "--data", type=click.Path(path_type=Path), help="The run's data, where they moved since the fit."
+)
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for the plan's files.")
+@click.option("--force", is_flag=True, help="Replace the folder if it is there.")
+@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
+@click.option("--quiet", "-q", is_flag=True)
+@words_options
+@selection_options
+def command(
+    source: Path | None,
+    selection: Selection,
+    recipe: str,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    dt: float | None,
+    time_unit: str,
+    format_: str,
+    axes: tuple[str, ...],
+    limits: tuple[str, ...],
+    band: tuple[float, float] | None,
+    seconds: float,
+    rate: float,
+    kind: Any,
+    place: str | None,
+    px4_plane: bool,
+    more: float,
+    aim: float | None,
+    channels: tuple[str, ...],
+    data: Path | None,
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Plan the flight to fly next: signals that identify, safe amplitudes, and what more flying would tell.
+
+    SOURCE is a run (what is known, and what more of the same would make of it), an ingested folder or a log
+    (amplitudes from its last flight), or nothing: then --axis and --band say all. -o writes plan.csv,
+    recipe.toml for the log of it, and parameters for autopilots that can fly it. Exit code 3: a run does not
+    determine some of its figures.
+    """
+    from flysid.plan.flightplan import axis_of, make_plan, within
+
+    if out is not None:
+        check_target(out, force)
+    if more <= 0.0 or (aim is not None and aim <= 0.0):
+        raise UsageError("--more and --aim must be above zero")
+    words = Words(recipe, inputs, outputs, dt, time_unit, format_)
+    begun = _begun(source, words, selection, channels, data, quiet)
+    chosen = tuple(map(axis_of, axes)) or begun.axes
+    chosen = within(chosen, tuple(map(axis_of, limits)))
+    plan = None
+    if band or begun.band_hz or not begun.known:
+        plan = make_plan(kind, chosen, _band(band, begun, rate), seconds, rate)
+    files = _files(plan, begun, outputs, place, px4_plane) if plan is not None else {}
+    if as_json:
+        click.echo(json.dumps(_document(plan, begun, more, files), indent=1, allow_nan=False))
+    else:
+        _print(plan, begun, more, aim, files)
+    if out is not None and plan is not None:
+        _write(out, {name: text for name, (text, _) in files.items()})
+        click.echo("\n".join(str(out / name) for name in files))
+    return 3 if begun.unknown or any(not k.is_determined for k in begun.known) else 0
+
+
+def _begun(
+    source: Path | None,
+    words: Words,
+    selection: Selection,
+    channels: tuple[str, ...],
+    data: Path | None,
+    quiet: bool,
+) -> Beginning:
+    """What the source tells."""
+    from flysid.validate.run import RUN_FILE
+
+    if source is None:
+        return Beginning()
+    if not source.exists():
+        raise UsageError("no such run, folder or log", path=source, hint="without one: --axis and --band")
+    if (source / RUN_FILE).is_file():
+        return _of_run(source, channels, data)
+    from flysid.ingest.align.recipe import load_recipe, recipe_text
+    from flysid.plan.briefing import axes_of_last_flight
+
+    with opened(source, words, selection, None, quiet) as (lake, name):
+        recipe = load_recipe(name)
+        wanted = channels or lake.channels(recipe)
+        found = [axes_of_last_flight(lake.dataset(recipe, channel)) for channel in wanted]
+        return Beginning(_once(found), None, recipe_text(name)[0])
+
+
+def _of_run(folder: Path, channels: tuple[str, ...], data: Path | None) -> Beginning:
+    from flysid.plan.briefing import axes_of_last_flight
+    from flysid.plan.precision import band_of_models, known_of_channel
+    from flysid.validate.run import RECIPE_FILE, held_out, open_run
+
+    run = open_run(folder)
+    names = [c.name for c in run.channels]
+    strange = [name for name in channels if name not in names and name not in run.skipped]
+    if strange:
+        raise UsageError(f"the run has no channel {strange[0]!r}", hint=f"one of {', '.join(names)}")
+    held = [h for h in held_out(run, data) if not channels or h.channel.name in channels]
+    lost = [f"{n}: {why}" for n, why in run.skipped.items() if not channels or n in channels]
+    if not held:
+        raise UsageError(
+            f"the run knows nothing: {'; '.join(lost) or 'not enough data for any channel'}",
+            path=folder,
+            hint="fly what excites it: flysid plan --axis NAME=PEAK --band LOW HIGH -o plan",
+        )
+    known = {h.channel.name: tuple(known_of_channel(h)) for h in held}
+    lost += [
+        f"{name}: its linear model integrates or carries no covariance; no gain to speak of"
+        for name, found in known.items()
+        if not found
+    ]
+    recipe = folder / RECIPE_FILE
+    return Beginning(
+        _once([axes_of_last_flight(h.train) for h in held]),
+        band_of_models([h.models[h.channel.baseline] for h in held if h.channel.baseline in h.models]),
+        recipe.read_text("utf-8") if recipe.is_file() else "",
+        tuple(k for found in known.values() for k in found),
+        tuple(lost),
+    )
+
+
+def _once(found: list[tuple[Axis, ...]]) -> tuple[Axis, ...]:
+    """Every axis once; channels may share inputs."""
+    return tuple({axis.name: axis for axes in found for axis in axes}.values())
+
+
+def _band(band: tuple[float, float] | None, begun: Beginning, rate: float) -> tuple[float, float]:
+    if band:
+        return band
+    if begun.band_hz is None:
+        raise UsageError(
+            "no band to excite",
+            hint="--band LOW HIGH in Hz: 0.3 times the slowest to 3 times the fastest motion",
+        )
+    low, high = begun.band_hz
+    return low, min(high, 0.2 * rate)
+
+
+def _files(
+    plan: FlightPlan, begun: Beginning, outputs: tuple[str, ...], place: str | None, px4_plane: bool
+) -> dict[str, tuple[str, str]]:
+    """Name -> text, and what to do with it."""
+    from flysid.plan import autopilots
+    from flysid.plan.briefing import recipe_for
+
+    files = {"plan.csv": (plan.csv(), "play it into the commands, row by row, and log them")}
+    if begun.recipe or outputs:
+        text = begun.recipe or recipe_for(plan, outputs)
+        files["recipe.toml"] = (text, "afterwards: flysid fit LOG -r recipe.toml -o run")
+    own = autopilots.ardupilot(plan, place) if place else []
+    own += [autopilots.px4_plane(plan)] if px4_plane else []
+    return files | {f.name: (f.text, f.words) for f in own}
+
+
+def _print(
+    plan: FlightPlan | None,
+    begun: Beginning,
+    more: float,
+    aim: float | None,
+    files: dict[str, tuple[str, str]],
+) -> None:
+    from flysid.plan.briefing import briefing
+
+    goal = None if aim is None else aim / 100.0
+    for known in begun.known:
+        click.echo(printable(f"{known.channel} ({known.model}): {known.words(60.0 * more, goal)}"))
+    for line in begun.unknown:
+        click.echo(printable(line))
+    if plan is None:
+        return
+    if begun.known or begun.unknown:
+        click.echo()
+    click.echo("\n".join(map(printable, briefing(plan))))
+    for name, (_, words) in files.items():
+        click.echo(f"{name}: {words}.")
+
+
+def _document(
+    plan: FlightPlan | None, begun: Beginning, more: float, files: dict[str, tuple[str, str]]
+) -> dict[str, Any]:
+    known = [
+        {
+            "channel": k.channel,
+            "model": k.model,
+            "what": k.what,
+            "value": k.value,
+            "unit": k.unit,
+            "known_pct": 100.0 * k.share,
+            "determined": k.is_determined,
+            "after_pct": 100.0 * k.share_after(60.0 * more) if k.is_determined else None,
+            "seconds": k.seconds,
+        }
+        for k in begun.known
+    ]
+    body: dict[str, Any] = {
+        "known": known,
+        "unknown": list(begun.unknown),
+        "more_minutes": more,
+        "plan": None,
+    }
+    if plan is not None:
+        body["plan"] = {
+            "kind": plan.kind,
+            "axes": [{"name": a.name, "peak": a.peak, "unit": a.unit} for a in plan.axes],
+            "band_hz": list(plan.band_hz),
+            "seconds": plan.seconds,
+            "rate_hz": plan.rate_hz,
+            "lines": [own.tolist() for own in plan.lines],
+            "correlation": plan.correlation,
+            "relative_peak_factors": list(plan.peak_factors),
+            "files": list(files),
+        }
+    return body
+
+
+def _write(out: Path, files: dict[str, str]) -> None:
+    from flysid.files import replacing_folder, writing_to
+
+    with replacing_folder(out) as folder:
+        for name, text in files.items():
+            with writing_to(folder / name):
+                (folder / name).write_text(text, "utf-8")

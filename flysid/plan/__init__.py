@@ -1,0 +1,1 @@
+"""The flight to fly next: signals to identify with, and what more flying would tell."""

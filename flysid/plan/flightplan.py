@@ -1,0 +1,236 @@
+"""A flight plan: what is commanded on which axis, from limits, a band and a duration."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.errors import UsageError
+from flysid.ingest.synth import manoeuvres
+from flysid.plan.multisines import (
+    Lines,
+    largest_correlation,
+    phases_of_axes,
+    relative_peak_factor,
+    shared_out,
+    sum_of_lines,
+)
+
+Kind = Literal["multisine", "chirp", "doublets"]
+
+LINES_AN_AXIS = 5
+"""Each tells a gain and a phase; the largest transfer function of `flysid tf` (4 poles, 4 zeros and a dead
+time for every input) has nine numbers."""
+CYCLES = 2
+"""Of the lowest frequency: what `flysid tf` asks of a record before it speaks of one."""
+MOST_SAMPLES = 10_000_000
+_AXIS = re.compile(
+    r"(?P<name>[^=\s]+)=(?P<peak>[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)\s*(?P<unit>[a-zA-Z%\u00b0].*)?"
+)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What is commanded: its name, how far from where it rests, and in what unit."""
+
+    name: str
+    peak: float
+    unit: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name} +-{self.peak:.3g}{' ' + self.unit if self.unit else ''}"
+
+
+@dataclass(frozen=True, eq=False)
+class FlightPlan:
+    """Commands on a grid, around where each axis rests.
+
+    Attributes
+    ----------
+    u : (N, n) one column an axis; 0 at both ends.
+    lines : of multisines, each axis's own multiples of 1 / seconds; () otherwise.
+    """
+
+    kind: Kind
+    axes: tuple[Axis, ...]
+    band_hz: tuple[float, float]
+    rate_hz: float
+    u: FloatArray
+    lines: tuple[Lines, ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        """Of the whole plan."""
+        return len(self.u) / self.rate_hz
+
+    @property
+    def correlation(self) -> float:
+        """Largest between two axes."""
+        return largest_correlation(self.u)
+
+    @property
+    def peak_factors(self) -> tuple[float, ...]:
+        """Relative peak factor of every axis."""
+        return tuple(relative_peak_factor(column) for column in self.u.T)
+
+    def csv(self) -> str:
+        """time_s, then one column an axis with its unit in brackets, as `flysid` and spreadsheets read it."""
+        heads = [f"{a.name} [{a.unit}]" if a.unit else a.name for a in self.axes]
+        rows = [",".join(["time_s", *heads])]
+        rows += [
+            ",".join([f"{k / self.rate_hz:.6f}", *(f"{v:.6g}" for v in row)]) for k, row in enumerate(self.u)
+        ]
+        return "\n".join(rows) + "\n"
+
+
+def axis_of(text: str) -> Axis:
+    """An axis as written, "roll=0.15" or "theta_in=5deg".
+
+    Raises
+    ------
+    UsageError : no such form, or an amplitude that is not above zero.
+    """
+    match = _AXIS.fullmatch(text.strip())
+    if match is None:
+        raise UsageError(
+            f"no axis: {text!r}", hint="NAME=PEAK with its unit, e.g. roll=0.15 or theta_in=5deg"
+        )
+    peak = float(match["peak"])
+    if not (math.isfinite(peak) and peak > 0.0):
+        raise UsageError(f"the amplitude of {match['name']} must be above zero, not {match['peak']}")
+    return Axis(match["name"], peak, (match["unit"] or "").strip())
+
+
+def within(axes: Sequence[Axis], limits: Sequence[Axis]) -> tuple[Axis, ...]:
+    """The axes, none going further than its limit.
+
+    Raises
+    ------
+    UsageError : a limit of an axis that is not flown, or in another unit.
+    """
+    own = {limit.name: limit for limit in limits}
+    strange = sorted(set(own) - {a.name for a in axes})
+    if strange:
+        raise UsageError(
+            f"a limit for {', '.join(strange)}, which the plan does not command",
+            hint=f"its axes: {', '.join(a.name for a in axes)}",
+        )
+    for axis in axes:
+        limit = own.get(axis.name)
+        if limit is not None and limit.unit and limit.unit != axis.unit:
+            raise UsageError(
+                f"the limit of {axis.name} is in {limit.unit!r}, the axis in {axis.unit!r}",
+                hint="state both in one unit",
+            )
+    peaks = [min(a.peak, own[a.name].peak) if a.name in own else a.peak for a in axes]
+    return tuple(Axis(a.name, peak, a.unit) for a, peak in zip(axes, peaks, strict=True))
+
+
+def make_plan(
+    kind: Kind, axes: Sequence[Axis], band_hz: tuple[float, float], seconds: float, rate_hz: float
+) -> FlightPlan:
+    """A flight that excites every axis in a band.
+
+    Multisines are flown on all axes at once, chirps and doublets one axis after the other.
+
+    Parameters
+    ----------
+    band_hz : lowest and highest frequency.
+    seconds : of the whole flight; of multisines, one period.
+    rate_hz : rows a second.
+
+    Raises
+    ------
+    UsageError : axes, band, rate or duration make no sense together; the hint says what does.
+
+    Examples
+    --------
+    >>> plan = make_plan("multisine", [Axis("roll", 0.1), Axis("pitch", 0.1)], (0.2, 5.0), 40.0, 50.0)
+    >>> plan.u.shape, plan.correlation < 1e-3, max(plan.peak_factors) < 1.12
+    ((2000, 2), True, True)
+    """
+    _check(axes, band_hz, seconds, rate_hz)
+    n = round(seconds * rate_hz)
+    if kind == "multisine":
+        lines = _lines(len(axes), band_hz, n / rate_hz)
+        u = _multisines(lines, axes, n)
+        return FlightPlan(kind, tuple(axes), band_hz, rate_hz, u, tuple(lines))
+    one = _chirp if kind == "chirp" else _doublets
+    u = np.zeros((n, len(axes)))
+    share = n // len(axes)
+    for j, axis in enumerate(axes):
+        u[j * share : (j + 1) * share, j] = one(np.arange(share) / rate_hz, band_hz, axis.peak)
+    return FlightPlan(kind, tuple(axes), band_hz, rate_hz, u)
+
+
+def _check(axes: Sequence[Axis], band_hz: tuple[float, float], seconds: float, rate_hz: float) -> None:
+    low, high = band_hz
+    names = [a.name for a in axes]
+    if not axes:
+        raise UsageError("no axis to fly", hint="--axis NAME=PEAK, e.g. --axis roll=0.15")
+    if len(set(names)) < len(names):
+        raise UsageError(f"an axis is named twice: {', '.join(names)}")
+    if not all(map(math.isfinite, (low, high, seconds, rate_hz))) or not 0.0 < low < high:
+        raise UsageError(f"no band: {low:g} to {high:g} Hz", hint="lowest and highest frequency, above zero")
+    if seconds <= 0.0 or rate_hz <= 0.0:
+        raise UsageError(f"{seconds:g} s at {rate_hz:g} Hz is no flight")
+    if high >= 0.5 * rate_hz:
+        raise UsageError(
+            f"the band goes to {high:g} Hz; {rate_hz:g} rows a second show less than {0.5 * rate_hz:g} Hz",
+            hint=f"--rate {5 * high:g}, or a band that ends below {0.5 * rate_hz:g} Hz",
+        )
+    if seconds * rate_hz > MOST_SAMPLES:
+        raise UsageError(f"{seconds:g} s at {rate_hz:g} Hz are too many rows", hint="a shorter flight")
+
+
+def _lines(axes: int, band_hz: tuple[float, float], seconds: float) -> list[Lines]:
+    """Multiples of 1 / seconds for every axis; UsageError where there are too few."""
+    low, high = band_hz
+    first = math.ceil(low * seconds - 1e-9)
+    lines = np.arange(first, math.floor(high * seconds + 1e-9) + 1)
+    enough = max(CYCLES / low, (LINES_AN_AXIS * axes + 1) / (high - low))
+    if first < CYCLES or len(lines) < LINES_AN_AXIS * axes:
+        raise UsageError(
+            f"{seconds:g} s are too short: {len(lines)} frequencies for {axes} axes between {low:g} and "
+            f"{high:g} Hz, the lowest {low * seconds:.2g} times",
+            hint=f"--seconds {math.ceil(enough)}, fewer axes at once, or a band that begins higher",
+        )
+    return shared_out(lines, axes)
+
+
+def _multisines(lines: Sequence[Lines], axes: Sequence[Axis], n: int) -> FloatArray:
+    columns = [sum_of_lines(own, phases, n) for own, phases in zip(lines, phases_of_axes(lines), strict=True)]
+    return np.column_stack([a.peak * c / np.abs(c).max() for a, c in zip(axes, columns, strict=True)])
+
+
+def _chirp(time_s: FloatArray, band_hz: tuple[float, float], peak: float) -> FloatArray:
+    """A sweep that swells over its first cycle and fades over its last second's worth of cycles."""
+    low, high = band_hz
+    length = len(time_s) * (time_s[1] - time_s[0]) if len(time_s) > 1 else 0.0
+    if length < 2 * CYCLES / low:
+        raise UsageError(
+            f"{length:g} s an axis are too short for a sweep from {low:g} Hz",
+            hint=f"{2 * CYCLES / low:g} s for every axis, or a band that begins higher",
+        )
+    swell = np.minimum(1.0, time_s * low)
+    fade = np.minimum(1.0, (length - time_s) * high / CYCLES)
+    return np.asarray(manoeuvres.chirp(time_s, band_hz, peak) * np.minimum(swell, fade))
+
+
+def _doublets(time_s: FloatArray, band_hz: tuple[float, float], peak: float) -> FloatArray:
+    """Doublets with most power in the middle of the band, a rest as long after each, by turns up and down."""
+    pulse_s = 0.4 / math.sqrt(band_hz[0] * band_hz[1])
+    starts = np.arange(pulse_s, time_s[-1] - 4.0 * pulse_s if len(time_s) else 0.0, 4.0 * pulse_s)
+    if len(starts) < CYCLES:
+        raise UsageError(
+            f"room for {len(starts)} doublets of {2 * pulse_s:.2g} s an axis; {CYCLES} are the least",
+            hint=f"{math.ceil((4 * CYCLES + 6) * pulse_s)} s for every axis, or a band that begins higher",
+        )
+    shapes = [manoeuvres.doublet(time_s, s, pulse_s, peak * (-1) ** k) for k, s in enumerate(starts)]
+    return np.asarray(np.sum(shapes, axis=0))
