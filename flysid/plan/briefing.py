@@ -83,7 +83,7 @@ def briefing(plan: FlightPlan) -> list[str]:
         worst = max(plan.peak_factors)
         counts = ", ".join(str(len(own)) for own in plan.lines)
         apart = (
-            f"All axes at once, {counts} frequencies, none shared; the axes correlate by {plan.correlation:.1g}"
+            f"All axes at once, {counts} frequencies, none shared; axes correlate by {plan.correlation:.1g}"
             if len(plan.axes) > 1
             else f"{counts} frequencies"
         )
