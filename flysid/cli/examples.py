@@ -8,6 +8,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "flysid compare old new --fail-if 'free_run.change_pct > 5'",
     ),
     "demo": ("flysid demo", "flysid demo --plant ardrone-linear -o linear"),
+    "design": (
+        "flysid design run -c longitudinal --limit 12 -o design",
+        "flysid design run --for px4 --old vehicle.params --gain 0.85..1.15 --delay 0..0.04 -o design",
+    ),
     "doctor": ("flysid doctor flight.bin", "flysid doctor logs/ --json"),
     "export": ("flysid export flight.bin ATT RATE --to mat", "flysid export flight.ulg --to csv --rate 50"),
     "fit": (
@@ -15,6 +19,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "flysid fit flight.bin -r ardupilot-attitude --between 2:00..6:30 --mode LOITER -o run",
     ),
     "fleet": ("flysid fleet ls data", "flysid fleet ls data --firmware 4.5.7"),
+    "fly": (
+        "flysid fly design --vehicles 100 --wind 4 -o trials.html",
+        "flysid fly design --mass 1..1.4 --json",
+    ),
     "gains": ("flysid gains flight.bfl", "flysid gains data --axis roll --plot loop.png"),
     "ingest": ("flysid ingest logs/ -o data", "flysid ingest flight.bin 'more/*.ulg' -o data"),
     "ls": ("flysid ls data", "flysid ls flight.bin --suggest"),

@@ -42,10 +42,13 @@ class Linear:
         return np.asarray(self.c @ np.linalg.solve(systems, self.b.astype(np.complex128)))
 
 
-def linearise(vehicle: Vehicle, altitude_m: float = 20.0) -> Linear:
-    """Vehicle and inner loop about hover, in still air, on a full battery, without the link's delay."""
+def linearise(vehicle: Vehicle, altitude_m: float = 20.0, around: FloatArray | None = None) -> Linear:
+    """Vehicle and inner loop about hover, in still air, on a full battery, without the link's delay.
+
+    `around` is another state (26,): a vehicle heavier than its inner loop believes hovers elsewhere.
+    """
     physics = vehicle.physics().packed()
-    x0 = vehicle.hover(altitude_m)
+    x0 = vehicle.hover(altitude_m) if around is None else around
     u0 = np.zeros(INPUTS)
 
     def slope(direction: FloatArray, on_input: bool, size: float) -> FloatArray:

@@ -1,0 +1,147 @@
+"""`flysid design RUN`: gains of a position loop beside the present ones, over all good models of a run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from flysid.cli.display import Display, progress_options
+from flysid.cli.output import aligned, check_target, printable, say
+from flysid.errors import UsageError
+
+FIRMWARES = ("pid", "px4", "ardupilot", "tum-ardrone")
+
+
+def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Any:
+    """LOW..HIGH as two numbers; None where nothing was given."""
+    if value is None:
+        return None
+    low, dots, high = value.partition("..")
+    try:
+        return (float(low), float(high if dots else low))
+    except ValueError:
+        raise click.BadParameter(f"as 0.85..1.15, not {value!r}") from None
+
+
+@click.command("design")
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--channel", "-c", "channels", multiple=True, help="This channel only; may be repeated.")
+@click.option(
+    "--for",
+    "firmware",
+    type=click.Choice(FIRMWARES),
+    default="pid",
+    show_default=True,
+    help="Whose names and units the gains have.",
+)
+@click.option(
+    "--old",
+    metavar="FILE",
+    help="Parameter file with the present gains; 'published' for those that come with tum-ardrone.",
+)
+@click.option("--ms", default=1.6, show_default=True, help="Most that a disturbance may grow, on any plant.")
+@click.option(
+    "--peak", default=1.15, show_default=True, help="Most from reference to position, on any plant."
+)
+@click.option("--noise", type=float, help="Most input per m/s of noise.  [default: 5 % of what was flown]")
+@click.option("--limit", type=float, help="Of the input, in its unit.")
+@click.option("--gain", callback=a_range, metavar="LOW..HIGH", help="The plant's gain may be this times it.")
+@click.option("--delay", callback=a_range, metavar="LOW..HIGH", help="This many seconds may be added.")
+@click.option("--feed-forward", is_flag=True, help="Find the input per speed of the reference, too.")
+@click.option("--data", type=click.Path(path_type=Path), help="The run's data, where they moved.")
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), help="Folder for design.json, old.param, new.param."
+)
+@click.option("--force", is_flag=True, help="Replace the folder if it is there.")
+@click.option("--json", "as_json", is_flag=True, help="Print the design as JSON.")
+@progress_options
+def command(
+    run: Path,
+    channels: tuple[str, ...],
+    firmware: str,
+    old: str | None,
+    ms: float,
+    peak: float,
+    noise: float | None,
+    limit: float | None,
+    gain: tuple[float, float] | None,
+    delay: tuple[float, float] | None,
+    feed_forward: bool,
+    data: Path | None,
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+    display: Display,
+) -> int:
+    """Find gains that serve the worst of all good models best, beside the present ones.
+
+    The loop: position to velocity to the channel's input. Plants: every good model, every rule,
+    linearisations, the ends of intervals; all of them keep the bounds. No gain moves by more than a factor
+    of two for the next flight; "where this leads" is what the bounds allow. Where the flights do not identify
+    the plant, it says why, and what to fly (exit code 3 where a channel was refused). Nothing here was flown.
+    """
+    from flysid.design.designing import Wish, design_run
+    from flysid.design.firmware import SAFETY
+    from flysid.design.plants import Spread
+    from flysid.files import replacing_folder
+    from flysid.validate.run import open_run
+
+    if out is not None:
+        check_target(out, force)
+    spread = Spread(gain or (1.0, 1.0), delay or (0.0, 0.0))
+    wish = Wish(
+        channels,
+        firmware,
+        old_parameters(old, firmware),
+        ms,
+        peak,
+        noise,
+        limit,
+        spread,
+        feedforward=feed_forward,
+    )
+    with display.shown():
+        design = design_run(open_run(run), wish, data)
+    if as_json:
+        click.echo(json.dumps(design.to_dict(), indent=1, allow_nan=False))
+    else:
+        for axis in design.axes:
+            click.echo("\n".join(printable(line) for line in axis.lines()))
+            click.echo("\n".join(f"    {line}" for line in aligned(axis.table())) + "\n")
+    for name, (why, hint) in design.refused.items():
+        say(f"{name}: refused: {why}. Try: {hint}", quiet)
+    if out is not None:
+        with replacing_folder(out) as place:
+            for file, text in design.files().items():
+                (place / file).write_text(text, "utf-8")
+        say(f"written: {out}", quiet)
+        if not design.new:
+            say("no new.param: without the present gains (--old FILE) there is no way back", quiet)
+    if not as_json:
+        say(SAFETY)
+    return 3 if design.refused else 0
+
+
+def old_parameters(old: str | None, firmware: str) -> dict[str, float]:
+    """The present gains: of a file, published ones, or none.
+
+    Raises
+    ------
+    UsageError : none are published for this firmware, or the file cannot be read.
+    """
+    from flysid.design.firmware import SCHEMES, read_parameters
+
+    if old is None:
+        return {}
+    if old == "published":
+        found = dict(SCHEMES[firmware][0].published)
+        if not found:
+            raise UsageError(
+                f"no gains are published for {firmware} that fit every vehicle", hint="--old FILE"
+            )
+        return found
+    return read_parameters(Path(old))
