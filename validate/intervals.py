@@ -1,10 +1,12 @@
 """How sure: the change in error on another flight, or on these flights, with a 95 % interval.
 
 *Another flight* of this vehicle: every held-out flight gives one number, l = log(RMSE_b / RMSE_a), and
-Student's t an interval of its mean, the change on a typical flight. Four flights or fewer say little of how
-unlike flights are; a weak prior helps (Smyth 2004, moderated t), with the weight of two flights: a spread of
-l of half of what the two predictions differ by relative to the errors (their geometric mean). Models that
-predict alike cannot have unlike luck; models that are far apart, and both near the vehicle, can.
+Student's t an interval of its mean, the change on a typical flight. It has one degree of freedom less than
+for normal numbers: where some flights suit one model and some the other, l stands in two heaps, few flights
+are often all of one, and then their spread is far too small. Two flights leave none, and a weak prior stands
+in (Smyth 2004, moderated t), with the weight of two flights: a spread of l of half of what the two
+predictions differ by relative to the errors (their geometric mean). Models that predict alike cannot have
+unlike luck; models that are far apart, and both near the vehicle, can.
 
 *These flights*: the held-out parts are of flights that the models trained on, or there is one flight only:
 *this flight* where there is no other, *the held-out flight* where others were trained on.
@@ -25,7 +27,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 
-FEW = 4  # flights, up to which a prior says how unlike they may be
+FEW = 4  # flights, which say little of how unlike they are
 PRIOR_FLIGHTS = 2  # that it counts for
 LUCK = 0.5  # of the difference in predictions
 MOST_LUCK = 1.0  # in a log ratio
@@ -101,7 +103,7 @@ def change(
     by_flight = {name: _percent(value) for name, value in logs.items()}
     lost = not (any(e.any() for e in ea) and any(e.any() for e in eb))
     if len(logs) > 1 and not set(logs) & set(seen):
-        prior = _prior(ea, eb) if len(logs) <= FEW else None
+        prior = expected_spread(ea, eb) if len(logs) == 2 else None
         found = None if lost else across_flights(list(logs.values()), prior, rotated=rotated)
         return Change(Scope.ANOTHER, len(logs), 0, found, by_flight, rotated=rotated)
     scope = Scope.THESE if len(logs) > 1 else Scope.HELD if set(seen) - set(logs) else Scope.THIS
@@ -131,7 +133,7 @@ def flight_logs(
     return {name: 0.5 * _log_ratio(b, a) for name, (a, b) in sums.items()}
 
 
-def _prior(ea: Sequence[FloatArray], eb: Sequence[FloatArray]) -> float:
+def expected_spread(ea: Sequence[FloatArray], eb: Sequence[FloatArray]) -> float:
     """The spread of l to expect before flights tell it; the same whichever model is the baseline."""
     apart, a, b = (
         sum(float(e @ e) for e in some) for some in ([x - y for x, y in zip(ea, eb, strict=True)], ea, eb)
@@ -144,16 +146,18 @@ def across_flights(logs: Sequence[float], prior: float | None = None, *, rotated
 
     Parameters
     ----------
-    prior : spread of the log ratios to expect, with the weight of PRIOR_FLIGHTS; None for Student's t alone.
+    prior : spread of the log ratios to expect, with the weight of PRIOR_FLIGHTS; None for Student's t alone,
+        which takes three flights.
+    rotated : the interval is stretched, as folds share training flights, and keeps its degree of freedom.
     """
     from scipy.special import stdtr, stdtrit
 
     n = len(logs)
     weight = 0 if prior is None else PRIOR_FLIGHTS
     mean = float(np.mean(logs))
-    freedom = weight + n - 1
     squares = float(np.sum((np.array(logs) - mean) ** 2)) + weight * (prior or 0.0) ** 2
-    error = float(np.sqrt(squares / freedom / n)) * (STRETCH if rotated else 1.0)
+    error = float(np.sqrt(squares / (weight + n - 1) / n)) * (STRETCH if rotated else 1.0)
+    freedom = max(1, weight + n - 1 - (not (rotated or weight)))
     half = float(stdtrit(freedom, 0.975)) * error
     p = 2.0 * float(stdtr(freedom, -abs(mean) / error)) if error > 1e-12 else float(abs(mean) < 1e-9)
     return Interval(_percent(mean), _percent(mean - half), _percent(mean + half), min(p, 1.0))

@@ -116,6 +116,8 @@ def _few_words(pair: Pair, shown: bool) -> list[str]:
     changes = list(pair.basis.by_flight.values())
     if len(changes) > FEW:
         return []
+    if shown and pair.units > 2:
+        return []
     if shown:
         usual = "on other flights too, if luck differs between flights as it usually does"
         return [f"{usual} ({pair.units} flights; more would show it without this 'if')"]

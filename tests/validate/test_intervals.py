@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from bench.verdict_coverage import Case, run
+from bench.verdict_few import POLE, flight_of
 from flysid.dataset import FloatArray
 from flysid.validate.intervals import Scope, across_flights, change, correlation_length, holm
 
@@ -43,12 +45,12 @@ def test_one_flight_held_out_of_several_is_not_this_flight() -> None:
 
 
 def test_a_typical_flight_is_the_geometric_mean_with_students_t() -> None:
-    """By hand: logs of 0.8, 0.9, 1.0, 0.7, 0.85; t of 4 degrees of freedom is 2.776."""
+    """By hand: logs of 0.8, 0.9, 1.0, 0.7, 0.85; t of 3 degrees of freedom is 3.182."""
     ratios = np.array([0.8, 0.9, 1.0, 0.7, 0.85])
     e = [np.full(40, 1.0 + i) * np.resize([1.0, -1.0], 40) for i in range(5)]
     found = change(e, [r * x for r, x in zip(ratios, e, strict=True)], list("abcde"))
     logs = np.log(ratios)
-    half = 2.7764451 * logs.std(ddof=1) / np.sqrt(5)
+    half = 3.1824463 * logs.std(ddof=1) / np.sqrt(5)
     assert found.interval is not None
     assert found.interval.change_pct == pytest.approx(100 * np.expm1(logs.mean()))
     assert found.interval.low_pct == pytest.approx(100 * np.expm1(logs.mean() - half))
@@ -56,7 +58,7 @@ def test_a_typical_flight_is_the_geometric_mean_with_students_t() -> None:
     assert found.by_flight["d"] == pytest.approx(-30.0)
 
 
-def test_up_to_four_flights_the_prior_widens_and_models_that_predict_alike_limit_it() -> None:
+def test_of_two_flights_the_prior_widens_and_models_that_predict_alike_limit_it() -> None:
     """By hand: two flights, the same ratio; squares 2 x 0.3^2, 3 degrees of freedom, over 2 flights."""
     bare = across_flights([-0.4, -0.4])
     helped = across_flights([-0.4, -0.4], 0.3)
@@ -72,11 +74,29 @@ def test_up_to_four_flights_the_prior_widens_and_models_that_predict_alike_limit
 
 
 def test_rotation_stretches_the_interval() -> None:
+    """By hand: 1.2 times Student's t of 5 degrees of freedom."""
     logs = [-0.5, -0.3, -0.4, -0.2, -0.4, -0.45]
-    plain = across_flights(logs, 0.3)
-    rotated = across_flights(logs, 0.3, rotated=True)
-    widths = [np.log1p(i.high_pct / 100) - np.log1p(i.low_pct / 100) for i in (plain, rotated)]
-    assert widths[1] == pytest.approx(1.2 * widths[0])
+    rotated = across_flights(logs, rotated=True)
+    width = np.log1p(rotated.high_pct / 100) - np.log1p(rotated.low_pct / 100)
+    assert width == pytest.approx(1.2 * 2.0 * 2.5705818 * np.std(logs, ddof=1) / np.sqrt(6))
+
+
+@pytest.mark.parametrize("rows", [600, 10_000])
+def test_of_three_flights_two_equal_models_are_seldom_told_apart(rows: int) -> None:
+    """Log ratios in two heaps: three flights are of one heap in a quarter of the trials."""
+    rng = np.random.default_rng((1, rows))
+    wrong = 0
+    for _ in range(300):
+        ea, eb = [], []
+        for _ in range(3):
+            u, y = flight_of(1.0 + 0.1 * rng.normal(), rows, rng)
+            run = lfilter([0.0, 1.0 - POLE], [1.0, -POLE], u[:, 0])
+            ea.append(y[:, 0] - 0.9 * run)
+            eb.append(y[:, 0] - 1.1 * run)
+        found = change(ea, eb, ["a", "b", "c"]).interval
+        assert found is not None
+        wrong += found.p < 0.05
+    assert wrong <= 0.05 * 300
 
 
 def test_one_flight_always_has_an_interval() -> None:
