@@ -16,26 +16,27 @@ from scipy.signal import lfilter
 from bench.hidden_plants import PLANTS
 from bench.ts_intervals import steps
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.rules.fitted_states import FittedTSStateSpace
-from flysid.model.rules.free_run_error import Body
+from flysid.model.rules.fitted import FittedTS
+from flysid.model.rules.free_run_error import Body, Stage
 from flysid.model.rules.realisation import initial_states
+from flysid.model.rules.regressor_layout import runs_of
+from flysid.model.rules.rule_uncertainty import uncertainty
+from flysid.model.rules.run_start import LikelyStart
 from flysid.model.rules.stages import refine
-from flysid.model.rules.state_growth import StateStage, unmoved
-from flysid.model.rules.state_layout import runs_of
-from flysid.model.rules.state_uncertainty import uncertainty
+from flysid.model.rules.state_growth import unmoved
 from flysid.model.ts_state_space import TSStateSpace
 
 NOISE = 0.02  # of the driving noise, in metres per second
 SCALE = 0.35  # of the steps, in radians: the range of training
 
 
-def known_model() -> FittedTSStateSpace:
+def known_model() -> FittedTS:
     """What two rules make of the vehicle with drag and a lagging actuator."""
     data, _ = PLANTS["vehicle with drag and a lagging actuator"].dataset((1, 2), 500, 0.02)
     return TSStateSpace(states=2, rules=2, nk=1, ridge=0.1, antecedents=("y(k-1)",)).fit(data)
 
 
-def experiment(truth: FittedTSStateSpace, seed: int) -> Dataset:
+def experiment(truth: FittedTS, seed: int) -> Dataset:
     """The truth's output with coloured noise."""
     u = SCALE * steps(100 + seed)
     noise = lfilter([1.0], [1.0, -0.8], NOISE * np.random.default_rng(seed).standard_normal(len(u)))
@@ -44,14 +45,15 @@ def experiment(truth: FittedTSStateSpace, seed: int) -> Dataset:
     return replace(data, inputs=truth.inputs, outputs=truth.outputs)
 
 
-def refitted(truth: FittedTSStateSpace, data: Dataset) -> FittedTSStateSpace:
+def refitted(truth: FittedTS, data: Dataset) -> FittedTS:
     """The truth's numbers refined on one record."""
     layout = truth.layout
     p = truth.parameters
     runs = runs_of(layout, data.segments, truth.n_init + 2)
     problem = unmoved(layout, runs, p.z_range, p.limits)
     body = Body(p.theta.copy(), p.centre.copy(), p.width.copy())
-    stage = StateStage(problem, body, initial_states(layout, runs, p, truth.prior, 400), np.inf)
+    assert isinstance(truth.start, LikelyStart)
+    stage = Stage(problem, body, initial_states(layout, runs, p, truth.start.prior, 400), np.inf)
     stage = refine(stage, 40, 1e-10)
     return replace(truth, parameters=stage.problem.parameters(stage.body))
 

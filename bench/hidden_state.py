@@ -17,11 +17,12 @@ from bench.hidden_plants import PLANTS
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
+from flysid.model.rules.fitted import finished
+from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.realisation import coordinates
 from flysid.model.rules.regressor_layout import scaling
-from flysid.model.rules.state_assembly import finished
 from flysid.model.rules.state_context import StateContext
-from flysid.model.rules.state_growth import StateStage, Training, one_rule_more
+from flysid.model.rules.state_growth import Training, one_rule_more
 from flysid.model.rules.state_judging import saturation_limits
 from flysid.model.rules.state_systems import linear_systems
 from flysid.model.ts_state_space import TSStateSpace
@@ -47,7 +48,7 @@ def gap(model: Fitted, test: Dataset, truth: list[FloatArray]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)) / np.std(np.concatenate(truth)))
 
 
-def grown(bench: StateContext, start: StateStage, how: Training) -> list[StateStage]:
+def grown(bench: StateContext, start: Stage, how: Training) -> list[Stage]:
     """Models with 1 to RULES rules."""
     stages = [start]
     while len(stages) < RULES:
@@ -79,7 +80,7 @@ def _compare(name: str, noise: float, seed: int) -> None:
             begin = time.process_time()
             stages = grown(bench, start, how)
             seconds = time.process_time() - begin
-            errors = ", ".join(f"{gap(finished(train, s, ()), test, truth):.4f}" for s in stages)
+            errors = ", ".join(f"{gap(finished(s, train, ()), test, truth):.4f}" for s in stages)
             print(f"  {words[:24]:24s} {title:24s} {errors}  {seconds:.1f} s CPU", flush=True)
 
 

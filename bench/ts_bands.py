@@ -16,14 +16,14 @@ import numpy as np
 from bench.ts_plants import PLANTS
 from flysid.dataset import Segment
 from flysid.model.polynomials import Z95
-from flysid.model.rules.rule_uncertainty import RuleUncertainty, uncertainty
+from flysid.model.rules.rule_uncertainty import Uncertainty, uncertainty
 from flysid.model.ts import TS
 
 USUAL = ("saturated", "duffing", "stiff", "tanks", "arm", "wiener")
 STEP = 1e-4
 
 
-def compared(sure: RuleUncertainty, segment: Segment) -> tuple[float, float, float, float]:
+def compared(sure: Uncertainty, segment: Segment) -> tuple[float, float, float, float]:
     """First order by small steps, whole draws by first order; how lopsided these are, how often cut off."""
     u = segment.u
     y0 = segment.y[: sure.model.n_init]

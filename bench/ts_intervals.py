@@ -13,10 +13,11 @@ import numpy as np
 from scipy.signal import lfilter
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.rules.fitted_lags import FittedTS, dc_gain
-from flysid.model.rules.free_run_error import runs_of
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.growth import best_started
 from flysid.model.rules.refit import as_problem
+from flysid.model.rules.regressor_layout import runs_of
+from flysid.model.rules.rule_model import dc_gain
 from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.rules.stages import refine
 from flysid.model.ts import TS

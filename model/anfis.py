@@ -14,13 +14,12 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
-from flysid.model.rules.assembly import finished
 from flysid.model.rules.clustering import cluster, project
-from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.free_run_error import Body, Problem, antecedent_range, runs_of
+from flysid.model.rules.fitted import FittedTS, finished
+from flysid.model.rules.free_run_error import Body, Problem, antecedent_range
 from flysid.model.rules.growth import best_started, first_basis
 from flysid.model.rules.operating_points import described
-from flysid.model.rules.regressor_layout import Layout, Orders, parse_antecedents, scaling
+from flysid.model.rules.regressor_layout import Layout, Orders, parse_antecedents, runs_of, scaling
 from flysid.model.rules.stages import ordered
 from flysid.model.threads import on_one_thread
 

@@ -203,8 +203,8 @@ STRUCTURES: Mapping[str, Structure] = {
         Structure("statespace", "flysid.model.subspace.model:from_dict", "linear"),
         Structure("tf", "flysid.model.transfer_function:from_dict", "linear"),
         Structure("static-ts", "flysid.model.static_ts:from_dict", "rules"),
-        Structure("ts", "flysid.model.rules.fitted_lags:from_dict", "rules"),
-        Structure("ts_ss", "flysid.model.rules.fitted_states:from_dict", "rules"),
+        Structure("ts", "flysid.model.rules.fitted:from_dict", "rules"),
+        Structure("ts_ss", "flysid.model.rules.fitted:from_dict", "rules"),
         Structure("ensemble", "flysid.model.ensemble:from_dict"),
     )
 }

@@ -1,7 +1,7 @@
 """Dynamic Takagi-Sugeno models, refined on the simulation error: the estimator.
 
 It grows the model from a refined linear one, rule by rule, and stops by the validation free run; what comes
-out is a `FittedTS`, flysid.model.rules.fitted_lags.
+out is a `FittedTS`, flysid.model.rules.fitted.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from typing import Literal
 
 from flysid.dataset import Dataset
 from flysid.model.one_rule import linear_choice
-from flysid.model.rules.assembly import finished
-from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted import FittedTS, finished
 from flysid.model.rules.learning import learn
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.rules.stabilise import with_stable_rules

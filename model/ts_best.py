@@ -21,18 +21,14 @@ from flysid.model.base import Fitted
 from flysid.model.linear.model import FittedLinear
 from flysid.model.noise import noise_model
 from flysid.model.one_rule import linear_choice
-from flysid.model.rules.assembly import finished as finished_lagged
-from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.fitted_states import FittedTSStateSpace
-from flysid.model.rules.free_run_error import runs_of
+from flysid.model.rules.fitted import FittedTS, finished
 from flysid.model.rules.judging import INTEGRATES, hold_out
 from flysid.model.rules.learning import SWEEP, Learned
 from flysid.model.rules.learning import learn as learn_lagged
 from flysid.model.rules.refit import on_all_runs
-from flysid.model.rules.regressor_layout import scaling
+from flysid.model.rules.regressor_layout import runs_of, scaling
 from flysid.model.rules.search_context import SPARE_ROWS
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
-from flysid.model.rules.state_assembly import finished
 from flysid.model.rules.state_learning import Learned as LearnedStates
 from flysid.model.rules.state_learning import learn
 from flysid.model.rules.structure_choice import Advantage, advantage, block_errors, compared
@@ -105,7 +101,7 @@ class Contest:
     """
 
     lagged: FittedTS
-    hidden: FittedTSStateSpace | None = None
+    hidden: FittedTS | None = None
     advantage: Advantage = field(default_factory=Advantage)
     fits: bool = False
     linear: Linear | None = None
@@ -123,7 +119,7 @@ class Contest:
         return self.of_rules
 
     @property
-    def of_rules(self) -> FittedTS | FittedTSStateSpace:
+    def of_rules(self) -> FittedTS:
         """The better of the two kinds, with a note on why."""
         if self.hidden is None:
             return self.lagged
@@ -150,7 +146,7 @@ def _of_rules(settings: BestTS, train: Dataset, validation: Dataset | None) -> C
         name: getattr(settings, name) for name in ("rules", "antecedents", "most_rules", "nk_hint", "search")
     }
     known = learn_lagged(TS(**asked), train, validation, linear_choice)
-    lagged = finished_lagged(
+    lagged = finished(
         known.stage, train, known.notes, intervals=known.linear is None, neighbour=known.neighbour
     )
     if not (settings.search.hidden_states and hints_at_hidden_state(lagged, train)):
@@ -160,7 +156,7 @@ def _of_rules(settings: BestTS, train: Dataset, validation: Dataset | None) -> C
         if learned.stage.rules == 1 == known.stage.rules:
             return Contest(lagged)
         found = finished(
-            train, learned.stage, learned.notes, intervals=learned.intervals, neighbour=learned.neighbour
+            learned.stage, train, learned.notes, intervals=learned.intervals, neighbour=learned.neighbour
         )
         judgement = _judged((known, lagged), (learned, found), train, validation)
     except (DataError, FitError, UsageError, np.linalg.LinAlgError):  # e.g. antecedents that it does not have
@@ -196,7 +192,7 @@ def _linear_enough(
 
 def _judged(
     lags: tuple[Learned, FittedTS],
-    states: tuple[LearnedStates, FittedTSStateSpace],
+    states: tuple[LearnedStates, FittedTS],
     train: Dataset,
     validation: Dataset | None,
 ) -> tuple[Advantage, bool]:
@@ -209,10 +205,10 @@ def _judged(
 
     def over_lags(data: Dataset) -> FittedTS:
         stage = on_all_runs(known.stage, runs_of(lagged.layout, data.segments, least), _STEPS)
-        return finished_lagged(stage, data, (), intervals=False)
+        return finished(stage, data, (), intervals=False)
 
-    def over_states(data: Dataset) -> FittedTSStateSpace:
-        return finished(data, learned.again(data, _STEPS), ())
+    def over_states(data: Dataset) -> FittedTS:
+        return finished(learned.again(data, _STEPS), data, (), intervals=False)
 
     parts = [hold_out(train, least, fold) for fold in range(_PARTS)]
     return compared(over_lags, over_states, parts), fits

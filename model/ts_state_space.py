@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from flysid.dataset import Dataset
-from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.fitted import FittedTS, finished
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
-from flysid.model.rules.state_assembly import finished
 from flysid.model.rules.state_learning import learn
 from flysid.model.threads import on_one_thread
 
@@ -58,7 +57,7 @@ class TSStateSpace:
     search: SearchSettings = NORMAL
 
     @on_one_thread
-    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTSStateSpace:
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:
         """Realise linear models, grow rules, refine and choose.
 
         Raises
@@ -69,5 +68,5 @@ class TSStateSpace:
         """
         learned = learn(self, train, validation)
         return finished(
-            train, learned.stage, learned.notes, intervals=learned.intervals, neighbour=learned.neighbour
+            learned.stage, train, learned.notes, intervals=learned.intervals, neighbour=learned.neighbour
         )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -47,7 +47,7 @@ class Curve:
 
 
 def curves(
-    model: Fitted, hz: FloatArray, place: tuple[int, int], sure: Uncertainty[Any] | None = None
+    model: Fitted, hz: FloatArray, place: tuple[int, int], sure: Uncertainty | None = None
 ) -> list[Curve]:
     """Response of every rule with its band; `place`: (output, input); `sure`: of a fuzzy one."""
     nominal = responses(model, hz, *place)
@@ -78,7 +78,7 @@ def _linear_band(r: FrequencyResponse, place: tuple[int, int]) -> ResponseBand:
     return ResponseBand(np.maximum(gain - reach, 0.0), gain + reach, -turn, turn)
 
 
-def _nearby(sure: Uncertainty[Any]) -> list[Fitted]:
+def _nearby(sure: Uncertainty) -> list[Fitted]:
     """Models whose numbers are `STEP` of a standard deviation away, in random directions."""
     return list(replace(sure, covariance=STEP**2 * sure.covariance).draws(DRAWS))
 
@@ -90,7 +90,7 @@ def _half_width(drawn: FloatArray) -> FloatArray:
 
 
 def _drawn_bands(
-    nominal: Sequence[ComplexArray], sure: Uncertainty[Any], hz: FloatArray, place: tuple[int, int]
+    nominal: Sequence[ComplexArray], sure: Uncertainty, hz: FloatArray, place: tuple[int, int]
 ) -> list[ResponseBand | None]:
     """One band per rule; none where a draw has no response."""
     drawn = np.array([responses(m, hz, *place) for m in _nearby(sure)])
@@ -107,7 +107,7 @@ def _drawn_bands(
 
 
 def free_run_band(
-    model: Fitted, segment: Segment, start: int, sure: Uncertainty[Any] | None = None
+    model: Fitted, segment: Segment, start: int, sure: Uncertainty | None = None
 ) -> tuple[FloatArray, FloatArray] | None:
     """(lower, upper), (N - start, n_y) each, of the free run that scores are made of; None where not known.
 

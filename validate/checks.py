@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -58,7 +58,7 @@ class Checks:
     simpler: tuple[Simpler, ...] = ()
 
     @property
-    def fuzzy(self) -> Uncertainty[Any] | None:
+    def fuzzy(self) -> Uncertainty | None:
         """What is known of a TS model's numbers."""
         return None if self.intervals is None else self.intervals.fuzzy
 

@@ -43,7 +43,7 @@ class Intervals:
     gain: FloatArray
     reached_s: FloatArray | None
     coefficients: tuple[Coefficient, ...]
-    fuzzy: Uncertainty[Any] | None = None
+    fuzzy: Uncertainty | None = None
 
 
 def intervals(model: Fitted, train: Dataset | None) -> Intervals | None:
@@ -58,7 +58,7 @@ def intervals(model: Fitted, train: Dataset | None) -> Intervals | None:
 def _of_rules(model: Any, train: Dataset) -> Intervals | None:
     """Of a model of rules; None where the data cannot tell."""
     try:
-        sure: Uncertainty[Any] = model.uncertainty(train)
+        sure: Uncertainty = model.uncertainty(train)
         with np.errstate(all="ignore"):
             known = isinstance(model, HasOperatingPoints) and model.operating_points
             gain, reached = _at_rest(model) if known else (sure.gain_interval, None)

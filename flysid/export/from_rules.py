@@ -4,31 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from flysid.dataset import FloatArray, Signal
+from flysid.dataset import Signal
 from flysid.export.program import Memberships, Program
-from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.fitted_states import FittedTSStateSpace
-from flysid.model.rules.kernel import Lags, Parameters
-from flysid.model.rules.rule_poles import unheld
+from flysid.model.rules.fitted import FittedTS
+from flysid.model.rules.kernel import Lags
 from flysid.model.static_ts import FittedStaticTS
 
 
-def program_over_lags(model: FittedTS) -> Program:
-    """Rules over lagged inputs and outputs."""
-    parameters = unheld(model.layout.lags, model.parameters)
-    start = model.started(np.zeros((1, len(model.inputs))), None)[: model.n_init]
-    return _program(model, parameters, start)
-
-
-def program_over_states(model: FittedTSStateSpace) -> Program:
-    """Rules over outputs and hidden states."""
-    W = model.started(np.zeros((1, len(model.inputs))), None)
-    start = model.run(W, len(W) - 1)[: len(W) - 1]
-    return _program(model, model.parameters, start)
-
-
-def _program(model: FittedTS | FittedTSStateSpace, parameters: Parameters, start: FloatArray) -> Program:
-    """`start`: normalised rows before the first sample, the newest last."""
+def program_of_rules(model: FittedTS) -> Program:
+    """Rules over lagged inputs and outputs, or over outputs and hidden states."""
+    parameters = model.free
+    start = model.run(np.zeros((1, len(model.inputs))))[:-1]  # normalised, the newest last
     layout = model.layout
     hidden = tuple(s for s in layout.signals if s not in (*model.outputs, *model.inputs))
     count = len(parameters.theta)

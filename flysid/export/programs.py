@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from flysid.errors import UsageError
 from flysid.export.from_linear import linear_program, state_space_program
-from flysid.export.from_rules import program_over_lags, program_over_states, static_program
+from flysid.export.from_rules import program_of_rules, static_program
 from flysid.export.program import Program
 from flysid.export.resample import resampled
 from flysid.model.base import Fitted
 from flysid.model.linear.model import FittedLinear
-from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.static_ts import FittedStaticTS
 from flysid.model.subspace.model import FittedStateSpace
 
@@ -35,9 +34,7 @@ def program_of(model: Fitted, rate_hz: float | None = None) -> Program:
     if isinstance(model, FittedStateSpace):
         return state_space_program(model)
     if isinstance(model, FittedTS):
-        return program_over_lags(model)
-    if isinstance(model, FittedTSStateSpace):
-        return program_over_states(model)
+        return program_of_rules(model)
     if isinstance(model, FittedStaticTS):
         return static_program(model)
     raise UsageError(

@@ -16,8 +16,7 @@ from flysid.dataset import FloatArray, Segment
 from flysid.errors import UsageError
 from flysid.model.base import Fitted
 from flysid.model.linear.model import FittedLinear
-from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.start import run_from_window, start_window
 from flysid.studio.forms import Explained
 from flysid.studio.places import NotThere, Workspace
@@ -84,7 +83,7 @@ def _model(model: Fitted, segment: Segment, first: int) -> dict[str, Any]:
         "yh": run.tolist(),
         "recursion": recursion(model, segment, first),
     }
-    if isinstance(model, FittedTS | FittedTSStateSpace):
+    if isinstance(model, FittedTS):
         described["rules"] = [rule.label for rule in model.rules()]
         described["firing"] = model.firing(segment.u, segment.y)[first:].tolist()
         said = model.rule_outputs(segment.u, segment.y)[first:]
@@ -99,7 +98,7 @@ def _in_words(found: HeldOut, segment: Segment, row: int) -> dict[str, Any]:
     words = {}
     for label in _shown(found):
         model = found.models[label]
-        if isinstance(model, FittedTS | FittedTSStateSpace):
+        if isinstance(model, FittedTS):
             words[label] = str(model.explain(segment.u, segment.y, max(row, model.n_init)))
     return {"words": words}
 
@@ -125,11 +124,10 @@ def recursion(model: Fitted, segment: Segment, first: int) -> dict[str, Any] | N
             "before": run[:first].tolist(),
         }
     if isinstance(model, FittedTS):
-        run = run_from_window(model, segment, first)
-        return _rules(model.layout, model.unlimited().parameters, model.layout.stack(segment.u, run)[:first])
-    if isinstance(model, FittedTSStateSpace):
-        W = model.run(model.layout.stack(segment.u, segment.y[:first]), first)
-        return _rules(model.layout, model.parameters, W[:first])
+        W = model.layout.stack(segment.u, run_from_window(model, segment, first))
+        if model.layout.hidden:
+            W = model.run(segment.u, segment.y[:first])
+        return _rules(model.layout, model.free, W[:first])
     return None
 
 

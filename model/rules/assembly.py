@@ -3,53 +3,54 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
 from flysid.model.noise import noise_models
-from flysid.model.rules.fitted_lags import FittedTS
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import rule_support
-from flysid.model.rules.judging import initial_state_gain
-from flysid.model.rules.operating_points import described
-from flysid.model.start import estimate_start, start_window
+from flysid.model.rules.judging import initial_state_gain, prior_of
+from flysid.model.rules.rule_model import RuleModel
+from flysid.model.rules.run_start import LikelyStart, MeasuredStart, RunStart
+from flysid.model.start import start_window
+
+M = TypeVar("M", bound=RuleModel)
 
 
-def finished(
-    stage: Stage,
-    train: Dataset,
-    notes: tuple[str, ...],
-    *,
-    intervals: bool = True,
-    neighbour: Stage | None = None,
-) -> FittedTS:
-    """The stage as a fitted model, with its start, support, noise model and, on request, what it does.
+def start_of(stage: Stage) -> RunStart:
+    """What the model's runs start from: measured outputs, or the likely state where some are hidden."""
+    layout = stage.layout
+    if not layout.hidden:
+        return MeasuredStart(initial_state_gain(stage), layout.depth)
+    return LikelyStart(prior_of(stage), layout.depth + 2 * -(-layout.n // layout.n_y))
 
-    Parameters
-    ----------
-    intervals : say what the model does at operating points, and how surely.
-    neighbour : the model with one rule more, or one fewer where growth ended, see `operating_points`.
-    """
-    fitted = FittedTS(
-        dt_s=train.dt_s,
-        layout=stage.problem.layout,
+
+def at_stage(model: M, stage: Stage, train: Dataset) -> M:
+    """The model with the rules of a stage, their start, support and noise model."""
+    moved = replace(
+        model,
+        layout=stage.layout,
         parameters=stage.problem.parameters(stage.body),
-        initial_gain=initial_state_gain(stage),
+        start=start_of(stage),
         support=rule_support(stage),
-        notes=notes,
     )
-    fitted = with_noise_model(fitted, train)
-    return described(fitted, train, neighbour) if intervals else fitted
+    return with_noise_model(moved, train)
 
 
-def free_run_errors(model: FittedTS, data: Dataset) -> list[FloatArray]:
+def free_run_errors(model: RuleModel, data: Dataset) -> list[FloatArray]:
     """(N - window, n_y) measured less free run per segment, after the window that starts it."""
-    return [_free_run_error(model, s.u, s.y) for s in data.segments if len(s) > model.n_init + 1]
+    found = []
+    for s in data.segments:
+        if len(s) > model.n_init + 1:
+            window = start_window(model.n_init, len(s), model.dt_s)
+            found.append(s.y[window:] - model.start.followed(model, s.u, s.y[:window])[window:])
+    return found
 
 
-def free_run_rmse(model: FittedTS, data: Dataset) -> FloatArray:
+def free_run_rmse(model: RuleModel, data: Dataset) -> FloatArray:
     """(n_y,) RMSE of the free run over all segments, physical units.
 
     Raises
@@ -63,22 +64,18 @@ def free_run_rmse(model: FittedTS, data: Dataset) -> FloatArray:
     return np.asarray(np.sqrt((gaps * gaps).mean(axis=0)))
 
 
-def _free_run_error(fitted: FittedTS, u: FloatArray, y: FloatArray) -> FloatArray:
-    window = start_window(fitted.n_init, len(y), fitted.dt_s)
-    return y[window:] - fitted.simulate(u, estimate_start(fitted, u[:window], y[:window]))[window:]
-
-
-def with_noise_model(fitted: FittedTS, train: Dataset) -> FittedTS:
+def with_noise_model(model: M, train: Dataset) -> M:
     """The model with a noise model, where that predicts the training data better one step ahead."""
-    n = fitted.n_init
+    n = model.n_init
     pieces = [s for s in train.segments if len(s) > n + 1]
-    errors = free_run_errors(fitted, train)
+    errors = free_run_errors(model, train)
     if not errors:
-        return fitted
-    noisy = replace(fitted, noise=noise_models(errors))
-    scale = fitted.layout.scale[: fitted.layout.n_y]
-    plain, coloured = (
+        return model
+    plain = replace(model, noise=None)
+    noisy = replace(model, noise=noise_models(errors))
+    scale = model.layout.scale[: model.layout.n_y]
+    misses = [
         sum(float((((s.y - m.predict(s.u, s.y))[n:] / scale) ** 2).sum()) for s in pieces)
-        for m in (fitted, noisy)
-    )
-    return noisy if coloured < plain else fitted
+        for m in (plain, noisy)
+    ]
+    return noisy if misses[1] < misses[0] else plain

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -25,11 +25,12 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.gram import Triangle, reduce_data
 from flysid.model.regressors import CHUNK_ROWS
-from flysid.model.rules.fitted_lags import FittedTS, refuse_other_models
 from flysid.model.rules.kernel import firing
+from flysid.model.rules.rule_model import RuleModel, refuse_other_models
 from flysid.model.stream import Source, blocks_of, windows
 from flysid.model.threads import on_one_thread
 
+M = TypeVar("M", bound=RuleModel)
 Criterion = Literal["global", "local", "mixed"]
 Pieces = Callable[[], Iterator[tuple[FloatArray, FloatArray, FloatArray]]]
 """Per pass: firing strengths (n, R), regressors (n, n_x) and outputs (n, n_y), in pieces."""
@@ -63,8 +64,8 @@ class Consequents:
 
 @on_one_thread
 def refit_consequents(
-    model: FittedTS, data: Source, *, criterion: Criterion = "global", ridge: float | Literal["auto"] = 0.0
-) -> FittedTS:
+    model: M, data: Source, *, criterion: Criterion = "global", ridge: float | Literal["auto"] = 0.0
+) -> M:
     """The model with its consequents fitted one step ahead to `data`, memberships untouched.
 
     For flights without end, in memory or on disk (`flysid.datasetfile.DatasetFile`). It minimises the
@@ -113,9 +114,9 @@ def refuse_few(samples: int, numbers: int) -> None:
         )
 
 
-def refuse_other_data(model: FittedTS, data: Source) -> None:
+def refuse_other_data(model: RuleModel, data: Source) -> None:
     """Raises UsageError where the model has no rules over lags, or the data have other signals or clocks."""
-    refuse_other_models(model)
+    refuse_other_models(model, hidden=False)
     names = [s.name for s in (*data.outputs, *data.inputs)]
     own = [s.name for s in model.layout.signals]
     if names != own or abs(data.dt_s - model.dt_s) > 1e-9 * model.dt_s:
@@ -220,7 +221,7 @@ def weighted(phi: FloatArray, X: FloatArray) -> FloatArray:
     return np.asarray((phi[:, :, None] * X[:, None, :]).reshape(len(X), -1))
 
 
-def _lagged_pieces(model: FittedTS, data: Source) -> Pieces:
+def _lagged_pieces(model: RuleModel, data: Source) -> Pieces:
     layout = model.layout
     d = model.n_init
     n_y = model.layout.n_y

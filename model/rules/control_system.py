@@ -7,50 +7,60 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.fitted_lags import FittedTS, refuse_other_models
+from flysid.model.rules.kernel import free_run
 from flysid.model.rules.local_models import StateSpace, linearise
+from flysid.model.rules.rule_model import RuleModel, refuse_other_models
 
 
-def to_nonlinear_system(model: FittedTS) -> Any:
-    """The model as a discrete `control.NonlinearIOSystem` whose state is its past outputs and inputs.
+def next_step(model: RuleModel, s: FloatArray, u: FloatArray) -> FloatArray:
+    """(n,) x(k) from u(k) and s(k): x(k-1), ..., x(k-`layout.moving`), u(k-1), ..., u(k-`layout.depth`)."""
+    layout = model.layout
+    n = layout.n
+    d = layout.depth
+    own = layout.moving * n
+    W = np.zeros((d + 1, len(layout.scale)))
+    W[d - layout.moving : d, :n] = np.asarray(s[:own]).reshape(-1, n)[::-1]
+    W[:, n:] = np.vstack([np.asarray(s[own:]).reshape(d, -1)[::-1], np.atleast_1d(u)])
+    W = (W - layout.shift) / layout.scale
+    free_run(W, d, layout.lags, model.free)
+    return np.asarray(W[d, :n] * layout.scale[:n] + layout.shift[:n])
 
-    State: y(k-1), ..., y(k-n), then u(k-1), ..., u(k-n) in physical units, n = `n_init`. Driven by the same
-    inputs from the same past it follows `simulate` sample by sample.
+
+def to_nonlinear_system(model: RuleModel) -> Any:
+    """The model as a discrete `control.NonlinearIOSystem` with the state s(k) of `next_step`, physical units.
+
+    Driven by the same inputs from the same past it follows `simulate` sample by sample.
+
+    Raises
+    ------
+    UsageError : not a model of dynamic rules.
     """
     import control
 
     refuse_other_models(model)
-    n = model.n_init
-    n_y = len(model.outputs)
+    n = model.layout.n
+    own = model.layout.moving * n
     n_u = len(model.inputs)
-    free = model.unlimited()  # a linear model runs on beyond the limits at which its output is cut off
 
-    def newest(x: FloatArray, u: FloatArray) -> FloatArray:
-        past_y = np.asarray(x[: n * n_y]).reshape(n, n_y)[::-1]
-        past_u = np.asarray(x[n * n_y :]).reshape(n, n_u)[::-1]
-        U = np.vstack([past_u, np.atleast_1d(u)])
-        Y = np.vstack([past_y, np.zeros((1, n_y))])
-        return np.asarray(free.one_step(U, Y)[n])
+    def output(_t: float, s: FloatArray, u: FloatArray, _params: Any) -> FloatArray:
+        return np.asarray(np.clip(next_step(model, s, u)[: model.layout.n_y], *model.output_limits))
 
-    def output(_t: float, x: FloatArray, u: FloatArray, _params: Any) -> FloatArray:
-        return np.asarray(np.clip(newest(x, u), *model.output_limits))
-
-    def step(_t: float, x: FloatArray, u: FloatArray, _params: Any) -> FloatArray:
-        past_y = np.concatenate([newest(x, u), x[: (n - 1) * n_y]])
-        return np.concatenate([past_y, np.atleast_1d(u), x[n * n_y : n * n_y + (n - 1) * n_u]])
+    def step(_t: float, s: FloatArray, u: FloatArray, _params: Any) -> FloatArray:
+        x = np.concatenate([next_step(model, s, u), s[:own]])[:own]
+        return np.concatenate([x, np.atleast_1d(u), s[own : len(s) - n_u]])
 
     return control.NonlinearIOSystem(
         step,
         output,
         inputs=[s.name for s in model.inputs],
         outputs=[s.name for s in model.outputs],
-        states=n * (n_y + n_u),
+        states=own + model.layout.depth * n_u,
         dt=model.dt_s,
         name="takagi_sugeno",
     )
 
 
-def to_state_space(model: FittedTS, u: FloatArray, y: FloatArray) -> Any:
+def to_state_space(model: RuleModel, u: FloatArray, y: FloatArray) -> Any:
     """The linearisation at constant inputs u and outputs y as a `control.StateSpace` (small deviations)."""
     import control
 

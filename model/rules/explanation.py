@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.model.arguments import as_record
 from flysid.model.base import Rule
-from flysid.model.rules.fitted_lags import FittedTS, refuse_other_models
+from flysid.model.rules.kernel import firing
+from flysid.model.rules.rule_model import RuleModel, refuse_other_models
 from flysid.model.rules.vocabulary import number
 
 _ROUNDING = 1e-9  # of the range: its ends are inside
@@ -87,23 +87,22 @@ class Explained(Started, Protocol):
     def rules(self) -> tuple[Rule, ...]: ...
 
 
-def explain(model: FittedTS, u: FloatArray, y: FloatArray, row: int) -> Explanation:
-    """Take the one-step prediction of sample `row` of measured data apart.
+def explain(model: RuleModel, u: FloatArray, y: FloatArray, row: int) -> Explanation:
+    """Take the step to sample `row` apart: outputs as measured, hidden states as the free run has them.
 
     Raises
     ------
     UsageError : the row has no full history, or is not there.
     """
-    u = np.asarray(u, dtype=float)
-    y = np.asarray(y, dtype=float)
     refuse_row(model, row, len(y))
-    begin = row - model.n_init
-    part_u = u[begin : row + 1]
-    part_y = y[begin : row + 1]
-    shares = model.firing(part_u, part_y)[-1]
-    alone = model.rule_outputs(part_u, part_y)[-1]
-    z = antecedent_values(model, part_u, part_y)[-1]
-    return taken_apart(model, row, z, (shares, alone), model.one_step(part_u, part_y)[-1])
+    layout = model.layout
+    W = model.seen(u[: row + 1], y[: row + 1])
+    shares = firing(W, row, layout.lags, model.parameters)[row]
+    n_y = layout.n_y
+    alone = model.parameters.theta[:, :n_y] @ layout.regressor_values(W)[-1]
+    alone = alone * layout.scale[:n_y] + layout.shift[:n_y]
+    z = _antecedents(model, W)[-1]
+    return taken_apart(model, row, z, (shares, alone), np.clip(shares @ alone, *model.output_limits))
 
 
 def refuse_row(model: Started, row: int, samples: int) -> None:
@@ -140,24 +139,24 @@ def taken_apart(
     )
 
 
-def antecedent_values(model: FittedTS, u: FloatArray, y: FloatArray) -> FloatArray:
-    """(N - n_init, n_z) antecedent variables along measured data, physical units."""
-    u = np.asarray(u, dtype=float).reshape(len(u), -1)
-    y = np.asarray(y, dtype=float).reshape(len(y), -1)
+def _antecedents(model: RuleModel, W: FloatArray) -> FloatArray:
+    """(N - depth, n_z) antecedent variables along W, physical units."""
     shift, scale = model.layout.antecedent_scaling()
-    return np.asarray(model.layout.antecedent_values(model.layout.stack(u, y)) * scale + shift)
+    return np.asarray(model.layout.antecedent_values(W) * scale + shift)
 
 
-def outside_share(model: FittedTS, u: FloatArray, y: FloatArray) -> float:
+def outside_share(model: RuleModel, u: FloatArray, y: FloatArray) -> float:
     """Share of samples, 0 to 1, in which an antecedent lies outside the range seen in training.
+
+    Outputs are as measured, hidden states as the free run has them.
 
     Raises
     ------
-    UsageError : not a model of rules over lags; shapes do not fit.
+    UsageError : not a model of dynamic rules; shapes do not fit.
     """
     refuse_other_models(model)
-    z = antecedent_values(model, *as_record(model, u, y))
-    return float(is_outside(model, z).any(axis=1).mean()) if len(z) and z.shape[1] else 0.0
+    z = _antecedents(model, model.seen(u, y))
+    return float(is_outside(model, z).any(axis=1).mean()) if z.size else 0.0
 
 
 def is_outside(model: Explained, z: FloatArray) -> npt.NDArray[np.bool_]:

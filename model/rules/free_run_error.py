@@ -18,57 +18,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from flysid.dataset import FloatArray, Segment
+from flysid.dataset import FloatArray
 from flysid.model.bordered import Bordered
 from flysid.model.rules.bordered_step import Normal
 from flysid.model.rules.descent import Fixed, Sizes, descend
-from flysid.model.rules.kernel import IntArray, Lags, Parameters, free_run, sweep
-from flysid.model.rules.regressor_layout import Antecedent, Layout
+from flysid.model.rules.kernel import IntArray, Parameters, free_run, sweep
+from flysid.model.rules.regressor_layout import Layout
 
 _DRIFT = 1e-5  # on the hidden states' scale and origin, which no output shows
 _CHUNK = 1024  # rows of sensitivities that are handed out at a time
-
-
-class RuleLayout(Protocol):
-    """What the simulation error asks of lags or states."""
-
-    @property
-    def antecedents(self) -> tuple[Antecedent, ...]: ...
-    @property
-    def lags(self) -> Lags: ...
-    @property
-    def n(self) -> int:
-        """Simulated columns of W: outputs, then hidden states."""
-        ...
-
-    @property
-    def n_y(self) -> int: ...
-    @property
-    def depth(self) -> int: ...
-    @property
-    def moving(self) -> int:
-        """Rows before the first computed one that the free run depends on."""
-        ...
-
-    @property
-    def uncompared(self) -> int:
-        """First rows of a run that count for nothing."""
-        ...
-
-    @property
-    def reach(self) -> float:
-        """How far antecedents go on beyond their range in training, in ranges."""
-        ...
-
-    def stack(self, u: FloatArray, y: FloatArray) -> FloatArray: ...
-    def antecedent_values(self, W: FloatArray) -> FloatArray: ...
-
-
-L = TypeVar("L", bound=RuleLayout)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +80,7 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False)
-class RuleProblem(Generic[L]):
+class Problem:
     """Normalised data and everything about a model that refinement does not move.
 
     Attributes
@@ -139,7 +100,7 @@ class RuleProblem(Generic[L]):
         the identity.
     """
 
-    layout: L
+    layout: Layout
     runs: tuple[FloatArray, ...]
     basis: FloatArray
     offset: FloatArray
@@ -220,30 +181,30 @@ class RuleProblem(Generic[L]):
         return self.starts(self.runs)
 
     def smooth_initial(self) -> FloatArray:
-        """(S, moving, n_y) first outputs on a straight line through the beginning of every run.
+        """(S, moving, n) first rows on a straight line through the beginning of every run.
 
         Noisy lags of a high order can start a simulation that runs into its limits, where no gradient
         shows the way back.
         """
         d = self.layout.depth
-        n_y = self.layout.n_y
+        n = self.layout.n
         found = []
         for W in self.runs:
             rows = np.arange(min(len(W), max(2 * d, 10)), dtype=np.float64)
-            line = np.polynomial.polynomial.polyfit(rows, W[: len(rows), :n_y], 1)
+            line = np.polynomial.polynomial.polyfit(rows, W[: len(rows), :n], 1)
             found.append((np.vander(rows[:d], 2, increasing=True) @ line)[d - self.layout.moving :])
         return np.stack(found)
 
-    def with_antecedents(self, layout: L) -> RuleProblem[L]:
+    def with_antecedents(self, layout: Layout) -> Problem:
         """The same data for other antecedents."""
         return replace(self, layout=layout, z_range=antecedent_range(layout, self.runs))
 
 
 @dataclass(frozen=True, eq=False)
-class RuleStage(Generic[L]):
+class Stage:
     """A model on its way: problem, numbers, starts of runs (S, moving, n), the cost reached in training."""
 
-    problem: RuleProblem[L]
+    problem: Problem
     body: Body
     initial: FloatArray
     cost: float = np.inf
@@ -254,7 +215,7 @@ class RuleStage(Generic[L]):
         return len(self.body.a)
 
     @property
-    def layout(self) -> L:
+    def layout(self) -> Layout:
         """Lags or states, antecedents, scaling."""
         return self.problem.layout
 
@@ -263,7 +224,7 @@ class RuleStage(Generic[L]):
         """[a | centre | log width | starts] as one vector."""
         return np.concatenate([self.body.vector(), self.initial.ravel()])
 
-    def at(self, p: FloatArray, cost: float) -> RuleStage[L]:
+    def at(self, p: FloatArray, cost: float) -> Stage:
         """The stage at another vector of unknowns."""
         body = self.body.moved(p[: self.body.size]).within(self.problem.z_range)
         return replace(self, body=body, initial=p[self.body.size :].reshape(self.initial.shape), cost=cost)
@@ -282,7 +243,7 @@ class RuleStage(Generic[L]):
             total += float((gap * gap).sum())
         return total / self.problem.samples
 
-    def priced(self) -> RuleStage[L]:
+    def priced(self) -> Stage:
         """The same stage with the cost of where it is: mean squared error in variances, ridge, stress."""
         return replace(self, cost=self.descent(self.unknowns, -1)[0])
 
@@ -296,7 +257,7 @@ class RuleStage(Generic[L]):
         cost, found = self.descent(self.unknowns, 0, chosen=chosen)
         return cost, Bordered(found.corner, found.border, found.blocks), found.slope
 
-    def descended(self, iterations: int, tolerance: float, chosen: IntArray | None = None) -> RuleStage[L]:
+    def descended(self, iterations: int, tolerance: float, chosen: IntArray | None = None) -> Stage:
         """The stage after Levenberg-Marquardt on the simulation error.
 
         Itself, its cost infinite, where it diverges from the start. `chosen` as in `normal`.
@@ -316,28 +277,19 @@ class RuleStage(Generic[L]):
         return float(cost), found
 
 
-Problem = RuleProblem[Layout]
-Stage = RuleStage[Layout]
-
-
 def widened(limits: FloatArray, times: float) -> FloatArray:
     """(2, n) ranges, wider by so many times themselves on each side."""
     margin = times * (limits[1] - limits[0])
     return np.ascontiguousarray(np.stack([limits[0] - margin, limits[1] + margin]))
 
 
-def antecedent_range(layout: RuleLayout, runs: Sequence[FloatArray]) -> FloatArray:
+def antecedent_range(layout: Layout, runs: Sequence[FloatArray]) -> FloatArray:
     """(2, n_z) smallest and largest antecedent in the data."""
     z = np.vstack([layout.antecedent_values(W) for W in runs])
     return np.stack([z.min(axis=0), z.max(axis=0)]) if z.shape[1] else np.zeros((2, 0))
 
 
-def runs_of(layout: RuleLayout, segments: Sequence[Segment], least: int) -> tuple[FloatArray, ...]:
-    """Normalised W of every segment that has at least `least` rows."""
-    return tuple(layout.stack(s.u, s.y) for s in segments if len(s) >= least)
-
-
-def started_run(layout: RuleLayout, W: FloatArray, start: FloatArray, par: Parameters) -> FloatArray:
+def started_run(layout: Layout, W: FloatArray, start: FloatArray, par: Parameters) -> FloatArray:
     """W simulated from the last (moving, n) rows before the first computed one."""
     run = W.copy()
     d = layout.depth
@@ -346,7 +298,7 @@ def started_run(layout: RuleLayout, W: FloatArray, start: FloatArray, par: Param
     return run
 
 
-def swept(problem: RuleProblem[L], body: Body, run: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
+def swept(problem: Problem, body: Body, run: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
     """Rows of a free run and their sensitivities (rows, n_y, P) to the body, in pieces of bounded memory.
 
     Parameters
@@ -360,7 +312,7 @@ def swept(problem: RuleProblem[L], body: Body, run: FloatArray) -> Iterator[tupl
 
 
 def run_sensitivities(
-    problem: RuleProblem[L], body: Body, W: FloatArray, initial: FloatArray
+    problem: Problem, body: Body, W: FloatArray, initial: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(N, n_y, P + moving n) sensitivities of a free run, those to its start last, and (N, n_y) errors.
 
@@ -388,7 +340,7 @@ def run_sensitivities(
     return J, W[:, :n_y] - run[:, :n_y]
 
 
-def _ring(layout: RuleLayout, columns: int) -> FloatArray:
+def _ring(layout: Layout, columns: int) -> FloatArray:
     lags = layout.lags
     past = [lag for c, lag in zip(lags.column, lags.lag, strict=True) if 0 <= c < layout.n]
     past += [max(a.lag, a.minus) for a in layout.antecedents if a.column < layout.n]
@@ -396,7 +348,7 @@ def _ring(layout: RuleLayout, columns: int) -> FloatArray:
 
 
 def _sensitivities(
-    problem: RuleProblem[L], body: Body, run: FloatArray, rows: slice, ring: FloatArray
+    problem: Problem, body: Body, run: FloatArray, rows: slice, ring: FloatArray
 ) -> FloatArray:
     J = np.empty((rows.stop - rows.start, problem.layout.n_y, ring.shape[2]))
     basis = np.ascontiguousarray(problem.basis)

@@ -203,6 +203,16 @@ def _z_and_firing(stage: Stage, runs: Sequence[FloatArray]) -> tuple[FloatArray,
     return z, np.vstack([firing(W, d, lags, par)[d:] for W in runs])
 
 
+def seen(stage: Stage) -> list[FloatArray]:
+    """Training runs as measured, with the hidden states as simulated."""
+    hidden = slice(stage.layout.n_y, stage.layout.n)
+    found = [W.copy() for W in stage.problem.runs]
+    if stage.layout.hidden:
+        for W, run in zip(found, stage.simulated(), strict=True):
+            W[:, hidden] = run[:, hidden]
+    return found
+
+
 def thinned(stage: Stage, samples: int) -> Stage:
     """The stage on at most about `samples` rows: evenly spaced pieces, started where the model is."""
     problem = stage.problem
@@ -257,5 +267,5 @@ def _best_of_each(kinds: Sequence[Antecedent], costs: Sequence[float]) -> list[i
 
 def rule_support(stage: Stage) -> FloatArray:
     """(R,) share of training samples for which each rule is the strongest."""
-    _, phi = _z_and_firing(stage, stage.problem.runs)
+    _, phi = _z_and_firing(stage, seen(stage))
     return np.asarray(np.bincount(phi.argmax(axis=1), minlength=stage.rules) / len(phi))

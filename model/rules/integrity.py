@@ -6,7 +6,7 @@ The kernels do not check bounds: a forged column or lag would read memory that i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import NoReturn
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from flysid.errors import StoreError
 from flysid.model.documents import monic
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.regressor_layout import Antecedent, Layout
-
-if TYPE_CHECKING:
-    from flysid.model.rules.state_layout import StateLayout
 
 MAX_LAG = 10_000
 MAX_STATES = 1000
@@ -34,27 +31,17 @@ def check(layout: Layout, parameters: Parameters, noise: FloatArray | None) -> N
     orders = layout.orders
     n_u = len(layout.inputs)
     n_y = layout.n_y
-    _require(n_y >= 1 and len(orders.nb) == len(orders.nk) == n_u, "orders that do not fit the signals")
+    n = layout.n
+    _require(n_y >= 1 and 0 <= layout.hidden <= MAX_STATES, "states out of range")
+    _require(not layout.hidden or orders.na == 1, "hidden states with lags")
+    _require(len(orders.nb) == len(orders.nk) == n_u, "orders that do not fit the signals")
     _require(all(_is_lag(value, 0) for value in (orders.na, *orders.nb, *orders.nk)), "orders out of range")
-    _check_antecedents(layout.antecedents, n_y, n_y + n_u, MAX_LAG)
-    _check_scaling(layout.shift, layout.scale, n_y + n_u)
-    n_x = n_y * orders.na + sum(orders.nb) + 1
-    _check_parameters(parameters, (n_y, n_x, len(layout.antecedents)))
+    _require(0.0 <= layout.reach < np.inf, "a reach out of range")
+    _check_antecedents(layout.antecedents, n, n + n_u, layout.orders.depth if layout.hidden else MAX_LAG)
+    _check_scaling(layout.shift, layout.scale, n + n_u)
+    _check_parameters(parameters, (n, n * orders.na + sum(orders.nb) + 1, len(layout.antecedents)))
     if noise is not None:
         _check_noise(noise, n_y)
-
-
-def check_states(layout: StateLayout, parameters: Parameters, noise: FloatArray) -> None:
-    """The same for a TS state-space model; raises StoreError."""
-    n_u = len(layout.inputs)
-    n_y = layout.n_y
-    _require(n_y >= 1 and 0 <= layout.hidden <= MAX_STATES, "states out of range")
-    lags = [lag for own in layout.input_lags for lag in own]
-    _require(len(layout.input_lags) == n_u and all(_is_lag(lag, 0) for lag in lags), "lags out of range")
-    _check_antecedents(layout.antecedents, layout.n, layout.n + n_u, layout.depth)
-    _check_scaling(layout.shift, layout.scale, layout.n + n_u)
-    _check_parameters(parameters, (layout.n, layout.n + len(lags) + 1, len(layout.antecedents)))
-    _check_noise(noise, n_y)
 
 
 def _check_antecedents(antecedents: Sequence[Antecedent], states: int, columns: int, most: int) -> None:
@@ -91,7 +78,12 @@ def _check_noise(noise: FloatArray, n_y: int) -> None:
 
 def _require(holds: bool, fault: str) -> None:
     if not holds:
-        raise StoreError(f"damaged model file: {fault}", hint="fit again")
+        refuse(fault)
+
+
+def refuse(fault: str) -> NoReturn:
+    """Raise StoreError for a model file whose parts do not fit each other."""
+    raise StoreError(f"damaged model file: {fault}", hint="fit again")
 
 
 def _is_lag(value: object, least: int) -> bool:

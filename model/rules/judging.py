@@ -20,6 +20,7 @@ from flysid.model.rules.free_run_error import Stage, widened
 from flysid.model.rules.kernel import Parameters, free_run
 from flysid.model.rules.linear_starts import LinearModel
 from flysid.model.rules.probe_inputs import probe_run
+from flysid.model.rules.realisation import Prior
 from flysid.model.rules.rule_poles import unheld
 from flysid.model.start import MAX_SHARE, estimate_start
 
@@ -89,16 +90,16 @@ def initial_state_gain(stage: Stage) -> FloatArray:
     return np.ascontiguousarray(gain.T)
 
 
+def prior_of(stage: Stage) -> Prior:
+    """What training says about states, for starting other runs."""
+    runs = [run[stage.layout.depth - 1 :] for run in stage.simulated()]
+    return Prior.of(runs, stage.layout.n, stage.mean_square())
+
+
 def _windows(W: FloatArray, depth: int) -> FloatArray:
     """(N - depth + 1, depth * columns) every window of `depth` rows, flattened row by row."""
     view = np.lib.stride_tricks.sliding_window_view(W, depth, axis=0)
     return np.ascontiguousarray(view.transpose(0, 2, 1)).reshape(len(view), -1)
-
-
-def estimated_initial(gain: FloatArray, W: FloatArray, depth: int, n_y: int) -> FloatArray:
-    """(depth, n_y) first outputs as the model should see them, from the first `depth` rows of W."""
-    window = np.append(W[:depth].ravel(), 1.0)
-    return np.asarray(W[:depth, :n_y] + (gain @ window).reshape(depth, n_y))
 
 
 @dataclass(frozen=True, eq=False)

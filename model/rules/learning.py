@@ -15,7 +15,7 @@ from flysid.model.arguments import is_count
 from flysid.model.base import Fitted
 from flysid.model.linear.settings import check_hint
 from flysid.model.rules.edits import merge_and_split, prune
-from flysid.model.rules.free_run_error import Stage, runs_of
+from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.judging import INTEGRATES, Candidate, choose, hold_out, is_bounded
 from flysid.model.rules.linear_starts import Asked, as_linear, as_stage
 from flysid.model.rules.refit import refit
@@ -24,6 +24,7 @@ from flysid.model.rules.regressor_layout import (
     Orders,
     check_they_move,
     parse_antecedents,
+    runs_of,
     scaling,
 )
 from flysid.model.rules.search import affords, cross_validated, search

@@ -16,16 +16,18 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.model.rules.fitted_lags import FittedTS, refuse_other_models
 from flysid.model.rules.lyapunov import common_lyapunov
+from flysid.model.rules.rule_model import Recursion, RuleModel, refuse_other_models
+from flysid.model.rules.rule_poles import companion
+from flysid.model.rules.steady_map import SteadyMap
 
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """x(k+1) = A x(k) + B u(k) + f,  y(k) = C x(k) + D u(k) + g, physical units.
+    """s(k+1) = A s(k) + B u(k) + f,  y(k) = C s(k) + D u(k) + g, physical units.
 
-    x holds past outputs y(k-1), ..., y(k-n) and then past inputs u(k-1), ..., u(k-m); A, B and f are exact
-    companion matrices of the lags, shared by every rule but for the first block of rows.
+    s holds past outputs and hidden states x(k-1), ..., x(k-n), then past inputs u(k-1), ..., u(k-m); A, B and
+    f are exact companion matrices of the lags, shared by every rule but for the first block of rows.
     """
 
     A: FloatArray
@@ -37,98 +39,104 @@ class StateSpace:
     dt_s: float
 
 
-def polytope(model: FittedTS) -> tuple[StateSpace, ...]:
+def polytope(model: RuleModel) -> tuple[StateSpace, ...]:
     """The rules as local state spaces over one common state, ready for parallel distributed compensation.
 
     Raises
     ------
-    UsageError : not a model of rules over lags.
+    UsageError : not a model of dynamic rules.
     """
     refuse_other_models(model)
-    return tuple(_companion(model, A, B, c) for A, B, c in model.local_polynomials())
+    return tuple(_companion(model, rule) for rule in model.recursions())
 
 
-def _companion(model: FittedTS, A: FloatArray, B: FloatArray, c: FloatArray) -> StateSpace:
-    na, n_y, _ = A.shape
+def _companion(model: RuleModel, recursion: Recursion) -> StateSpace:
+    A, B, c = recursion
+    na, n, _ = A.shape
     past_inputs = len(B) - 1
+    n_y = model.layout.n_y
     n_u = B.shape[2]
-    n = na * n_y
-    m = past_inputs * n_u
-    C = np.zeros((n_y, n + m))
-    C[:, :n] = np.concatenate(list(A), axis=1) if na else np.zeros((n_y, 0))
-    C[:, n:] = np.concatenate(list(B[1:]), axis=1) if past_inputs else np.zeros((n_y, 0))
-    step = np.zeros((n + m, n + m))
-    drive = np.zeros((n + m, n_u))
-    offset = np.zeros(n + m)
+    own = n * na
+    size = own + n_u * past_inputs
+    newest = np.zeros((n, size))
+    newest[:, :own] = np.concatenate(list(A), axis=1) if na else 0.0
+    newest[:, own:] = np.concatenate(list(B[1:]), axis=1) if past_inputs else 0.0
+    step = np.zeros((size, size))
+    drive = np.zeros((size, n_u))
+    offset = np.zeros(size)
     if na:
-        step[:n_y], drive[:n_y], offset[:n_y] = C, B[0], c
-        step[n_y:n, : n - n_y] = np.eye(n - n_y)
+        step[:n], drive[:n], offset[:n] = newest, B[0], c
+        step[n:own, : own - n] = np.eye(own - n)
     if past_inputs:
-        drive[n : n + n_u] = np.eye(n_u)
-        step[n + n_u :, n : n + m - n_u] = np.eye(m - n_u)
-    return StateSpace(step, drive, C, B[0].copy(), offset, c.copy(), model.dt_s)
+        drive[own : own + n_u] = np.eye(n_u)
+        step[own + n_u :, own : size - n_u] = np.eye(size - n_u - own)
+    return StateSpace(step, drive, newest[:n_y], B[0, :n_y].copy(), offset, c[:n_y].copy(), model.dt_s)
 
 
-def linearise(model: FittedTS, u: FloatArray, y: FloatArray) -> StateSpace:
-    """The model's derivative at constant inputs u (n_u,) and outputs y (n_y,), memberships included.
+def linearise(model: RuleModel, u: FloatArray, y: FloatArray | None = None) -> StateSpace:
+    """The model's derivative at constant inputs u (n_u,), memberships included.
 
-    Central differences of the one-step prediction, on a step of 1e-5 of each signal's spread.
+    Where outputs y (n_y,) are given, hidden states stand where they rest beside them; otherwise everything
+    stands where the inputs hold it.
 
     Raises
     ------
-    UsageError : u or y has another length than the model's signals; the model's output is at its limit there.
+    UsageError : u or y has another length than the model's signals; hidden states come to no rest there; the
+        model is at its limit there.
     """
     refuse_other_models(model)
+    layout = model.layout
+    n = layout.n
+    held = np.zeros(0) if y is None else np.atleast_1d(np.asarray(y, dtype=float))
     u = np.atleast_1d(np.asarray(u, dtype=float))
-    y = np.atleast_1d(np.asarray(y, dtype=float))
-    if u.shape != (len(model.inputs),) or y.shape != (len(model.outputs),):
+    if u.shape != (len(model.inputs),) or held.shape not in ((0,), (layout.n_y,)):
         raise UsageError(
-            f"u has shape {u.shape} and y {y.shape}",
-            hint=f"give {len(model.inputs)} inputs and {len(model.outputs)} outputs",
+            f"u has shape {u.shape}" + ("" if y is None else f" and y {held.shape}"),
+            hint=f"give {len(model.inputs)} inputs and {layout.n_y} outputs",
         )
-    d = model.n_init
-    n_y = len(y)
-    U = np.tile(u, (d + 1, 1))
-    Y = np.tile(y, (d + 1, 1))
-    model = model.unlimited()
-    refuse_limit(model.one_step(U, Y)[d], model.output_limits)
+    steady = SteadyMap(layout)
+    w = np.zeros(len(layout.scale))
+    w[: len(held)] = (held - layout.shift[: len(held)]) / layout.scale[: len(held)]
+    w[n:] = (u - layout.shift[n:]) / layout.scale[n:]
+    found = steady.resting(model.free, w, range(len(held), n))
+    if found is None:
+        raise UsageError(
+            "the states come to no rest at this operating point",
+            hint="choose one inside the training range; a process that integrates rests at no input but one",
+        )
+    tangent = steady.tangent(model.free, found)
+    _refuse_limit(tangent.value, model.free.limits, model)
+    return _companion(model, _physical(steady, tangent.value, tangent.weights, found, model))
 
-    def next_output(k: int, column: int, size: float) -> FloatArray:
-        moved_u = U.copy()
-        moved_y = Y.copy()
-        if column < n_y:
-            moved_y[d - k, column] += size
+
+def _physical(
+    steady: SteadyMap, value: FloatArray, weights: FloatArray, w: FloatArray, model: RuleModel
+) -> Recursion:
+    """A tangent at w as a recursion in physical units."""
+    layout = model.layout
+    n = layout.n
+    own = steady.terms.column < n
+    A = np.zeros((int(steady.terms.lag[own].max(initial=0)), n, n))
+    B = np.zeros((int(steady.terms.lag[~own].max(initial=0)) + 1, n, len(model.inputs)))
+    for m, (column, lag) in enumerate(zip(steady.terms.column, steady.terms.lag, strict=True)):
+        gain = weights[:, m] * layout.scale[:n] / layout.scale[column]
+        if column < n:
+            A[lag - 1, :, column] += gain
         else:
-            moved_u[d - k, column - n_y] += size
-        return np.asarray(model.one_step(moved_u, moved_y)[d])
-
-    deepest = max([0, *(lag for c, lag in model.layout.regressors if c >= n_y)])
-    deepest = max([deepest, *(max(a.lag, a.minus) for a in model.layout.antecedents if a.column >= n_y)])
-    na = max(
-        [model.layout.orders.na, *(max(a.lag, a.minus) for a in model.layout.antecedents if a.column < n_y)]
-    )
-    A = np.zeros((na, n_y, n_y))
-    B = np.zeros((deepest + 1, n_y, len(u)))
-    for column, scale in enumerate(model.layout.scale):
-        size = 1e-5 * float(scale)
-        lags = range(1, na + 1) if column < n_y else range(deepest + 1)
-        for k in lags:
-            slope = (next_output(k, column, size) - next_output(k, column, -size)) / (2 * size)
-            if column < n_y:
-                A[k - 1, :, column] = slope
-            else:
-                B[k, :, column - n_y] = slope
-    offset = model.one_step(U, Y)[d] - A.sum(axis=0) @ y - B.sum(axis=0) @ u
-    return _companion(model, A, B, offset)
+            B[lag, :, column - n] += gain
+    at = w * layout.scale + layout.shift
+    c = value * layout.scale[:n] + layout.shift[:n] - A.sum(axis=0) @ at[:n] - B.sum(axis=0) @ at[n:]
+    return A, B, c
 
 
-def refuse_limit(y: FloatArray, limits: FloatArray) -> None:
+def _refuse_limit(x: FloatArray, limits: FloatArray, model: RuleModel) -> None:
     """Raise UsageError where an output or state (n,) stands at its limits (2, n): nothing moves it there."""
-    for value, low, high in zip(y, *limits, strict=True):
+    for i, (value, low, high) in enumerate(zip(x, *limits, strict=True)):
         rounding = 1e-9 * (high - low)
         if not low + rounding < value < high - rounding:
+            at = np.clip(value, low, high) * model.layout.scale[i] + model.layout.shift[i]
             raise UsageError(
-                f"the model is at its limit there, {value:.4g}: nothing moves it, and it has no linear model",
+                f"the model is at its limit there, {at:.4g}: nothing moves it, and it has no linear model",
                 hint="choose a place inside the training range",
             )
 
@@ -151,16 +159,15 @@ class Certificate:
     reason: str
 
 
-def certificate(model: FittedTS) -> Certificate:
-    """A P > 0 with A_r' P A_r - P < 0 for the output dynamics of every rule, where one is found.
+def certificate(model: RuleModel) -> Certificate:
+    """A P > 0 with A_r' P A_r - P < 0 for every rule's dynamics of outputs and states, where one is found.
 
     Raises
     ------
-    UsageError : not a model of rules over lags.
+    UsageError : not a model of dynamic rules.
     """
     refuse_other_models(model)
-    n = model.layout.orders.na * len(model.outputs)
-    return certificate_of([s.A[:n, :n] for s in polytope(model)])
+    return certificate_of([companion(A) for A, _, _ in model.recursions()])
 
 
 def certificate_of(rules: list[FloatArray]) -> Certificate:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -20,8 +20,11 @@ from flysid.errors import DataError
 from flysid.model.base import OperatingPoint
 from flysid.model.covariance import root_of
 from flysid.model.polynomials import Z95
-from flysid.model.rules.free_run_error import RuleStage
+from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.kernel import Parameters
+from flysid.model.rules.regressor_layout import Layout
+from flysid.model.rules.rule_model import RuleModel
+from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.rules.steady_map import SteadyMap, Tangent
 from flysid.model.rules.vocabulary import Axis
 
@@ -46,24 +49,14 @@ class Spread(Protocol):
 class Numbers(NamedTuple):
     """A model as far as it simulates."""
 
-    layout: Any
+    layout: Layout
     parameters: Parameters
 
 
-class Describable(Protocol):
-    """A fitted model of rules, a dataclass."""
-
-    @property
-    def layout(self) -> Any: ...
-    @property
-    def parameters(self) -> Parameters: ...
-    def uncertainty(self, train: Dataset) -> Any: ...
+M = TypeVar("M", bound=RuleModel)
 
 
-M = TypeVar("M", bound=Describable)
-
-
-def described(model: M, train: Dataset, neighbour: RuleStage[Any] | None = None) -> M:
+def described(model: M, train: Dataset, neighbour: Stage | None = None) -> M:
     """The model with its operating points.
 
     With intervals where it stands at a minimum of the simulation error and another one is known beside it:
@@ -72,14 +65,12 @@ def described(model: M, train: Dataset, neighbour: RuleStage[Any] | None = None)
     sure: Spread | None = None
     if neighbour is not None:
         with contextlib.suppress(DataError, np.linalg.LinAlgError), np.errstate(all="ignore"):
-            sure = model.uncertainty(train)
+            sure = uncertainty(model, train)
     more = (
         None if neighbour is None else Numbers(neighbour.layout, neighbour.problem.parameters(neighbour.body))
     )
     points = operating_points(Numbers(model.layout, model.parameters), train, sure, more)
-    told: Any = model
-    found: M = replace(told, operating_points=points)
-    return found
+    return replace(model, operating_points=points)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from flysid.dataset import FloatArray
 from flysid.model.linear.model import FittedLinear
 from flysid.model.rules.descent import Fixed, Sizes, descend
 from flysid.model.rules.kernel import Parameters
-from flysid.model.rules.state_layout import StateLayout
+from flysid.model.rules.regressor_layout import Layout
 
 _SINGULAR = 1e-6  # coordinates closer to dependent than this are not offered
 PLAIN = "plain"
@@ -55,13 +55,13 @@ class Realisation:
         )
 
     @classmethod
-    def of(cls, layout: StateLayout, theta: FloatArray) -> Realisation:
+    def of(cls, layout: Layout, theta: FloatArray) -> Realisation:
         """The system that a consequent (n, n_x), in the order of `layout.regressors`, stands for."""
         n = layout.n
         n_u = len(layout.inputs)
         A = np.zeros((n, n))
         c = np.zeros(n)
-        B = {lag: np.zeros((n, n_u)) for own in layout.input_lags for lag in own}
+        B = {lag: np.zeros((n, n_u)) for own in layout.orders.input_lags for lag in own}
         for m, (column, lag) in enumerate(layout.regressors):
             if column < 0:
                 c = theta[:, m].copy()
@@ -69,9 +69,9 @@ class Realisation:
                 A[:, column] = theta[:, m]
             else:
                 B[lag][:, column - n] = theta[:, m]
-        return cls(A, B, c, layout.input_lags)
+        return cls(A, B, c, layout.orders.input_lags)
 
-    def consequent(self, layout: StateLayout) -> FloatArray:
+    def consequent(self, layout: Layout) -> FloatArray:
         """(n, n_x) A, B and c in the order of `layout.regressors`."""
         n = layout.n
         columns = []
@@ -203,7 +203,7 @@ class Prior:
 
 
 def initial_states(
-    layout: StateLayout, runs: Sequence[FloatArray], par: Parameters, prior: Prior, rows: int = _CLOSED
+    layout: Layout, runs: Sequence[FloatArray], par: Parameters, prior: Prior, rows: int = _CLOSED
 ) -> FloatArray:
     """(S, 1, n) the most likely state before every run, from its first `rows` rows.
 
@@ -223,7 +223,7 @@ def initial_states(
 
 
 def _likely(
-    layout: StateLayout, W: FloatArray, par: Parameters, prior: Prior, guess: FloatArray
+    layout: Layout, W: FloatArray, par: Parameters, prior: Prior, guess: FloatArray
 ) -> tuple[float, FloatArray]:
     """Cost and state (n,) that a search from a guess ends in; the guess where the model runs away from it."""
     samples = float((len(W) - layout.depth + 1) * layout.n_y)

@@ -14,7 +14,7 @@ from flysid.model.rules.integrator import holds_integrator, rings_on
 from flysid.model.rules.judging import Candidate, is_bounded
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.linear_starts import as_stage
-from flysid.model.rules.regressor_layout import REACH, Layout
+from flysid.model.rules.regressor_layout import Layout
 from flysid.model.rules.stages import refine
 
 
@@ -51,7 +51,7 @@ def as_problem(layout: Layout, parameters: Parameters, runs: tuple[FloatArray, .
     p = parameters
     held = holds_integrator(theta, layout.orders.na)
     basis = np.ascontiguousarray(first_basis(layout, runs, integrating=held))
-    trained = widened(p.z_range, -REACH / (1.0 + 2.0 * REACH))
+    trained = widened(p.z_range, -layout.reach / (1.0 + 2.0 * layout.reach))
     problem = Problem(layout, runs, basis, theta[0].copy(), trained, p.limits)
     rows = (theta - theta[0]).reshape(-1, theta.shape[2]).T
     a = (np.linalg.lstsq(basis.T, rows, rcond=None)[0] if held else np.linalg.solve(basis.T, rows)).T

@@ -1,12 +1,17 @@
-"""Which lags a TS model looks at, what they are called, and in which units the numbers live inside.
+"""Which columns at which lags a TS model looks at, what they are called, in which units the numbers are kept.
 
-Inside, every signal is shifted and divided by its training mean and spread; outside, everything is in
-physical units. Regressors are y lags 1..na of every output, then u lags nk..nk+nb-1 of every input, then
-the constant 1. Antecedent variables are one lag of one signal, or the difference of two lags.
+    x(k) = sum_r phi_r(z(k)) (sum_j A_rj x(k-j) + sum_j B_rj u(k-nk-j) + c_r),   y(k) = the first n_y of x(k)
+
+Columns are the outputs, then hidden states where there are any, then the inputs. Without hidden states
+regressors are lags 1..na of every output; with them lag 1 of every column that is simulated. Then follow lags
+nk..nk+nb-1 of every input and the constant 1. Antecedent variables z are one lag of one column, or the
+difference of two lags. Inside, every signal is shifted and divided by its training mean and spread, hidden
+states, which nothing measures, by the spread of their simulation; outside, everything is in physical units.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,11 +19,12 @@ from functools import cached_property
 
 import numpy as np
 
-from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.regressors import lagged_name
 from flysid.model.rules.kernel import Lags
 
+HIDDEN = "hidden"
 REACH = 0.25  # of the range of an antecedent: so far beyond the training data its rules go on as they are
 _STILL = 1e-9  # of the signal: what a sum of rounding errors may move an antecedent by
 
@@ -27,7 +33,7 @@ _STILL = 1e-9  # of the signal: what a sum of rounding errors may move an antece
 class Antecedent:
     """One antecedent variable: w(k-lag), or w(k-lag) - w(k-minus) when minus >= 0.
 
-    `column` counts outputs first, then inputs.
+    `column` counts outputs first, then hidden states, then inputs.
     """
 
     column: int
@@ -42,7 +48,7 @@ class Antecedent:
 
 @dataclass(frozen=True)
 class Orders:
-    """na past outputs (of every output); nb inputs from delay nk on, one pair per input."""
+    """na past values of every output or state; nb inputs from delay nk on, one pair per input."""
 
     na: int
     nb: tuple[int, ...]
@@ -54,6 +60,17 @@ class Orders:
         inputs = [k + b - 1 for b, k in zip(self.nb, self.nk, strict=True) if b]
         return max([1, self.na, *inputs])
 
+    @property
+    def input_lags(self) -> tuple[tuple[int, ...], ...]:
+        """Per input, the lags at which it enters."""
+        return tuple(tuple(range(k, k + b)) for b, k in zip(self.nb, self.nk, strict=True))
+
+    @classmethod
+    def of_states(cls, input_lags: Sequence[Sequence[int]]) -> Orders:
+        """One past value of every state, and inputs at successive lags."""
+        firsts = tuple(min(lags, default=0) for lags in input_lags)
+        return cls(1, tuple(len(lags) for lags in input_lags), firsts)
+
     def __str__(self) -> str:
         pairs = {(b, k) for b, k in zip(self.nb, self.nk, strict=True)}
         if len(pairs) == 1:
@@ -62,43 +79,18 @@ class Orders:
         return f"na = {self.na}, nb = {list(self.nb)}, nk = {list(self.nk)}"
 
 
-def regressor_names(regressors: Sequence[tuple[int, int]], signals: Sequence[Signal]) -> tuple[str, ...]:
-    """What people call regressors (column of `signals`, lag); "1" for the constant."""
-    return tuple("1" if c < 0 else lagged_name(signals[c].name, lag) for c, lag in regressors)
-
-
-def lags_of(regressors: Sequence[tuple[int, int]], antecedents: Sequence[Antecedent]) -> Lags:
-    """Regressors and antecedents as the compiled kernels take them."""
-    columns, delays = zip(*regressors, strict=True)
-    return Lags(
-        np.array(columns, dtype=np.int64),
-        np.array(delays, dtype=np.int64),
-        np.array([a.column for a in antecedents], dtype=np.int64),
-        np.array([a.lag for a in antecedents], dtype=np.int64),
-        np.array([a.minus for a in antecedents], dtype=np.int64),
-    )
-
-
-def antecedent_values(antecedents: Sequence[Antecedent], W: FloatArray, depth: int) -> FloatArray:
-    """(N - depth, n_z) antecedents along W (N, signals), from row `depth` on."""
-    n = len(W)
-    columns = []
-    for a in antecedents:
-        z = W[depth - a.lag : n - a.lag, a.column]
-        columns.append(z if a.minus < 0 else z - W[depth - a.minus : n - a.minus, a.column])
-    return np.stack(columns, axis=1) if columns else np.empty((max(n - depth, 0), 0))
-
-
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Signals, orders, antecedents and scaling of one TS model.
+    """Signals, hidden states, orders, antecedents and scaling of one model of rules.
 
     Attributes
     ----------
     outputs, inputs : the signals.
     orders : of the consequents.
     antecedents : the variables of the memberships.
-    shift, scale : (n_y + n_u,) mean and spread of every signal in training.
+    shift, scale : (n + n_u,) of every simulated column and input; physical = normalised * scale + shift.
+    hidden : number of hidden states.
+    reach : by so much of its range in training rules go on as they are beyond it.
     """
 
     outputs: tuple[Signal, ...]
@@ -107,6 +99,8 @@ class Layout:
     antecedents: tuple[Antecedent, ...]
     shift: FloatArray
     scale: FloatArray
+    hidden: int = 0
+    reach: float = REACH
 
     @property
     def n_y(self) -> int:
@@ -115,29 +109,25 @@ class Layout:
 
     @property
     def n(self) -> int:
-        """Simulated columns: the outputs."""
-        return len(self.outputs)
+        """Simulated columns: the outputs, then the hidden states."""
+        return self.n_y + self.hidden
 
     @property
     def moving(self) -> int:
-        """Past outputs that the free run depends on: so many rows before the first computed one."""
-        z = (max(a.lag, a.minus) for a in self.antecedents if a.column < self.n_y)
+        """Rows before the first computed one that the free run depends on."""
+        z = (max(a.lag, a.minus) for a in self.antecedents if a.column < self.n)
         return min(self.depth, max(self.orders.na, *z, 0))
 
     @property
     def uncompared(self) -> int:
-        """First rows of a run that count for nothing: those before the unknown ones agree with the data."""
-        return 0
-
-    @property
-    def reach(self) -> float:
-        """Of its range in training, by which rules go on as they are beyond it."""
-        return REACH
+        """First rows of a run, from before what it starts from: they agree with the data."""
+        return self.depth - self.moving
 
     @property
     def signals(self) -> tuple[Signal, ...]:
-        """Outputs, then inputs."""
-        return self.outputs + self.inputs
+        """Outputs, hidden states, inputs: the columns of W."""
+        names = tuple(Signal(f"{HIDDEN} {i + 1}") for i in range(self.hidden))
+        return (*self.outputs, *names, *self.inputs)
 
     @cached_property
     def depth(self) -> int:
@@ -147,36 +137,45 @@ class Layout:
     @property
     def regressors(self) -> list[tuple[int, int]]:
         """(column, lag) of every regressor; column -1 is the constant."""
-        past = [(i, lag) for i in range(self.n_y) for lag in range(1, self.orders.na + 1)]
-        for j, (nb, nk) in enumerate(zip(self.orders.nb, self.orders.nk, strict=True)):
-            past += [(self.n_y + j, lag) for lag in range(nk, nk + nb)]
+        past = [(i, lag) for i in range(self.n) for lag in range(1, self.orders.na + 1)]
+        past += [(self.n + j, lag) for j, lags in enumerate(self.orders.input_lags) for lag in lags]
         return [*past, (-1, 0)]
 
     @property
     def regressor_names(self) -> tuple[str, ...]:
         """What the consequents multiply; the last is the constant 1."""
-        return regressor_names(self.regressors, self.signals)
+        return tuple("1" if c < 0 else lagged_name(self.signals[c].name, lag) for c, lag in self.regressors)
 
     @cached_property
     def lags(self) -> Lags:
         """The layout as the compiled kernels take it."""
-        return lags_of(self.regressors, self.antecedents)
+        columns, delays = zip(*self.regressors, strict=True)
+        z = np.array([(a.column, a.lag, a.minus) for a in self.antecedents], dtype=np.int64).reshape(-1, 3)
+        return Lags(
+            np.array(columns, dtype=np.int64), np.array(delays, dtype=np.int64), *np.ascontiguousarray(z.T)
+        )
 
     def stack(self, u: FloatArray, y: FloatArray) -> FloatArray:
-        """W (N, n_y + n_u) of the kernels, normalised; always a new array."""
-        W = np.empty((len(u), len(self.signals)))
-        W[: len(y), : self.n_y] = y
-        W[len(y) :, : self.n_y] = self.shift[: self.n_y]
-        W[:, self.n_y :] = u
-        return np.ascontiguousarray((W - self.shift) / self.scale)
+        """W (N, n + n_u) of the kernels, normalised; outputs not given, and hidden states, are zero."""
+        n_y = self.n_y
+        W = np.zeros((len(u), self.n + len(self.inputs)))
+        W[: len(y), :n_y] = (y - self.shift[:n_y]) / self.scale[:n_y]
+        W[:, self.n :] = (u - self.shift[self.n :]) / self.scale[self.n :]
+        return W
 
     def outputs_of(self, W: FloatArray) -> FloatArray:
         """Physical outputs of normalised W."""
         return np.asarray(W[:, : self.n_y] * self.scale[: self.n_y] + self.shift[: self.n_y])
 
     def antecedent_values(self, W: FloatArray) -> FloatArray:
-        """(N - depth, n_z) antecedent variables of normalised W."""
-        return antecedent_values(self.antecedents, W, self.depth)
+        """(N - depth, n_z) antecedent variables of normalised W, from row `depth` on."""
+        d = self.depth
+        n = len(W)
+        columns = []
+        for a in self.antecedents:
+            z = W[d - a.lag : n - a.lag, a.column]
+            columns.append(z if a.minus < 0 else z - W[d - a.minus : n - a.minus, a.column])
+        return np.stack(columns, axis=1) if columns else np.empty((max(n - d, 0), 0))
 
     def regressor_values(self, W: FloatArray) -> FloatArray:
         """(N - depth, n_x) regressors along normalised W, from row `depth` on."""
@@ -189,6 +188,24 @@ class Layout:
         """Shift and scale (n_z,) that turn normalised antecedents into physical ones."""
         shift = np.array([0.0 if a.minus >= 0 else self.shift[a.column] for a in self.antecedents])
         return shift, np.array([self.scale[a.column] for a in self.antecedents])
+
+
+def runs_of(layout: Layout, segments: Sequence[Segment], least: int) -> tuple[FloatArray, ...]:
+    """Normalised W of every segment that has at least `least` rows."""
+    return tuple(layout.stack(s.u, s.y) for s in segments if len(s) >= least)
+
+
+def windows(runs: Sequence[FloatArray], depth: int, rows: int) -> tuple[FloatArray, ...]:
+    """The runs cut into windows that simulate about `rows` rows each, every row once.
+
+    Windows share depth - 1 rows: the inputs that the first step looks back to.
+    """
+    pieces = []
+    for W in runs:
+        count = max(1, round((len(W) - depth + 1) / rows))
+        edges = np.linspace(depth - 1, len(W), count + 1).astype(int)
+        pieces += [W[a - depth + 1 : b] for a, b in itertools.pairwise(edges) if b - a > 2]
+    return tuple(np.ascontiguousarray(p) for p in pieces)
 
 
 def scaling(train: Dataset) -> tuple[FloatArray, FloatArray]:

@@ -1,53 +1,284 @@
-"""What rules over lags and rules over states tell alike of themselves: read off layout and parameters."""
+"""A fitted Takagi-Sugeno model: what it simulates, predicts, says and stores.
+
+    R_r: If z_1(k) is A_r1 and ... then x(k) = sum_j A_rj x(k-j) + sum_j B_rj u(k-nk-j) + c_r
+
+with the firing strengths and the weighted mean of the paper's eq. (1)-(3) (Takagi and Sugeno, 1985). x holds
+the outputs, and hidden states where there are any.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from flysid.dataset import FloatArray, Signal
-from flysid.model.base import OperatingPoint, write_document
-from flysid.model.rules.kernel import Parameters
+from flysid.errors import UsageError
+from flysid.model.arguments import as_columns, as_record
+from flysid.model.base import OperatingPoint, Rule, write_document
+from flysid.model.documents import head_of, points_as_json
+from flysid.model.noise import output_error_ahead
+from flysid.model.regressors import lagged_name
+from flysid.model.rules.free_run_error import widened
+from flysid.model.rules.kernel import Parameters, firing, free_run, predict
 from flysid.model.rules.memberships import Partition
-from flysid.model.rules.phrases import push_in_words
-from flysid.model.rules.physical import Scaled, physical_consequents, physical_partition
-from flysid.model.rules.regressor_layout import Antecedent
-from flysid.model.start import FreeRuns
+from flysid.model.rules.phrases import condition_in_words, equation, in_words, push_in_words
+from flysid.model.rules.physical import physical_consequents, physical_partition
+from flysid.model.rules.regressor_layout import Layout
+from flysid.model.rules.rule_poles import companion
+from flysid.model.rules.run_start import RunStart
+from flysid.model.start import FreeRuns, full_window, start_window
+
+ComplexArray = npt.NDArray[np.complex128]
+Recursion = tuple[FloatArray, FloatArray, FloatArray]
+"""(A, B, c): x(k) = sum_j A[j-1] x(k-j) + sum_j B[j] u(k-j) + c."""
 
 
-class RuleLayout(Scaled, Protocol):
-    """Signals and antecedents of a model of rules."""
-
-    @property
-    def inputs(self) -> tuple[Signal, ...]: ...
-    @property
-    def outputs(self) -> tuple[Signal, ...]: ...
-    @property
-    def signals(self) -> tuple[Signal, ...]: ...
-    @property
-    def antecedents(self) -> tuple[Antecedent, ...]: ...
-    @property
-    def regressor_names(self) -> tuple[str, ...]: ...
-
-
-class Ruled(FreeRuns):
-    """A fitted model of R rules; a frozen dataclass that derives from it has these fields.
+@dataclass(frozen=True, eq=False, repr=False)
+class RuleModel(FreeRuns):
+    """A dynamic TS model; see the laws in flysid.model.base.
 
     Attributes
     ----------
-    layout : signals, antecedents, scaling.
-    parameters : consequents and memberships in normalised units.
-    operating_points : what the model does where its vehicle rests.
+    layout : signals, hidden states, orders, antecedents, scaling.
+    parameters : consequents and memberships in normalised units; limits include ends of travel.
+    start : what a run starts from.
     support : (R,) share of training samples for which each rule is the strongest.
+    noise : (p + 1, n_y) monic autoregression of the free run's error per output, which predictions lean
+        on; None: predictions regress on measured lags.
+    operating_points : what the model does where its vehicle rests; () where it never does, or not asked.
     """
 
-    layout: RuleLayout
+    dt_s: float
+    layout: Layout
     parameters: Parameters
-    operating_points: tuple[OperatingPoint, ...]
+    start: RunStart
     support: FloatArray
+    notes: tuple[str, ...]
+    noise: FloatArray | None = None
+    operating_points: tuple[OperatingPoint, ...] = ()
+
+    @property
+    def structure(self) -> str:
+        """ "ts" over lags, "ts_ss" over hidden states."""
+        return self.start.structure
+
+    @property
+    def n_init(self) -> int:
+        """Measured samples that start a simulation."""
+        return self.start.samples
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]:
+        """Input signals."""
+        return self.layout.inputs
+
+    @property
+    def outputs(self) -> tuple[Signal, ...]:
+        """Output signals."""
+        return self.layout.outputs
+
+    @property
+    def output_limits(self) -> FloatArray:
+        """(2, n_y) range of the training outputs, widened by itself on each side; or ends of travel in it."""
+        n = self.layout.n_y
+        return np.asarray(self.parameters.limits[:, :n] * self.layout.scale[:n] + self.layout.shift[:n])
+
+    @property
+    def trained_range(self) -> FloatArray:
+        """(2, n_z) smallest and largest antecedents of the training data, physical units.
+
+        The memberships may go on beyond before they stay as they are.
+        """
+        reach = self.layout.reach
+        return widened(np.stack([self.partition.low, self.partition.high]), -reach / (1.0 + 2.0 * reach))
+
+    # -- runs ----------------------------------------------------------------------------------------------
+
+    def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+        """(N, n_y) free run from the first n_init measured outputs.
+
+        When None: from rest, that is with inputs and outputs at zero before the first sample.
+
+        Raises
+        ------
+        UsageError : shapes do not fit, or fewer than n_init outputs are given.
+        """
+        u = as_columns(u, len(self.inputs), "u")
+        if y0 is None:
+            W = self.run(u)
+            return self.outputs_of(W)[len(W) - len(u) :]
+        given = as_columns(y0, self.layout.n_y, "y0")[: self.n_init]
+        if len(given) < min(self.n_init, len(u)):
+            raise UsageError(f"{len(given)} measured samples; the model starts from {self.n_init}")
+        given = given[: len(u)]
+        if len(u) <= self.n_init:
+            return np.array(given)
+        result = self.outputs_of(self.run(u, given))
+        result[: self.n_init] = given
+        return result
+
+    def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
+        """(N, n_y) predictions from outputs at least k steps old; the first n_init + k - 1 rows are NaN.
+
+        A model refined on the simulation error adds to its free run what its noise model foresees, once it
+        has seen enough to start that run; lags as they were measured carry their noise into every step.
+
+        Raises
+        ------
+        UsageError : shapes do not fit, or k < 1.
+        """
+        u, y = as_record(self, u, y, k)
+        ahead = self.start.soon(self, u, y, int(k))
+        window = full_window(self.n_init, self.dt_s)
+        later = window + k - 1
+        if self.noise is not None and len(y) > later:
+            free = self.start.followed(self, u, y[:window])
+            ahead[later:] = output_error_ahead(free, y, self.noise, k)[later:]
+        return ahead
+
+    def one_step(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, n_y) what the rules conclude from measured lags, eq. (3); NaN in the first n_init rows."""
+        W = self.seen(u, y)
+        return self.layout.outputs_of(predict(W, self.n_init, 1, self.layout.lags, self.parameters))
+
+    @cached_property
+    def free(self) -> Parameters:
+        """Parameters of a free run, found once: a search for a start runs many."""
+        return self.start.free(self)
+
+    def unlimited(self) -> Self:
+        """The model without its output limits, if it needs none to be bounded: one rule, and stable."""
+        return replace(self, parameters=self.free)
+
+    def started(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+        """W that a run computes, from row `layout.depth` on: those before are its start.
+
+        Rows of zeros before the inputs where it starts from rest.
+        """
+        u = as_columns(u, len(self.inputs), "u")
+        n_y = self.layout.n_y
+        if y0 is None:
+            rest = self.start.rest
+            W = self.layout.stack(np.vstack([np.zeros((rest, u.shape[1])), u]), np.zeros((rest, n_y)))
+            known = 0
+        else:
+            given = as_columns(y0, n_y, "y0")[: len(u)]
+            W = self.layout.stack(u, given)
+            known = len(given)
+        self.start.write(self, W, known)
+        return W
+
+    def run(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+        """W of the free run from the start that `y0` (M, n_y) suggests, or from rest, rows of zeros first."""
+        W = self.started(u, y0)
+        if len(W) > self.layout.depth:
+            free_run(W, self.layout.depth, self.layout.lags, self.free)
+        return W
+
+    def outputs_of(self, W: FloatArray) -> FloatArray:
+        """(N, n_y) physical outputs of a run, inside the output limits."""
+        return np.asarray(np.clip(self.layout.outputs_of(W), *self.output_limits))
+
+    def states(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, n) outputs and hidden states (in spreads) of the free run along measured data."""
+        y = as_columns(y, self.layout.n_y, "y")
+        W = self.run(u, y[: start_window(self.n_init, len(y), self.dt_s)])
+        n = self.layout.n
+        return np.asarray(W[:, :n] * self.layout.scale[:n] + self.layout.shift[:n])
+
+    def seen(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """W with outputs as measured, hidden states as the free run has them."""
+        u, y = as_record(self, u, y)
+        W = self.layout.stack(u, y)
+        hidden = slice(self.layout.n_y, self.layout.n)
+        if self.layout.hidden:
+            W[:, hidden] = self.run(u, y[: start_window(self.n_init, len(y), self.dt_s)])[:, hidden]
+        return W
+
+    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, R) normalised firing strengths along measured data; the first rows repeat the next."""
+        return np.asarray(firing(self.seen(u, y), self.layout.depth, self.layout.lags, self.parameters))
+
+    def rule_outputs(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, R, n_y) what every rule concludes along measured data; NaN in the first n_init rows."""
+        W = self.seen(u, y)
+        first = max(self.n_init, self.layout.depth)
+        n_y = self.layout.n_y
+        theta = self.parameters.theta[:, :n_y]
+        result = np.full((len(W), len(theta), n_y), np.nan)
+        if len(W) > first:
+            x = self.layout.regressor_values(W)[first - self.layout.depth :]
+            part = np.einsum("rim,nm->nri", theta, x)
+            result[first:] = part * self.layout.scale[:n_y] + self.layout.shift[:n_y]
+        return result
+
+    # -- rules ---------------------------------------------------------------------------------------------
+
+    def recursions(self) -> tuple[Recursion, ...]:
+        """Per rule (A, B, c) over all simulated columns: x(k) = sum_j A[j-1] x(k-j) + sum_j B[j] u(k-j) + c.
+
+        A is (na, n, n), B is (largest input lag + 1, n, n_u), c is (n,), physical units.
+        """
+        n = self.layout.n
+        terms = self.layout.regressors[:-1]
+        deepest = max([0, *(lag for c, lag in terms if c >= n)])
+        result = []
+        for theta in self.consequents:
+            A = np.zeros((self.layout.orders.na, n, n))
+            B = np.zeros((deepest + 1, n, len(self.inputs)))
+            for m, (c, lag) in enumerate(terms):
+                if c < n:
+                    A[lag - 1, :, c] = theta[:, m]
+                else:
+                    B[lag, :, c - n] = theta[:, m]
+            result.append((A, B, theta[:, -1].copy()))
+        return tuple(result)
+
+    def local_polynomials(self) -> tuple[Recursion, ...]:
+        """Per rule (A, B, c): y(k) = sum_j A[j-1] y(k-j) + sum_j B[j] u(k-j) + c, physical units.
+
+        A is (lags, n_y, n_y), B is (largest input lag + 1, n_y, n_u), c is (n_y,). Hidden states are
+        eliminated.
+        """
+        found = self.recursions()
+        return tuple(_without_hidden(r, self.layout.n_y) for r in found) if self.layout.hidden else found
+
+    def local_poles(self) -> tuple[ComplexArray, ...]:
+        """Poles of every rule by itself, slowest first."""
+        found = [np.linalg.eigvals(companion(A)).astype(np.complex128) for A, _, _ in self.recursions()]
+        return tuple(p[np.argsort(-np.abs(p), kind="stable")] for p in found)
+
+    def rules(self) -> tuple[Rule, ...]:
+        """Every rule in words."""
+        parts = zip(self.recursions(), self.local_poles(), strict=True)
+        return tuple(self._rule(r, recursion, poles) for r, (recursion, poles) in enumerate(parts))
+
+    def _rule(self, r: int, recursion: Recursion, poles: ComplexArray) -> Rule:
+        A, B, c = recursion
+        layout = self.layout
+        units = [layout.signals[a.column].unit for a in layout.antecedents]
+        names = self.regressor_names[:-1]
+        text = ", ".join(
+            equation(lagged_name(s.name, 0), self.consequents[r, i, :-1], names, c[i])
+            for i, s in enumerate(layout.signals[: layout.n])
+        )
+        radius = float(np.abs(poles).max(initial=0.0))
+        return Rule(
+            label=f"R{r + 1}",
+            condition=condition_in_words(self.partition, r, self.antecedents, units),
+            conclusion=text,
+            dc_gain=dc_gain(A, B)[: layout.n_y],
+            time_constant_s=time_constant(radius, self.dt_s),
+            pole_radius=radius,
+            support=float(self.support[r]),
+            here=self.loudest(r),
+            push=self.push(r),
+        )
 
     def loudest(self, rule: int) -> tuple[OperatingPoint, ...]:
         """For every output the operating point, if any, where a rule is the strongest and its loudest."""
@@ -62,20 +293,6 @@ class Ruled(FreeRuns):
         with np.errstate(all="ignore"):
             pushes = np.array([float(c[0] / B.sum()) for _, B, c in self.local_polynomials()])
         return push_in_words(pushes, self.support, rule, self.inputs[0], float(self.layout.scale[-1]))
-
-    def local_polynomials(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
-        """Per rule (A, B, c): y(k) = sum_j A[j-1] y(k-j) + sum_j B[j] u(k-j) + c, physical units."""
-        raise NotImplementedError
-
-    @property
-    def inputs(self) -> tuple[Signal, ...]:
-        """Input signals."""
-        return self.layout.inputs
-
-    @property
-    def outputs(self) -> tuple[Signal, ...]:
-        """Output signals."""
-        return self.layout.outputs
 
     @property
     def n_parameters(self) -> int:
@@ -107,11 +324,6 @@ class Ruled(FreeRuns):
         return physical_partition(self.layout, self.parameters)
 
     @property
-    def trained_range(self) -> FloatArray:
-        """(2, n_z) smallest and largest antecedents of the training data, physical units."""
-        return np.stack([self.partition.low, self.partition.high])
-
-    @property
     def centres(self) -> FloatArray:
         """(R, n_z) centres of the memberships, physical units."""
         return self.partition.centre
@@ -125,10 +337,84 @@ class Ruled(FreeRuns):
         """(len(x), R) grade of membership of values x of one antecedent (physical units)."""
         return self.partition.grades(variable, x)
 
+    def __str__(self) -> str:
+        """The rules and how they were chosen, in words."""
+        count = len(self.parameters.theta)
+        rules = f"{count} rule{'s' if count > 1 else ''}"
+        layout = self.layout
+        title = f"Takagi-Sugeno model, {rules}, {layout.orders}"
+        if self.structure == "ts_ss":
+            title = f"Takagi-Sugeno state-space model, {rules}, {layout.n} states ({layout.hidden} hidden)"
+        title += f", {self.n_parameters} parameters"
+        return in_words(title, self.rules(), self.notes, (self.outputs, self.inputs), self.operating_points)
+
+    # -- storage -------------------------------------------------------------------------------------------
+
     def to_dict(self) -> dict[str, Any]:
         """Everything needed to rebuild the model, as JSON types only."""
-        raise NotImplementedError
+        layout = self.layout
+        return {
+            **head_of(self),
+            "na": layout.orders.na,
+            "nb": list(layout.orders.nb),
+            "nk": list(layout.orders.nk),
+            "hidden": layout.hidden,
+            "reach": layout.reach,
+            "antecedents": [[a.column, a.lag, a.minus] for a in layout.antecedents],
+            "shift": layout.shift.tolist(),
+            "scale": layout.scale.tolist(),
+            "parameters": {name: value.tolist() for name, value in self.parameters._asdict().items()},
+            **self.start.to_dict(),
+            "support": self.support.tolist(),
+            "noise": None if self.noise is None else self.noise.tolist(),
+            "operating_points": points_as_json(self.operating_points),
+            "notes": list(self.notes),
+        }
 
     def save(self, path: str | Path) -> None:
         """Write the model as JSON, whole or not at all."""
         write_document(self.to_dict(), path)
+
+
+def _without_hidden(recursion: Recursion, n_y: int) -> Recursion:
+    """A rule's state space (one past state) as a difference equation of its outputs.
+
+    With the adjugate of I - A/z by the Faddeev-LeVerrier recursion; A is (n, n_y, n_y), a common denominator.
+    """
+    (step,), drive, offset = recursion
+    n = len(step)
+    M = np.eye(n)
+    A = np.zeros((n, n_y, n_y))
+    B = np.zeros((n + len(drive) - 1, n_y, drive.shape[2]))
+    c = np.zeros(n_y)
+    for j in range(n):
+        B[j : j + len(drive)] += (M @ drive)[:, :n_y]
+        c += (M @ offset)[:n_y]
+        coefficient = -float(np.trace(M @ step)) / (j + 1)
+        A[j] = -coefficient * np.eye(n_y)
+        M = M @ step + coefficient * np.eye(n)
+    return A, B, c
+
+
+def refuse_other_models(model: object, *, hidden: bool = True) -> None:
+    """Raises UsageError where a model is not one of dynamic rules, or has hidden states and must not."""
+    if isinstance(model, RuleModel) and (hidden or model.structure == "ts"):
+        return
+    kind = getattr(model, "structure", type(model).__name__)
+    what = "dynamic rules" if hidden else "rules over lags"
+    raise UsageError(f"this is for {what}, and the model is {kind!r}", hint="fit flysid.TS(states=0)")
+
+
+def dc_gain(A: FloatArray, B: FloatArray) -> FloatArray:
+    """(n, n_u) steady gain; NaN where the rule integrates."""
+    left = np.eye(B.shape[1]) - A.sum(axis=0)
+    if np.linalg.cond(left) > 1e12 or np.abs(left).max() < 1e-12:
+        return np.full(B.shape[1:], np.nan)
+    return np.asarray(np.linalg.solve(left, B.sum(axis=0)))
+
+
+def time_constant(radius: float, dt_s: float) -> float:
+    """Seconds in which the slowest mode falls to 1/e; inf where it does not fall."""
+    if radius >= 1.0 - 1e-9:
+        return float("inf")
+    return 0.0 if radius <= 0.0 else float(-dt_s / np.log(radius))

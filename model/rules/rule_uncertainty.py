@@ -2,58 +2,46 @@
 
 At the minimum of the simulation error the estimate is a nonlinear least-squares one, so that its covariance
 is the sandwich (J'J)^-1 J'RJ (J'J)^-1 with the exact sensitivities J and the residual's own correlation R
-(Soderstrom and Stoica, 1989, section 7.5): simulation errors are never white. The first outputs of every
-segment were estimated too and are projected out. What a model cannot express (too few rules) is not in these
-intervals; the held-out comparison is there for that.
+(Soderstrom and Stoica, 1989, section 7.5): simulation errors are never white. What every run started from was
+estimated too and is projected out. What a model cannot express (too few rules) is not in these intervals; the
+held-out comparison is there for that.
+
+The choice of what a hidden state means leaves directions of the consequents that no output shows; they are
+held where they are. Gains, time constants of rules and the free run do not hang on that choice, single
+consequents of hidden states do.
+
+What hangs on the numbers in a curved way is taken to first order. Memberships and consequents trade off along
+bent valleys of the simulation error: draws from the distribution would leave the valley at its ends, always
+to the same side of the run, and call a free run unsure that every refit agrees on (2 to 120 times too wide on
+the plants of `bench.ts_bands`, where small steps agree with this band to 2 %).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.covariance import root_of
 from flysid.model.noise import coloured_gram, noise_model
 from flysid.model.polynomials import Z95
-from flysid.model.rules.fitted_lags import FittedTS, dc_gain, refuse_other_models, time_constant
-from flysid.model.rules.free_run_error import Body, Problem, run_sensitivities, runs_of, swept
+from flysid.model.rules.free_run_error import Body, Problem, run_sensitivities, swept
 from flysid.model.rules.growth import best_started
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.refit import as_problem
-from flysid.model.rules.rule_poles import pole_radius
+from flysid.model.rules.rule_model import RuleModel, refuse_other_models, time_constant
 from flysid.model.threads import on_one_thread
 
 _MOST_ROWS = 20_000  # sensitivities kept at a time; longer records are cut, which widens the intervals
-_LEVEL = (2.5, 97.5)
-
-
-class Uncertain(Protocol):
-    """What a model must offer to be drawn again with other numbers: a dataclass with `parameters`."""
-
-    @property
-    def dt_s(self) -> float: ...
-    @property
-    def consequents(self) -> FloatArray: ...
-    def local_polynomials(self) -> Sequence[tuple[FloatArray, FloatArray, FloatArray]]: ...
-
-
-class Coordinates(Protocol):
-    """What turns a body into a model's parameters."""
-
-    def parameters(self, body: Body) -> Parameters: ...
-
-
-M = TypeVar("M", bound=Uncertain)
+_NUDGE = 1e-6  # of a coordinate, for derivatives
 
 
 @dataclass(frozen=True, eq=False)
-class Uncertainty(Generic[M]):
+class Uncertainty:
     """The distribution of a model's numbers, normal to first order.
 
     Attributes
@@ -63,41 +51,55 @@ class Uncertainty(Generic[M]):
     covariance : (P, P) of `body.vector()`: consequent coordinates, centres, log widths.
     """
 
-    model: M
+    model: RuleModel
     body: Body
-    problem: Coordinates
+    problem: Problem
     covariance: FloatArray
 
     @cached_property
     def consequent_errors(self) -> FloatArray:
-        """(R, n_y, n_x) standard errors of `model.consequents`, physical units."""
-        return np.asarray(np.std([m.consequents for m in self.draws()], axis=0))
+        """(R, n, n_x) standard errors of `model.consequents`, physical units."""
+        J = self._slopes(lambda m: m.consequents)
+        return np.sqrt(np.maximum(self._product(J, J), 0.0)) / Z95
 
     @cached_property
     def gain_interval(self) -> FloatArray:
         """(2, R, n_y, n_u) 95 % interval of every rule's steady gain; NaN where the data do not bound it.
 
-        A draw that is unstable has no steady gain: where more than one in twenty is, nothing bounds it.
+        Of the ratio N / D that a gain is, by Fieller's theorem (1954): where D, which vanishes for a rule
+        that integrates, is not surely another number than 0, nothing bounds it.
         """
-        gains = np.array([[_steady_gain(A, B) for A, B, _ in m.local_polynomials()] for m in self.draws()])
-        bounded = np.isfinite(gains).mean(axis=0) >= 0.95
-        interval = np.full((2, *gains.shape[1:]), np.nan)
-        interval[:, bounded] = np.nanpercentile(gains[:, bounded], _LEVEL, axis=0)
-        return interval
+        top, under = _gains(self.model)
+        J, K = self._slopes(lambda m: np.stack(_gains(m)))
+        a = under**2 - self._product(K, K)
+        b = top * under - self._product(J, K)
+        root = np.sqrt(np.maximum(b * b - a * (top**2 - self._product(J, J)), 0.0))
+        with np.errstate(all="ignore"):
+            return np.where(a > 0.0, np.stack([(b - root) / a, (b + root) / a]), np.nan)
 
     @cached_property
     def time_constant_interval_s(self) -> FloatArray:
-        """(2, R) 95 % interval of every rule's slowest time constant; inf where draws integrate."""
-        times = [
-            [time_constant(pole_radius(A), m.dt_s) for A, _, _ in m.local_polynomials()] for m in self.draws()
-        ]
-        return np.percentile(times, _LEVEL, axis=0, method="nearest")
+        """(2, R) 95 % interval of every rule's slowest time constant; inf where the rule may integrate."""
+        radius = _radii(self.model)
+        J = self._slopes(_radii)
+        half = np.sqrt(np.maximum(self._product(J, J), 0.0))
+        ends = np.maximum([radius - half, radius + half], 0.0)
+        return np.array([[time_constant(r, self.model.dt_s) for r in end] for end in ends])
 
     def simulation_band(self, u: FloatArray, y0: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """(lower, upper), (N, n_y) each: pointwise 95 % band of the free run over what is uncertain."""
-        raise NotImplementedError
+        model = self.model
+        n_y = model.layout.n_y
+        middle = model.simulate(u, y0)
+        run = model.started(u, None if y0 is None else y0[: model.n_init])
+        half = np.zeros((len(run), n_y))
+        for rows, J in swept(self.problem, self.body, run):
+            half[rows] = np.sqrt(np.maximum(np.sum((J @ self.covariance) * J, axis=2), 0.0))
+        half = Z95 * model.layout.scale[:n_y] * half[len(run) - len(middle) :]
+        half[: 0 if y0 is None else model.n_init] = 0.0
+        return np.clip(middle - half, *model.output_limits), np.clip(middle + half, *model.output_limits)
 
-    def draws(self, count: int = 200, seed: int = 0) -> list[M]:
+    def draws(self, count: int = 200, seed: int = 0) -> list[RuleModel]:
         """Models whose numbers are drawn from the distribution; the same ones for the same seed."""
         centre = self.body.vector()
         normal = np.random.default_rng(seed).standard_normal((count, len(centre)))
@@ -112,76 +114,84 @@ class Uncertainty(Generic[M]):
         """The model's parameters at other numbers (P,)."""
         return self.problem.parameters(self.body.moved(vector))
 
-    def _at(self, vector: FloatArray) -> M:
-        model: Any = self.model
-        moved: M = replace(model, parameters=self.parameters_at(vector))
-        return moved
+    def _at(self, vector: FloatArray) -> RuleModel:
+        return replace(self.model, parameters=self.parameters_at(vector))
+
+    def _slopes(self, of: Callable[[RuleModel], FloatArray]) -> FloatArray:
+        """(..., P) derivatives of a figure to all consequent coordinates, by central differences."""
+        centre = self.body.vector()
+        slopes = []
+        for j in range(self.body.a.size):  # no rule's own figures hang on memberships
+            step = np.zeros(len(centre))
+            step[j] = _NUDGE
+            slopes.append((of(self._at(centre + step)) - of(self._at(centre - step))) / (2.0 * _NUDGE))
+        return np.stack(slopes, axis=-1)
+
+    def _product(self, J: FloatArray, K: FloatArray) -> FloatArray:
+        """1.96 squared times the covariance of two figures of these derivatives."""
+        size = self.body.a.size
+        return np.asarray(Z95**2 * np.einsum("...p,pq,...q->...", J, self.covariance[:size, :size], K))
 
 
-class RuleUncertainty(Uncertainty[FittedTS]):
-    """The distribution of the numbers of rules over lags."""
+def _gains(model: RuleModel) -> tuple[FloatArray, FloatArray]:
+    """(R, n_y, n_u) numerators and denominators of every rule's steady gains."""
+    top = []
+    under = []
+    for A, B, _ in model.recursions():
+        left = np.eye(B.shape[1]) - A.sum(axis=0)
+        adjugate, determinant = _adjugate(left)
+        top.append((adjugate @ B.sum(axis=0))[: model.layout.n_y])
+        under.append(np.full(top[-1].shape, determinant))
+    return np.array(top), np.array(under)
 
-    problem: Problem
 
-    def simulation_band(self, u: FloatArray, y0: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """(lower, upper), (N, n_y) each: pointwise 95 % band of the free run over what is uncertain.
+def _adjugate(matrix: FloatArray) -> tuple[FloatArray, float]:
+    """The adjugate of a matrix (n, n), and its determinant, by the Faddeev-LeVerrier recursion."""
+    n = len(matrix)
+    M = np.eye(n)
+    for j in range(1, n):
+        product = matrix @ M
+        M = product - np.trace(product) / j * np.eye(n)
+    sign = (-1.0) ** (n - 1)
+    return sign * M, sign * float(np.trace(matrix @ M)) / n
 
-        To first order, with the exact sensitivities of the run. Memberships and consequents make up for each
-        other along bent valleys of the simulation error: draws from the normal distribution leave the valley
-        at its ends, always to the same side of the run, and their band is lopsided and too wide: 2 to 120
-        times on the plants of `bench.ts_bands`, where small steps agree with this band to 2 %.
-        """
-        model = self.model
-        n_y = self.model.layout.n_y
-        middle = model.simulate(u, y0)
-        run = model.started(u, y0)
-        half = np.zeros((len(run), n_y))
-        for rows, J in swept(self.problem, self.body, run):
-            half[rows] = np.sqrt(np.maximum(np.sum((J @ self.covariance) * J, axis=2), 0.0))
-        half = Z95 * model.layout.scale[:n_y] * half[len(run) - len(middle) :]
-        return np.clip(middle - half, *model.output_limits), np.clip(middle + half, *model.output_limits)
+
+def _radii(model: RuleModel) -> FloatArray:
+    """(R,) pole radius of every rule."""
+    return np.array([np.abs(p).max(initial=0.0) for p in model.local_poles()])
 
 
 @on_one_thread
-def uncertainty(model: FittedTS, train: Dataset) -> RuleUncertainty:
+def uncertainty(model: RuleModel, train: Dataset) -> Uncertainty:
     """How sure the model is of its numbers, from the data that it was fitted to.
 
     Raises
     ------
-    UsageError : the data hold other signals than the model.
+    UsageError : not a model of dynamic rules; the data hold other signals than the model.
     DataError : fewer samples than numbers in the model.
     """
     refuse_other_models(model)
-    check_signals(model.layout.signals, train)
-    runs = shortened(runs_of(model.layout, train.segments, model.n_init + 2))
-    if sum(len(W) - model.n_init for W in runs) * model.layout.n_y <= model.n_parameters:
-        raise DataError("fewer samples than numbers in the model: nothing can be said about its uncertainty")
-    problem, body = as_problem(model.layout, model.parameters, runs)
-    jacobians = []
-    errors = []
-    for W, initial in zip(runs, best_started(problem, body).initial, strict=True):
-        J, e = _sensitivities(problem, body, W, initial)
-        jacobians.append(J)
-        errors.append(e)
-    return RuleUncertainty(model, body, problem, covariance_of(body, jacobians, errors))
-
-
-def check_signals(signals: Sequence[Signal], train: Dataset) -> None:
-    """Raise UsageError where the data hold other signals than a model's outputs and inputs."""
+    layout = model.layout
     names = [s.name for s in (*train.outputs, *train.inputs)]
-    known = [s.name for s in signals]
-    if names != known:
+    own = [s.name for s in (*layout.outputs, *layout.inputs)]
+    if names != own:
         raise UsageError(
-            f"the data hold {names}, the model has {known}", hint="give the data that the model was fitted to"
+            f"the data hold {names}, the model has {own}", hint="give the data that the model was fitted to"
         )
+    runs = _shortened([model.seen(s.u, s.y) for s in train.segments if len(s) >= model.n_init + 2])
+    if sum(len(W) - layout.depth for W in runs) * layout.n_y <= model.n_parameters:
+        raise DataError("fewer samples than numbers in the model: nothing can be said about its uncertainty")
+    problem, body = as_problem(layout, model.parameters, runs)
+    starts = best_started(problem, body).initial
+    found = [_sensitivities(problem, body, W, x) for W, x in zip(runs, starts, strict=True)]
+    chosen = body.free
+    covariance = np.zeros((body.size, body.size))
+    known = _covariance([J[:, :, chosen] for J, _ in found], [e for _, e in found])
+    covariance[np.ix_(chosen, chosen)] = known
+    return Uncertainty(model, body, problem, covariance)
 
 
-def _steady_gain(A: FloatArray, B: FloatArray) -> FloatArray:
-    """(n_y, n_u) steady gain; NaN where there is none."""
-    return dc_gain(A, B) if pole_radius(A) < 1.0 else np.full(B.shape[1:], np.nan)
-
-
-def shortened(runs: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+def _shortened(runs: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
     """As many whole runs as fit into the rows kept at a time, and the beginning of the next."""
     kept: list[FloatArray] = []
     left = _MOST_ROWS
@@ -195,21 +205,13 @@ def shortened(runs: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
 def _sensitivities(
     problem: Problem, body: Body, W: FloatArray, initial: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(N, n_y, P) sensitivities of a free run, its own first outputs projected out, and (N, n_y) errors."""
-    J, error = run_sensitivities(problem, body, W, initial)
+    """(N, n_y, P) sensitivities of a free run, what it started from projected out, and (N, n_y) errors."""
+    J, error = (part[problem.layout.uncompared :] for part in run_sensitivities(problem, body, W, initial))
     flat = J.reshape(-1, J.shape[2])
     own = np.linalg.qr(flat[:, body.size :])[0]
     rest = flat[:, : body.size]
     rest = rest - own @ (own.T @ rest)
     return rest.reshape(*error.shape, -1), error
-
-
-def covariance_of(body: Body, jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> FloatArray:
-    """(P, P) of `body.vector()`; a single rule's memberships mean nothing, and are certain."""
-    chosen = np.arange(body.size if len(body.a) > 1 else body.a.size)
-    covariance = np.zeros((body.size, body.size))
-    covariance[np.ix_(chosen, chosen)] = _covariance([J[:, :, chosen] for J in jacobians], errors)
-    return covariance
 
 
 def _covariance(jacobians: Sequence[FloatArray], errors: Sequence[FloatArray]) -> FloatArray:

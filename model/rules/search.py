@@ -15,11 +15,11 @@ import numpy as np
 
 from flysid.errors import DataError
 from flysid.model.rules.clustered_start import clustered_stage
-from flysid.model.rules.free_run_error import Stage, runs_of
+from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import one_rule_more, thinned
 from flysid.model.rules.judging import Candidate, choose
 from flysid.model.rules.refit import refit
-from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, parse_antecedent, scaling
+from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, parse_antecedent, runs_of, scaling
 from flysid.model.rules.search_context import SearchContext, Settings
 from flysid.model.rules.stages import refine, with_ridge
 from flysid.progress import tell

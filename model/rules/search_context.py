@@ -9,14 +9,14 @@ from typing import Literal, Protocol
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.rules.free_run_error import Problem, Stage, runs_of
+from flysid.model.rules.free_run_error import Problem, Stage
 from flysid.model.rules.growth import embedded_start, first_basis, linear_stage, rebased, unrefined
 from flysid.model.rules.integrator import looks_integrating, with_integrator
 from flysid.model.rules.judging import Candidate, choose, judged
 from flysid.model.rules.linear_starts import LinearModel, arx_start, as_stage, linear_models
 from flysid.model.rules.probe_inputs import probe_run
 from flysid.model.rules.refit import refit
-from flysid.model.rules.regressor_layout import Layout, Orders
+from flysid.model.rules.regressor_layout import Layout, Orders, runs_of
 from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.rules.stages import refine
 

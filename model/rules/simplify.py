@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.rules.assembly import finished, free_run_rmse
+from flysid.model.rules.assembly import at_stage, free_run_rmse
 from flysid.model.rules.consequents import refuse_few, refuse_other_data
 from flysid.model.rules.edits import edits, staged
-from flysid.model.rules.fitted_lags import FittedTS, refuse_other_models
-from flysid.model.rules.free_run_error import runs_of
 from flysid.model.rules.judging import is_bounded
+from flysid.model.rules.operating_points import described
 from flysid.model.rules.phrases import from_to
+from flysid.model.rules.regressor_layout import runs_of
+from flysid.model.rules.rule_model import RuleModel, refuse_other_models
 from flysid.model.rules.stages import ordered, refine, with_ridge
 from flysid.model.threads import on_one_thread
 
@@ -38,7 +39,7 @@ class Simplification:
     """
 
     what: str
-    model: FittedTS
+    model: RuleModel
     before: FloatArray
     after: FloatArray
 
@@ -56,7 +57,7 @@ class Simplification:
 
 @on_one_thread
 def simplifications(
-    model: FittedTS, train: Dataset, validation: Dataset | None = None, *, iterations: int = 15
+    model: RuleModel, train: Dataset, validation: Dataset | None = None, *, iterations: int = 15
 ) -> list[Simplification]:
     """What could be said more simply, cheapest first; an unstable edit is not offered.
 
@@ -86,14 +87,15 @@ def simplifications(
     for what, stage in tried[:_TRIED]:
         refined = refine(with_ridge(stage, _RIDGE * stage.cost), iterations, 1e-5)
         if np.isfinite(refined.cost) and is_bounded(refined):
-            edited = finished(ordered(refined), train, (*model.notes, f"Simplified by hand: {what}."))
+            told = replace(model, notes=(*model.notes, f"Simplified by hand: {what}."))
+            edited = described(at_stage(told, ordered(refined), train), train)
             found.append(Simplification(what, edited, before, free_run_rmse(edited, judge)))
     return sorted(found, key=lambda s: s.loss_pct)
 
 
 def simplify(
-    model: FittedTS, train: Dataset, validation: Dataset | None = None, *, most_loss_pct: float = 2.0
-) -> tuple[FittedTS, tuple[Simplification, ...]]:
+    model: RuleModel, train: Dataset, validation: Dataset | None = None, *, most_loss_pct: float = 2.0
+) -> tuple[RuleModel, tuple[Simplification, ...]]:
     """The simplest model that the free run allows, and every step to it.
 
     Steps are taken while the RMSE stays within `most_loss_pct` of the first model's on every output.
@@ -103,7 +105,7 @@ def simplify(
     UsageError : not a model of rules over lags.
     DataError : no segment is long enough to simulate.
     """
-    refuse_other_models(model)
+    refuse_other_models(model, hidden=False)
     steps: list[Simplification] = []
     first: FloatArray | None = None
     while len(model.parameters.theta) > 1:

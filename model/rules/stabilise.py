@@ -16,10 +16,10 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
-from flysid.model.rules.assembly import finished, free_run_rmse
+from flysid.model.rules.assembly import at_stage, free_run_rmse
 from flysid.model.rules.consequents import refuse_few, refuse_other_data
-from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.free_run_error import Body, Problem, Stage, runs_of, widened
+from flysid.model.rules.fitted import FittedTS
+from flysid.model.rules.free_run_error import Body, Problem, Stage, widened
 from flysid.model.rules.growth import best_started
 from flysid.model.rules.integrator import holds_integrator
 from flysid.model.rules.judging import is_bounded
@@ -27,7 +27,7 @@ from flysid.model.rules.kernel import IntArray
 from flysid.model.rules.local_models import certificate_of
 from flysid.model.rules.operating_points import described
 from flysid.model.rules.phrases import from_to
-from flysid.model.rules.regressor_layout import REACH, Layout
+from flysid.model.rules.regressor_layout import Layout, runs_of
 from flysid.model.rules.rule_poles import companion, output_lags, pole_radius
 from flysid.model.rules.stages import ordered
 from flysid.model.threads import on_one_thread
@@ -84,7 +84,7 @@ def with_stable_rules(
     refuse_few(sum(len(W) - model.n_init for W in runs), theta[:, 0].size)
     drawn = _drawn(theta, model.support, holds, layout, largest)
     stage = _refined(model, drawn, runs)
-    found = finished(ordered(stage), train, (), intervals=False)
+    found = at_stage(model, ordered(stage), train)
     told = replace(found, notes=(*model.notes, _told(model, found, train, certified=certified)))
     return described(told, train)
 
@@ -153,7 +153,7 @@ def _refined(model: FittedTS, theta: FloatArray, runs: tuple[FloatArray, ...]) -
         at = np.flatnonzero(block)
         if len(at):
             basis[np.ix_(at, at)] = _whitened(layout, runs, at)
-    trained = widened(p.z_range, -REACH / (1.0 + 2.0 * REACH))
+    trained = widened(p.z_range, -layout.reach / (1.0 + 2.0 * layout.reach))
     problem = Problem(layout, runs, basis, np.zeros(theta.shape[1:]), trained, p.limits)
     a = np.ascontiguousarray(np.linalg.solve(basis.T, theta.transpose(2, 0, 1).reshape(len(past), -1)))
     a = np.ascontiguousarray(a.reshape(len(past), *theta.shape[:2]).transpose(1, 2, 0))

@@ -3,34 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.free_run_error import Body, RuleLayout, RuleStage
+from flysid.model.rules.free_run_error import Body, Stage
 
-L = TypeVar("L", bound=RuleLayout)
 _FLAT = 1e-9  # of the largest diagonal entry: unknowns that the cost does not feel
 _PROMISE_DAMPING = 1e-3
 
 
-def refine(stage: RuleStage[L], iterations: int, tolerance: float) -> RuleStage[L]:
+def refine(stage: Stage, iterations: int, tolerance: float) -> Stage:
     """Levenberg-Marquardt on the simulation error from where the stage is."""
     return stage.descended(iterations, tolerance)
 
 
-def with_ridge(stage: RuleStage[L], ridge: float) -> RuleStage[L]:
+def with_ridge(stage: Stage, ridge: float) -> Stage:
     """The same stage under another ridge on the spread of its rules."""
     return replace(stage, problem=replace(stage.problem, ridge=ridge))
 
 
-def on_runs(stage: RuleStage[L], other: RuleStage[L]) -> RuleStage[L]:
+def on_runs(stage: Stage, other: Stage) -> Stage:
     """A stage's model on the runs of another stage, started where that one starts."""
     return replace(stage, problem=replace(stage.problem, runs=other.problem.runs), initial=other.initial)
 
 
-def expected_cost(stage: RuleStage[L]) -> float:
+def expected_cost(stage: Stage) -> float:
     """The cost that one regularised Gauss-Newton step on all unknowns promises; inf where it cannot."""
     cost, H, g = stage.normal()
     if not (H.is_finite() and np.isfinite(g).all()):
@@ -41,7 +39,7 @@ def expected_cost(stage: RuleStage[L]) -> float:
     return float("inf") if step is None else cost + float(step @ g)
 
 
-def inserted(stage: RuleStage[L], centre: FloatArray, width: FloatArray) -> RuleStage[L]:
+def inserted(stage: Stage, centre: FloatArray, width: FloatArray) -> Stage:
     """One rule more, whose consequents are what the others conclude together at its centre.
 
     The blend near the centre stays nearly what it was, so that nothing learned is lost, whereas replacing
@@ -65,7 +63,7 @@ def inserted(stage: RuleStage[L], centre: FloatArray, width: FloatArray) -> Rule
     return replace(stage, body=grown)
 
 
-def ordered(stage: RuleStage[L]) -> RuleStage[L]:
+def ordered(stage: Stage) -> Stage:
     """The same model with its rules in the order of their centres, first antecedent first."""
     body = stage.body
     if body.centre.shape[1] == 0:

@@ -9,14 +9,14 @@ from typing import Literal, Protocol
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
+from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.realisation import PLAIN, PLAIN_WORDS, Realisation, coordinates
-from flysid.model.rules.regressor_layout import Antecedent, parse_antecedents
+from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, parse_antecedents, runs_of
 from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.rules.stages import refine, with_ridge
 from flysid.model.rules.state_choice import Family
-from flysid.model.rules.state_growth import StateStage, Training, best_insertion, linear_stage, on_runs_of
+from flysid.model.rules.state_growth import Training, best_insertion, linear_stage, on_runs_of
 from flysid.model.rules.state_judging import Judged, is_bounded, judged
-from flysid.model.rules.state_layout import StateLayout, runs_of
 from flysid.model.rules.state_systems import System
 
 LARGE = 6000  # samples from which on one start and one ridge must do, and a sample of the data
@@ -52,11 +52,11 @@ class StateContext:
     ends: FloatArray
     scaled: tuple[FloatArray, FloatArray]
 
-    def linear(self, system: System, data: Dataset) -> StateStage:
+    def linear(self, system: System, data: Dataset) -> Stage:
         """One rule: the system as it is, or refined on the data where that is what it stands for."""
         return self._stage(system.on(data), data, 0 if system.again else _LINEAR_STEPS)
 
-    def in_coordinates(self, stage: StateStage, name: str) -> tuple[StateStage, str]:
+    def in_coordinates(self, stage: Stage, name: str) -> tuple[Stage, str]:
         """A single rule in other coordinates, and what its hidden states are then."""
         real = Realisation.of(stage.layout, stage.body.a[0])
         if name == PLAIN:
@@ -68,51 +68,53 @@ class StateContext:
             replace(stage.layout, antecedents=()), stage.problem.runs, real, ends, 0
         ), real.words
 
-    def _stage(self, real: Realisation, data: Dataset, iterations: int) -> StateStage:
+    def _stage(self, real: Realisation, data: Dataset, iterations: int) -> Stage:
         shift, scale = self.scaled
         n_y = len(data.outputs)
         hidden = len(real.A) - len(data.outputs)
-        layout = StateLayout(
+        layout = Layout(
             data.outputs,
             data.inputs,
-            hidden,
-            real.input_lags,
+            Orders.of_states(real.input_lags),
             (),
             np.concatenate([shift[:n_y], np.zeros(hidden), shift[n_y:]]),
             np.concatenate([scale[:n_y], np.ones(hidden), scale[n_y:]]),
+            hidden,
+            0.0,
         )
         ends = (self.ends - shift[:n_y]) / scale[:n_y]
         return linear_stage(
             layout, runs_of(layout, data.segments, self.least), real, ends, iterations, whiten=True
         )
 
-    def candidates(self, layout: StateLayout) -> tuple[Antecedent, ...]:
+    def candidates(self, layout: Layout) -> tuple[Antecedent, ...]:
         """Variables that rules may look at: those asked for, or all."""
         if self.settings.antecedents == "auto":
-            return layout.candidates()
+            of_inputs = enumerate(layout.orders.input_lags)
+            inputs = [Antecedent(layout.n + j, lags[0]) for j, lags in of_inputs if lags]
+            return (*(Antecedent(i, 1) for i in range(layout.n)), *inputs)
         states = layout.signals[: layout.n]
-        delays = [min(lags, default=0) for lags in layout.input_lags]
-        return parse_antecedents(self.settings.antecedents, states, layout.inputs, delays)
+        return parse_antecedents(self.settings.antecedents, states, layout.inputs, layout.orders.nk)
 
     @property
     def most(self) -> int:
         """Where growth stops."""
         return self.settings.most_rules if self.settings.rules == "auto" else self.settings.rules
 
-    def judge(self, stage: StateStage, check: Dataset) -> Judged:
+    def judge(self, stage: Stage, check: Dataset) -> Judged:
         """A stage on a judging part."""
         return judged(stage, runs_of(stage.layout, check.segments, self.least), self.least - SPARE_ROWS)
 
-    def room(self, stage: StateStage) -> bool:
+    def room(self, stage: Stage) -> bool:
         """Whether there are samples enough for one rule more."""
         return stage.body.a.size * (stage.rules + 1) / stage.rules * _SAMPLES < stage.problem.samples
 
-    def single(self, system: System, train: Dataset) -> tuple[StateStage, str]:
+    def single(self, system: System, train: Dataset) -> tuple[Stage, str]:
         """One rule on all training data, in the most readable coordinates, and what its hidden states are."""
         stage = self.linear(system, train)
         return self.in_coordinates(stage, "" if len(system.real.A) <= _READABLE else PLAIN)
 
-    def on_everything(self, family: Family, at: int, train: Dataset) -> StateStage:
+    def on_everything(self, family: Family, at: int, train: Dataset) -> Stage:
         """The chosen model on all training data: grown again, or refined from the first part's.
 
         Long records are spared growing again. Fewer rules where the model does not come back from bounded
@@ -124,14 +126,14 @@ class StateContext:
         kept = refine(kept, self.settings.iterations, 1e-6)
         options = [kept] if np.isfinite(kept.cost) else []
         if not is_bounded(start):
-            return min([*options, *self._regrown(start, family.ridge, at)[-1:]], key=StateStage.mean_square)
+            return min([*options, *self._regrown(start, family.ridge, at)[-1:]], key=Stage.mean_square)
         if len(train) > LARGE and options and is_bounded(kept):
             return kept
         again = self._regrown(start, family.ridge, at)
-        options = sorted([*options, again[-1]], key=StateStage.mean_square) + again[-2::-1]
+        options = sorted([*options, again[-1]], key=Stage.mean_square) + again[-2::-1]
         return next((s for s in options if is_bounded(s)), start)
 
-    def _regrown(self, start: StateStage, ridge: float, at: int) -> list[StateStage]:
+    def _regrown(self, start: Stage, ridge: float, at: int) -> list[Stage]:
         how = Training(ridge=ridge, iterations=self.settings.iterations)
         stages = [start]
         while len(stages) <= at:

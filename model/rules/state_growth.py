@@ -15,12 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.free_run_error import Body, RuleProblem, RuleStage, antecedent_range
+from flysid.model.rules.free_run_error import Body, Problem, Stage, antecedent_range
+from flysid.model.rules.growth import seen
+from flysid.model.rules.judging import prior_of
 from flysid.model.rules.kernel import firing
 from flysid.model.rules.realisation import Prior, Realisation, initial_states, uncorrelated
-from flysid.model.rules.regressor_layout import Antecedent
+from flysid.model.rules.regressor_layout import Antecedent, Layout, windows
 from flysid.model.rules.stages import expected_cost, inserted, on_runs, refine, with_ridge
-from flysid.model.rules.state_layout import StateLayout, windows
 
 _PLACES = (0.15, 0.5, 0.85)
 _FIRST_PLACES = (0.1, 0.3, 0.7, 0.9)  # not the middle, from where there is no other side
@@ -36,25 +37,15 @@ _FEWEST = 10  # samples of a region that takes another rule
 _MARGIN = 0.1  # of its range, by which a hidden antecedent's range is widened
 
 
-StateProblem = RuleProblem[StateLayout]
-StateStage = RuleStage[StateLayout]
-
-
-def prior_of(stage: StateStage) -> Prior:
-    """What training says about states, for starting other runs."""
-    runs = [run[stage.layout.depth - 1 :] for run in stage.simulated()]
-    return Prior.of(runs, stage.layout.n, stage.mean_square())
-
-
 def linear_stage(
-    layout: StateLayout,
+    layout: Layout,
     runs: tuple[FloatArray, ...],
     real: Realisation,
     ends: FloatArray,
     iterations: int,
     *,
     whiten: bool = False,
-) -> StateStage:
+) -> Stage:
     """The refined linear model in the coordinates of `real`, hidden states scaled to their spread.
 
     With `whiten` in coordinates of its own: hidden states uncorrelated with the outputs and each other.
@@ -96,24 +87,22 @@ def linear_stage(
     return replace(stage, problem=replace(stage.problem, metric=metric))
 
 
-def _linear(problem: StateProblem, real: Realisation, prior: Prior) -> StateStage:
+def _linear(problem: Problem, real: Realisation, prior: Prior) -> Stage:
     """One rule from a realisation, every run started from its most likely state."""
     still = np.zeros((1, 0))
     body = Body(real.consequent(problem.layout)[None], still, still)
     par = problem.parameters(body)
     initial = initial_states(problem.layout, problem.runs, par, prior, _START_ROWS)
-    return StateStage(problem, body, initial, np.inf)
+    return Stage(problem, body, initial, np.inf)
 
 
-def unmoved(
-    layout: StateLayout, runs: tuple[FloatArray, ...], z_range: FloatArray, limits: FloatArray
-) -> StateProblem:
+def unmoved(layout: Layout, runs: tuple[FloatArray, ...], z_range: FloatArray, limits: FloatArray) -> Problem:
     """A problem whose consequents stand as they are, without a ridge."""
     n_x = len(layout.regressors)
-    return StateProblem(layout, runs, np.eye(n_x), np.zeros((layout.n, n_x)), z_range, limits)
+    return Problem(layout, runs, np.eye(n_x), np.zeros((layout.n, n_x)), z_range, limits)
 
 
-def in_windows(stage: StateStage, rows: int) -> StateStage:
+def in_windows(stage: Stage, rows: int) -> Stage:
     """The stage over windows of about `rows` rows, each started where the free run is."""
     d = stage.layout.depth
     data = windows(stage.problem.runs, d, rows)
@@ -121,25 +110,25 @@ def in_windows(stage: StateStage, rows: int) -> StateStage:
     return replace(stage, problem=replace(stage.problem, runs=data), initial=initial)
 
 
-def on_runs_of(stage: StateStage, other: StateStage) -> StateStage:
+def on_runs_of(stage: Stage, other: Stage) -> Stage:
     """A stage's model on the runs of another, from the most likely states."""
     moved = on_other_runs(stage, other.problem.runs)
     kept = replace(moved, initial=other.initial)
     return min((moved, kept), key=lambda s: s.mean_square())
 
 
-def on_other_runs(stage: StateStage, runs: tuple[FloatArray, ...]) -> StateStage:
+def on_other_runs(stage: Stage, runs: tuple[FloatArray, ...]) -> Stage:
     """A stage's model on other runs, from the most likely states."""
     problem = replace(stage.problem, runs=runs)
     initial = initial_states(stage.layout, runs, problem.parameters(stage.body), prior_of(stage), 100)
     return replace(stage, problem=problem, initial=initial)
 
 
-def with_variables(stage: StateStage, antecedents: tuple[Antecedent, ...]) -> StateStage:
+def with_variables(stage: Stage, antecedents: tuple[Antecedent, ...]) -> Stage:
     """The same model looking at more antecedents, in which every rule covers everything."""
     old = stage.layout.antecedents
     layout = replace(stage.layout, antecedents=antecedents)
-    z_range = antecedent_range(layout, _seen(stage))
+    z_range = antecedent_range(layout, seen(stage))
     span = z_range[1] - z_range[0]
     hidden = np.array([layout.n_y <= a.column < layout.n for a in antecedents])
     z_range = z_range + np.outer([-1.0, 1.0], np.where(hidden, _MARGIN * span, 0.0))
@@ -154,17 +143,6 @@ def with_variables(stage: StateStage, antecedents: tuple[Antecedent, ...]) -> St
     return replace(stage, problem=problem, body=Body(stage.body.a, centre, width))
 
 
-def _seen(stage: StateStage) -> list[FloatArray]:
-    """Training runs as measured, with the hidden states as simulated."""
-    hidden = slice(stage.layout.n_y, stage.layout.n)
-    found = []
-    for run, W in zip(stage.simulated(), stage.problem.runs, strict=True):
-        both = W.copy()
-        both[:, hidden] = run[:, hidden]
-        found.append(both)
-    return found
-
-
 @dataclass(frozen=True)
 class Insertion:
     """Where a rule goes: along which variable, in whose region, at which quantile of the variable there."""
@@ -173,7 +151,7 @@ class Insertion:
     rule: int
     place: float
 
-    def into(self, stage: StateStage) -> StateStage | None:
+    def into(self, stage: Stage) -> Stage | None:
         """The stage with that rule more, not refined; None where the region holds next to no samples.
 
         The new rule takes the other rule's centre in the other variables. Its width is half the spread there.
@@ -183,7 +161,7 @@ class Insertion:
         z, phi = z_and_firing(wide)
         return self._into(wide, z, phi.argmax(axis=1))
 
-    def _into(self, wide: StateStage, z: FloatArray, strongest: npt.NDArray[np.intp]) -> StateStage | None:
+    def _into(self, wide: Stage, z: FloatArray, strongest: npt.NDArray[np.intp]) -> Stage | None:
         j = wide.layout.antecedents.index(self.antecedent)
         span = float(np.ptp(z[:, j]))
         chosen = z[strongest == self.rule, j]
@@ -198,7 +176,7 @@ class Insertion:
         return inserted(wide, centre, width)
 
 
-def insertions(stage: StateStage, candidates: Sequence[Antecedent]) -> list[tuple[Insertion, StateStage]]:
+def insertions(stage: Stage, candidates: Sequence[Antecedent]) -> list[tuple[Insertion, Stage]]:
     """One rule more, at several places along every candidate variable in every rule's region."""
     options = []
     places = _PLACES if stage.rules > 1 else _FIRST_PLACES
@@ -215,7 +193,7 @@ def insertions(stage: StateStage, candidates: Sequence[Antecedent]) -> list[tupl
     return options
 
 
-def z_and_firing(stage: StateStage) -> tuple[FloatArray, FloatArray]:
+def z_and_firing(stage: Stage) -> tuple[FloatArray, FloatArray]:
     """Antecedents and firing strengths along the simulated runs."""
     lags = stage.layout.lags
     par = stage.problem.parameters(stage.body)
@@ -242,14 +220,14 @@ class Training:
     tolerance: float = 1e-6
 
 
-def one_rule_more(stage: StateStage, candidates: Sequence[Antecedent], how: Training) -> StateStage:
+def one_rule_more(stage: Stage, candidates: Sequence[Antecedent], how: Training) -> Stage:
     """The best insertion, refined fully."""
     return best_insertion(stage, candidates, how)[0]
 
 
 def best_insertion(
-    stage: StateStage, candidates: Sequence[Antecedent], how: Training
-) -> tuple[StateStage, Insertion | None]:
+    stage: Stage, candidates: Sequence[Antecedent], how: Training
+) -> tuple[Stage, Insertion | None]:
     """The stage with the best insertion, refined fully, and where that was; the stage itself where none fits.
 
     Promises are computed on few samples, tried out on more, and the best is refined on all.
@@ -269,18 +247,18 @@ def best_insertion(
     return settled(best, how), options[order[at]][0]
 
 
-def same_insertion(stage: StateStage, insertion: Insertion, how: Training) -> StateStage | None:
+def same_insertion(stage: Stage, insertion: Insertion, how: Training) -> Stage | None:
     """A rule more where another part of the data wanted it, refined fully; None where it cannot be."""
     grown = insertion.into(with_ridge(stage, how.ridge * stage.mean_square()))
     return None if grown is None else settled(grown, how)
 
 
-def settled(stage: StateStage, how: Training) -> StateStage:
+def settled(stage: Stage, how: Training) -> Stage:
     """Refined fully, under the ridge that its present error asks for."""
     return refine(with_ridge(stage, how.ridge * stage.mean_square()), how.iterations, how.tolerance)
 
 
-def thinned(stage: StateStage, samples: int) -> StateStage:
+def thinned(stage: Stage, samples: int) -> Stage:
     """The stage on at most about `samples` rows: evenly spaced windows, started where the model is."""
     total = sum(len(W) for W in stage.problem.runs)
     if total <= samples:
@@ -289,9 +267,3 @@ def thinned(stage: StateStage, samples: int) -> StateStage:
     every = max(1, round(total / samples))
     runs = cut.problem.runs[::every]
     return replace(cut, problem=replace(cut.problem, runs=runs), initial=cut.initial[::every])
-
-
-def rule_support(stage: StateStage) -> FloatArray:
-    """(R,) share of training samples for which each rule is the strongest."""
-    _, phi = z_and_firing(stage)
-    return np.asarray(np.bincount(phi.argmax(axis=1), minlength=stage.rules) / len(phi))

@@ -9,13 +9,12 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.contraction import is_contracting
-from flysid.model.rules.free_run_error import started_run
-from flysid.model.rules.judging import blocks, judging_window
+from flysid.model.rules.free_run_error import Stage, started_run
+from flysid.model.rules.judging import blocks, judging_window, prior_of
 from flysid.model.rules.kernel import free_run
 from flysid.model.rules.probe_inputs import probe_run
 from flysid.model.rules.realisation import initial_states
-from flysid.model.rules.state_growth import StateStage, prior_of
-from flysid.model.rules.state_layout import windows
+from flysid.model.rules.regressor_layout import windows
 
 _AT_END = 2e-3  # of an output's range: this near the extreme counts as at it
 _CORNER = 0.01  # of the range: an output that arrives at an end this fast per sample has hit it
@@ -40,7 +39,7 @@ class Judged:
     bounded : it came back from bounded random inputs.
     """
 
-    stage: StateStage
+    stage: Stage
     errors: FloatArray
     windows: FloatArray
     bounded: bool
@@ -51,7 +50,7 @@ class Judged:
         return float(self.errors.mean())
 
 
-def free_run_errors(stage: StateStage, runs: Sequence[FloatArray], window: int) -> list[FloatArray]:
+def free_run_errors(stage: Stage, runs: Sequence[FloatArray], window: int) -> list[FloatArray]:
     """(N - window, n_y) simulated minus measured outputs of every run, started from its first rows."""
     par = stage.problem.parameters(stage.body)
     n_y = stage.layout.n_y
@@ -61,7 +60,7 @@ def free_run_errors(stage: StateStage, runs: Sequence[FloatArray], window: int) 
     return [(started_run(stage.layout, W, x, par) - W)[window:, :n_y] for W, x in pairs]
 
 
-def judged(stage: StateStage, runs: Sequence[FloatArray], least: int) -> Judged:
+def judged(stage: Stage, runs: Sequence[FloatArray], least: int) -> Judged:
     """A stage on validation runs, of which the first rows (at least `least`) only start it."""
     errors = blocks(free_run_errors(stage, runs, judging_window(runs, least)))
     rows = max(sum(len(W) for W in runs) // _WINDOWS, _LONGER * least)
@@ -75,7 +74,7 @@ def _finite(errors: FloatArray) -> FloatArray:
     return np.where(np.isfinite(errors), np.minimum(errors, _AWAY), _AWAY)
 
 
-def is_bounded(stage: StateStage, seed: int = 0) -> bool:
+def is_bounded(stage: Stage, seed: int = 0) -> bool:
     """Whether the free run stays off its limits under the training inputs in random order.
 
     Before that come random steps over the whole range of the inputs, which may push any plant far out. Ends

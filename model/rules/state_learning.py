@@ -11,15 +11,15 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.arguments import is_count
+from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.judging import INTEGRATES, hold_out
-from flysid.model.rules.regressor_layout import scaling
+from flysid.model.rules.regressor_layout import runs_of, scaling
 from flysid.model.rules.stages import ordered, refine
 from flysid.model.rules.state_choice import Family, fewest_rules
 from flysid.model.rules.state_context import SPARE_ROWS, StateContext
 from flysid.model.rules.state_context import Settings as GrowthSettings
-from flysid.model.rules.state_growth import StateStage, on_other_runs
+from flysid.model.rules.state_growth import on_other_runs
 from flysid.model.rules.state_judging import is_bounded, saturation_limits
-from flysid.model.rules.state_layout import runs_of
 from flysid.model.rules.state_search import searched
 from flysid.model.rules.state_systems import Settings as SystemSettings
 from flysid.model.rules.state_systems import System, linear_systems
@@ -40,14 +40,14 @@ class Learned:
     neighbour : with one rule more, or one fewer where growth ended.
     """
 
-    stage: StateStage
+    stage: Stage
     notes: tuple[str, ...]
     context: StateContext
     system: System
     intervals: bool = True
-    neighbour: StateStage | None = None
+    neighbour: Stage | None = None
 
-    def again(self, data: Dataset, iterations: int) -> StateStage:
+    def again(self, data: Dataset, iterations: int) -> Stage:
         """The stage refined from where it is on a part of the data, by the method that found it."""
         if not self.intervals:
             return self.context.single(self.system, data)[0]

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import Dataset
+from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.realisation import PLAIN, Realisation, coordinates
 from flysid.model.rules.state_choice import Family, Start
 from flysid.model.rules.state_context import LARGE, StateContext
 from flysid.model.rules.state_growth import (
     Insertion,
-    StateStage,
     Training,
     best_insertion,
     same_insertion,
@@ -63,7 +63,7 @@ class _Linear:
     """A system with one rule: its stage on every fitting part, and how it is judged."""
 
     system: System
-    stages: tuple[StateStage, ...]
+    stages: tuple[Stage, ...]
     family: Family
 
     @classmethod
@@ -155,9 +155,7 @@ def _searching(how: Training, parts: Parts) -> Training:
     return replace(how, tries=how.tries - _FEWER_TRIES) if len(parts[0][0]) > LARGE else how
 
 
-def grown(
-    context: StateContext, start: Start, linear: Sequence[StateStage], parts: Parts, ridge: float
-) -> Family:
+def grown(context: StateContext, start: Start, linear: Sequence[Stage], parts: Parts, ridge: float) -> Family:
     """Models with 1, 2, 3, ... rules grown on the fitting part of every fold, judged on the other part."""
     moved = [context.in_coordinates(stage, start.coordinates) for stage in linear]
     stages = [stage for stage, _ in moved]
@@ -182,9 +180,7 @@ def grown(
     return family
 
 
-def _likewise(
-    context: StateContext, stage: StateStage, where: Insertion, how: Training, gain: float
-) -> StateStage:
+def _likewise(context: StateContext, stage: Stage, where: Insertion, how: Training, gain: float) -> Stage:
     """A rule at the same place, or at the stage's own best place where that one helps it less."""
     found = same_insertion(stage, where, how)
     if found is not None and _gain(stage, found) >= _AS_MUCH * gain:
@@ -193,7 +189,7 @@ def _likewise(
     return own if found is None or own.cost < found.cost else found
 
 
-def _gain(before: StateStage, after: StateStage) -> float:
+def _gain(before: Stage, after: Stage) -> float:
     """By how much the training error fell, in logarithms of the mean square."""
     return -_change(after.mean_square(), before.mean_square())
 
@@ -203,7 +199,7 @@ def _change(after: float, before: float) -> float:
     return float(np.log(max(after, _EXACT)) - np.log(max(before, _EXACT)))
 
 
-def _idle(context: StateContext, family: Family, stages: Sequence[StateStage]) -> bool:
+def _idle(context: StateContext, family: Family, stages: Sequence[Stage]) -> bool:
     """Whether more rules are not worth growing."""
     if context.settings.rules != "auto":
         return False

@@ -11,6 +11,7 @@ output of its own.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -130,21 +131,33 @@ class SteadyMap:
         moved : but this one, which holds the output there.
         """
         n = par.theta.shape[1]
-        w = start.copy()
         free = [*(c for c in range(n) if c != output), n + moved]
+        return self._solved(par, start, free, range(n))
+
+    def resting(self, par: Parameters, start: FloatArray, hidden: Sequence[int]) -> FloatArray | None:
+        """w at which some of the simulated columns rest beside all others; None where none is found."""
+        return self._solved(par, start, hidden, hidden)
+
+    def _solved(
+        self, par: Parameters, start: FloatArray, free: Sequence[int], rows: Sequence[int]
+    ) -> FloatArray | None:
+        """w from which the columns `rows` step to themselves, found by moving the columns `free` (Newton)."""
+        n = par.theta.shape[1]
+        rows = list(rows)
+        w = start.copy()
         for _ in range(_NEWTON):
             tangent = self.tangent(par, w)
-            gap = tangent.value - w[:n]
-            size = float(np.abs(gap).max())
+            gap = (tangent.value - w[:n])[rows]
+            size = float(np.abs(gap).max(initial=0.0))
             if size < _AT_REST:
                 return w
             slopes = self.summed(tangent)
             slopes[:, :n] -= np.eye(n)
-            step = np.linalg.lstsq(slopes[:, free], -gap, rcond=1e-12)[0]
+            step = np.linalg.lstsq(slopes[np.ix_(rows, free)], -gap, rcond=1e-12)[0]
             for shorter in 0.5 ** np.arange(8):
                 tried = w.copy()
-                tried[free] += shorter * step
-                if np.abs(self.tangent(par, tried).value - tried[:n]).max() < size:
+                tried[list(free)] += shorter * step
+                if np.abs(self.tangent(par, tried).value - tried[:n])[rows].max() < size:
                     break
             else:
                 return w if size < 1e3 * _AT_REST else None

@@ -21,14 +21,14 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.rules.assembly import free_run_rmse, with_noise_model
 from flysid.model.rules.consequents import refuse_other_data, weighted
-from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.free_run_error import Stage, run_sensitivities, runs_of
+from flysid.model.rules.fitted import FittedTS
+from flysid.model.rules.free_run_error import Stage, run_sensitivities
 from flysid.model.rules.growth import best_started
 from flysid.model.rules.judging import is_bounded
 from flysid.model.rules.kernel import Parameters, firing
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.refit import as_problem
-from flysid.model.rules.regressor_layout import Layout
+from flysid.model.rules.regressor_layout import Layout, runs_of
 from flysid.model.rules.rule_poles import output_lags, pole_radius
 from flysid.model.rules.rule_uncertainty import steep
 from flysid.model.threads import on_one_thread

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.ts import TS
 from flysid.validate.checks import check
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from flysid.dataset import Dataset
 from flysid.validate.comparison import Comparison
@@ -31,7 +31,7 @@ class Source:
     sweep: Sweep | None
     points: int
 
-    def sure(self, model: str) -> Uncertainty[Any] | None:
+    def sure(self, model: str) -> Uncertainty | None:
         """What is known of a fuzzy model's numbers."""
         checks = self.diagnosis.checks.get(model)
         return None if checks is None else checks.fuzzy

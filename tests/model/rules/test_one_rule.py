@@ -12,7 +12,7 @@ from flysid.model.base import Fitted
 from flysid.model.linear.model import FittedLinear
 from flysid.model.linear_choice import best_linear, choose_baseline, free_run_errors, linear_estimators
 from flysid.model.one_rule import OneRule, linear_choice, linear_rivals
-from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.linear_starts import as_linear
 from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.shared import sharing

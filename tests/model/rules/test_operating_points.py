@@ -13,7 +13,7 @@ from bench.hidden_plants import PLANTS, Plant
 from bench.rule_words import own_answer, truth
 from bench.ts_intervals import experiment, known_model
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.operating_points import Numbers, described, operating_points
 from flysid.model.ts import TS
 

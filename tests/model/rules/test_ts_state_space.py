@@ -15,23 +15,17 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted
 from flysid.model.oe import OE
-from flysid.model.rules.fitted_states import FittedTSStateSpace, from_dict
+from flysid.model.rules.control_system import next_step, to_nonlinear_system
+from flysid.model.rules.fitted import FittedTS, from_dict
 from flysid.model.rules.free_run_error import Body
+from flysid.model.rules.local_models import certificate, linearise, polytope
 from flysid.model.rules.realisation import coordinates, realised
 from flysid.model.rules.regressor_layout import scaling
+from flysid.model.rules.rule_uncertainty import Uncertainty, uncertainty
 from flysid.model.rules.state_context import StateContext
 from flysid.model.rules.state_growth import Training, one_rule_more
 from flysid.model.rules.state_judging import saturation_limits
-from flysid.model.rules.state_local_models import (
-    certificate,
-    linearise,
-    next_states,
-    polytope,
-    resting_states,
-    to_nonlinear_system,
-)
 from flysid.model.rules.state_systems import System, linear_systems, realised_states
-from flysid.model.rules.state_uncertainty import StateUncertainty, uncertainty
 from flysid.model.rules.structure_choice import Advantage, advantage
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
@@ -50,11 +44,11 @@ def vehicle() -> Dataset:
 
 
 @cache
-def flown() -> FittedTSStateSpace:
+def flown() -> FittedTS:
     return TSStateSpace(states=2, rules=2, nk=1, ridge=0.1, antecedents=("y(k-1)",)).fit(vehicle())
 
 
-def free_run_gap(model: FittedTSStateSpace, test: Dataset, truth: list[FloatArray]) -> float:
+def free_run_gap(model: FittedTS, test: Dataset, truth: list[FloatArray]) -> float:
     """RMSE against the noise-free truth, in spreads of the output."""
     gaps = []
     for segment, y in zip(test.segments, truth, strict=True):
@@ -143,7 +137,7 @@ def test_python_control_follows_sample_by_sample() -> None:
     system = to_nonlinear_system(model)
     s = np.concatenate([x[9], segment.u[9]])
     past = [np.concatenate([x[k - 1], segment.u[k - 1]]) for k in range(10, 10 + rows)]
-    expected = [next_states(model, past[k], segment.u[10 + k])[0] for k in range(rows)]
+    expected = [next_step(model, past[k], segment.u[10 + k])[0] for k in range(rows)]
     time = np.arange(rows) * model.dt_s
     answer = control.input_output_response(system, time, segment.u[10 : 10 + rows].T, s)
     assert np.asarray(answer.outputs).ravel() == pytest.approx(np.array(expected), abs=1e-9)
@@ -157,19 +151,19 @@ def test_the_polytope_says_what_the_rules_say() -> None:
     local = polytope(model)[r]
     s = np.array([0.4, -0.3, 0.1])
     u = np.array([0.2])
-    assert (local.A @ s + local.B @ u + local.f)[:2] == pytest.approx(next_states(far, s, u), abs=1e-9)
+    assert (local.A @ s + local.B @ u + local.f)[:2] == pytest.approx(next_step(far, s, u), abs=1e-9)
     assert np.sort(np.abs(np.linalg.eigvals(local.A)))[-2:] == pytest.approx(
         np.sort(np.abs(model.local_poles()[r])), abs=1e-9
     )
 
 
-def replace_firing(model: FittedTSStateSpace, r: int) -> FittedTSStateSpace:
+def replace_firing(model: FittedTS, r: int) -> FittedTS:
     """The model with rule r alone."""
     document = json.loads(json.dumps(model.to_dict()))
     for name in ("theta", "centre", "width"):
         document["parameters"][name] = [document["parameters"][name][r]]
     alone = from_dict(document)
-    assert isinstance(alone, FittedTSStateSpace)
+    assert isinstance(alone, FittedTS)
     return alone
 
 
@@ -278,7 +272,7 @@ def test_one_lucky_part_is_no_advantage() -> None:
 
 
 @cache
-def intervals() -> StateUncertainty:
+def intervals() -> Uncertainty:
     return uncertainty(flown(), vehicle())
 
 
@@ -361,12 +355,12 @@ def test_a_linearisation_predicts_small_steps() -> None:
     model = flown()
     u = np.array([0.15])
     local = linearise(model, u)
-    x = resting_states(model, u)
-    s = np.concatenate([x, u])
-    assert next_states(model, s, u) == pytest.approx(x, abs=1e-8)
+    s = np.linalg.solve(np.eye(3) - local.A, local.B @ u + local.f)
+    x = s[:2]
+    assert next_step(model, s, u) == pytest.approx(x, abs=1e-8)
     moved = s + 1e-3 * np.array([1.0, -0.5, 0.3])
     assert (local.A @ moved + local.B @ u + local.f)[:2] == pytest.approx(
-        next_states(model, moved, u), abs=1e-6
+        next_step(model, moved, u), abs=1e-6
     )
     beside = linearise(model, u, np.array([0.5]))
     named = model.linearise({"u": 0.15, "y": 0.5})

@@ -9,7 +9,7 @@ import pytest
 
 from bench.ts_intervals import known_model
 from flysid.model.rules.edits import merge_and_split
-from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.judging import Candidate

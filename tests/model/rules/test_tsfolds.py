@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from bench.ts_intervals import known_model
-from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.search import not_astray
 from flysid.model.rules.search_context import SearchContext

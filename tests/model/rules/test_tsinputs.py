@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
-from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.ts import TS
 
 DT = 0.05

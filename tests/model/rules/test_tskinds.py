@@ -13,8 +13,7 @@ from flysid.errors import UsageError
 from flysid.model.arx import ARX
 from flysid.model.rules.consequents import refit_consequents
 from flysid.model.rules.control_system import to_nonlinear_system
-from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.local_models import certificate, linearise, polytope
 from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.rules.simplify import simplifications, simplify
@@ -26,17 +25,16 @@ from flysid.model.ts_state_space import TSStateSpace
 from tests import model_examples
 
 DATA = model_examples.data()
-Kind = FittedTS | FittedTSStateSpace
 
 
 @pytest.fixture(scope="module", params=["ts", "ts_ss"])
-def model(request: pytest.FixtureRequest) -> Kind:
+def model(request: pytest.FixtureRequest) -> FittedTS:
     if request.param == "ts":
         return TS(rules=2, na=2, nb=2, nk=1, iterations=5).fit(DATA)
     return TSStateSpace(states=2, rules=2, nk=1, iterations=5).fit(DATA)
 
 
-def test_both_kinds_have_the_same_methods(model: Kind) -> None:
+def test_both_kinds_have_the_same_methods(model: FittedTS) -> None:
     corners = model.polytope()
     assert len(corners) == 2
     assert corners[0].A.shape == corners[1].A.shape
@@ -52,7 +50,7 @@ def test_both_kinds_have_the_same_methods(model: Kind) -> None:
     assert local.A.shape == local.A.T.shape
 
 
-def test_python_control_follows_either(model: Kind) -> None:
+def test_python_control_follows_either(model: FittedTS) -> None:
     control = pytest.importorskip("control")
     system = model.to_control()
     assert isinstance(system, control.NonlinearIOSystem)
@@ -73,26 +71,31 @@ def test_python_control_follows_one_rule_beyond_its_limits() -> None:
     assert np.ravel(answer.outputs) == pytest.approx(run[:, 0], abs=1e-9)
 
 
-OF_LAGS: list[Callable[[Any, Dataset], object]] = [
+ALIKE: list[Callable[[Any, Dataset], object]] = [
     lambda m, _: polytope(m),
     lambda m, _: certificate(m),
     lambda m, _: linearise(m, np.zeros(1), np.zeros(1)),
+    uncertainty,
+    lambda m, _: to_nonlinear_system(m),
+]
+OF_LAGS: list[Callable[[Any, Dataset], object]] = [
     simplifications,
     simplify,
-    uncertainty,
     update,
     refit_consequents,
-    lambda m, _: to_nonlinear_system(m),
     with_stable_rules,
 ]
 
 
 @pytest.mark.parametrize("function", OF_LAGS)
-def test_other_models_are_refused(function: Callable[[Any, Dataset], object]) -> None:
+def test_what_is_for_lags_refuses_hidden_states(function: Callable[[Any, Dataset], object]) -> None:
     states = TSStateSpace(states=2, rules=1, nk=1, iterations=2).fit(DATA)
-    with pytest.raises(UsageError, match="the model is 'ts_ss'") as caught:
+    with pytest.raises(UsageError, match="rules over lags, and the model is 'ts_ss'"):
         function(states, DATA)
-    assert "methods of the model" in str(caught.value)
+
+
+@pytest.mark.parametrize("function", [*ALIKE, *OF_LAGS])
+def test_other_models_are_refused(function: Callable[[Any, Dataset], object]) -> None:
     for other in (StaticTS(rules=2).fit(DATA), ARX(na=1, nb=1, nk=1, refine=False).fit(DATA)):
-        with pytest.raises(UsageError, match="this is for rules over lags"):
+        with pytest.raises(UsageError, match="this is for"):
             function(other, DATA)

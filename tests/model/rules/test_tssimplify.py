@@ -11,11 +11,10 @@ from bench.ts_intervals import experiment, known_model
 from flysid.dataset import Dataset
 from flysid.errors import DataError
 from flysid.model.rules.edits import prune
-from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.free_run_error import runs_of
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.refit import as_problem
-from flysid.model.rules.regressor_layout import Antecedent
+from flysid.model.rules.regressor_layout import Antecedent, runs_of
 from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.simplify import simplifications, simplify
 from flysid.model.ts import TS

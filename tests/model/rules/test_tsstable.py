@@ -9,7 +9,7 @@ import pytest
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
-from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.local_models import certificate, polytope
 from flysid.model.rules.stabilise import with_stable_rules
 from flysid.model.ts import TS

@@ -13,7 +13,7 @@ from flysid.dataset import Dataset
 from flysid.datasetfile import DatasetFile, open_dataset, write_dataset
 from flysid.errors import DataError, UsageError
 from flysid.model.rules.consequents import refit_consequents
-from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.static_ts import StaticTS
 
 WHOLE = experiment(known_model(), 1)

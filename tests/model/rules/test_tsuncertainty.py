@@ -11,7 +11,7 @@ from scipy.signal import cont2discrete, lfilter
 from bench.ts_intervals import coverage, experiment, known_model, refitted, steps
 from flysid.dataset import Dataset
 from flysid.errors import DataError, UsageError
-from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.ts import TS
 

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
-from flysid.model.rules.fitted_lags import FittedTS
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.rule_poles import pole_radius, unheld
 from flysid.model.start import estimate_start
 from flysid.model.ts import TS

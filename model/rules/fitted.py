@@ -1,0 +1,171 @@
+"""Fitted Takagi-Sugeno models with all that can be asked of them; how they are built and read from files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray
+from flysid.errors import UsageError
+from flysid.model.documents import array_or_none, points_from, signals_of
+from flysid.model.rules import control_system, explanation, local_models, rule_uncertainty, simplify
+from flysid.model.rules.assembly import at_stage, start_of
+from flysid.model.rules.explanation import Explanation
+from flysid.model.rules.free_run_error import Stage
+from flysid.model.rules.integrity import check, refuse
+from flysid.model.rules.kernel import Parameters
+from flysid.model.rules.local_models import Certificate, StateSpace
+from flysid.model.rules.operating_points import described
+from flysid.model.rules.realisation import Prior
+from flysid.model.rules.regressor_layout import REACH, Antecedent, Layout, Orders
+from flysid.model.rules.rule_model import RuleModel
+from flysid.model.rules.rule_uncertainty import Uncertainty
+from flysid.model.rules.run_start import LikelyStart, MeasuredStart, RunStart
+from flysid.model.rules.simplify import Simplification
+
+
+class FittedTS(RuleModel):
+    """A dynamic TS model over lags, or over hidden states; see `RuleModel` for what it holds."""
+
+    def explain(self, u: FloatArray, y: FloatArray, row: int) -> Explanation:
+        """Which rules spoke at a sample of measured data, how loudly and why."""
+        return explanation.explain(self, u, y, row)
+
+    def outside_share(self, u: FloatArray, y: FloatArray) -> float:
+        """Share of samples, 0 to 1, in which an antecedent lies outside the range seen in training."""
+        return explanation.outside_share(self, u, y)
+
+    def linearise(self, at: Mapping[str, float]) -> StateSpace:
+        """The local linear model while every signal stands at a value; see `local_models.linearise`.
+
+        Hidden states stand where they rest beside the others.
+
+        Parameters
+        ----------
+        at : signal's name -> value; signals left out stand at their mean in training.
+
+        Raises
+        ------
+        UsageError : a name that is no signal of the model, a value that is no number, hidden states that come
+            to no rest, a place at which the model is at its limit.
+        """
+        layout = self.layout
+        means = np.delete(layout.shift, np.arange(layout.n_y, layout.n))
+        values = values_at([s.name for s in (*self.outputs, *self.inputs)], means, at)
+        return local_models.linearise(self, values[layout.n_y :], values[: layout.n_y])
+
+    def polytope(self) -> tuple[StateSpace, ...]:
+        """The rules as local state spaces over one common state."""
+        return local_models.polytope(self)
+
+    def certificate(self) -> Certificate:
+        """What can be proved about the stability of any blend of the rules."""
+        return local_models.certificate(self)
+
+    def simplifications(self, train: Dataset) -> list[Simplification]:
+        """What could be said more simply, cheapest first; of rules over lags."""
+        return simplify.simplifications(self, train)
+
+    def uncertainty(self, train: Dataset) -> Uncertainty:
+        """How sure the model is of its numbers, from the data that it was fitted to."""
+        return rule_uncertainty.uncertainty(self, train)
+
+    def to_control(self) -> Any:
+        """The model as a `control.NonlinearIOSystem`, which follows `simulate` sample by sample."""
+        return control_system.to_nonlinear_system(self)
+
+
+def values_at(names: list[str], means: FloatArray, at: Mapping[str, float]) -> FloatArray:
+    """The mean of every signal, or what `at` says of it.
+
+    Raises
+    ------
+    UsageError : a name that is none of them, a value that is no finite number.
+    """
+    for name, value in at.items():
+        if name not in names:
+            raise UsageError(f"the model has no signal {name!r}", hint=f"one of {', '.join(names)}")
+        if not isinstance(value, int | float | np.number) or not np.isfinite(value):
+            raise UsageError(f"{name}={value!r} is no place to linearise at", hint="give a finite number")
+    return np.array([at.get(name, mean) for name, mean in zip(names, means, strict=True)], dtype=float)
+
+
+def finished(
+    stage: Stage,
+    train: Dataset,
+    notes: tuple[str, ...],
+    *,
+    intervals: bool = True,
+    neighbour: Stage | None = None,
+) -> FittedTS:
+    """The stage as a fitted model, with its start, support, noise model and, on request, what it does.
+
+    Parameters
+    ----------
+    intervals : say what the model does at operating points, and how surely.
+    neighbour : the model with one rule more, or one fewer where growth ended, see `operating_points`.
+    """
+    parameters = stage.problem.parameters(stage.body)
+    bare = FittedTS(train.dt_s, stage.layout, parameters, start_of(stage), np.ones(stage.rules), notes)
+    model = at_stage(bare, stage, train)
+    return described(model, train, neighbour) if intervals else model
+
+
+def from_dict(document: Mapping[str, Any]) -> FittedTS:
+    """Rebuild what `to_dict` gave; raises StoreError where the parts do not fit each other."""
+    numbers = {name: np.array(value, dtype=np.float64) for name, value in document["parameters"].items()}
+    rules = len(numbers["theta"])
+    n_z = len(document["antecedents"])
+    for name, shape in (("centre", (rules, n_z)), ("width", (rules, n_z)), ("z_range", (2, n_z))):
+        numbers[name] = numbers[name].reshape(shape)
+    early = "input_lags" in document  # as 0.1.0 wrote hidden states
+    layout = Layout(
+        outputs=signals_of(document, "outputs"),
+        inputs=signals_of(document, "inputs"),
+        orders=_orders(document["input_lags"]) if early else _orders_of(document),
+        antecedents=tuple(Antecedent(*a) for a in document["antecedents"]),
+        shift=np.array(document["shift"], dtype=np.float64),
+        scale=np.array(document["scale"], dtype=np.float64),
+        hidden=int(document.get("hidden", 0)),
+        reach=float(document.get("reach", 0.0 if early else REACH)),
+    )
+    model = FittedTS(
+        dt_s=float(document["dt_s"]),
+        layout=layout,
+        parameters=Parameters(**numbers),
+        start=_start(document, layout),
+        support=np.array(document["support"], dtype=np.float64),
+        notes=tuple(str(note) for note in document["notes"]),
+        noise=array_or_none(document["noise"]),
+        operating_points=points_from(document.get("operating_points", ())),
+    )
+    check(layout, model.parameters, model.noise)
+    return model
+
+
+def _orders_of(document: Mapping[str, Any]) -> Orders:
+    return Orders(int(document["na"]), tuple(document["nb"]), tuple(document["nk"]))
+
+
+def _orders(input_lags: list[list[int]]) -> Orders:
+    orders = Orders.of_states(input_lags)
+    if [list(lags) for lags in orders.input_lags] != input_lags:
+        refuse("input lags that do not follow each other")
+    return orders
+
+
+def _start(document: Mapping[str, Any], layout: Layout) -> RunStart:
+    if "initial_gain" in document:
+        return MeasuredStart(np.array(document["initial_gain"], dtype=np.float64), layout.depth)
+    prior = document["prior"]
+    n = layout.n
+    return LikelyStart(
+        Prior(
+            np.array(prior["mean"], dtype=np.float64).reshape(n),
+            np.array(prior["inverse"], dtype=np.float64).reshape(n, n),
+            float(prior["weight"]),
+        ),
+        int(document["n_init"]),
+    )
