@@ -18,13 +18,10 @@ from flysid.model.base import Estimator, Fitted
 from flysid.model.linear_choice import best_linear, linear_estimators
 from flysid.model.oe import OE
 from flysid.model.rules import state_learning
-from flysid.model.rules.assembly import finished
-from flysid.model.rules.fitted_lags import FittedTS
-from flysid.model.rules.fitted_states import FittedTSStateSpace
+from flysid.model.rules.fitted import FittedTS, finished
 from flysid.model.rules.learning import learn
 from flysid.model.rules.linear_starts import Asked
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
-from flysid.model.rules.state_assembly import finished as finished_states
 from flysid.model.shared import fit_key, once
 from flysid.model.threads import on_one_thread
 
@@ -84,10 +81,10 @@ class OneRuleOverStates:
 
     @on_one_thread
     @once(fit_key)
-    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTSStateSpace:
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:
         """Choose states by the validation free run; raises as `OneRule.fit`."""
         learned = state_learning.learn(self, train, validation)
-        return finished_states(train, learned.stage, learned.notes, intervals=learned.intervals)
+        return finished(learned.stage, train, learned.notes, intervals=learned.intervals)
 
 
 def linear_rivals(nk_hint: tuple[int, ...] = ()) -> dict[str, Estimator]:

@@ -41,7 +41,7 @@ from flysid.model.ts_state_space import TSStateSpace
 
 LINEAR_ENOUGH = "A linear model is enough: "
 """How the notes of a model begin that the search for rules gave up for."""
-Linear = FittedLinear | FittedStateSpace | FittedTS | FittedTSStateSpace
+Linear = FittedLinear | FittedStateSpace | FittedTS
 """What the linear side may choose; of rules, a single one."""
 _FORETOLD = 0.5  # share of the free run's error that its own past must explain
 _RESOLUTION = 1e-3  # of the outputs' spread: a free-run error below leaves nothing to explain

@@ -22,7 +22,7 @@ from flysid.model.linear.model import FittedLinear
 from flysid.model.rules.free_run_error import Body, Problem, Stage
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.regressor_layout import Layout, Orders
-from flysid.model.rules.rule_model import Ruled
+from flysid.model.rules.rule_model import RuleModel
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.model import FittedStateSpace
 
@@ -135,7 +135,7 @@ def as_linear(model: Fitted) -> LinearModel | None:
         system = model.system
     elif isinstance(model, FittedStateSpace) and model.order <= _MOST_STATES:
         system = as_difference(model)
-    elif isinstance(model, Ruled) and model.structure == "ts" and len(model.parameters.theta) == 1:
+    elif isinstance(model, RuleModel) and model.structure == "ts" and len(model.parameters.theta) == 1:
         system = _equation(model)
         still = np.zeros(len(model.inputs)), np.zeros(len(model.outputs))
         return LinearModel(model.structure, _orders(system), system, *still, ARX())
@@ -144,7 +144,7 @@ def as_linear(model: Fitted) -> LinearModel | None:
     return LinearModel(model.structure, _orders(system), system, model.u_origin, model.y_origin, ARX())
 
 
-def _equation(model: Ruled) -> Difference:
+def _equation(model: RuleModel) -> Difference:
     """The equation of one rule, in physical units."""
     a, b, c = model.local_polynomials()[0]
     here = np.eye(len(model.outputs))[None]
