@@ -211,8 +211,10 @@ def find_flight(data: str | Path, flight: str) -> Manifest:
     UsageError : no such flight, or several.
     """
     data = check_data_folder(data)
+    if not flight:
+        raise UsageError("the name of the flight is empty", path=data, hint="see 'flysid ls'")
     names = {name for name in folder_names(data) if not name.startswith(".")}
-    near = [flight] if flight in names else [name for name in names if name.startswith(flight) and flight]
+    near = [flight] if flight in names else [name for name in names if name.startswith(flight)]
     found = sorted(name for name in near if (data / FLIGHTS / name / MANIFEST_FILE).is_file())
     if len(found) == 1:
         return read_manifest(data / FLIGHTS / found[0])

@@ -162,7 +162,7 @@ def command(
         for line in transfer_lines(run, channel):
             say(line, quiet)
     for name, why in run.skipped.items():
-        say(f"channel {name} skipped: {why}")
+        say(f"channel {name} skipped: {why.removeprefix(f'channel {name!r}: ')}")
     if run.interrupted:
         say(
             f"interrupted: {output} holds what was finished. 'flysid validate {output}' judges it; "

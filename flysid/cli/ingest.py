@@ -63,7 +63,8 @@ def command(
         told = Limits(time_unit=time_unit, format=format_)
         for result in ingest_logs(found, data, jobs=jobs, force=again, limits=told, bounds=bounds):
             results.append(result)
-            say(describe(result), quiet or result.unchanged or display.live)
+            said_below = result.unchanged or result.skipped
+            say(describe(result), quiet or said_below or display.live)
     results.sort(key=lambda r: str(r.path))
     if as_json:
         passed = [{"path": str(item.path), "kind": item.kind} for item in found.passed_over]

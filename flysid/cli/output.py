@@ -107,7 +107,7 @@ def chosen_form(flags: Mapping[str, bool]) -> str:
 def finish(judgement: Judgement, condition: str | None, report: Path | None, quiet: bool) -> int:
     """The words that end a comparison, and the exit code: 4 a check failed, 3 a channel was not judged."""
     for name, why in judgement.skipped.items():
-        say(f"channel {name} not judged: {why}")
+        say(f"channel {name} not judged: {why.removeprefix(f'channel {name!r}: ')}")
     if report is not None:
         say(f"report: {report}", quiet)
     failed = judgement.violations(condition) if condition is not None else {}

@@ -49,7 +49,7 @@ def print_suggestions(found: Sequence[Suggestion], flights: Sequence[str], data:
     lines += [LOOP] if any("loop" in cell for cell in delays) else []
     lines += [OPEN] if any("?" in cell for cell in delays) else []
     lines += advice(shown, names)
-    lines += unusable(found, flights, names)
+    lines += unusable(found, flights, names, told=every)
     hidden = len(found) - len(shown)
     lines += [f"{hidden} more that cannot be used: --all"] if hidden else []
     click.echo("\n".join(_folded(printable(line)) for line in lines).strip())
@@ -63,16 +63,19 @@ def _folded(line: str) -> str:
     return textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
-def unusable(found: Sequence[Suggestion], flights: Sequence[str], names: Mapping[str, str]) -> list[str]:
-    """A line for every flight without a usable channel, with the reason."""
+def unusable(
+    found: Sequence[Suggestion], flights: Sequence[str], names: Mapping[str, str], *, told: bool = False
+) -> list[str]:
+    """A line for every flight without a usable channel, with the reason; `told`: reasons stand above."""
     lines = []
     for flight in flights:
         own = [s for s in found if s.flight == flight]
         if not own:
             lines.append(f"{names[flight]}: no shipped recipe has its streams in this flight")
-        elif not any(s.verdict in USABLE for s in own):
+        elif not told and not any(s.verdict in USABLE for s in own):
             reasons = dict.fromkeys(f"{s.verdict}: {s.advice}" for s in own)
-            more = f" (and {len(reasons) - 1} more reasons: --all)" if len(reasons) > 1 else ""
+            rest = len(reasons) - 1
+            more = f" (and {rest} more reason{'s' * (rest > 1)}: --all)" if rest else ""
             lines.append(f"{names[flight]}: {next(iter(reasons))}{more}")
     return lines
 

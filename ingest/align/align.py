@@ -145,9 +145,11 @@ def check_excitation(data: Dataset) -> None:
             low = min(float(getattr(s, kind)[:, i].min()) for s in data.segments)
             high = max(float(getattr(s, kind)[:, i].max()) for s in data.segments)
             if high - low <= max(signal.resolution, 1e-12 * max(abs(low), abs(high))):
+                stays = f"{signal.name!r} stays at {low:.6g} {signal.unit}".rstrip()
+                count = len(data.segments)
                 raise DataError(
-                    f"channel {data.name!r} has no excitation: {'input' if kind == 'u' else 'output'} "
-                    f"{signal.name!r} stays at {low:.6g} {signal.unit} in all {len(data.segments)} segments",
+                    f"channel {data.name!r} has no excitation: {'input' if kind == 'u' else 'output'} {stays}"
+                    + (f" in all {count} segments" if count > 1 else ""),
                     hint="fly steps, doublets or a sweep on this axis, or choose another channel",
                 )
 

@@ -240,6 +240,8 @@ def test_names_that_are_not_there_get_the_nearest(data: Path) -> None:
     with pytest.raises(UsageError, match=flight.id):
         store.read_stream(data, "flight_8", "ATTITUDE")
     assert store.find_flight(data, "flight_7").id == flight.id
+    with pytest.raises(UsageError, match="the name of the flight is empty"):
+        store.find_flight(data, "")
 
 
 def test_a_folder_that_a_killed_writer_began_is_finished(tmp_path: Path) -> None:

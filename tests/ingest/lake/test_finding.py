@@ -120,6 +120,7 @@ def test_what_may_be_a_log_counts(tmp_path: Path) -> None:
         if "skipped: /" in line
     }
     assert skipped == {*bad, "linked", "logs.tar.gz", "outer.zip/inner.zip", "inner.zip/a.tlog"}
+    assert done.stderr.count("/zeros") == 1  # said once
 
 
 @pytest.mark.parametrize(

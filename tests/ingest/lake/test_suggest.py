@@ -136,6 +136,10 @@ def test_ls_suggest_prints_a_table_and_advice(folder: Path) -> None:  # noqa: F8
     assert "next: " in result.stderr
     every = CliRunner().invoke(root, ["ls", str(folder), "--suggest", "--all"], catch_exceptions=False)
     assert "TOO QUIET  " in every.stdout
+    folded = " ".join(every.stdout.split())
+    assert folded.count("nothing moves: ") == 1  # once, not above and below
+    assert "  in all" not in every.stdout
+    assert "in all 1 segments" not in folded
     document = json.loads(CliRunner().invoke(root, ["ls", str(folder), "--suggest", "--json"]).stdout)
     assert {s["channel"] for s in document["suggestions"]} == {"roll", "pitch"}
     assert {s["verdict"] for s in document["suggestions"]} <= {"good", "weak", "too slow", "too quiet"}
