@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: release docs audit lock locked bench-model bench-ingest soak demo test check unit lint clean samples bench-accuracy
+.PHONY: release docs audit lock locked bench-model bench-ingest soak demo test check unit lint types style kernels clean samples bench-accuracy
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "flysid needs Python 3.11 or newer; try: make PYTHON=python3.12")'
@@ -17,16 +17,23 @@ demo: $(VENV)/.installed  ## the main job on embedded data, ends with a report
 
 # Two workers that share what a file's tests share (worksteal keeps neighbours together); BLAS with a thread each.
 test: $(VENV)/.installed  ## lint, types, import layers, tests
-	$(MAKE) --no-print-directory lint
+	$(MAKE) --no-print-directory -j 2 types style kernels
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 check: test
 
-lint: $(VENV)/.installed
+lint: types style
+
+types: $(VENV)/.installed
+	$(BIN)/mypy
+
+style: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+kernels: $(VENV)/.installed  ## compiled once, beside the type check, for all that the tests start
+	$(BIN)/python -m tests.kernels
 
 bench-ingest: $(VENV)/.installed  ## readers against their peers, ratios in CPU time
 	$(BIN)/python -m bench.bench_ingest

@@ -20,7 +20,7 @@ def arx_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     def only(nk_hint: tuple[int, ...] = ()) -> dict[str, Estimator]:
         return {"arx": ARX(nk_hint=nk_hint)}
 
-    monkeypatch.setattr(fitting, "linear_estimators", only)
+    monkeypatch.setattr(fitting, "linear_rivals", only)
 
 
 @pytest.fixture(scope="session")

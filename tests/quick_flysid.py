@@ -23,11 +23,10 @@ def estimators(*_: object) -> dict[str, Estimator]:
     return {"mean": Mean(), **linear(), "line": Line()}
 
 
+INSTEAD = {"linear_rivals": linear, "estimators": estimators, "dead_times": lambda _: ()}
+
+
 if __name__ == "__main__":
-    for name, instead in (
-        ("linear_rivals", linear),
-        ("estimators", estimators),
-        ("dead_times", lambda _: ()),
-    ):
+    for name, instead in INSTEAD.items():
         setattr(fitting, name, instead)
     main()

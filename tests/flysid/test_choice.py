@@ -3,28 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from flysid.ingest.lake.stretches import Stretches
 from flysid.validate.run import open_run
-from tests.flysid.test_cli import ROOT, call
-
-
-def quick(*args: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """flysid with models that take no time."""
-    return subprocess.run(
-        [sys.executable, "-m", "tests.quick_flysid", *map(str, args)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "NO_COLOR": "1"},
-        timeout=120,
-    )
+from tests.command import call, call_quick
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +35,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "--holdout",
         "0.5",
     )
-    done = quick(*words, "--exclude", out, "--between", "0:02..0:17", cwd=folder)
+    done = call_quick(*words, "--exclude", out, "--between", "0:02..0:17", cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import flysid
+from tests.command import ROOT, call, shell
 
-ROOT = Path(__file__).resolve().parents[2]
 VERBS = (
     "compare",
     "demo",
@@ -30,18 +27,6 @@ VERBS = (
 )
 
 
-def call(*args: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Run flysid in a fresh process."""
-    return subprocess.run(
-        [sys.executable, "-m", "flysid", *map(str, args)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "NO_COLOR": "1"},
-        timeout=120,
-    )
-
-
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_has_help_that_names_its_options(verb: str, tmp_path: Path) -> None:
     done = call(verb, "--help", cwd=tmp_path)
@@ -51,7 +36,16 @@ def test_every_verb_has_help_that_names_its_options(verb: str, tmp_path: Path) -
 
 
 def test_version(tmp_path: Path) -> None:
-    assert flysid.__version__ in call("--version", cwd=tmp_path).stdout
+    assert flysid.__version__ in shell("--version", cwd=tmp_path).stdout
+
+
+def test_a_process_ends_with_the_code_and_writes_to_the_right_streams(tmp_path: Path) -> None:
+    helped = shell("fit", "--help", cwd=tmp_path)
+    assert helped.stdout.split() == call("fit", "--help", cwd=tmp_path).stdout.split()
+    assert (helped.returncode, helped.stderr) == (0, "")
+    refused = shell("ingest", "absent.tlog", "-o", "data", cwd=tmp_path)
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert refused.stderr == call("ingest", "absent.tlog", "-o", "data", cwd=tmp_path).stderr
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from flysid.cli.examples import EXAMPLES
 from flysid.errors import FlysidError, RecipeError, UsageError
 from flysid.validate.fitting import estimators
 from flysid.validate.run import FitSettings
-from tests.flysid.test_cli import call
+from tests.command import call
 
 
 def context_of(*words: str) -> click.Context:

@@ -26,9 +26,9 @@ from tests.fault_trials import full_disks, killed_ingests, limited, read_only_di
 
 
 def test_kill_during_ingest_then_the_same_command_again(tmp_path: Path) -> None:
-    outcome = killed_ingests(tmp_path, 4)
+    outcome = killed_ingests(tmp_path, 2)
     assert outcome.failures == []
-    assert outcome.trials == 4
+    assert outcome.trials == 2
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from flysid.cli.display import Display, State, drawn
 from flysid.ingest.lake.workers import Bounds, run_bounded
 from flysid.progress import Step, listening, part, tell
 from flysid.validate.fitplan import FitPlan
-from tests.flysid.test_cli import ROOT, call
+from tests.command import ROOT, call
 
 CHANNELS = ("lateral", "vertical")
 

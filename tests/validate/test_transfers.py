@@ -27,7 +27,7 @@ from flysid.model.frequency.response import measure_response
 from flysid.model.transfer_function import TF
 from flysid.validate.bodeplot import draw_bode
 from flysid.validate.transfers import ChannelTransfers, identify_channel
-from tests.flysid.test_cli import call
+from tests.command import call
 
 CHANNELS = ("longitudinal", "lateral", "vertical")
 

@@ -33,10 +33,10 @@ from tests.format_trials import (
 )
 
 # `make soak` makes more of them
-CUT_EVERY = 29
-FLIPS = 500
-INSERTIONS = 200
-DELETIONS = 50
+CUT_EVERY = 97
+FLIPS = 150
+INSERTIONS = 60
+DELETIONS = 25
 
 each_format = pytest.mark.parametrize("name", FORMATS)
 

@@ -14,7 +14,7 @@ from bench.step_coverage import DT_S, flown, held, polynomials, true_step
 from flysid.dataset import Dataset
 from flysid.errors import DataError, UsageError
 from flysid.model.step_response import step_response
-from tests.flysid.test_cli import call
+from tests.command import call
 
 
 def test_coloured_noise_and_the_truth_within_the_interval() -> None:

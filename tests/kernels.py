@@ -1,0 +1,22 @@
+"""`python -m tests.kernels`: compiles what is compiled, into the cache that all tests share.
+
+In a fresh clone every worker of the tests would compile the same functions. `make test` has this done beside
+the type check, which leaves a core idle.
+"""
+
+from __future__ import annotations
+
+from tests.format_trials import FORMATS, intact
+from tests.model_examples import EXAMPLES
+
+
+def main() -> None:
+    """Fit one model of every structure and read one log of every format."""
+    for build, dataset in EXAMPLES.values():
+        build(dataset)
+    for name in FORMATS:
+        intact(name)
+
+
+if __name__ == "__main__":
+    main()
