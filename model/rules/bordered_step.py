@@ -27,6 +27,15 @@ class Normal(NamedTuple):
     blocks: FloatArray
     slope: FloatArray
 
+    def is_finite(self) -> bool:
+        """Whether no number has overflowed."""
+        return math.isfinite(sum(float(np.abs(part).sum()) for part in self))
+
+    def diagonal(self) -> FloatArray:
+        """(C + S q,) of the Gauss-Newton matrix."""
+        own = np.diagonal(self.blocks, axis1=1, axis2=2)
+        return np.concatenate([np.diagonal(self.corner), own.ravel()])
+
 
 @compiled
 def _cholesky(A, n):  # type: ignore[no-untyped-def]
@@ -114,28 +123,4 @@ def damped_step(normal, scale, damping, step):  # type: ignore[no-untyped-def]
     total = 0.0
     for i in range(step.size):
         total += abs(step[i])
-    return math.isfinite(total)
-
-
-@compiled
-def diagonal_of(normal, diagonal):  # type: ignore[no-untyped-def]
-    """The diagonal of the Gauss-Newton matrix; False where a number of `normal` is not finite."""
-    corner, border, blocks, slope = normal
-    free = corner.shape[0]
-    runs = border.shape[0]
-    q = border.shape[2]
-    total = 0.0
-    for i in range(free):
-        diagonal[i] = corner[i, i]
-        for j in range(free):
-            total += abs(corner[i, j])
-    for s in range(runs):
-        for i in range(q):
-            diagonal[free + s * q + i] = blocks[s, i, i]
-            for j in range(q):
-                total += abs(blocks[s, i, j])
-            for j in range(free):
-                total += abs(border[s, j, i])
-    for i in range(slope.size):
-        total += abs(slope[i])
     return math.isfinite(total)

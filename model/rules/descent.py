@@ -1,4 +1,4 @@
-"""Compiled: the simulation error of rules over all runs and its normal equations; the descent on it.
+"""The simulation error of rules over all runs and its normal equations; the descent on it.
 
 What is summed is told in `flysid.model.rules.free_run_error`.
 """
@@ -6,13 +6,14 @@ What is summed is told in `flysid.model.rules.free_run_error`.
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.bordered_step import Normal, damped_step, diagonal_of
-from flysid.model.rules.kernel import IntArray, Lags, Parameters, compiled, simulate, stray, sweep
+from flysid.model.rules.bordered_step import Normal, damped_step
+from flysid.model.rules.kernel import IntArray, Lags, Parameters, compiled, sweep
 
 HOLD = 3.0  # weight on memberships, relative to the ridge on consequents
 # widths in ranges of the antecedent: sets that words can name
@@ -23,6 +24,7 @@ _FIRST_DAMPING = 1e-3
 _LARGEST_DAMPING = 1e16
 _SMALLEST_DAMPING = 1e-24
 _SMALLEST_RELAXATION = 0.1
+_NO_NORMAL = Normal(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros((0, 0, 0)), np.zeros(0))
 
 
 class Fixed(NamedTuple):
@@ -73,205 +75,65 @@ class Sizes(NamedTuple):
 
 
 @compiled
-def _expand(p, fixed, par):  # type: ignore[no-untyped-def]
-    """Parameters at a vector of unknowns: centres within the data, widths that words can name."""
-    n_rules, n, n_x = par.theta.shape
-    n_b = fixed.basis.shape[0]
-    n_z = par.centre.shape[1]
-    if fixed.chosen.size == 0:  # as they were given
-        return
-    for r in range(n_rules):
-        for i in range(n):
-            base = (r * n + i) * n_b
-            for m in range(n_x):
-                value = fixed.offset[i, m]
-                for b in range(n_b):
-                    value += p[base + b] * fixed.basis[b, m]
-                par.theta[r, i, m] = value
-    at = n_rules * n * n_b
-    for r in range(n_rules):
-        for j in range(n_z):
-            low = fixed.z_known[0, j]
-            high = fixed.z_known[1, j]
-            span = max(high - low, 1e-12)
-            par.centre[r, j] = min(max(p[at + r * n_z + j], low), high)
-            log_width = p[at + (n_rules + r) * n_z + j]
-            width = math.exp(min(max(log_width, -_MOST_LOG_WIDTH), _MOST_LOG_WIDTH))
-            par.width[r, j] = min(max(width, _NARROWEST * span), _WIDEST * span)
+def _over_runs(  # type: ignore[no-untyped-def]
+    starts, lags, par, basis, chosen, W, edges, size, X, ring, H, g, normal
+):
+    """The mean squared error; where `ring` has columns, J'J (lower triangle) and J'e into `normal`, as means.
 
-
-@compiled
-def _departure(p, fixed, par, slopes):  # type: ignore[no-untyped-def]
-    """What the ridge is on: consequents against their mean, memberships against where they began.
-
-    `slopes` (R n n_b + 2 R n_z,) becomes half its gradient.
-    """
-    n_rules, n = par.theta.shape[:2]
-    m = n * fixed.basis.shape[0]
-    n_z = par.centre.shape[1]
-    total = 0.0
-    at = n_rules * m
-    for i in range(slopes.size):
-        slopes[i] = 0.0
-    if n_rules == 1:
-        return total
-    mean = np.zeros(m)
-    for r in range(n_rules):
-        for i in range(m):
-            mean[i] += p[r * m + i] / n_rules
-    for r in range(n_rules):
-        for i in range(m):
-            pulled = 0.0
-            for j in range(m):
-                pulled += fixed.metric[i, j] * (p[r * m + j] - mean[j])
-            slopes[r * m + i] = pulled
-            total += pulled * (p[r * m + i] - mean[i])
-        for j in range(n_z):
-            width = fixed.width[r, j]
-            moved = HOLD * (par.centre[r, j] - fixed.centre[r, j]) / width
-            grown = HOLD * math.log(par.width[r, j] / width)
-            total += moved * moved + grown * grown
-            slopes[at + r * n_z + j] = moved * HOLD / width
-            slopes[at + (n_rules + r) * n_z + j] = grown * HOLD
-    return total
-
-
-@compiled
-def _begin(p, at, run, fixed, size, n, X):  # type: ignore[no-untyped-def]
-    """Write the start of a run, which stands in p from `at` on, into X; its squared error."""
-    square = 0.0
-    for k in range(size.moving):
-        row = fixed.edges[run] + size.depth - size.moving + k
-        for i in range(n):
-            X[row, i] = p[at + k * n + i]
-            if i < size.n_y:
-                gap = X[row, i] - fixed.W[row, i]
-                square += gap * gap
-    return square
-
-
-@compiled
-def _unlikely(p, at, fixed, pull):  # type: ignore[no-untyped-def]
-    """What a run's start, which stands in p from `at` on, adds to the cost; half its gradient into `pull`."""
-    total = 0.0
-    for i in range(pull.size):
-        pull[i] = 0.0
-        for j in range(pull.size):
-            pull[i] += fixed.weight[i, j] * (p[at + j] - fixed.likely[j])
-        total += pull[i] * (p[at + i] - fixed.likely[i])
-    return total
-
-
-@compiled
-def _cost(p, lags, par, fixed, size, X, S, slopes):  # type: ignore[no-untyped-def]
-    """Mean squared simulation error, ridge, drift and stress at a vector of unknowns; X, S to run in."""
-    n_rules, n, _ = par.theta.shape
-    _expand(p, fixed, par)
-    at = n_rules * n * fixed.basis.shape[0] + 2 * par.centre.size
-    q = size.moving * n
-    total = 0.0
-    pull = np.empty(size.moving * n)
-    for s in range(fixed.edges.size - 1):
-        total += _begin(p, at + s * q, s, fixed, size, n, X)
-        total += size.samples * _unlikely(p, at + s * q, fixed, pull)
-        begin = fixed.edges[s] + size.depth
-        end = fixed.edges[s + 1]
-        simulate(X, begin, end, lags, par)
-        for k in range(begin, end):
-            for i in range(size.n_y):
-                gap = X[k, i] - fixed.W[k, i]
-                total += gap * gap
-    cost = total / size.samples
-    if size.ridge > 0.0:
-        cost += size.ridge * _departure(p, fixed, par, slopes)
-    if S.shape[0] > 0:
-        cost += _strayed(S, lags, par, size) / S.shape[0]
-    return cost
-
-
-@compiled
-def _strayed(S, lags, par, size):  # type: ignore[no-untyped-def]
-    """Squares by which the outputs leave their range under stress."""
-    simulate(S, size.depth, S.shape[0], lags, par)
-    total = 0.0
-    for k in range(S.shape[0]):
-        for i in range(size.n_y):
-            total += stray(S[k, i], par.limits, i) ** 2
-    return total
-
-
-@compiled
-def _normal(p, lags, par, fixed, size, X, S, slopes, ring, H, g, normal):  # type: ignore[no-untyped-def]
-    """The cost as `_cost`, and its Gauss-Newton matrix and half gradient into `normal`.
-
+    Parameters
+    ----------
+    starts : (S, moving n) what every run starts from.
+    X : as W, to run in.
     H, g : (common + q, common + q), (common + q,) to work in, common the last chosen number + 1.
     """
-    n_rules, n, _ = par.theta.shape
-    _expand(p, fixed, par)
-    m = n * fixed.basis.shape[0]
-    at = n_rules * m + 2 * par.centre.size
+    n = par.theta.shape[1]
+    n_y = size.n_y
     corner, border, blocks, slope = normal
-    free = corner.shape[0]
+    free = chosen.size
     q = size.moving * n
-    runs = fixed.edges.size - 1
     common = ring.shape[2] - q
-    none = np.empty((0, size.n_y, 0))
-    pull = np.empty(q)
-    for i in range(free):
-        slope[i] = 0.0
-        for j in range(free):
-            corner[i, j] = 0.0
+    differentiates = ring.shape[2] > 0
+    kept = np.empty((0, n_y, 0))
     total = 0.0
-    for s in range(runs):
-        _clear(ring, H, g)
-        total += _begin(p, at + s * q, s, fixed, size, n, X)
+    for s in range(edges.size - 1):
+        if differentiates:
+            clear(ring, H, g)
+        first = edges[s] + size.depth - size.moving
         for k in range(size.moving):
-            row = fixed.edges[s] + size.depth - size.moving + k
             for i in range(n):
-                own = common + k * n + i
-                ring[row % ring.shape[0], i, own] = 1.0
-                if i < size.n_y:
-                    H[own, own] += 1.0
-                    g[own] += X[row, i] - fixed.W[row, i]
-        rows = (fixed.edges[s] + size.depth, fixed.edges[s + 1])
-        total += sweep(X, fixed.W, rows, lags, par, fixed.basis, q, ring, none, H, g)
+                X[first + k, i] = starts[s, k * n + i]
+                gap = X[first + k, i] - W[first + k, i]
+                if i < n_y:
+                    total += gap * gap
+                if differentiates:
+                    own = common + k * n + i
+                    ring[(first + k) % ring.shape[0], i, own] = 1.0
+                    if i < n_y:
+                        H[own, own] += 1.0
+                        g[own] += gap
+        rows = (edges[s] + size.depth, edges[s + 1])
+        total += sweep(X, W, rows, lags, par, basis, q, ring, kept, H, g)
+        if not differentiates:
+            continue
         for i in range(free):
-            a = fixed.chosen[i]
+            a = chosen[i]
             slope[i] += g[a] / size.samples
             for j in range(i + 1):
-                corner[i, j] += H[a, fixed.chosen[j]] / size.samples
+                corner[i, j] += H[a, chosen[j]] / size.samples
             for j in range(q):
                 border[s, i, j] = H[common + j, a] / size.samples
-        total += size.samples * _unlikely(p, at + s * q, fixed, pull)
         for i in range(q):
-            slope[free + s * q + i] = g[common + i] / size.samples + pull[i]
+            slope[free + s * q + i] = g[common + i] / size.samples
             for j in range(i + 1):
-                value = H[common + i, common + j] / size.samples + fixed.weight[i, j]
+                value = H[common + i, common + j] / size.samples
                 blocks[s, i, j] = value
                 blocks[s, j, i] = value
-    cost = total / size.samples
-    if size.ridge > 0.0:
-        cost += size.ridge * _departure(p, fixed, par, slopes)
-        _add_ridge(par, fixed, size, slopes, m, corner, slope)
-    if S.shape[0] > 0:
-        stray = _strayed(S, lags, par, size)
-        if stray > 0.0:
-            _clear(ring, H, g)
-            free_of_data = np.empty((0, size.n_y))
-            sweep(S, free_of_data, (size.depth, S.shape[0]), lags, par, fixed.basis, q, ring, none, H, g)
-            for i in range(free):
-                slope[i] += g[fixed.chosen[i]] / S.shape[0]
-                for j in range(i + 1):
-                    corner[i, j] += H[fixed.chosen[i], fixed.chosen[j]] / S.shape[0]
-        cost += stray / S.shape[0]
-    for i in range(free):
-        for j in range(i):
-            corner[j, i] = corner[i, j]
-    return cost
+    return total / size.samples
 
 
 @compiled
-def _clear(ring, H, g):  # type: ignore[no-untyped-def]
+def clear(ring, H, g):  # type: ignore[no-untyped-def]
+    """Set what a sweep adds to back to zero."""
     for d in range(ring.shape[0]):
         for i in range(ring.shape[1]):
             for p in range(ring.shape[2]):
@@ -282,49 +144,136 @@ def _clear(ring, H, g):  # type: ignore[no-untyped-def]
             H[p, q] = 0.0
 
 
-@compiled
-def _add_ridge(par, fixed, size, slopes, m, corner, slope):  # type: ignore[no-untyped-def]
-    """Add the ridge's half gradient and its matrix (lower triangle); of one rule, the departure is zero."""
-    n_rules, n_z = par.centre.shape
-    if n_rules == 1:
-        return
-    first = n_rules * m
-    for i in range(fixed.chosen.size):
-        a = fixed.chosen[i]
-        slope[i] += size.ridge * slopes[a]
-        if a >= first:
-            u = (a - first) % (n_rules * n_z)
-            pull = HOLD / fixed.width[u // n_z, u % n_z] if a < first + n_rules * n_z else HOLD
-            corner[i, i] += size.ridge * pull * pull
-            continue
-        for j in range(i + 1):
-            b = fixed.chosen[j]
-            share = (1.0 if a // m == b // m else 0.0) - 1.0 / n_rules
-            corner[i, j] += size.ridge * share * fixed.metric[a % m, b % m]
+class Cost:
+    """Mean squared simulation error, ridge, unlikely starts and stress at vectors of unknowns.
 
+    Arrays to work in are made once. What is summed over rows is compiled, what over unknowns is not.
+    """
 
-def _workspace(
-    lags: Lags, par: Parameters, fixed: Fixed, size: Sizes
-) -> tuple[Parameters, tuple[FloatArray, ...], tuple[FloatArray, ...]]:
-    """Parameters, runs and arrays to work in: private copies."""
-    n = par.theta.shape[1]
-    own = par._replace(theta=par.theta.copy(), centre=par.centre.copy(), width=par.width.copy())
-    past = lags.lag[(lags.column >= 0) & (lags.column < n)]
-    seen = np.concatenate([lags.z_lag, lags.z_minus])[np.tile(lags.z_column < n, 2)]
-    deepest = max(1, past.max(initial=1), seen.max(initial=1))
-    common = fixed.chosen[-1] + 1 if fixed.chosen.size else 0
-    width = common + size.moving * n
-    slopes = np.empty(par.theta[:, :, 0].size * len(fixed.basis) + 2 * par.centre.size)
-    work = (fixed.W.copy(), fixed.stress.copy(), slopes)
-    return own, work, (np.empty((deepest, n, width)), np.empty((width, width)), np.empty(width))
+    def __init__(self, lags: Lags, par: Parameters, fixed: Fixed, size: Sizes) -> None:
+        rules, self.n, _ = par.theta.shape
+        self.lags = lags
+        self.par = par._replace(theta=par.theta.copy(), centre=par.centre.copy(), width=par.width.copy())
+        self.fixed = fixed
+        self.size = size
+        self.shape = (rules, self.n, len(fixed.basis))
+        self.consequents = int(np.prod(self.shape))
+        self.unknowns = self.consequents + 2 * par.centre.size
+        self.runs = len(fixed.edges) - 1
+        q = size.moving * self.n
+        past = lags.lag[(lags.column >= 0) & (lags.column < self.n)]
+        seen = np.concatenate([lags.z_lag, lags.z_minus])[np.tile(lags.z_column < self.n, 2)]
+        deepest = max(1, past.max(initial=1), seen.max(initial=1))
+        width = (fixed.chosen[-1] + 1 if fixed.chosen.size else 0) + q
+        span = np.maximum(fixed.z_known[1] - fixed.z_known[0], 1e-12)
+        self.widths = (_NARROWEST * span, _WIDEST * span)
+        self.weighed = bool(fixed.weight.any())
+        self.X = fixed.W.copy()
+        self.S = fixed.stress.copy()
+        self.work = (np.zeros((deepest, self.n, width)), np.zeros((width, width)), np.zeros(width))
+        self.plain = (np.zeros((1, self.n, 0)), np.zeros((0, 0)), np.zeros(0))
 
+    def zero(self) -> Normal:
+        """Normal equations to be written into."""
+        free = self.fixed.chosen.size
+        q = self.size.moving * self.n
+        blocks = np.zeros((self.runs, q, q))
+        return Normal(
+            np.zeros((free, free)), np.zeros((self.runs, free, q)), blocks, np.zeros(free + self.runs * q)
+        )
 
-def _empty_normal(fixed: Fixed, q: int) -> Normal:
-    free = fixed.chosen.size
-    runs = fixed.edges.size - 1
-    return Normal(
-        np.empty((free, free)), np.empty((runs, free, q)), np.empty((runs, q, q)), np.empty(free + runs * q)
-    )
+    def at(self, p: FloatArray, normal: Normal | None = None) -> float:
+        """The cost at p; into `normal` its Gauss-Newton matrix (lower triangles) and half gradient."""
+        fixed = self.fixed
+        size = self.size
+        work = self.plain if normal is None else self.work
+        into = _NO_NORMAL if normal is None else normal
+        if normal is not None:
+            normal.corner[:] = 0.0
+            normal.slope[:] = 0.0
+        self._expand(p)
+        starts = np.ascontiguousarray(p[self.unknowns :].reshape(self.runs, -1))
+        matrix = (fixed.basis, fixed.chosen, fixed.W, fixed.edges, size)
+        cost = float(_over_runs(starts, self.lags, self.par, *matrix, self.X, *work, into))
+        if self.weighed:
+            cost += self._unlikely(starts, normal)
+        if size.ridge > 0.0 and self.shape[0] > 1:
+            cost += self._departure(p, normal)
+        if len(self.S):
+            cost += self._strayed(normal)
+        return cost
+
+    def _expand(self, p: FloatArray) -> None:
+        """Parameters at a vector of unknowns: centres within the data, widths that words can name."""
+        if not self.fixed.chosen.size:  # as they were given
+            return
+        par = self.par
+        begin = self.consequents
+        np.matmul(p[:begin].reshape(self.shape), self.fixed.basis, out=par.theta)
+        par.theta[:] += self.fixed.offset
+        if par.centre.size:
+            low, high = self.fixed.z_known
+            narrow, wide = self.widths
+            centre, width = p[begin : self.unknowns].reshape(2, *par.centre.shape)
+            np.minimum(np.maximum(centre, low), high, out=par.centre)
+            np.exp(np.minimum(width, _MOST_LOG_WIDTH), out=par.width)
+            np.minimum(np.maximum(par.width, narrow), wide, out=par.width)
+
+    def _unlikely(self, starts: FloatArray, normal: Normal | None) -> float:
+        """What the runs' starts add."""
+        away = starts - self.fixed.likely
+        pull = away @ self.fixed.weight
+        if normal is not None:
+            normal.slope[self.fixed.chosen.size :] += pull.ravel()
+            normal.blocks[:] += self.fixed.weight
+        return float((pull * away).sum())
+
+    def _departure(self, p: FloatArray, normal: Normal | None) -> float:
+        """What the ridge is on: consequents against their mean, memberships against where they began."""
+        fixed = self.fixed
+        rules = self.shape[0]
+        ridge = self.size.ridge
+        a = p[: self.consequents].reshape(rules, -1)
+        away = a - a.mean(axis=0)
+        pulled = away @ fixed.metric
+        moved = HOLD * (self.par.centre - fixed.centre) / fixed.width
+        grown = HOLD * np.log(self.par.width / fixed.width)
+        if normal is not None:
+            pulls = np.concatenate([(HOLD / fixed.width).ravel(), np.full(grown.size, HOLD)])
+            held = pulls * np.concatenate([moved.ravel(), grown.ravel()])
+            free = fixed.chosen.size
+            normal.slope[:free] += ridge * np.concatenate([pulled.ravel(), held])[fixed.chosen]
+            normal.corner[:] += ridge * self._metric
+        return ridge * float((pulled * away).sum() + (moved * moved).sum() + (grown * grown).sum())
+
+    @cached_property
+    def _metric(self) -> FloatArray:
+        """(C, C) the ridge's matrix over the chosen unknowns."""
+        rules = self.shape[0]
+        share = np.eye(rules) - 1.0 / rules
+        pulls = np.concatenate([(HOLD / self.fixed.width).ravel(), np.full(self.par.width.size, HOLD)])
+        whole = np.zeros((self.unknowns, self.unknowns))
+        whole[: self.consequents, : self.consequents] = np.kron(share, self.fixed.metric)
+        whole[self.consequents :, self.consequents :] = np.diag(pulls * pulls)
+        return np.asarray(whole[np.ix_(self.fixed.chosen, self.fixed.chosen)])
+
+    def _strayed(self, normal: Normal | None) -> float:
+        """Mean squares by which the outputs leave their range under stress; differentiated if they do."""
+        rows = (self.size.depth, len(self.S))
+        q = self.size.moving * self.n
+        nowhere = np.zeros((0, self.S.shape[1]))
+        kept = np.zeros((0, self.size.n_y, 0))
+        basis = self.fixed.basis
+        ring, H, g = self.plain
+        square = float(sweep(self.S, nowhere, rows, self.lags, self.par, basis, 0, ring, kept, H, g))
+        if square > 0.0 and normal is not None:
+            ring, H, g = self.work
+            clear(ring, H, g)
+            sweep(self.S, nowhere, rows, self.lags, self.par, basis, q, ring, kept, H, g)
+            chosen = self.fixed.chosen
+            normal.slope[: chosen.size] += g[chosen] / len(self.S)
+            normal.corner[:] += H[np.ix_(chosen, chosen)] / len(self.S)
+        return square / len(self.S)
 
 
 def descend(
@@ -337,18 +286,17 @@ def descend(
     iterations p stays where it is; with fewer, nothing is differentiated, either. The loop is not compiled:
     that would compile all that it calls once more (docs/measured/search.md).
     """
-    own, (X, S, slopes), (ring, H, g) = _workspace(lags, par, fixed, size)
-    normal, other = (_empty_normal(fixed, size.moving * par.theta.shape[1]) for _ in range(2))
-    place = np.concatenate([fixed.chosen, np.arange(slopes.size, p.size)])
-    count = place.size
-    step = np.empty(count)
-    diagonal = np.empty(count)
+    model = Cost(lags, par, fixed, size)
+    normal = model.zero()
     if iterations < 0:
-        return _cost(p, lags, own, fixed, size, X, S, slopes), normal
-    cost = _normal(p, lags, own, fixed, size, X, S, slopes, ring, H, g, normal)
-    if not (diagonal_of(normal, diagonal) and math.isfinite(cost)) or iterations == 0:
+        return model.at(p), normal
+    cost = model.at(p, normal)
+    if not (normal.is_finite() and math.isfinite(cost)) or iterations == 0:
         return (cost if iterations == 0 else math.nan), normal
-    scale = np.sqrt(diagonal)
+    other = model.zero()
+    place = np.concatenate([fixed.chosen, np.arange(model.unknowns, p.size)])
+    step = np.empty(place.size)
+    scale = np.sqrt(normal.diagonal())
     scale = np.maximum(scale, 1e-8 * (scale.max(initial=0.0) or 1.0))
     damping = _FIRST_DAMPING
     growth = 2.0
@@ -367,10 +315,10 @@ def descend(
             trial[place] += step
             short = float(((scale * step) ** 2).sum())
             long = float(((scale * p[place]) ** 2).sum())
-            value = _cost(trial, lags, own, fixed, size, X, S, slopes)
+            value = model.at(trial)
             if value < cost:
-                value = _normal(trial, lags, own, fixed, size, X, S, slopes, ring, H, g, other)
-                better = value < cost and diagonal_of(other, diagonal)
+                value = model.at(trial, other)
+                better = value < cost and other.is_finite()
         if not better:
             damping = damping * growth
             growth = growth * 2.0
@@ -385,7 +333,7 @@ def descend(
         settled = cost - value <= tolerance * cost or math.sqrt(short) <= tolerance * math.sqrt(long)
         normal, other, cost = other, normal, value
         p[:] = trial
-        scale = np.maximum(scale, np.sqrt(diagonal))
+        scale = np.maximum(scale, np.sqrt(normal.diagonal()))
         if settled:
             break
     return cost, normal

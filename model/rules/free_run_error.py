@@ -255,7 +255,8 @@ class Stage:
         chosen : indices of the numbers of the body that move beside the starts; all free ones where None.
         """
         cost, found = self.descent(self.unknowns, 0, chosen=chosen)
-        return cost, Bordered(found.corner, found.border, found.blocks), found.slope
+        corner = np.tril(found.corner) + np.tril(found.corner, -1).T
+        return cost, Bordered(corner, found.border, found.blocks), found.slope
 
     def descended(self, iterations: int, tolerance: float, chosen: IntArray | None = None) -> Stage:
         """The stage after Levenberg-Marquardt on the simulation error.

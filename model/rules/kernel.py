@@ -15,8 +15,8 @@ which is exact, costs one pass, needs no tape and only a ring of as many past ro
 clamped a little beyond the range seen in training, so that far away the nearest rules speak and nothing wakes
 a distant wide one; simulated quantities are clamped to their limits, so that every run is finite.
 
-Everything here is plain loops over scalars, with one signature each: slices, broadcasting and linear algebra
-would take most of the time that compiling takes.
+One kernel runs models, with or without sensitivities, in plain loops over scalars and with one signature:
+slices, broadcasting, linear algebra and a second copy of the loop would each take seconds to compile.
 """
 
 from __future__ import annotations
@@ -68,23 +68,8 @@ class Parameters(NamedTuple):
     limits: FloatArray
 
 
+_SILENT = -40.0  # logarithm of 4e-18: below the rounding of the sum
 compiled = njit(cache=True, error_model="numpy")
-
-
-@compiled
-def _regress(W, k, lags, x):  # type: ignore[no-untyped-def]
-    for m in range(x.size):
-        c = lags.column[m]
-        x[m] = 1.0 if c < 0 else W[k - lags.lag[m], c]
-
-
-@compiled
-def _antecedents(W, k, lags, par, z):  # type: ignore[no-untyped-def]
-    for j in range(z.size):
-        value = W[k - lags.z_lag[j], lags.z_column[j]]
-        if lags.z_minus[j] >= 0:
-            value -= W[k - lags.z_minus[j], lags.z_column[j]]
-        z[j] = min(max(value, par.z_range[0, j]), par.z_range[1, j])
 
 
 @compiled
@@ -100,87 +85,70 @@ def _fire(z, par, phi):  # type: ignore[no-untyped-def]
     total = 0.0
     for r in range(phi.size):
         gap = phi[r] - top
-        phi[r] = math.exp(gap) if gap > -40.0 else 0.0  # 4e-18: below the rounding of the sum
+        phi[r] = math.exp(gap) if gap > _SILENT else 0.0
         total += phi[r]
     for r in range(phi.size):
         phi[r] = phi[r] / total if total > 0.0 else 1.0 / phi.size  # 0 only where z is not a number
 
 
-@compiled
-def _clamp(value, low, high):  # type: ignore[no-untyped-def]
-    if not value > low:  # also true for NaN, which becomes the low limit
-        return low
-    return min(value, high)
-
-
-@compiled
-def simulate(W, begin, end, lags, par):  # type: ignore[no-untyped-def]
-    """Write rows begin..end - 1 of W's simulated columns from its own earlier rows, in place."""
-    n_rules, n, n_x = par.theta.shape
-    x = np.empty(n_x)
-    z = np.empty(lags.z_lag.size)
-    phi = np.empty(n_rules)
-    for k in range(begin, end):
-        _regress(W, k, lags, x)
-        _antecedents(W, k, lags, par, z)
-        _fire(z, par, phi)
-        for i in range(n):
-            value = 0.0
-            for r in range(n_rules):
-                if phi[r] > 0.0:
-                    part = 0.0
-                    for m in range(n_x):
-                        part += par.theta[r, i, m] * x[m]
-                    value += phi[r] * part
-            W[k, i] = _clamp(value, par.limits[0, i], par.limits[1, i])
-
-
 def free_run(W: FloatArray, first: int, lags: Lags, par: Parameters) -> None:
     """Write the simulated columns of rows first.. of W (N, n + n_u) from its own earlier rows, in place."""
-    simulate(W, first, len(W), lags, par)
+    none = np.zeros((1, par.theta.shape[1], 0))
+    nothing = np.zeros((0, 0))
+    sweep(W, W, (first, len(W)), lags, par, nothing, 0, none, np.zeros((0, 0, 0)), nothing, np.zeros(0))
 
 
 def predict(W: FloatArray, first: int, steps: int, lags: Lags, par: Parameters) -> FloatArray:
     """(N, n) `steps`-ahead predictions along measured W; rows before first + steps - 1 are NaN."""
-    ahead = np.full((len(W), par.theta.shape[1]), np.nan)
-    _predict(W.copy(), W, first, steps, lags, par, ahead)
-    return ahead
-
-
-@compiled
-def _predict(X, W, first, steps, lags, par, ahead):  # type: ignore[no-untyped-def]
     n = par.theta.shape[1]
-    for k in range(first + steps - 1, W.shape[0]):
-        begin = k - steps + 1
-        simulate(X, begin, k + 1, lags, par)
-        for i in range(n):
-            ahead[k, i] = X[k, i]
-            for t in range(begin, k + 1):
-                X[t, i] = W[t, i]
+    ahead = np.full((len(W), n), np.nan)
+    begin = np.arange(first, len(W) - steps + 1)
+    found: list[FloatArray] = []
+
+    def past(column: int, lag: int) -> FloatArray:
+        """A column so many rows before the one that is computed, foretold where it is not measured yet."""
+        if column < 0:
+            return np.ones(len(begin))
+        step = len(found)
+        known = W[begin + step - lag, column]
+        return found[step - lag][:, column] if column < n and lag <= step else np.asarray(known)
+
+    for _ in range(steps if len(begin) else 0):
+        x = np.stack([past(*term) for term in zip(lags.column, lags.lag, strict=True)], axis=1)
+        z = np.empty((len(begin), len(lags.z_lag)))
+        for j, (column, lag, minus) in enumerate(zip(lags.z_column, lags.z_lag, lags.z_minus, strict=True)):
+            z[:, j] = past(column, lag) - (past(column, minus) if minus >= 0 else 0.0)
+        value = np.einsum("kr,rim,km->ki", _strengths(z, par), par.theta, x, optimize=True)
+        found.append(np.clip(np.where(np.isnan(value), par.limits[0], value), *par.limits))
+    if found:
+        ahead[first + steps - 1 :] = found[-1]
+    return ahead
 
 
 def firing(W: FloatArray, first: int, lags: Lags, par: Parameters) -> FloatArray:
     """(N, R) normalised firing strengths along W; rows before `first` repeat row `first`."""
-    strength = np.full((len(W), len(par.theta)), 1.0 / len(par.theta))
-    _firing(W, first, lags, par, strength)
-    strength[:first] = strength[first] if first < len(W) else strength[:first]
-    return strength
+    rules = len(par.theta)
+    if first >= len(W):
+        return np.full((len(W), rules), 1.0 / rules)
+    rows = np.arange(first, len(W))[:, None]
+    minus = np.where(lags.z_minus < 0, 0.0, W[rows - lags.z_minus * (lags.z_minus > 0), lags.z_column])
+    strength = _strengths(W[rows - lags.z_lag, lags.z_column] - minus, par)
+    return np.concatenate([np.repeat(strength[:1], first, axis=0), strength])
 
 
-@compiled
-def _firing(W, first, lags, par, strength):  # type: ignore[no-untyped-def]
-    z = np.empty(lags.z_lag.size)
-    phi = np.empty(strength.shape[1])
-    for k in range(first, W.shape[0]):
-        _antecedents(W, k, lags, par, z)
-        _fire(z, par, phi)
-        for r in range(phi.size):
-            strength[k, r] = phi[r]
+def _strengths(z: FloatArray, par: Parameters) -> FloatArray:
+    """(N, R) normalised firing strengths at antecedents z (N, n_z); `_fire` for many rows."""
+    lean = (np.clip(z, *par.z_range)[:, None, :] - par.centre) / par.width
+    loud = -0.5 * (lean * lean).sum(axis=2)
+    gap = loud - loud.max(axis=1, keepdims=True)
+    strength = np.where(gap > _SILENT, np.exp(gap), 0.0)
+    total = strength.sum(axis=1, keepdims=True)
+    return np.where(total > 0.0, strength / np.where(total > 0.0, total, 1.0), 1.0 / len(par.theta))
 
 
 @compiled
 def sweep(X, W, rows, lags, par, basis, own, ring, J, H, g):  # type: ignore[no-untyped-def]
-    """Free run of rows[0] <= k < rows[1] with its sensitivities; the sum of squared errors.
+    """Free run of rows[0] <= k < rows[1], with sensitivities where `ring` has columns; squared errors' sum.
 
     Parameters
     ----------
@@ -192,7 +160,7 @@ def sweep(X, W, rows, lags, par, basis, own, ring, J, H, g):  # type: ignore[no-
     own : of the columns of sensitivities so many, the last (the start), only propagate; those before are the
         first of the unknowns [a (R n n_b) | centre | log width].
     ring : (D, n, M) sensitivities of row k in ring[k % D], D at least the deepest lag. Holds those of the
-        rows before rows[0]; on return of the last.
+        rows before rows[0]; on return of the last. Without columns there is only the run.
     J : (rows, n_y, M) filled with the sensitivities of compared columns; (0, n_y, 0) to keep none.
     H, g : (M, M), (M,) J'J (lower triangle) and J'e are added to them; empty to leave that out.
     """
@@ -222,26 +190,37 @@ def sweep(X, W, rows, lags, par, basis, own, ring, J, H, g):  # type: ignore[no-
         for j in range(n_z):
             inverse[r, j] = 1.0 / par.width[r, j]
     for k in range(rows[0], rows[1]):
-        _regress(X, k, lags, x)
-        _antecedents(X, k, lags, par, z)
+        for m in range(n_x):
+            c = lags.column[m]
+            x[m] = 1.0 if c < 0 else X[k - lags.lag[m], c]
+        for j in range(n_z):
+            value = X[k - lags.z_lag[j], lags.z_column[j]]
+            if lags.z_minus[j] >= 0:
+                value -= X[k - lags.z_minus[j], lags.z_column[j]]
+            z[j] = min(max(value, par.z_range[0, j]), par.z_range[1, j])
         _fire(z, par, phi)
-        for m in range(n_b):
-            total = 0.0
-            for c in range(n_x):
-                total += basis[m, c] * x[c]
-            e[m] = total
-        for r in range(n_rules):
-            for j in range(n_z):
-                lean[r, j] = (z[j] - par.centre[r, j]) * inverse[r, j]
+        if size > 0:
+            for m in range(n_b):
+                total = 0.0
+                for c in range(n_x):
+                    total += basis[m, c] * x[c]
+                e[m] = total
+            for r in range(n_rules):
+                for j in range(n_z):
+                    lean[r, j] = (z[j] - par.centre[r, j]) * inverse[r, j]
         for i in range(n):
             value = 0.0
             for r in range(n_rules):
-                total = 0.0
-                for m in range(n_x):
-                    total += par.theta[r, i, m] * x[m]
-                part[r] = total
-                value += phi[r] * total
-            X[k, i] = _clamp(value, par.limits[0, i], par.limits[1, i])
+                if phi[r] > 0.0 or size > 0:
+                    total = 0.0
+                    for m in range(n_x):
+                        total += par.theta[r, i, m] * x[m]
+                    part[r] = total
+                    value += phi[r] * total
+            # NaN becomes the low limit
+            X[k, i] = min(value, par.limits[1, i]) if value > par.limits[0, i] else par.limits[0, i]
+            if size == 0:
+                continue
             for p in range(size):
                 new[i, p] = 0.0
             if X[k, i] != value:  # clamped (or NaN): nothing moves it
@@ -286,12 +265,18 @@ def sweep(X, W, rows, lags, par, basis, own, ring, J, H, g):  # type: ignore[no-
                         pull = lever * lean[r, j]
                         new[i, at_centre + r * n_z + j] += pull * inverse[r, j]
                         new[i, at_width + r * n_z + j] += pull * lean[r, j]
-        slot = k % deep
-        for i in range(n):
-            for p in range(size):
-                ring[slot, i, p] = new[i, p]
+        if size > 0:
+            slot = k % deep
+            for i in range(n):
+                for p in range(size):
+                    ring[slot, i, p] = new[i, p]
         for i in range(n_y):
-            error = stray(X[k, i], par.limits, i) if stressed else X[k, i] - W[k, i]
+            if stressed:  # half of the margin is free: a plant may well go further under unseen inputs
+                free = (par.limits[1, i] - par.limits[0, i]) / 6.0
+                error = max(X[k, i] - (par.limits[1, i] - free), 0.0)
+                error += min(X[k, i] - (par.limits[0, i] + free), 0.0)
+            else:
+                error = X[k, i] - W[k, i]
             square += error * error
             if keeps:
                 for p in range(size):
@@ -303,13 +288,3 @@ def sweep(X, W, rows, lags, par, basis, own, ring, J, H, g):  # type: ignore[no-
                     for q in range(p + 1):
                         H[p, q] += f * new[i, q]
     return square
-
-
-@compiled
-def stray(y, limits, i):  # type: ignore[no-untyped-def]
-    """How far an output is on its way out of the training range to its limits; 0 inside.
-
-    Half of the margin is free: a plant may well go a little further under inputs it has not seen.
-    """
-    margin = (limits[1, i] - limits[0, i]) / 6.0
-    return max(y - (limits[1, i] - margin), 0.0) + min(y - (limits[0, i] + margin), 0.0)
