@@ -36,9 +36,10 @@ def command(
 ) -> int:
     """Say what the present gains mean: crossover, margins, bandwidth, noise; each with a 95 % interval.
 
-    Reads the gains from the log's header (Betaflight 3.1 to 3.5), measures the plant through the sticks, and
-    closes the loop. Where the flights do not tell, or the stated gains do not give what the log recorded, it
-    says so, and what to fly (exit code 3 where nothing is known of any axis). It proposes no gains.
+    Reads the gains from the log (Betaflight 3.1 to 3.5, PX4 1.12 on, ArduCopter 4.0 on), measures the plant
+    through the sticks, and closes the loop. Where the flights do not tell, or the stated gains do not give
+    what the log recorded, it says so, and what to fly (exit code 3 where nothing is known of any axis). It
+    proposes no gains.
     """
     from flysid.ingest.lake.selection import Selection, select
     from flysid.loops.judged import CAUTION, judge

@@ -65,28 +65,31 @@ def record_of(log: Any, axis: str, settings: Mapping[str, str]) -> tuple[Record,
         )
     r = np.asarray(asked[setpoint], dtype=np.float64)
     at = np.asarray(asked["time_ns"], dtype=np.float64) * 1e-9
-    record = Record(log.name, RATE_HZ, _pieces(time, at, r, output, values[f"gyroADC[{k}]"]))
+    record = Record(log.name, RATE_HZ, even_pieces(RATE_HZ, time, at, r, output, values[f"gyroADC[{k}]"]))
     return record, values["rcCommand[3]"]
 
 
-def _pieces(
-    time: FloatArray, asked_at: FloatArray, r: FloatArray, u: FloatArray, y: FloatArray
+def even_pieces(
+    rate_hz: float,
+    time: FloatArray,
+    asked_at: FloatArray,
+    r: FloatArray,
+    u: FloatArray,
+    y: FloatArray,
+    outside: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[FloatArray, ...]:
-    """Stretches without a gap, on an even grid."""
-    edges = [0, *(np.flatnonzero(np.diff(time) > GAP_S) + 1), len(time)]
+    """Stretches without a gap, on an even grid: setpoint, output, rate, and times and values from outside."""
+    edges = [0, *(np.flatnonzero(np.diff(time) > max(GAP_S, 3.0 / rate_hz)) + 1), len(time)]
     found = []
     for begin, end in itertools.pairwise(edges):
         if end - begin < 2:
             continue
-        grid = np.arange(time[begin], time[end - 1], 1.0 / RATE_HZ)
+        grid = np.arange(time[begin], time[end - 1], 1.0 / rate_hz)
         own = slice(begin, end)
-        found.append(
-            np.stack(
-                [
-                    np.interp(grid, asked_at, r),
-                    np.interp(grid, time[own], u[own]),
-                    np.interp(grid, time[own], y[own]),
-                ]
-            )
-        )
+        rows = [
+            np.interp(grid, asked_at, r),
+            np.interp(grid, time[own], u[own]),
+            np.interp(grid, time[own], y[own]),
+        ]
+        found.append(np.stack(rows + ([np.interp(grid, *outside)] if outside is not None else [])))
     return tuple(found)

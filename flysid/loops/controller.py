@@ -6,7 +6,16 @@ Betaflight 3.1 to 3.5 (pid.c of 3.1.7 and 3.4.0, in whole numbers of the mixer, 
 
 with the D filter F, first order (PT1) or second (biquad), and the setpoint's weight w. Above a throttle of
 `tpa_breakpoint`, P and D shrink (TPA). Where the setpoint's weight is relaxed about the sticks' centre, the
-one weight that explains the log best stands for it. `refuse_misfit` compares all of it with the log.
+one weight that explains the log best stands for it.
+
+PX4 (RateControl, 1.12 on) and ArduPilot (AC_PID, 4.0 on) count in rad/s and in shares of the output, here
+in deg/s and thousandths:
+
+    PX4:        K (P (r - y) + I integral of (r - y) - D (F y)') + FF r,     F of second order
+    ArduPilot:  P e + I integral of e + D (F e)' + FF (T r),                 e = E (T r - y)
+
+with filters T, E, F of first order on target, error and derivative. `refuse_misfit` compares all of it
+with the log.
 """
 
 from __future__ import annotations
@@ -26,6 +35,11 @@ I_SCALE = 0.244381
 D_SCALE = 0.000529
 AXES = {"roll": "rollPID", "pitch": "pitchPID", "yaw": "yawPID"}
 LARGEST_MISS = 0.15
+THOUSANDTHS = 1000.0
+ARDUPILOT_AXES = {"roll": "RLL", "pitch": "PIT", "yaw": "YAW"}
+
+
+Filters = tuple[tuple[int, float], ...]
 
 
 @dataclass(frozen=True)
@@ -38,6 +52,9 @@ class Controller:
     p, i, d : per unit of error, of its integral, of its derivative.
     weight : of the setpoint in the derivative; None: it depends on the sticks, see `as_flown`.
     filters : orders and cut-offs (Hz) of what the derivative of y goes through.
+    error_filters, reference_filters : of what the error goes through, and the setpoint before it.
+    forward : from the filtered setpoint straight to the output.
+    slope_filtered : the setpoint's derivative goes through `filters`, too.
     """
 
     gains: Mapping[str, float]
@@ -45,21 +62,26 @@ class Controller:
     i: float
     d: float
     weight: float | None
-    filters: tuple[tuple[int, float], ...]
+    filters: Filters
+    error_filters: Filters = ()
+    reference_filters: Filters = ()
+    forward: float = 0.0
+    slope_filtered: bool = False
 
     def feedback(self, f: FloatArray) -> ComplexArray:
         """(F,) from the measured rate, its sign left out."""
         s = 2j * np.pi * np.maximum(f, 1e-6)
-        through = np.ones(len(f), dtype=np.complex128)
-        for order, cut in self.filters:
-            x = 1j * f / cut
-            through = through / (1.0 + x if order == 1 else 1.0 + np.sqrt(2.0) * x + x * x)
-        return np.asarray(self.p + self.i / s + self.d * s * through)
+        inside = self.p + self.i / s + self.d * s * _through(self.filters, f)
+        return np.asarray(inside * _through(self.error_filters, f))
 
     def reference(self, f: FloatArray) -> ComplexArray:
         """(F,) from the setpoint."""
         s = 2j * np.pi * np.maximum(f, 1e-6)
-        return np.asarray(self.p + self.i / s + (self.weight or 0.0) * self.d * s)
+        slope = (self.weight or 0.0) * self.d * s
+        if self.slope_filtered:
+            slope = slope * _through(self.filters, f)
+        inside = (self.p + self.i / s + slope) * _through(self.error_filters, f)
+        return np.asarray((inside + self.forward) * _through(self.reference_filters, f))
 
     def as_flown(self, loop: Loop, low: float, high: float) -> Controller:
         """With the setpoint's weight that explains a log best, where the gains do not state one."""
@@ -80,6 +102,16 @@ class Controller:
         s = loop.mean
         told = self.reference(loop.f) * s[0, 0] - self.feedback(loop.f) * s[0, 2]
         return float(np.median(np.abs(told - s[0, 1])[at] / np.abs(s[0, 1])[at]))
+
+
+def _through(filters: Filters, f: FloatArray) -> ComplexArray:
+    """(F,) of low-pass filters of first or second order, one behind the other; a cut-off of 0 is none."""
+    through = np.ones(len(f), dtype=np.complex128)
+    for order, cut in filters:
+        if cut > 0.0:
+            x = 1j * f / cut
+            through = through / (1.0 + x if order == 1 else 1.0 + np.sqrt(2.0) * x + x * x)
+    return through
 
 
 def betaflight(settings: Mapping[str, str], axis: str, throttle: FloatArray) -> Controller:
@@ -118,6 +150,66 @@ def betaflight(settings: Mapping[str, str], axis: str, throttle: FloatArray) -> 
         None if 0.0 < relaxed < 100.0 else weight,
         filters,
     )
+
+
+def px4(stated: Mapping[str, float], axis: str) -> Controller:
+    """The rate controller of PX4, from parameters.
+
+    Raises
+    ------
+    DataError : parameters are missing: another version, or a log without them.
+    """
+    stem = f"MC_{axis.upper()}RATE_"
+    k, p, i, d = _stated(stated, *(stem + name for name in ("K", "P", "I", "D")))
+    (cut,) = _stated(stated, "IMU_DGYRO_CUTOFF")
+    unit = np.pi / 180.0 * THOUSANDTHS
+    return Controller(
+        {f"{stem}K": k, "P": p, "I": i, "D": d},
+        unit * k * p,
+        unit * k * i,
+        unit * k * d,
+        0.0,
+        ((2, cut),),
+        forward=unit * stated.get(stem + "FF", 0.0),
+    )
+
+
+def ardupilot(stated: Mapping[str, float], axis: str) -> Controller:
+    """The rate controller of ArduCopter 4.0 and later, from parameters.
+
+    Raises
+    ------
+    DataError : parameters are missing (older versions have one filter), or the slope is fed forward.
+    """
+    stem = f"ATC_RAT_{ARDUPILOT_AXES[axis]}_"
+    p, i, d, target, error, slope = _stated(
+        stated, *(stem + name for name in ("P", "I", "D", "FLTT", "FLTE", "FLTD"))
+    )
+    if stated.get(stem + "D_FF", 0.0):
+        raise DataError(f"{stem}D_FF is not known here", hint="set it to 0 for the flight")
+    unit = np.pi / 180.0 * THOUSANDTHS
+    return Controller(
+        {f"{stem}P": p, "I": i, "D": d},
+        unit * p,
+        unit * i,
+        unit * d,
+        1.0,
+        ((1, slope),),
+        ((1, error),),
+        ((1, target),),
+        unit * stated.get(stem + "FF", 0.0),
+        slope_filtered=True,
+    )
+
+
+def _stated(stated: Mapping[str, float], *names: str) -> tuple[float, ...]:
+    missing = [name for name in names if name not in stated]
+    if missing:
+        raise DataError(
+            f"the log does not state {', '.join(missing)}",
+            hint="log the parameters; known are PX4 1.12 on and ArduCopter 4.0 on",
+        )
+    return tuple(stated[name] for name in names)
 
 
 def _numbers(settings: Mapping[str, str], *names: str) -> tuple[float, ...]:

@@ -3,15 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
+from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.loops.blackbox import record_of, settings_of
-from flysid.loops.controller import AXES, Controller, betaflight, refuse_misfit
+from flysid.loops.controller import (
+    ARDUPILOT_AXES,
+    AXES,
+    Controller,
+    ardupilot,
+    betaflight,
+    px4,
+    refuse_misfit,
+)
 from flysid.loops.margins import Figure, Margins, margins, trusted_band
-from flysid.loops.stick_response import Loop
+from flysid.loops.parameterlogs import (
+    ardupilot_parameters,
+    ardupilot_record,
+    px4_parameters,
+    px4_record,
+)
+from flysid.loops.stick_response import Loop, Record
 
 ALIKE = (
     "Firmware revision",
@@ -93,6 +110,61 @@ def _plain(figure: Figure) -> dict[str, Any]:
     return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in told.items()}
 
 
+@dataclass(frozen=True)
+class Kind:
+    """How one family of logs states and records its loops.
+
+    Attributes
+    ----------
+    mark : a stream that only these logs have.
+    settings : of a log, by name.
+    record : (log, axis, settings) -> the loop, and the throttle where gains depend on it.
+    controller : (settings, axis, throttle) -> the law.
+    alike : (settings, axis) -> what flights that are judged together share.
+    """
+
+    mark: str
+    settings: Callable[[Any], Mapping[str, Any]]
+    record: Callable[[Any, str, Mapping[str, Any]], tuple[Record, FloatArray]]
+    controller: Callable[[Mapping[str, Any], str, FloatArray], Controller]
+    alike: Callable[[Mapping[str, Any], str], tuple[Any, ...]]
+
+
+NO_THROTTLE = np.zeros(0)
+KINDS = (
+    Kind(
+        "vehicle_rates_setpoint",
+        px4_parameters,
+        lambda log, axis, _: (px4_record(log, axis), NO_THROTTLE),
+        lambda stated, axis, _: px4(stated, axis),
+        lambda stated, axis: _own(stated, f"MC_{axis.upper()}RATE_"),
+    ),
+    Kind(
+        "RATE",
+        ardupilot_parameters,
+        lambda log, axis, _: (ardupilot_record(log, axis), NO_THROTTLE),
+        lambda stated, axis, _: ardupilot(stated, axis),
+        lambda stated, axis: _own(stated, f"ATC_RAT_{ARDUPILOT_AXES[axis]}_"),
+    ),
+    Kind(
+        "main",
+        settings_of,
+        record_of,
+        betaflight,
+        lambda settings, axis: tuple(settings.get(name, "") for name in (AXES[axis], *ALIKE)),
+    ),
+)
+
+
+def _own(stated: Mapping[str, float], stem: str) -> tuple[tuple[str, float], ...]:
+    return tuple(sorted((name, value) for name, value in stated.items() if name.startswith(stem)))
+
+
+def _kind(log: Any) -> Kind:
+    """The family of a log; the last, which names what is missing, where none fits."""
+    return next((kind for kind in KINDS if kind.mark in log.facts.streams), KINDS[-1])
+
+
 def judge(logs: Iterable[Any], axes: Iterable[str] = ("roll", "pitch")) -> list[Judged]:
     """Every axis of every set of gains, in the order of the flights.
 
@@ -109,7 +181,8 @@ def judge(logs: Iterable[Any], axes: Iterable[str] = ("roll", "pitch")) -> list[
         groups: dict[tuple[Any, ...], list[Any]] = {}
         for log in every:
             try:
-                key = tuple(settings_of(log).get(name, "") for name in (AXES[axis], *ALIKE))
+                kind = _kind(log)
+                key: tuple[Any, ...] = (kind.mark, kind.alike(kind.settings(log), axis))
             except DataError:
                 key = (log.name,)
             groups.setdefault(key, []).append(log)
@@ -121,10 +194,14 @@ def _judge(logs: list[Any], axis: str) -> Judged:
     names = tuple(log.name for log in logs)
     gains: Mapping[str, float] = {}
     try:
-        settings = [settings_of(log) for log in logs]
-        parts = [record_of(log, axis, own) for log, own in zip(logs, settings, strict=True)]
-        each = [betaflight(own, axis, throttle) for own, (_, throttle) in zip(settings, parts, strict=True)]
-        gains = each[0].gains
+        kind = _kind(logs[0])
+        settings = [kind.settings(log) for log in logs]
+        stated = kind.controller(settings[0], axis, NO_THROTTLE)
+        gains = stated.gains
+        parts = [kind.record(log, axis, own) for log, own in zip(logs, settings, strict=True)]
+        each = [
+            kind.controller(own, axis, throttle) for own, (_, throttle) in zip(settings, parts, strict=True)
+        ]
         loop = Loop.of([record for record, _ in parts])
         low, high = trusted_band(loop)
         controller = each[0].as_flown(loop, low, high)

@@ -177,4 +177,6 @@ def _figure(value: float, draws: FloatArray, beyond: str, blocks: int) -> Figure
     if np.isnan(value) or not np.isfinite(draws).all():
         return Figure(None, why=beyond)
     reach = float(t.ppf(0.975, blocks - 1) * draws.std() * np.sqrt(blocks / (blocks - 1)))
+    if value <= reach:
+        return Figure(None, why="the flights scatter too much; fly longer, in calmer air")
     return Figure(value, value - reach, value + reach)

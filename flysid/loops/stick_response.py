@@ -5,8 +5,10 @@ What the setpoint r moves is free of them (joint input-output; Pintelon & Schouk
 
     G = S_ry / S_ru,        T = S_ry / S_rr
 
-with the controller's output u and the measured rate y. The scatter is found by resampling stretches of
-windows, whole flights where there are several.
+with the controller's output u and the measured rate y. Where an angle loop makes r, disturbances come back
+through it, and r is no longer free of them; what that loop is asked for, z, is, and stands for r:
+G = S_zy / S_zu, T = S_zy / S_zr (instrumental variables; Söderström & Stoica, 1989, 10.5). The scatter is
+found by resampling stretches of windows, whole flights where there are several.
 """
 
 from __future__ import annotations
@@ -37,7 +39,8 @@ class Record:
     Attributes
     ----------
     rate_hz : samples a second.
-    pieces : (3, N) setpoint, controller's output, measured rate.
+    pieces : (3, N) setpoint, controller's output, measured rate; (4, N) where the last, what an outer loop is
+        asked for, stands for the setpoint as what is free of disturbances.
     """
 
     name: str
@@ -52,8 +55,8 @@ class Loop:
     Attributes
     ----------
     f : (F,) Hz.
-    blocks : per flight (B, 3, 3, F) sums of conj(X_i) X_j over the windows of a block; rows setpoint, output,
-        rate.
+    blocks : per flight (B, 3, 3, F) sums of conj(W_i) X_j over the windows of a block; X setpoint, output,
+        rate, and W the same or with what is asked from outside in the setpoint's place.
     """
 
     f: FloatArray
@@ -106,12 +109,6 @@ class Loop:
             total += counts @ b.reshape(len(b), -1)
         return total.reshape(DRAWS, *self.blocks[0].shape[1:])
 
-    @property
-    def coherence(self) -> FloatArray:
-        """(F,) of setpoint and rate."""
-        s = self.mean
-        return np.asarray(np.abs(s[0, 2]) ** 2 / (s[0, 0].real * s[2, 2].real))
-
     def spread(self) -> FloatArray:
         """(F,) relative standard error of the plant, or of the output's or the rate's answer to the setpoint.
 
@@ -153,6 +150,7 @@ def _blocks(record: Record, size: int) -> ComplexArray:
             for at in group:
                 cut = piece[:, at : at + size]
                 X = np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * window, axis=1)
-                total += X.conj()[:, None] * X[None]
+                W = X[[3, 1, 2]] if len(X) > 3 else X
+                total += W.conj()[:, None] * X[None, :3]
             found.append(total)
     return np.asarray(found) if found else np.zeros((0, 3, 3, size // 2 + 1), dtype=np.complex128)

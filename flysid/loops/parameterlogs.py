@@ -1,0 +1,165 @@
+"""Rate loops of PX4's and ArduPilot's logs: setpoint, output and rate on an even grid; their parameters.
+
+In all modes but acro an angle loop makes the rate's setpoint; the angle that it was asked for is read, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from flysid.dataset import FloatArray
+from flysid.errors import DataError
+from flysid.loops.blackbox import LARGEST_SHARE, even_pieces
+from flysid.loops.controller import AXES, THOUSANDTHS
+from flysid.loops.stick_response import Record
+
+LEAST_HZ = 40.0
+STREAMS = {
+    "PARM": ("Name", "Value"),
+    "parameters": ("name", "value"),
+    "PARAM_VALUE": ("param_id", "param_value"),
+}
+"""Where logs keep parameters: DataFlash, ULog, MAVLink."""
+IN_FORCE = ("", "initial", "changed")
+"""Origins of values that were in force; a ULog also states defaults."""
+
+
+def parameters_of(log: Any, needed: Callable[[str], bool]) -> dict[str, float]:
+    """Parameters of a log by name, those that are needed.
+
+    Raises
+    ------
+    DataError : the log states none, or one of them was changed in flight.
+    """
+    stream = next((s for s in STREAMS if s in log.facts.streams), None)
+    if stream is None:
+        raise DataError(
+            f"{log.name} states no parameters",
+            hint="log them: they are there by default on PX4 and ArduPilot",
+        )
+    name, value = STREAMS[stream]
+    more = ["origin"] if "origin" in log.columns(stream) else []
+    table = log.table(stream, [name, value, *more]).to_pydict()
+    origins = table.get("origin", [""] * len(table[name]))
+    found: dict[str, float] = {}
+    for key, number, origin in zip(table[name], table[value], origins, strict=True):
+        if origin not in IN_FORCE or not needed(key):
+            continue
+        if found.setdefault(key, float(number)) != float(number):
+            raise DataError(
+                f"{log.name}: {key} was changed from {found[key]:g} to {float(number):g} in flight",
+                hint="cut the flight there, or fly with gains that stay",
+            )
+    return found
+
+
+def px4_parameters(log: Any) -> dict[str, float]:
+    """Those of PX4's rate controllers."""
+    return parameters_of(log, lambda name: name == "IMU_DGYRO_CUTOFF" or ("RATE_" in name and "MC_" in name))
+
+
+def ardupilot_parameters(log: Any) -> dict[str, float]:
+    """Those of ArduCopter's rate controllers."""
+    return parameters_of(log, lambda name: name.startswith("ATC_RAT_"))
+
+
+def px4_record(log: Any, axis: str) -> Record:
+    """One axis of a PX4 flight in deg/s and thousandths of the output.
+
+    Raises
+    ------
+    DataError : a topic is missing, too slow, or the output at its limit.
+    """
+    k = list(AXES).index(axis)
+    if "vehicle_torque_setpoint" in log.facts.streams:
+        output = ("vehicle_torque_setpoint", "xyz")
+    else:
+        output = ("actuator_controls_0", "control")
+    time, rate = _column(log, "vehicle_angular_velocity", "xyz", k)
+    at, setpoint = _column(log, "vehicle_rates_setpoint", axis)
+    when, share = _column(log, *output, k)
+    out = np.interp(time, when, share)
+    outside = _asked_of_px4(log, axis)
+    slowest = min(_rate(t) for t in (time, at, when))
+    loop = (np.degrees(setpoint), THOUSANDTHS * out, np.degrees(rate))
+    return _record(log, axis, slowest, time, at, loop, outside)
+
+
+def ardupilot_record(log: Any, axis: str) -> Record:
+    """One axis of an ArduCopter flight in deg/s and thousandths of the output.
+
+    Raises
+    ------
+    DataError : RATE is missing or too slow, or the output at its limit.
+    """
+    letter = axis[0].upper()
+    time, rate = _column(log, "RATE", letter)
+    _, setpoint = _column(log, "RATE", f"{letter}Des")
+    _, out = _column(log, "RATE", f"{letter}Out")
+    name = {"R": "DesRoll", "P": "DesPitch", "Y": "DesYaw"}[letter]
+    outside = _column(log, "ATT", name)
+    loop = (setpoint, THOUSANDTHS * out, rate)
+    return _record(log, axis, _rate(time), time, time, loop, outside if np.ptp(outside[1]) else None)
+
+
+def _asked_of_px4(log: Any, axis: str) -> tuple[FloatArray, FloatArray] | None:
+    """Times and the angle (rad) that PX4's attitude loop was asked for; None in a flight by rates alone."""
+    stream = "vehicle_attitude_setpoint"
+    if stream not in log.facts.streams:
+        raise DataError(
+            f"{log.name} lacks {stream}: whether an angle loop moves the rate's setpoint is not known",
+            hint=f"log {stream}",
+        )
+    table = log.table(stream, ["time_ns", "q_d"])
+    time = np.asarray(table["time_ns"], dtype=np.float64) * 1e-9
+    turns = np.asarray(table["q_d"].to_pylist(), dtype=np.float64)
+    known = np.isfinite(turns).all(axis=1) & (np.abs(turns).sum(axis=1) > 0.0)
+    if not known.any():
+        return None
+    angles = Rotation.from_quat(turns[known][:, [1, 2, 3, 0]]).as_euler("ZYX")[:, ::-1]
+    values = np.unwrap(angles[:, list(AXES).index(axis)])
+    return (time[known], values) if np.ptp(values) else None
+
+
+def _rate(time: FloatArray) -> float:
+    return float(np.round(1.0 / np.median(np.diff(time)))) if len(time) > 2 else 0.0  # flights alike
+
+
+def _column(log: Any, stream: str, name: str, place: int | None = None) -> tuple[FloatArray, FloatArray]:
+    """(N,) times in s and values, of an array its `place`-th."""
+    try:
+        table = log.table(stream, ["time_ns", name])
+    except (KeyError, DataError) as error:
+        raise DataError(
+            f"{log.name} lacks {stream}.{name}", hint="log setpoint, output and rate of the rate loop, fast"
+        ) from error
+    column = table[name].to_pylist() if place is not None else table[name]
+    values = np.asarray([v[place] for v in column] if place is not None else column, dtype=np.float64)
+    return np.asarray(table["time_ns"], dtype=np.float64) * 1e-9, values
+
+
+def _record(
+    log: Any,
+    axis: str,
+    rate_hz: float,
+    time: FloatArray,
+    at: FloatArray,
+    loop: tuple[FloatArray, FloatArray, FloatArray],
+    outside: tuple[FloatArray, FloatArray] | None,
+) -> Record:
+    if rate_hz < LEAST_HZ:
+        raise DataError(
+            f"{log.name} has the {axis} loop at {rate_hz:.0f} Hz: too slow to see where its gain is one",
+            hint="log it at 100 Hz or more: LOG_BITMASK with fast attitude, SDLOG_PROFILE with high rate",
+        )
+    limited = float((np.abs(loop[1]) >= THOUSANDTHS - 1.0).mean())
+    if limited > LARGEST_SHARE:
+        raise DataError(
+            f"{log.name}: the {axis} controller was at its limit for {100.0 * limited:.0f} % of the flight",
+            hint="fly it gentler: at a limit gains say nothing",
+        )
+    return Record(log.name, rate_hz, even_pieces(rate_hz, time, at, *loop, outside))

@@ -1,0 +1,145 @@
+"""Rate loops of PX4 and ArduPilot, whose truth is known, read from logs as they keep them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from flysid.cli.gains import command
+from flysid.loops.controller import Controller, ardupilot, px4
+from flysid.loops.judged import judge
+from tests.flysid.loops.autopilots import ARDUPILOT, PX4, Log, ardupilot_log, px4_log
+from tests.flysid.loops.simulated import Vehicle, truth
+
+LOGS = Path("../shared/logs")
+VEHICLE = Vehicle(12.0, 0.04, 8)
+LAWS: dict[str, tuple[Callable[..., Log], Controller]] = {
+    "px4": (
+        px4_log,
+        px4({f"MC_ROLLRATE_{k}": v for k, v in PX4.items()} | {"IMU_DGYRO_CUTOFF": 30.0}, "roll"),
+    ),
+    "ardupilot": (ardupilot_log, ardupilot({f"ATC_RAT_RLL_{k}": v for k, v in ARDUPILOT.items()}, "roll")),
+}
+TRUE = replace(VEHICLE, delay_steps=9)
+"""A step of the simulation is half a step late."""
+
+
+@pytest.mark.parametrize("kind", list(LAWS))
+@pytest.mark.parametrize("outer", [0.0, 6.5])
+def test_a_known_loop_is_found_in_rate_and_in_angle_modes(kind: str, outer: float) -> None:
+    log, law = LAWS[kind]
+    found = judge([log(90.0, 3, vehicle=VEHICLE, outer=outer)], ["roll"])[0]
+    assert found.margins is not None, found.refused
+    true = truth(TRUE, law)
+    assert found.miss < 0.05
+    assert found.margins.crossover_hz.value == pytest.approx(true["crossover_hz"], abs=0.15)
+    assert found.margins.phase_deg.value == pytest.approx(true["phase_deg"], abs=2.5)
+    assert found.margins.ms.value == pytest.approx(true["ms"], abs=0.05)
+
+
+def test_gusts_that_come_back_through_an_angle_loop_bend_no_margin() -> None:
+    true = truth(TRUE, LAWS["px4"][1])["phase_deg"]
+    gusty: dict[str, Any] = {"vehicle": VEHICLE, "outer": 6.5, "stick": 30.0, "disturbance": 60.0}
+    phases = []
+    for seed in range(4):
+        margins = judge([px4_log(90.0, seed, **gusty)], ["roll"])[0].margins
+        assert margins is not None
+        phases.append(margins.phase_deg.value)
+    assert np.mean(np.asarray(phases, dtype=float)) == pytest.approx(true, abs=5.0)
+    log = px4_log(90.0, 0, **gusty)
+    log.tables["vehicle_attitude_setpoint"]["q_d"] = [[1.0, 0.0, 0.0, 0.0]] * len(
+        log.tables["vehicle_attitude_setpoint"]["q_d"]
+    )  # as if the rates were asked for by hand
+    blind = judge([log], ["roll"])[0].margins
+    assert blind is not None
+    assert blind.phase_deg.value is not None
+    assert blind.phase_deg.value < true - 10.0
+
+
+def _changed_in_flight() -> Log:
+    log = px4_log(30.0, 1, vehicle=VEHICLE)
+    table = log.tables["parameters"]
+    table["name"].append("MC_ROLLRATE_P")
+    table["value"].append(0.2)
+    table["origin"].append("changed")
+    return log
+
+
+def _without(log: Log, stream: str) -> Log:
+    del log.tables[stream]
+    return log
+
+
+def _older() -> Log:
+    log = ardupilot_log(30.0, 1, vehicle=VEHICLE)
+    table = log.tables["PARM"]
+    table["Name"] = [n.replace("FLTD", "FILT") for n in table["Name"]]
+    return log
+
+
+REFUSED: dict[str, tuple[Callable[[], Log], str]] = {
+    "changed in flight": (_changed_in_flight, "was changed from 0.15 to 0.2"),
+    "other gains": (lambda: px4_log(60.0, 1, {"MC_ROLLRATE_P": 0.3}, vehicle=VEHICLE), "do not give what"),
+    "older firmware": (_older, "does not state ATC_RAT_RLL_FLTD"),
+    "slope feed-forward": (
+        lambda: ardupilot_log(30.0, 1, {"ATC_RAT_RLL_D_FF": 0.1}, vehicle=VEHICLE),
+        "D_FF is not known",
+    ),
+    "logged slowly": (lambda: ardupilot_log(60.0, 1, vehicle=VEHICLE, rate_hz=10.0), "at 10 Hz: too slow"),
+    "no parameters": (
+        lambda: _without(px4_log(30.0, 1, vehicle=VEHICLE), "parameters"),
+        "states no parameters",
+    ),
+    "no output": (
+        lambda: _without(px4_log(30.0, 1, vehicle=VEHICLE), "vehicle_torque_setpoint"),
+        "lacks actuator_controls_0",
+    ),
+    "no angle setpoint": (
+        lambda: _without(px4_log(30.0, 1, vehicle=VEHICLE), "vehicle_attitude_setpoint"),
+        "lacks vehicle_attitude_setpoint",
+    ),
+    "quiet sticks": (lambda: px4_log(60.0, 1, vehicle=VEHICLE, stick=0.5), "sticks|known between"),
+    "motors at their limit": (
+        lambda: px4_log(60.0, 1, vehicle=VEHICLE, stick=3000.0),
+        "at its limit",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", list(REFUSED))
+def test_what_cannot_be_known_is_refused_with_what_to_do(case: str) -> None:
+    import re
+
+    made, words = REFUSED[case]
+    found = judge([made()], ["roll"])[0]
+    assert found.margins is None
+    assert re.search(words, found.refused), found.refused
+    assert found.hint
+
+
+def test_flights_of_other_gains_are_judged_apart() -> None:
+    logs: list[Any] = [px4_log(30.0, s, vehicle=VEHICLE) for s in (1, 2)]
+    logs.append(px4_log(30.0, 3, {"MC_ROLLRATE_I": 0.3}, vehicle=VEHICLE))
+    assert [len(j.flights) for j in judge(logs, ["roll"])] == [2, 1]
+
+
+@pytest.mark.skipif(not LOGS.is_dir(), reason="no real logs here")
+@pytest.mark.parametrize(
+    ("log", "words"),
+    [
+        ("ulog/quad_stabilised_92s.ulg", "MC_ROLLRATE_K 1, P 0.15, I 0.2, D 0.003"),
+        ("ulog/pyulog_sample.ulg", "does not state MC_ROLLRATE_K"),
+        ("dataflash/sitl_copter_49s.BIN", "too slow to see"),
+        ("dataflash/copter_437s.bin", "does not state ATC_RAT_RLL_FLTT"),
+    ],
+)
+def test_real_logs_are_judged_or_refused(log: str, words: str) -> None:
+    done = CliRunner().invoke(command, [str(LOGS / log), "--axis", "roll"], standalone_mode=False)
+    assert done.exception is None
+    assert words in done.stdout
