@@ -50,7 +50,7 @@ def signals(
     noise: float = 0.5,
     vehicle: Vehicle = VEHICLE,
 ) -> FloatArray:
-    """(4, N) setpoint, output (thousandths), rate, sticks; an angle loop of `outer` 1/s makes the setpoint."""
+    """(4, N) setpoint, output (thousandths), rate, sticks; with `outer`, 1/s, an angle loop."""
     rng = np.random.default_rng(seed)
     n = round(seconds / STEP_S)
     held = np.repeat(rng.standard_normal(n // 60 + 1), rng.integers(60, 500, n // 60 + 1))[:n]
