@@ -7,6 +7,7 @@ FlysidError
 ├── DataError       the data cannot answer: no excitation, too short, not finite
 ├── StoreError      a stored dataset, run or model file is damaged or of another version
 │   └── WriteError      it cannot be written: disk full, read-only, locked
+├── PlaceError      a store or a cluster did not answer; the same command goes on where it was
 └── FitError        a model could not be fitted: singular, unstable, no rule left
 
 Each carries what happened, where (file, byte, flight time) and what to try. Only the command line
@@ -140,6 +141,12 @@ class WriteError(StoreError):
     """Nothing can be written there: disk full, read-only, or in use by another process."""
 
     exit_code = 1
+
+
+class PlaceError(FlysidError):
+    """A store or a cluster did not answer. What is committed stays; the same command goes on from there."""
+
+    exit_code = 75
 
 
 class FitError(FlysidError):

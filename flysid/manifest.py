@@ -6,8 +6,9 @@ a flight folder without one does not exist for any reader.
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any
 import msgspec
 from msgspec import field
 
+from flysid import mirror
 from flysid.errors import StoreError, UsageError
 from flysid.flight import ClockMap, Damage, Source, resolve_stream
 from flysid.version import check_version
@@ -23,6 +25,8 @@ from flysid.version import check_version
 DATA_FORMAT = "flysid-data"
 FLIGHT_FORMAT = "flysid-flight"
 VERSION = 1
+LAKE_VERSION = 2
+"""Of a lake in an object store: flights by their hashes, tables by generation."""
 DATA_FILE = "flysid-data.json"
 FLIGHTS = "flights"
 MANIFEST_FILE = "manifest.json"
@@ -119,8 +123,13 @@ def read_manifest(folder: str | Path) -> Manifest:
     ------
     StoreError : missing, damaged, or written by a newer flysid.
     """
-    path = Path(folder) / MANIFEST_FILE
-    text = _read_document(path, FLIGHT_FORMAT)
+    path = mirror.fetch(Path(folder) / MANIFEST_FILE)
+    return parse_manifest(_read(path), path)
+
+
+def parse_manifest(text: bytes, path: str | Path) -> Manifest:
+    """The manifest that a text is; raises as `read_manifest`."""
+    _check_head(text, FLIGHT_FORMAT, VERSION, path)
     try:
         facts = msgspec.structs.asdict(msgspec.json.decode(text, type=_Stored))
         return Manifest(**{**facts, "streams": tuple(_entry(stored) for stored in facts["streams"])})
@@ -164,8 +173,13 @@ def check_data_folder(data: str | Path) -> Path:
             path=data,
             hint="make one with: flysid ingest LOG... -o DATA",
         )
-    _read_document(data / DATA_FILE, DATA_FORMAT)
+    _check_head(_read(data / DATA_FILE), DATA_FORMAT, VERSION, data / DATA_FILE)
     return data
+
+
+def check_lake(document: bytes, address: str) -> None:
+    """Raise StoreError where a lake's document is not one that is understood."""
+    _check_head(document, DATA_FORMAT, LAKE_VERSION, f"{address}/{DATA_FILE}")
 
 
 def list_flights(data: str | Path) -> list[Manifest]:
@@ -203,6 +217,11 @@ def stamp_of(folder: str | Path) -> Stamp:
     return state.st_size, state.st_mtime_ns
 
 
+def content_stamp(text: bytes) -> Stamp:
+    """What stands for size and time of change where there is no time: size and a part of the hash."""
+    return len(text), int.from_bytes(hashlib.sha256(text).digest()[:7])
+
+
 def find_flight(data: str | Path, flight: str) -> Manifest:
     """The flight whose id is, or unambiguously begins with, `flight`.
 
@@ -211,21 +230,35 @@ def find_flight(data: str | Path, flight: str) -> Manifest:
     UsageError : no such flight, or several.
     """
     data = check_data_folder(data)
-    if not flight:
-        raise UsageError("the name of the flight is empty", path=data, hint="see 'flysid ls'")
+    if flight and Path(flight).name == flight:
+        mirror.fetch(data / FLIGHTS / flight / MANIFEST_FILE)
     names = {name for name in folder_names(data) if not name.startswith(".")}
     near = [flight] if flight in names else [name for name in names if name.startswith(flight)]
-    found = sorted(name for name in near if (data / FLIGHTS / name / MANIFEST_FILE).is_file())
+    finished = [name for name in near if (data / FLIGHTS / name / MANIFEST_FILE).is_file()]
+    if not finished:
+        finished = [name for name in names if (data / FLIGHTS / name / MANIFEST_FILE).is_file()]
+    return read_manifest(data / FLIGHTS / named(flight, finished, data))
+
+
+def named(flight: str, ids: Collection[str], path: str | Path) -> str:
+    """The one of `ids` that is, or unambiguously begins with, `flight`.
+
+    Raises
+    ------
+    UsageError : no such flight, or several; `path` is where they are.
+    """
+    if not flight:
+        raise UsageError("the name of the flight is empty", path=path, hint="see 'flysid ls'")
+    found = [flight] if flight in ids else sorted(name for name in ids if name.startswith(flight))
     if len(found) == 1:
-        return read_manifest(data / FLIGHTS / found[0])
+        return found[0]
     if found:
-        raise UsageError(f"{flight!r} names {len(found)} flights", path=data, hint=", ".join(found[:5]))
+        raise UsageError(f"{flight!r} names {len(found)} flights", path=path, hint=", ".join(found[:5]))
     import difflib
 
-    names = {name for name in names if (data / FLIGHTS / name / MANIFEST_FILE).is_file()}
-    alike = difflib.get_close_matches(flight, names, n=3, cutoff=0.3) or sorted(names)[:3]
+    alike = difflib.get_close_matches(flight, ids, n=3, cutoff=0.3) or sorted(ids)[:3]
     raise UsageError(
-        f"no flight {flight!r}", path=data, hint=", ".join(alike) or "the folder holds no flights"
+        f"no flight {flight!r}", path=path, hint=", ".join(alike) or "the folder holds no flights"
     )
 
 
@@ -236,18 +269,21 @@ class _Head(msgspec.Struct):
     version: Any = None
 
 
-def _read_document(path: Path, expected: str) -> bytes:
-    """A document's text, once it is known to be of the format that is expected, and of a known version."""
+def _read(path: Path) -> bytes:
     try:
-        text = path.read_bytes()
-        head = msgspec.json.decode(text, type=_Head)
+        return path.read_bytes()
     except OSError as error:
         raise StoreError(f"cannot be read: {error.strerror}", path=path) from error
+
+
+def _check_head(text: bytes, expected: str, newest: int, path: str | Path) -> None:
+    """Raise StoreError where a text is no document of the format that is expected, or of a newer version."""
+    try:
+        head = msgspec.json.decode(text, type=_Head)
     except msgspec.ValidationError as error:
         raise StoreError(f"not a {expected} file", path=path, hint="ingest the log again") from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise StoreError("damaged: not JSON", path=path, hint="ingest the log again") from error
     if head.format != expected:
         raise StoreError(f"not a {expected} file", path=path, hint="ingest the log again")
-    check_version(head.version, VERSION, expected, path)
-    return text
+    check_version(head.version, newest, expected, path)

@@ -18,6 +18,7 @@ from typing import Protocol
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from flysid import mirror
 from flysid.catalogue import CATALOGUE_FILE
 from flysid.errors import StoreError, UsageError
 from flysid.files import filling, put_in_place, slug, write_atomically, writing_to
@@ -162,7 +163,12 @@ def discard(data: Path, pid: int) -> None:
 
 
 def write_flight(
-    data: str | Path, source: Source, parts: Generator[Part, None, Outcome], *, replace: bool = False
+    data: str | Path,
+    source: Source,
+    parts: Generator[Part, None, Outcome],
+    *,
+    replace: bool = False,
+    info: Mapping[str, str] | None = None,
 ) -> Manifest:
     """Write one flight into an ingested folder, in bounded memory.
 
@@ -172,6 +178,7 @@ def write_flight(
     source : the log the parts come from.
     parts : a reader's generator: yields parts of streams, returns a summary.
     replace : overwrite a flight of the same id; without it the present one is returned unread.
+    info : facts beside those that the reader finds.
 
     Raises
     ------
@@ -188,7 +195,7 @@ def write_flight(
             shutil.rmtree(incoming, ignore_errors=True)
             incoming.mkdir(parents=True)
         with filling(incoming):
-            manifest = _write_streams(incoming, name, source, parts)
+            manifest = _write_streams(incoming, name, source, parts, info or {})
             with writing_to(final):
                 (incoming / MANIFEST_FILE).write_bytes(to_json(manifest))
         with writing_to(final):
@@ -227,7 +234,7 @@ class _Told:
 
 
 def _write_streams(
-    folder: Path, name: str, source: Source, parts: Generator[Part, None, Outcome]
+    folder: Path, name: str, source: Source, parts: Generator[Part, None, Outcome], info: Mapping[str, str]
 ) -> Manifest:
     writer = FlightWriter(folder)
     try:
@@ -241,7 +248,7 @@ def _write_streams(
         streams=entries,
         damage=outcome.damage,
         clocks=outcome.clocks,
-        info=dict(outcome.info),
+        info=dict(outcome.info) | dict(info),
         flysid=__version__,
     )
 
@@ -282,7 +289,7 @@ def read_entry(folder: Path, entry: StreamEntry, columns: Sequence[str] | None =
         )
     needed = None if columns is None else list(dict.fromkeys([*columns, BOOT, TIME]))
     try:
-        table = pq.ParquetFile(path).read(columns=needed)
+        table = pq.ParquetFile(mirror.fetch(path)).read(columns=needed)
     except (OSError, pa.ArrowException) as error:
         raise StoreError(f"damaged or missing: {error}", path=path, hint="ingest the log again") from error
     if not entry.is_sorted:

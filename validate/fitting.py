@@ -235,7 +235,7 @@ def fit_run(
             raise DataError(f"no channel of recipe {recipe.name!r} could be fitted: {reasons}")
         run = Run(
             folder=out,
-            data=os.path.abspath(lake.folder),
+            data=lake.place,
             recipe=recipe.name,
             flights=tuple(f.id for f in lake.facts),
             settings=settings,

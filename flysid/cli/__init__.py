@@ -3,7 +3,8 @@
 The only place that prints, catches FlysidError and chooses exit codes: 0 done, 1 failed, 2 wrong usage
 or configuration, 3 done but data was lost or files were skipped, 4 a check that the user asked for
 failed, 5 a disk refused what `record` received, 6 `watch --fail` has
-alarmed, 130 interrupted. stdout carries data only; everything else
+alarmed, 75 a store or a cluster did not answer (run it again), 130 interrupted. stdout carries data
+only; everything else
 goes to stderr.
 """
 

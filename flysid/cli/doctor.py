@@ -57,14 +57,16 @@ def command(
 
     Ends with 3 when something was lost or a log cannot be read, and with 1 when none can.
     """
+    from flysid.cli.places import here
     from flysid.ingest.formats.base import Limits
     from flysid.ingest.formats.opening import short_name
     from flysid.ingest.lake.finding import find_logs
     from flysid.ingest.lake.survey import survey_or_reason
     from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
+    from flysid.place import is_address
 
     bounds = Bounds(max_memory, max_time)
-    found = find_logs(logs, bounds)
+    found = find_logs([here(log) if is_address(log) else log for log in logs], bounds)
     unreadable = len(found.unread)
     surveys: dict[Path, Survey] = {}
     for skipped in found.unread:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from flysid.cli.places import SOURCE
 from flysid.cli.source import Words, opened_flights, reading_options
 from flysid.errors import UsageError
 
@@ -13,7 +14,7 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
 
 
 @click.command("export")
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("source", type=SOURCE)
 @click.argument("streams", nargs=-1, metavar="[STREAM...]")
 @click.option(
     "--to",
@@ -44,9 +45,7 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
 @click.option(
     "--model", "label", default="", help="Of a run's channel.  [default: the one that the verdict is of]"
 )
-@click.option(
-    "--data", type=click.Path(path_type=Path), help="The run's data, where they moved since the fit."
-)
+@click.option("--data", type=SOURCE, help="The run's data, where they moved since the fit.")
 @click.option("--force", is_flag=True, help="Replace the target if it is there.")
 def command(
     source: Path,

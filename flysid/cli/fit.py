@@ -11,6 +11,7 @@ import click
 from flysid.cli import complete
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, cores, say
+from flysid.cli.places import SOURCE
 from flysid.cli.source import Words, is_log, lost_on_the_way, opened, selection_options, words_options
 from flysid.errors import UsageError
 
@@ -31,7 +32,7 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
 
 
 @click.command("fit")
-@click.argument("data", type=click.Path(path_type=Path))
+@click.argument("data", type=SOURCE)
 @words_options
 @selection_options
 @click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="Folder of the run.")

@@ -7,6 +7,7 @@ import click
 from flysid.cli.lazy import LazyVerbs
 
 FLEET_VERBS: dict[str, str] = {
+    "check": "Compare a lake's manifests with its tables and its catalogue.",
     "ls": "List a fleet's flights from its catalogue.",
 }
 

@@ -1,31 +1,97 @@
-"""`flysid fleet ls DATA`: the flights of a fleet, from its catalogue alone."""
+"""`flysid fleet ls LAKE`: the flights of a fleet, from its catalogue alone."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import json
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from flysid.cli.ls import clock_text
-from flysid.cli.output import aligned
+from flysid.cli.output import aligned, counted, say
 
-HEADINGS = ("FLIGHT", "VEHICLE", "FIRMWARE", "TIME", "RECORDS", "LOST")
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+HEADINGS = ("FLIGHT", "VEHICLE", "FIRMWARE", "START", "TIME", "RECORDS", "LOST")
+COLUMNS = ("flight", "vehicle", "firmware", "start", "duration_s", "rows", "lost")
 
 
 @click.command("ls")
-@click.argument("data", type=click.Path(path_type=Path))
+@click.argument("lake", metavar="LAKE|DATA")
 @click.option("--vehicle", default="", metavar="NAME", help="Its flights alone.")
 @click.option("--firmware", default="", metavar="NAME", help="Flights of this firmware alone.")
-def command(data: Path, vehicle: str, firmware: str) -> None:
-    """List the flights of a fleet: whose they are, which firmware flew, what was lost."""
-    from flysid.catalogue import catalogue
-    from flysid.ingest.align.vehicle import vehicle_of
+@click.option("--where", default="", metavar="SQL", help="Flights for which a condition holds.")
+@click.option("--sql", default="", metavar="SELECT", help="Any question about the table 'flights' instead.")
+@click.option("--by", default="", metavar="COLUMN", help="Flights and hours for each of these instead.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, a row a line.")
+def command(lake: str, vehicle: str, firmware: str, where: str, sql: str, by: str, as_json: bool) -> None:
+    """List the flights of a fleet: whose they are, which firmware flew, what was lost.
 
-    rows = [HEADINGS]
-    for facts in catalogue(data):
-        own = vehicle_of(facts.info)
-        version = facts.info.get("firmware", "")
-        if (not vehicle or own == vehicle) and (not firmware or version == firmware):
-            time = clock_text(facts.duration_s)
-            rows.append((facts.id, own or "-", version or "-", time, f"{facts.rows:,}", "yes" * facts.lossy))
-    click.echo("\n".join(aligned(rows)))
+    \b
+    flysid fleet ls s3://lake --vehicle v017
+    flysid fleet ls s3://lake --where "start > '2026-10-01' and array_has(modes, 'LOITER')"
+    flysid fleet ls s3://lake --sql "select firmware, count(*) from flights group by firmware"
+    """
+    from flysid.fleet.asking import answer
+
+    conditions = [f"{name} = {_quoted(value)}" for name, value in _named(vehicle, firmware) if value]
+    conditions += [f"({where})"] if where else []
+    table = answer(lake, sql or _question(conditions, by))
+    if as_json:
+        for row in table.to_pylist():
+            click.echo(json.dumps(row, default=str))
+    elif sql or by:
+        rows = [[_cell(value) for value in row.values()] for row in table.to_pylist()]
+        click.echo("\n".join(aligned([[name.upper() for name in table.column_names], *rows])))
+    else:
+        click.echo("\n".join(aligned([HEADINGS, *(_row(row) for row in table.to_pylist())])))
+        _sum_up(table)
+
+
+def _named(vehicle: str, firmware: str) -> tuple[tuple[str, str], ...]:
+    return ("vehicle", vehicle), ("firmware", firmware)
+
+
+def _quoted(text: str) -> str:
+    doubled = text.replace("'", "''")
+    return f"'{doubled}'"
+
+
+def _question(conditions: list[str], by: str) -> str:
+    where = f" where {' and '.join(conditions)}" if conditions else ""
+    if by:
+        return (
+            f"select {by}, count(*) as flights, sum(duration_s) / 3600 as hours from flights{where} "
+            f"group by {by} order by {by}"
+        )
+    return f"select {', '.join(COLUMNS)} from flights{where} order by flight"
+
+
+def _row(row: dict[str, Any]) -> tuple[str, ...]:
+    return (
+        row["flight"],
+        row["vehicle"] or "-",
+        row["firmware"] or "-",
+        _cell(row["start"]),
+        clock_text(row["duration_s"]),
+        f"{row['rows']:,}",
+        "yes" if row["lost"] else "-",
+    )
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, datetime):
+        return f"{value:%Y-%m-%d %H:%M}"
+    if isinstance(value, list):
+        return ", ".join(map(str, value))
+    return f"{value:,.2f}" if isinstance(value, float) else str(value)
+
+
+def _sum_up(table: pa.Table) -> None:
+    hours = sum(table["duration_s"].to_pylist()) / 3600.0
+    vehicles = len(set(table["vehicle"].to_pylist()))
+    say(f"{counted(table.num_rows, 'flight')} of {counted(vehicles, 'vehicle')}, {hours:,.1f} h")

@@ -8,11 +8,12 @@ from pathlib import Path
 import click
 
 from flysid.cli.output import check_target, printable, say
+from flysid.cli.places import SOURCE
 from flysid.cli.source import Words, opened_flights, reading_options
 
 
 @click.command("gains")
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("source", type=SOURCE)
 @click.option(
     "--axis",
     "axes",

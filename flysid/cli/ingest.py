@@ -9,6 +9,7 @@ import click
 
 from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.display import Display, progress_options
+from flysid.cli.lakeoptions import LakeOptions, check_pattern, lake_options
 from flysid.cli.losses import report
 from flysid.cli.output import printable, say, say_passed_over
 from flysid.cli.source import format_option, time_unit_option
@@ -25,6 +26,13 @@ if TYPE_CHECKING:
 @time_option
 @format_option
 @time_unit_option
+@click.option(
+    "--vehicle-in",
+    default="",
+    metavar="REGEX",
+    help="Finds the vehicle's name in a log's path or address, e.g. 'v[0-9]+'.",
+)
+@lake_options
 @click.option("--force", is_flag=True, help="Read logs again that are there unchanged.")
 @click.option("--json", "as_json", is_flag=True, help="Print what happened to every log as JSON.")
 @progress_options
@@ -36,6 +44,8 @@ def command(
     max_time: float | None,
     format_: str,
     time_unit: str,
+    vehicle_in: str,
+    lake: LakeOptions,
     force: bool,
     as_json: bool,
     quiet: bool,
@@ -49,19 +59,32 @@ def command(
     archives, notes, pictures and other files that are no logs are named and passed over.
 
     With --format or --time-unit, logs that are there already are read again: what they say may change.
+
+    LOG and the folder may be addresses: s3://BUCKET/FOLDER, gs://, az:// (flysid[fleet]). What a lake there
+    has is not fetched again. Ends with 75 where a store or a cluster did not answer: run it again.
     """
+    check_pattern(vehicle_in)
     from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.batch import ingest_logs
     from flysid.ingest.lake.finding import find_logs
     from flysid.ingest.lake.workers import Bounds
 
     bounds = Bounds(max_memory, max_time)
+    if lake.concerns(logs, data):
+        from flysid.cli.lakeingest import ingest_to_lake
+
+        limits = Limits(time_unit=time_unit, format=format_)
+        return ingest_to_lake(
+            logs, data, lake, limits, bounds, vehicle_in, jobs, force, as_json, quiet, display
+        )
     found = find_logs(logs, bounds)
     results = []
     with display.shown():
         again = force or bool(time_unit or format_)
         told = Limits(time_unit=time_unit, format=format_)
-        for result in ingest_logs(found, data, jobs=jobs, force=again, limits=told, bounds=bounds):
+        for result in ingest_logs(
+            found, data, jobs=jobs, force=again, limits=told, bounds=bounds, vehicle_in=vehicle_in
+        ):
             results.append(result)
             said_below = result.unchanged or result.skipped
             say(describe(result), quiet or said_below or display.live)

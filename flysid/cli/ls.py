@@ -10,6 +10,7 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import aligned
+from flysid.cli.places import SOURCE
 from flysid.cli.source import opened_flights, selection_options
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ HEADINGS = ("FLIGHT", "FORMAT", "VEHICLE", "TIME", "STREAMS", "RECORDS", "LOST")
 
 
 @click.command("ls")
-@click.argument("data", default="data", type=click.Path(path_type=Path))
+@click.argument("data", default="data", type=SOURCE)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--suggest", is_flag=True, help="Which channels the flights can identify, the good ones first.")
 @click.option("--all", "every", is_flag=True, help="With --suggest: what cannot be used, too.")
@@ -68,7 +69,9 @@ def _suggest(data: Path, selection: Selection, display: Display, as_json: bool, 
 
 def row(flight: FlightFacts) -> tuple[str, ...]:
     """One flight as the cells of a table."""
-    vehicle = flight.info.get("vehicle") or flight.info.get("autopilot") or "-"
+    from flysid.ingest.align.vehicle import NAME
+
+    vehicle = flight.info.get(NAME) or flight.info.get("vehicle") or flight.info.get("autopilot") or "-"
     return (
         flight.id,
         flight.format,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from flysid.cli.places import SOURCE
 from flysid.cli.source import flight_options, opened_flights, reading_options
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ PAIRS = ("attitude", "rate", "velocity")
 
 
 @click.command("plot")
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("source", type=SOURCE)
 @click.argument("fields", nargs=-1, metavar="STREAM.FIELD...")
 @flight_options
 @click.option("--pair", type=click.Choice(PAIRS), help="Setpoint and measurement together.")

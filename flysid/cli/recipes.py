@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli import complete
+from flysid.cli.places import SOURCE
 
 if TYPE_CHECKING:
     from flysid.ingest.align.recipe import Recipe, Source
@@ -21,7 +22,7 @@ HEADINGS = ("RECIPE", "CHANNELS", "FOR")
 @click.option(
     "--for",
     "source",
-    type=click.Path(path_type=Path),
+    type=SOURCE,
     metavar="LOG|DATA",
     help="Only those that this log, or a flight of this folder, can serve, with the channels that it can.",
 )

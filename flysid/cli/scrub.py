@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.output import printable, say
+from flysid.cli.places import SOURCE
 from flysid.cli.source import format_option
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.command("scrub")
-@click.argument("log", type=click.Path(path_type=Path))
+@click.argument("log", type=SOURCE)
 @click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="The copy to write.")
 @click.option(
     "--gps",

@@ -14,6 +14,7 @@ import click
 from flysid.cli.losses import losses
 from flysid.cli.ls import clock_text
 from flysid.cli.output import aligned, counted, printable, say
+from flysid.cli.places import SOURCE
 from flysid.cli.source import Words, opened_flights, reading_options
 from flysid.errors import StoreError, UsageError
 
@@ -26,7 +27,7 @@ HEADINGS = ("COLUMN", "TYPE", "UNIT", "SCALE", "MIN", "MEAN", "MAX", "MISSING", 
 
 
 @click.command("show")
-@click.argument("source", type=click.Path(path_type=Path), metavar="LOG|DATA")
+@click.argument("source", type=SOURCE, metavar="LOG|DATA")
 @click.argument("names", nargs=-1, metavar="[FLIGHT] [STREAM]")
 @click.option("--json", "as_json", is_flag=True, help="Print the manifest (or the stream's entry) as JSON.")
 @click.option("-n", "--rows", default=5, show_default=True, help="First rows of the stream to print.")

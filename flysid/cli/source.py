@@ -237,7 +237,7 @@ def require_fit(lake: Lake, recipe: str) -> None:
     other = f"these fit: {'; '.join(fitting)}" if fitting else "--from FIELD --to FIELD needs no recipe"
     raise RecipeError(
         f"no flight has the streams of recipe {recipe!r}: {lacks.message}",
-        path=lake.folder,
+        path=lake.address or lake.folder,
         hint=f"{lacks.hint}; {other}",
     )
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.output import check_target, printable, say
+from flysid.cli.places import SOURCE
 from flysid.cli.source import Words, opened, selection_options, words_options
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.command("step")
-@click.argument("data", type=click.Path(path_type=Path))
+@click.argument("data", type=SOURCE)
 @words_options
 @selection_options
 @click.option("--channel", "-c", "channels", multiple=True, help="This channel only; may be repeated.")
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     metavar="SIZE",
     help="Two responses: where the input went above this within the horizon, and where it stayed below.",
 )
-@click.option("--against", type=click.Path(path_type=Path), help="A second log or folder, over the first.")
+@click.option("--against", type=SOURCE, help="A second log or folder, over the first.")
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Draw into this file.")
 @click.option("--force", is_flag=True, help="Replace the picture if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.output import say
+from flysid.cli.places import SOURCE
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @click.command("studio")
-@click.argument("data", default="data", type=click.Path(path_type=Path))
+@click.argument("data", default="data", type=SOURCE)
 @click.option("--port", default=0, metavar="N", help="Port on 127.0.0.1; a free one when not given.")
 @click.option(
     "--runs", "runs", multiple=True, type=click.Path(path_type=Path), help="Also list runs in here."

@@ -11,6 +11,7 @@ import click
 from flysid.cli import complete
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import aligned, check_target, say
+from flysid.cli.places import SOURCE
 from flysid.cli.source import Words, lost_on_the_way, opened, selection_options, words_options
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def _auto_or(kind: type) -> Any:
 
 
 @click.command("tf")
-@click.argument("data", type=click.Path(path_type=Path))
+@click.argument("data", type=SOURCE)
 @words_options
 @selection_options
 @click.option(

@@ -9,6 +9,7 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, chosen_form, comparison_forms, finish
+from flysid.cli.places import SOURCE
 from flysid.cli.source import given, selection_options
 from flysid.progress import part
 
@@ -21,9 +22,7 @@ if TYPE_CHECKING:
 @click.option(
     "--output", "-o", type=click.Path(path_type=Path), help="Folder of the report [default: RUN/report]."
 )
-@click.option(
-    "--data", type=click.Path(path_type=Path), help="The ingested folder, where it moved since the fit."
-)
+@click.option("--data", type=SOURCE, help="The ingested folder, where it moved since the fit.")
 @click.option("--fail-if", "condition", help="Exit with 4 where this holds, e.g. 'free_run.change_pct > 5'.")
 @click.option(
     "--figures",

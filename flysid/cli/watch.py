@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.output import counted, printable, say
+from flysid.cli.places import SOURCE
 from flysid.errors import DataError, UsageError
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ KINDS = ("udp:", "udpout:", "tcp:", "serial:")
 )
 @click.option("--model", "label", help="ts, arx, ...  [default: each channel's best linear one]")
 @click.option("--channel", "channels", multiple=True, help="This channel alone; again for several.")
-@click.option("--data", type=click.Path(path_type=Path), help="The run's data, where it moved.")
+@click.option("--data", type=SOURCE, help="The run's data, where it moved.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Record the link there, too.")
 @click.option("--heartbeat", is_flag=True, help="Send heartbeats; without, nothing is ever sent.")
 @click.option("--for", "seconds", type=float, metavar="S", help="End after so many seconds.")

@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 from flysid.ingest.align.modes import COPTERS, PLANES
 
+NAME = "vehicle_name"
+"""The fact that names the vehicle: whoever ingested the log said so."""
 SERIALS = ("sys_uuid", "board")
 """Facts that are a board's own number."""
+
+
+def vehicle_named(path: str, pattern: str) -> dict[str, str]:
+    """The fact that names the vehicle, where a regular expression finds it in a log's path or address.
+
+    What the expression's first group finds is the name; without a group, all that it finds.
+
+    >>> vehicle_named("s3://logs/v017/2026-10-01.tlog", r"v\\d+")
+    {'vehicle_name': 'v017'}
+    """
+    found = re.search(pattern, path) if pattern else None
+    return {NAME: found[found.re.groups and 1]} if found else {}
 
 
 def vehicle_of(info: Mapping[str, str]) -> str:
@@ -15,7 +30,10 @@ def vehicle_of(info: Mapping[str, str]) -> str:
 
     Telemetry and the log on board name one vehicle differently ("ardupilotmega quadrotor" and "ardupilot
     copter"), so autopilots and kinds are brought to one word. "" where a log says nothing of it.
+    A name that was given when the log was ingested stands for all of this.
     """
+    if info.get(NAME):
+        return info[NAME]
     autopilot = info.get("autopilot", "")
     family = "ardupilot" if autopilot.startswith("ardupilot") else autopilot
     kind = info.get("vehicle", "").lower()

@@ -18,6 +18,7 @@ from pathlib import Path
 from flysid.catalogue import FlightFacts, catalogue, facts_of
 from flysid.errors import FlysidError, FormatError, WriteError
 from flysid.flight import Damage, Source
+from flysid.ingest.align.vehicle import vehicle_named
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.opening import identify, locate, open_log
 from flysid.ingest.formats.registry import format_of
@@ -78,6 +79,7 @@ def ingest_logs(
     force: bool = False,
     limits: Limits | None = None,
     bounds: Bounds | None = Bounds(),  # noqa: B008 - frozen
+    vehicle_in: str = "",
 ) -> Iterator[Result]:
     """Read logs into a folder; yields one result per log, as they finish.
 
@@ -90,6 +92,7 @@ def ingest_logs(
     limits : what readers hold to.
     bounds : of memory and time for each log. None reads in this process, without bounds: for logs of
         one's own making.
+    vehicle_in : a regular expression that finds the vehicle's name in a log's path; "" where it has none.
 
     Raises
     ------
@@ -99,21 +102,27 @@ def ingest_logs(
     is_new = not Path(data).exists()
     folder = create_data_folder(data)
     try:
-        yield from _ingest_into(folder, logs, jobs, force, limits or Limits(), bounds)
+        yield from _ingest_into(folder, logs, jobs, force, limits or Limits(), bounds, vehicle_in)
     finally:
         if is_new:
             remove_empty(folder)  # an error, or no log could be read
 
 
 def _ingest_into(
-    folder: Path, logs: Found, jobs: int, force: bool, limits: Limits, bounds: Bounds | None
+    folder: Path,
+    logs: Found,
+    jobs: int,
+    force: bool,
+    limits: Limits,
+    bounds: Bounds | None,
+    vehicle_in: str,
 ) -> Iterator[Result]:
     yield from (Result(item.path, reason=item.reason) for item in logs.unread)
     with locked(folder):
         clean(folder)
         present = () if force else catalogue(folder)
         known = {facts.sha256: facts for facts in present}
-        work = partial(work_on, data=folder, limits=limits, replace=force)
+        work = partial(work_on, data=folder, limits=limits, replace=force, vehicle_in=vehicle_in)
         tasks: deque[Task] = deque(logs.paths)
         hashed: dict[Path, Job | Result] = {}
         read = 0
@@ -183,12 +192,14 @@ def _done(
             yield task, outcome
 
 
-def work_on(task: Task, data: Path, limits: Limits, replace: bool) -> Job | Result:
+def work_on(task: Task, data: Path, limits: Limits, replace: bool, vehicle_in: str = "") -> Job | Result:
     """Hash a log or read it."""
     path = task if isinstance(task, Path) else task.path
     with part(log=path.name):
         tell("hashing" if isinstance(task, Path) else "reading")
-        return hash_one(task, limits) if isinstance(task, Path) else ingest_one(task, data, limits, replace)
+        if isinstance(task, Path):
+            return hash_one(task, limits)
+        return ingest_one(task, data, limits, replace, vehicle_in)
 
 
 def hash_one(path: Path, limits: Limits) -> Job | Result:
@@ -202,7 +213,7 @@ def hash_one(path: Path, limits: Limits) -> Job | Result:
         return Result(path, reason=getattr(error, "message", None) or str(error))
 
 
-def ingest_one(job: Job, data: Path, limits: Limits, replace: bool) -> Result:
+def ingest_one(job: Job, data: Path, limits: Limits, replace: bool, vehicle_in: str = "") -> Result:
     """Read one log into `data`. Only a folder that cannot be written to raises."""
     try:
         with open_log(job.path, limits) as log:
@@ -212,7 +223,8 @@ def ingest_one(job: Job, data: Path, limits: Limits, replace: bool) -> Result:
             fmt = format_of(log, limits)
             source = Source(log.name, fmt.name, job.size, job.sha256)
             parts = log.read(fmt, limits)
-            manifest = write_flight(data, source, parts, replace=replace)
+            info = vehicle_named(str(job.path), vehicle_in)
+            manifest = write_flight(data, source, parts, replace=replace, info=info)
             facts = facts_of(manifest, stamp_of(data / FLIGHTS / manifest.id))
             return Result(job.path, facts, damage=manifest.damage)
     except WriteError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,11 +20,26 @@ from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import Recipe, load_recipe, shipped_recipes
 from flysid.ingest.align.report import AlignReport
 from flysid.ingest.align.signals import find_source
+from flysid.ingest.align.vehicle import NAME
 from flysid.ingest.lake.stretches import Stretches
 from flysid.ingest.lake.suggest import Suggestion, suggest
-from flysid.manifest import FLIGHTS, Manifest, check_data_folder, find_flight, read_manifest
+from flysid.manifest import (
+    DATA_FILE,
+    FLIGHTS,
+    MANIFEST_FILE,
+    Manifest,
+    check_data_folder,
+    check_lake,
+    content_stamp,
+    find_flight,
+    folder_names,
+    named,
+    read_manifest,
+)
+from flysid.mirror import address_of, folder_for, forget, mark
+from flysid.place import Place, is_address
 from flysid.showing import Shown, Table
-from flysid.store import read_entry, read_flight
+from flysid.store import create_data_folder, read_entry, read_flight
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,14 +109,21 @@ class Lake(Shown):
 
     Attributes
     ----------
-    folder : where it is.
+    folder : where it is; what of it has been read, where `address` is given.
     facts : what its catalogue holds of its flights, by id.
     stretches : what of every flight is used.
+    address : of the object store that it is in; "" where it is in `folder`.
     """
 
     folder: Path
     facts: tuple[FlightFacts, ...]
     stretches: Stretches = Stretches()  # noqa: RUF009 - frozen
+    address: str = ""
+
+    @property
+    def place(self) -> str:
+        """Its address, or its folder's absolute path: what `open` takes from anywhere."""
+        return self.address or os.path.abspath(self.folder)
 
     def __len__(self) -> int:
         return len(self.facts)
@@ -110,7 +133,7 @@ class Lake(Shown):
             (
                 f.id,
                 f.format,
-                f.info.get("vehicle") or f.info.get("autopilot") or "-",
+                f.info.get(NAME) or f.info.get("vehicle") or f.info.get("autopilot") or "-",
                 f"{f.duration_s:.0f}",
                 f"{f.rows:,}",
                 "yes" if f.lossy else "-",
@@ -118,7 +141,7 @@ class Lake(Shown):
             for f in self.facts
         ]
         seconds = sum(f.duration_s for f in self.facts)
-        title = f"{self.folder}: {len(rows):,} flights, {seconds / 60.0:,.0f} min"
+        title = f"{self.address or self.folder}: {len(rows):,} flights, {seconds / 60.0:,.0f} min"
         return Table(title, ("flight", "format", "vehicle", "seconds", "records", "lost"), rows)
 
     def __iter__(self) -> Iterator[Manifest]:
@@ -141,7 +164,13 @@ class Lake(Shown):
 
     def flight(self, flight: str) -> Flight:
         """A flight in memory, by its id or the unambiguous beginning of it."""
-        return read_flight(self.folder, find_flight(self.folder, flight).id)
+        return read_flight(self.folder, self.find(flight))
+
+    def find(self, flight: str) -> str:
+        """The id of the flight whose id is, or unambiguously begins with, `flight`; raises UsageError."""
+        if self.address:
+            return named(flight, [facts.id for facts in self.facts], self.address)
+        return find_flight(self.folder, flight).id
 
     def recipes(self) -> dict[str, tuple[str, ...]]:
         """Shipped recipes that at least one flight can serve -> the channels it can serve."""
@@ -227,13 +256,19 @@ class Lake(Shown):
         )
 
 
-def open(folder: str | Path) -> Lake:  # noqa: A001
-    """Open an ingested folder.
+def open(folder: str | Path, where: str = "") -> Lake:  # noqa: A001
+    """Open an ingested folder, or a lake in an object store (`s3://bucket/lake`; needs `flysid[fleet]`).
+
+    Parameters
+    ----------
+    where : a condition in SQL that flights meet, e.g. "vehicle = 'v017' and start > '2026-10-01'"; of a lake
+        alone. `flysid fleet ls --sql` says which columns there are.
 
     Raises
     ------
-    UsageError : there is no such folder, or `flysid ingest` did not make it.
+    UsageError : there is no such folder, or `flysid ingest` did not make it; the condition is not understood.
     StoreError : a manifest is damaged or of another version.
+    PlaceError : the store does not answer.
 
     Examples
     --------
@@ -241,8 +276,36 @@ def open(folder: str | Path) -> Lake:  # noqa: A001
     >>> len(lake.flights)
     1
     """
+    address = str(folder) if is_address(folder) else address_of(Path(folder))
+    if address:
+        return _open_lake(Place(address), where)
+    if where:
+        raise UsageError("a condition needs the catalogue of a lake in an object store", path=folder)
     path = check_data_folder(folder)
     return Lake(path, catalogue(path))
+
+
+def _open_lake(place: Place, where: str) -> Lake:
+    """The flights of a lake from its table; what has been read of a flight that has changed is dropped."""
+    from flysid.ingest.lake.flighttable import facts_in, select
+
+    document = place.read_if_there(DATA_FILE)
+    if document is None:
+        raise UsageError(
+            "no lake there: it has no " + DATA_FILE,
+            path=place.address,
+            hint=f"make it with: flysid ingest LOG... -o {place}",
+        )
+    check_lake(document, place.address)
+    facts = facts_in(select(place, where))
+    folder = create_data_folder(folder_for(str(place)))
+    mark(folder, str(place))
+    known = {flight.id: flight.stamp for flight in facts}
+    for name in folder_names(folder):
+        manifest = folder / FLIGHTS / name / MANIFEST_FILE
+        if name in known and manifest.is_file() and content_stamp(manifest.read_bytes()) != known[name]:
+            forget(folder, name)
+    return Lake(folder, facts, address=str(place))
 
 
 def _as_recipe(recipe: Recipe | str | Path) -> Recipe:

@@ -10,7 +10,6 @@ from flysid.errors import UsageError
 from flysid.ingest.align.vehicle import vehicle_of
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.stretches import Stretches
-from flysid.manifest import find_flight
 
 SHOWN = 5  # names in a message
 
@@ -59,7 +58,7 @@ def select(lake: Lake, selection: Selection) -> Lake:
         name = _vehicle_named(left, selection.vehicle)
         left = left.only([facts.id for facts in left.facts if vehicle_of(facts.info) == name])
     if not left.facts and lake.facts:
-        raise UsageError("no flight is left", path=lake.folder, hint="exclude fewer")
+        raise UsageError("no flight is left", path=lake.address or lake.folder, hint="exclude fewer")
     return replace(left, stretches=selection.stretches)
 
 
@@ -81,14 +80,14 @@ def require_one_vehicle(lake: Lake) -> None:
     example = _shortest(max(known, key=lambda name: len(known[name])), list(known))
     raise UsageError(
         f"flights of {len(known)} vehicles: {told}{more}",
-        path=lake.folder,
+        path=lake.address or lake.folder,
         hint=f"--vehicle {example!r} for one of them, --pool to put them together",
     )
 
 
 def _named(lake: Lake, names: Sequence[str]) -> list[str]:
     held = {facts.id for facts in lake.facts}
-    found = [find_flight(lake.folder, name).id for name in names]
+    found = [lake.find(name) for name in names]
     return [flight for flight in dict.fromkeys(found) if flight in held]
 
 
@@ -101,7 +100,7 @@ def _vehicle_named(lake: Lake, part: str) -> str:
         return found[0]
     raise UsageError(
         f"{part!r} names {len(found)} vehicles" if found else f"no vehicle {part!r} in these flights",
-        path=lake.folder,
+        path=lake.address or lake.folder,
         hint="; ".join((found or names)[:SHOWN]) or "the logs do not say whose they are",
     )
 

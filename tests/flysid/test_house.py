@@ -14,6 +14,7 @@ from flysid import errors
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = {"numpy", "scipy", "pandas", "pyarrow", "control", "numba", "pymavlink", "mcap", "rich", "jinja2"}
+HEAVY |= {"obstore", "deltalake", "dask", "distributed"}
 
 
 def modules_after(code: str) -> set[str]:

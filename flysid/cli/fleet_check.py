@@ -1,0 +1,95 @@
+"""`flysid fleet check LAKE`: whether every flight has its tables and its row, and what else lies there."""
+
+from __future__ import annotations
+
+import json
+from datetime import timedelta
+from typing import TYPE_CHECKING
+
+import click
+
+from flysid.cli.display import Display, progress_options
+from flysid.cli.lakeoptions import seconds
+from flysid.cli.output import counted, printable, say
+
+if TYPE_CHECKING:
+    from flysid.fleet.upkeep import State
+
+SHOWN = 5
+CHECK_FAILED = 4
+
+
+@click.command("check")
+@click.argument("lake", metavar="LAKE")
+@click.option("--repair", is_flag=True, help="Make the catalogue again, remove what belongs to no flight.")
+@click.option(
+    "--older",
+    default="1d",
+    show_default=True,
+    callback=seconds,
+    metavar="TIME",
+    help="With --repair: remove only what is older; younger may be somebody's work right now.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@progress_options
+def command(lake: str, repair: bool, older: float, as_json: bool, quiet: bool, display: Display) -> int:
+    """Compare a lake's manifests, which are the truth, with its tables and its catalogue.
+
+    Ends with 4 where something is wrong and stays so.
+    """
+    from flysid.fleet.lakes import open_lake
+    from flysid.fleet.upkeep import check
+    from flysid.fleet.upkeep import repair as put_right
+
+    place = open_lake(lake)
+    with display.shown():
+        state = check(place)
+        removed = put_right(place, state, timedelta(seconds=older)) if repair else 0
+        if repair and not state.is_whole:
+            for line in faults(state):
+                say(f"was: {line}", quiet)
+            state = check(place)
+    if as_json:
+        click.echo(json.dumps(as_document(lake, state, removed), indent=1))
+    else:
+        click.echo(f"{counted(len(state.flights), 'flight')}, {'whole' if state.is_whole else 'not whole'}")
+        for line in faults(state):
+            click.echo(printable(line))
+    if removed:
+        say(f"{counted(removed, 'object')} removed", quiet)
+    if state.unlisted or state.stale or state.orphans:
+        say("flysid fleet check --repair puts the catalogue and old orphans right", quiet or repair)
+    return 0 if state.is_whole else CHECK_FAILED
+
+
+def faults(state: State) -> list[str]:
+    """What is wrong, a line for each kind."""
+    kinds = {
+        "manifests that cannot be read": [f"{key}: {why}" for key, why in state.damaged.items()],
+        "tables that are missing": list(state.missing),
+        "logs with more than one flight": list(state.twice),
+        "flights that the catalogue lacks": list(state.unlisted),
+        "rows of the catalogue that are not as the manifests": list(state.stale),
+        "objects that belong to no flight": [found.key for found in state.orphans],
+    }
+    return [f"{len(names):,} {kind}: {_some(names)}" for kind, names in kinds.items() if names]
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")
+
+
+def as_document(lake: str, state: State, removed: int) -> dict[str, object]:
+    """What was found, for `--json`."""
+    return {
+        "lake": lake,
+        "flights": len(state.flights),
+        "is_whole": state.is_whole,
+        "damaged": state.damaged,
+        "missing": list(state.missing),
+        "twice": list(state.twice),
+        "unlisted": list(state.unlisted),
+        "stale": list(state.stale),
+        "orphans": [found.key for found in state.orphans],
+        "removed": removed,
+    }

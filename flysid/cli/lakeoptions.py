@@ -1,0 +1,133 @@
+"""Options of verbs that work on many logs in object stores."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import wraps
+from typing import Any, TypeVar
+
+import click
+
+from flysid.errors import UsageError
+
+F = TypeVar("F", bound=Callable[..., Any])
+_UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+
+
+@dataclass(frozen=True)
+class LakeOptions:
+    """What the command line says of an ingest that an object store is part of."""
+
+    cluster: str = ""
+    workers: int = 0
+    batch: int = 32
+    since: datetime | None = None
+    watch_s: float | None = None
+    retry: bool = False
+
+    def concerns(self, logs: Sequence[str], data: str) -> bool:
+        """Whether an object store is part of it; raises UsageError where these options want one."""
+        from flysid.place import is_address
+
+        if is_address(data) or any(is_address(log) for log in logs):
+            return True
+        if self != LakeOptions():
+            raise UsageError(
+                "--cluster, --workers, --batch, --since, --watch and --retry are for addresses",
+                hint="s3://BUCKET/FOLDER; on this machine -j says how many workers there are",
+            )
+        return False
+
+
+def check_pattern(pattern: str) -> None:
+    """Raise UsageError where a text is no regular expression."""
+    try:
+        re.compile(pattern)
+    except re.error as error:
+        raise UsageError(f"--vehicle-in is no regular expression: {error}", hint="v[0-9]+") from error
+
+
+def seconds(_ctx: click.Context, _param: click.Parameter, text: str | None) -> float | None:
+    if not text:
+        return None
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)([smhd]?)", text)
+    if found is None:
+        raise click.BadParameter("e.g. 30s, 5m, 1h")
+    return float(found[1]) * _UNITS[found[2] or "s"]
+
+
+def _moment(_ctx: click.Context, _param: click.Parameter, text: str | None) -> datetime | None:
+    if not text:
+        return None
+    try:
+        when = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise click.BadParameter("e.g. 2026-10-01 or 2026-10-01T12:00") from error
+    return when if when.tzinfo else when.replace(tzinfo=UTC)
+
+
+def cluster_options(function: F) -> F:
+    """Adds --cluster and --workers."""
+    for option in (
+        click.option("--workers", default=0, metavar="N", help="A Dask cluster of N processes here."),
+        click.option(
+            "--cluster",
+            default="",
+            metavar="ADDRESS",
+            help="A Dask scheduler, e.g. tcp://10.0.0.1:8786; it runs code for whoever reaches it.",
+        ),
+    ):
+        function = option(function)
+    return function
+
+
+def lake_options(function: F) -> F:
+    """Adds --cluster, --workers, --batch, --since, --watch and --retry; the verb takes them as one `lake`."""
+
+    @wraps(function)
+    def verb(
+        *args: Any,
+        cluster: str,
+        workers: int,
+        batch: int,
+        since: datetime | None,
+        watch_s: float | None,
+        retry: bool,
+        **options: Any,
+    ) -> Any:
+        if cluster and workers:
+            raise UsageError("--workers makes a cluster, --cluster names one", hint="leave out one of them")
+        return function(*args, lake=LakeOptions(cluster, workers, batch, since, watch_s, retry), **options)
+
+    decorated: Any = verb
+    for option in (
+        click.option("--retry", is_flag=True, help="From an address: logs in quarantine, too."),
+        click.option(
+            "--watch",
+            "watch_s",
+            default=None,
+            metavar="TIME",
+            callback=seconds,
+            help="From an address: look again every 5m, say, until interrupted.",
+        ),
+        click.option(
+            "--since",
+            default=None,
+            metavar="DATE",
+            callback=_moment,
+            help="From an address: what arrived then or later (UTC).",
+        ),
+        click.option(
+            "--batch",
+            default=32,
+            show_default=True,
+            type=click.IntRange(1, 1024),
+            help="Logs in a task, at most.",
+        ),
+    ):
+        decorated = option(decorated)
+    chosen: F = cluster_options(decorated)
+    return chosen

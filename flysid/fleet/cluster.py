@@ -1,0 +1,188 @@
+"""A Dask cluster as the engine of an ingest: one that runs somewhere, or processes on this machine.
+
+A task is a batch of addresses and the settings; a result says what became of each log. Neither holds a secret
+nor a table: workers reach the store by their own credentials. Dask may do a task twice; what is committed is
+committed once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import multiprocessing
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+from flysid.errors import FlysidError, PlaceError, UsageError
+from flysid.fleet.reading import Log, Outcome, Settings, ingest_batch
+from flysid.version import __version__
+
+WINDOW = 10_000
+"""Tasks in the scheduler at a time: it keeps about 8 kB of each."""
+RETRIES = 3
+_CONFIG = {
+    "distributed.worker.daemon": False,  # a worker starts the processes that read logs
+    "distributed.scheduler.allowed-failures": 10,  # one worker's death makes all its tasks suspect
+    "distributed.scheduler.worker-ttl": "300s",
+    "distributed.comm.timeouts.connect": "60s",
+}
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """An engine of Dask's; see `flysid.fleet.ingest.Engine`."""
+
+    client: Any
+    do: Callable[[Sequence[Log], Settings], list[Outcome]] = ingest_batch
+
+    @property
+    def workers(self) -> int:
+        """Threads of all workers."""
+        threads: dict[str, int] = self.client.nthreads()
+        return max(1, sum(threads.values()))
+
+    @property
+    def dashboard(self) -> str:
+        """Its address, or what it lacks."""
+        if importlib.util.find_spec("bokeh") is None:
+            return "none (pip install bokeh)"
+        return str(self.client.dashboard_link)
+
+    def run(
+        self, batches: Sequence[tuple[Log, ...]], settings: Settings
+    ) -> Iterator[tuple[tuple[Log, ...], list[Outcome]]]:
+        """Each batch with what became of its logs, as they finish.
+
+        A batch that Dask gives up is not done; its logs wait for the next time.
+
+        Raises
+        ------
+        PlaceError : the scheduler is gone.
+        """
+        from distributed import as_completed
+        from distributed.client import FutureCancelledError
+        from distributed.comm.core import CommClosedError
+        from distributed.scheduler import KilledWorker
+
+        waiting = iter(batches)
+        parts: dict[str, tuple[Log, ...]] = {}
+
+        def submitted(part: tuple[Log, ...]) -> Any:
+            future = self.client.submit(self.do, part, settings, key=_key(part), retries=RETRIES, pure=False)
+            parts[future.key] = part
+            return future
+
+        running = as_completed([submitted(part) for part in islice(waiting, WINDOW)])
+        try:
+            for future in running:
+                part = parts.pop(future.key)
+                try:
+                    outcomes = future.result()
+                except KilledWorker:
+                    outcomes = [Outcome(log, "waiting", reason="its workers were killed") for log in part]
+                future.release()
+                yield part, outcomes
+                for more in islice(waiting, 1):
+                    running.add(submitted(more))
+        except (FutureCancelledError, CommClosedError) as error:
+            raise PlaceError(
+                "the cluster's scheduler is gone",
+                hint="start it and its workers again, then run the same command: what is committed stays",
+            ) from error
+
+
+def _key(part: Sequence[Log]) -> str:
+    digest = hashlib.sha256("\0".join(log.digest for log in part).encode()).hexdigest()
+    return f"ingest-{digest[:24]}"
+
+
+@contextmanager
+def connected(address: str = "", workers: int = 0) -> Iterator[Cluster]:
+    """A cluster: the scheduler at an address; or one of this many processes here, for as long as the block.
+
+    Raises
+    ------
+    UsageError : Dask is not installed; workers have another flysid, or may not start processes.
+    PlaceError : nobody answers there.
+    """
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise UsageError(
+            "a cluster needs the extra flysid[fleet]", hint="pip install 'flysid[fleet]'"
+        ) from error
+    with dask.config.set(_CONFIG):
+        if address:
+            with _client(Client, address) as client:
+                _check_workers(client, address)
+                yield Cluster(client)
+            return
+        with (
+            LocalCluster(
+                n_workers=workers, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0"
+            ) as local,
+            Client(local) as client,
+        ):
+            _check_workers(client, str(local.scheduler_address))
+            yield Cluster(client)
+
+
+@contextmanager
+def _client(client_of: Callable[..., Any], address: str) -> Iterator[Any]:
+    try:
+        client = client_of(address, timeout="30s")
+    except (OSError, ValueError) as error:
+        raise PlaceError(
+            "no Dask scheduler answers there",
+            path=address,
+            hint="start one with: dask scheduler; and workers with: dask worker ADDRESS --nthreads 1",
+        ) from error
+    try:
+        yield client
+    finally:
+        with suppress(Exception):  # a scheduler that is gone cannot be told good-bye
+            client.close(timeout=5)
+
+
+def worker_facts() -> tuple[str, str, bool]:
+    """Of the process that asks: flysid's version, Python's, whether it may start processes."""
+    return __version__, sys.version.partition(" ")[0], not multiprocessing.current_process().daemon
+
+
+def _check_workers(client: Any, address: str) -> None:
+    """Raise UsageError where workers would read logs otherwise than this process, or not at all."""
+    try:
+        client.wait_for_workers(1, timeout=60)
+        found = client.run(worker_facts)
+    except FlysidError:
+        raise
+    except TimeoutError as error:
+        raise PlaceError(
+            "the cluster has no workers", path=address, hint="start some: dask worker ADDRESS --nthreads 1"
+        ) from error
+    except Exception as error:  # what the worker raised comes as it is
+        raise UsageError(
+            f"the workers cannot run flysid: {type(error).__name__}: {error}",
+            path=address,
+            hint="install the same flysid[fleet] on them",
+        ) from error
+    here = worker_facts()
+    for worker, (version, python, may_start) in found.items():
+        if (version, python) != here[:2]:
+            raise UsageError(
+                f"worker {worker} has flysid {version} and Python {python}; "
+                f"here it is flysid {here[0]} and Python {here[1]}",
+                path=address,
+                hint="install the same versions on all machines",
+            )
+        if not may_start:
+            raise UsageError(
+                f"worker {worker} may not start the processes that read logs",
+                path=address,
+                hint="start workers with --no-nanny, or DASK_DISTRIBUTED__WORKER__DAEMON=False",
+            )
