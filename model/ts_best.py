@@ -20,7 +20,7 @@ from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Fitted
 from flysid.model.linear.model import FittedLinear
 from flysid.model.noise import noise_model
-from flysid.model.one_rule import linear_choice
+from flysid.model.one_rule import linear_choice, linear_rivals
 from flysid.model.rules.fitted import FittedTS, finished
 from flysid.model.rules.judging import INTEGRATES, hold_out
 from flysid.model.rules.learning import SWEEP, Learned
@@ -31,7 +31,7 @@ from flysid.model.rules.search_context import SPARE_ROWS
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.rules.state_learning import Learned as LearnedStates
 from flysid.model.rules.state_learning import learn
-from flysid.model.rules.structure_choice import Advantage, advantage, block_errors, compared
+from flysid.model.rules.structure_choice import Advantage, Refit, advantage, block_errors, compared, unproven
 from flysid.model.shared import sharing
 from flysid.model.start import estimate_start, start_window
 from flysid.model.subspace.model import FittedStateSpace
@@ -94,17 +94,32 @@ class Contest:
 
     Attributes
     ----------
-    lagged, hidden : the models; hidden is None where nothing asked for it, or none was found.
+    lags, states : what both searches found; states is None where nothing asked for it, or none was found.
     advantage : of hidden states, on held-out parts.
     fits : they fit the training data better, too.
     linear : the linear side's choice, where rules do not pay.
     """
 
-    lagged: FittedTS
-    hidden: FittedTS | None = None
+    lags: _Lags
+    states: _States | None = None
     advantage: Advantage = field(default_factory=Advantage)
     fits: bool = False
     linear: Linear | None = None
+
+    @property
+    def lagged(self) -> FittedTS:
+        """The model over lags."""
+        return self.lags.model
+
+    @property
+    def hidden(self) -> FittedTS | None:
+        """The model over hidden states."""
+        return None if self.states is None else self.states.model
+
+    @property
+    def taken(self) -> _Lags | _States:
+        """The search whose rules are the better ones."""
+        return self.states if self.states is not None and self.clear else self.lags
 
     @property
     def clear(self) -> bool:
@@ -149,25 +164,28 @@ def _of_rules(settings: BestTS, train: Dataset, validation: Dataset | None) -> C
     lagged = finished(
         known.stage, train, known.notes, intervals=known.linear is None, neighbour=known.neighbour
     )
+    lags = _Lags(known, lagged)
+    alone = Contest(lags)
     if not (settings.search.hidden_states and hints_at_hidden_state(lagged, train)):
-        return Contest(lagged)
+        return alone
     try:
         learned = learn(TSStateSpace(**asked), train, validation)
         if learned.stage.rules == 1 == known.stage.rules:
-            return Contest(lagged)
+            return alone
         found = finished(
             learned.stage, train, learned.notes, intervals=learned.intervals, neighbour=learned.neighbour
         )
-        judgement = _judged((known, lagged), (learned, found), train, validation)
+        states = _States(learned, found)
+        judgement = _judged(lags, states, train, validation)
     except (DataError, FitError, UsageError, np.linalg.LinAlgError):  # e.g. antecedents that it does not have
-        return Contest(lagged)
-    return Contest(lagged, found, *judgement)
+        return alone
+    return Contest(lags, states, *judgement)
 
 
 def _linear_enough(
     settings: BestTS, found: Contest, train: Dataset, validation: Dataset | None
 ) -> Linear | None:
-    """The linear side's choice where one rule is enough, or where it fits better than the rules.
+    """The linear side's choice where one rule is enough, or where the rules do not clearly run nearer.
 
     None where rules are kept, or where the one rule holds an integrator, which no linear structure does.
     """
@@ -175,43 +193,76 @@ def _linear_enough(
     count = len(rules.parameters.theta)
     if settings.rules not in ("auto", 1) or INTEGRATES in rules.notes:
         return None
-    choice = linear_choice(TS(nk_hint=settings.nk_hint), train, validation)
+    hint = tuple(settings.nk_hint)
+    choice = linear_choice(TS(nk_hint=hint), train, validation)
     if choice is None:
         return None
-    model = choice[1]
+    label, model = choice
     assert isinstance(model, Linear)
     if count == 1:
         said = "rules were searched for, and none paid."
     elif not advantage([block_errors((model, rules), validation or train)]).gain < 0.0:
         said = f"its free run is nearer than that of the {count} rules found."
     else:
-        return None
+        if validation is not None:
+            parts = [(train, validation)]
+            models: tuple[Refit, Refit] = (lambda _: model, lambda _: rules)
+        else:
+            parts = [hold_out(train, found.taken.least, fold) for fold in range(_PARTS)]
+            models = (linear_rivals(hint)[label].fit, found.taken.again)
+        said = unproven(*models, parts)
+        if not said:
+            return None
+        said = f"{count} rules of {rules.n_parameters} numbers were found and not kept: {said}."
     tried = [note for note in rules.notes if note.startswith(SWEEP)]
     return replace(model, notes=(f"{LINEAR_ENOUGH}{said}", *tried, *model.notes))
 
 
+@dataclass(frozen=True, eq=False)
+class _Lags:
+    """What the search over lags found, and how it is fitted to a part of the data."""
+
+    known: Learned
+    model: FittedTS
+
+    @property
+    def least(self) -> int:
+        """Rows that a segment of a part must have."""
+        return self.known.stage.problem.layout.depth + SPARE_ROWS
+
+    def again(self, data: Dataset) -> FittedTS:
+        """Refined from where it is on other data."""
+        runs = runs_of(self.model.layout, data.segments, self.least)
+        return finished(on_all_runs(self.known.stage, runs, _STEPS), data, (), intervals=False)
+
+
+@dataclass(frozen=True, eq=False)
+class _States:
+    """What the search over states found, and how it is fitted to a part of the data."""
+
+    known: LearnedStates
+    model: FittedTS
+
+    @property
+    def least(self) -> int:
+        """Rows that a segment of a part must have."""
+        return self.known.context.least
+
+    def again(self, data: Dataset) -> FittedTS:
+        """Refined from where it is on other data."""
+        return finished(self.known.again(data, _STEPS), data, (), intervals=False)
+
+
 def _judged(
-    lags: tuple[Learned, FittedTS],
-    states: tuple[LearnedStates, FittedTS],
-    train: Dataset,
-    validation: Dataset | None,
+    lags: _Lags, states: _States, train: Dataset, validation: Dataset | None
 ) -> tuple[Advantage, bool]:
     """The advantage of hidden states on held-out parts, and whether they fit the training data better."""
-    (known, lagged), (learned, found) = lags, states
-    fits = advantage([block_errors((lagged, found), train)]).gain < 0.0
+    fits = advantage([block_errors((lags.model, states.model), train)]).gain < 0.0
     if validation is not None:
-        return compared(lambda _: lagged, lambda _: found, [(train, validation)]), fits
-    least = max(known.stage.problem.layout.depth + SPARE_ROWS, learned.context.least)
-
-    def over_lags(data: Dataset) -> FittedTS:
-        stage = on_all_runs(known.stage, runs_of(lagged.layout, data.segments, least), _STEPS)
-        return finished(stage, data, (), intervals=False)
-
-    def over_states(data: Dataset) -> FittedTS:
-        return finished(learned.again(data, _STEPS), data, (), intervals=False)
-
+        return compared(lambda _: lags.model, lambda _: states.model, [(train, validation)]), fits
+    least = max(lags.least, states.least)
     parts = [hold_out(train, least, fold) for fold in range(_PARTS)]
-    return compared(over_lags, over_states, parts), fits
+    return compared(lags.again, states.again, parts), fits
 
 
 def hints_at_hidden_state(model: FittedTS, train: Dataset) -> bool:

@@ -32,6 +32,8 @@ class Runs(Protocol):
     def n_init(self) -> int: ...
     @property
     def dt_s(self) -> float: ...
+    @property
+    def output_limits(self) -> FloatArray: ...
     def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray: ...
 
 
@@ -70,6 +72,49 @@ def compared(first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset
             continue
         pairs.append(block_errors(models, check))
     return advantage(pairs)
+
+
+def unproven(first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset]]) -> str:
+    """Why the second is not to be kept instead of the first, in words; "" where it is.
+
+    It is where its advantage on parts that neither was refitted to exceeds its standard error, and where it
+    runs to its output limits on none of them that the first gets through.
+    """
+    pairs = []
+    for fit, check in parts:
+        try:
+            models = first(fit), second(fit)
+        except (DataError, FitError):  # a part may hold too little
+            continue
+        if _lost(models[1], check) and not _lost(models[0], check):
+            return "on a held-out part of the training data their free run went to its limits"
+        pairs.append(block_errors(models, check))
+    found = advantage(pairs)
+    if not pairs or found.gain < -found.error:
+        return ""
+    low, mid, high = np.exp(0.5 * (found.gain + found.error * np.array([-1.0, 0.0, 1.0])))
+    return (
+        f"on held-out parts of the training data their free run has {mid:.2f} times the linear one's error, "
+        f"{low:.2f} to {high:.2f} within one standard error"
+    )
+
+
+def _lost(model: Runs, data: Dataset) -> bool:
+    """The free run is at the model's limits, and farther off than all that was measured spans.
+
+    A limit may be an end of travel, which vehicle and model reach together.
+    """
+    low, high = model.output_limits
+    y = np.vstack([s.y for s in data.segments])
+    span = np.ptp(y, axis=0)
+    for s in data.segments:
+        window = start_window(model.n_init, len(s), model.dt_s)
+        if len(s) > 2 * window:
+            run = model.simulate(s.u, estimate_start(model, s.u[:window], s.y[:window]))[window:]
+            held = ((run <= low) | (run >= high)) & (np.abs(run - s.y[window:]) > span)
+            if (held | ~np.isfinite(run)).any():
+                return True
+    return False
 
 
 def block_errors(models: tuple[Runs, Runs], data: Dataset) -> tuple[FloatArray, FloatArray]:
