@@ -241,13 +241,27 @@ def _summed(pieces: Iterable[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray
 
 
 def _by_tsqr(pieces: Iterable[tuple[FloatArray, FloatArray]], columns: int) -> FloatArray:
+    blocks = ([phi, y, np.ones(len(phi))] if y.size else [phi, np.ones(len(phi))] for phi, y in pieces)
+    return tsqr((np.column_stack(parts) for parts in blocks), columns)
+
+
+def tsqr(blocks: Iterable[FloatArray], columns: int) -> FloatArray:
+    """The triangle R of all blocks stacked, its diagonal not negative; blocks may be triangles themselves.
+
+    Parameters
+    ----------
+    blocks : (any, columns) rows.
+
+    Returns
+    -------
+    (columns, columns) upper triangular, RᵀR = the sum of the blocks' BᵀB.
+    """
     r = np.zeros((0, columns))
-    for phi, y in pieces:
-        parts = [phi, y, np.ones(len(phi))] if y.size else [phi, np.ones(len(phi))]
-        r = np.asarray(np.linalg.qr(np.vstack([r, np.column_stack(parts)]), mode="r"))
+    for block in blocks:
+        r = np.asarray(np.linalg.qr(np.vstack([r, block]), mode="r"))
     full = np.zeros((columns, columns))
     full[: len(r)] = r
-    return full
+    return np.where(np.diag(full) < 0.0, -1.0, 1.0)[:, None] * full
 
 
 def residuals_of(

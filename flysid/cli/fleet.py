@@ -7,7 +7,9 @@ import click
 from flysid.cli.lazy import LazyVerbs
 
 FLEET_VERBS: dict[str, str] = {
+    "changed": "Which vehicles no longer fly as they did, or not as the others.",
     "check": "Compare a lake's manifests with its tables and its catalogue.",
+    "fit": "Linear models of any group of flights; runs of every vehicle.",
     "ls": "List a fleet's flights from its catalogue.",
 }
 

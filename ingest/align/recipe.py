@@ -111,6 +111,8 @@ class ChannelSpec:
     that sees the difference alone; margins need it. `min_rate_hz` is the rate
     below which the channel's dynamics cannot be seen, and `remedy` what to set on the vehicle to log faster;
     both serve the suggestions.
+    `shows` and `hides` tell which changes of the vehicle this channel shows, and which it does not and where
+    they would be seen; both serve the comparison of a fleet.
     """
 
     inputs: tuple[str, ...]
@@ -120,6 +122,8 @@ class ChannelSpec:
     description: str = ""
     min_rate_hz: float = 0.0
     remedy: str = ""
+    shows: str = ""
+    hides: str = ""
 
 
 @dataclass(frozen=True)

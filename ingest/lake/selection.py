@@ -77,7 +77,7 @@ def require_one_vehicle(lake: Lake) -> None:
         return
     told = "; ".join(f"{name}: {_counted(ids)}" for name, ids in list(known.items())[:SHOWN])
     more = f"; and {len(known) - SHOWN} more" if len(known) > SHOWN else ""
-    example = _shortest(max(known, key=lambda name: len(known[name])), list(known))
+    example = shortest_end(max(known, key=lambda name: len(known[name])), list(known))
     raise UsageError(
         f"flights of {len(known)} vehicles: {told}{more}",
         path=lake.address or lake.folder,
@@ -105,7 +105,7 @@ def _vehicle_named(lake: Lake, part: str) -> str:
     )
 
 
-def _shortest(name: str, others: Sequence[str]) -> str:
+def shortest_end(name: str, others: Sequence[str]) -> str:
     """The shortest end of a name, at least six characters, that no other vehicle's name holds."""
     for length in range(6, len(name)):
         end = name[-length:]

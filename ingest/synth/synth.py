@@ -93,6 +93,7 @@ class Order:
     altitude_m : above ground at the start, for plants that have a ground.
     without : effects to switch off, names of `rigidbody.Effects`, for plants that have them.
     changes : what happens to vehicles, for plants that have effects.
+    step_s : of the integration, for plants that are integrated.
     """
 
     plant: str = "ardrone-linear"
@@ -109,6 +110,7 @@ class Order:
     altitude_m: float = 20.0
     without: tuple[str, ...] = ()
     changes: tuple[Change, ...] = ()
+    step_s: float = 0.001
 
     def __post_init__(self) -> None:
         for kind, name, known in (("plant", self.plant, VEHICLES), ("sensor", self.sensor, SENSORS)):
@@ -176,6 +178,7 @@ def fly_one(order: Order, index: int) -> Recording:
             for change in order.changes
             if change.vehicle == vehicle + 1 and index % len(plan) + 1 >= change.flight
         ),
+        order.step_s,
     )
     truth = VEHICLES[order.plant].fly(command, period_s, air)
     return Recording(

@@ -32,6 +32,7 @@ class Air:
     altitude_m : at the start.
     without : names of the effects that are switched off.
     changes : what has changed on this vehicle: a name of `CHANGES` and a factor.
+    step_s : of the integration.
     """
 
     wind: Wind
@@ -41,6 +42,7 @@ class Air:
     altitude_m: float = 20.0
     without: tuple[str, ...] = ()
     changes: tuple[tuple[str, float], ...] = ()
+    step_s: float = 0.001
 
 
 Truth = dict[str, FloatArray]
@@ -85,7 +87,9 @@ def fly_rigid_body(command: FloatArray, dt_s: float, air: Air) -> Truth:
     wind = replace(air.wind, towards_deg=float(air.rng.uniform(0.0, 360.0)))
     field = wind_field(wind, len(command), dt_s, air.altitude_m, air.rng)
     start = vehicle.hover(air.altitude_m)
-    flown = fly_vehicle(vehicle, command, period_s=dt_s, record_s=dt_s, wind_m_s=field, start=start)
+    flown = fly_vehicle(
+        vehicle, command, period_s=dt_s, record_s=dt_s, wind_m_s=field, start=start, step_s=air.step_s
+    )
     return {**flown.series(), "z": flown.states[:, 2] - air.altitude_m}
 
 

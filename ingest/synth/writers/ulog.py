@@ -74,7 +74,7 @@ def topics(recording: Recording) -> dict[str, npt.NDArray[np.void]]:
 
 def facts(recording: Recording) -> dict[str, str]:
     """What the log says of the vehicle: its own number in its fleet, in the 24 digits of a board's."""
-    return {"sys_name": "PX4", "ver_hw": "FLYSID_SYNTH", "sys_uuid": f"{recording.system:024x}"}
+    return {"sys_name": "PX4", "ver_hw": "FLYSID_SYNTH", "sys_uuid": f"{recording.system:024d}"}
 
 
 def ulog_bytes(recording: Recording) -> bytes:

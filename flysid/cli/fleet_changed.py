@@ -1,0 +1,150 @@
+"""`flysid fleet changed LAKE --recipe R`: which vehicles no longer fly as they did, or not as the others."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from flysid.cli import complete
+from flysid.cli.display import Display, progress_options
+from flysid.cli.output import check_target, cores, counted, say
+from flysid.errors import UsageError
+
+if TYPE_CHECKING:
+    from flysid.fleet.models.gather import Gathered
+    from flysid.ingest.align.recipe import Recipe
+    from flysid.ingest.lake.lake import Lake
+
+PAGE = "report.html"
+DOCUMENT = "report.json"
+
+
+def _day(_ctx: click.Context, _param: click.Parameter, value: str) -> int | None:
+    """UTC in ns of a date, or of a time where one is given."""
+    if not value:
+        return None
+    try:
+        at = datetime.fromisoformat(value)
+    except ValueError:
+        raise click.BadParameter("a date, e.g. 2026-05-03") from None
+    at = at if at.tzinfo else at.replace(tzinfo=UTC)
+    return int(at.timestamp()) * 10**9
+
+
+@click.command("changed")
+@click.argument("lake", type=click.Path(path_type=Path))
+@click.option("--recipe", "-r", required=True, shell_complete=complete.recipes, help="Name or .toml file.")
+@click.option("--output", "-o", type=click.Path(path_type=Path), help="Folder of the page.  [LAKE/changed]")
+@click.option("--channel", "-c", "channels", multiple=True, help="This channel alone; may be repeated.")
+@click.option(
+    "--before", "before_ns", default="", metavar="DATE", callback=_day,
+    help="Flights before it (UTC) against those from then on.",
+)  # fmt: skip
+@click.option(
+    "--halves", is_flag=True, help="Each vehicle's first half of flights against its second (default)."
+)
+@click.option(
+    "--rate", default=0.05, show_default=True, type=click.FloatRange(0.0, 0.5, min_open=True),
+    help="Share of false ones among the flagged, at most.",
+)  # fmt: skip
+@click.option(
+    "--grid", "rate_hz", type=click.FloatRange(0.0, min_open=True), metavar="HZ", help="Rate of the grid."
+)
+@click.option("--runs", type=click.Path(path_type=Path), help="A 'fleet fit --ts' whose reports to link to.")
+@click.option("--fail-if", type=click.Choice(["changed", "unlike"]), help="Exit with 4 where a vehicle is.")
+@click.option("--jobs", "-j", default=0, metavar="N", help="Processes; one per core when not given.")
+@click.option("--force", is_flag=True, help="Replace the page if it is there.")
+@click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
+@progress_options
+def command(
+    lake: Path,
+    recipe: str,
+    output: Path | None,
+    channels: tuple[str, ...],
+    before_ns: int | None,
+    halves: bool,
+    rate: float,
+    rate_hz: float | None,
+    runs: Path | None,
+    fail_if: str | None,
+    jobs: int,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+    display: Display,
+) -> int:
+    """Find the vehicles of a fleet that have changed, and those that are unlike the others.
+
+    Compares gain and phase of each channel where the flights tell them; writes report.html and report.json,
+    and prints one line for each finding. Flights are read once; a second call with this recipe reads none.
+    Exit code 4: --fail-if holds.
+    """
+    if halves and before_ns is not None:
+        raise UsageError("--halves and --before say different things", hint="leave out one or the other")
+    target = output or lake / "changed"
+    check_target(target, force or (output is None and (target / DOCUMENT).is_file()))
+    from flysid.files import write_atomically, writing_to
+    from flysid.fleet.models.changed import compare
+    from flysid.fleet.models.page import headline, write_fleet_page
+    from flysid.ingest.align.recipe import load_recipe
+    from flysid.ingest.lake.lake import open as open_lake
+
+    opened = open_lake(lake)
+    asked = load_recipe(recipe)
+    with display.shown():
+        gathered = gathered_of(opened, asked, channels, rate_hz, jobs, quiet)
+        compared = compare(gathered, asked, opened.facts, rate, before_ns)
+    document = json.dumps(compared.document(), indent=1, allow_nan=False) + "\n"
+    reports = _reports(runs, list(compared.names)) if runs else {}
+    words = shlex.join(["flysid", *sys.argv[1:]])
+    page = write_fleet_page(target / PAGE, compared, words, reports)
+    with writing_to(target / DOCUMENT):
+        write_atomically(target / DOCUMENT, document.encode())
+    if as_json:
+        click.echo(document, nl=False)
+    else:
+        for found in compared.findings:
+            click.echo(f"{found.channel}: {found.sentence}")
+    for name, why in compared.skipped.items():
+        say(f"channel {name} skipped: {why}")
+    for judged in compared.channels:
+        hides = asked.channel(judged.channel).hides
+        if hides:
+            say(f"{judged.channel} cannot show {hides}", quiet)
+        if judged.too_few:
+            few = [compared.names[v] for v in judged.too_few]
+            say(
+                f"{judged.channel}: {counted(len(few), 'vehicle')} with too few flights: {', '.join(few[:8])}"
+            )
+    title, lead = headline(compared)
+    say(f"{title}. {lead}".strip(), quiet)
+    say(f"page: {page}", quiet)
+    return 4 if any(found.question == fail_if for found in compared.findings) else 0
+
+
+def gathered_of(
+    lake: Lake, recipe: Recipe, channels: tuple[str, ...], rate_hz: float | None, jobs: int, quiet: bool
+) -> Gathered:
+    """The fleet's triangles; says how many flights were read for them."""
+    from flysid.fleet.models.gather import gather
+    from flysid.fleet.models.store import Folder
+
+    found = gather(lake, recipe, Folder(lake.folder), channels, rate_hz, jobs or cores())
+    say(f"{counted(found.read, 'flight')} read, {len(lake) - found.read:,} known", quiet)
+    for flight, why in found.lost.items():
+        say(f"{flight}: could not be read: {why}")
+    return found
+
+
+def _reports(runs: Path, vehicles: list[str]) -> dict[str, Path]:
+    """The pages of the vehicles' own runs, where they are."""
+    from flysid.fleet.models.fitting import folder_of
+
+    pages = {v: runs / folder_of(v) / "report" / PAGE for v in vehicles}
+    return {v: page for v, page in pages.items() if page.is_file()}

@@ -1,0 +1,152 @@
+"""`flysid fleet fit LAKE --recipe R --by vehicle,firmware`: linear models of groups; runs of vehicles."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from flysid.cli import complete
+from flysid.cli.display import Display, progress_options
+from flysid.cli.fleet_changed import gathered_of
+from flysid.cli.output import aligned, check_target, cores, counted, say
+
+if TYPE_CHECKING:
+    from flysid.fleet.models.fitting import FleetFit
+    from flysid.ingest.lake.lake import Lake
+
+MODELS = "fleet.json"
+HEADINGS = ("GROUP", "CHANNEL", "FLIGHTS", "SAMPLES", "RMSE", "GAIN", "AT")
+
+
+@click.command("fit")
+@click.argument("lake", type=click.Path(path_type=Path))
+@click.option("--recipe", "-r", required=True, shell_complete=complete.recipes, help="Name or .toml file.")
+@click.option(
+    "--by", default="vehicle", show_default=True, metavar="A,B", help="Of vehicle, firmware, month."
+)
+@click.option("--output", "-o", type=click.Path(path_type=Path), help="Folder for the models.")
+@click.option("--channel", "-c", "channels", multiple=True, help="This channel alone; may be repeated.")
+@click.option(
+    "--grid", "rate_hz", type=click.FloatRange(0.0, min_open=True), metavar="HZ", help="Rate of the grid."
+)
+@click.option("--ts", is_flag=True, help="Also a run for each vehicle, as 'fit --vehicle' makes it.")
+@click.option("--models", "-m", default="", metavar="A,B", help="Of those runs; as 'fit' takes them.")
+@click.option(
+    "--effort", default="normal", type=click.Choice(["quick", "normal", "thorough"]), help="Of those runs."
+)
+@click.option("--jobs", "-j", default=0, metavar="N", help="Processes; one per core when not given.")
+@click.option("--force", is_flag=True, help="Replace the models if they are there.")
+@click.option("--json", "as_json", is_flag=True, help="Print the models as JSON.")
+@progress_options
+def command(
+    lake: Path,
+    recipe: str,
+    by: str,
+    output: Path | None,
+    channels: tuple[str, ...],
+    rate_hz: float | None,
+    ts: bool,
+    models: str,
+    effort: str,
+    jobs: int,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+    display: Display,
+) -> int:
+    """Fit a linear model to every group of a fleet's flights, and Takagi-Sugeno models to every vehicle.
+
+    Flights are read once; their triangles are kept beside them, and another --by reads none. Covariances come
+    from the scatter between flights. With -o the models are written as fleet.json; --ts adds a run folder for
+    each vehicle, ready for 'flysid validate'. Exit code 3: a group or a vehicle could not be fitted.
+    """
+    if output is not None:
+        check_target(output / MODELS, force)
+    elif ts:
+        raise click.UsageError("--ts makes run folders: -o says where")
+    from flysid.files import write_atomically, writing_to
+    from flysid.fleet.models.fitting import fit_groups
+    from flysid.ingest.align.recipe import load_recipe
+    from flysid.ingest.lake.lake import open as open_lake
+
+    opened = open_lake(lake)
+    asked = load_recipe(recipe)
+    keys = tuple(key for key in by.replace(" ", "").split(",") if key)
+    with display.shown():
+        gathered = gathered_of(opened, asked, channels, rate_hz, jobs, quiet)
+        fitted = fit_groups(gathered, keys)
+    text = json.dumps(fitted.document(asked.name), indent=1, allow_nan=False) + "\n"
+    if output is not None:
+        with writing_to(output / MODELS):
+            output.mkdir(parents=True, exist_ok=True)
+            write_atomically(output / MODELS, text.encode())
+    click.echo(text if as_json else "\n".join(table(fitted)), nl=not as_json)
+    for name, why in fitted.skipped.items():
+        say(f"channel {name} skipped: {why}")
+    unfit = [group for group in fitted.groups if group.reason]
+    for group in unfit:
+        say(f"{name_of(group.key)}, {group.channel}: {group.reason}")
+    failed = 0
+    if ts and output is not None:
+        failed = run_vehicles(opened, recipe, output, channels, models, effort, jobs, display, quiet)
+    return 3 if unfit or failed else 0
+
+
+def table(fitted: FleetFit) -> list[str]:
+    """One line for each group and channel."""
+    import numpy as np
+
+    rows = [HEADINGS]
+    for group in fitted.groups:
+        if group.reason:
+            continue
+        gain = at = "-"
+        omega = fitted.omega[group.channel]
+        if group.response is not None:
+            middle = len(omega) // 2
+            gain = f"{np.exp(group.response.value[middle]):.4g}"
+            at = f"{omega[middle] / 2.0 / np.pi:.2g} Hz"
+        model = group.models[0]
+        rows.append((name_of(group.key), group.channel, str(len(group.flights)), f"{model.rows:,}",
+                     f"{model.rmse:.3g}", gain, at))  # fmt: skip
+    return aligned(rows)
+
+
+def name_of(key: object) -> str:
+    """A group as people call it."""
+    values = [value or "-" for value in dict(key).values()] if isinstance(key, dict) else []
+    return " ".join(values) or "fleet"
+
+
+def run_vehicles(
+    lake: Lake,
+    recipe: str,
+    output: Path,
+    channels: tuple[str, ...],
+    models: str,
+    effort: str,
+    jobs: int,
+    display: Display,
+    quiet: bool,
+) -> int:
+    """A run folder for each vehicle; returns how many there could not be."""
+    from flysid.fleet.models.fitting import fit_vehicles, folder_of
+    from flysid.ingest.lake.selection import vehicles
+    from flysid.validate.run import FitSettings
+
+    labels = tuple(label for label in models.replace(" ", "").lower().split(",") if label)
+    settings = FitSettings(channels=channels, models=labels, effort=effort)
+    named = [name for name in vehicles(lake) if name]
+    with display.shown():
+        done = fit_vehicles(lake, recipe, output, settings, named, jobs or cores())
+    failed = {name: why for name, why in done.items() if isinstance(why, str)}
+    for name, why in failed.items():
+        say(f"{name}: {why}")
+    say(f"{counted(len(done) - len(failed), 'run')} in {output}", quiet)
+    if len(done) > len(failed):
+        first = next(name for name in done if name not in failed)
+        say(f"next: flysid validate {output / folder_of(first)}", quiet)
+    return len(failed)

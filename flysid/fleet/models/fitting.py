@@ -1,0 +1,238 @@
+"""Models of groups of flights: linear ones from the triangles, and runs of one vehicle each.
+
+A linear model of any group (a vehicle, a firmware, both) needs the triangles alone. Takagi-Sugeno models do
+not come from sums over flights; they are the same runs as `flysid fit --vehicle V` makes, one after another.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from flysid.errors import DataError, FlysidError, UsageError
+from flysid.fleet.models.band import band_of
+from flysid.fleet.models.differences import Part
+from flysid.fleet.models.gather import Gathered
+from flysid.fleet.models.groups import GroupModel, Response, fit_group, response_of
+from flysid.fleet.models.sampling import Sampling
+from flysid.fleet.models.scatter import Scatter, pooled
+from flysid.ingest.lake.lake import Lake
+from flysid.ingest.lake.selection import Selection, select
+from flysid.model.threads import on_one_thread
+from flysid.progress import part
+from flysid.validate.fitting import fit_run
+from flysid.validate.run import FitSettings, Run
+
+FORMAT = "flysid-fleet-fit"
+FORMAT_VERSION = 1
+KEYS = ("vehicle", "firmware", "month")
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """A group of flights and its models of a channel, one per output.
+
+    Attributes
+    ----------
+    key : what the group is, e.g. {"vehicle": "px4 0042", "firmware": "1.15.2"}.
+    flights : their ids.
+    models : by output; empty where `reason` says why there are none.
+    response : of a channel with one input and one output.
+    """
+
+    key: Mapping[str, str]
+    channel: str
+    flights: tuple[str, ...]
+    models: tuple[GroupModel, ...]
+    response: Response | None
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class FleetFit:
+    """All groups' models.
+
+    Attributes
+    ----------
+    scatter : by channel, between flights, pooled over the groups; absent where they have too few flights.
+    omega : by channel, the frequencies of the responses, rad/s.
+    """
+
+    by: tuple[str, ...]
+    samplings: Mapping[str, Sampling]
+    groups: tuple[Group, ...]
+    scatter: Mapping[str, Scatter]
+    omega: Mapping[str, Any]
+    skipped: Mapping[str, str]
+
+    def document(self, recipe: str) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {
+            "format": FORMAT,
+            "version": FORMAT_VERSION,
+            "recipe": recipe,
+            "by": list(self.by),
+            "channels": {
+                name: {
+                    "dt_s": s.dt_s,
+                    "lags": s.lags,
+                    "inputs": s.inputs,
+                    "outputs": s.outputs,
+                    "units": s.units,
+                }
+                for name, s in self.samplings.items()
+            },
+            "groups": [self._group(group) for group in self.groups],
+            "skipped": dict(self.skipped),
+        }
+
+    def _group(self, group: Group) -> dict[str, Any]:
+        said: dict[str, Any] = {"group": dict(group.key), "channel": group.channel, "flights": group.flights}
+        if group.reason:
+            return said | {"reason": group.reason}
+        sampling = self.samplings[group.channel]
+        said["models"] = [
+            {
+                "output": sampling.outputs[i],
+                "theta": m.theta.tolist(),
+                "covariance": None if m.covariance is None else m.covariance.tolist(),
+                "rows": m.rows,
+                "rmse": m.rmse,
+                "condition": m.condition,
+            }
+            for i, m in enumerate(group.models)
+        ]
+        said["response"] = self._response(group)
+        return said
+
+    def _response(self, group: Group) -> dict[str, Any] | None:
+        """Gain and phase, with 95 % intervals where the scatter between flights is known."""
+        if group.response is None:
+            return None
+        omega = self.omega[group.channel]
+        k = len(omega)
+        value = group.response.value
+        scatter = self.scatter.get(group.channel)
+        reach = np.full(2 * k, np.nan)
+        if scatter is not None:
+            sigma = np.sqrt(np.diag(scatter.covariance(group.response)))
+            reach = float(stats.t.isf(0.025, scatter.freedom)) * sigma
+        return {
+            "hz": (omega / 2.0 / np.pi).tolist(),
+            "gain": np.exp(value[:k]).tolist(),
+            "gain_95": None
+            if scatter is None
+            else np.exp([value[:k] - reach[:k], value[:k] + reach[:k]]).tolist(),
+            "phase_deg": np.degrees(value[k:]).tolist(),
+            "phase_95_deg": None
+            if scatter is None
+            else np.degrees([value[k:] - reach[k:], value[k:] + reach[k:]]).tolist(),
+        }
+
+
+@on_one_thread
+def fit_groups(gathered: Gathered, by: Sequence[str]) -> FleetFit:
+    """The linear models of all groups.
+
+    Parameters
+    ----------
+    by : some of `KEYS`; empty: the whole fleet is one group.
+
+    Raises
+    ------
+    UsageError : another key.
+    """
+    for key in by:
+        if key not in KEYS:
+            raise UsageError(f"flights cannot be grouped by {key!r}", hint="one of " + ", ".join(KEYS))
+    groups: list[Group] = []
+    scatter: dict[str, Scatter] = {}
+    omegas: dict[str, Any] = {}
+    for channel, parts in gathered.parts.items():
+        sampling = gathered.samplings[channel]
+        useful = [p for p in parts if p.triangle.rows]
+        omegas[channel] = _frequencies(useful, sampling, channel)
+        found = [
+            _group(dict(zip(by, key, strict=True)), channel, own, sampling, omegas[channel])
+            for key, own in _grouped(useful, by).items()
+        ]
+        groups += found
+        try:
+            scatter[channel] = pooled([g.response for g in found if g.response is not None], channel)
+        except DataError:
+            continue  # then no interval is given
+    return FleetFit(tuple(by), gathered.samplings, tuple(groups), scatter, omegas, gathered.skipped)
+
+
+def _frequencies(parts: Sequence[Part], sampling: Sampling, channel: str) -> Any:
+    if not parts or len(sampling.inputs) != 1 or len(sampling.outputs) != 1:
+        return np.zeros(0)
+    try:
+        spectra = sum((p.triangle.spectra for p in parts[1:]), parts[0].triangle.spectra)
+        return band_of(spectra, sampling.omega, 0, 1, channel).frequencies
+    except DataError:
+        return np.zeros(0)
+
+
+def _grouped(parts: Sequence[Part], by: Sequence[str]) -> dict[tuple[str, ...], list[Part]]:
+    found: dict[tuple[str, ...], list[Part]] = {}
+    for one in parts:
+        found.setdefault(tuple(_value(one, key) for key in by), []).append(one)
+    return {key: found[key] for key in sorted(found)}
+
+
+def _value(one: Part, key: str) -> str:
+    if key == "month":
+        return "" if one.start_ns is None else str(np.datetime64(one.start_ns, "ns").astype("datetime64[M]"))
+    return one.vehicle if key == "vehicle" else one.firmware
+
+
+def _group(
+    key: Mapping[str, str], channel: str, own: Sequence[Part], sampling: Sampling, omega: Any
+) -> Group:
+    flights = tuple(p.flight for p in own)
+    rows = sum(p.triangle.rows for p in own)
+    try:
+        triangles = [p.triangle.r for p in own]
+        models = tuple(fit_group(triangles, rows, sampling, i) for i in range(len(sampling.outputs)))
+    except DataError as error:
+        return Group(key, channel, flights, (), None, error.message)
+    response = response_of(models[0], sampling, omega) if len(omega) else None
+    return Group(key, channel, flights, models, response)
+
+
+def fit_vehicles(
+    lake: Lake, recipe: str, output: Path, settings: FitSettings, vehicles: Sequence[str], jobs: int
+) -> dict[str, Run | str]:
+    """A run for each vehicle, as `flysid fit --vehicle` makes it, or why there is none.
+
+    Parameters
+    ----------
+    output : a folder per vehicle is made in it (`folder_of`); those that are there already are replaced.
+    settings : of every run; its selection is replaced by the vehicle's.
+    """
+    done: dict[str, Run | str] = {}
+    for i, vehicle in enumerate(vehicles):
+        selection = Selection(vehicle=vehicle)
+        with part(i / len(vehicles), (i + 1) / len(vehicles)):
+            try:
+                own = replace(settings, selection=selection)
+                done[vehicle] = fit_run(
+                    select(lake, selection), recipe, output / folder_of(vehicle), own, jobs=jobs
+                )
+            except FlysidError as error:
+                done[vehicle] = error.message
+    return done
+
+
+def folder_of(vehicle: str) -> str:
+    """The folder of a vehicle's run: its name, with a digest where a folder cannot have all of it."""
+    plain = re.sub(r"[^A-Za-z0-9._-]+", "-", vehicle).strip("-.") or "no-name"
+    return plain if plain == vehicle else f"{plain}-{hashlib.sha256(vehicle.encode()).hexdigest()[:6]}"
