@@ -22,12 +22,10 @@ from flysid.errors import DataError
 from flysid.fleet.models.band import Band, band_of
 from flysid.fleet.models.groups import Response, fit_group, response_of
 from flysid.fleet.models.sampling import Sampling
-from flysid.fleet.models.scatter import Scatter, pooled
+from flysid.fleet.models.scatter import PER_NUMBER, Scatter, Tail, pooled, tail_of
 from flysid.fleet.models.triangles import Triangle
 
 Question = Literal["changed", "unlike"]
-PER_FEATURE = 3
-"""Vehicles for every number that is compared, below which the others' spread is not known well enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +60,7 @@ class Test:
     covariance: FloatArray
     statistic: float
     p: float
-    freedom: int
+    freedom: float
     flights: tuple[int, int]
     flagged: bool = False
 
@@ -114,40 +112,41 @@ def judge_channel(
             hint="responses are compared from one input to one output",
         )
     useful = [p for p in parts if p.triangle.rows]
-    size = len(sampling.omega)
-    spectra = sum((p.triangle.spectra for p in useful), np.zeros((size, 2, 2), dtype=np.complex128))
+    none = np.zeros((len(sampling.omega), 2, 2), dtype=np.complex128)
+    spectra = sum((p.triangle.spectra for p in useful), none)
     band = band_of(spectra, sampling.omega, 0, 1, channel)
     flown = by_vehicle(useful)
     too_few = {p.vehicle: "no flight is long enough" for p in parts if p.vehicle not in flown}
     early: dict[str, Response] = {}
     late: dict[str, Response] = {}
+    divided: dict[str, tuple[list[Part], list[Part]]] = {}
     for name, own in flown.items():
         first, second = split(own, before_ns)
         try:
             late[name] = _response(second or own, sampling, band)
             if first and second:
                 early[name] = _response(first, sampling, band)
+                divided[name] = (first, second)
             else:
                 too_few[name] = f"{len(first)} early and {len(second)} late flights"
         except DataError as error:
             too_few[name] = error.message
     scatter = pooled([r[name] for name in early for r in (early, late)], channel)
     shifts = {name: wrapped(late[name].value - early[name].value) for name in early}
-    covariances = {n: scatter.covariance(early[n]) + scatter.covariance(late[n]) for n in early}
+    size = 2 * len(band.frequencies)
+    mixed = [_mixed(*halves, sampling, band, scatter) for halves in divided.values()]
+    tail = tail_of([value for value in mixed if value is not None], size, scatter.freedom)
     tests = []
     for name, shift in shifts.items():
-        common, spread = _common([s for other, s in shifts.items() if other != name], len(shift))
+        common, spread = _common([s for other, s in shifts.items() if other != name], size)
         difference = wrapped(shift - common)
-        covariance = covariances[name] + spread
+        covariance = scatter.covariance(early[name]) + scatter.covariance(late[name]) + spread
         statistic = hotelling(difference, covariance)
         tests.append(
-            Test(
-                channel, name, "changed", difference, covariance, statistic,
-                scatter.p_value(statistic, len(shift)), scatter.freedom,
-                (early[name].flights, late[name].flights),
-            )
+            Test(channel, name, "changed", difference, tail.scale * covariance, statistic,
+                 tail.p_value(statistic, size), tail.freedom, (early[name].flights, late[name].flights))
         )  # fmt: skip
-    shared = _common(list(shifts.values()), 2 * len(band.frequencies))[0] if shifts else None
+    shared = _common(list(shifts.values()), size)[0] if shifts else None
     return Judged(channel, sampling, band, scatter, tuple(tests), flown, late, too_few, shared)
 
 
@@ -181,7 +180,7 @@ def _unlike(judged: Judged, changed: set[str]) -> list[Test]:
     """
     reference = {n: r.value for n, r in judged.present.items() if n not in changed}
     size = 2 * len(judged.band.frequencies)
-    if len(reference) <= PER_FEATURE * size:
+    if len(reference) <= PER_NUMBER * size:
         return []
     middle = np.median(np.array(list(reference.values())), axis=0)
     unsure = {n: judged.scatter.covariance(r) for n, r in judged.present.items()}
@@ -191,14 +190,29 @@ def _unlike(judged: Judged, changed: set[str]) -> list[Test]:
         others = np.array([wrapped(v - middle) for n, v in reference.items() if n != name])
         difference = wrapped(response.value - middle) - others.mean(axis=0)
         covariance = np.cov(others.T) * (1.0 + 1.0 / len(others)) + _positive(unsure[name] - ordinary)
-        statistic = hotelling(difference, covariance)
         left = len(others) - size
-        p = float(stats.f.sf(statistic * left / ((len(others) - 1) * size), size, left))
+        covariance *= (len(others) - 1) / left
+        statistic = hotelling(difference, covariance)
+        p = Tail(1.0, left).p_value(statistic, size)
         tests.append(
-            Test(judged.channel, name, "unlike", difference, covariance, statistic, p, len(others) - 1,
+            Test(judged.channel, name, "unlike", difference, covariance, statistic, p, left,
                  (response.flights, sum(judged.present[n].flights for n in reference if n != name)))
         )  # fmt: skip
     return tests
+
+
+def _mixed(
+    first: Sequence[Part], second: Sequence[Part], sampling: Sampling, band: Band, scatter: Scatter
+) -> float | None:
+    """T² between two mixtures of early and late flights, which a change is in alike; None of too few."""
+    if len(first) < 2 or len(second) < 2:
+        return None
+    try:
+        one = _response([*first[::2], *second[1::2]], sampling, band)
+        other = _response([*first[1::2], *second[::2]], sampling, band)
+    except DataError:
+        return None
+    return hotelling(wrapped(one.value - other.value), scatter.covariance(one) + scatter.covariance(other))
 
 
 def _positive(matrix: FloatArray) -> FloatArray:
@@ -209,7 +223,7 @@ def _positive(matrix: FloatArray) -> FloatArray:
 
 def _common(shifts: Sequence[FloatArray], size: int) -> tuple[FloatArray, FloatArray]:
     """The median shift of vehicles and its covariance; zero where they are too few to tell."""
-    if len(shifts) <= PER_FEATURE * size:
+    if len(shifts) <= PER_NUMBER * size:
         return np.zeros(size), np.zeros((size, size))
     every = np.array(shifts)
     middle = np.median(every, axis=0)

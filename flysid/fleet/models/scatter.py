@@ -13,10 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 from scipy.linalg import solve_triangular
+from scipy.optimize import minimize
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.fleet.models.groups import Response
+
+PER_NUMBER = 3
+"""Vehicles for every number that is compared, below which their spread is not known well enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,15 +35,43 @@ class Scatter:
         root = response.root
         return np.asarray(root @ self.ratio @ root.T)
 
-    def p_value(self, statistic: float, size: int) -> float:
-        """Of Hotelling's T²: the chance of a larger one where nothing differs."""
-        left = self.freedom - size + 1
-        return float(stats.f.sf(statistic * left / (self.freedom * size), size, left))
 
-    def critical(self, p: float, size: int) -> float:
-        """The T² that is exceeded with probability p."""
-        left = self.freedom - size + 1
-        return float(stats.f.isf(p, size, left)) * self.freedom * size / left
+@dataclass(frozen=True)
+class Tail:
+    """How T² over p numbers spreads where nothing has changed: T² / (p scale) as F(p, freedom)."""
+
+    scale: float
+    freedom: float
+
+    def p_value(self, statistic: float, size: int) -> float:
+        """The chance of a larger T²."""
+        return float(stats.f.sf(statistic / (size * self.scale), size, self.freedom))
+
+
+def tail_of(statistics: Sequence[float], size: int, freedom: float) -> Tail:
+    """The tail of T² from vehicles' flights divided so that no change can show: likelihood's choice.
+
+    Wind blows along one flight and across the next: what one vehicle meets is not what all meet,
+    and T² strays further than Hotelling's. It is never taken to stray less.
+
+    Parameters
+    ----------
+    statistics : one for each vehicle; Hotelling's own tail is taken where they are too few.
+    freedom : behind the scatter.
+    """
+    left = freedom - size + 1
+    nominal = freedom / left
+    if len(statistics) <= PER_NUMBER * size:
+        return Tail(nominal, left)
+    values = np.array(statistics) / size
+
+    def unlikely(logs: FloatArray) -> float:
+        scale, few = np.exp(logs)
+        return -float(np.sum(stats.f.logpdf(values / scale, size, few)) - len(values) * logs[0])
+
+    bounds = [(np.log(nominal), None), (np.log(2.0), np.log(max(left, 3.0)))]
+    found = minimize(unlikely, np.array([np.log(nominal), np.log(max(left, 3.0)) / 2.0]), bounds=bounds)
+    return Tail(*np.exp(found.x).tolist())
 
 
 def pooled(responses: Sequence[Response], channel: str) -> Scatter:

@@ -158,11 +158,11 @@ def smallest(judged: Judged, tests: int, rate: float) -> Smallest | None:
         return None
     omega = judged.band.frequencies
     k = len(omega)
-    left = judged.scatter.freedom - 2 * k + 1
-    limit = float(stats.f.isf(rate / tests, 2 * k, left))
+    freedom = _median([t.freedom for t in own])
+    limit = float(stats.f.isf(rate / tests, 2 * k, freedom))
 
     def missing(strength: float) -> float:
-        return float(stats.ncf.sf(limit, 2 * k, left, strength)) - SEEN
+        return float(stats.ncf.sf(limit, 2 * k, freedom, strength)) - SEEN
 
     needed = brentq(missing, 1e-6, 1e4 * (1.0 + limit))
     gain = np.concatenate([np.ones(k), np.zeros(k)])
