@@ -19,6 +19,7 @@ _HOME = {
     "IV": "flysid.model.iv",
     "StateSpace": "flysid.model.statespace",
     "TF": "flysid.model.transfer_function",
+    "Multirotor": "flysid.model.multirotor",
     "Line": "flysid.model.line",
     "Mean": "flysid.model.mean",
     "Persistence": "flysid.model.persistence",
@@ -63,6 +64,7 @@ __all__ = [  # noqa: RUF022
     "IV",
     "StateSpace",
     "TF",
+    "Multirotor",
     "Line",
     "Mean",
     "Persistence",
@@ -123,6 +125,7 @@ if TYPE_CHECKING:
     from flysid.model.iv import IV
     from flysid.model.line import Line
     from flysid.model.mean import Mean
+    from flysid.model.multirotor import Multirotor
     from flysid.model.oe import OE
     from flysid.model.persistence import Persistence
     from flysid.model.rules.consequents import refit_consequents

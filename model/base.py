@@ -169,7 +169,7 @@ class Estimator(Protocol):
     def fit(self, train: Dataset, validation: Dataset | None = None) -> Fitted: ...
 
 
-Kind = Literal["reference", "linear", "rules", "other"]
+Kind = Literal["reference", "linear", "rules", "physics", "other"]
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,8 @@ class Structure:
     ----------
     name : what model files call it.
     source : "module:function" that rebuilds a fitted model from `to_dict()`; imported when first needed.
-    kind : "reference", a line to stay below (the mean); "linear", what rules have to beat; "rules"; "other".
+    kind : "reference", a line to stay below (the mean); "linear", what rules have to beat; "rules";
+        "physics", equations of the vehicle; "other".
     """
 
     name: str
@@ -205,6 +206,7 @@ STRUCTURES: Mapping[str, Structure] = {
         Structure("static-ts", "flysid.model.static_ts:from_dict", "rules"),
         Structure("ts", "flysid.model.rules.fitted:from_dict", "rules"),
         Structure("ts_ss", "flysid.model.rules.fitted:from_dict", "rules"),
+        Structure("multirotor", "flysid.model.multirotor:from_dict", "physics"),
         Structure("ensemble", "flysid.model.ensemble:from_dict"),
     )
 }

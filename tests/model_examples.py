@@ -20,6 +20,7 @@ from flysid.model.fir import FIR
 from flysid.model.iv import IV
 from flysid.model.line import Line
 from flysid.model.mean import Mean
+from flysid.model.multirotor import Multirotor
 from flysid.model.oe import OE
 from flysid.model.persistence import Persistence
 from flysid.model.statespace import StateSpace
@@ -97,6 +98,8 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "ensemble of rules": (Ensemble(StaticTS(rules=2), members=2).fit, data()),
     "tf": (TF(poles=2, zeros=1, dead_time_s=0.0).fit, data()),
     "tf, two inputs and outputs": (TF(poles=2, zeros=1, dead_time_s=0.0).fit, data(2, 2, samples=200)),
+    "multirotor": (Multirotor().fit, data()),
+    "multirotor, accelerations": (Multirotor(kind="acceleration").fit, data(2, 2)),
     "arx, static": (ARX(na=0, nb=1, nk=0, refine=False).fit, data()),
 }
 

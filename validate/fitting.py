@@ -71,6 +71,7 @@ def estimators(
     from flysid.model.iv import IV
     from flysid.model.line import Line
     from flysid.model.mean import Mean
+    from flysid.model.multirotor import Multirotor
     from flysid.model.persistence import Persistence
     from flysid.model.rules.search_settings import SearchSettings
     from flysid.model.static_ts import StaticTS
@@ -91,6 +92,7 @@ def estimators(
         "fir": FIR(),
         "iv": IV(nk_hint=nk_hint),
         "tf": TF(nk_hint=nk_hint),
+        "multirotor": Multirotor(),
         "static_ts": StaticTS(seed=settings.seed),
         "ts": BestTS(**asked),
         "ts_lags": TS(**asked),

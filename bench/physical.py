@@ -1,0 +1,135 @@
+"""What the physical model finds of a vehicle whose numbers are known, and what it is worth on real flights.
+
+`python -m bench.physical known [flights] [first seed]`: the simulated AR.Drone, 60 s of random steps on all
+commands, motor commands that act 10 ms after their row, 250 rows a second, gyro noise of 0.5 deg/s; errors
+and how often the 95 % intervals hold, without and with what the model leaves out (gyroscopic torques, a
+falling battery).
+`python -m bench.physical real`: free runs on held-out real flights beside ARX and TS (../shared/logs).
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import replace
+
+import numpy as np
+from numba import njit
+
+from flysid.dataset import Dataset, Signal
+from flysid.ingest.synth.manoeuvres import amplitude_steps
+from flysid.ingest.synth.quadrotor import STATES, airframe
+from flysid.ingest.synth.rigid_body import ALL, STEP_S, Effects, Vehicle, fly_vehicle
+from flysid.model.multirotor import Multirotor
+
+DT_S = 0.004
+LATE_S = 0.010
+NOISE_DEG_S = 0.5
+COMMAND_S = 0.02
+RATES = ("p", "q", "r")
+PLAIN = replace(ALL, gyroscopic=False, battery_sag=False)
+
+
+def flown(seed: int, effects: Effects = PLAIN, seconds: float = 60.0) -> tuple[Dataset, Vehicle]:
+    """Motor commands and body rates of one flight: what its inner loop told the motors, held from row to row.
+
+    The inner loop of the simulator has no rows; what it told every 4 ms is therefore flown again, held, late.
+    """
+    vehicle = Vehicle(effects=effects)
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(round(seconds / COMMAND_S)) * COMMAND_S
+    sizes = ((0.4, 8.0), (0.4, 8.0), (0.6, 0.5), (0.5, 60.0))
+    commands = np.column_stack([amplitude_steps(time_s, hold, peak, rng) for hold, peak in sizes])
+    told = fly_vehicle(vehicle, commands, period_s=COMMAND_S, record_s=DT_S).told
+    sag = vehicle.airframe.sag / vehicle.airframe.endurance_s if effects.battery_sag else 0.0
+    rates = np.empty((len(told), 3))
+    replayed(told, round(DT_S / STEP_S), round(LATE_S / STEP_S), sag, vehicle.physics().packed(), rates)
+    rates = np.degrees(rates) + NOISE_DEG_S * rng.standard_normal(rates.shape)
+    motors = [Signal(f"motor {i}", "rad/s") for i in range(1, 5)]
+    outputs = [Signal(name, "deg/s") for name in RATES]
+    return Dataset.from_arrays(told, rates, DT_S, inputs=motors, outputs=outputs), vehicle
+
+
+@njit(cache=True)
+def replayed(told, hold, late, sag, physics, out):  # type: ignore[no-untyped-def]
+    """out (N, 3) = body rates under commands held for `hold` steps that act `late` steps after their row."""
+    keep = math.exp(-0.5 * STEP_S / physics.motor_tau)
+    state = np.zeros(STATES)
+    rate = np.empty(STATES)
+    rotors = told[0].copy()
+    for step in range(len(told) * hold):
+        if step % hold == 0:
+            out[step // hold] = state[9:12]
+        wanted = told[max(step - late, 0) // hold] * (1.0 - sag * step * STEP_S)
+        halfway = wanted + keep * (rotors - wanted)
+        after = wanted + keep * (halfway - wanted)
+        total = np.zeros(3)
+        first = state[9:12].copy()
+        for share, weight, n in (
+            (0.0, 1.0, rotors),
+            (0.5, 2.0, halfway),
+            (0.5, 2.0, halfway),
+            (1.0, 1.0, after),
+        ):
+            if share > 0.0:
+                state[9:12] = first + share * STEP_S * rate[9:12]
+            airframe(state, n[0], n[1], n[2], n[3], 0.0, 0.0, 0.0, physics, rate)
+            total += weight * rate[9:12]
+        state[9:12] = first + STEP_S * total / 6.0
+        rotors = after
+
+
+def truth(vehicle: Vehicle, data: Dataset) -> list[dict[str, float]]:
+    """What `figures` should say of every rate."""
+    frame = vehicle.airframe
+    force = frame.thrust_factor * frame.arm_m
+    ixx, iyy, izz = frame.inertia_kg_m2
+    twist = frame.torque_factor / izz
+    effects = np.array(
+        [[0.0, force / ixx, 0.0, -force / ixx], [-force / iyy, 0.0, force / iyy, 0.0], [twist, -twist] * 2]
+    )
+    u = data.segments[0].u
+    sag = frame.sag / frame.endurance_s if vehicle.effects.battery_sag else 0.0
+    volts = 1.0 - sag * 0.5 * len(u) * DT_S
+    mean = volts**2 * u.mean(axis=0)
+    shared = {"motor lag": frame.motor_lag_s, "dead time": LATE_S}
+    return [
+        shared
+        | {"thrust curve (0 straight, 1 square)": 1.0, "drag of the rotors": 0.0}
+        | {f"effect of motor {i + 1}": float(np.degrees(2.0 * row[i] * mean[i])) for i in range(4)}
+        for row in effects
+    ]
+
+
+def errors(seed: int, effects: Effects = PLAIN) -> list[tuple[str, str, float, float, bool]]:
+    """(rate, figure, value, truth, held) of everything that the flight determines and that is not zero."""
+    data, vehicle = flown(seed, effects)
+    model = Multirotor().fit(data)
+    found = []
+    for i, right in enumerate(truth(vehicle, data)):
+        for figure in model.figures(i):
+            true = right.get(figure.name, 0.0)
+            if true and figure.is_determined:
+                held = abs(figure.value - true) <= figure.half_width
+                found.append((RATES[i], figure.name, figure.value, true, held))
+    return found
+
+
+def known(flights: int, first: int) -> None:
+    """Errors and intervals over flights."""
+    for words, effects in (("as the model has it", PLAIN), ("all effects", ALL)):
+        rows = [row for seed in range(first, first + flights) for row in errors(seed, effects)]
+        print(f"{words}, {flights} flights")
+        for name in dict.fromkeys((rate, figure) for rate, figure, *_ in rows):
+            own = [row for row in rows if row[:2] == name]
+            off = 100 * np.array([row[2] / row[3] - 1.0 for row in own])
+            print(
+                f"  {name[0]} {name[1]:36s} median {np.median(off):+6.2f} %, worst {np.abs(off).max():5.2f} "
+                f"%, interval holds {100 * np.mean([row[4] for row in own]):3.0f} % of {len(own)}"
+            )
+
+
+if __name__ == "__main__":
+    kind, *rest = sys.argv[1:] or ["known"]
+    count, seed_0 = (*map(int, rest), *(10, 1)[len(rest) :])
+    known(count, seed_0)

@@ -1,0 +1,365 @@
+"""Multirotor: what physics says of a vehicle that flies on rotors, as one more contender.
+
+Commands of motors (each its own input, or a mix of them) drive a body rate or a body acceleration through
+motors with a lag and a dead time, a thrust curve, a torque each, drag of the rotors and a trim:
+`rotorcraft/rotor_axis` has the equations. Every number has a name and a unit; an interval beside it says how
+well the flights determine it, and one that they do not determine is named instead of printed. Parameters are
+those that predict one step ahead best beside disturbances of torque that wander, so that a controller's
+feedback does not bend them (as it does a fit to the free run); cf. Eschmann, Albani & Loianno, Data-driven
+system identification of quadrotors subject to motor delays (2024).
+
+What it leaves out: what rotors' own inertia does to yaw, coupling of axes, translation, the battery.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from flysid.dataset import Dataset, FloatArray, Signal
+from flysid.errors import DataError, UsageError
+from flysid.model.arguments import as_columns, as_record
+from flysid.model.base import Rule, write_document
+from flysid.model.capabilities import Coefficient
+from flysid.model.documents import array_of, head_of, signals_of, with_null
+from flysid.model.freerun import saturated
+from flysid.model.linear.data import Parts
+from flysid.model.polynomials import Z95
+from flysid.model.rotorcraft.axis_fit import Axis, Record, fit_axis
+from flysid.model.rotorcraft.rotor_axis import (
+    CURVE,
+    DAMPING,
+    DELAY,
+    FIRST,
+    LAG,
+    TRIM,
+    forgets,
+    free_run,
+    steps_ahead,
+)
+from flysid.model.start import FreeRuns
+from flysid.model.threads import on_one_thread
+
+Kind = Literal["auto", "rate", "acceleration"]
+ACCELERATIONS = ("m/s/s", "m/s^2", "m/s²", "m/s2", "g")
+UNDETERMINED = 0.5
+"""Of the value, half an interval: then the flights do not determine it."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number of the vehicle.
+
+    Attributes
+    ----------
+    name : "motor lag", "torque of motor 1".
+    half_width : of its 95 % interval; NaN where it stands at an end of its range.
+    scale : what the half-width is held against: the value, or 1 for a thrust curve.
+    """
+
+    name: str
+    value: float
+    unit: str
+    half_width: float
+    scale: float
+
+    @property
+    def is_determined(self) -> bool:
+        """Half the interval is small beside the value."""
+        return bool(self.half_width <= UNDETERMINED * abs(self.scale))
+
+    def __str__(self) -> str:
+        if not self.is_determined:
+            return f"{self.name}: not determined by these flights"
+        return f"{self.name} {self.value:.4g} +- {self.half_width:.2g} {self.unit}".rstrip()
+
+
+@dataclass(frozen=True)
+class Multirotor:
+    """Settings of the physical model.
+
+    Parameters
+    ----------
+    kind : what every output is: "rate", "acceleration", or "auto", by its unit (m/s/s is an acceleration).
+    curve : seek the thrust curve; None: where no command is ever negative, as of single motors.
+
+    Examples
+    --------
+    >>> model = flysid.Multirotor().fit(train)  # train: see `flysid.Dataset`
+    >>> [figure.name for figure in model.figures()][:2]
+    ['motor lag', 'dead time']
+    """
+
+    kind: Kind = "auto"
+    curve: bool | None = None
+
+    @on_one_thread
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedMultirotor:  # noqa: ARG002
+        """Fit every output by itself.
+
+        Raises
+        ------
+        UsageError : settings that cannot be, or no dataset. DataError : too few samples, a signal that never
+        changes. FitError : no start is finite.
+        """
+        if self.kind not in ("auto", "rate", "acceleration"):
+            raise UsageError(f"kind is {self.kind!r}", hint="'auto', 'rate' or 'acceleration'")
+        limits = Parts.of(train, None).limits
+        u = np.concatenate([s.u for s in train.segments])
+        y = np.concatenate([s.y for s in train.segments])
+        needed = 10 * (FIRST + u.shape[1])
+        if len(u) < needed:
+            raise DataError(
+                f"{len(u)} samples are too few for a physical model", hint=f"record at least {needed}"
+            )
+        u_scale = np.abs(u).max(axis=0)
+        y_scale = np.sqrt(np.mean(y**2, axis=0))
+        curved = bool((u >= 0.0).all()) if self.curve is None else self.curve
+        kinds = tuple(self._integrates(signal) for signal in train.outputs)
+        axes = []
+        for i, integrates in enumerate(kinds):
+            records: list[Record] = [(s.u / u_scale, s.y[:, i] / y_scale[i]) for s in train.segments]
+            axes.append(fit_axis(records, train.dt_s, integrates, curved))
+        return FittedMultirotor(
+            dt_s=train.dt_s,
+            inputs=train.inputs,
+            outputs=train.outputs,
+            output_limits=limits,
+            integrates=kinds,
+            axes=tuple(axes),
+            u_scale=u_scale,
+            u_mean=u.mean(axis=0),
+            y_scale=y_scale,
+        )
+
+    def _integrates(self, output: Signal) -> bool:
+        if self.kind != "auto":
+            return self.kind == "rate"
+        return output.unit.lower() not in ACCELERATIONS
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedMultirotor(FreeRuns):
+    """A physical model; the laws of `flysid.model.base` hold.
+
+    Attributes
+    ----------
+    integrates : of every output, whether it is a rate (otherwise an acceleration).
+    axes : one an output, in shares of `u_scale` and `y_scale`.
+    u_scale, u_mean : (n_u,) largest and mean command of training; y_scale : (n_y,) root mean squares.
+    """
+
+    dt_s: float
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    output_limits: FloatArray
+    integrates: tuple[bool, ...]
+    axes: tuple[Axis, ...]
+    u_scale: FloatArray
+    u_mean: FloatArray
+    y_scale: FloatArray
+
+    structure = "multirotor"
+    n_init = 1
+
+    @property
+    def n_parameters(self) -> int:
+        """Estimated numbers of all outputs, of the disturbance's too."""
+        return sum(len(a.free) for a in self.axes)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What these flights do not determine, a sentence an output."""
+        said = []
+        for i, output in enumerate(self.outputs):
+            vague = [f.name for f in self.figures(i) if not f.is_determined]
+            if vague:
+                said.append(f"{output.name}: these flights do not determine {', '.join(vague)}.")
+        return tuple(said)
+
+    # -- what an engineer asks of it ---------------------------------------------------------------------
+
+    def figures(self, output: int = 0) -> tuple[Figure, ...]:
+        """Lag, dead time, thrust curve, drag, every command's effect about its mean, trim."""
+        axis = self.axes[output]
+        theta = axis.theta
+        unit = self.outputs[output].unit or "1"
+        size = float(self.y_scale[output])
+        found = [
+            self._figure(axis, "motor lag", LAG, "s"),
+            self._figure(axis, "dead time", DELAY, "s", least=self.dt_s),
+        ]
+        if theta[CURVE] != 0.0:
+            found.append(self._figure(axis, "thrust curve (0 straight, 1 square)", CURVE, "", least=1.0))
+        if self.integrates[output]:
+            found.append(self._figure(axis, "drag of the rotors", DAMPING, "1/s"))
+            unit = f"{unit}/s"
+        mean = self.u_mean / self.u_scale
+        for j, command in enumerate(self.inputs):
+            about = 1.0 - theta[CURVE] + 2.0 * theta[CURVE] * mean[j]
+            slope = np.zeros(len(theta))
+            slope[FIRST + j] = about
+            slope[CURVE] = theta[FIRST + j] * (2.0 * mean[j] - 1.0)
+            per = size / float(self.u_scale[j])
+            value = per * theta[FIRST + j] * about
+            half = Z95 * abs(per) * float(np.sqrt(max(slope @ axis.covariance @ slope, 0.0)))
+            per_unit = f"{unit} per {command.unit or '1'}"
+            found.append(Figure(f"effect of {command.name}", value, per_unit, half, value))
+        half = Z95 * size * float(np.sqrt(max(axis.covariance[TRIM, TRIM], 0.0)))
+        largest = size * float(np.abs(theta[FIRST:]).max())
+        found.append(Figure("trim", size * float(theta[TRIM]), unit, half, largest))
+        return tuple(found)
+
+    def _figure(self, axis: Axis, name: str, index: int, unit: str, least: float = 0.0) -> Figure:
+        value = float(axis.theta[index])
+        known = index in axis.free
+        half = Z95 * float(np.sqrt(max(axis.covariance[index, index], 0.0))) if known else np.nan
+        return Figure(name, value, unit, half, max(abs(value), least))
+
+    def coefficients(self) -> list[Coefficient]:
+        """Every figure that these flights determine."""
+        return [
+            Coefficient("", output.name, f.name, f.value, f.half_width)
+            for i, output in enumerate(self.outputs)
+            for f in self.figures(i)
+            if f.is_determined
+        ]
+
+    # -- the laws ----------------------------------------------------------------------------------------
+
+    def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+        """(N, n_y) free run from the first measured output; motors begin at the first command.
+
+        From standing motors and zero outputs when y0 is None.
+
+        Raises
+        ------
+        UsageError : shapes do not fit the model.
+        """
+        u = as_columns(u, len(self.inputs), "u")
+        n_y = len(self.outputs)
+        if y0 is None:
+            first = np.zeros((1, n_y))
+        else:
+            first = as_columns(y0, n_y, "y0")[:1]
+            if len(first) < min(1, len(u)):
+                raise UsageError("a simulation starts from 1 measured output, not 0")
+        if not len(u):
+            return np.zeros((0, n_y))
+        columns = [
+            free_run(u / self.u_scale, first[0, i] / self.y_scale[i], a.theta, self.dt_s, kind, y0 is None)
+            for i, (a, kind) in enumerate(zip(self.axes, self.integrates, strict=True))
+        ]
+        out = saturated(np.column_stack(columns) * self.y_scale, self.output_limits)
+        if y0 is not None:
+            out[0] = first[0]
+        return out
+
+    def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
+        """(N, n_y) prediction from outputs at least k steps old; the first k rows are NaN.
+
+        Raises
+        ------
+        UsageError : shapes do not fit, or k < 1.
+        """
+        u, y = as_record(self, u, y, k)
+        out = np.full(y.shape, np.nan)
+        if len(y) <= k:
+            return out
+        for i, (axis, kind) in enumerate(zip(self.axes, self.integrates, strict=True)):
+            scaled = y[:, i] / self.y_scale[i]
+            ahead = steps_ahead(u / self.u_scale, scaled, axis.theta, self.dt_s, kind, k)
+            out[k:, i] = ahead[k:] * self.y_scale[i]
+        return out
+
+    def rules(self) -> tuple[Rule, ...]:
+        """One rule that always holds: physics."""
+        words = "; ".join(
+            f"{o.name}: " + ", ".join(str(f) for f in self.figures(i) if f.is_determined)
+            for i, o in enumerate(self.outputs)
+        )
+        gain = np.full((len(self.outputs), len(self.inputs)), np.nan)
+        slow = 0.0
+        for i, axis in enumerate(self.axes):
+            about = 1.0 - axis.theta[CURVE] + 2.0 * axis.theta[CURVE] * self.u_mean / self.u_scale
+            push = self.y_scale[i] * axis.theta[FIRST:] * about / self.u_scale
+            damping = float(axis.theta[DAMPING])
+            if not self.integrates[i]:
+                gain[i] = push
+                slow = max(slow, float(axis.theta[LAG]))
+            elif damping > 0.0:
+                gain[i] = push / damping
+                slow = max(slow, 1.0 / damping)
+            else:
+                slow = np.inf
+        radius = float(np.exp(-self.dt_s / slow)) if slow > 0.0 else 0.0
+        return (Rule("R1", "always", words, gain, slow, radius, 1.0),)
+
+    def firing(self, u: FloatArray, y: FloatArray) -> FloatArray:  # noqa: ARG002
+        """(N, 1) ones: physics always holds."""
+        return np.ones((len(np.asarray(y)), 1))
+
+    def __str__(self) -> str:
+        lines = [f"physical model, {self.n_parameters} parameters, sample time {self.dt_s:g} s"]
+        for i, output in enumerate(self.outputs):
+            kind = "a rate" if self.integrates[i] else "an acceleration"
+            lines += ["", f"{output.name}, {kind}", *(f"  {f}" for f in self.figures(i))]
+        return "\n".join(lines)
+
+    # -- storage -----------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything needed to rebuild the model, as JSON types only."""
+        return {
+            **head_of(self),
+            "output_limits": self.output_limits.tolist(),
+            "integrates": list(self.integrates),
+            "theta": [a.theta.tolist() for a in self.axes],
+            "free": [list(a.free) for a in self.axes],
+            "covariance": [with_null(a.covariance) for a in self.axes],
+            "u_scale": self.u_scale.tolist(),
+            "u_mean": self.u_mean.tolist(),
+            "y_scale": self.y_scale.tolist(),
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as JSON; `flysid.load` reads it."""
+        write_document(self.to_dict(), path)
+
+
+def from_dict(document: Mapping[str, Any]) -> FittedMultirotor:
+    """Rebuild a model from `to_dict()`; damage raises KeyError, TypeError or ValueError."""
+    inputs = signals_of(document, "inputs")
+    outputs = signals_of(document, "outputs")
+    dt_s = float(document["dt_s"])
+    size = FIRST + len(inputs)
+    theta = array_of(document, "theta", len(outputs), size)
+    kinds = tuple(bool(k) for k in document["integrates"])
+    axes = []
+    for row, free, covariance, kind in zip(
+        theta, document["free"], document["covariance"], kinds, strict=True
+    ):
+        if not (row[LAG] > 0.0 and 0.0 <= row[DELAY] < 1e6 * dt_s and row[DAMPING] >= 0.0):
+            raise ValueError("a lag, dead time or drag that cannot be")
+        if not forgets(row, dt_s, kind):
+            raise ValueError("its predictor never forgets")
+        table = np.array(covariance, dtype=np.float64).reshape(size, size)
+        axes.append(Axis(row, tuple(int(i) for i in free), table))
+    scales = {key: array_of(document, key, len(inputs)) for key in ("u_scale", "u_mean")}
+    y_scale = array_of(document, "y_scale", len(outputs))
+    if not ((scales["u_scale"] > 0.0).all() and (y_scale > 0.0).all()):
+        raise ValueError("a scale that is not above zero")
+    return FittedMultirotor(
+        dt_s=dt_s,
+        inputs=inputs,
+        outputs=outputs,
+        output_limits=array_of(document, "output_limits", 2, len(outputs)),
+        integrates=kinds,
+        axes=tuple(axes),
+        y_scale=y_scale,
+        **scales,
+    )
