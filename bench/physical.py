@@ -11,16 +11,27 @@ from __future__ import annotations
 
 import math
 import sys
+import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numba import njit
 
 from flysid.dataset import Dataset, Signal
+from flysid.ingest.lake.batch import ingest_logs
+from flysid.ingest.lake.finding import find_logs
+from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.manoeuvres import amplitude_steps
 from flysid.ingest.synth.quadrotor import STATES, airframe
 from flysid.ingest.synth.rigid_body import ALL, STEP_S, Effects, Vehicle, fly_vehicle
+from flysid.model.arx import ARX
+from flysid.model.base import Estimator
 from flysid.model.multirotor import Multirotor
+from flysid.model.ts import TS
+from flysid.validate.compare import compare
+from flysid.validate.trials import FREE_RUN
 
 DT_S = 0.004
 LATE_S = 0.010
@@ -28,6 +39,16 @@ NOISE_DEG_S = 0.5
 COMMAND_S = 0.02
 RATES = ("p", "q", "r")
 PLAIN = replace(ALL, gyroscopic=False, battery_sag=False)
+
+LOGS = Path("../shared/logs")
+REAL = (
+    ("px4", "px4-effort", "roll_torque", "ulog/quad_manual_aggressive_80s.ulg"),
+    ("px4", "px4-effort", "pitch_torque", "ulog/quad_manual_aggressive_80s.ulg"),
+    ("px4", "px4-effort", "yaw_torque", "ulog/quad_manual_aggressive_80s.ulg"),
+    ("blackbox", "rotorcraft-motors", "motors_roll", "blackbox/greenreaper_*.bfl"),
+    ("blackbox", "rotorcraft-motors", "motors_pitch", "blackbox/greenreaper_*.bfl"),
+)
+"""Name, recipe, channel and logs."""
 
 
 def flown(seed: int, effects: Effects = PLAIN, seconds: float = 60.0) -> tuple[Dataset, Vehicle]:
@@ -129,7 +150,32 @@ def known(flights: int, first: int) -> None:
             )
 
 
+def real(names: Sequence[str]) -> None:
+    """Free run of held-out parts: PX4's last quarter, the blackbox craft's later flights."""
+    for name, recipe, channel, pattern in REAL:
+        if names and name not in names:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            logs = find_logs([*sorted(LOGS.glob(pattern))])
+            list(ingest_logs(logs, Path(folder) / "data"))
+            data = open_lake(Path(folder) / "data").dataset(recipe, channel)
+        train, test = data.split(holdout=0.5 if len(data.flights) > 1 else 0.25, seed=7)
+        rivals: dict[str, Estimator] = {"ARX": ARX(), "TS": TS(rules=2), "physics": Multirotor()}
+        models = {label: estimator.fit(train) for label, estimator in rivals.items()}
+        compared = compare(models, test, train=train)
+        for entry in compared.entries:
+            if entry.horizon != FREE_RUN:
+                continue
+            shown = ", ".join(f"{m} {s.scores.rmse:.4g}" for m, s in entry.models.items())
+            spread = np.concatenate([s.y for s in test.segments]).std(axis=0)[0]
+            print(f"{name} {channel} ({len(test.flights)} flights, spread {spread:.3g}): {shown}")
+        print(models["physics"])
+
+
 if __name__ == "__main__":
     kind, *rest = sys.argv[1:] or ["known"]
-    count, seed_0 = (*map(int, rest), *(10, 1)[len(rest) :])
-    known(count, seed_0)
+    if kind == "real":
+        real(rest)
+    else:
+        count, seed_0 = (*map(int, rest), *(10, 1)[len(rest) :])
+        known(count, seed_0)

@@ -13,6 +13,7 @@ What it leaves out: what rotors' own inertia does to yaw, coupling of axes, tran
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -206,7 +207,7 @@ class FittedMultirotor(FreeRuns):
             slope[CURVE] = theta[FIRST + j] * (2.0 * mean[j] - 1.0)
             per = size / float(self.u_scale[j])
             value = per * theta[FIRST + j] * about
-            half = Z95 * abs(per) * float(np.sqrt(max(slope @ axis.covariance @ slope, 0.0)))
+            half = Z95 * abs(per) * math.sqrt(max(float(slope @ axis.covariance @ slope), 0.0))
             per_unit = f"{unit} per {command.unit or '1'}"
             found.append(Figure(f"effect of {command.name}", value, per_unit, half, value))
         half = Z95 * size * float(np.sqrt(max(axis.covariance[TRIM, TRIM], 0.0)))

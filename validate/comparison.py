@@ -140,6 +140,11 @@ class ModelInfo:
         return kind_of(self.structure) == "reference"
 
     @property
+    def physical(self) -> bool:
+        """Equations of the vehicle, whose numbers have names."""
+        return kind_of(self.structure) == "physics"
+
+    @property
     def fuzzy(self) -> bool:
         """A model of rules, be it of a single one."""
         return kind_of(self.structure) == "rules"

@@ -27,7 +27,7 @@ from flysid.validate.report.page import render
 from flysid.validate.run import FitSettings, HeldOut, Run, asked_for, held_out
 from flysid.validate.tables import to_csv, to_markdown
 from flysid.validate.terminal import summary, table
-from flysid.validate.words import one_line
+from flysid.validate.words import one_line, physics_words
 
 PAGE = "report.html"
 DOCUMENT = "report.json"
@@ -66,7 +66,8 @@ class Judgement:
         """The comparison for a terminal: every model, channel and horizon, verdicts in words, warnings."""
         times = self.context.fit_seconds
         poor = "\n".join(worse_than_constant(self.comparisons))
-        head = [table(self.comparisons, times), poor, summary(self.comparisons)]
+        physics = "\n".join(line for c in self.comparisons.values() for line in physics_words(c))
+        head = [table(self.comparisons, times), poor, summary(self.comparisons), physics]
         parts = [*head, *self._beware(), *self._simpler()]
         return "\n\n".join(part for part in parts if part)
 

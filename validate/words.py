@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from flysid.validate.comparison import Pair
+from flysid.validate.comparison import Comparison, Pair
 from flysid.validate.intervals import FEW, Scope
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import LARGE_PCT, MARGIN_PCT, Verdict
@@ -161,3 +161,24 @@ def horizon_words(horizon: str, dt_s: float) -> str:
         return "free run"
     steps = int(horizon)
     return f"{steps} step{'s' if steps > 1 else ''} ({steps * dt_s:.3g} s)"
+
+
+def physics_words(comparison: Comparison) -> list[str]:
+    """Whether a physical model is enough, for every output and every such model that was compared."""
+    said = []
+    for entry in comparison.entries:
+        if entry.horizon != comparison.head:
+            continue
+        for name, info in comparison.models.items():
+            pair = entry.pairs.get(name)
+            if pair is None or not info.physical:
+                continue
+            output = one_line(entry.output.name)
+            against = f"{verdict_words(pair)}, against {one_line(pair.baseline).upper()}"
+            if pair.verdict is Verdict.NOT_ENOUGH:
+                said.append(f"{output}: whether a physical model is enough, these flights do not tell.")
+            elif pair.verdict is Verdict.WORSE:
+                said.append(f"{output}: a physical model is not enough ({against}).")
+            else:
+                said.append(f"{output}: a physical model is enough ({against}).")
+    return said

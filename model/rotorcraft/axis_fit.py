@@ -113,8 +113,8 @@ def _starts(
 def _least_squares(
     records: Sequence[Record], theta: FloatArray, dt: float, integrates: bool, linear: list[int]
 ) -> tuple[FloatArray, float]:
-    errors, slopes = _stacked(records, theta, dt, integrates)
-    errors = np.concatenate(errors)
+    parts, slopes = _stacked(records, theta, dt, integrates)
+    errors = np.concatenate(parts)
     columns = np.concatenate(slopes)[:, linear]
     if not (np.isfinite(errors).all() and np.isfinite(columns).all()):
         return theta[linear], np.inf

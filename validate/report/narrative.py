@@ -36,6 +36,7 @@ NAMES = {
     "bj": "Box-Jenkins model",
     "statespace": "state-space model",
     "line": "straight line",
+    "multirotor": "physical model",
 }
 SYMBOLS = {Verdict.BETTER: "▲", Verdict.WORSE: "▼", Verdict.SAME: "=", Verdict.NOT_ENOUGH: "?"}
 CSS = {

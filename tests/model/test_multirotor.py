@@ -1,0 +1,112 @@
+"""The physical model: exact derivatives, known numbers found again, what is not determined is named."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from bench.physical import errors, flown
+from flysid.dataset import Dataset, Signal
+from flysid.errors import DataError, UsageError
+from flysid.ingest.align.recipe import load_recipe
+from flysid.model.multirotor import FittedMultirotor, Multirotor, from_dict
+from flysid.model.rotorcraft.rotor_axis import NAMES, free_run, predictions
+
+
+@pytest.fixture(scope="module")
+def fitted() -> FittedMultirotor:
+    return Multirotor().fit(flown(1, seconds=20.0)[0])
+
+
+@pytest.mark.parametrize("integrates", [True, False])
+def test_derivatives_are_those_of_differences(integrates: bool) -> None:
+    rng = np.random.default_rng(0)
+    x = np.repeat(rng.uniform(0.2, 1.0, (40, 3)), 10, axis=0)
+    y = 0.1 * rng.standard_normal(400).cumsum()
+    theta = np.array([0.03, 0.0113, 0.6, 1.2, 0.1, 0.4, 0.05 if integrates else 0.0, 3.0, -2.0, 1.0])
+    _, slopes = predictions(x, y, theta, 0.01, integrates)
+    for j, step in enumerate(1e-6 * np.eye(len(theta))):
+        above = predictions(x, y, theta + step, 0.01, integrates)[0]
+        below = predictions(x, y, theta - step, 0.01, integrates)[0]
+        np.testing.assert_allclose(slopes[:, j], (above - below) / 2e-6, rtol=1e-5, atol=1e-6)
+
+
+def test_a_row_rate_does_not_change_the_motors() -> None:
+    """Motors and torques are exact: held commands at twice the rows give the same rates."""
+    rng = np.random.default_rng(1)
+    slow = rng.uniform(0.2, 1.0, (200, 2))
+    theta = np.zeros(len(NAMES) + 2)
+    theta[:5] = 0.03, 0.013, 0.8, 0.0, 0.2
+    theta[-2:] = 40.0, -35.0
+    at_slow = free_run(slow, 0.0, theta, 0.01, True, False)
+    at_fast = free_run(np.repeat(slow, 2, axis=0), 0.0, theta, 0.005, True, False)
+    np.testing.assert_allclose(at_fast[::2], at_slow, atol=1e-9)
+
+
+def test_known_numbers_are_found_again() -> None:
+    rows = [row for seed in (1, 2) for row in errors(seed)]
+    assert {name for _, name, *_ in rows} >= {"motor lag", "dead time", "effect of motor 1"}
+    for rate, name, value, true, _ in rows:
+        assert abs(value / true - 1.0) < 0.05, (rate, name, value, true)
+        if name == "motor lag":
+            assert abs(value - true) < 0.005
+    assert np.mean([held for *_, held in rows]) > 0.8
+
+
+def test_what_flights_do_not_determine_is_named_and_not_printed(fitted: FittedMultirotor) -> None:
+    figures = {f.name: f for f in fitted.figures(0)}
+    idle = figures["effect of motor 1"]  # the front motor does not roll the vehicle
+    assert not idle.is_determined
+    assert str(idle) == "effect of motor 1: not determined by these flights"
+    assert any(note.startswith("p: these flights do not determine") for note in fitted.notes)
+    assert all(c.regressor != idle.name for c in fitted.coefficients() if c.output == "p")
+
+
+def test_an_acceleration_is_told_by_its_unit() -> None:
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.uniform(0.3, 0.9, (150, 1)), 10, axis=0)
+    theta = np.zeros(len(NAMES) + 1)
+    theta[:5] = 0.04, 0.01, 1.0, 0.0, 0.5
+    theta[-1] = -15.0
+    y = free_run(u / u.max(), 0.0, theta, 0.01, False, False) + 0.1 * rng.standard_normal(len(u))
+    data = Dataset.from_arrays(u, y, 0.01, outputs=[Signal("az", "m/s/s")])
+    figures = {f.name: f for f in Multirotor().fit(data).figures()}
+    assert "drag of the rotors" not in figures
+    assert abs(figures["motor lag"].value - 0.04) < 2 * figures["motor lag"].half_width
+    assert figures["motor lag"].value == pytest.approx(0.04, rel=0.05)
+
+
+def test_signed_commands_have_no_thrust_curve() -> None:
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.uniform(-1.0, 1.0, (100, 1)), 10, axis=0)
+    theta = np.zeros(len(NAMES) + 1)
+    theta[:2] = 0.03, 0.01
+    theta[-1] = 10.0
+    y = free_run(u, 0.0, theta, 0.01, True, False) + 0.02 * rng.standard_normal(len(u))
+    names = [f.name for f in Multirotor().fit(Dataset.from_arrays(u, y, 0.01)).figures()]
+    assert not any(name.startswith("thrust curve") for name in names)
+
+
+def test_what_cannot_be_fitted_is_refused() -> None:
+    with pytest.raises(UsageError, match="kind is 'torque'"):
+        Multirotor(kind="torque").fit(flown(1, seconds=2.0)[0])  # type: ignore[arg-type]
+    with pytest.raises(DataError, match="too few for a physical model"):
+        Multirotor().fit(Dataset.from_arrays(np.arange(30.0), np.arange(30.0) ** 2, 0.01))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("theta", -1.0), ("u_scale", 0.0), ("y_scale", -1.0), ("covariance", 1.0)]
+)
+def test_a_forged_file_is_refused(fitted: FittedMultirotor, key: str, value: float) -> None:
+    document = json.loads(json.dumps(fitted.to_dict()))
+    document[key] = [[value] * 11] * 3 if key == "theta" else [value] * 3
+    with pytest.raises((ValueError, TypeError)):
+        from_dict(document)
+
+
+def test_the_recipe_names_four_motors() -> None:
+    recipe = load_recipe("rotorcraft-motors")
+    assert {c.inputs for c in recipe.channels.values()} == {("motor1", "motor2", "motor3", "motor4")}
+    assert "m/s/s" in recipe.signals["z_acceleration"].unit
