@@ -18,7 +18,7 @@ demo: $(VENV)/.installed  ## the main job on embedded data, ends with a report
 # Two workers that share what a file's tests share (worksteal keeps neighbours together); BLAS with a thread each.
 test: $(VENV)/.installed  ## lint, types, import layers, tests
 	$(MAKE) --no-print-directory -j 2 types style kernels
-	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 check: test
 

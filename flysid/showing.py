@@ -10,6 +10,11 @@ MOST_LINES = 20
 WIDEST = 48
 
 
+def counted(count: int, noun: str) -> str:
+    """A number and its noun: "1 boot", "2,000 boots"."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
 @dataclass(frozen=True)
 class Table:
     """A title, headings and rows of cells."""

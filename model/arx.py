@@ -17,7 +17,7 @@ from itertools import product
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.errors import FitError, UsageError
+from flysid.errors import DataError, FitError, UsageError
 from flysid.model.freerun import Difference
 from flysid.model.gram import LeastSquares
 from flysid.model.linear.data import CHOICE_ROWS, Parts, Scaling, as_tuple, judging_window
@@ -109,7 +109,9 @@ class _LeastSquaresFit:
         self.parts = parts
         self.n_y, self.n_u = len(parts.train.outputs), len(parts.train.inputs)
         if settings.refine is False and "auto" not in (settings.na, settings.nb, settings.nk):
-            self.choice, self.note = self._fixed(), f"Orders as given: {self._fixed()}."
+            self.choice = self._fixed()
+            self.note = f"Orders as given: {self.choice}."
+            self._check_rows()
             return
         choices, grid = self._candidates()
         window = judging_window(parts, max(c.lags(self.n_y).depth for c in choices))
@@ -117,8 +119,20 @@ class _LeastSquaresFit:
         errors = [block_errors(m, parts.check, window, parts.scaling.y_scale) for m in models]
         index = simplest(errors)
         self.choice = choices[index]
+        self._check_rows()
         self.model = models[index]
         self.note = _order_note(choices, errors, index)
+
+    def _check_rows(self) -> None:
+        """Raise DataError where the data hold no more equations than there are unknowns."""
+        depth = self.choice.lags(self.n_y).depth
+        rows = sum(max(len(x) - depth, 0) for x in self.parts.train.segments)
+        numbers = self.n_y * self.choice.na + sum(self.choice.nb) + self.settings.offset
+        if rows <= numbers:
+            raise DataError(
+                f"{len(self.parts.train)} samples are too few for {numbers} coefficients per output",
+                hint="record longer, or ask for lower orders",
+            )
 
     def _fixed(self) -> Choice:
         s = self.settings

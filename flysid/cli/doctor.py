@@ -12,9 +12,10 @@ import click
 from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.display import Display, progress_options
 from flysid.cli.ls import clock_text
-from flysid.cli.output import REASONS_SHOWN, aligned, counted, say, say_passed_over
+from flysid.cli.output import REASONS_SHOWN, aligned, say, say_passed_over
 from flysid.cli.source import format_option, time_unit_option
 from flysid.progress import tell
+from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.flight import Damage

@@ -90,12 +90,7 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
 def command(
     data: Path,
     selection: Selection,
-    recipe: str,
-    inputs: tuple[str, ...],
-    outputs: tuple[str, ...],
-    dt: float | None,
-    time_unit: str,
-    format_: str,
+    words: Words,
     output: Path,
     channels: tuple[str, ...],
     models: str,
@@ -124,9 +119,8 @@ def command(
     """
     check_target(output, force)
     is_dataset = _is_dataset(data)
-    asked = Words(recipe, inputs, outputs, dt, time_unit, format_)
     if is_dataset:
-        check_no_words(data, asked)
+        check_no_words(data, words)
     place = fresh_place(output, force) if not is_dataset and is_log(data) else None
     from flysid.ingest.align.doubts import REMARKS
     from flysid.validate.fitting import FROM_DISK, fit_file, fit_run
@@ -141,7 +135,7 @@ def command(
         with display.shown():
             run = fit_file(data, output, settings)
     else:
-        with opened(data, asked, selection, place, quiet) as (lake, chosen), display.shown():
+        with opened(data, words, selection, place, quiet) as (lake, chosen), display.shown():
             run = fit_run(lake, chosen, output, settings, jobs=jobs or cores())
             lost = lost_on_the_way(data, lake)
     if as_json:
@@ -156,10 +150,10 @@ def command(
         for doubt in channel.doubts:
             if doubt.kind not in REMARKS:
                 say(f"{channel.name}: caution: {doubt}")
-        for words in channel.dead_times:
-            say(f"{channel.name}: {words}", quiet)
-        for words in channel.loops:
-            say(f"{channel.name}: caution: {words}")
+        for delay in channel.dead_times:
+            say(f"{channel.name}: {delay}", quiet)
+        for loop in channel.loops:
+            say(f"{channel.name}: caution: {loop}")
         for line in transfer_lines(run, channel):
             say(line, quiet)
     for name, why in run.skipped.items():

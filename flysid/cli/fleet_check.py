@@ -10,7 +10,8 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.lakeoptions import seconds
-from flysid.cli.output import counted, printable, say
+from flysid.cli.output import printable, say
+from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.fleet.upkeep import State

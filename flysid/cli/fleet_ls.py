@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.ls import clock_text
-from flysid.cli.output import aligned, counted, say
+from flysid.cli.output import aligned, say
+from flysid.showing import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa

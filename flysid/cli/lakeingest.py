@@ -14,8 +14,9 @@ import click
 
 from flysid.cli.display import Display
 from flysid.cli.lakeoptions import LakeOptions
-from flysid.cli.output import cores, counted, duration, printable, say
+from flysid.cli.output import cores, duration, printable, say
 from flysid.errors import FlysidError, PlaceError, UsageError
+from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.fleet.ingest import Engine, Sorted

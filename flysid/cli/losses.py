@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from flysid.cli.output import REASONS_SHOWN, counted, say
+from flysid.cli.output import REASONS_SHOWN, say
+from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.flight import Damage

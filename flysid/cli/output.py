@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from flysid.errors import UsageError
+from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.finding import PassedOver
@@ -53,11 +54,6 @@ def say_passed_over(files: Sequence[PassedOver], quiet: bool) -> None:
 def _some(names: Sequence[str]) -> str:
     rest = len(names) - NAMES_SHOWN
     return ", ".join(names[:NAMES_SHOWN]) + (f" and {rest} more" if rest > 0 else "")
-
-
-def counted(count: int, noun: str) -> str:
-    """A number and its noun: "1 boot", "2,000 boots"."""
-    return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
 def duration(seconds: float) -> str:

@@ -79,12 +79,7 @@ class Beginning:
 def command(
     source: Path | None,
     selection: Selection,
-    recipe: str,
-    inputs: tuple[str, ...],
-    outputs: tuple[str, ...],
-    dt: float | None,
-    time_unit: str,
-    format_: str,
+    words: Words,
     axes: tuple[str, ...],
     limits: tuple[str, ...],
     band: tuple[float, float] | None,
@@ -115,14 +110,13 @@ def command(
         check_target(out, force)
     if more <= 0.0 or (aim is not None and aim <= 0.0):
         raise UsageError("--more and --aim must be above zero")
-    words = Words(recipe, inputs, outputs, dt, time_unit, format_)
     begun = _begun(source, words, selection, channels, data, quiet)
     chosen = tuple(map(axis_of, axes)) or begun.axes
     chosen = within(chosen, tuple(map(axis_of, limits)))
     plan = None
     if band or begun.band_hz or not begun.known:
         plan = make_plan(kind, chosen, _band(band, begun, rate), seconds, rate)
-    files = _files(plan, begun, outputs, place, px4_plane) if plan is not None else {}
+    files = _files(plan, begun, words.outputs, place, px4_plane) if plan is not None else {}
     if as_json:
         click.echo(json.dumps(_document(plan, begun, more, files), indent=1, allow_nan=False))
     else:

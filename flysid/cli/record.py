@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flysid.cli.output import counted, say
+from flysid.cli.output import say
 from flysid.errors import UsageError
+from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.live.recording import Recording

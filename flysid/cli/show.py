@@ -13,10 +13,11 @@ import click
 
 from flysid.cli.losses import losses
 from flysid.cli.ls import clock_text
-from flysid.cli.output import aligned, counted, printable, say
+from flysid.cli.output import aligned, printable, say
 from flysid.cli.places import SOURCE
 from flysid.cli.source import Words, opened_flights, reading_options
 from flysid.errors import StoreError, UsageError
+from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.flight import ClockMap

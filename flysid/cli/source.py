@@ -59,7 +59,22 @@ time_unit_option = click.option(
 
 
 def words_options(function: F) -> F:
-    """Adds --recipe, --from, --to, --dt and --time-unit."""
+    """Adds --recipe, --from, --to, --dt, --time-unit and --format; the verb takes them as one `words`."""
+
+    @wraps(function)
+    def verb(
+        *args: Any,
+        recipe: str,
+        inputs: tuple[str, ...],
+        outputs: tuple[str, ...],
+        dt: float | None,
+        time_unit: str,
+        format_: str,
+        **options: Any,
+    ) -> Any:
+        return function(*args, words=Words(recipe, inputs, outputs, dt, time_unit, format_), **options)
+
+    decorated: Any = verb
     for option in (
         format_option,
         time_unit_option,
@@ -80,8 +95,9 @@ def words_options(function: F) -> F:
             help="Name of a shipped recipe, or path of a .toml file.",
         ),
     ):
-        function = option(function)
-    return function
+        decorated = option(decorated)
+    chosen: F = decorated
+    return chosen
 
 
 def reading_options(function: F) -> F:

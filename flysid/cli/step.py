@@ -37,12 +37,7 @@ if TYPE_CHECKING:
 def command(
     data: Path,
     selection: Selection,
-    recipe: str,
-    inputs: tuple[str, ...],
-    outputs: tuple[str, ...],
-    dt: float | None,
-    time_unit: str,
-    format_: str,
+    words: Words,
     channels: tuple[str, ...],
     horizon: float,
     fast: float | None,
@@ -61,7 +56,6 @@ def command(
 
     if plot is not None:
         check_target(plot, force)
-    words = Words(recipe, inputs, outputs, dt, time_unit, format_)
     found: list[ChannelStep] = []
     skipped: dict[str, str] = {}
     for place in (data, *([against] if against is not None else [])):
@@ -71,7 +65,7 @@ def command(
         found += steps
         skipped |= {f"{name} of {of}" if of else name: reason for name, reason in why.items()}
     if as_json:
-        body = {"recipe": recipe or "quick", "steps": [s.to_dict() for s in found], "skipped": skipped}
+        body = {"recipe": words.recipe or "quick", "steps": [s.to_dict() for s in found], "skipped": skipped}
         click.echo(json.dumps(body, indent=1, allow_nan=False))
     else:
         for step in sorted(found, key=lambda s: s.name):

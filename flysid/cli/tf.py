@@ -96,12 +96,7 @@ def _auto_or(kind: type) -> Any:
 def command(
     data: Path,
     selection: Selection,
-    recipe: str,
-    inputs: tuple[str, ...],
-    outputs: tuple[str, ...],
-    dt: float | None,
-    time_unit: str,
-    format_: str,
+    words: Words,
     channels: tuple[str, ...],
     reference: tuple[str, ...],
     reference_at: str,
@@ -139,7 +134,6 @@ def command(
         band=settings["band"] or None,
         method=settings["method"],
     )
-    words = Words(recipe, inputs, outputs, dt, time_unit, format_)
     with opened(data, words, selection, None, quiet) as (lake, chosen), display.shown():
         found, skipped = identify(
             lake, chosen, estimator, channels=channels, reference=reference, reference_at=reference_at
@@ -147,7 +141,7 @@ def command(
         lost = lost_on_the_way(data, lake)
     if as_json:
         body = {
-            "recipe": recipe or "quick",
+            "recipe": words.recipe or "quick",
             "channels": [c.to_dict() for c in found],
             "skipped": dict(skipped),
         }

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.output import counted, printable, say
+from flysid.cli.output import printable, say
 from flysid.cli.places import SOURCE
 from flysid.errors import DataError, UsageError
+from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.ingest.align.recipe import Recipe

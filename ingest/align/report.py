@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from flysid.ingest.align.doubts import REMARKS, Doubt
+from flysid.showing import counted
 
 
 @dataclass(frozen=True)
@@ -95,8 +96,8 @@ class AlignReport:
         used = sum(1 for f in self.flights if f.segments)
         count = sum(f.segments for f in self.flights)
         first = (
-            f"{self.channel}: {count} segments, {self.used_s:.1f} s at {self.rate_hz:.4g} Hz "
-            f"from {used} of {len(self.flights)} flights; {self.dropped_s:.1f} s not used"
+            f"{self.channel}: {counted(count, 'segment')}, {self.used_s:.1f} s at {self.rate_hz:.4g} Hz "
+            f"from {used} of {counted(len(self.flights), 'flight')}; {self.dropped_s:.1f} s not used"
         )
         doubts = [f"  {'remark' if d.kind in REMARKS else 'caution'}: {d}" for d in self.doubts]
         return [first, *doubts, *(line for flight in self.flights for line in _flight_lines(flight))]
@@ -106,9 +107,9 @@ def _flight_lines(flight: FlightReport) -> list[str]:
     if flight.reason:
         return [f"  {flight.flight}: left out, {flight.reason}"]
     sources = ", ".join(f"{s.name} <- {s.stream}.{s.field} {s.rate_hz:.4g} Hz" for s in flight.signals)
-    cut = f"{flight.gaps} gaps, {flight.short_segments} short segments dropped"
+    cut = f"{counted(flight.gaps, 'gap')}, {counted(flight.short_segments, 'short segment')} dropped"
     filtered = f", low-pass for 1:{flight.filtered}" if flight.filtered > 1 else ""
-    lines = [f"  {flight.flight}: {flight.segments} segments, {cut}{filtered}; {sources}"]
+    lines = [f"  {flight.flight}: {counted(flight.segments, 'segment')}, {cut}{filtered}; {sources}"]
     for signal in flight.signals:
         kinds = {
             "samples not finite": signal.non_finite,

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from flysid.cli import root
-from tests.flysid.test_cli import ROOT
+from tests.command import ROOT
 
 LOGS = ROOT.parent / "shared/logs"
 NEEDED = {"dataflash.md": {"flight.bin": LOGS / "dataflash/copter_437s.bin"}}

@@ -139,7 +139,10 @@ def test_a_gap_cuts_and_short_pieces_are_dropped_and_counted() -> None:
     np.testing.assert_array_equal(aligned.dataset.segments[1].y[:, 0], Y50[260:])
     (flight,) = aligned.report.flights
     assert (flight.segments, flight.short_segments, flight.gaps) == (2, 1, 2)
-    assert "2 segments" in aligned.report.lines()[0]
+    lines = aligned.report.lines()
+    assert "2 segments" in lines[0]
+    assert "from 1 of 1 flight;" in lines[0]
+    assert any("2 gaps, 1 short segment dropped" in line for line in lines)
 
 
 def test_one_lost_sample_is_bridged() -> None:

@@ -174,6 +174,15 @@ def test_short_records_give_a_model_or_a_clear_error(samples: int) -> None:
         assert np.isfinite(ARX().fit(data).simulate(data.segments[0].u)).all()
 
 
+@pytest.mark.parametrize("samples", [2, 3, 4])
+@pytest.mark.parametrize("settings", [ARX(), ARX(na=1, nb=1, nk=1), ARX(na=1, nb=1, nk=1, refine=False)])
+def test_no_more_equations_than_unknowns_is_refused(settings: ARX, samples: int) -> None:
+    rng = np.random.default_rng(samples)
+    data = Dataset.from_arrays(rng.standard_normal(samples), rng.standard_normal(samples), 0.1)
+    with pytest.raises(DataError, match="too few for 3 coefficients"):
+        settings.fit(data)
+
+
 def test_collinear_inputs_still_predict() -> None:
     train = model_examples.data()
     twice = Dataset.from_arrays(
