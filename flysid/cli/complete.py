@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 
 MODELS = (
-    "anfis", "armax", "arx", "bj", "ensemble", "fir", "iv", "line", "mean", "multirotor", "oe", "persistence",
-    "statespace", "static_ts", "tf", "ts", "ts_lags", "ts_ss",
+    "anfis", "armax", "arx", "bj", "ensemble", "fir", "iv", "line", "mean", "multirotor", "oe",
+    "one_rule", "one_rule_ss", "persistence", "statespace", "static_ts", "tf", "ts", "ts_lags", "ts_ss",
 )  # fmt: skip
 """Labels that `flysid fit --models` knows."""
 

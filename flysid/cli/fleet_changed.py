@@ -13,8 +13,9 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import check_target, cores, counted, say
+from flysid.cli.output import check_target, cores, say
 from flysid.errors import UsageError
+from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.fleet.models.gather import Gathered

@@ -11,7 +11,8 @@ import click
 from flysid.cli import complete
 from flysid.cli.display import Display, progress_options
 from flysid.cli.fleet_changed import gathered_of
-from flysid.cli.output import aligned, check_target, cores, counted, say
+from flysid.cli.output import aligned, check_target, cores, say
+from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.fleet.models.fitting import FleetFit
