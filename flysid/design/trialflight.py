@@ -18,7 +18,7 @@ from flysid.design.law import ComplexArray, Gains, keeping
 from flysid.errors import UsageError
 from flysid.ingest.synth.dryden import Wind, wind_field
 from flysid.ingest.synth.inner_loop import Axis
-from flysid.ingest.synth.quadrotor import INPUTS, STATES, integrate
+from flysid.ingest.synth.quadrotor import INPUTS, ROTORS, STATES, integrate
 from flysid.ingest.synth.rigid_body import STEP_S, Vehicle, fly_vehicle
 from flysid.ingest.synth.tuning import linearise
 
@@ -190,7 +190,7 @@ def _fly(x, place, speed, noise, air, laws, keep, limit, late, f):  # type: igno
     inputs = np.zeros((n, 2))
     climb = np.zeros(n)
     row = np.zeros((1, INPUTS))
-    scrap = np.empty((1, STATES))
+    scrap = np.empty((1, STATES + ROTORS))
     total = np.zeros(2)
     smooth = np.zeros(2)
     even = np.zeros(2)
