@@ -40,6 +40,12 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
 @click.option(
     "--matlab", type=click.Path(path_type=Path), metavar="DIR", help="A model as .m files, into DIR."
 )
+@click.option(
+    "--lpv",
+    type=click.Path(path_type=Path),
+    metavar="F.json|F.mat",
+    help="A model as affine systems and their weights, in physical units.",
+)
 @click.option("--float32", is_flag=True, help="C in float32, if the model bears it on its training data.")
 @click.option("--channel", "-c", default="", help="Of a run.")
 @click.option(
@@ -59,6 +65,7 @@ def command(
     c_folder: Path | None,
     fmu: Path | None,
     matlab: Path | None,
+    lpv: Path | None,
     float32: bool,
     channel: str,
     label: str,
@@ -74,7 +81,7 @@ def command(
     flysid export data --flight 0042 --rate 50 -o flight.csv
     flysid export run --channel longitudinal --c longitudinal-c --float32
     """
-    from flysid.cli.modelexport import Wanted, write_c, write_fmu, write_matlab
+    from flysid.cli.modelexport import Wanted, write_c, write_fmu, write_lpv, write_matlab
 
     wanted = Wanted(source, channel, label, rate_hz, data)
     if c_folder is not None:
@@ -83,14 +90,16 @@ def command(
         write_fmu(wanted, fmu, force=force)
     if matlab is not None:
         write_matlab(wanted, matlab, force=force)
-    written = [str(path) for path in (c_folder, fmu, matlab) if path is not None]
+    if lpv is not None:
+        write_lpv(wanted, lpv, force=force)
+    written = [str(path) for path in (c_folder, fmu, matlab, lpv) if path is not None]
     if written:
         click.echo("\n".join(written))
         return
     if channel or label or float32:
         raise UsageError(
             "--channel, --model and --float32 are for a model",
-            hint="add --c DIR, --fmu F.fmu or --matlab DIR",
+            hint="add --c DIR, --fmu F.fmu, --matlab DIR or --lpv F.json",
         )
     export_flight(source, streams, kind, flight, rate_hz, out, force, told)
 

@@ -134,3 +134,21 @@ def write_matlab(wanted: Wanted, folder: Path, *, force: bool) -> None:
     with replacing_folder(folder) as place:
         for file, text in matlab_files(found.model, program, found.name).items():
             (place / file).write_text(text, "utf-8")
+
+
+def write_lpv(wanted: Wanted, file: Path, *, force: bool) -> None:
+    """Write a model in linear parameter-varying form, as JSON or for MATLAB by the file's name.
+
+    Raises
+    ------
+    UsageError : the name ends in neither .json nor .mat.
+    """
+    from flysid.export.lpv import to_lpv
+    from flysid.files import write_atomically, writing_to
+
+    check_target(file, force)
+    if file.suffix not in (".json", ".mat"):
+        raise UsageError(f"no form for {file.name!r}", hint="--lpv F.json or --lpv F.mat")
+    lpv = to_lpv(find_model(wanted).model, wanted.rate_hz)
+    with writing_to(file):
+        write_atomically(file, lpv.to_mat() if file.suffix == ".mat" else lpv.to_json().encode())

@@ -214,11 +214,13 @@ class FittedLinear(FreeRuns):
         """Estimated entries of A and B, signed as in y(k) = ...; none where there is no covariance."""
         return coefficients_of(self)
 
-    def to_control(self, form: ControlForm = "auto") -> Any:
+    def to_control(self, form: ControlForm = "auto", *, offsets: bool = False) -> Any:
         """The model as a discrete python-control system with named signals; offsets are left out.
 
         Parameters
         ----------
+        offsets : with a further input "one", always 1, through which the offsets enter; from rest it then
+            follows `simulate` (python-control knows no output limits).
         form : "tf", control.TransferFunction, the polynomials digit by digit (not for coupled outputs);
             "ss", control.StateSpace; "auto" is "tf" for one input and output, else "ss" (python-control
             simulates transfer matrices with an extra library only).
@@ -227,7 +229,14 @@ class FittedLinear(FreeRuns):
         ------
         UsageError : a transfer matrix was asked for of coupled outputs.
         """
-        return control_of_difference(self.system, (self.inputs, self.outputs), self.dt_s, form)
+        if not offsets:
+            return control_of_difference(self.system, (self.inputs, self.outputs), self.dt_s, form)
+        s = self.system
+        constant = s.c + s.a.sum(axis=0) @ self.y_origin - s.b.sum(axis=0) @ self.u_origin
+        b = np.concatenate([s.b, np.zeros((*s.b.shape[:2], 1))], axis=2)
+        b[0, :, -1] = constant
+        signals = ((*self.inputs, Signal("one")), self.outputs)
+        return control_of_difference(replace(s, b=b), signals, self.dt_s, form)
 
     def __str__(self) -> str:
         return describe(self)
