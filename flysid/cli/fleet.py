@@ -9,7 +9,10 @@ from flysid.cli.lazy import LazyVerbs
 FLEET_VERBS: dict[str, str] = {
     "changed": "Which vehicles no longer fly as they did, or not as the others.",
     "check": "Compare a lake's manifests with its tables and its catalogue.",
+    "compact": "Put many small tables into few large ones, a message and a month each.",
+    "files": "Print the addresses of the parquet files that hold a message.",
     "fit": "Linear models of any group of flights; runs of every vehicle.",
+    "forget": "Remove everything of a vehicle from a lake.",
     "ls": "List a fleet's flights from its catalogue.",
 }
 

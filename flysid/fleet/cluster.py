@@ -135,7 +135,7 @@ def connected(address: str = "", workers: int = 0) -> Iterator[Cluster]:
 @contextmanager
 def _client(client_of: Callable[..., Any], address: str) -> Iterator[Any]:
     try:
-        client = client_of(address, timeout="30s")
+        client = client_of(address, timeout="10s")
     except (OSError, ValueError) as error:
         raise PlaceError(
             "no Dask scheduler answers there",

@@ -13,6 +13,7 @@ from datetime import UTC, datetime, timedelta
 
 from flysid.catalogue import FlightFacts, facts_of
 from flysid.errors import StoreError
+from flysid.fleet.compaction import unreferenced
 from flysid.ingest.lake.flighttable import facts_in, rebuild, select
 from flysid.manifest import MANIFEST_FILE, Manifest, content_stamp, parse_manifest
 from flysid.mirror import GENERATION
@@ -82,7 +83,10 @@ def check(place: Place) -> State:
             for digits, row in listed.items()
             if digits not in there or there[digits].stamp != row.stamp
         ),
-        orphans=tuple(found for key, found in objects.items() if key not in owned),
+        orphans=(
+            *(found for key, found in objects.items() if key not in owned),
+            *unreferenced(place),
+        ),
     )
 
 

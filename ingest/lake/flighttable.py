@@ -170,13 +170,13 @@ def ask_table(table: Any, sql: str, where: str) -> pa.Table:
         ) from error
 
 
-def opened(place: Place) -> Any:
-    """The Delta table; None where there is none yet."""
+def opened(place: Place, key: str = TABLE) -> Any:
+    """A Delta table of a lake; None where there is none yet."""
     from deltalake import DeltaTable
     from deltalake.exceptions import TableNotFoundError
 
     try:
-        return _asking(place.address, lambda: DeltaTable(place.at(TABLE)))
+        return _asking(place.address, lambda: DeltaTable(place.at(key)))
     except TableNotFoundError:
         return None
 
@@ -190,7 +190,7 @@ def merge(place: Place, flights: Sequence[FlightFacts]) -> None:
     Raises PlaceError where other writers, or the store, do not let it.
     """
     if flights:
-        _committing(place, partial(_merge, place, rows_of(flights)))
+        committing(place, partial(_merge, place, rows_of(flights)))
 
 
 def _merge(place: Place, rows: pa.Table) -> None:
@@ -223,18 +223,18 @@ def rebuild(place: Place, flights: Sequence[FlightFacts]) -> None:
     """The table anew, of these flights."""
     from deltalake import write_deltalake
 
-    _committing(place, lambda: write_deltalake(place.at(TABLE), rows_of(flights), mode="overwrite"))
+    committing(place, lambda: write_deltalake(place.at(TABLE), rows_of(flights), mode="overwrite"))
 
 
 def remove(place: Place, hashes: Sequence[str]) -> None:
-    """Take flights out of the table, and out of its history."""
+    """Take flights out of the table; its history still has them."""
     if (table := opened(place)) is None:
         return
     listed = ", ".join(f"'{digits}'" for digits in hashes if re.fullmatch("[0-9a-f]+", digits))
-    _committing(place, lambda: table.delete(f"sha256 in ({listed})"))
+    committing(place, lambda: table.delete(f"sha256 in ({listed})"))
 
 
-def _committing(place: Place, write: Callable[[], Answer]) -> Answer:
+def committing(place: Place, write: Callable[[], Answer]) -> Answer:
     """Write, again where another writer was faster."""
     from deltalake.exceptions import CommitFailedError
 

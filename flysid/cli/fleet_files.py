@@ -1,0 +1,18 @@
+"""`flysid fleet files LAKE MESSAGE`: where a message's rows are, for DuckDB, Polars, pandas or Spark."""
+
+from __future__ import annotations
+
+import click
+
+
+@click.command("files")
+@click.argument("lake", metavar="LAKE")
+@click.argument("message", metavar="MESSAGE")
+@click.option("--where", default="", metavar="SQL", help="Of flights for which this holds: their own tables.")
+def command(lake: str, message: str, where: str) -> None:
+    """Print the addresses of the parquet files that hold a message: compacted parts, and flights in none."""
+    from flysid.fleet.compaction import files_of
+    from flysid.fleet.lakes import open_lake
+
+    for address in files_of(open_lake(lake), message, where):
+        click.echo(address)

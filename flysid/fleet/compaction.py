@@ -1,0 +1,250 @@
+"""Many small tables into few large ones: per message and month, for questions about a whole fleet.
+
+The flights' own tables stay as they are. Beside them a message's rows of a month lie in parts of about
+128 MB, with columns that say whose rows they are, sorted by vehicle and start. A Delta table lists the parts:
+one commit puts all new ones in the place of the old, so a reader sees the one or the other. A month is
+written again where its flights are not the same as before: late flights cost their month alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from flysid.catalogue import FlightFacts
+from flysid.errors import StoreError
+from flysid.files import slug
+from flysid.ingest.align.vehicle import vehicle_of
+from flysid.ingest.lake.flighttable import committing, facts_in, opened, rows_of, select
+from flysid.manifest import MANIFEST_FILE, Manifest, parse_manifest
+from flysid.mirror import GENERATION, home_of
+from flysid.place import Found, Place
+from flysid.progress import tell
+
+PARTS = "catalog/parts"
+FOLDER = "streams"
+PART_BYTES = 128 << 20
+ROWS_PER_GROUP = 1 << 18
+OWN = ("flight", "vehicle", "stream")
+"""Columns that a part has beside those of the flights' tables."""
+
+SCHEMA = pa.schema(
+    [
+        ("message", pa.string()),
+        ("month", pa.string()),
+        ("key", pa.string()),
+        ("rows", pa.int64()),
+        ("size_bytes", pa.int64()),
+        ("flights", pa.list_(pa.string())),
+        ("group", pa.string()),
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Compacted:
+    """What a compaction did: groups of a message and a month that were written and that were as before."""
+
+    written: int
+    unchanged: int
+    rows: int
+    parts: int
+
+
+def compact(place: Place, part_bytes: int = PART_BYTES) -> Compacted:
+    """Bring the parts of a lake up to its flights.
+
+    Interrupted at any moment it leaves the parts that were there. Only one compaction runs at a time.
+
+    Raises
+    ------
+    StoreError : a flight's table is damaged or gone. PlaceError : no answer.
+    """
+    flights = facts_in(select(place))
+    before = _parts(place)
+    present: dict[tuple[str, str], str] = {(row["message"], row["month"]): row["group"] for row in before}
+    groups = _groups(flights)
+    stale = {key for key, own in groups.items() if present.get(key) != _digest(own)}
+    kept = [row for row in before if (key := (row["message"], row["month"])) in groups and key not in stale]
+    fresh: list[dict[str, Any]] = []
+    for number, key in enumerate(sorted(stale)):
+        tell(f"compacting {key[0]}, {key[1] or 'without a date'}", share=number / len(stale))
+        fresh += _write_group(place, key, groups[key], part_bytes)
+    if fresh or len(kept) < len(before):
+        _list(place, [*kept, *fresh])
+    rows = sum(row["rows"] for row in fresh)
+    return Compacted(len(stale), len(groups) - len(stale), rows, len(kept) + len(fresh))
+
+
+def files_of(place: Place, message: str, where: str = "") -> list[str]:
+    """Addresses of the files with a message's rows: parts, and tables of flights that are in none.
+
+    Parameters
+    ----------
+    where : a condition in SQL on the flights; then the flights' own tables are named.
+    """
+    flights = facts_in(select(place, where))
+    parts = [] if where else [row for row in _parts(place) if row["message"] == message]
+    covered = {digits for row in parts for digits in row["flights"]}
+    alone = [f for f in flights if f.sha256 not in covered and _has(f, message)]
+    tables = [
+        place.at(f"{home}/{name}")
+        for home, manifest in _manifests(place, alone)
+        for name in _tables(manifest, message)
+    ]
+    return [place.at(row["key"]) for row in parts] + tables
+
+
+def unreferenced(place: Place) -> list[Found]:
+    """Parts that the list of parts does not name."""
+    named = {row["key"] for row in _parts(place)}
+    return [found for found in place.list(FOLDER) if found.key not in named]
+
+
+def _groups(flights: Sequence[FlightFacts]) -> dict[tuple[str, str], list[FlightFacts]]:
+    groups: dict[tuple[str, str], list[FlightFacts]] = {}
+    for facts, month in zip(flights, rows_of(flights)["month"].to_pylist(), strict=True):
+        for message in sorted({_message(key) for key, rows in facts.streams.items() if rows}):
+            groups.setdefault((message, month), []).append(facts)
+    return groups
+
+
+def _message(stream: str) -> str:
+    return stream.rpartition("/")[2]
+
+
+def _has(facts: FlightFacts, message: str) -> bool:
+    return any(_message(key) == message and rows for key, rows in facts.streams.items())
+
+
+def _digest(flights: Sequence[FlightFacts]) -> str:
+    known = sorted((f.sha256, f.info.get(GENERATION, "")) for f in flights)
+    return hashlib.sha256(repr(known).encode()).hexdigest()[:16]
+
+
+def _write_group(
+    place: Place, key: tuple[str, str], flights: Sequence[FlightFacts], part_bytes: int
+) -> Iterator[dict[str, Any]]:
+    """Parts of one message and month; a part for each set of columns, and more where it grows too large."""
+    message, month = key
+    group = _digest(flights)
+    ordered = sorted(flights, key=lambda f: (vehicle_of(f.info), f.start_utc_ns or 0, f.id))
+    with TemporaryDirectory(prefix="flysid-") as folder:
+        writers: dict[bytes, _Part] = {}
+        done: list[_Part] = []
+        for facts, (home, manifest) in zip(ordered, _manifests(place, ordered), strict=True):
+            for name in _tables(manifest, message):
+                table = _with_owner(_table(place, f"{home}/{name}"), facts, manifest, name)
+                columns = table.schema.serialize().to_pybytes()  # units and scales too: never mixed
+                part = writers.get(columns)
+                if part is None:
+                    part = writers[columns] = _Part(Path(folder) / f"{len(writers) + len(done)}.parquet")
+                part.add(table, facts.sha256)
+                if part.path.stat().st_size >= part_bytes:
+                    part.close()
+                    done.append(writers.pop(columns))
+        for part in (*done, *writers.values()):
+            part.close()
+            digest = hashlib.sha256(part.path.read_bytes()).hexdigest()[:16]
+            target = f"{FOLDER}/{slug(message)}/month={month or 'none'}/part-{digest}.parquet"
+            place.put(target, part.path)
+            yield {
+                "message": message,
+                "month": month,
+                "key": target,
+                "rows": part.rows,
+                "size_bytes": part.path.stat().st_size,
+                "flights": sorted(part.flights),
+                "group": group,
+            }
+
+
+class _Part:
+    """A parquet file that grows by the tables of flights, in row groups of many flights."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.rows = 0
+        self.flights: set[str] = set()
+        self._writer: pq.ParquetWriter | None = None
+        self._waiting: list[pa.Table] = []
+        path.touch()
+
+    def add(self, table: pa.Table, flight: str) -> None:
+        self._waiting.append(table)
+        self.flights.add(flight)
+        self.rows += table.num_rows
+        if sum(waiting.num_rows for waiting in self._waiting) >= ROWS_PER_GROUP:
+            self._flush()
+
+    def close(self) -> None:
+        if self._waiting:
+            self._flush()
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+
+    def _flush(self) -> None:
+        table = pa.concat_tables(self._waiting)
+        self._waiting = []
+        if self._writer is None:
+            self._writer = pq.ParquetWriter(
+                self.path, table.schema, compression="zstd", write_page_index=True
+            )
+        self._writer.write_table(table, row_group_size=ROWS_PER_GROUP)
+
+
+def _with_owner(table: pa.Table, facts: FlightFacts, manifest: Manifest, name: str) -> pa.Table:
+    """The table with columns that say whose rows these are; what a flight alone says of its columns goes."""
+    stream = next(entry.stream for entry in manifest.streams if name.endswith(f"/{entry.file}"))
+    values = {"flight": facts.id, "vehicle": vehicle_of(facts.info), "stream": stream}
+    for column in reversed(OWN):
+        constant = pa.array([values[column]] * table.num_rows, pa.string())
+        table = table.add_column(0, column, constant)
+    return table.replace_schema_metadata(None)
+
+
+def _manifests(place: Place, flights: Sequence[FlightFacts]) -> Iterator[tuple[str, Manifest]]:
+    homes = [home_of(f.id.rpartition("-")[2]) for f in flights]
+    keys = [f"{home}/{MANIFEST_FILE}" for home in homes]
+    for home, (key, text) in zip(homes, place.read_many(keys), strict=True):
+        if text is None:
+            raise StoreError(
+                "a flight of the catalogue is gone", path=place.at(key), hint="flysid fleet check"
+            )
+        yield home, parse_manifest(text, place.at(key))
+
+
+def _tables(manifest: Manifest, message: str) -> list[str]:
+    """Tables of a message, relative to the flight's home."""
+    generation = manifest.info.get(GENERATION, "")
+    return [f"{generation}/{e.file}" for e in manifest.streams if _message(e.stream) == message and e.rows]
+
+
+def _table(place: Place, key: str) -> pa.Table:
+    try:
+        return pq.read_table(pa.BufferReader(place.read(key)))
+    except (FileNotFoundError, pa.ArrowException) as error:
+        raise StoreError(
+            f"damaged or missing: {error}", path=place.at(key), hint="flysid fleet check; ingest it again"
+        ) from error
+
+
+def _parts(place: Place) -> list[dict[str, Any]]:
+    table = opened(place, PARTS)
+    rows: list[dict[str, Any]] = [] if table is None else table.to_pyarrow_table().to_pylist()
+    return rows
+
+
+def _list(place: Place, rows: Sequence[dict[str, Any]]) -> None:
+    from deltalake import write_deltalake
+
+    table = pa.Table.from_pylist(list(rows), schema=SCHEMA)
+    committing(place, lambda: write_deltalake(place.at(PARTS), table, mode="overwrite"))
