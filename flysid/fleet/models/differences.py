@@ -26,6 +26,8 @@ from flysid.fleet.models.scatter import PER_NUMBER, Scatter, Tail, pooled, tail_
 from flysid.fleet.models.triangles import Triangle
 
 Question = Literal["changed", "unlike"]
+SUSPECT = 0.05
+"""Adjusted p below which a vehicle does not count among those that tell how far T² strays."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,18 +136,21 @@ def judge_channel(
     scatter = pooled([r[name] for name in early for r in (early, late)], channel)
     shifts = {name: wrapped(late[name].value - early[name].value) for name in early}
     size = 2 * len(band.frequencies)
-    mixed = [_mixed(*halves, sampling, band, scatter) for halves in divided.values()]
-    tail = tail_of([value for value in mixed if value is not None], size, scatter.freedom)
-    tests = []
+    differences: dict[str, tuple[FloatArray, FloatArray, float]] = {}
     for name, shift in shifts.items():
         common, spread = _common([s for other, s in shifts.items() if other != name], size)
         difference = wrapped(shift - common)
         covariance = scatter.covariance(early[name]) + scatter.covariance(late[name]) + spread
-        statistic = hotelling(difference, covariance)
-        tests.append(
-            Test(channel, name, "changed", difference, tail.scale * covariance, statistic,
-                 tail.p_value(statistic, size), tail.freedom, (early[name].flights, late[name].flights))
-        )  # fmt: skip
+        differences[name] = (difference, covariance, hotelling(difference, covariance))
+    usual = tail_of([], size, scatter.freedom)
+    ordinary = _ordinary({n: usual.p_value(found[2], size) for n, found in differences.items()})
+    mixed = [_mixed(*divided[name], sampling, band, scatter) for name in ordinary]
+    tail = tail_of([value for value in mixed if value is not None], size, scatter.freedom)
+    tests = [
+        Test(channel, name, "changed", difference, tail.scale * covariance, statistic,
+             tail.p_value(statistic, size), tail.freedom, (early[name].flights, late[name].flights))
+        for name, (difference, covariance, statistic) in differences.items()
+    ]  # fmt: skip
     shared = _common(list(shifts.values()), size)[0] if shifts else None
     return Judged(channel, sampling, band, scatter, tuple(tests), flown, late, too_few, shared)
 
@@ -199,6 +204,12 @@ def _unlike(judged: Judged, changed: set[str]) -> list[Test]:
                  (response.flights, sum(judged.present[n].flights for n in reference if n != name)))
         )  # fmt: skip
     return tests
+
+
+def _ordinary(p_values: Mapping[str, float]) -> list[str]:
+    """Vehicles that no test of them alone would flag: what has changed tells nothing of how others stray."""
+    adjusted = stats.false_discovery_control(list(p_values.values())) if p_values else []
+    return [name for name, q in zip(p_values, adjusted, strict=True) if q > SUSPECT]
 
 
 def _mixed(

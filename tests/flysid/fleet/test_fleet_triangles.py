@@ -11,6 +11,7 @@ from flysid.dataset import FloatArray, Segment
 from flysid.errors import DataError
 from flysid.fleet.models.groups import fit_group, response_of
 from flysid.fleet.models.sampling import Sampling
+from flysid.fleet.models.scatter import tail_of
 from flysid.fleet.models.triangles import triangle_of
 from flysid.model.gram import tsqr
 
@@ -128,3 +129,13 @@ def test_too_little_is_refused() -> None:
     still = Segment(np.ones((100, 1)), np.ones((100, 1)), flight="still")
     with pytest.raises(DataError, match="do not tell"):
         fit_group([triangle_of([still], SAMPLING).r], 96, SAMPLING)
+
+
+def test_a_fleet_that_strays_further_is_believed_less() -> None:
+    rng = np.random.default_rng(1)
+    even = rng.chisquare(6, 100)
+    uneven = even / rng.chisquare(4, 100) * 4.0
+    assert tail_of(even, 6, 200).p_value(30.0, 6) < 1e-3
+    assert tail_of(uneven, 6, 200).p_value(30.0, 6) > 5e-3
+    assert tail_of(uneven[:18], 6, 200) == tail_of([], 6, 200)  # too few to tell: Hotelling's
+    assert tail_of(0.1 * even, 6, 200).scale >= tail_of([], 6, 200).scale  # never believed more
