@@ -79,8 +79,9 @@ def headline(compared: Comparison) -> tuple[str, str]:
     title = f"{len(changed)} of {many} vehicles {'has' if len(changed) == 1 else 'have'} changed"
     if not changed:
         title = "No vehicle has changed, as far as these flights tell"
+    more = " more" if changed else ""
     one = len(unlike) == 1
-    lead = f"{len(unlike)} more {'differs' if one else 'differ'} from the fleet." if unlike else ""
+    lead = f"{len(unlike)}{more} {'differs' if one else 'differ'} from the fleet." if unlike else ""
     return title, lead
 
 
