@@ -170,8 +170,8 @@ def unsure_gains(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cau
     if said:
         yield Caution(
             "note",
-            f"The data do not pin down the steady gain on {join(said)}: its 95 % interval holds zero, or a "
-            "factor of two and more.",
+            f"The data do not pin down the steady gain on {join(said)}: its 95 % interval includes zero, "
+            "or spans more than a factor of two.",
             "do not quote these gains; fly longer steps, or use fewer rules.",
             0.85,
         )

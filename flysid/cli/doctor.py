@@ -75,7 +75,7 @@ def command(
     look = partial(survey_or_reason, limits=Limits(time_unit=time_unit, format=format_))
     with display.shown():
         for path, outcome in run_bounded(look, found.paths, 1, bounds):
-            tell("looked at", log=path.name, share=(len(surveys) + unreadable + 1) / (len(found.paths) + 1))
+            tell("examined", log=path.name, share=(len(surveys) + unreadable + 1) / (len(found.paths) + 1))
             if isinstance(outcome, (str, Lost)):
                 say(f"skipped: {path}: {outcome if isinstance(outcome, str) else outcome.reason}")
                 unreadable += 1
@@ -91,7 +91,7 @@ def command(
         for stream, why in list(survey.damage.reasons.items())[:REASONS_SHOWN]:
             say(f"lost: {short_name(path)}: {stream}: {why}")
     say_passed_over(found.passed_over, quiet)
-    say(f"{len(surveys)} looked over" + (f", {unreadable} skipped" if unreadable else ""), quiet)
+    say(f"{counted(len(surveys), 'log')} examined" + (f", {unreadable} skipped" if unreadable else ""), quiet)
     if not surveys:
         return 1
     return 3 if unreadable or any(s.damage.lossy for s in surveys.values()) else 0

@@ -133,8 +133,8 @@ def find_fields(log: Log, patterns: Sequence[str]) -> list[tuple[str, str]]:
     Parameters
     ----------
     patterns : `STREAM.FIELD` with wildcards, e.g. `ATT.Des*`, `1.1/ATTITUDE.roll`, `vehicle_attitude.q[0]`. A
-        stream is named by its key or its message name; `STREAM` alone means all of its fields, and an array
-        all of its elements.
+        stream is named by its key or its message name; `STREAM` alone means all of its fields, `FIELD` alone
+        that field of every stream, and an array all of its elements.
 
     Raises
     ------
@@ -204,7 +204,7 @@ def _numbers(log: Log, stream: str, columns: Sequence[str]) -> list[str]:
 def _is_named(pattern: str, stream: str, field: str) -> bool:
     message = stream.rpartition("/")[2]
     full = (f"{stream}.{field}", f"{message}.{field}")
-    return pattern in (stream, message) or any(fnmatchcase(name, pattern) for name in full)
+    return pattern in (stream, message, field) or any(fnmatchcase(name, pattern) for name in full)
 
 
 def _nothing(pattern: str, log: Log) -> UsageError:

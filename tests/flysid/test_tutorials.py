@@ -12,9 +12,15 @@ from click.testing import CliRunner
 
 from flysid.cli import root
 from tests.command import ROOT
+from tests.samplelogs import dataflash_systemid
 
 LOGS = ROOT.parent / "shared/logs"
-NEEDED = {"dataflash.md": {"flight.bin": LOGS / "dataflash/copter_437s.bin"}}
+PAGES = sorted((ROOT / "docs/tutorials").glob("*.md"))
+REAL = {
+    "dataflash.md": ("flight.bin", LOGS / "dataflash/copter_437s.bin"),
+    "blackbox.md": ("flight.bfl", LOGS / "blackbox/hiro_highP_highD.bfl"),
+}
+SIMULATED = {"systemid.md": ("flight.bin", dataflash_systemid.build)}
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
@@ -38,14 +44,20 @@ def alike(shown: str, told: str) -> bool:
     return all(float(a) == pytest.approx(float(b), rel=0.1) for a, b in pairs)
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in (ROOT / "docs/tutorials").glob("*.md")))
-def test_a_tutorial_does_what_it_says(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for file, log in NEEDED[name].items():
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_tutorial_does_what_it_says(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if page.name in REAL:
+        file, log = REAL[page.name]
         if not log.is_file():
             pytest.skip(f"no {log}")
-        shutil.copy(log, tmp_path / file)
+        shutil.copyfile(log, tmp_path / file)
+    if page.name in SIMULATED:
+        file, build = SIMULATED[page.name]
+        (tmp_path / file).write_bytes(build())
     monkeypatch.chdir(tmp_path)
-    told = blocks(ROOT / "docs/tutorials" / name)
+    for script in re.findall(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL):
+        exec(script, {})  # noqa: S102
+    told = blocks(page)
     assert told
     for command, lines in told:
         done = CliRunner().invoke(root, shlex.split(command)[1:], catch_exceptions=False)

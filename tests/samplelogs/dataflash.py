@@ -24,16 +24,19 @@ TYPES = {
 }
 
 
-def pack(number: int, *values: object) -> bytes:
+Types = dict[int, tuple[str, str, str]]
+
+
+def pack(number: int, *values: object, types: Types = TYPES) -> bytes:
     """One message."""
-    form = TYPES[number][1]
+    form = types[number][1]
     raw = [v.encode() if isinstance(v, str) else v for v in values]
     return b"\xa3\x95" + bytes([number]) + struct.pack("<" + "".join(CODES[c] for c in form), *raw)
 
 
-def fmt(number: int) -> bytes:
+def fmt(number: int, types: Types = TYPES) -> bytes:
     """The FMT of a message."""
-    name, form, labels = TYPES[number]
+    name, form, labels = types[number]
     length = 3 + struct.calcsize("<" + "".join(CODES[c] for c in form))
     return pack(128, number, length, name, form, labels)
 

@@ -56,7 +56,7 @@ def check_rows(c: Comparison, d: Diagnosis, j: int) -> tuple[CheckRow, ...]:
             tuple(_long_run(d.checks[n]) for n in names if n in d.checks),
         ),
         CheckRow(
-            "Forgets its start",
+            "Initial condition decays",
             "two free runs from opposite ends of the training range stay within 1 % of it",
             tuple(_forgets(d.checks[n]) for n in names if n in d.checks),
         ),

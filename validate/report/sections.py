@@ -140,12 +140,12 @@ def _section(source: Source, j: int, anchor: str) -> Section:
 
 
 def _simpler(source: Source) -> str:
-    """What fewer words would cost, in one sentence; "" where there is nothing to leave out."""
+    """What simpler rules would cost, in one sentence; "" where there is nothing to leave out."""
     checks = source.diagnosis.checks.get(source.comparison.contender or "")
     if checks is None or not checks.simpler:
         return ""
     edits = "; ".join(map(str, checks.simpler))
-    return f"Fewer words, and what they cost in free-run RMSE on the training flights: {one_line(edits)}."
+    return f"Simpler rules, and the free-run RMSE on the training flights that each would add: {one_line(edits)}."
 
 
 def _said(source: Source, j: int) -> tuple[str, ...]:

@@ -45,6 +45,7 @@ def test_patterns_name_streams_fields_and_elements() -> None:
     log = flight(ATT=ATT, att=table(T, q=q, name=pa.array(["a"] * 200)))
     assert find_fields(log, ["ATT.*Roll"]) == [("ATT", "Roll"), ("ATT", "DesRoll")]
     assert find_fields(log, ["ATT"]) == [("ATT", "Roll"), ("ATT", "DesRoll")], "not the stream's own clock"
+    assert find_fields(log, ["DesRoll"]) == [("ATT", "DesRoll")], "a field of any stream"
     assert find_fields(log, ["att.q"]) == [("att", f"q[{i}]") for i in range(4)]
     assert find_fields(log, ["att.q[2]", "att.q[2]"]) == [("att", "q[2]")]
     [[curve]] = read_fields(log, ["att.q[2]"])
