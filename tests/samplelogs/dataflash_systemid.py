@@ -1,6 +1,6 @@
 """A DataFlash log of ArduPilot's SYSTEMID mode on the roll mixer: the chirp, the rate controller and the gyro.
 
-The loop is that of `bench.closed_loop`: the plant 3333 / (s (s + 33.3)) with 7.5 ms of dead time, P + I around it.
+The loop is that of `bench.closed_loop`: 3333 / (s (s + 33.3)) with 7.5 ms of dead time, P + I around it.
 """
 
 from __future__ import annotations

@@ -145,7 +145,9 @@ def _simpler(source: Source) -> str:
     if checks is None or not checks.simpler:
         return ""
     edits = "; ".join(map(str, checks.simpler))
-    return f"Simpler rules, and the free-run RMSE on the training flights that each would add: {one_line(edits)}."
+    return (
+        f"Simpler rules, and what each adds to the free-run RMSE on the training flights: {one_line(edits)}."
+    )
 
 
 def _said(source: Source, j: int) -> tuple[str, ...]:
