@@ -1,4 +1,4 @@
-"""A DataFlash log of ArduPilot's SYSTEMID mode on the roll mixer: the chirp, the rate controller and the gyro.
+"""A DataFlash log of ArduPilot's SYSTEMID mode on the roll mixer: chirp, rate controller and gyro.
 
 The loop is that of `bench.closed_loop`: 3333 / (s (s + 33.3)) with 7.5 ms of dead time, P + I around it.
 """
