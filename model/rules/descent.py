@@ -76,16 +76,17 @@ class Sizes(NamedTuple):
 
 @compiled
 def _over_runs(  # type: ignore[no-untyped-def]
-    starts, lags, par, basis, chosen, W, edges, size, X, ring, H, g, normal
+    starts, lags, par, basis, chosen, runs, ring, H, g, normal
 ):
     """The mean squared error; where `ring` has columns, J'J (lower triangle) and J'e into `normal`, as means.
 
     Parameters
     ----------
     starts : (S, moving n) what every run starts from.
-    X : as W, to run in.
+    runs : W and `edges` of `Fixed`, sizes, and X as W, to run in.
     H, g : (common + q, common + q), (common + q,) to work in, common the last chosen number + 1.
     """
+    W, edges, size, X = runs
     n = par.theta.shape[1]
     n_y = size.n_y
     corner, border, blocks, slope = normal
@@ -193,8 +194,11 @@ class Cost:
             normal.slope[:] = 0.0
         self._expand(p)
         starts = np.ascontiguousarray(p[self.unknowns :].reshape(self.runs, -1))
-        matrix = (fixed.basis, fixed.chosen, fixed.W, fixed.edges, size)
-        cost = float(_over_runs(starts, self.lags, self.par, *matrix, self.X, *work, into))
+        basis = fixed.basis
+        chosen = fixed.chosen
+        runs = (fixed.W, fixed.edges, size, self.X)
+        ring, H, g = work
+        cost = float(_over_runs(starts, self.lags, self.par, basis, chosen, runs, ring, H, g, into))
         if self.weighed:
             cost += self._unlikely(starts, normal)
         if size.ridge > 0.0 and self.shape[0] > 1:
