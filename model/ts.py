@@ -1,7 +1,8 @@
 """Dynamic Takagi-Sugeno models, refined on the simulation error: the estimator.
 
 It grows the model from a refined linear one, rule by rule, and stops by the validation free run; what comes
-out is a `FittedTS`, flysid.model.rules.fitted.
+out is a `FittedTS`, flysid.model.rules.fitted. Models over lagged outputs must see the state in the outputs;
+where a tank, an actuator or a friction element stands between, a hidden state says it with fewer lags.
 """
 
 from __future__ import annotations
@@ -11,11 +12,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 from flysid.dataset import Dataset
+from flysid.errors import UsageError
 from flysid.model.one_rule import linear_choice
+from flysid.model.rules import learning, state_learning
+from flysid.model.rules.contest import contest
 from flysid.model.rules.fitted import FittedTS, finished
-from flysid.model.rules.learning import learn
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.rules.stabilise import with_stable_rules
+from flysid.model.shared import sharing
 from flysid.model.threads import on_one_thread
 
 __all__ = ["TS", "FittedTS"]
@@ -41,6 +45,11 @@ class TS:
     stable : no rule keeps a pole outside the unit circle (`rules.stabilise`); without it a rule may,
         as long as the blend comes back from random inputs. The pole at one of an integrating process stays.
     search : what the search weighs and how long it looks, see `SearchSettings`.
+    states : 0: rules over lags of the outputs. A number: rules over so many states, the outputs included;
+        na, nb, refine and stable are then left as they are. "auto": rules over lags, or over hidden states
+        where these explain clearly more.
+    ridge : over hidden states, weight on the difference of the rules, in shares of the error that is left, or
+        "auto".
 
     Source: Takagi & Sugeno (1985), IEEE Trans. SMC 15; the search: `flysid.model.rules.learning`.
 
@@ -62,6 +71,8 @@ class TS:
     nk_hint: Sequence[int] = ()
     stable: bool = False
     search: SearchSettings = NORMAL
+    states: int | Literal["auto"] = 0
+    ridge: float | Literal["auto"] = "auto"
 
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:
@@ -73,10 +84,33 @@ class TS:
         DataError : no or too few samples, a signal that never moves.
         FitError : no stable model was found.
         """
-        learned = learn(self, train, validation, linear_choice)
+        if self.states != 0 or isinstance(self.states, bool):
+            self._check_states()
+            if self.states != "auto":
+                return over_states(self, train, validation)
+            with sharing():
+                return contest(self, train, validation, linear_choice).of_rules
+        learned = learning.learn(self, train, validation, linear_choice)
         model = finished(
             learned.stage, train, learned.notes, intervals=self.refine, neighbour=learned.neighbour
         )
         if not self.stable or learned.stage.problem.integrates:
             return model
         return with_stable_rules(model, train)
+
+    def _check_states(self) -> None:
+        for name in ("na", "nb"):
+            if getattr(self, name) != "auto":
+                raise UsageError(f"{name}={getattr(self, name)!r} with hidden states", hint="give states=0")
+        if not self.refine or self.stable:
+            raise UsageError("refine=False and stable=True are of rules over lags", hint="give states=0")
+
+
+def over_states(
+    settings: state_learning.Settings, train: Dataset, validation: Dataset | None = None
+) -> FittedTS:
+    """Rules over hidden states: realise linear models, grow rules, refine and choose; raises as `TS.fit`."""
+    learned = state_learning.learn(settings, train, validation)
+    return finished(
+        learned.stage, train, learned.notes, intervals=learned.intervals, neighbour=learned.neighbour
+    )

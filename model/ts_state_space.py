@@ -1,4 +1,4 @@
-"""Takagi-Sugeno state-space models: rules over states, some of them hidden, trained on the free run.
+"""Takagi-Sugeno state-space models by a name of their own: `TS(states=...)` with the states never 0.
 
     R_r: If z_1 is A_r1 and ... then x(k) = A_r x(k-1) + B_r w(k) + c_r,   y(k) = the first states
 
@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from flysid.dataset import Dataset
-from flysid.model.rules.fitted import FittedTS, finished
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
-from flysid.model.rules.state_learning import learn
 from flysid.model.threads import on_one_thread
+from flysid.model.ts import over_states
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,4 @@ class TSStateSpace:
         DataError : no or too few samples, a signal that never moves.
         FitError : no stable model was found.
         """
-        learned = learn(self, train, validation)
-        return finished(
-            learned.stage, train, learned.notes, intervals=learned.intervals, neighbour=learned.neighbour
-        )
+        return over_states(self, train, validation)

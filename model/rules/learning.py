@@ -18,7 +18,7 @@ from flysid.model.rules.edits import merge_and_split, prune
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.judging import INTEGRATES, Candidate, choose, hold_out, is_bounded
 from flysid.model.rules.linear_starts import Asked, as_linear, as_stage
-from flysid.model.rules.refit import refit
+from flysid.model.rules.refit import on_all_runs, refit
 from flysid.model.rules.regressor_layout import (
     Antecedent,
     Orders,
@@ -57,6 +57,15 @@ class Learned:
     notes: tuple[str, ...]
     neighbour: Stage | None = None
     linear: Fitted | None = None
+
+    @property
+    def least(self) -> int:
+        """Rows that a segment of a part must have."""
+        return self.stage.layout.depth + SPARE_ROWS
+
+    def again(self, data: Dataset, iterations: int) -> Stage:
+        """The stage refined from where it is on a part of the data."""
+        return on_all_runs(self.stage, runs_of(self.stage.layout, data.segments, self.least), iterations)
 
 
 LinearSide = Callable[[Asked, Dataset, Dataset | None], tuple[str, Fitted] | None]

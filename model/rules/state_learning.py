@@ -47,6 +47,11 @@ class Learned:
     intervals: bool = True
     neighbour: Stage | None = None
 
+    @property
+    def least(self) -> int:
+        """Rows that a segment of a part must have."""
+        return self.context.least
+
     def again(self, data: Dataset, iterations: int) -> Stage:
         """The stage refined from where it is on a part of the data, by the method that found it."""
         if not self.intervals:

@@ -133,3 +133,8 @@ def test_a_baseline_of_one_rule_is_a_linear_one() -> None:
     models["ts"] = TS(rules=2, na=1, nb=1, nk=2).fit(train)
     compared = compare(models, lag(10), baseline="one_rule", horizons=["free_run"])
     assert set(compared.entry().rivals) == {"arx"}
+
+
+def test_a_model_of_one_rule_that_was_asked_for_claims_no_search() -> None:
+    found = BestTS(rules=1, search=EFFORTS["quick"]).fit(lag(1))
+    assert found.notes[0] == f"{LINEAR_ENOUGH}one rule was asked for, and that is one."

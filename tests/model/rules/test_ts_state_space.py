@@ -15,6 +15,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted
 from flysid.model.oe import OE
+from flysid.model.rules.contest import hints_at_hidden_state
 from flysid.model.rules.control_system import next_step, to_nonlinear_system
 from flysid.model.rules.fitted import FittedTS, from_dict
 from flysid.model.rules.free_run_error import Body
@@ -29,7 +30,7 @@ from flysid.model.rules.state_systems import System, linear_systems, realised_st
 from flysid.model.rules.structure_choice import Advantage, advantage
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
-from flysid.model.ts_best import BestTS, contest, hints_at_hidden_state
+from flysid.model.ts_best import BestTS, contest
 from flysid.model.ts_state_space import TSStateSpace
 from flysid.validate.trials import free_run
 from tests.model_examples import data

@@ -16,6 +16,7 @@ from flysid.model.rules.control_system import to_nonlinear_system
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.local_models import certificate, linearise, polytope
 from flysid.model.rules.rule_uncertainty import uncertainty
+from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.rules.simplify import simplifications, simplify
 from flysid.model.rules.stabilise import with_stable_rules
 from flysid.model.rules.update import update
@@ -99,3 +100,27 @@ def test_other_models_are_refused(function: Callable[[Any, Dataset], object]) ->
     for other in (StaticTS(rules=2).fit(DATA), ARX(na=1, nb=1, nk=1, refine=False).fit(DATA)):
         with pytest.raises(UsageError, match="this is for"):
             function(other, DATA)
+
+
+def test_states_are_a_setting_of_one_structure() -> None:
+    """`TS(states=2)` is `TSStateSpace(states=2)`; what belongs to lags alone is refused beside it."""
+    asked: dict[str, Any] = {"states": 2, "rules": 2, "nk": 1, "iterations": 5}
+    model = TS(**asked).fit(DATA)
+    other = TSStateSpace(**asked).fit(DATA)
+    assert model.structure == "ts_ss"
+    assert np.array_equal(model.consequents, other.consequents)
+    for wrong in ({"na": 2}, {"nb": 1}, {"refine": False}, {"stable": True}):
+        with pytest.raises(UsageError, match="states=0") as caught:
+            TS(**(asked | wrong)).fit(DATA)
+        assert caught.value.hint == "give states=0"
+    for states in (-1, 1.5, True, "many"):
+        with pytest.raises(UsageError, match="states"):
+            TS(states=states).fit(DATA)  # type: ignore[arg-type]
+
+
+def test_hidden_states_compete_where_states_are_left_open() -> None:
+    """Of a linear plant one rule over lags says all; its model is one of rules, whoever found it."""
+    quick = SearchSettings.of("quick")
+    model = TS(states="auto", most_rules=2, search=quick).fit(DATA)
+    assert isinstance(model, FittedTS)
+    assert model.structure == "ts"

@@ -1,0 +1,183 @@
+"""Rules over lagged outputs, or over hidden states: which of these the data ask for.
+
+The model over lags comes first: its rules speak of measured signals only. Hidden states are tried where the
+free run of the first leaves an error that its own past foretells, as a state does that the lags do not show.
+They are taken only if they do clearly better on held-out parts, both refitted on the rest each time, and
+better on the training data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from flysid.dataset import Dataset
+from flysid.errors import DataError, FitError, UsageError
+from flysid.model.base import Fitted
+from flysid.model.noise import noise_model
+from flysid.model.rules import learning, state_learning
+from flysid.model.rules.fitted import FittedTS, finished
+from flysid.model.rules.free_run_error import Stage
+from flysid.model.rules.judging import hold_out
+from flysid.model.rules.regressor_layout import scaling
+from flysid.model.rules.search_context import Settings as LagSettings
+from flysid.model.rules.state_learning import Settings as StateSettings
+from flysid.model.rules.structure_choice import Advantage, advantage, block_errors, compared
+from flysid.model.start import start_window
+
+_FORETOLD = 0.5  # share of the free run's error that its own past must explain
+_RESOLUTION = 1e-3  # of the outputs' spread: a free-run error below leaves nothing to explain
+_MOST_OUTPUTS = 2
+_MOST_SAMPLES = 100_000
+PARTS = 4
+"""Of a record, each held out in turn to compare two models."""
+_STEPS = 6  # of both models' refinement on the rest
+
+
+class Settings(LagSettings, StateSettings, Protocol):
+    """What either kind needs to know; `TS` is one."""
+
+
+class Learned(Protocol):
+    """What a search of either kind found."""
+
+    @property
+    def least(self) -> int:
+        """Rows that a segment of a part must have."""
+        ...
+
+    def again(self, data: Dataset, iterations: int) -> Stage:
+        """The stage refined from where it is on a part of the data."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """What a search found, and its model."""
+
+    known: Learned
+    model: FittedTS
+
+    def again(self, data: Dataset) -> FittedTS:
+        """Refined from where it is on a part of the data."""
+        return finished(self.known.again(data, _STEPS), data, (), intervals=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """The model over lags; the one over hidden states where it was tried, with the notes of either's winning.
+
+    Attributes
+    ----------
+    lags, states : what both searches found; states is None where nothing asked for it, or none was found.
+    advantage : of hidden states, on held-out parts.
+    fits : they fit the training data better, too.
+    linear : the linear side's choice, where rules do not pay.
+    """
+
+    lags: Searched
+    states: Searched | None = None
+    advantage: Advantage = field(default_factory=Advantage)
+    fits: bool = False
+    linear: Fitted | None = None
+
+    @property
+    def lagged(self) -> FittedTS:
+        """The model over lags."""
+        return self.lags.model
+
+    @property
+    def hidden(self) -> FittedTS | None:
+        """The model over hidden states."""
+        return None if self.states is None else self.states.model
+
+    @property
+    def taken(self) -> Searched:
+        """The search whose rules are the better ones."""
+        return self.states if self.states is not None and self.clear else self.lags
+
+    @property
+    def clear(self) -> bool:
+        """The hidden states win."""
+        return self.hidden is not None and self.advantage.clear and self.fits
+
+    @property
+    def winner(self) -> Fitted:
+        """The model to take, with a note on why."""
+        if self.linear is not None:
+            return self.linear
+        return self.of_rules
+
+    @property
+    def of_rules(self) -> FittedTS:
+        """The better of the two kinds, with a note on why."""
+        if self.hidden is None:
+            return self.lagged
+        times = np.exp(0.5 * self.advantage.gain)
+        ratio = f"{times:.2f} times the free-run error of rules over lags on held-out parts"
+        if not self.clear:
+            but = "but more in training" if self.advantage.clear else "not clearly less"
+            note = f"A hidden state was tried and not taken: {ratio}, {but}."
+            return replace(self.lagged, notes=(*self.lagged.notes, note))
+        note = f"A hidden state explains what lagged outputs do not: {ratio}."
+        return replace(self.hidden, notes=(note, *self.hidden.notes))
+
+
+def contest(
+    settings: Settings, train: Dataset, validation: Dataset | None, linear_side: learning.LinearSide
+) -> Contest:
+    """Both kinds, the second where the first hints at it."""
+    known = learning.learn(settings, train, validation, linear_side)
+    lagged = finished(
+        known.stage, train, known.notes, intervals=known.linear is None, neighbour=known.neighbour
+    )
+    lags = Searched(known, lagged)
+    if not (settings.search.hidden_states and hints_at_hidden_state(lagged, train)):
+        return Contest(lags)
+    try:
+        learned = state_learning.learn(settings, train, validation)
+        if learned.stage.rules == 1 == known.stage.rules:
+            return Contest(lags)
+        found = finished(
+            learned.stage, train, learned.notes, intervals=learned.intervals, neighbour=learned.neighbour
+        )
+        states = Searched(learned, found)
+        judgement = _judged(lags, states, train, validation)
+    except (DataError, FitError, UsageError, np.linalg.LinAlgError):  # e.g. antecedents that it does not have
+        return Contest(lags)
+    return Contest(lags, states, *judgement)
+
+
+def _judged(
+    lags: Searched, states: Searched, train: Dataset, validation: Dataset | None
+) -> tuple[Advantage, bool]:
+    """The advantage of hidden states on held-out parts, and whether they fit the training data better."""
+    fits = advantage([block_errors((lags.model, states.model), train)]).gain < 0.0
+    if validation is not None:
+        return compared(lambda _: lags.model, lambda _: states.model, [(train, validation)]), fits
+    least = max(lags.known.least, states.known.least)
+    parts = [hold_out(train, least, fold) for fold in range(PARTS)]
+    return compared(lags.again, states.again, parts), fits
+
+
+def hints_at_hidden_state(model: FittedTS, train: Dataset) -> bool:
+    """Whether the free run errs more than the data resolve, in a way that its own past foretells."""
+    if len(model.outputs) > _MOST_OUTPUTS or len(train) > _MOST_SAMPLES:
+        return False
+    errors = []
+    for s in train.segments:
+        window = start_window(model.n_init, len(s), model.dt_s)
+        if len(s) > 2 * window:
+            errors.append(model.start.followed(model, s.u, s.y[:window])[window:] - s.y[window:])
+    if not errors:
+        return False
+    _, scale = scaling(train)
+    for j in range(len(model.outputs)):
+        own = [e[:, j] for e in errors]
+        square = float(np.mean(np.concatenate(own) ** 2))
+        foreseen = 1.0 - noise_model(own)[1] / square if square > 0 else 0.0
+        if square > (_RESOLUTION * scale[j]) ** 2 and foreseen > _FORETOLD:
+            return True
+    return False
