@@ -224,3 +224,28 @@ def test_two_hundred_segments_stay_small(tmp_path: Path) -> None:
     models = {"arx": replace(truth, structure="arx", b=0.08, labels=("R1",)), "ts": truth}
     c = compare(models, flown(truth, [80] * 200, noise=0.02), horizons=("free_run", 1))
     assert c.report(tmp_path / "r.html").stat().st_size < 5_000_000
+
+
+def test_other_models_are_picked_in_place_and_the_curves_leave_as_csv(browser: Any, tmp_path: Path) -> None:
+    ts = FirstOrder(a=0.9, b=0.1, structure="ts")
+    arx = FirstOrder(a=0.9, b=0.08)
+    third = FirstOrder(a=0.9, b=0.05, structure="oe")
+    comparison = compare([arx, ts, third], flown(ts, [400] * 3, noise=0.02, seed=1), horizons=("free_run", 1))
+    path = write_report(
+        tmp_path / "report.html", ReportContext(across_channels({"roll": comparison}), {}, {}, "")
+    )
+    assert opened(browser, path) == []
+    scroll_to_charts(browser)
+    pick = browser.find_element("css selector", ".picks button:not(.save)")
+    assert pick.get_attribute("aria-pressed") == "false"
+    pick.click()
+    assert pick.get_attribute("aria-pressed") == "true"
+    told = browser.execute_async_script(
+        """const done = arguments[0], make = URL.createObjectURL;
+           URL.createObjectURL = blob => { blob.text().then(done); return make.call(URL, blob); };
+           document.querySelector('.picks .save').click();"""
+    )
+    head, *rows = told.strip().splitlines()
+    assert pick.text in head
+    assert len(rows) > 50
+    assert all(len(row.split(",")) == 6 for row in rows)

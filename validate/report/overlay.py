@@ -40,6 +40,7 @@ class Strip:
     models : (name, CSS class, (P,) free run) of each model drawn.
     runs : (from, to, rule) of the strongest rule of the contender.
     bands : (CSS class, lower, upper), (P / THIN,) each, of the free runs that have one.
+    others : (P,) free run of each model of `picked`.
     """
 
     trial: int
@@ -51,6 +52,7 @@ class Strip:
     errors: tuple[FloatArray, ...]
     runs: tuple[tuple[float, float, int], ...]
     bands: tuple[tuple[str, FloatArray, FloatArray], ...] = ()
+    others: tuple[FloatArray, ...] = ()
 
 
 def strips(source: Source, output: int, signal: int) -> list[Strip]:
@@ -83,6 +85,8 @@ def _strip(source: Source, at: int, place: tuple[int, int], banded: bool) -> Str
     for name, _ in names:
         series[f"m {name}"] = trial.yh[name][:, output]
         series[f"e {name}"] = trial.y[:, output] - trial.yh[name][:, output]
+    others = picked(comparison)
+    series |= {f"o {name}": trial.yh[name][:, output] for name in others}
     times, few = decimate(t, series, source.points)
     runs: list[tuple[float, float, int]] = []
     if comparison.contender:
@@ -99,6 +103,7 @@ def _strip(source: Source, at: int, place: tuple[int, int], banded: bool) -> Str
         tuple(few[f"e {name}"] for name, _ in names),
         tuple(runs),
         tuple(_bands(source, trial, output, times) if banded else ()),
+        tuple(few[f"o {name}"] for name in others),
     )
 
 
@@ -123,6 +128,12 @@ def drawn(comparison: Comparison) -> list[tuple[str, str]]:
     if comparison.contender:
         found.append((comparison.contender, "ts"))
     return found
+
+
+def picked(comparison: Comparison) -> list[str]:
+    """The models that a reader may add to the interactive plot: all that are not drawn."""
+    shown = {name for name, _ in drawn(comparison)}
+    return [name for name in comparison.fitted if name not in shown]
 
 
 def buttons(comparison: Comparison, pieces: Sequence[Strip], output: int) -> tuple[tuple[str, str], ...]:
@@ -200,6 +211,7 @@ def as_json(strip: Strip, label: str) -> dict[str, Any]:
         "u": rounded(strip.u),
         "models": [rounded(values) for _, _, values in strip.models],
         "errors": [rounded(error) for error in strip.errors],
+        "others": [rounded(values) for values in strip.others],
         "range": list(vertical(strip)),
         "error_range": list(error_range(strip)),
         "input_range": list(span(strip.u, pad=0.1)),

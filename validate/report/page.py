@@ -16,7 +16,7 @@ from flysid.validate.report.context import ReportContext
 from flysid.validate.report.figures import interval_bar
 from flysid.validate.report.html import environment, load_asset, script_json, security_policy, write_page
 from flysid.validate.report.masthead import masthead
-from flysid.validate.report.overlay import MOST_SEGMENTS
+from flysid.validate.report.overlay import MOST_SEGMENTS, picked
 from flysid.validate.report.sections import Section, sections
 from flysid.validate.report.source import Source
 from flysid.validate.report.telling import telling
@@ -84,7 +84,9 @@ def render(context: ReportContext) -> str:
 
 def _sections(context: ReportContext, diagnoses: Mapping[str, Diagnosis]) -> list[Section]:
     drawn = sum(
-        min(len(d.free_runs), MOST_SEGMENTS) * len(context.comparisons[n].test.outputs) * 8
+        min(len(d.free_runs), MOST_SEGMENTS)
+        * len(context.comparisons[n].test.outputs)
+        * (8 + len(picked(context.comparisons[n])))
         for n, d in diagnoses.items()
     )
     points = max(60, min(800, NUMBERS_ON_PAGE // max(1, drawn)))

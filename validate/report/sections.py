@@ -135,6 +135,7 @@ def _section(source: Source, j: int, anchor: str) -> Section:
             "titles": list(titles),
             "banded": any(p.bands for p in pieces),
             "models": [f"{one_line(m).upper()} free run" for m, _ in overlay.drawn(c)],
+            "others": [one_line(m).upper() for m in overlay.picked(c)],
         },
     )
 

@@ -93,8 +93,13 @@
     var models = channel.models.map(function (name, i) {
       return series(name, i === 0 ? "arx" : "ts", i === 0 ? [5, 3] : undefined, 1.6);
     });
+    var others = channel.others.map(function (name, i) {
+      var line = series(name, otherColour(i), [2, 2], 1.6);
+      line.show = false;
+      return line;
+    });
     title(live, channel.titles[0]);
-    var top = chart(live, 230, channel, models.concat([series("measured", "measured", undefined, 1.3)]), function () { return current.range; }, false, key);
+    var top = chart(live, 230, channel, models.concat(others, [series("measured", "measured", undefined, 1.3)]), function () { return current.range; }, false, key);
     var strip = document.createElement("canvas");
     strip.className = "strip";
     strip.setAttribute("aria-hidden", "true");
@@ -139,7 +144,7 @@
     function show(i) {
       current = channel.segments[i];
       zooming = true;
-      top.setData([current.t].concat(current.models, [current.y])); // the measurement lies on top
+      top.setData([current.t].concat(current.models, current.others, [current.y])); // the measurement lies on top
       middle.setData([current.t].concat(current.errors));
       bottom.setData([current.t, current.u]);
       zooming = false;
@@ -165,7 +170,48 @@
     show(channel.shown);
     figure.querySelector(".still").setAttribute("hidden", "");
     charts.push({ paint: paintStrip });
+    channel.others.forEach(function (name, i) {
+      press(figure.querySelector(".picks"), name, otherColour(i), function (on) {
+        top.setSeries(models.length + 1 + i, { show: on });
+      });
+    });
+    figure.querySelector(".picks").hidden = false;
+    figure.querySelector(".save").addEventListener("click", function () {
+      var names = ["time_s", "measured"].concat(channel.models, channel.others, channel.titles[2]);
+      var columns = [current.t, current.y].concat(current.models, current.others, [current.u]);
+      save(current.label + ".csv", [names.map(quoted)].concat(current.t.map(function (_, row) {
+        return columns.map(function (column) { return column[row]; });
+      })));
+    });
     return show;
+  }
+
+  function otherColour(i) { return "r" + (i % 8 + 1); }
+
+  function quoted(text) { return '"' + text.replace(/"/g, '""') + '"'; }
+
+  function press(parent, name, css, act) { // a button that stays down
+    var button = document.createElement("button");
+    var swatch = document.createElement("span");
+    button.type = "button";
+    button.setAttribute("aria-pressed", "false");
+    swatch.className = "swatch " + css;
+    swatch.setAttribute("aria-hidden", "true");
+    button.append(swatch, name);
+    button.addEventListener("click", function () {
+      var on = button.getAttribute("aria-pressed") !== "true";
+      button.setAttribute("aria-pressed", String(on));
+      act(on);
+    });
+    parent.insertBefore(button, parent.querySelector(".save"));
+  }
+
+  function save(name, rows) {
+    var link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([rows.join("\n") + "\n"], { type: "text/csv" }));
+    link.download = name.replace(/[^\w.-]+/g, "-");
+    link.click();
+    setTimeout(function () { URL.revokeObjectURL(link.href); }, 1000);
   }
 
   function start(figure) {
