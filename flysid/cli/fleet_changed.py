@@ -14,6 +14,7 @@ import click
 from flysid.cli import complete
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, cores, say
+from flysid.cli.places import SOURCE
 from flysid.errors import UsageError
 from flysid.showing import counted
 
@@ -39,7 +40,7 @@ def _day(_ctx: click.Context, _param: click.Parameter, value: str) -> int | None
 
 
 @click.command("changed")
-@click.argument("lake", type=click.Path(path_type=Path))
+@click.argument("lake", type=SOURCE)
 @click.option("--recipe", "-r", required=True, shell_complete=complete.recipes, help="Name or .toml file.")
 @click.option("--output", "-o", type=click.Path(path_type=Path), help="Folder of the page.  [LAKE/changed]")
 @click.option("--channel", "-c", "channels", multiple=True, help="This channel alone; may be repeated.")

@@ -12,6 +12,7 @@ from flysid.cli import complete
 from flysid.cli.display import Display, progress_options
 from flysid.cli.fleet_changed import gathered_of
 from flysid.cli.output import aligned, check_target, cores, say
+from flysid.cli.places import SOURCE
 from flysid.showing import counted
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ HEADINGS = ("GROUP", "CHANNEL", "FLIGHTS", "SAMPLES", "RMSE", "GAIN", "AT")
 
 
 @click.command("fit")
-@click.argument("lake", type=click.Path(path_type=Path))
+@click.argument("lake", type=SOURCE)
 @click.option("--recipe", "-r", required=True, shell_complete=complete.recipes, help="Name or .toml file.")
 @click.option(
     "--by", default="vehicle", show_default=True, metavar="A,B", help="Of vehicle, firmware, month."
