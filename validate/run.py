@@ -31,6 +31,7 @@ from flysid.ingest.lake.selection import Selection
 from flysid.ingest.lake.stretches import Stretches
 from flysid.manifest import DATA_FILE
 from flysid.model.base import Fitted, load
+from flysid.place import is_address
 from flysid.split import By, Split
 from flysid.validate.compare import CONTENDERS, Turn
 from flysid.validate.diskparts import LOOK_ROWS, parts_of
@@ -275,7 +276,7 @@ def held_out(run: Run, data: str | Path | None = None) -> list[HeldOut]:
     DataError : the data differs from what was fitted.
     """
     place = run.data if data is None else data
-    if data is None and not Path(place).exists():
+    if data is None and not is_address(place) and not Path(place).exists():
         raise UsageError(
             "the data that this run was fitted on is not there any more",
             path=place,

@@ -5,8 +5,9 @@ from __future__ import annotations
 import click
 
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import counted, printable, say
+from flysid.cli.output import printable, say
 from flysid.errors import UsageError
+from flysid.showing import counted
 
 SHOWN = 3
 

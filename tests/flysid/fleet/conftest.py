@@ -1,4 +1,4 @@
-"""A real S3 server for a session, and a bucket for a test."""
+"""A real S3 server for a session, and a folder of a bucket for a test."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def s3_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[S3Server]:
 
 @pytest.fixture
 def bucket(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> str:
-    """The address of an empty bucket, with the environment that reaches it."""
+    """The address of an empty folder, with the environment that reaches it."""
     for name, value in s3_server.environment.items():
         monkeypatch.setenv(name, value)
-    return f"s3://bucket-{next(_numbers)}"
+    return f"s3://tests/{next(_numbers)}"  # one bucket: the server keeps room for each

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 from click.testing import CliRunner, Result
 
 from flysid.cli import root
@@ -12,7 +14,9 @@ ROWS = 60
 
 def table(number: int) -> bytes:
     """A log of its own for every number: a table of a minute."""
-    lines = (f"{i},{(i * 7 + number) % 11},{(i * 3 + number) % 5}" for i in range(ROWS))
+    chance = random.Random(number)
+    command = [chance.randrange(100) for _ in range(ROWS)]
+    lines = (f"{i},{command[i]},{command[i - 1] + chance.randrange(9)}" for i in range(ROWS))
     return ("time_s,command,response\n" + "\n".join(lines) + "\n").encode()
 
 

@@ -316,3 +316,15 @@ def test_rows_and_facts_are_each_others_image(tmp_path: Path) -> None:
     list(ingest_logs(find_logs([tmp_path / "a.csv"]), tmp_path / "data", bounds=None))
     facts = flysid.open(tmp_path / "data").facts
     assert facts_in(rows_of(facts)) == facts
+
+
+def test_a_run_that_was_fitted_to_a_lake_is_validated_on_it(bucket: str, tmp_path: Path) -> None:
+    fill(f"{bucket}/in", 3, vehicles=1)
+    ingested(f"{bucket}/in", f"{bucket}/lake")
+    words = ["--from", "command", "--to", "response", "--models", "line"]
+    fitted = run("fit", f"{bucket}/lake", *words, "-o", tmp_path / "run", "-q")
+    assert fitted.exception is None, fitted.output
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["data"] == f"{bucket}/lake"
+    judged = run("validate", tmp_path / "run", "-q", "--json")
+    assert judged.exception is None, judged.output
+    assert json.loads(judged.stdout)["channels"]
