@@ -26,6 +26,7 @@ from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.synth.plants import LOOPS
 from flysid.validate.run import HeldOut
 from tests.flysid.design.flights import DT_S, LIMIT, answer, channel, good, steps
+from tests.model_examples import EXAMPLES
 
 PUBLISHED = {"position": 1.43, "velocity": 4.2}
 
@@ -203,6 +204,21 @@ def test_plants_hold_models_intervals_and_the_truth() -> None:
     hold = np.exp(-0.5j * at * DT_S)
     seen = plants.responses[:, np.searchsorted(plants.omega, at)]
     assert abs(seen[0] / (truth * hold) - 1.0) < 0.1
+
+
+@pytest.mark.parametrize("name", ["ts", "ts_ss"])
+def test_a_model_of_rules_gives_every_rule_and_every_speed(name: str) -> None:
+    fit, data = EXAMPLES[name]
+    model = fit(data)
+    plants = plants_of({"ts": model}, data, (0.1, 10.0))
+    rules = len(model.rules())
+    assert rules > 1
+    told = [*plants.labels, *plants.dropped]
+    assert sum("rule" in label for label in told) == rules
+    assert any(" at y = " in label for label in told)
+    fast = plants.responses[:, -1]
+    assert np.isfinite(plants.responses).all()
+    assert np.abs(fast).max() < np.abs(plants.responses).max()
 
 
 def _flown(size: float, **known: object) -> Callable[[], HeldOut]:
