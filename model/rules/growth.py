@@ -27,6 +27,7 @@ _FEW = 5000  # rows for ranking insertions and for trying the best ones
 _START_STEPS = 4  # of a search over the first outputs alone; a linear model needs one
 NOTHING = np.zeros(0, dtype=np.int64)
 """Of a body that stays as it is while the runs' starts are searched for."""
+_MARGIN = 0.1  # of its range, by which a hidden antecedent's range is widened
 _MORE = 1  # insertions tried beyond the best one along every antecedent
 
 
@@ -146,22 +147,25 @@ def rebased(stage: Stage) -> Stage:
 
 def with_variables(stage: Stage, antecedents: tuple[Antecedent, ...]) -> Stage:
     """The same model looking at more antecedents, in which every rule covers everything."""
-    layout = replace(stage.problem.layout, antecedents=antecedents)
-    problem = stage.problem.with_antecedents(layout)
+    layout = replace(stage.layout, antecedents=antecedents)
+    z_range = antecedent_range(layout, seen(stage))
     if any(a.minus >= 0 for a in antecedents):  # of measured outputs, differences are mostly noise
-        simulated = antecedent_range(layout, stage.simulated())
         change = np.array([a.minus >= 0 for a in antecedents])
-        problem = replace(problem, z_range=np.where(change, simulated, problem.z_range))
-    old = stage.problem.layout.antecedents
-    span = problem.z_range[1] - problem.z_range[0]
-    centre = np.tile(problem.z_range.mean(axis=0), (stage.rules, 1))
+        z_range = np.where(change, antecedent_range(layout, stage.simulated()), z_range)
+    span = z_range[1] - z_range[0]
+    hidden = np.array([layout.n_y <= a.column < layout.n for a in antecedents])
+    z_range = z_range + np.outer([-1.0, 1.0], np.where(hidden, _MARGIN * span, 0.0))
+    centre = np.tile(z_range.mean(axis=0), (stage.rules, 1))
     width = np.tile(2.0 * np.maximum(span, 1e-12), (stage.rules, 1))
-    for j, antecedent in enumerate(antecedents):
-        if antecedent in old:
-            centre[:, j] = stage.body.centre[:, old.index(antecedent)]
-            width[:, j] = stage.body.width[:, old.index(antecedent)]
+    for i, antecedent in enumerate(stage.layout.antecedents):
+        if antecedent in antecedents:
+            j = antecedents.index(antecedent)
+            centre[:, j] = stage.body.centre[:, i]
+            width[:, j] = stage.body.width[:, i]
+            z_range[:, j] = stage.problem.z_range[:, i]
+    problem = replace(stage.problem, layout=layout, z_range=z_range)
     initial = stage.initial
-    if problem.layout.moving > stage.layout.moving or problem.layout.depth != stage.layout.depth:
+    if layout.moving > stage.layout.moving or layout.depth != stage.layout.depth:
         initial = problem.starts(stage.simulated())  # an antecedent that looks back further than any lag
     return Stage(problem, Body(stage.body.a, centre, width), initial, stage.cost)
 
@@ -175,7 +179,7 @@ def insertions(stage: Stage, antecedent: Antecedent) -> list[Stage]:
     known = stage.problem.layout.antecedents
     wide = stage if antecedent in known else with_variables(stage, (*known, antecedent))
     j = wide.problem.layout.antecedents.index(antecedent)
-    z, phi = _z_and_firing(wide, wide.simulated())
+    z, phi = z_and_firing(wide, wide.simulated())
     span = float(np.ptp(z[:, j]))
     options: list[Stage] = []
     for rule in range(stage.rules):
@@ -193,7 +197,7 @@ def insertions(stage: Stage, antecedent: Antecedent) -> list[Stage]:
     return options
 
 
-def _z_and_firing(stage: Stage, runs: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+def z_and_firing(stage: Stage, runs: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Antecedents and firing strengths along runs."""
     problem = stage.problem
     lags = problem.layout.lags
@@ -267,5 +271,5 @@ def _best_of_each(kinds: Sequence[Antecedent], costs: Sequence[float]) -> list[i
 
 def rule_support(stage: Stage) -> FloatArray:
     """(R,) share of training samples for which each rule is the strongest."""
-    _, phi = _z_and_firing(stage, seen(stage))
+    _, phi = z_and_firing(stage, seen(stage))
     return np.asarray(np.bincount(phi.argmax(axis=1), minlength=stage.rules) / len(phi))

@@ -15,10 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.free_run_error import Body, Problem, Stage, antecedent_range
-from flysid.model.rules.growth import seen
+from flysid.model.rules.free_run_error import Body, Problem, Stage
+from flysid.model.rules.growth import with_variables, z_and_firing
 from flysid.model.rules.judging import prior_of
-from flysid.model.rules.kernel import firing
 from flysid.model.rules.realisation import Prior, Realisation, initial_states, uncorrelated
 from flysid.model.rules.regressor_layout import Antecedent, Layout, windows
 from flysid.model.rules.stages import expected_cost, inserted, on_runs, refine, with_ridge
@@ -34,7 +33,6 @@ _FEW = 3000
 _MORE = 4000
 _OVERFLOW = 1e9  # spreads: a state beyond has run away
 _FEWEST = 10  # samples of a region that takes another rule
-_MARGIN = 0.1  # of its range, by which a hidden antecedent's range is widened
 
 
 def linear_stage(
@@ -124,25 +122,6 @@ def on_other_runs(stage: Stage, runs: tuple[FloatArray, ...]) -> Stage:
     return replace(stage, problem=problem, initial=initial)
 
 
-def with_variables(stage: Stage, antecedents: tuple[Antecedent, ...]) -> Stage:
-    """The same model looking at more antecedents, in which every rule covers everything."""
-    old = stage.layout.antecedents
-    layout = replace(stage.layout, antecedents=antecedents)
-    z_range = antecedent_range(layout, seen(stage))
-    span = z_range[1] - z_range[0]
-    hidden = np.array([layout.n_y <= a.column < layout.n for a in antecedents])
-    z_range = z_range + np.outer([-1.0, 1.0], np.where(hidden, _MARGIN * span, 0.0))
-    centre = np.tile(z_range.mean(axis=0), (stage.rules, 1))
-    width = np.tile(2.0 * np.maximum(span, 1e-12), (stage.rules, 1))
-    for j, antecedent in enumerate(antecedents):
-        if antecedent in old:
-            i = old.index(antecedent)
-            centre[:, j], width[:, j] = stage.body.centre[:, i], stage.body.width[:, i]
-            z_range[:, j] = stage.problem.z_range[:, i]
-    problem = replace(stage.problem, layout=layout, z_range=z_range)
-    return replace(stage, problem=problem, body=Body(stage.body.a, centre, width))
-
-
 @dataclass(frozen=True)
 class Insertion:
     """Where a rule goes: along which variable, in whose region, at which quantile of the variable there."""
@@ -158,7 +137,7 @@ class Insertion:
         """
         known = stage.layout.antecedents
         wide = stage if self.antecedent in known else with_variables(stage, (*known, self.antecedent))
-        z, phi = z_and_firing(wide)
+        z, phi = z_and_firing(wide, wide.simulated())
         return self._into(wide, z, phi.argmax(axis=1))
 
     def _into(self, wide: Stage, z: FloatArray, strongest: npt.NDArray[np.intp]) -> Stage | None:
@@ -183,7 +162,7 @@ def insertions(stage: Stage, candidates: Sequence[Antecedent]) -> list[tuple[Ins
     for antecedent in candidates:
         known = stage.layout.antecedents
         wide = stage if antecedent in known else with_variables(stage, (*known, antecedent))
-        z, phi = z_and_firing(wide)
+        z, phi = z_and_firing(wide, wide.simulated())
         strongest = phi.argmax(axis=1)
         for rule, place in itertools.product(range(stage.rules), places):
             insertion = Insertion(antecedent, rule, place)
@@ -191,16 +170,6 @@ def insertions(stage: Stage, candidates: Sequence[Antecedent]) -> list[tuple[Ins
             if grown is not None:
                 options.append((insertion, grown))
     return options
-
-
-def z_and_firing(stage: Stage) -> tuple[FloatArray, FloatArray]:
-    """Antecedents and firing strengths along the simulated runs."""
-    lags = stage.layout.lags
-    par = stage.problem.parameters(stage.body)
-    d = stage.layout.depth
-    runs = stage.simulated()
-    z = np.vstack([stage.layout.antecedent_values(W) for W in runs])
-    return z, np.vstack([firing(W, d, lags, par)[d:] for W in runs])
 
 
 @dataclass(frozen=True)
