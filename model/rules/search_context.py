@@ -26,7 +26,6 @@ _ORDER_GAIN = 0.01
 _ORDER_LOSS = 0.05
 _ORDER_MISFIT = 0.1  # of the training mean square, which more lags always lower a little
 _STEPS = 8  # of a linear model's refinement on other parts of the data
-_WORSE_FIT = 1.5  # of the training mean square: one good validation does not make up for it
 _LOOSE = 100.0  # ranges within which the search for a linear model may move
 _FAR = 10.0  # ranges that a plant which integrates may leave its training range by
 _STRESS = 1000  # steps of each kind of stress
@@ -140,7 +139,7 @@ class SearchContext:
             names = ", ".join(self.fit_part.inputs[j].name for j in needless)
             notes = [f"A linear model simulates held-out parts as well without past values of {names}."]
         candidates += self._linear_side(len(choices))
-        candidates = plausible(sorted(candidates, key=lambda c: c.stage.body.size))
+        candidates.sort(key=lambda c: c.stage.body.size)
         judged_all = self._on_every_part(candidates) if len(candidates) > 1 else candidates
         at = choose(judged_all, least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS, most_misfit=_ORDER_MISFIT)
         orders = candidates[at].stage.problem.layout.orders
@@ -247,21 +246,3 @@ class SearchContext:
 def _without(orders: Orders, inputs: Sequence[int]) -> Orders:
     """The orders with no past values of these inputs."""
     return replace(orders, nb=tuple(0 if j in inputs else lags for j, lags in enumerate(orders.nb)))
-
-
-def plausible(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates without ARX models one step ahead that fit the training part worse than no larger others.
-
-    Such a model was never asked to run free. It may do so well on one held-out manoeuvre by luck, and badly
-    everywhere else.
-    """
-    costs = [(c.stage.body.size, c.stage.cost) for c in candidates if c.stable]
-    return [c for c in candidates if not (_is_one_step(c) and c.stage.cost > _WORSE_FIT * _least(costs, c))]
-
-
-def _is_one_step(candidate: Candidate) -> bool:
-    return candidate.linear is not None and candidate.linear.name == "ARX" and not candidate.moved
-
-
-def _least(costs: Sequence[tuple[int, float]], candidate: Candidate) -> float:
-    return min((cost for size, cost in costs if size <= candidate.stage.body.size), default=np.inf)
