@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.places import SOURCE
-from flysid.cli.source import flight_options, opened_flights, reading_options
+from flysid.cli.source import opened_flights, plot_options, reading_options
 
 if TYPE_CHECKING:
     from flysid.cli.source import Words
@@ -25,7 +25,7 @@ PAIRS = ("attitude", "rate", "velocity")
 @click.command("plot")
 @click.argument("source", type=SOURCE)
 @click.argument("fields", nargs=-1, metavar="STREAM.FIELD...")
-@flight_options
+@plot_options
 @click.option("--pair", type=click.Choice(PAIRS), help="Setpoint and measurement together.")
 @click.option("-r", "--recipe", default="", help="The channels of this recipe instead of fields.")
 @click.option(
@@ -55,7 +55,10 @@ def command(
     \b
     flysid plot flight.bin ATT.DesRoll,ATT.Roll 'RCOU.C*'
     flysid plot data --flight 0042 --pair attitude -o roll.png
+    flysid plot flight.bin --pair attitude --between 2:00..3:30 --mode LOITER
     """
+    from dataclasses import replace
+
     from flysid.cli.output import check_target
     from flysid.errors import UsageError
     from flysid.ingest.lake.selection import select
@@ -67,8 +70,10 @@ def command(
     if not term:
         check_target(target, force)
     with opened_flights(source, told) as lake:
+        shown = replace(selection.stretches, mishaps=True)  # a crash is what people look for
         timelines = [
-            lay_out(log, choose_curves(log, fields, pair, recipe)) for log in select(lake, selection).logs
+            lay_out(log, choose_curves(log, fields, pair, recipe), shown.allowed(log))
+            for log in select(lake, replace(selection, stretches=shown)).logs
         ]
     if term:
         from flysid.validate.flightplot import flights_as_text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
@@ -114,15 +114,20 @@ def reading_options(function: F) -> F:
 
 def flight_options(function: F) -> F:
     """Adds --flight, --exclude, --vehicle and --pool; the verb takes them as one `selection`."""
-    return _selecting(function, stretches=False)
+    return _selecting(function)
+
+
+def plot_options(function: F) -> F:
+    """As `flight_options`, and --between and --mode: a picture shows mishaps."""
+    return _selecting(function, _STRETCHES)
 
 
 def selection_options(function: F) -> F:
     """As `flight_options`, and --between, --mode and --keep-mishaps."""
-    return _selecting(function, stretches=True)
+    return _selecting(function, (_MISHAPS, *_STRETCHES))
 
 
-def _selecting(function: F, stretches: bool) -> F:
+def _selecting(function: F, more: Sequence[Callable[[Any], Any]] = ()) -> F:
     @wraps(function)
     def verb(
         *args: Any,
@@ -142,7 +147,7 @@ def _selecting(function: F, stretches: bool) -> F:
         return function(*args, selection=Selection(only_flights, exclude, vehicle, pool, parts), **options)
 
     decorated: Any = verb
-    for option in (*(_STRETCHES if stretches else ()), *_FLIGHTS):
+    for option in (*more, *_FLIGHTS):
         decorated = option(decorated)
     chosen: F = decorated
     return chosen
@@ -174,13 +179,13 @@ _FLIGHTS = (
         help="This flight alone, by its id or the beginning of it; may be repeated.",
     ),
 )
+_MISHAPS = click.option(
+    "--keep-mishaps",
+    "mishaps",
+    is_flag=True,
+    help="Keep crashes, failsafes and losses of control, which are left out otherwise.",
+)
 _STRETCHES = (
-    click.option(
-        "--keep-mishaps",
-        "mishaps",
-        is_flag=True,
-        help="Keep crashes, failsafes and losses of control, which are left out otherwise.",
-    ),
     click.option(
         "--mode", "modes", multiple=True, metavar="MODE", help="In this flight mode alone; may be repeated."
     ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import pairwise
 
@@ -16,6 +16,7 @@ import pyarrow.compute as pc
 from flysid.dataset import FloatArray
 from flysid.errors import RecipeError, UsageError
 from flysid.flight import BOOT, RECEIVED, TIME, field_scale, field_unit
+from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import Recipe
 from flysid.ingest.align.resample import GAP_PERIODS, period_ns
 from flysid.ingest.align.signals import Log, Samples, load_signal
@@ -157,11 +158,24 @@ def find_fields(log: Log, patterns: Sequence[str]) -> list[tuple[str, str]]:
     return list(found)
 
 
-def lay_out(log: Log, panels: Sequence[Sequence[Curve]]) -> Timeline:
-    """Curves on one axis of time, with the modes, messages and parameter changes of the log."""
+def lay_out(log: Log, panels: Sequence[Sequence[Curve]], allowed: Allowed = Allowed()) -> Timeline:  # noqa: B008 - frozen
+    """Curves on one axis of time, with the modes, messages and parameter changes of the log.
+
+    Where `allowed` leaves out samples there is a gap; times are still those of the whole flight.
+
+    Raises
+    ------
+    UsageError : nothing of the curves lies in it.
+    """
+    if allowed.never:
+        raise UsageError(allowed.never[0], path=log.name, hint="leave out --mode, or name one of these")
     curves = [curve for panel in panels for curve in panel]
     offsets = _boot_offsets([curve.boots for curve in curves])
-    drawn = tuple(tuple(_trace(curve, offsets) for curve in panel) for panel in panels)
+    drawn = tuple(tuple(_trace(_kept(curve, allowed), offsets) for curve in panel) for panel in panels)
+    if curves and not any(len(trace.time_s) for panel in drawn for trace in panel):
+        raise UsageError(
+            "no sample lies in the time asked for", path=log.name, hint="see the whole flight first"
+        )
     end_s = max((float(t.time_s[-1]) for panel in drawn for t in panel if len(t.time_s)), default=0.0)
     return Timeline(log.name, drawn, *happenings(log, offsets, end_s))
 
@@ -260,6 +274,19 @@ def _boot_offsets(curves: Sequence[Boots]) -> dict[int, float]:
         offsets[boot] = start_s - firsts[boot] * 1e-9
         start_s += (lasts[boot] - firsts[boot]) * 1e-9
     return offsets
+
+
+def _kept(curve: Curve, allowed: Allowed) -> Curve:
+    """The samples that may be drawn."""
+    boots = dict(curve.boots)
+    for boot, spans in allowed.spans.items():
+        if boot in boots:
+            t_ns = boots[boot].t_ns
+            inside = np.zeros(len(t_ns), dtype=bool)
+            for start, end in spans:
+                inside |= (t_ns >= start) & (t_ns < end)
+            boots[boot] = Samples(t_ns[inside], boots[boot].x[inside])
+    return replace(curve, boots=boots)
 
 
 def _trace(curve: Curve, offsets: Mapping[int, float]) -> Trace:

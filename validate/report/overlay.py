@@ -131,9 +131,10 @@ def drawn(comparison: Comparison) -> list[tuple[str, str]]:
 
 
 def picked(comparison: Comparison) -> list[str]:
-    """The models that a reader may add to the interactive plot: all that are not drawn."""
+    """The models that a reader may add to the interactive plot: all that are not drawn, references last."""
     shown = {name for name, _ in drawn(comparison)}
-    return [name for name in comparison.fitted if name not in shown]
+    others = [name for name in comparison.fitted if name not in shown]
+    return sorted(others, key=lambda name: comparison.models[name].reference)
 
 
 def buttons(comparison: Comparison, pieces: Sequence[Strip], output: int) -> tuple[tuple[str, str], ...]:

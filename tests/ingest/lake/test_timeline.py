@@ -8,9 +8,11 @@ import pytest
 
 from flysid.errors import UsageError
 from flysid.flight import Flight, Source, field_metadata
+from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import parse_recipe
 from flysid.ingest.align.signals import FlightLog
 from flysid.ingest.lake.events import events
+from flysid.ingest.lake.stretches import Stretches
 from flysid.ingest.lake.timeline import find_fields, lay_out, read_channels, read_fields
 
 SECOND = 1_000_000_000
@@ -134,3 +136,22 @@ def test_channels_put_what_was_asked_for_beside_what_came() -> None:
     [panel] = read_channels(flight(ATT=ATT), recipe)
     assert [c.name for c in panel] == ["roll_in", "roll"]
     np.testing.assert_allclose(panel[0].boots[0].x, np.degrees(np.cos(T)))
+
+
+def test_a_stretch_keeps_the_times_of_the_whole_flight() -> None:
+    log = flight(ATT=ATT)
+    panels = read_fields(log, ["ATT.Roll"])
+    [[whole]] = lay_out(log, panels).panels
+    half = (T[0] + T[-1]) / 2.0
+    [[part]] = lay_out(log, panels, Allowed({0: [(round(half * SECOND), round(1e6 * SECOND))]})).panels
+    assert 0.4 < len(part.time_s) / len(whole.time_s) < 0.6
+    assert part.time_s[0] == pytest.approx(half - T[0], abs=0.1)
+    assert part.time_s[-1] == whole.time_s[-1]
+    with pytest.raises(UsageError, match="no sample lies in the time asked for"):
+        lay_out(log, panels, Allowed({0: [(0, 0)]}))
+
+
+def test_a_mode_that_was_not_flown_is_said() -> None:
+    log = flight(ATT=ATT)
+    with pytest.raises(UsageError, match="mode LOITER never holds"):
+        lay_out(log, read_fields(log, ["ATT.Roll"]), Stretches(modes=("LOITER",)).allowed(log))
