@@ -173,8 +173,11 @@ def lay_out(log: Log, panels: Sequence[Sequence[Curve]], allowed: Allowed = Allo
     offsets = _boot_offsets([curve.boots for curve in curves])
     drawn = tuple(tuple(_trace(_kept(curve, allowed), offsets) for curve in panel) for panel in panels)
     if curves and not any(len(trace.time_s) for panel in drawn for trace in panel):
+        ends = [s.t_ns[-1] * 1e-9 + offsets[b] for c in curves for b, s in c.boots.items() if len(s.t_ns)]
         raise UsageError(
-            "no sample lies in the time asked for", path=log.name, hint="see the whole flight first"
+            "no sample lies in the time asked for",
+            path=log.name,
+            hint=f"these fields were logged for {max(ends, default=0.0):.0f} s",
         )
     end_s = max((float(t.time_s[-1]) for panel in drawn for t in panel if len(t.time_s)), default=0.0)
     return Timeline(log.name, drawn, *happenings(log, offsets, end_s))
