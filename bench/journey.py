@@ -1,6 +1,6 @@
 """The first hour: from a log in hand to a verdict and a file for others, command by command.
 
-`python -m bench.journey [--logs DIR] [-o FILE]`: for .bin, .ulg, .tlog, .mcap, .csv and .bbl, each in an empty
+`python -m bench.journey [--logs DIR] [-o FILE]`: for .bin, .ulg, .tlog, .mcap, .csv and .bbl, each in a new
 folder of its own: doctor, plot, recipes, suggest, fit, page, export. A table says of
 every command its exit code, its wall and CPU time, and when its first line came. Logs are simulated; a
 blackbox, which cannot be, is the smallest real one below DIR/blackbox that a fit can use. What the commands
