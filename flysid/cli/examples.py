@@ -18,11 +18,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "flysid fit data --recipe ardupilot-attitude -o run",
         "flysid fit flight.bin -r ardupilot-attitude --between 2:00..6:30 --mode LOITER -o run",
     ),
-    "fleet": (
-        "flysid fleet ls s3://lake --vehicle v017",
-        "flysid fleet check s3://lake --repair",
-        "flysid fleet changed data -r px4-effort",
-    ),
+    "fleet": ("flysid fleet ls s3://lake --vehicle v017", "flysid fleet changed s3://lake -r px4-effort"),
     "fly": (
         "flysid fly design --vehicles 100 --wind 4 -o trials.html",
         "flysid fly design --mass 1..1.4 --json",
