@@ -45,6 +45,12 @@ def free_port() -> int:
             return port
 
 
+def _ending_with_parent() -> list[str]:
+    """What goes before a command so that a test that is killed leaves no server, where the system can."""
+    setpriv = shutil.which("setpriv")
+    return [setpriv, "--pdeathsig", "KILL", "--"] if setpriv else []
+
+
 @dataclass
 class S3Server:
     """A server that can be killed and started again at the same place."""
@@ -74,7 +80,8 @@ class S3Server:
     def start(self, timeout_s: float = 60.0) -> None:
         """Start it and wait until it answers."""
         with self.log.open("ab") as log:
-            self.process = subprocess.Popen(self.command, stdout=log, stderr=log, start_new_session=True)
+            command = [*_ending_with_parent(), *self.command]
+            self.process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
         end = time.monotonic() + timeout_s
         while time.monotonic() < end:
             if self.process.poll() is not None:

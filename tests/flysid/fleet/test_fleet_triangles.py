@@ -135,7 +135,7 @@ def test_a_fleet_that_strays_further_is_believed_less() -> None:
     rng = np.random.default_rng(1)
     even = rng.chisquare(6, 100)
     uneven = even / rng.chisquare(4, 100) * 4.0
-    assert tail_of(even, 6, 200).p_value(30.0, 6) < 1e-3
-    assert tail_of(uneven, 6, 200).p_value(30.0, 6) > 5e-3
-    assert tail_of(uneven[:18], 6, 200) == tail_of([], 6, 200)  # too few to tell: Hotelling's
-    assert tail_of(0.1 * even, 6, 200).scale >= tail_of([], 6, 200).scale  # never believed more
+    assert tail_of(even.tolist(), 6, 200).p_value(30.0, 6) < 1e-3
+    assert tail_of(uneven.tolist(), 6, 200).p_value(30.0, 6) > 5e-3
+    assert tail_of(uneven[:18].tolist(), 6, 200) == tail_of([], 6, 200)  # too few to tell: Hotelling's
+    assert tail_of((0.1 * even).tolist(), 6, 200).scale >= tail_of([], 6, 200).scale  # never believed more
