@@ -27,7 +27,8 @@ from flysid.model.transfer_function import FittedTF
 from tests.flysid.export.compiled import WARNINGS, gcc, needs_gcc, run_in_c, write_c
 from tests.model_examples import EXAMPLES
 
-EXPORTED = [name for name in EXAMPLES if not name.startswith("ensemble")]
+REFUSED = ("ensemble", "multirotor")  # neither is a recursion with constant coefficients
+EXPORTED = [name for name in EXAMPLES if not name.startswith(REFUSED)]
 OF_RULES = [name for name in EXPORTED if name.startswith("ts")]
 
 
@@ -215,9 +216,10 @@ def test_another_rate_is_for_transfer_functions() -> None:
 # -- refusals --------------------------------------------------------------------------------------------
 
 
-def test_an_ensemble_is_refused_with_what_to_do() -> None:
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_has_no_recursion_to_write_is_refused_with_what_to_do(name: str) -> None:
     with pytest.raises(UsageError, match="cannot be exported"):
-        program_of(example("ensemble"))
+        program_of(example(name))
 
 
 def _in_lags(model: FittedLinear) -> object:
