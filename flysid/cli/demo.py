@@ -34,7 +34,7 @@ MARKER = ".flysid-demo"
 LOOK_AT = (
     "In the report, look at",
     "  the cards: what was measured, and both models, over the ten seconds in which they differ most",
-    "  the interval below each change: where it holds zero, these flights do not tell",
+    "  the interval below each change: where it contains zero, these flights cannot tell the models apart",
     "  'Before you rely on this': what would make the models wrong on your next flight",
     "  the rules of longitudinal: what a degree of tilt is worth forwards and backwards, in words",
 )
