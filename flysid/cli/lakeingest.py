@@ -16,7 +16,7 @@ from flysid.cli.display import Display
 from flysid.cli.lakeoptions import LakeOptions
 from flysid.cli.output import cores, duration, printable, say
 from flysid.errors import FlysidError, PlaceError, UsageError
-from flysid.showing import counted
+from flysid.showing import counted, first_of
 
 if TYPE_CHECKING:
     from flysid.fleet.ingest import Engine, Sorted
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from flysid.ingest.lake.workers import Bounds
 
 SHOWN = 5
-TRY_AGAIN = 75
 LOOPBACK = re.compile(r"tcp://(127\.|localhost|\[::1\])")
 
 
@@ -152,9 +151,8 @@ def summarise(found: Sorted, outcomes: Sequence[Outcome], quiet: bool) -> None:
     if found.quarantined:
         say(f"{counted(found.quarantined, 'log')} in quarantine since before: --retry reads them", quiet)
     if found.passed_over:
-        names = ", ".join(name.rpartition("/")[2] for name in found.passed_over[:SHOWN])
-        more = f" and {len(found.passed_over) - SHOWN:,} more" if len(found.passed_over) > SHOWN else ""
-        say(f"passed over, no logs by their names: {names}{more}", quiet)
+        names = [name.rpartition("/")[2] for name in found.passed_over]
+        say(f"passed over, no logs by their names: {first_of(names, SHOWN)}", quiet)
     lossy = sum(o.status == "ingested" and o.facts is not None and o.facts.lossy for o in outcomes)
     if lossy:
         say(f"{counted(lossy, 'log')} lost something: 'flysid show LAKE FLIGHT' says what", quiet)
@@ -166,7 +164,7 @@ def summarise(found: Sorted, outcomes: Sequence[Outcome], quiet: bool) -> None:
 def exit_code(outcomes: Sequence[Outcome]) -> int:
     """75 where a log waits, 1 where none could be read, 3 where one cannot, or lost something, else 0."""
     if any(outcome.status == "waiting" for outcome in outcomes):
-        return TRY_AGAIN
+        return PlaceError.exit_code
     bad = sum(outcome.status == "quarantined" for outcome in outcomes)
     if bad and bad == len(outcomes):
         return FlysidError.exit_code

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from flysid.errors import UsageError
-from flysid.showing import counted
+from flysid.showing import counted, first_of
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.finding import PassedOver
@@ -47,13 +47,8 @@ def say_passed_over(files: Sequence[PassedOver], quiet: bool) -> None:
     kinds: dict[str, list[str]] = {}
     for file in files:
         kinds.setdefault(file.kind, []).append(file.path.name)
-    told = [f"{kind} ({len(names)}): {_some(names)}" for kind, names in kinds.items()]
+    told = [f"{kind} ({len(names)}): {first_of(names, NAMES_SHOWN)}" for kind, names in kinds.items()]
     say(f"passed over, {counted(len(files), 'file')} that are no logs: {'; '.join(told)}", quiet)
-
-
-def _some(names: Sequence[str]) -> str:
-    rest = len(names) - NAMES_SHOWN
-    return ", ".join(names[:NAMES_SHOWN]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def duration(seconds: float) -> str:

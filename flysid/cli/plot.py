@@ -12,6 +12,7 @@ import click
 
 from flysid.cli.places import SOURCE
 from flysid.cli.source import opened_flights, plot_options, reading_options
+from flysid.showing import first_of
 
 if TYPE_CHECKING:
     from flysid.cli.source import Words
@@ -80,9 +81,7 @@ def command(
 
         click.echo(flights_as_text(timelines, shutil.get_terminal_size().columns))
         return
-    title = ", ".join(t.name for t in timelines[:3]) + (
-        f" and {len(timelines) - 3} more" if len(timelines) > 3 else ""
-    )
+    title = first_of([t.name for t in timelines], 3)
     if target.suffix.lower() in (".html", ".htm"):
         from flysid.validate.report.flight_page import render_flights
         from flysid.validate.report.html import write_page

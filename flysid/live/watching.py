@@ -184,10 +184,13 @@ class ChannelWatch:
             return
         self._next_level = self._seen + max(1, round(LEVEL_EVERY_S / self.model.dt_s))
         clean = self._clean >= self._keep
-        free = run_at_end(self.model, self._u, self._y)
-        if self.trace is not None:
-            self.trace.add_run(free)
-        level = level_at_end(self.model, self._y, free)[0] if clean else np.zeros(len(self._outputs))
+        level = np.zeros(len(self._outputs))
+        if clean or self.trace is not None:
+            free = run_at_end(self.model, self._u, self._y)
+            if self.trace is not None:
+                self.trace.add_run(free)
+            if clean:
+                level = level_at_end(self.model, self._y, free)[0]
         for j, output in enumerate(self._outputs):
             output.level = float(level[j])
 

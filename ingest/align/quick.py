@@ -20,6 +20,7 @@ from flysid.ingest.align.recipe import ChannelSpec, Recipe, SignalSpec, Source, 
 from flysid.ingest.align.signals import FlightLog, Log
 from flysid.ingest.formats.common.units import is_known
 from flysid.ingest.formats.registry import read
+from flysid.showing import first_of
 
 _ELEMENT = re.compile(r"^(.+?)(\[\d+\])?$")
 _PLAIN = re.compile(r"[^A-Za-z0-9_]+")
@@ -99,7 +100,7 @@ def quick_recipe(
     if not inputs or not outputs:
         raise RecipeError(
             "nothing says what to identify",
-            hint=f"--from FIELD --to FIELD, or --recipe; fields: {_shown(_fields(logs))}",
+            hint=f"--from FIELD --to FIELD, or --recipe; fields: {first_of(_fields(logs), SHOWN)}",
         )
     words = [*inputs, *outputs]
     places = {word: find_field(logs, word) for word in words}
@@ -155,7 +156,7 @@ def find_field(logs: Sequence[Log], word: str) -> Place:
             return found[0]
     known = _fields(logs)
     near = difflib.get_close_matches(word, [*known, *(k.rpartition(".")[2] for k in known)], n=3)
-    hint = ", ".join(dict.fromkeys(near)) or f"fields: {_shown(known)}"
+    hint = ", ".join(dict.fromkeys(near)) or f"fields: {first_of(known, SHOWN)}"
     raise RecipeError(f"no log has a field {word!r}", hint=hint)
 
 
@@ -180,10 +181,6 @@ def _readings(stream: str, word: str) -> list[str]:
 
 def _fields(logs: Sequence[Log]) -> list[str]:
     return [f"{s}.{c}" for log in logs[:1] for s in log.rows for c in log.columns(s) if c not in _OWN]
-
-
-def _shown(fields: Sequence[str]) -> str:
-    return ", ".join(fields[:SHOWN]) + (f" and {len(fields) - SHOWN} more" if len(fields) > SHOWN else "")
 
 
 def _distinct(places: Sequence[Place]) -> dict[Place, str]:

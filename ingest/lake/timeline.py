@@ -22,6 +22,7 @@ from flysid.ingest.align.resample import GAP_PERIODS, period_ns
 from flysid.ingest.align.signals import Log, Samples, load_signal
 from flysid.ingest.lake.events import events
 from flysid.ingest.lake.ranges import is_number
+from flysid.showing import first_of
 
 _OWN = (TIME, BOOT, RECEIVED)
 SHOWN = 8  # names in a hint
@@ -230,8 +231,7 @@ def _nothing(pattern: str, log: Log) -> UsageError:
     streams = list(dict.fromkeys(name.partition(".")[0] for name in names))
     inside = [n for n in names if n.partition(".")[0] == pattern.partition(".")[0]]
     near = inside or difflib.get_close_matches(pattern, [*names, *streams], n=5, cutoff=0.4) or streams
-    more = f" and {len(near) - SHOWN} more" if len(near) > SHOWN else ""
-    return UsageError(f"no number {pattern!r} in the log", path=log.name, hint=", ".join(near[:SHOWN]) + more)
+    return UsageError(f"no number {pattern!r} in the log", path=log.name, hint=first_of(near, SHOWN))
 
 
 def _column(field: str) -> str:

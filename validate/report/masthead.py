@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from flysid.catalogue import FlightFacts
+from flysid.showing import first_of
 from flysid.validate.report.narrative import duration
 from flysid.validate.words import one_line
 
@@ -18,11 +19,10 @@ def masthead(flights: Sequence[FlightFacts], rates_hz: Sequence[float]) -> list[
     if not flights:
         return []
     names = [one_line(f.log) for f in flights]
-    more = f" and {len(names) - NAMES_SHOWN} more" if len(names) > NAMES_SHOWN else ""
     count = f"{len(names)} log{'s' if len(names) > 1 else ''}"
     vehicle = _all(flights, ("vehicle", "autopilot"))
     facts = [
-        f"{count}: {', '.join(names[:NAMES_SHOWN])}{more}",
+        f"{count}: {first_of(names, NAMES_SHOWN)}",
         vehicle,
         _all(flights, FIRMWARE),
         dates([f.start_utc_ns for f in flights if f.start_utc_ns is not None]),

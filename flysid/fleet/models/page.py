@@ -13,6 +13,7 @@ from markupsafe import Markup
 from flysid.fleet.models.changed import Comparison
 from flysid.fleet.models.differences import Judged, Test
 from flysid.fleet.models.words import Finding, date_of
+from flysid.showing import first_of
 from flysid.validate.report.html import environment, load_asset, security_policy, write_page
 from flysid.validate.report.masthead import dates
 from flysid.validate.report.narrative import duration
@@ -104,7 +105,7 @@ def _masthead(compared: Comparison) -> list[str]:
         f"{len(flights)} flights",
         f"{duration(sum(f.duration_s for f in flights))} in all",
         dates([f.start_utc_ns for f in flights if f.start_utc_ns is not None]),
-        f"firmware {_some(firmwares)}" if firmwares else "",
+        f"firmware {first_of(firmwares, SHOWN)}" if firmwares else "",
     ]
     return [one_line(fact) for fact in facts if fact]
 
@@ -194,7 +195,9 @@ def _unseen(compared: Comparison) -> list[tuple[str, str]]:
     for why, vehicles in reasons.items():
         count = len(vehicles)
         what = (
-            f"{count} vehicles: {_some(sorted(vehicles))}" if count > 1 else f"Vehicle {next(iter(vehicles))}"
+            f"{count} vehicles: {first_of(sorted(vehicles), SHOWN)}"
+            if count > 1
+            else f"Vehicle {next(iter(vehicles))}"
         )
         channels = sorted({c for own in vehicles.values() for c in own})
         whom = "themselves" if count > 1 else "itself"
@@ -202,8 +205,3 @@ def _unseen(compared: Comparison) -> list[tuple[str, str]]:
     if not any(t.question == "unlike" for j in compared.channels for t in j.tests):
         told.append(("The fleet", "too few vehicles to say which of them is unlike the others"))
     return told
-
-
-def _some(names: Sequence[str]) -> str:
-    rest = len(names) - SHOWN
-    return ", ".join(names[:SHOWN]) + (f" and {rest} more" if rest > 0 else "")

@@ -1,7 +1,7 @@
 // Explain: any second of a held-out flight, which rules spoke, and the models flown on an input that the mouse moves.
 import { get } from "./api.js";
 import { freeRun } from "./freerun.js";
-import { colour, el, go, guarded, plain } from "./page.js";
+import { colour, el, go, guarded, plain, swatch } from "./page.js";
 
 const COLOURS = ["c1", "c0"];
 
@@ -136,12 +136,6 @@ function show(view, run, channel, segment, data) {
     });
   }
   tell(t[worst]);
-}
-
-function swatch(name) {
-  const span = el("span", { class: "swatch" });
-  span.style.background = "var(--" + name + ")";
-  return span;
 }
 
 function worstSecond(data, label) { // row, after the start, of the second with the largest squared error

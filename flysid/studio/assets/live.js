@@ -1,6 +1,7 @@
 // Live: links and the file, measurement beside the model as it comes, alarms with their reasons.
 import { address, get } from "./api.js";
-import { clock, colour, complain, el, plain, size } from "./page.js";
+import { clock, colour, complain, el, plain, size, swatch } from "./page.js";
+import { axes } from "./plots.js";
 
 const KEPT_S = 600, LEAST_S = 2;
 
@@ -17,7 +18,7 @@ export async function showLive(main) {
     el("div", { class: "tools" }, follow,
       el("button", { onclick: () => look(view.span / 1.5) }, "Shorter"), el("button", { onclick: () => look(view.span * 1.5) }, "Longer"), shown),
     charts.length
-      ? el("p", { class: "hint" }, key("ink"), " measured ", key("c0"), " expected one step ahead ", key("c1"),
+      ? el("p", { class: "hint" }, swatch("ink"), " measured ", swatch("c0"), " expected one step ahead ", swatch("c1"),
         " free run, with the band that holds 99.5 % of nominal samples. Wheel or + and \u2212 change the window; arrows and drag look back.")
       : el("p", { class: "hint" }, "No model is watched. Start the studio with --watch RUN to see one beside the link."),
     charts.map((chart) => chart.box),
@@ -78,12 +79,6 @@ export async function showLive(main) {
 
 const row = (cells) => el("tr", {}, cells.map((text) => el("td", {}, text)));
 
-function key(name) {
-  const span = el("span", { class: "swatch" });
-  span.style.background = "var(--" + name + ")";
-  return span;
-}
-
 class Chart { // one output of a channel
   constructor(channel, output, j, view, changed) {
     Object.assign(this, { channel, output, j, view, changed });
@@ -128,16 +123,12 @@ class Chart { // one output of a channel
   width() { return Math.max(240, (this.box.parentElement || this.box).clientWidth - 44); }
 
   build() {
-    const ink = () => colour("dim"), grid = { stroke: () => colour("grid"), width: 1 };
     const line = (name, dash) => ({ stroke: () => colour(name), width: 1.4, dash, points: { show: false }, spanGaps: false });
     const edge = { stroke: "transparent", points: { show: false }, spanGaps: false };
     this.plot = new uPlot({
       width: this.width(), height: 190, legend: { show: false }, cursor: { sync: { key: "live" }, drag: { x: false, y: false } },
       scales: { x: { time: false, range: (u, min, max) => [min, max] }, y: { range: (u, min, max) => (min === null ? [0, 1] : uPlot.rangeNum(min, max, 0.1, true)) } },
-      axes: [
-        { stroke: ink, grid, ticks: { show: false }, size: 30, font: "12px system-ui", values: (u, values) => values.map((x) => plain(x)) },
-        { stroke: ink, grid, ticks: { show: false }, size: 64, font: "12px system-ui", values: (u, values) => values.map((x) => plain(x)) },
-      ],
+      axes: axes(),
       series: [{}, edge, edge, line("c1", [6, 4]), line("c0"), line("ink")],
       bands: [{ series: [2, 1], fill: () => colour("c1") + "2e" }],
       hooks: { drawClear: [(plot) => this.behind(plot)] },

@@ -37,6 +37,12 @@ export function colour(name) {
   return getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
 }
 
+export function swatch(name) { // a small square in one of the plots' colours
+  const span = el("span", { class: "swatch" });
+  span.style.background = "var(--" + name + ")";
+  return span;
+}
+
 // The address holds the whole state: "#/flights?f=...&p=..." is what a reload or a link brings back.
 export function address() {
   const [path, query] = location.hash.replace(/^#\/?/, "").split("?");

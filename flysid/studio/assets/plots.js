@@ -104,17 +104,13 @@ export class Plots {
     panel.head.append(el("button", { class: "close", "aria-label": "Remove this plot", onclick: () => this.remove(panel) }, "\u00d7"));
     panel.chart.setAttribute("aria-label", panel.names.map(shown).join(", ") + " over time");
     if (panel.plot) { panel.plot.destroy(); }
-    const ink = () => colour("dim"), grid = { stroke: () => colour("grid"), width: 1 };
     panel.plot = new uPlot({
       width: this.width(),
       height: 190,
       legend: { show: false },
       cursor: { sync: { key: "flight" }, drag: { x: true, y: false } },
       scales: { x: { time: false, range: (u, min, max) => [min, max] }, y: {} },
-      axes: [
-        { stroke: ink, grid, ticks: { show: false }, size: 30, font: "12px system-ui", values: (u, values) => values.map(plain) },
-        { stroke: ink, grid, ticks: { show: false }, size: 64, font: "12px system-ui", values: (u, values) => values.map(plain) },
-      ],
+      axes: axes(),
       series: [{}].concat(panel.names.map((name, i) => ({
         label: name, stroke: () => colour(COLOURS[i]), width: 1.3, points: { show: false }, spanGaps: false,
       }))),
@@ -277,6 +273,14 @@ export class Plots {
     }));
     if (this.told) { this.told(at); }
   }
+}
+
+export function axes() { // time below, values on the left
+  const axis = {
+    stroke: () => colour("dim"), grid: { stroke: () => colour("grid"), width: 1 }, ticks: { show: false },
+    font: "12px system-ui", values: (u, values) => values.map(plain),
+  };
+  return [{ ...axis, size: 30 }, { ...axis, size: 64 }];
 }
 
 export function shown(name) {

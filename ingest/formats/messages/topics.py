@@ -17,6 +17,7 @@ from flysid.ingest.formats.base import StreamPart
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.messages.channel import Channel
 from flysid.ingest.formats.messages.topic import ZERO_PAGE, Messages, Topic, log_clock
+from flysid.showing import first_of
 
 MAX_TOPICS = 5000
 NAMED = 8
@@ -55,7 +56,7 @@ class Topics:
         bare = sorted(topic.channel.topic for topic in topics if topic.is_unstamped)
         if not bare or not lags:
             return {}
-        names = ", ".join(bare[:NAMED]) + (f" and {len(bare) - NAMED} more" if len(bare) > NAMED else "")
+        names = first_of(bare, NAMED)
         ahead_s = float(np.median(lags)) * 1e-9
         text = (
             f"{names}: no stamp, on the time of recording, {ahead_s:.3f} s ahead of the other topics' stamps"
