@@ -31,7 +31,7 @@ from flysid.catalogue import FlightFacts
 from flysid.fleet import reading
 from flysid.fleet.cluster import Cluster, connected
 from flysid.fleet.compaction import compact, files_of
-from flysid.fleet.ingest import Threads, find, ingest
+from flysid.fleet.ingest_many import Threads, find, ingest
 from flysid.fleet.lakes import create_lake
 from flysid.fleet.reading import Log, Outcome, Settings
 from flysid.ingest.lake.batch import work_on

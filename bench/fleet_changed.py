@@ -18,9 +18,9 @@ import numpy as np
 import pyarrow as pa
 
 from flysid.fleet.models.changed import compare_parts
+from flysid.fleet.models.common_grid import Sampling, choose_sampling, spread
 from flysid.fleet.models.differences import Judged, Part
 from flysid.fleet.models.gather import PILOTS
-from flysid.fleet.models.sampling import Sampling, choose_sampling, spread
 from flysid.fleet.models.triangles import triangle_of
 from flysid.flight import BOOT, TIME, Flight, Source
 from flysid.ingest.align.align import align, segments_of

@@ -19,10 +19,10 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FlysidError
 from flysid.ingest.synth.manoeuvres import chirp
 from flysid.ingest.synth.plants import LOOPS
-from flysid.model.frequency.fit import fit_response
 from flysid.model.frequency.rational import Form, Rational, hold_response
 from flysid.model.frequency.response import measure_response
 from flysid.model.frequency.sampling import sampled
+from flysid.model.frequency.simulation_fit import fit_response
 from flysid.model.transfer_function import TF
 
 DT_S = 0.02

@@ -24,7 +24,7 @@ from flysid.model.armax import ARMAX
 from flysid.model.arx import ARX
 from flysid.model.bj import BJ
 from flysid.model.iv import IV
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.oe import OE
 
 ROWS = 1000

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from flysid.dataset import Dataset
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.pem_fit import ARMAX_NOISES, fit_prediction_error
 from flysid.model.linear.settings import Auto, PolynomialSettings
 from flysid.model.shared import fit_key, once

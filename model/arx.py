@@ -21,13 +21,13 @@ from flysid.errors import DataError, FitError, UsageError
 from flysid.model.freerun import Difference
 from flysid.model.gram import LeastSquares
 from flysid.model.linear.data import CHOICE_ROWS, Parts, Scaling, as_tuple, judging_window
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.linear.initial_state import equation_starts
 from flysid.model.linear.oe_search import SHARE, Refined, search
 from flysid.model.linear.orders import Choice, Grid, best_per_order, grid_triangle
 from flysid.model.linear.output_error import delay_steps, runner, widened
 from flysid.model.linear.settings import Auto, PolynomialSettings
 from flysid.model.linear.stability import settled
-from flysid.model.linear.start import equation_starts
 from flysid.model.selection import block_errors, clearly_better, simplest
 from flysid.model.shared import fit_key, once
 from flysid.model.stream import OnDisk, Source

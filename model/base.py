@@ -195,13 +195,13 @@ class Structure:
         return model
 
 
-_LINEAR = "flysid.model.linear.model:from_dict"
+_LINEAR = "flysid.model.linear.difference_equation:from_dict"
 STRUCTURES: Mapping[str, Structure] = {
     row.name: row
     for row in (
         *(Structure(name, _LINEAR, "reference") for name in ("mean", "persistence")),
         *(Structure(name, _LINEAR, "linear") for name in ("line", "arx", "fir", "iv", "oe", "armax", "bj")),
-        Structure("statespace", "flysid.model.subspace.model:from_dict", "linear"),
+        Structure("statespace", "flysid.model.subspace.fitted_model:from_dict", "linear"),
         Structure("tf", "flysid.model.transfer_function:from_dict", "linear"),
         Structure("static-ts", "flysid.model.static_ts:from_dict", "rules"),
         Structure("ts", "flysid.model.rules.fitted:from_dict", "rules"),

@@ -19,7 +19,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError, UsageError
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts, Scaling, as_tuple
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.orders import grid_gram
 from flysid.model.linear.settings import check_inputs
 from flysid.model.noise import noise_model

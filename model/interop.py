@@ -12,8 +12,8 @@ import numpy as np
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.model.freerun import Difference
-from flysid.model.linear.model import FittedLinear
-from flysid.model.subspace.model import FittedStateSpace, resting
+from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.subspace.fitted_model import FittedStateSpace, resting
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -26,8 +26,8 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.iv_orders import orders_by_reference, words_of
 from flysid.model.linear.data import CHOICE_ROWS, Parts, judging_window
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.iv_stages import Columns, Orders, fitted_by_iv, scaled_blocks
-from flysid.model.linear.model import FittedLinear
 from flysid.model.linear.oe_search import SHARE
 from flysid.model.linear.output_error import HIGHEST_ORDER, ORDER_LOSS, find_delays
 from flysid.model.linear.settings import PolynomialSettings

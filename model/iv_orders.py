@@ -13,8 +13,8 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, FitError
-from flysid.model.frequency.fit import response_bic
 from flysid.model.frequency.response import MeasuredResponse, measure_response
+from flysid.model.frequency.simulation_fit import response_bic
 from flysid.model.linear.data import Parts
 from flysid.model.linear.iv_stages import Columns, Orders, Path, driven_by, estimated_by_iv
 from flysid.model.linear.settings import PolynomialSettings

@@ -11,7 +11,7 @@ from flysid.dataset import Dataset
 from flysid.model.freerun import Difference
 from flysid.model.gram import reduce_data, solve
 from flysid.model.linear.data import Parts
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.regressors import Lags, chunks
 from flysid.model.threads import on_one_thread
 

@@ -10,7 +10,7 @@ import numpy as np
 from flysid.dataset import Dataset
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.stream import Source
 from flysid.model.threads import on_one_thread
 

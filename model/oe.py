@@ -15,7 +15,7 @@ from typing import ClassVar
 from flysid.dataset import Dataset
 from flysid.model.detrend import TRENDS
 from flysid.model.linear.data import Parts
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.oe_search import search
 from flysid.model.linear.settings import PolynomialSettings
 from flysid.model.shared import fit_key, once

@@ -23,9 +23,9 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import FitError
+from flysid.model.compiled_filters import differences, filtered, free_responses, is_stable
 from flysid.model.polynomials import free_basis, monic_basis, stabilised
 from flysid.model.refine import Refinement, levenberg_marquardt
-from flysid.model.signals import differences, filtered, free_responses, is_stable
 
 ONE = np.ones(1)
 

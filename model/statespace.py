@@ -25,9 +25,8 @@ from flysid.model.selection import block_errors
 from flysid.model.shared import fit_key, once
 from flysid.model.simulation_error import Orders
 from flysid.model.stream import Late, OnDisk, Source, delayed_inputs
-from flysid.model.subspace.model import FittedStateSpace
-from flysid.model.subspace.refine import SimulationError, mirrored
-from flysid.model.subspace.search import (
+from flysid.model.subspace.fitted_model import FittedStateSpace
+from flysid.model.subspace.order_search import (
     ORDER_WORTH,
     Choice,
     Projections,
@@ -36,6 +35,7 @@ from flysid.model.subspace.search import (
     mean_of,
     searched,
 )
+from flysid.model.subspace.refinement import SimulationError, mirrored
 from flysid.model.subspace.triangle import (
     METHODS,
     Method,

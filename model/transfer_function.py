@@ -25,12 +25,12 @@ from flysid.errors import UsageError
 from flysid.model.detrend import Trend, check_trend, detrended
 from flysid.model.frequency.assemble import OneTransfer, assembled, runner
 from flysid.model.frequency.continuous_transfer import ContinuousTransfer
+from flysid.model.frequency.initial_guess import Starts
 from flysid.model.frequency.rational import Hold, forms
 from flysid.model.frequency.response import METHODS, Method, split_references
-from flysid.model.frequency.start import Starts
 from flysid.model.linear.data import Parts, judging_window
-from flysid.model.linear.model import FittedLinear
-from flysid.model.linear.model import from_dict as linear_from_dict
+from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.linear.difference_equation import from_dict as linear_from_dict
 from flysid.model.linear.settings import check_hint, check_inputs
 from flysid.model.selection import block_errors, simplest
 from flysid.model.threads import on_one_thread

@@ -12,7 +12,7 @@ from typing import Literal
 
 from flysid.dataset import Dataset
 from flysid.model.base import Fitted
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.one_rule import linear_choice, linear_rivals
 from flysid.model.rules.contest import PARTS, Contest
 from flysid.model.rules.contest import contest as contest_of_rules
@@ -22,7 +22,7 @@ from flysid.model.rules.learning import SWEEP
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.rules.structure_choice import Refit, advantage, block_errors, unproven
 from flysid.model.shared import sharing
-from flysid.model.subspace.model import FittedStateSpace
+from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.threads import on_one_thread
 from flysid.model.ts import TS
 

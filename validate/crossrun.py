@@ -14,9 +14,9 @@ from typing import Any
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FlysidError, UsageError
+from flysid.ingest.lake.chosen_flights import Selection, require_one_vehicle
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
-from flysid.ingest.lake.selection import Selection, require_one_vehicle
 from flysid.model.base import Fitted, kind_of
 from flysid.progress import tell
 from flysid.split import Piece, Split, refuse_copies

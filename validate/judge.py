@@ -11,8 +11,8 @@ from typing import Any
 from flysid.catalogue import FlightFacts
 from flysid.errors import DataError, UsageError
 from flysid.files import replacing_folder, write_atomically
+from flysid.ingest.lake.chosen_flights import Selection
 from flysid.ingest.lake.lake import open as open_lake
-from flysid.ingest.lake.selection import Selection
 from flysid.progress import tell
 from flysid.validate.caution import Caution
 from flysid.validate.cautions import cautions

@@ -11,9 +11,9 @@ import numpy as np
 from flysid.dataset import Dataset, Segment
 from flysid.errors import DataError, UsageError
 from flysid.ingest.align.resample import FOREVER, Span, intersect
+from flysid.ingest.lake.chosen_flights import Selection, select
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
-from flysid.ingest.lake.selection import Selection, select
 from flysid.validate.run import HeldOut, Run
 
 

@@ -25,9 +25,9 @@ from flysid.datasetfile import DatasetFile, open_dataset
 from flysid.errors import StoreError, UsageError
 from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.align.recipe import Recipe, load_recipe
+from flysid.ingest.lake.chosen_flights import Selection
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
-from flysid.ingest.lake.selection import Selection
 from flysid.ingest.lake.stretches import Stretches
 from flysid.manifest import DATA_FILE
 from flysid.model.base import Fitted, load

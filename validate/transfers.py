@@ -19,7 +19,7 @@ from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.lake import Lake
 from flysid.model.detrend import Trend
 from flysid.model.feedback import Feedback, feedback
-from flysid.model.frequency.controller import controller_bands
+from flysid.model.frequency.controller_inverse import controller_bands
 from flysid.model.frequency.loop_figures import LoopFigure, broken_loop, command_figures, loop_figures
 from flysid.model.frequency.response import MeasuredResponse, measure_response, split_references
 from flysid.model.polynomials import Z95, ComplexArray

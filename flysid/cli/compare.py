@@ -13,7 +13,7 @@ from flysid.cli.source import given, selection_options
 from flysid.progress import part
 
 if TYPE_CHECKING:
-    from flysid.ingest.lake.selection import Selection
+    from flysid.ingest.lake.chosen_flights import Selection
 
 FOLDER = click.Path(path_type=Path)
 

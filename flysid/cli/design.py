@@ -85,8 +85,8 @@ def command(
     the plant, it says why, and what to fly (exit code 3 where a channel was refused). Nothing here was flown.
     """
     from flysid.design.designing import Wish, design_run
+    from flysid.design.drawn_plants import Spread
     from flysid.design.firmware import SAFETY
-    from flysid.design.plants import Spread
     from flysid.files import replacing_folder
     from flysid.validate.run import open_run
 

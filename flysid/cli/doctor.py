@@ -58,7 +58,7 @@ def command(
 
     Ends with 3 when something was lost or a log cannot be read, and with 1 when none can.
     """
-    from flysid.cli.places import here
+    from flysid.cli.addresses import here
     from flysid.ingest.formats.base import Limits
     from flysid.ingest.formats.opening import short_name
     from flysid.ingest.lake.finding import find_logs

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from flysid.cli.places import SOURCE
+from flysid.cli.addresses import SOURCE
 from flysid.cli.source import Words, opened_flights, reading_options
 from flysid.errors import UsageError
 
@@ -116,8 +116,8 @@ def export_flight(
 ) -> None:
     """Write the streams of one flight."""
     from flysid.cli.output import check_target
-    from flysid.ingest.lake.export import GRID, export_tables, gridded_table, physical_tables
-    from flysid.ingest.lake.selection import Selection, select
+    from flysid.ingest.lake.chosen_flights import Selection, select
+    from flysid.ingest.lake.flight_export import GRID, export_tables, gridded_table, physical_tables
 
     with opened_flights(source, told) as lake:
         logs = select(lake, Selection(flights=(flight,) if flight else ())).logs

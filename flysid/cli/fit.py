@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli import complete
+from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, cores, say
-from flysid.cli.places import SOURCE
 from flysid.cli.source import Words, is_log, lost_on_the_way, opened, selection_options, words_options
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
-    from flysid.ingest.lake.selection import Selection
+    from flysid.ingest.lake.chosen_flights import Selection
     from flysid.split import By
     from flysid.validate.run import ChannelRun, Run
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli import complete
+from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, cores, say
-from flysid.cli.places import SOURCE
 from flysid.errors import UsageError
 from flysid.showing import counted
 
@@ -93,7 +93,7 @@ def command(
     check_target(target, force or (output is None and (target / DOCUMENT).is_file()))
     from flysid.files import write_atomically, writing_to
     from flysid.fleet.models.changed import compare
-    from flysid.fleet.models.page import headline, write_fleet_page
+    from flysid.fleet.models.changed_page import headline, write_fleet_page
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.lake import open as open_lake
 
@@ -135,7 +135,7 @@ def gathered_of(
 ) -> Gathered:
     """The fleet's triangles; says how many flights were read for them."""
     from flysid.fleet.models.gather import gather
-    from flysid.fleet.models.store import Folder
+    from flysid.fleet.models.triangle_store import Folder
 
     found = gather(lake, recipe, Folder(lake.folder), channels, rate_hz, jobs or cores())
     say(f"{counted(found.read, 'flight')} read, {len(lake) - found.read:,} known", quiet)
@@ -146,7 +146,7 @@ def gathered_of(
 
 def _reports(runs: Path, vehicles: list[str]) -> dict[str, Path]:
     """The pages of the vehicles' own runs, where they are."""
-    from flysid.fleet.models.fitting import folder_of
+    from flysid.fleet.models.group_models import folder_of
 
     pages = {v: runs / folder_of(v) / "report" / PAGE for v in vehicles}
     return {v: page for v, page in pages.items() if page.is_file()}

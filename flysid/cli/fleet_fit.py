@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli import complete
+from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
 from flysid.cli.fleet_changed import gathered_of
 from flysid.cli.output import aligned, check_target, cores, say
-from flysid.cli.places import SOURCE
 from flysid.showing import counted
 
 if TYPE_CHECKING:
-    from flysid.fleet.models.fitting import FleetFit
+    from flysid.fleet.models.group_models import FleetFit
     from flysid.ingest.lake.lake import Lake
 
 MODELS = "fleet.json"
@@ -70,7 +70,7 @@ def command(
     elif ts:
         raise click.UsageError("--ts makes run folders: -o says where")
     from flysid.files import write_atomically, writing_to
-    from flysid.fleet.models.fitting import fit_groups
+    from flysid.fleet.models.group_models import fit_groups
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.lake import open as open_lake
 
@@ -135,8 +135,8 @@ def run_vehicles(
     quiet: bool,
 ) -> int:
     """A run folder for each vehicle; returns how many there could not be."""
-    from flysid.fleet.models.fitting import fit_vehicles, folder_of
-    from flysid.ingest.lake.selection import vehicles
+    from flysid.fleet.models.group_models import fit_vehicles, folder_of
+    from flysid.ingest.lake.chosen_flights import vehicles
     from flysid.validate.run import FitSettings
 
     labels = tuple(label for label in models.replace(" ", "").lower().split(",") if label)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
+from flysid.cli.addresses import SOURCE
 from flysid.cli.output import check_target, printable, say
-from flysid.cli.places import SOURCE
 from flysid.cli.source import Words, opened_flights, reading_options
 
 
@@ -42,7 +42,7 @@ def command(
     what the log recorded, it says so, and what to fly (exit code 3 where nothing is known of any axis). It
     proposes no gains.
     """
-    from flysid.ingest.lake.selection import Selection, select
+    from flysid.ingest.lake.chosen_flights import Selection, select
     from flysid.loops.judged import CAUTION, judge
 
     if plot is not None:

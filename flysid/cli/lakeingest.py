@@ -19,7 +19,7 @@ from flysid.errors import FlysidError, PlaceError, UsageError
 from flysid.showing import counted, first_of
 
 if TYPE_CHECKING:
-    from flysid.fleet.ingest import Engine, Sorted
+    from flysid.fleet.ingest_many import Engine, Sorted
     from flysid.fleet.reading import Outcome
     from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.workers import Bounds
@@ -80,7 +80,7 @@ def ingest_to_lake(
 
 def found_logs(logs: Sequence[str], lake: str, options: LakeOptions, force: bool) -> Sorted:
     """The logs to read."""
-    from flysid.fleet.ingest import find
+    from flysid.fleet.ingest_many import find
     from flysid.fleet.lakes import create_lake
 
     create_lake(lake)
@@ -96,7 +96,7 @@ def done(
     display: Display,
 ) -> list[Outcome]:
     """What became of every log that was read, by address."""
-    from flysid.fleet.ingest import ingest
+    from flysid.fleet.ingest_many import ingest
 
     outcomes: list[Outcome] = []
     with display.shown():
@@ -110,7 +110,7 @@ def done(
 def engine_for(options: LakeOptions, jobs: int, quiet: bool) -> Iterator[Engine]:
     """Threads here; a Dask cluster where one is asked for."""
     if not options.cluster and not options.workers:
-        from flysid.fleet.ingest import Threads
+        from flysid.fleet.ingest_many import Threads
 
         yield Threads(jobs or cores())
         return

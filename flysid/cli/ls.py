@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import aligned
-from flysid.cli.places import SOURCE
 from flysid.cli.source import opened_flights, selection_options
 
 if TYPE_CHECKING:
     from flysid.catalogue import FlightFacts
-    from flysid.ingest.lake.selection import Selection
+    from flysid.ingest.lake.chosen_flights import Selection
 
 HEADINGS = ("FLIGHT", "FORMAT", "VEHICLE", "TIME", "STREAMS", "RECORDS", "LOST")
 
@@ -43,8 +43,8 @@ def command(
     if suggest:
         _suggest(data, selection, display, as_json, every)
         return
+    from flysid.ingest.lake.chosen_flights import select
     from flysid.ingest.lake.lake import open as open_lake
-    from flysid.ingest.lake.selection import select
 
     flights = select(open_lake(data), selection).facts
     if as_json:
@@ -54,8 +54,8 @@ def command(
 
 
 def _suggest(data: Path, selection: Selection, display: Display, as_json: bool, every: bool) -> None:
-    from flysid.cli.suggest import print_suggestions
-    from flysid.ingest.lake.selection import select
+    from flysid.cli.suggestions import print_suggestions
+    from flysid.ingest.lake.chosen_flights import select
 
     with display.shown(), opened_flights(data) as whole:
         lake = select(whole, selection)

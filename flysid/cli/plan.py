@@ -14,7 +14,7 @@ from flysid.cli.source import Words, opened, selection_options, words_options
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
-    from flysid.ingest.lake.selection import Selection
+    from flysid.ingest.lake.chosen_flights import Selection
     from flysid.plan.flightplan import Axis, FlightPlan
     from flysid.plan.precision import Known
 

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli.places import SOURCE
+from flysid.cli.addresses import SOURCE
 from flysid.cli.source import opened_flights, plot_options, reading_options
 from flysid.showing import first_of
 
 if TYPE_CHECKING:
     from flysid.cli.source import Words
+    from flysid.ingest.lake.chosen_flights import Selection
     from flysid.ingest.lake.lake import StoredLog
-    from flysid.ingest.lake.selection import Selection
     from flysid.ingest.lake.timeline import Curve
 
 PAIRS = ("attitude", "rate", "velocity")
@@ -62,7 +62,7 @@ def command(
 
     from flysid.cli.output import check_target
     from flysid.errors import UsageError
-    from flysid.ingest.lake.selection import select
+    from flysid.ingest.lake.chosen_flights import select
     from flysid.ingest.lake.timeline import lay_out
 
     if sum(map(bool, (fields, pair, recipe))) > 1:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli import complete
-from flysid.cli.places import SOURCE
+from flysid.cli.addresses import SOURCE
 
 if TYPE_CHECKING:
     from flysid.ingest.align.recipe import Recipe, Source

@@ -61,9 +61,9 @@ def command(
     FILE.rejects keeps the first bytes that are no frame. The key may also stand in FLYSID_SIGNING_KEY.
     Ends with 5 when the disk refused, with 3 when this host dropped something.
     """
-    from flysid.live.parts import parse_rotation
     from flysid.live.receiving import warm_up
     from flysid.live.recording import Recording
+    from flysid.live.recording_parts import parse_rotation
     from flysid.live.signing import Guard, load_key
 
     rotation = parse_rotation(rotate)

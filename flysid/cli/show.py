@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from flysid.cli.addresses import SOURCE
 from flysid.cli.losses import losses
 from flysid.cli.ls import clock_text
 from flysid.cli.output import aligned, printable, say
-from flysid.cli.places import SOURCE
 from flysid.cli.source import Words, opened_flights, reading_options
 from flysid.errors import StoreError, UsageError
 from flysid.showing import counted
@@ -55,7 +55,7 @@ def command(
     flysid show flight.bin ATT
     flysid show data 0042 --params
     """
-    from flysid.ingest.lake.selection import Selection, select
+    from flysid.ingest.lake.chosen_flights import Selection, select
 
     if params + events + track > 1:
         raise UsageError("--params, --events and --track are one at a time", hint="run it once for each")

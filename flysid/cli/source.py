@@ -17,8 +17,8 @@ from flysid.cli import complete
 from flysid.errors import FormatError, RecipeError, UsageError
 
 if TYPE_CHECKING:
+    from flysid.ingest.lake.chosen_flights import Selection
     from flysid.ingest.lake.lake import Lake
-    from flysid.ingest.lake.selection import Selection
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -140,7 +140,7 @@ def _selecting(function: F, more: Sequence[Callable[[Any], Any]] = ()) -> F:
         mishaps: bool = False,
         **options: Any,
     ) -> Any:
-        from flysid.ingest.lake.selection import Selection
+        from flysid.ingest.lake.chosen_flights import Selection
         from flysid.ingest.lake.stretches import Stretches
 
         parts = Stretches(between, modes, mishaps)
@@ -217,8 +217,8 @@ def opened(
         raise UsageError("--recipe says what --from, --to and --dt would", hint="leave out one or the other")
     if data.is_dir():
         _refuse_reading_again(data, words)
+    from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
     from flysid.ingest.lake.lake import open as open_lake
-    from flysid.ingest.lake.selection import require_one_vehicle, select
 
     with TemporaryDirectory() as folder:
         target = place or Path(folder) / "data"

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import click
 
+from flysid.cli.addresses import SOURCE
 from flysid.cli.output import check_target, printable, say
-from flysid.cli.places import SOURCE
 from flysid.cli.source import Words, opened, selection_options, words_options
 
 if TYPE_CHECKING:
-    from flysid.ingest.lake.selection import Selection
+    from flysid.ingest.lake.chosen_flights import Selection
     from flysid.validate.steps import ChannelStep
 
 

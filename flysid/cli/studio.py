@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from flysid.cli.addresses import SOURCE
 from flysid.cli.output import say
-from flysid.cli.places import SOURCE
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def command(
         raise UsageError("the studio is not installed", hint='pip install "flysid[studio]"')
     if not links and (run is not None or output is not None):
         raise UsageError("--watch and -o belong to --live", hint="--live udp:0.0.0.0:14550")
-    from flysid.studio.places import open_workspace
+    from flysid.studio.folders import open_workspace
     from flysid.studio.serve import serve
 
     workspace = open_workspace(data, runs)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli import complete
+from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import aligned, check_target, say
-from flysid.cli.places import SOURCE
 from flysid.cli.source import Words, lost_on_the_way, opened, selection_options, words_options
 
 if TYPE_CHECKING:
-    from flysid.ingest.lake.selection import Selection
+    from flysid.ingest.lake.chosen_flights import Selection
     from flysid.validate.transfers import ChannelTransfers
 
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
+from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, chosen_form, comparison_forms, finish
-from flysid.cli.places import SOURCE
 from flysid.cli.source import given, selection_options
 from flysid.progress import part
 
 if TYPE_CHECKING:
-    from flysid.ingest.lake.selection import Selection
+    from flysid.ingest.lake.chosen_flights import Selection
 
 
 @click.command("validate")

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from flysid.cli.addresses import SOURCE
 from flysid.cli.output import printable, say
-from flysid.cli.places import SOURCE
 from flysid.errors import DataError, UsageError
 from flysid.showing import counted
 

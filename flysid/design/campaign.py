@@ -11,10 +11,10 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.design.designed import SAID, Axis
+from flysid.design.drawn_plants import grid
 from flysid.design.firmware import SCHEMES, Firmware
 from flysid.design.law import Gains, Parts
 from flysid.design.loopfigures import Laws, figures
-from flysid.design.plants import grid
 from flysid.design.trialflight import (
     AXES,
     PERIOD_S,

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from flysid.design.drawn_plants import PlantSet
 from flysid.design.firmware import SAFETY, parameter_file
+from flysid.design.gain_search import Bounds
 from flysid.design.law import TUNED, Gains, Parts
 from flysid.design.loopfigures import Laws, figures
-from flysid.design.plants import PlantSet
-from flysid.design.search import Bounds
 from flysid.errors import StoreError, UsageError
 
 FORMAT = "flysid-design"

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from flysid.design.designed import Axis, Design, Meaning
+from flysid.design.drawn_plants import PlantSet, Spread, plants_of
 from flysid.design.firmware import Firmware, firmware_for
+from flysid.design.gain_search import Bounds, Box, search
 from flysid.design.identified import Identified, identified
 from flysid.design.law import Gains
-from flysid.design.plants import PlantSet, Spread, plants_of
-from flysid.design.search import Bounds, Box, search
 from flysid.errors import DataError, UsageError
 from flysid.progress import tell
 from flysid.validate.run import HeldOut, Run, held_out

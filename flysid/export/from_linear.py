@@ -19,10 +19,10 @@ from flysid.dataset import FloatArray
 from flysid.export.from_rules import hidden_names
 from flysid.export.program import Program
 from flysid.model.freerun import Difference
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.rules.kernel import Lags
+from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.subspace.kalman import resting_state
-from flysid.model.subspace.model import FittedStateSpace
 
 _BOUND = 1e30  # of a state: far beyond any output's limits, finite in float32
 _NEGLIGIBLE = 1e-11  # of the largest Hankel singular value: what rounding leaves of a state that is not there

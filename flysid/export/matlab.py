@@ -10,8 +10,8 @@ from flysid.dataset import FloatArray
 from flysid.export.csource import identifier, rendered
 from flysid.export.program import Program
 from flysid.model.base import Fitted
-from flysid.model.linear.model import FittedLinear
-from flysid.model.subspace.model import FittedStateSpace
+from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.transfer_function import FittedTF
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from flysid.errors import UsageError
 from flysid.export.from_linear import linear_program, state_space_program
 from flysid.export.from_rules import program_of_rules, static_program
+from flysid.export.other_rate import resampled
 from flysid.export.program import Program
-from flysid.export.resample import resampled
 from flysid.model.base import Fitted
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.static_ts import FittedStaticTS
-from flysid.model.subspace.model import FittedStateSpace
+from flysid.model.subspace.fitted_model import FittedStateSpace
 
 
 def program_of(model: Fitted, rate_hz: float | None = None) -> Program:

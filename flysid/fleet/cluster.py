@@ -34,7 +34,7 @@ _CONFIG = {
 
 @dataclass(frozen=True)
 class Cluster:
-    """An engine of Dask's; see `flysid.fleet.ingest.Engine`."""
+    """An engine of Dask's; see `flysid.fleet.ingest_many.Engine`."""
 
     client: Any
     do: Callable[[Sequence[Log], Settings], list[Outcome]] = ingest_batch

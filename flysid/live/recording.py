@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from flysid.live.links import Link
-from flysid.live.parts import Parts, Rotation
 from flysid.live.receiving import Receiver
+from flysid.live.recording_parts import Parts, Rotation
 from flysid.live.signing import Guard
 from flysid.live.spool import Piece, Spool
 

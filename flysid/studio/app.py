@@ -25,10 +25,10 @@ from starlette.staticfiles import StaticFiles
 import flysid
 from flysid.errors import FlysidError, UsageError, WriteError
 from flysid.studio import commands, forms
+from flysid.studio.folders import NotThere, Workspace, is_name
 from flysid.studio.guard import Bounds, Guard, Key
 from flysid.studio.jobs import Job, Jobs
-from flysid.studio.live import Live, seen_by, stream
-from flysid.studio.places import NotThere, Workspace, is_name
+from flysid.studio.live_stream import Live, seen_by, stream
 
 if TYPE_CHECKING:
     from flysid.studio.channels import Recipes
@@ -232,13 +232,13 @@ class Studio:
         return StreamingResponse(stream(self.live, seen, self._leaving), media_type="text/event-stream")
 
     async def list_runs(self, request: Request) -> Response:
-        from flysid.studio.runs import list_runs
+        from flysid.studio.run_views import list_runs
 
         query_of(request, forms.Nothing)
         return answer(await run_in_threadpool(list_runs, self.workspace))
 
     async def describe_run(self, request: Request) -> Response:
-        from flysid.studio.runs import describe_run
+        from flysid.studio.run_views import describe_run
 
         query_of(request, forms.Nothing)
         return answer(await run_in_threadpool(describe_run, self.workspace, request.path_params["run"]))
@@ -251,13 +251,13 @@ class Studio:
         return answer(await run_in_threadpool(explain, self.workspace, run, asked))
 
     async def run_page(self, request: Request) -> Response:
-        from flysid.studio.runs import page_of
+        from flysid.studio.run_views import page_of
 
         query_of(request, forms.Nothing)
         return _page(page_of(self.workspace, request.path_params["run"]))
 
     async def model(self, request: Request) -> Response:
-        from flysid.studio.runs import model_of
+        from flysid.studio.run_views import model_of
 
         query_of(request, forms.Nothing)
         where = request.path_params

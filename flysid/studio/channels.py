@@ -15,8 +15,8 @@ from flysid.ingest.align.recipe import load_recipe, parse_recipe, recipe_text, s
 from flysid.ingest.lake.stretches import beginnings
 from flysid.manifest import FLIGHTS, read_manifest
 from flysid.studio.flights import boot_offsets_s, lake_of
+from flysid.studio.folders import NotThere, Workspace
 from flysid.studio.forms import Aligned
-from flysid.studio.places import NotThere, Workspace
 from flysid.validate.report.decimate import decimate, rounded
 
 POINTS = 1500  # of a signal: more than a page is wide

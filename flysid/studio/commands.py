@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from flysid.errors import UsageError
 from flysid.files import slug
+from flysid.studio.folders import NotThere, Workspace
 from flysid.studio.forms import Compare, Fit, Upload, Validate
 from flysid.studio.jobs import Jobs, Lane
-from flysid.studio.places import NotThere, Workspace
 
 if TYPE_CHECKING:
     from flysid.studio.channels import Recipes

@@ -15,11 +15,11 @@ import numpy as np
 from flysid.dataset import FloatArray, Segment
 from flysid.errors import UsageError
 from flysid.model.base import Fitted
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.start import run_from_window, start_window
+from flysid.studio.folders import NotThere, Workspace
 from flysid.studio.forms import Explained
-from flysid.studio.places import NotThere, Workspace
 from flysid.validate.compare import CONTENDERS
 from flysid.validate.run import RUN_FILE, HeldOut, held_out, open_run
 from flysid.validate.trials import free_run, start_of

@@ -22,8 +22,8 @@ from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.lake.timeline import happenings
 from flysid.ingest.lake.track import read_track
 from flysid.manifest import FLIGHTS, Column, Manifest, StreamEntry, read_manifest
+from flysid.studio.folders import NotThere, is_name
 from flysid.studio.forms import Window
-from flysid.studio.places import NotThere, is_name
 from flysid.studio.pyramid import Axis, Pyramid, View, hold, look, read_axis, read_pyramid
 
 SIGNAL = "@"  # "@recipe:signal" is a recipe's signal, as "stream:field" is a field

@@ -25,7 +25,7 @@ import msgspec
 
 from flysid.errors import StoreError
 from flysid.files import write_atomically
-from flysid.studio.places import NotThere
+from flysid.studio.folders import NotThere
 from flysid.studio.runner import NOTE
 
 State = Literal["queued", "running", "done", "failed", "cancelled", "interrupted"]

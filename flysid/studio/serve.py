@@ -16,9 +16,9 @@ import uvicorn
 
 from flysid.errors import UsageError
 from flysid.studio.app import make_app
+from flysid.studio.folders import Workspace
 from flysid.studio.guard import Key
-from flysid.studio.live import Live
-from flysid.studio.places import Workspace
+from flysid.studio.live_stream import Live
 
 HOST = "127.0.0.1"
 

@@ -15,9 +15,9 @@ from flysid.model.frequency.continuous_transfer import ContinuousTransfer
 from flysid.model.frequency.rational import is_determined
 from flysid.model.frequency.sampling import sampled
 from flysid.model.linear.data import Parts, records
-from flysid.model.linear.model import FittedLinear
-from flysid.model.linear.runner import free_runner
-from flysid.model.linear.start import start_gains
+from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.linear.free_runner import free_runner
+from flysid.model.linear.initial_state import start_gains
 from flysid.model.noise import coloured_covariance, noise_model
 
 STEP = 1e-6

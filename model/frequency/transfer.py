@@ -14,7 +14,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import FitError, UsageError
 from flysid.model.frequency.continuous_transfer import ContinuousTransfer
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 
 STEP = 1e-5
 

@@ -17,9 +17,9 @@ from flysid.errors import DataError, FitError
 from flysid.model.freerun import Difference
 from flysid.model.gram import lagged_gram
 from flysid.model.linear.data import SEARCH_ROWS, Parts, as_tuple, shortened
-from flysid.model.linear.model import FittedLinear
-from flysid.model.linear.runner import free_runner
-from flysid.model.linear.start import start_gains
+from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.linear.free_runner import free_runner
+from flysid.model.linear.initial_state import start_gains
 from flysid.model.noise import noise_models
 from flysid.model.polynomials import stabilised
 from flysid.model.stream import Block, Blocks, windows

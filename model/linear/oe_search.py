@@ -6,7 +6,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
 from flysid.model.linear.data import Parts, as_tuple
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.output_error import (
     HIGHEST_ORDER,
     OneOutput,

@@ -24,9 +24,9 @@ from flysid.model.linear.data import (
     records,
     shortened,
 )
-from flysid.model.linear.model import FittedLinear
-from flysid.model.linear.runner import free_runner
-from flysid.model.linear.start import start_gains
+from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.linear.free_runner import free_runner
+from flysid.model.linear.initial_state import start_gains
 from flysid.model.noise import coloured_covariance, noise_model
 from flysid.model.polynomials import free_basis, monic_basis
 from flysid.model.selection import LEVEL, block_errors, simplest

@@ -19,10 +19,10 @@ from typing import Literal
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.model.compiled_filters import differences, filtered, is_stable
 from flysid.model.noise import burg
 from flysid.model.polynomials import stabilised
 from flysid.model.refine import Refinement, levenberg_marquardt
-from flysid.model.signals import differences, filtered, is_stable
 from flysid.model.simulation_error import (
     ONE,
     Orders,

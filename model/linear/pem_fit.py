@@ -11,13 +11,13 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts, records
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.linear.initial_state import equation_starts
 from flysid.model.linear.oe_search import search
 from flysid.model.linear.output_error import OneOutput, runner
 from flysid.model.linear.pem import Kind, PredictionError, innovations_start
 from flysid.model.linear.settings import PolynomialSettings
 from flysid.model.linear.stability import settled
-from flysid.model.linear.start import equation_starts
 from flysid.model.simulation_error import Orders, OutputError, to_transfer
 
 BJ_NOISES = ((0, 0), (0, 1), (0, 2), (1, 1), (2, 2), (0, 4))

@@ -15,7 +15,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FitError
 from flysid.model.freerun import Difference
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.noise import coloured_covariance, noise_model
 from flysid.model.polynomials import stabilised
 

@@ -14,7 +14,7 @@ from flysid.model.regressors import lagged_name
 
 
 class LinearText(DifferenceModel, Protocol):
-    """What the words are made of; see `flysid.model.linear.model.FittedLinear`."""
+    """What the words are made of; see `flysid.model.linear.difference_equation.FittedLinear`."""
 
     @property
     def structure(self) -> str: ...

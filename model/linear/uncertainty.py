@@ -17,7 +17,8 @@ from flysid.model.regressors import lagged_name
 
 
 class DifferenceModel(Protocol):
-    """A difference equation of which some coefficients were estimated; see `flysid.model.linear.model`."""
+    """A difference equation of which some coefficients were estimated; see
+    `flysid.model.linear.difference_equation`."""
 
     @property
     def dt_s(self) -> float: ...

@@ -18,13 +18,13 @@ from flysid.errors import FlysidError
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.freerun import Difference
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.rules.free_run_error import Body, Problem, Stage
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.regressor_layout import Layout, Orders
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.statespace import StateSpace
-from flysid.model.subspace.model import FittedStateSpace
+from flysid.model.subspace.fitted_model import FittedStateSpace
 
 
 class Asked(Protocol):

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.rules.descent import Fixed, Sizes, descend
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.regressor_layout import Layout

@@ -14,11 +14,11 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.oe import OE
 from flysid.model.rules.realisation import PLAIN_WORDS, Realisation, realised
 from flysid.model.statespace import StateSpace, with_choices_made
-from flysid.model.subspace.model import FittedStateSpace
+from flysid.model.subspace.fitted_model import FittedStateSpace
 
 _SHOWN = 1e-6  # directions of the outputs weaker than this, relative to the strongest, count as none
 _OE_STATES = (2, 3)  # orders of output-error models: rules may use a state that a linear model does not

@@ -82,7 +82,7 @@ def judged(place: Path, *options: str) -> set[str]:
 
     selection = None
     if options:
-        from flysid.ingest.lake.selection import Selection
+        from flysid.ingest.lake.chosen_flights import Selection
 
         name = {"--flight": "flights", "--exclude": "exclude"}[options[0]]
         selection = Selection(**{name: (options[1],)})  # type: ignore[arg-type]

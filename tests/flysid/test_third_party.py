@@ -39,10 +39,10 @@ from flysid.ingest.formats.base import Format
 FORMAT = Format("pingpong", "Ping-pong log", (".ping",), "pingpong.reader")
 """,
     "pingpong/models.py": """
-from flysid.model.linear import model
+from flysid.model.linear import difference_equation
 
 def from_dict(document):
-    return model.from_dict({**document, "structure": "mean"})
+    return difference_equation.from_dict({**document, "structure": "mean"})
 """,
     "pingpong-1.0.dist-info/METADATA": "Metadata-Version: 2.1\nName: pingpong\nVersion: 1.0\n",
     "pingpong-1.0.dist-info/entry_points.txt": (

@@ -14,11 +14,11 @@ from flysid.model.armax import ARMAX
 from flysid.model.arx import ARX
 from flysid.model.base import load
 from flysid.model.iv import IV
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.stability import LARGEST, made_stable
 from flysid.model.oe import OE
 from flysid.model.statespace import StateSpace
-from flysid.model.subspace.refine import mirrored
+from flysid.model.subspace.refinement import mirrored
 from flysid.model.subspace.triangle import Realisation
 
 

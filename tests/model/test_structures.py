@@ -11,7 +11,7 @@ from flysid.model.base import STRUCTURES
 
 PACKAGE = """
 from dataclasses import replace
-from flysid.model.linear.model import from_dict as linear
+from flysid.model.linear.difference_equation import from_dict as linear
 
 def rebuild(document):
     return replace(linear({**document, "structure": "line"}), structure="theirs")

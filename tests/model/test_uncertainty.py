@@ -9,7 +9,7 @@ from scipy.signal import freqz, lfilter
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.arx import ARX
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 
 A = [1.0, -1.5, 0.7]
 B = [0.0, 1.0, 0.5]

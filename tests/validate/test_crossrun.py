@@ -14,9 +14,9 @@ from flysid.dataset import Dataset, Signal
 from flysid.errors import DataError, UsageError
 from flysid.files import write_atomically
 from flysid.ingest.lake.batch import ingest_logs
+from flysid.ingest.lake.chosen_flights import Selection
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import open as open_lake
-from flysid.ingest.lake.selection import Selection
 from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.split import plan_split
 from flysid.validate import crossrun

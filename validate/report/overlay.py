@@ -12,9 +12,9 @@ from markupsafe import Markup
 from flysid.dataset import FloatArray
 from flysid.validate.bands import free_run_band
 from flysid.validate.comparison import Comparison
+from flysid.validate.report.channel_data import Source
 from flysid.validate.report.decimate import decimate, rounded
 from flysid.validate.report.rulefigures import firing_along, strongest_runs
-from flysid.validate.report.source import Source
 from flysid.validate.report.svg import Axes, area, box, frame, line, picture, span
 from flysid.validate.trials import FREE_RUN, Trial
 from flysid.validate.words import number, one_line

@@ -12,13 +12,13 @@ from flysid.validate.cautions import cautions
 from flysid.validate.comparison import Comparison, ModelInfo, Pair
 from flysid.validate.diagnostics import Diagnosis
 from flysid.validate.report import narrative
+from flysid.validate.report.channel_data import Source
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.figures import interval_bar
 from flysid.validate.report.html import environment, load_asset, script_json, security_policy, write_page
 from flysid.validate.report.masthead import masthead
 from flysid.validate.report.overlay import MOST_SEGMENTS, picked
 from flysid.validate.report.sections import Section, sections
-from flysid.validate.report.source import Source
 from flysid.validate.report.telling import telling
 from flysid.validate.terminal import standing
 from flysid.validate.words import (

@@ -17,10 +17,10 @@ from flysid.model.rules.operating_words import sentences
 from flysid.validate.bands import curves
 from flysid.validate.comparison import Comparison
 from flysid.validate.report import figures, overlay, rulefigures
+from flysid.validate.report.channel_data import Source
 from flysid.validate.report.checktable import CheckRow, check_rows, coefficient_rows, interval_text
 from flysid.validate.report.context import Sweep
 from flysid.validate.report.narrative import badge
-from flysid.validate.report.source import Source
 from flysid.validate.residuals import Correlation
 from flysid.validate.responses import steady_outputs
 from flysid.validate.words import number, one_line

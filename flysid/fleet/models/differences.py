@@ -20,8 +20,8 @@ from scipy import stats
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.fleet.models.band import Band, band_of
+from flysid.fleet.models.common_grid import Sampling
 from flysid.fleet.models.groups import Response, fit_group, response_of
-from flysid.fleet.models.sampling import Sampling
 from flysid.fleet.models.scatter import PER_NUMBER, Scatter, Tail, pooled, tail_of
 from flysid.fleet.models.triangles import Triangle
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from flysid.errors import DataError, FlysidError, RecipeError
 from flysid.fleet.models.band import ComplexArray
+from flysid.fleet.models.common_grid import Sampling, choose_sampling, spread
 from flysid.fleet.models.differences import Part
-from flysid.fleet.models.sampling import Sampling, choose_sampling, spread
-from flysid.fleet.models.store import Objects, Row, TriangleStore, Unfit, row_of
+from flysid.fleet.models.triangle_store import Objects, Row, TriangleStore, Unfit, row_of
 from flysid.fleet.models.triangles import Triangle, triangle_of
 from flysid.ingest.align.align import align, segments_of
 from flysid.ingest.align.recipe import Recipe

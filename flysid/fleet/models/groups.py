@@ -19,7 +19,7 @@ from scipy.linalg import solve_triangular
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
-from flysid.fleet.models.sampling import Sampling
+from flysid.fleet.models.common_grid import Sampling
 from flysid.model.gram import Triangle, solve, tsqr
 
 ComplexArray = npt.NDArray[np.complex128]

@@ -16,7 +16,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Segment
 from flysid.fleet.models.band import ComplexArray, spectra_of
-from flysid.fleet.models.sampling import Sampling
+from flysid.fleet.models.common_grid import Sampling
 from flysid.model.gram import tsqr
 
 CHUNK_ROWS = 8192

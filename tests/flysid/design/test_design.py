@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 
 from flysid.design.designed import Design, Meaning, open_design
 from flysid.design.designing import Wish, _designed, _new, _ready, with_feedforward
+from flysid.design.drawn_plants import PlantSet, Spread, grid, plants_of
 from flysid.design.firmware import SAFETY, SCHEMES, Firmware, firmware_for, read_parameters
+from flysid.design.gain_search import Bounds, Box, search
 from flysid.design.identified import identified
 from flysid.design.law import Gains, Parts
 from flysid.design.loopfigures import Laws, figures
-from flysid.design.plants import PlantSet, Spread, grid, plants_of
-from flysid.design.search import Bounds, Box, search
 from flysid.errors import DataError, StoreError, UsageError
 from flysid.ingest.align.doubts import Doubt
 from flysid.ingest.synth.plants import LOOPS

@@ -14,9 +14,9 @@ from click.testing import CliRunner
 from flysid.cli.fly import command
 from flysid.design.campaign import fly_design
 from flysid.design.designed import Axis, Design, Meaning
+from flysid.design.drawn_plants import PlantSet, grid
+from flysid.design.gain_search import Bounds
 from flysid.design.law import Gains
-from flysid.design.plants import PlantSet, grid
-from flysid.design.search import Bounds
 from flysid.design.trialflight import (
     PERIOD_S,
     Doubtful,

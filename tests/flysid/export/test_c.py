@@ -20,7 +20,7 @@ from flysid.export.reference import run
 from flysid.export.single import loss_in_float32, refuse_poles
 from flysid.model.base import Fitted
 from flysid.model.freerun import Difference
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.oe import OE
 from flysid.model.static_ts import StaticTS
 from flysid.model.transfer_function import FittedTF

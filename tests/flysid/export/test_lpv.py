@@ -17,7 +17,7 @@ from flysid.errors import UsageError
 from flysid.export.lpv import Lpv, from_dict, to_lpv
 from flysid.export.programs import program_of
 from flysid.export.reference import run
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from tests.flysid.export.test_c import EXPORTED, example, inputs
 
 

@@ -13,7 +13,7 @@ import pytest
 from flysid.errors import PlaceError, UsageError
 from flysid.fleet import cluster as clusters
 from flysid.fleet.cluster import Cluster, connected
-from flysid.fleet.ingest import find, ingest
+from flysid.fleet.ingest_many import find, ingest
 from flysid.fleet.lakes import create_lake
 from flysid.fleet.reading import Log, Outcome, Settings, ingest_batch
 from flysid.fleet.upkeep import check

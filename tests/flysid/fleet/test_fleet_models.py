@@ -15,18 +15,18 @@ from bench.fleet_changed import flight_of
 from flysid.cli.fleet import command
 from flysid.errors import StoreError, UsageError
 from flysid.fleet.models.changed import compare
+from flysid.fleet.models.changed_page import render
+from flysid.fleet.models.common_grid import Sampling
 from flysid.fleet.models.differences import flagged, judge, judge_channel
-from flysid.fleet.models.fitting import fit_groups, fit_vehicles, folder_of
+from flysid.fleet.models.flag_words import sizes
 from flysid.fleet.models.gather import Gathered, gather
-from flysid.fleet.models.page import render
-from flysid.fleet.models.sampling import Sampling
-from flysid.fleet.models.store import Folder, TriangleStore
-from flysid.fleet.models.words import sizes
+from flysid.fleet.models.group_models import fit_groups, fit_vehicles, folder_of
+from flysid.fleet.models.triangle_store import Folder, TriangleStore
 from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.batch import ingest_logs
+from flysid.ingest.lake.chosen_flights import Selection, select
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import Lake
-from flysid.ingest.lake.selection import Selection, select
 from flysid.ingest.synth.synth import WRITERS, Change, Order, fly_one
 from flysid.validate.fitting import fit_run
 from flysid.validate.run import FitSettings

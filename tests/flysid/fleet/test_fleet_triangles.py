@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from flysid.dataset import FloatArray, Segment
 from flysid.errors import DataError
+from flysid.fleet.models.common_grid import Sampling
 from flysid.fleet.models.groups import fit_group, response_of
-from flysid.fleet.models.sampling import Sampling
 from flysid.fleet.models.scatter import tail_of
 from flysid.fleet.models.triangles import triangle_of
 from flysid.model.gram import tsqr

@@ -17,7 +17,7 @@ import pytest
 import flysid
 from flysid.errors import FlysidError, PlaceError, UsageError
 from flysid.fleet import reading
-from flysid.fleet.ingest import Threads, batched, find, ingest
+from flysid.fleet.ingest_many import Threads, batched, find, ingest
 from flysid.fleet.lakes import create_lake, open_lake
 from flysid.fleet.reading import Log, Settings
 from flysid.fleet.upkeep import check

@@ -13,7 +13,7 @@ import flysid
 from flysid.errors import StoreError, UsageError
 from flysid.fleet import compaction
 from flysid.fleet.compaction import compact, files_of, unreferenced
-from flysid.fleet.ingest import Threads, find, ingest
+from flysid.fleet.ingest_many import Threads, find, ingest
 from flysid.fleet.lakes import create_lake
 from flysid.fleet.reading import Settings
 from flysid.fleet.upkeep import check

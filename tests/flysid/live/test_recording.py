@@ -17,9 +17,9 @@ from pymavlink import mavutil
 import flysid
 from flysid.errors import UsageError
 from flysid.live.links import open_link, parse_link
-from flysid.live.parts import Rotation, parse_rotation
 from flysid.live.receiving import warm_up
 from flysid.live.recording import Recording
+from flysid.live.recording_parts import Rotation, parse_rotation
 from flysid.live.spool import Piece, Spool
 from tests import link_trials
 from tests.link_sender import frames

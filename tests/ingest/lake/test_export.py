@@ -16,7 +16,7 @@ from flysid.cli import root
 from flysid.errors import UsageError
 from flysid.flight import Flight, Source, field_metadata, field_unit
 from flysid.ingest.align.signals import FlightLog
-from flysid.ingest.lake.export import export_tables, gridded_table, physical_tables
+from flysid.ingest.lake.flight_export import export_tables, gridded_table, physical_tables
 from tests.samplelogs import dataflash
 
 T_NS = np.arange(500, dtype=np.int64) * 20_000_000 + 1_000_000_000

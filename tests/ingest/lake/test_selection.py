@@ -13,8 +13,8 @@ from flysid.errors import UsageError
 from flysid.flight import Source
 from flysid.ingest.align.vehicle import vehicle_of
 from flysid.ingest.formats.base import Parts, Summary
+from flysid.ingest.lake.chosen_flights import Selection, require_one_vehicle, select, vehicles
 from flysid.ingest.lake.lake import Lake
-from flysid.ingest.lake.selection import Selection, require_one_vehicle, select, vehicles
 from flysid.store import create_data_folder, write_flight
 from tests.ingest.lake.test_lake import attitudes
 

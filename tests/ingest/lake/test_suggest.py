@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from flysid.cli import root
-from flysid.cli.suggest import advice, short_names
+from flysid.cli.suggestions import advice, short_names
 from flysid.flight import ClockMap, Damage, Flight, Source
 from flysid.ingest.align.recipe import load_recipe, parse_recipe, shipped_recipes
 from flysid.ingest.align.signals import FlightLog

@@ -11,7 +11,7 @@ from scipy.signal import cont2discrete, lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.arx import ARX
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from tests import model_examples
 
 # The paper's transfer functions (10) to (12)

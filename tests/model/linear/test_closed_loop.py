@@ -13,7 +13,7 @@ from bench.closed_loop import PLANT, SWEPT_HZ, Loop, direct, held, nearest, trut
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.base import load
-from flysid.model.frequency.controller import controller_bands
+from flysid.model.frequency.controller_inverse import controller_bands
 from flysid.model.frequency.response import measure_response
 from flysid.model.frequency.transfer import continuous
 from flysid.model.iv import IV

@@ -8,10 +8,10 @@ from scipy.signal import cont2discrete, lfilter
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
-from flysid.model.frequency.fit import ACCEPTABLE, choose_fit, fit_response
 from flysid.model.frequency.rational import Form, Rational, forms
 from flysid.model.frequency.response import measure_response
 from flysid.model.frequency.sampling import sampled
+from flysid.model.frequency.simulation_fit import ACCEPTABLE, choose_fit, fit_response
 from tests.model.linear.test_frequency_response import DT_S, PLANT, experiment, steps
 
 TRUTH = np.array([*PLANT[1][1:], *PLANT[0]])

@@ -9,7 +9,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.arx import ARX
 from flysid.model.iv import IV
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 
 TRUTH = np.array([-1.5, 0.7, 0.5, 0.3])
 

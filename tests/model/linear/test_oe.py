@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.arx import ARX
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.output_error import raised
 from flysid.model.noise import burg, noise_model
 from flysid.model.oe import OE

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
 from flysid.model.statespace import StateSpace
-from flysid.model.subspace.refine import SimulationError
+from flysid.model.subspace.refinement import SimulationError
 from flysid.model.subspace.triangle import subspace
 from tests.model_examples import data
 

@@ -9,7 +9,7 @@ from bench import accuracy_data
 from flysid.dataset import Dataset
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear_choice import best_linear, choose_baseline, free_run_errors, linear_estimators
 from flysid.model.one_rule import OneRule, linear_choice, linear_rivals
 from flysid.model.rules.fitted import FittedTS

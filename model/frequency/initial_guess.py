@@ -14,9 +14,15 @@ from flysid.errors import DataError, FitError, UsageError
 from flysid.model.detrend import Trend
 from flysid.model.frequency.assemble import OneTransfer
 from flysid.model.frequency.continuous_error import ContinuousError
-from flysid.model.frequency.fit import ACCEPTABLE, ResponseFit, best_fit, fit_response, response_cost
 from flysid.model.frequency.rational import Coordinates, Form, Hold, Rational, forms
 from flysid.model.frequency.response import MeasuredResponse, Method, measure_response
+from flysid.model.frequency.simulation_fit import (
+    ACCEPTABLE,
+    ResponseFit,
+    best_fit,
+    fit_response,
+    response_cost,
+)
 from flysid.model.frequency.transfer import inverse_hold
 from flysid.model.linear.data import Parts, records
 from flysid.model.linear.output_error import find_delays, fit_output

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from flysid.dataset import FloatArray
 from flysid.fleet.models.differences import Judged, Test, since
 from flysid.ingest.align.recipe import Recipe
-from flysid.ingest.lake.selection import shortest_end
+from flysid.ingest.lake.chosen_flights import shortest_end
 from flysid.validate.words import one_line
 
 NAMELESS = "(no name)"

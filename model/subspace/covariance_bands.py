@@ -18,7 +18,7 @@ from flysid.model.subspace.triangle import Realisation
 
 
 class StateModel(Protocol):
-    """A state-space model with the covariance of its matrices; see `flysid.model.subspace.model`."""
+    """A state-space model with the covariance of its matrices; see `flysid.model.subspace.fitted_model`."""
 
     @property
     def dt_s(self) -> float: ...

@@ -11,12 +11,12 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.linear.data import Parts, judging_window
-from flysid.model.linear.start import START_SHARE
+from flysid.model.linear.initial_state import START_SHARE
 from flysid.model.selection import block_errors, simplest
 from flysid.model.start import WINDOW_LAGS, WINDOW_S
 from flysid.model.stream import Source
+from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.subspace.kalman import gains_of, start_gains
-from flysid.model.subspace.model import FittedStateSpace
 from flysid.model.subspace.triangle import (
     Columns,
     Method,

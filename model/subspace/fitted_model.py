@@ -31,7 +31,7 @@ from flysid.model.linear.uncertainty import band_of, drawn
 from flysid.model.noise import output_error_ahead
 from flysid.model.polynomials import ComplexArray, modes_of
 from flysid.model.start import FreeRuns
-from flysid.model.subspace.bands import response_of
+from flysid.model.subspace.covariance_bands import response_of
 from flysid.model.subspace.kalman import ahead, filtered_states, free_states, output_of, resting_state
 from flysid.model.subspace.triangle import Realisation
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from flysid.errors import FlysidError, StoreError
-from flysid.studio.places import NotThere, Workspace
+from flysid.studio.folders import NotThere, Workspace
 from flysid.validate.history import REPORT, RunChannel, run_channels
 from flysid.validate.judge import DOCUMENT, PAGE
 from flysid.validate.run import RUN_FILE

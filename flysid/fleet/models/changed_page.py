@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from flysid.fleet.models.changed import Comparison
 from flysid.fleet.models.differences import Judged, Test
-from flysid.fleet.models.words import Finding, date_of
+from flysid.fleet.models.flag_words import Finding, date_of
 from flysid.showing import first_of
 from flysid.validate.report.html import environment, load_asset, security_policy, write_page
 from flysid.validate.report.masthead import dates

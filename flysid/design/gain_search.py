@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.design.drawn_plants import PlantSet
 from flysid.design.law import TUNED, Gains, Parts
 from flysid.design.loopfigures import Figures, Laws, figures
-from flysid.design.plants import PlantSet
 from flysid.errors import DataError, UsageError
 
 OUT_OF_BOUNDS = 1e6

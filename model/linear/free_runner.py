@@ -7,7 +7,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts
-from flysid.model.linear.model import FittedLinear
+from flysid.model.linear.difference_equation import FittedLinear
 
 
 def free_runner(

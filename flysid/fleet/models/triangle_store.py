@@ -26,8 +26,8 @@ import pyarrow.parquet as pq
 from flysid.errors import StoreError
 from flysid.files import write_atomically, writing_to
 from flysid.fleet.models.band import ComplexArray
+from flysid.fleet.models.common_grid import Sampling
 from flysid.fleet.models.differences import Part
-from flysid.fleet.models.sampling import Sampling
 from flysid.fleet.models.triangles import Triangle
 from flysid.ingest.align.recipe import Recipe
 

@@ -18,13 +18,13 @@ from scipy import stats
 
 from flysid.errors import DataError, FlysidError, UsageError
 from flysid.fleet.models.band import band_of
+from flysid.fleet.models.common_grid import Sampling
 from flysid.fleet.models.differences import Part
 from flysid.fleet.models.gather import Gathered
 from flysid.fleet.models.groups import GroupModel, Response, fit_group, response_of
-from flysid.fleet.models.sampling import Sampling
 from flysid.fleet.models.scatter import Scatter, pooled
+from flysid.ingest.lake.chosen_flights import Selection, select
 from flysid.ingest.lake.lake import Lake
-from flysid.ingest.lake.selection import Selection, select
 from flysid.model.threads import on_one_thread
 from flysid.progress import part
 from flysid.validate.fitting import fit_run
