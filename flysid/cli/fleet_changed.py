@@ -14,7 +14,7 @@ import click
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import check_target, cores, say
+from flysid.cli.output import CHECK_FAILED, check_target, cores, say
 from flysid.errors import UsageError
 from flysid.showing import counted
 
@@ -127,7 +127,7 @@ def command(
     title, lead = headline(compared)
     say(f"{title}. {lead}".strip(), quiet)
     say(f"page: {page}", quiet)
-    return 4 if any(found.question == fail_if for found in compared.findings) else 0
+    return CHECK_FAILED if any(found.question == fail_if for found in compared.findings) else 0
 
 
 def gathered_of(

@@ -10,14 +10,13 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.lakeoptions import seconds
-from flysid.cli.output import printable, say
+from flysid.cli.output import CHECK_FAILED, printable, say
 from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.fleet.upkeep import State
 
 SHOWN = 5
-CHECK_FAILED = 4
 
 
 @click.command("check")

@@ -20,6 +20,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 REASONS_SHOWN = 5
 NAMES_SHOWN = 3
 FORMS = ("json", "markdown", "csv")
+CHECK_FAILED = 4
+"""Exit code where something was asked of a result, and does not hold."""
 
 
 def printable(text: str) -> str:
@@ -108,5 +110,5 @@ def finish(judgement: Judgement, condition: str | None, report: Path | None, qui
         for name, why in failed.items():
             if why:
                 say(f"{name}: {why}: what cannot be judged fails")
-        return 4
+        return CHECK_FAILED
     return 3 if judgement.unjudged else 0

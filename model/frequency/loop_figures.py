@@ -27,6 +27,7 @@ WINDOW = 0.12
 NEIGHBOURS = 5
 DB = 20.0 / np.log(10.0)
 HALF_POWER = np.log(2.0) / 2.0
+_NOT_FLAT = "the gain is not flat at the lowest frequency that can be trusted"
 
 
 @dataclass(frozen=True)
@@ -109,12 +110,15 @@ def loop_figures(loop: MeasuredResponse) -> list[LoopFigure]:
 
 
 def command_figures(measured: MeasuredResponse, source: int = 0) -> list[LoopFigure]:
-    """Bandwidths, phase delay and peak of a closed loop's response from its command."""
+    """Bandwidths, phase delay and peak of a closed loop's response from its command.
+
+    The peak is above the gain at the band's low end, as its bandwidth is below: units cancel.
+    """
     curve = _Curve.of(measured, source)
     if isinstance(curve, str):
         names = "bandwidth_rads", "peak_db", "bandwidth_phase_rads", "bandwidth_gain_rads", "phase_delay_ms"
         return [LoopFigure(name, None, why=curve) for name in names]
-    return [_half_power(curve), _peak(curve), *_handling(curve)]
+    return [_half_power(curve), _resonance(curve), *_handling(curve)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,18 +274,38 @@ def _peak(curve: _Curve) -> LoopFigure:
     return _interval(name, DB * float(apex), DB * float(np.sqrt(spread[0, 0])))
 
 
+def _low_end(curve: _Curve) -> tuple[float, float] | None:
+    """ln |G| at the band's low end and its error; None where it is not flat there."""
+    values, spread = curve.parabola(float(curve.x[0]))
+    if abs(values[1].real) > 0.5:
+        return None
+    return values[0].real, float(np.sqrt(spread[0, 0]))
+
+
+def _resonance(curve: _Curve) -> LoopFigure:
+    """The peak above the gain at the band's low end."""
+    low = _low_end(curve)
+    if low is None:
+        return LoopFigure("peak_db", None, why=_NOT_FLAT)
+    found = _peak(_shifted(curve, low[0]))
+    if found.value is None or found.high is None:
+        return found
+    own = (found.high - found.value) / Z95
+    return _interval(found.name, found.value, float(np.hypot(own, DB * low[1])))
+
+
 def _half_power(curve: _Curve) -> LoopFigure:
     """-3 dB below the gain at the band's low end, which must be flat there."""
     name = "bandwidth_rads"
-    low = curve.parabola(float(curve.x[0]))[0]
-    if abs(low[1].real) > 0.5:
-        return LoopFigure(name, None, why="the gain is not flat at the lowest frequency that can be trusted")
-    shifted = _shifted(curve, low[0].real - HALF_POWER)
+    low = _low_end(curve)
+    if low is None:
+        return LoopFigure(name, None, why=_NOT_FLAT)
+    start = low[1]
+    shifted = _shifted(curve, low[0] - HALF_POWER)
     found = shifted.crossings(shifted.smooth().real)
     if not found:
         return LoopFigure(name, None, why="the gain does not fall by 3 dB where it can be trusted")
     x, error, own = _root(shifted, found[0], _real)
-    start = float(np.sqrt(curve.parabola(float(curve.x[0]))[1][0, 0]))
     return _interval(name, x, error * float(np.hypot(1.0, start / max(own, 1e-12))), log=True)
 
 

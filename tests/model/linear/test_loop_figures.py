@@ -53,6 +53,10 @@ def test_bandwidth_of_a_second_order_loop() -> None:
     found = {f.name: f for f in command_figures(measure_response(Dataset.from_arrays(u, y, dt_s)))}
     assert found["bandwidth_rads"].value == pytest.approx(omega * 1.272, rel=0.05)
     assert found["peak_db"].value == pytest.approx(1.25, abs=0.3)
+    # a peak does not depend on the unit of the input
+    in_deg = measure_response(Dataset.from_arrays(np.degrees(u), y, dt_s))
+    again = {f.name: f for f in command_figures(in_deg)}
+    assert again["peak_db"].value == pytest.approx(found["peak_db"].value, abs=1e-6)
 
 
 def test_a_record_that_cannot_tell_is_refused() -> None:
