@@ -23,7 +23,7 @@ from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.rules.run_start import LikelyStart
 from flysid.model.rules.stages import refine
-from flysid.model.rules.state_growth import unmoved
+from flysid.model.rules.state_systems import unmoved
 from flysid.model.ts_state_space import TSStateSpace
 
 NOISE = 0.02  # of the driving noise, in metres per second

@@ -19,11 +19,11 @@ from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.rules.fitted import finished
 from flysid.model.rules.free_run_error import Stage
+from flysid.model.rules.growth import Training, one_rule_more
 from flysid.model.rules.realisation import coordinates
 from flysid.model.rules.regressor_layout import scaling
+from flysid.model.rules.saturation import saturation_limits
 from flysid.model.rules.state_context import StateContext
-from flysid.model.rules.state_growth import Training, one_rule_more
-from flysid.model.rules.state_judging import saturation_limits
 from flysid.model.rules.state_systems import linear_systems
 from flysid.model.ts_state_space import TSStateSpace
 
@@ -52,7 +52,8 @@ def grown(bench: StateContext, start: Stage, how: Training) -> list[Stage]:
     """Models with 1 to RULES rules."""
     stages = [start]
     while len(stages) < RULES:
-        stages.append(one_rule_more(stages[-1], bench.candidates(stages[-1].layout), how))
+        found = one_rule_more(stages[-1], bench.candidates(stages[-1].layout), how)
+        stages.append(found[0].stage if found else stages[-1])
     return stages
 
 

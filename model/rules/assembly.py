@@ -12,9 +12,10 @@ from flysid.errors import DataError
 from flysid.model.noise import noise_models
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import rule_support
-from flysid.model.rules.judging import initial_state_gain, prior_of
+from flysid.model.rules.judging import initial_state_gain
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.run_start import LikelyStart, MeasuredStart, RunStart
+from flysid.model.rules.stages import prior_of
 from flysid.model.start import start_window
 
 M = TypeVar("M", bound=RuleModel)

@@ -1,34 +1,36 @@
 """Growing a TS model: a refined linear model first, then rule after rule where it helps most.
 
-The linear start is one-step least squares, moved off its noise bias by instrumental variables (the
+The linear start over lags is one-step least squares, moved off its noise bias by instrumental variables (the
 instruments are the model's own simulation: Young 1970, Soderstrom and Stoica 1983), then refined on the
-simulation error. Every later stage inserts one rule, within each rule's region and along each antecedent
-(LOLIMOT, Nelles 2001, splits there), ranks the places by the cost that one Gauss-Newton step promises,
-refines the most promising ones of every antecedent a little and the best ones fully.
+simulation error. Every later stage, over lags and hidden states alike, inserts one rule, within each rule's
+region and along each antecedent (LOLIMOT, Nelles 2001, splits there), ranks the places by the cost that one
+Gauss-Newton step promises, refines the most promising ones a little and the best ones fully.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.free_run_error import Body, Problem, Stage, antecedent_range
 from flysid.model.rules.kernel import firing
-from flysid.model.rules.regressor_layout import Antecedent, Layout
-from flysid.model.rules.stages import expected_cost, inserted, on_runs, refine, with_ridge
+from flysid.model.rules.regressor_layout import Antecedent, Layout, windows
+from flysid.model.rules.stages import expected_cost, inserted, on_runs, on_runs_of, refine, with_ridge
 
 _PLACES = (0.15, 0.5, 0.85)
-_RIDGE = 0.01  # of the mean square error: as if a hundred samples said that the rules are equal
-_PIECE = 1000  # rows of a piece, where long records are thinned
+_FIRST_PLACES = (0.1, 0.3, 0.7, 0.9)  # not the middle, from where there is no other side
+_FEWEST = 10  # samples of a region that takes another rule
+_PIECE = 1000  # rows of a piece, where long records are thinned,
+_PIECE_DEPTHS = 20  # and at least so many times what starts it
 _FEW = 5000  # rows for ranking insertions and for trying the best ones
 _START_STEPS = 4  # of a search over the first outputs alone; a linear model needs one
 NOTHING = np.zeros(0, dtype=np.int64)
 """Of a body that stays as it is while the runs' starts are searched for."""
 _MARGIN = 0.1  # of its range, by which a hidden antecedent's range is widened
-_MORE = 1  # insertions tried beyond the best one along every antecedent
 
 
 def first_basis(layout: Layout, runs: tuple[FloatArray, ...], *, integrating: bool = False) -> FloatArray:
@@ -170,31 +172,82 @@ def with_variables(stage: Stage, antecedents: tuple[Antecedent, ...]) -> Stage:
     return Stage(problem, Body(stage.body.a, centre, width), initial, stage.cost)
 
 
-def insertions(stage: Stage, antecedent: Antecedent) -> list[Stage]:
-    """The stage with one rule more, at several places along an antecedent.
+@dataclass(frozen=True)
+class Training:
+    """How a rule is trained.
 
-    Places are quantiles of the antecedent where each present rule speaks; the new rule takes that rule's
-    centre in the other variables. Its width is half the spread there.
+    Attributes
+    ----------
+    ridge : of the mean square error: 0.01 is as if one more sample in a hundred said that rules are equal.
+    tries : insertions tried out, the most promising ones; 0: the best along every antecedent, and one more.
+    iterations, tolerance : Levenberg-Marquardt steps of the last refinement, and when it has converged.
     """
-    known = stage.problem.layout.antecedents
+
+    ridge: float = 0.01
+    tries: int = 3
+    iterations: int = 30
+    tolerance: float = 1e-6
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """Where a rule goes: along which variable, in whose region, at which quantile of the variable there."""
+
+    antecedent: Antecedent
+    rule: int
+    place: float
+
+    def into(self, stage: Stage) -> Stage | None:
+        """The stage with that rule more, not refined; None where the region holds next to no samples."""
+        return next((grown for _, grown in _inserted_along(stage, self.antecedent, [self])), None)
+
+
+@dataclass(frozen=True, eq=False)
+class Grown:
+    """One rule more: where it went, the stage as it was put there, and the stage refined."""
+
+    where: Insertion
+    start: Stage
+    stage: Stage
+
+
+def insertions(stage: Stage, antecedents: Sequence[Antecedent]) -> list[tuple[Insertion, Stage]]:
+    """One rule more, at several places along every antecedent in every rule's region."""
+    places = _PLACES if stage.rules > 1 else _FIRST_PLACES
+    return [
+        option
+        for a in antecedents
+        for option in _inserted_along(
+            stage, a, [Insertion(a, r, p) for r, p in itertools.product(range(stage.rules), places)]
+        )
+    ]
+
+
+def _inserted_along(
+    stage: Stage, antecedent: Antecedent, places: Sequence[Insertion]
+) -> Iterator[tuple[Insertion, Stage]]:
+    """The stage with a rule more at each of the places along one antecedent, where there are samples.
+
+    Places are quantiles of the antecedent where a present rule speaks; the new rule takes that rule's centre
+    in the other variables. Its width is half the spread there.
+    """
+    known = stage.layout.antecedents
     wide = stage if antecedent in known else with_variables(stage, (*known, antecedent))
-    j = wide.problem.layout.antecedents.index(antecedent)
+    j = wide.layout.antecedents.index(antecedent)
     z, phi = z_and_firing(wide, wide.simulated())
+    strongest = phi.argmax(axis=1)
     span = float(np.ptp(z[:, j]))
-    options: list[Stage] = []
-    for rule in range(stage.rules):
-        chosen = z[phi.argmax(axis=1) == rule, j]
-        if len(chosen) < 10 or span == 0.0:
+    for at in places:
+        chosen = z[strongest == at.rule, j]
+        if len(chosen) < _FEWEST or span == 0.0:
             continue
-        for place in _PLACES:
-            centre = wide.body.centre[rule].copy()
-            width = wide.body.width[rule].copy()
-            centre[j] = np.quantile(chosen, place)
-            width[j] = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)
-            if stage.rules == 1:
-                width[j] = max(width[j], 0.2 * span)
-            options.append(inserted(wide, centre, width))
-    return options
+        centre = wide.body.centre[at.rule].copy()
+        width = wide.body.width[at.rule].copy()
+        centre[j] = np.quantile(chosen, at.place)
+        width[j] = min(max(0.5 * float(np.std(chosen)), 0.03 * span), 0.3 * span)
+        if stage.rules == 1:
+            width[j] = max(width[j], 0.2 * span)
+        yield at, inserted(wide, centre, width)
 
 
 def z_and_firing(stage: Stage, runs: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
@@ -218,55 +271,61 @@ def seen(stage: Stage) -> list[FloatArray]:
 
 
 def thinned(stage: Stage, samples: int) -> Stage:
-    """The stage on at most about `samples` rows: evenly spaced pieces, started where the model is."""
-    problem = stage.problem
-    depth = stage.problem.layout.depth
-    total = sum(len(W) for W in problem.runs)
+    """The stage on at most about `samples` rows: evenly spaced windows, started where the model is."""
+    total = sum(len(W) for W in stage.problem.runs)
     if total <= samples:
         return stage
-    length = max(_PIECE, 20 * depth)
-    pieces = []
-    initial = []
+    d = stage.layout.depth
+    rows = max(_PIECE, _PIECE_DEPTHS * d)
     every = max(1, round(total / samples))
-    count = 0
-    for W, run in zip(problem.runs, stage.simulated(), strict=True):
-        for begin in range(0, max(1, len(W) - length // 2), length):
-            if count % every == 0:
-                pieces.append(np.ascontiguousarray(W[begin : begin + length]))
-                initial.append(run[begin : begin + depth])
-            count += 1
-    return replace(stage, problem=replace(problem, runs=tuple(pieces)), initial=problem.starts(initial))
+    runs = windows(stage.problem.runs, d, rows)[::every]
+    initial = stage.problem.starts(windows(stage.simulated(), d, rows)[::every])
+    return replace(stage, problem=replace(stage.problem, runs=runs), initial=initial)
 
 
 def one_rule_more(
-    stage: Stage, candidates: tuple[Antecedent, ...], iterations: int, keep: int = 2
-) -> list[tuple[Stage, Stage]]:
-    """The best insertions, each before and after full refinement, lowest training cost first.
+    stage: Stage, antecedents: Sequence[Antecedent], how: Training, keep: int = 1
+) -> list[Grown]:
+    """The best insertions, refined fully, lowest training cost first; none where no region has samples.
 
     What a Gauss-Newton step promises ranks insertions along one antecedent well, and compares antecedents
-    badly: so the best along every antecedent is tried by a few steps of refinement, and `keep` go on.
+    over lags badly: so some are tried out, on few rows, by a few steps of refinement. `keep` of them go on.
     """
-    stage = with_ridge(stage, _RIDGE * stage.cost)
+    stage = with_ridge(stage, how.ridge * stage.mean_square())
     few = thinned(stage, _FEW)
-    options = [(a, option) for a in candidates for option in insertions(few, a)]
-    promises = [expected_cost(option) for _, option in options]
-    starts = [options[i][1] for i in _best_of_each([a for a, _ in options], promises)]
-    trials = [(start, refine(start, max(6, iterations // 3), 1e-4)) for start in starts]
+    options = insertions(few, antecedents)
+    order = _worth_trying(
+        [o[0].antecedent for o in options], [expected_cost(o[1]) for o in options], how.tries
+    )
+    trials = [(i, refine(options[i][1], max(6, how.iterations // 3), 1e-5)) for i in order]
     trials.sort(key=lambda trial: trial[1].cost)
     found = []
-    for start, trial in trials[:keep]:
-        best = refine(with_ridge(trial, _RIDGE * trial.cost), iterations, 1e-6)
+    for i, trial in trials[:keep]:
+        best = settled(trial, how)
         if few is not stage:
-            best = refine(with_ridge(on_runs(best, stage), _RIDGE * best.cost), iterations // 2, 1e-6)
-        found.append((on_runs(start, stage), best))
+            best = settled(on_runs_of(best, stage), how)
+        found.append(Grown(options[i][0], on_runs(options[i][1], stage), best))
     return found
 
 
-def _best_of_each(kinds: Sequence[Antecedent], costs: Sequence[float]) -> list[int]:
-    """Indices of the lowest cost of every kind, then of the lowest of the rest."""
+def _worth_trying(kinds: Sequence[Antecedent], costs: Sequence[float], tries: int) -> list[int]:
+    """Indices of the lowest costs; with `tries` 0 of the lowest along every antecedent, and one more."""
     order = [int(i) for i in np.argsort(costs, kind="stable") if np.isfinite(costs[i])]
+    if tries:
+        return order[:tries]
     firsts = [i for at, i in enumerate(order) if kinds[i] not in {kinds[j] for j in order[:at]}]
-    return firsts + [i for i in order if i not in firsts][:_MORE]
+    return firsts + [i for i in order if i not in firsts][:1]
+
+
+def settled(stage: Stage, how: Training) -> Stage:
+    """Refined fully, under the ridge that its present error asks for."""
+    return refine(with_ridge(stage, how.ridge * stage.mean_square()), how.iterations, how.tolerance)
+
+
+def same_insertion(stage: Stage, insertion: Insertion, how: Training) -> Stage | None:
+    """A rule more where another part of the data wanted it, refined fully; None where it cannot be."""
+    grown = insertion.into(with_ridge(stage, how.ridge * stage.mean_square()))
+    return None if grown is None else settled(grown, how)
 
 
 def rule_support(stage: Stage) -> FloatArray:

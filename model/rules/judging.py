@@ -9,19 +9,21 @@ is never offered.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.model.rules.contraction import is_contracting
-from flysid.model.rules.free_run_error import Stage, widened
+from flysid.model.rules.free_run_error import Stage, started_run, widened
 from flysid.model.rules.kernel import Parameters, free_run
 from flysid.model.rules.linear_starts import LinearModel
 from flysid.model.rules.probe_inputs import probe_run
-from flysid.model.rules.realisation import Prior
+from flysid.model.rules.realisation import initial_states
+from flysid.model.rules.regressor_layout import windows
 from flysid.model.rules.rule_poles import unheld
+from flysid.model.rules.stages import prior_of
 from flysid.model.start import MAX_SHARE, estimate_start
 
 INTEGRATES = (
@@ -31,12 +33,19 @@ INTEGRATES = (
 """What users are told of a model that does not come back."""
 _BLOCKS = 16
 _FAR = 10.0  # ranges: in a closed loop an output that integrates is never seen to move as it can
+_NEAR = 0.5  # of what was seen: hidden states, and outputs beside them, that are farther out have left it
+_STEPS = 3000  # of random inputs
 # samples that random inputs are held, at most
 _LONG_SEED = 2
 _LONG_HOLD = 100
+_RARELY = 0.02  # of the samples
 _MOST_AWAY = 0.2  # of the samples: models that were any good on fresh data stayed below a tenth
 _ROUNDING = 1e-5  # of a pole at one that stands twice
 _RESOLUTION = 1e-10  # mean squares (of normalised outputs) below this are all "exact"
+_WINDOWS = 4  # that a judging part is cut into,
+_LONGER = 3  # each at least this many times as long as what starts it,
+_SCORED = 5  # with so many rows at least to score
+_AWAY = 1e12  # mean square of what ran away
 
 
 def hold_out(train: Dataset, least: int, fold: int = 0) -> tuple[Dataset, Dataset]:
@@ -90,12 +99,6 @@ def initial_state_gain(stage: Stage) -> FloatArray:
     return np.ascontiguousarray(gain.T)
 
 
-def prior_of(stage: Stage) -> Prior:
-    """What training says about states, for starting other runs."""
-    runs = [run[stage.layout.depth - 1 :] for run in stage.simulated()]
-    return Prior.of(runs, stage.layout.n, stage.mean_square())
-
-
 def _windows(W: FloatArray, depth: int) -> FloatArray:
     """(N - depth + 1, depth * columns) every window of `depth` rows, flattened row by row."""
     view = np.lib.stride_tricks.sliding_window_view(W, depth, axis=0)
@@ -133,9 +136,16 @@ def free_run_errors(stage: Stage, runs: Sequence[FloatArray], window: int) -> li
     """(N - window, n_y) simulated minus measured outputs of every run, normalised.
 
     The first `window` rows only give the initial state, as in the comparison on held-out data: a choice
-    must not hang on how well a few noisy samples start a high order.
+    must not hang on how well a few noisy samples start a high order. Hidden states start where they are
+    most likely.
     """
-    n_y = stage.problem.layout.n_y
+    layout = stage.layout
+    n_y = layout.n_y
+    if layout.hidden:
+        par = stage.problem.parameters(stage.body)
+        first = initial_states(layout, runs, par, prior_of(stage), window - layout.depth + 1)
+        pairs = zip(runs, first, strict=True)
+        return [(started_run(layout, W, x, par) - W)[window:, :n_y] for W, x in pairs]
     runner = _Runner(stage)
     errors = []
     for W in runs:
@@ -160,9 +170,16 @@ def blocks(errors: Sequence[FloatArray]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A model and its validation block errors, simplest first in every list.
+    """A model on a judging part, simplest first in every list.
 
-    `linear`: the model of the linear side that a stage of one rule comes from; `moved`: refined since.
+    Attributes
+    ----------
+    errors : mean squares over about 16 blocks of one free run per segment.
+    stable : it came back from bounded random inputs.
+    linear : the model of the linear side that a stage of one rule comes from.
+    moved : it was refined since.
+    windows : mean squares over a few windows, each with a start of its own, so that what one manoeuvre left
+        behind does not speak again in the next.
     """
 
     stage: Stage
@@ -170,6 +187,7 @@ class Candidate:
     stable: bool = True
     linear: LinearModel | None = None
     moved: bool = True
+    windows: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def mean(self) -> float:
@@ -206,65 +224,69 @@ def choose(
     return best
 
 
-def is_bounded(stage: Stage, steps: int = 3000, seed: int = 0) -> bool:
-    """Whether the free run comes back from bounded random inputs, and stays off its limits under usual ones.
+def is_bounded(stage: Stage, seed: int = 0) -> bool:
+    """Whether the free run comes back from bounded random inputs, and stays near under usual ones.
 
     First random steps over the whole range of the training inputs, which may push any plant far out; then
-    blocks of the training inputs in random order. In that second part no more than one sample in fifty
-    may lie on an output limit (the range of training, widened by itself on each side), and the model
-    must forget how it was started (`is_contracting`); rules must also stay off the limits most of the time
-    where random inputs are held for long. Of a model that holds an integrator the changes of the
-    output are asked instead (the range widened tenfold), as its output may go anywhere. Lags are held at
-    the limits here, those of a single rule too (`unheld`): one that stays there is too near to instability.
+    blocks of the training inputs in random order. In that second part no more than one sample in fifty may
+    lie on an output limit (the range of training, widened by itself on each side) or, with hidden states,
+    half the range beyond what was simulated: ends at which a plant itself saturates are no limits in this
+    sense. The model must also forget how it was started (`is_contracting`), and rules over lags must stay
+    off the limits most of the time where random inputs are held for long. Of a model that holds an integrator
+    the changes of the output are asked instead (the range widened tenfold), as its output may go anywhere.
+    Lags are held at the limits here, those of a single rule too (`unheld`): one that stays there is too near
+    to instability.
     """
     problem = stage.problem
-    n_y = stage.problem.layout.n_y
-    y = _pushed(stage, steps, seed)[steps + steps // 4 :]
+    layout = stage.layout
+    x = _pushed(stage, seed)[_STEPS + _STEPS // 4 :]
     limits = problem.limits
+    seen = [run[layout.uncompared :, : layout.n] for run in stage.simulated()]
+    if layout.hidden:
+        limits = widened(_range(seen), _NEAR)
     if problem.integrates:
         if not _rules_settle(stage):
             return False
-        runs = stage.simulated()
-        usual = np.concatenate([np.diff(run[:, :n_y], axis=0) for run in runs])
-        y = np.diff(y, axis=0)
-        limits = widened(np.stack([usual.min(axis=0), usual.max(axis=0)]), _FAR)
-    if not _share_at(y, limits) < 0.02:
+        x = np.diff(x, axis=0)
+        limits = widened(_range([np.diff(run, axis=0) for run in seen]), _FAR)
+    if not _share_at(x, limits) < _RARELY:
         return False
-    return problem.integrates or (_returns(stage, steps) and _is_contracting(stage))
+    if problem.integrates or not _returns(stage):
+        return problem.integrates
+    par = problem.parameters(stage.body)
+    return is_contracting(problem.runs, _range(seen), layout.depth, layout.lags, par)
 
 
-def _returns(stage: Stage, steps: int) -> bool:
-    """Whether rules stay off their limits most of the time under random inputs that are held for long.
+def _range(runs: Sequence[FloatArray]) -> FloatArray:
+    """(2, n) smallest and largest values of every column."""
+    x = np.vstack(list(runs))
+    return np.stack([x.min(axis=0), x.max(axis=0)])
+
+
+def _returns(stage: Stage) -> bool:
+    """Whether rules over lags stay off their limits most of the time under random inputs held for long.
 
     Short pushes average out in a slow plant: they do not reach the place from which rules run away. A stable
     linear model comes back by itself once the inputs turn, so that only rules are asked.
     """
-    if stage.rules == 1:
+    if stage.rules == 1 or stage.layout.hidden:
         return True
-    y = _pushed(stage, steps, _LONG_SEED, _LONG_HOLD)[:steps]
+    y = _pushed(stage, _LONG_SEED, _LONG_HOLD)[:_STEPS]
     return _share_at(y, stage.problem.limits) < _MOST_AWAY
 
 
-def _pushed(stage: Stage, steps: int, seed: int, longest: int | None = None) -> FloatArray:
-    """(2 steps, n_y) outputs under the inputs of `probe_run`, held at the limits."""
+def _pushed(stage: Stage, seed: int, longest: int | None = None) -> FloatArray:
+    """(2 _STEPS, n) what is simulated under the inputs of `probe_run`, held at the limits."""
     problem = stage.problem
-    n_y = stage.problem.layout.n_y
-    W = probe_run(problem.runs, n_y, steps, seed, longest)
-    free_run(W, problem.layout.depth, problem.layout.lags, problem.parameters(stage.body))
-    return W[:, :n_y]
+    layout = stage.layout
+    W = probe_run(problem.runs, layout.n, _STEPS, seed, longest)
+    free_run(W, layout.depth, layout.lags, problem.parameters(stage.body))
+    return W[:, : layout.n]
 
 
-def _share_at(y: FloatArray, limits: FloatArray) -> float:
-    """Share of the rows of y (N, n_y) in which an output is at a limit."""
-    return float(((y <= limits[0]) | (y >= limits[1])).any(axis=1).mean())
-
-
-def _is_contracting(stage: Stage) -> bool:
-    problem = stage.problem
-    layout = stage.problem.layout
-    y = np.vstack([run[:, : layout.n_y] for run in stage.simulated()])
-    seen = np.stack([y.min(axis=0), y.max(axis=0)])
-    return is_contracting(problem.runs, seen, layout.depth, layout.lags, problem.parameters(stage.body))
+def _share_at(x: FloatArray, limits: FloatArray) -> float:
+    """Share of the rows of x (N, n) in which a column is at a limit, beyond it, or no number."""
+    return float((~((x > limits[0]) & (x < limits[1]))).any(axis=1).mean())
 
 
 def _rules_settle(stage: Stage) -> bool:
@@ -275,7 +297,20 @@ def _rules_settle(stage: Stage) -> bool:
     return bool(max(poles) < 1.0 + _ROUNDING)
 
 
-def judged(stage: Stage, runs: Sequence[FloatArray], skip: int, *, must_be_bounded: bool) -> Candidate:
-    """A stage with its validation errors after `skip` rows of every run, and whether it may be offered."""
+def judged(stage: Stage, runs: Sequence[FloatArray], skip: int, *, must_be_bounded: bool = True) -> Candidate:
+    """A stage on judging runs, of which the first rows (at least `skip`) only start it; may it be offered?"""
     errors = blocks(free_run_errors(stage, runs, judging_window(runs, skip)))
-    return Candidate(stage, errors, is_bounded(stage) if must_be_bounded else True)
+    own = _window_errors(stage, runs, skip) if stage.layout.hidden else np.zeros(0)
+    stable = is_bounded(stage) if must_be_bounded else True
+    return Candidate(stage, _finite(errors), stable, windows=_finite(own))
+
+
+def _window_errors(stage: Stage, runs: Sequence[FloatArray], skip: int) -> FloatArray:
+    """Mean squares of free runs over windows, cut alike for every depth, so that any two can be compared."""
+    rows = max(sum(len(W) for W in runs) // _WINDOWS, _LONGER * skip)
+    pieces = [W for W in windows(runs, skip, rows) if len(W) > skip + _SCORED]
+    return np.array([float((e * e).mean()) for e in free_run_errors(stage, pieces, skip)])
+
+
+def _finite(errors: FloatArray) -> FloatArray:
+    return np.where(np.isfinite(errors), np.minimum(errors, _AWAY), _AWAY)

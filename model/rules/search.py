@@ -16,7 +16,7 @@ import numpy as np
 from flysid.errors import DataError
 from flysid.model.rules.clustered_start import clustered_stage
 from flysid.model.rules.free_run_error import Stage
-from flysid.model.rules.growth import one_rule_more, thinned
+from flysid.model.rules.growth import Training, one_rule_more, thinned
 from flysid.model.rules.judging import Candidate, choose
 from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, parse_antecedent, runs_of, scaling
@@ -103,12 +103,13 @@ def _grown(context: SearchContext, lane: Candidate, keep: int) -> list[Candidate
     """
     candidates = variables(context.settings, lane.stage.problem.layout)
     iterations = context.settings.iterations
-    found = one_rule_more(lane.stage, candidates, iterations, keep)
-    kids = [context.judge(stage) for _, stage in found]
+    how = Training(iterations=iterations, tries=0)
+    found = one_rule_more(lane.stage, candidates, how, keep)
+    kids = [context.judge(grown.stage) for grown in found]
     for ridge in _RIDGES:
         if not found or any(kid.stable for kid in kids):
             break
-        kids.append(context.judge(refine(with_ridge(found[0][0], ridge), iterations, 1e-4)))
+        kids.append(context.judge(refine(with_ridge(found[0].start, ridge), iterations, 1e-4)))
     return kids
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.free_run_error import Body, Stage
+from flysid.model.rules.realisation import Prior, initial_states
 
 _FLAT = 1e-9  # of the largest diagonal entry: unknowns that the cost does not feel
 _PROMISE_DAMPING = 1e-3
@@ -26,6 +27,29 @@ def with_ridge(stage: Stage, ridge: float) -> Stage:
 def on_runs(stage: Stage, other: Stage) -> Stage:
     """A stage's model on the runs of another stage, started where that one starts."""
     return replace(stage, problem=replace(stage.problem, runs=other.problem.runs), initial=other.initial)
+
+
+def on_runs_of(stage: Stage, other: Stage) -> Stage:
+    """A stage's model on the runs of another, started where that one is; hidden states where is likely."""
+    kept = on_runs(stage, other)
+    if not stage.layout.hidden:
+        return kept
+    return min((on_other_runs(stage, other.problem.runs), kept), key=lambda s: s.mean_square())
+
+
+def on_other_runs(stage: Stage, runs: tuple[FloatArray, ...]) -> Stage:
+    """A model over hidden states on other runs, from the most likely states."""
+    problem = replace(stage.problem, runs=runs)
+    par = problem.parameters(stage.body)
+    return replace(
+        stage, problem=problem, initial=initial_states(stage.layout, runs, par, prior_of(stage), 100)
+    )
+
+
+def prior_of(stage: Stage) -> Prior:
+    """What training says about states, for starting other runs."""
+    runs = [run[stage.layout.depth - 1 :] for run in stage.simulated()]
+    return Prior.of(runs, stage.layout.n, stage.mean_square())
 
 
 def expected_cost(stage: Stage) -> float:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.model.rules.judging import Candidate
 from flysid.model.rules.realisation import PLAIN_WORDS
-from flysid.model.rules.state_judging import Judged
 from flysid.model.rules.state_systems import System
 
 _RULE_GAIN = 0.1  # of the mean square: what a rule must win
@@ -38,7 +38,7 @@ class Family:
 
     start: Start
     ridge: float
-    folds: tuple[tuple[Judged, ...], ...]
+    folds: tuple[tuple[Candidate, ...], ...]
     words: str = PLAIN_WORDS
 
     @property
@@ -49,7 +49,7 @@ class Family:
         errs there by multiples, and a plain mean would look at nothing else.
         """
         most = min(len(f) for f in self.folds)
-        means = [[max(m.mean, _EXACT) if m.bounded else _UNBOUNDED for m in f[:most]] for f in self.folds]
+        means = [[max(m.mean, _EXACT) if m.stable else _UNBOUNDED for m in f[:most]] for f in self.folds]
         return np.asarray(np.log(np.array(means)), dtype=np.float64)
 
     @property
@@ -71,7 +71,7 @@ def fewest_rules(family: Family, plain: Family) -> int:
     """
     if len(family.folds) == 1:
         models = (plain.folds[0][0], *family.folds[0][1:])
-        return _fewest([m.errors if m.bounded else np.full(len(m.errors), _UNBOUNDED) for m in models])
+        return _fewest([m.errors if m.stable else np.full(len(m.errors), _UNBOUNDED) for m in models])
     counts = range(min(len(f) for f in family.folds))
     units = [_window_logs(plain if i == 0 else family, i) for i in counts]
     best = int(np.argmin([u.mean() for u in units]))
@@ -86,7 +86,7 @@ def _window_logs(family: Family, at: int) -> FloatArray:
     """Logarithms of the mean squares of all windows of all folds; the worst for what is not bounded."""
     models = [fold[at] for fold in family.folds]
     found = np.log(np.maximum(np.concatenate([m.windows for m in models]), _EXACT))
-    return found if all(m.bounded for m in models) else np.full(len(found), np.log(_UNBOUNDED))
+    return found if all(m.stable for m in models) else np.full(len(found), np.log(_UNBOUNDED))
 
 
 def _fewest(errors: list[FloatArray]) -> int:

@@ -10,14 +10,14 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.free_run_error import Stage
+from flysid.model.rules.growth import Training, one_rule_more
+from flysid.model.rules.judging import Candidate, is_bounded, judged
 from flysid.model.rules.realisation import PLAIN, PLAIN_WORDS, Realisation, coordinates
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, parse_antecedents, runs_of
 from flysid.model.rules.search_settings import SearchSettings
-from flysid.model.rules.stages import refine, with_ridge
+from flysid.model.rules.stages import on_runs_of, refine, with_ridge
 from flysid.model.rules.state_choice import Family
-from flysid.model.rules.state_growth import Training, best_insertion, linear_stage, on_runs_of
-from flysid.model.rules.state_judging import Judged, is_bounded, judged
-from flysid.model.rules.state_systems import System
+from flysid.model.rules.state_systems import System, linear_stage
 
 LARGE = 6000  # samples from which on one start and one ridge must do, and a sample of the data
 SPARE_ROWS = 12  # a segment must be longer than its start by this to say anything
@@ -101,7 +101,7 @@ class StateContext:
         """Where growth stops."""
         return self.settings.most_rules if self.settings.rules == "auto" else self.settings.rules
 
-    def judge(self, stage: Stage, check: Dataset) -> Judged:
+    def judge(self, stage: Stage, check: Dataset) -> Candidate:
         """A stage on a judging part."""
         return judged(stage, runs_of(stage.layout, check.segments, self.least), self.least - SPARE_ROWS)
 
@@ -137,5 +137,6 @@ class StateContext:
         how = Training(ridge=ridge, iterations=self.settings.iterations)
         stages = [start]
         while len(stages) <= at:
-            stages.append(best_insertion(stages[-1], self.candidates(start.layout), how)[0])
+            found = one_rule_more(stages[-1], self.candidates(start.layout), how)
+            stages.append(found[0].stage if found else stages[-1])
         return stages

@@ -12,14 +12,13 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.arguments import is_count
 from flysid.model.rules.free_run_error import Stage
-from flysid.model.rules.judging import INTEGRATES, hold_out
+from flysid.model.rules.judging import INTEGRATES, hold_out, is_bounded
 from flysid.model.rules.regressor_layout import runs_of, scaling
-from flysid.model.rules.stages import ordered, refine
+from flysid.model.rules.saturation import saturation_limits
+from flysid.model.rules.stages import on_other_runs, ordered, refine
 from flysid.model.rules.state_choice import Family, fewest_rules
 from flysid.model.rules.state_context import SPARE_ROWS, StateContext
 from flysid.model.rules.state_context import Settings as GrowthSettings
-from flysid.model.rules.state_growth import on_other_runs
-from flysid.model.rules.state_judging import is_bounded, saturation_limits
 from flysid.model.rules.state_search import searched
 from flysid.model.rules.state_systems import Settings as SystemSettings
 from flysid.model.rules.state_systems import System, linear_systems
@@ -102,7 +101,7 @@ def learn(settings: Settings, train: Dataset, validation: Dataset | None) -> Lea
     if not is_bounded(final):
         notes.append(INTEGRATES)
     kids = found.best.folds[0]
-    near = [kid.stage for kid in (*kids[at + 1 :], *kids[at - 1 : at]) if kid.bounded]
+    near = [kid.stage for kid in (*kids[at + 1 :], *kids[at - 1 : at]) if kid.stable]
     return Learned(final, tuple(notes), context, family.start.system, refined, near[0] if near else None)
 
 

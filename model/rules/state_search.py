@@ -16,17 +16,11 @@ import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.model.rules.free_run_error import Stage
+from flysid.model.rules.growth import Insertion, Training, one_rule_more, same_insertion, thinned
+from flysid.model.rules.judging import Candidate
 from flysid.model.rules.realisation import PLAIN, Realisation, coordinates
 from flysid.model.rules.state_choice import Family, Start
 from flysid.model.rules.state_context import LARGE, StateContext
-from flysid.model.rules.state_growth import (
-    Insertion,
-    Training,
-    best_insertion,
-    same_insertion,
-    thinned,
-)
-from flysid.model.rules.state_judging import Judged
 from flysid.model.rules.state_systems import System
 
 _SCREEN_ROWS = 3000  # of the first fitting part, and of the first judging part
@@ -104,7 +98,7 @@ def searched(context: StateContext, systems: Sequence[System], parts: Parts) -> 
 
 def _again(context: StateContext, families: Sequence[tuple[Family, _Linear]], plain: float) -> int:
     """How many of the families another ridge is tried on: all where one ran away, the best where it helps."""
-    if any(not m.bounded for family, _ in families for fold in family.folds for m in fold):
+    if any(not m.stable for family, _ in families for fold in family.folds for m in fold):
         return len(families)
     helps = context.settings.rules != "auto" or _error(context, families[0][0]) < 0.99 * plain
     return 1 if helps else 0
@@ -119,8 +113,8 @@ def tolerant(family: Family) -> Family:
     return replace(family, folds=tuple(tuple(_tolerant(m) for m in fold) for fold in family.folds))
 
 
-def _tolerant(found: Judged) -> Judged:
-    return replace(found, bounded=True)
+def _tolerant(found: Candidate) -> Candidate:
+    return replace(found, stable=True)
 
 
 def _screened(
@@ -139,10 +133,11 @@ def _screened(
         first = thinned(x.stages[0], _SCREEN_ROWS)
         for name in coordinates(Realisation.of(first.layout, first.body.a[0]), len(check.outputs)):
             stage, _ = context.in_coordinates(first, name)
-            found, _ = best_insertion(stage, context.candidates(stage.layout), how)
+            grown = one_rule_more(stage, context.candidates(stage.layout), how)
+            found = grown[0].stage if grown else stage
             judged = context.judge(found, check)
             score = float(np.log(np.maximum((judged.mean, found.mean_square()), _EXACT)).sum())
-            runs_away = x.family.folds[0][0].bounded and not judged.bounded
+            runs_away = x.family.folds[0][0].stable and not judged.stable
             fit = _change(found.mean_square(), first.mean_square())
             change = 0.5 * (_change(judged.mean, known) + fit)
             tried.append((runs_away, score, Start(x.system, name), x, change))
@@ -165,15 +160,16 @@ def grown(context: StateContext, start: Start, linear: Sequence[Stage], parts: P
         tuple((context.judge(s, c),) for s, (_, c) in zip(stages, parts, strict=True)),
         moved[0][1],
     )
-    drifts = not all(f[0].bounded for f in family.folds)  # the process integrates: linear models of it drift
+    drifts = not all(f[0].stable for f in family.folds)  # the process integrates: linear models of it drift
     family = tolerant(family) if drifts else family
     how = _searching(Training(ridge=ridge, iterations=context.settings.iterations), parts)
     while len(family.rmse) < context.most and context.room(stages[0]) and not _idle(context, family, stages):
-        first, where = best_insertion(stages[0], context.candidates(stages[0].layout), how)
-        if where is None:
+        better = one_rule_more(stages[0], context.candidates(stages[0].layout), how)
+        if not better:
             break
-        gain = _gain(stages[0], first)
-        stages = [first, *(_likewise(context, stage, where, how, gain) for stage in stages[1:])]
+        gain = _gain(stages[0], better[0].stage)
+        rest = (_likewise(context, stage, better[0].where, how, gain) for stage in stages[1:])
+        stages = [better[0].stage, *rest]
         new = [context.judge(s, c) for s, (_, c) in zip(stages, parts, strict=True)]
         new = [_tolerant(m) if drifts else m for m in new]
         family = replace(family, folds=tuple((*f, m) for f, m in zip(family.folds, new, strict=True)))
@@ -185,8 +181,9 @@ def _likewise(context: StateContext, stage: Stage, where: Insertion, how: Traini
     found = same_insertion(stage, where, how)
     if found is not None and _gain(stage, found) >= _AS_MUCH * gain:
         return found
-    own, _ = best_insertion(stage, context.candidates(stage.layout), how)
-    return own if found is None or own.cost < found.cost else found
+    own = one_rule_more(stage, context.candidates(stage.layout), how)
+    options = [*(g.stage for g in own), *([found] if found else [])]
+    return min(options, key=lambda s: s.cost, default=stage)
 
 
 def _gain(before: Stage, after: Stage) -> float:

@@ -16,13 +16,27 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.oe import OE
-from flysid.model.rules.realisation import PLAIN_WORDS, Realisation, realised
+from flysid.model.rules.free_run_error import Body, Problem, Stage
+from flysid.model.rules.realisation import (
+    PLAIN_WORDS,
+    Prior,
+    Realisation,
+    initial_states,
+    realised,
+    uncorrelated,
+)
+from flysid.model.rules.regressor_layout import Layout
+from flysid.model.rules.stages import refine
 from flysid.model.statespace import StateSpace, with_choices_made
 from flysid.model.subspace.fitted_model import FittedStateSpace
 
 _SHOWN = 1e-6  # directions of the outputs weaker than this, relative to the strongest, count as none
 _OE_STATES = (2, 3)  # orders of output-error models: rules may use a state that a linear model does not
 _MOST_OE = 4  # and the order of the best state space, up to this
+_HIDDEN_LIMIT = 12.0  # spreads that a hidden state may reach
+_FLOOR = 1e-3  # of the metric's diagonal, added to it: directions that the linear model does not feel
+_START_ROWS = 400  # of a run from which a linear start takes its initial state
+_OVERFLOW = 1e9  # spreads: a state beyond has run away
 
 
 class Settings(Protocol):
@@ -188,6 +202,71 @@ def realised_states(model: FittedStateSpace, shift: FloatArray, scale: FloatArra
         if direct:
             taps[k][:, j] += E[:, j]
     return Realisation(A, taps, c, lags, PLAIN_WORDS)
+
+
+def linear_stage(
+    layout: Layout,
+    runs: tuple[FloatArray, ...],
+    real: Realisation,
+    ends: FloatArray,
+    iterations: int,
+    *,
+    whiten: bool = False,
+) -> Stage:
+    """The refined linear model in the coordinates of `real`, hidden states scaled to their spread.
+
+    With `whiten` in coordinates of its own: hidden states uncorrelated with the outputs and each other.
+
+    Parameters
+    ----------
+    ends : (2, n_y) normalised outputs at which the plant itself saturates; infinite where it does not.
+    """
+    n = layout.n
+    n_y = layout.n_y
+    d = layout.depth
+    y = np.vstack([W[d - 1 :, :n_y] for W in runs])
+    margin = np.ptp(y, axis=0)
+    limits = np.full((2, n), np.inf) * np.array([[-1.0], [1.0]])
+    limits[:, :n_y] = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
+    problem = unmoved(layout, runs, np.zeros((2, 0)), limits)
+    nowhere = Prior(np.zeros(n), 1e-6 * np.eye(n), 1.0)
+    stage = _linear(problem, real, nowhere)
+    states = np.vstack([r[d - 1 :, :n] for r in stage.simulated()])
+    spread = states.std(axis=0)
+    middle = states.mean(axis=0)
+    spread[:n_y] = 1.0
+    middle[:n_y] = 0.0
+    spread = np.where((spread > 1e-12) & np.isfinite(spread), spread, 1.0)
+    if whiten and np.abs(states).max() < _OVERFLOW:
+        T = uncorrelated(np.cov(states, rowvar=False).reshape(n, n), n_y)
+        shift = T @ states.mean(axis=0)
+        real = real.transformed(T, np.where(np.arange(n) < n_y, 0.0, shift))
+    else:
+        real = real.transformed(np.diag(1.0 / spread), np.where(np.isfinite(middle), middle, 0.0) / spread)
+    limits[:, n_y:] = np.array([[-_HIDDEN_LIMIT], [_HIDDEN_LIMIT]])
+    limits[0, :n_y] = np.maximum(limits[0, :n_y], ends[0])
+    limits[1, :n_y] = np.minimum(limits[1, :n_y], ends[1])
+    stage = _linear(problem, real, nowhere)
+    stage = refine(stage, iterations, 1e-6) if iterations else stage
+    H = stage.normal()[1].corner
+    diagonal = np.diag(H)
+    metric = H + np.diag(_FLOOR * diagonal + 1e-9 * diagonal.max())
+    return replace(stage, problem=replace(stage.problem, metric=metric))
+
+
+def _linear(problem: Problem, real: Realisation, prior: Prior) -> Stage:
+    """One rule from a realisation, every run started from its most likely state."""
+    still = np.zeros((1, 0))
+    body = Body(real.consequent(problem.layout)[None], still, still)
+    par = problem.parameters(body)
+    initial = initial_states(problem.layout, problem.runs, par, prior, _START_ROWS)
+    return Stage(problem, body, initial, np.inf)
+
+
+def unmoved(layout: Layout, runs: tuple[FloatArray, ...], z_range: FloatArray, limits: FloatArray) -> Problem:
+    """A problem whose consequents stand as they are, without a ridge."""
+    n_x = len(layout.regressors)
+    return Problem(layout, runs, np.eye(n_x), np.zeros((layout.n, n_x)), z_range, limits)
 
 
 def _spread(covariance: FloatArray, a: FloatArray) -> FloatArray:

@@ -19,13 +19,13 @@ from flysid.model.rules.contest import hints_at_hidden_state
 from flysid.model.rules.control_system import next_step, to_nonlinear_system
 from flysid.model.rules.fitted import FittedTS, from_dict
 from flysid.model.rules.free_run_error import Body
+from flysid.model.rules.growth import Training, one_rule_more
 from flysid.model.rules.local_models import certificate, linearise, polytope
 from flysid.model.rules.realisation import coordinates, realised
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.rule_uncertainty import Uncertainty, uncertainty
+from flysid.model.rules.saturation import saturation_limits
 from flysid.model.rules.state_context import StateContext
-from flysid.model.rules.state_growth import Training, one_rule_more
-from flysid.model.rules.state_judging import saturation_limits
 from flysid.model.rules.state_systems import System, linear_systems, realised_states
 from flysid.model.rules.structure_choice import Advantage, advantage
 from flysid.model.statespace import StateSpace
@@ -96,7 +96,7 @@ def test_sensitivities_are_exact() -> None:
     """The gradient of the cost agrees with central differences."""
     bench, system = system_of(vehicle())
     stage = bench.linear(system, vehicle())
-    grown = one_rule_more(stage, bench.candidates(stage.layout), Training(iterations=3, tries=1))
+    grown = one_rule_more(stage, bench.candidates(stage.layout), Training(iterations=3, tries=1))[0].stage
     p = grown.unknowns + 1e-3 * np.random.default_rng(0).standard_normal(len(grown.unknowns))
     g = grown.descent(p, 0)[1].slope
     for j in range(len(p)):
