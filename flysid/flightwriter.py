@@ -33,6 +33,7 @@ MAX_OPEN_FILES = 200
 BLOCK_BYTES = 4096  # what a file takes on the disk at least: smaller ones gain nothing from being compressed
 IntArray = npt.NDArray[np.int64]
 _END = (1 << 31, 0)  # behind every (boot, time)
+_FILES = pyarrow.fs.LocalFileSystem()
 
 
 @dataclass
@@ -42,6 +43,7 @@ class _Stream:
     key: str
     path: Path
     schema: pa.Schema
+    row_bytes: int  # 0 where rows differ in size
     waiting: list[pa.Table] = field(default_factory=list)
     waiting_bytes: int = 0
     rows: int = 0
@@ -67,12 +69,14 @@ class FlightWriter:
         if stream is None:
             name = slug(key, self._taken)
             self._taken.add(name.casefold())
-            stream = self._streams[key] = _Stream(key, self._folder / f"{name}.parquet", table.schema)
+            stream = self._streams[key] = _Stream(
+                key, self._folder / f"{name}.parquet", table.schema, _row_bytes(table.schema)
+            )
         elif not table.schema.equals(stream.schema):
             raise StoreError(f"the reader changed the columns of stream {key!r} midway", path=stream.path)
         if table.num_rows == 0:
             return
-        size = table.nbytes
+        size = table.num_rows * stream.row_bytes if stream.row_bytes else table.nbytes
         stream.waiting.append(table)
         stream.waiting_bytes += size
         self._waiting += size
@@ -108,10 +112,10 @@ class FlightWriter:
         self._waiting -= stream.waiting_bytes
         stream.waiting = []
         stream.waiting_bytes = 0
-        table = in_order(table)
+        table, boots, times = _ordered(table)
         stream.rows += table.num_rows
         if table.num_rows:
-            _note_times(stream, int_values(table[BOOT]), int_values(table[TIME]))
+            _note_times(stream, boots, times)
             with writing_to(stream.path):
                 stream.writer.write_table(table, row_group_size=ROWS_PER_GROUP)
 
@@ -124,6 +128,12 @@ class FlightWriter:
                 writer.close()
 
 
+def _row_bytes(schema: pa.Schema) -> int:
+    """How many bytes each row takes; 0 where that differs. `Table.nbytes` is slow: small logs notice it."""
+    bits = [kind.bit_width for kind in schema.types if pa.types.is_primitive(kind)]
+    return sum(bits) // 8 if len(bits) == len(schema.types) else 0
+
+
 def _parquet_writer(path: Path, schema: pa.Schema, size: int) -> pq.ParquetWriter:
     """A writer of a stream of which `size` bytes wait to be written.
 
@@ -134,9 +144,9 @@ def _parquet_writer(path: Path, schema: pa.Schema, size: int) -> pq.ParquetWrite
         {"compression": "zstd", "compression_level": 1} if size > BLOCK_BYTES else {"compression": "none"}
     )
     return pq.ParquetWriter(
-        path,
+        str(path),
         schema,
-        filesystem=pyarrow.fs.LocalFileSystem(),
+        filesystem=_FILES,
         version="2.6",
         use_dictionary=False,
         write_statistics=[BOOT, TIME],
@@ -184,20 +194,32 @@ def int_values(column: pa.ChunkedArray) -> IntArray:
         for chunk in column.chunks
         if len(chunk)
     ]
-    return np.concatenate(pieces).astype(np.int64, copy=False) if pieces else np.empty(0, np.int64)
+    joined = pieces[0] if len(pieces) == 1 else np.concatenate([np.empty(0, np.int64), *pieces])
+    return joined.astype(np.int64, copy=False)
 
 
 def in_order(table: pa.Table) -> pa.Table:
     """`table` sorted by (boot, time_ns), rows of equal time in order of arrival."""
-    if table.num_rows < 2:
-        return table
+    return _ordered(table)[0]
+
+
+def _ordered(table: pa.Table) -> tuple[pa.Table, IntArray, IntArray]:
+    """`in_order`, and the boots and times of its rows."""
     boots = int_values(table[BOOT])
     times = int_values(table[TIME])
-    step = np.diff(boots)
-    if not (step < 0).any() and not ((np.diff(times) < 0) & (step == 0)).any():
-        return table
+    if _rises(boots, times):
+        return table, boots, times
     order = np.lexsort((times, boots))
-    return table.take(pa.Array.from_buffers(pa.int64(), len(order), [None, pa.py_buffer(order)]))
+    taken = table.take(pa.Array.from_buffers(pa.int64(), len(order), [None, pa.py_buffer(order)]))
+    return taken, boots[order], times[order]
+
+
+def _rises(boots: IntArray, times: IntArray) -> bool:
+    """Whether rows are in order of (boot, time)."""
+    if len(times) < 2:
+        return True
+    step = boots[1:] - boots[:-1]
+    return not ((step < 0) | ((times[1:] < times[:-1]) & (step == 0))).any()
 
 
 def _note_times(stream: _Stream, boots: IntArray, times: IntArray) -> None:
@@ -224,7 +246,7 @@ def _entry(stream: _Stream) -> StreamEntry:
         stream=stream.key,
         file=stream.path.name,
         rows=stream.rows,
-        columns=tuple(describe_column(column) for column in stream.schema),
+        columns=_columns(stream.schema.remove_metadata().serialize().to_pybytes()),
         first_ns=min((lo for _, lo, _ in spans), default=None),
         last_ns=max((hi for _, _, hi in spans), default=None),
         rate_hz=steps / seconds if seconds > 0 else None,
@@ -237,20 +259,18 @@ def _entry(stream: _Stream) -> StreamEntry:
     )
 
 
-def describe_column(column: pa.Field) -> Column:
-    """What a manifest says about a column."""
-    return _described(column.name, column.type, tuple((column.metadata or {}).items()))
+@lru_cache(maxsize=1 << 10)
+def _columns(schema: bytes) -> tuple[Column, ...]:
+    """What a manifest says about the columns of a schema: logs of one kind share theirs."""
+    return tuple(_described(column) for column in pa.ipc.read_schema(pa.py_buffer(schema)))
 
 
-@lru_cache(maxsize=1 << 14)
-def _described(name: str, kind: pa.DataType, metadata: tuple[tuple[bytes, bytes], ...]) -> Column:
-    """Logs of one kind share their columns, so that each is described once."""
-    column = pa.field(name, kind, metadata=dict(metadata))
-    facts = dict(metadata)
+def _described(column: pa.Field) -> Column:
+    facts = column.metadata or {}
     return Column(
-        name=name,
-        type=str(kind),
-        unit="ns" if name in (TIME, RECEIVED) else field_unit(column),
+        name=column.name,
+        type=str(column.type),
+        unit="ns" if column.name in (TIME, RECEIVED) else field_unit(column),
         scale=field_scale(column),
         enum=json.loads(facts.get(b"enum", b"{}")),
         description=facts.get(b"description", b"").decode(errors="replace"),

@@ -25,6 +25,7 @@ ARROW_TYPES: Mapping[str, pa.DataType] = {
     "u4": pa.uint32(),
     "i8": pa.int64(),
     "u8": pa.uint64(),
+    "f2": pa.float16(),
     "f4": pa.float32(),
     "f8": pa.float64(),
 }
@@ -42,6 +43,11 @@ def numeric(values: Values) -> pa.Array:
     return pa.Array.from_buffers(
         arrow, len(values), [None, pa.py_buffer(np.ascontiguousarray(values, dtype=native))]
     )
+
+
+def number_type(kind: np.dtype[Any]) -> pa.DataType:
+    """Arrow's type of a number."""
+    return _types(kind)[1]
 
 
 @cache

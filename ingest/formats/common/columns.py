@@ -7,31 +7,21 @@ here calls `pa.array` on a NumPy array: its first call imports pandas (0.2 to 0.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
 from flysid.flight import BOOT, RECEIVED, TIME, field_metadata
+from flysid.ingest.formats.common import arrow_arrays
 
 ByteMatrix = npt.NDArray[np.uint8]
 IntArray = npt.NDArray[np.int64]
 
-_ARROW_TYPES = {
-    "i1": pa.int8(),
-    "i2": pa.int16(),
-    "i4": pa.int32(),
-    "i8": pa.int64(),
-    "u1": pa.uint8(),
-    "u2": pa.uint16(),
-    "u4": pa.uint32(),
-    "u8": pa.uint64(),
-    "f2": pa.float16(),
-    "f4": pa.float32(),
-    "f8": pa.float64(),
-}
+_HEADS = (pa.field(TIME, pa.int64()), pa.field(BOOT, pa.int32()), pa.field(RECEIVED, pa.int64()))
 
 
 @dataclass(frozen=True)
@@ -58,6 +48,18 @@ class Layout:
     def size(self) -> int:
         return int(self.dtype.itemsize)
 
+    @cached_property
+    def columns(self) -> tuple[pa.Field, ...]:
+        """The Arrow fields of `fields`. Logs of one process share them: a small log has as many as rows."""
+        return tuple(schema_field(spec, self._kind(spec)) for spec in self.fields)
+
+    def _kind(self, spec: Field) -> pa.DataType:
+        if spec.is_text:
+            return pa.string()
+        kind = self.dtype[spec.name]
+        number = arrow_arrays.number_type(kind.base)
+        return pa.list_(number, kind.shape[0]) if kind.shape else number
+
 
 def as_array(content: memoryview | bytes) -> npt.NDArray[np.uint8]:
     """Bytes as an array, not copied."""
@@ -66,11 +68,7 @@ def as_array(content: memoryview | bytes) -> npt.NDArray[np.uint8]:
 
 def numbers(values: npt.NDArray[np.generic]) -> pa.Array:
     """A 1-D numeric array as an Arrow array; (n, k) becomes a list of fixed size k."""
-    if values.ndim == 2:
-        return pa.FixedSizeListArray.from_arrays(numbers(values.reshape(-1)), values.shape[1])
-    native = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("="))
-    kind = _ARROW_TYPES[native.dtype.str[1:]]
-    return pa.Array.from_buffers(kind, len(native), [None, pa.py_buffer(native)])
+    return arrow_arrays.matrix(values) if values.ndim == 2 else arrow_arrays.numeric(values)
 
 
 def constant(value: int, count: int, dtype: type[np.integer]) -> pa.Array:
@@ -125,19 +123,11 @@ def decode(matrix: ByteMatrix, layout: Layout) -> list[pa.Array]:
     return columns
 
 
-def message_schema(
-    layout: Layout, columns: Sequence[pa.Array], metadata: Mapping[str, str], *, received: bool
-) -> pa.Schema:
+def message_schema(fields: Iterable[pa.Field], metadata: Mapping[str, str], *, received: bool) -> pa.Schema:
     """time_ns, boot, maybe recv_ns, then the message's fields; `metadata` goes to the schema."""
-    heads = [pa.field(TIME, pa.int64()), pa.field(BOOT, pa.int32())]
-    if received:
-        heads.append(pa.field(RECEIVED, pa.int64()))
-    taken = {TIME, BOOT, RECEIVED}
-    fields = []
-    for spec, column in zip(layout.fields, columns, strict=True):
-        item = schema_field(spec, column.type)
-        fields.append(item.with_name(item.name + "_") if item.name in taken else item)
-    return pa.schema(heads + fields, metadata=dict(metadata))
+    heads = _HEADS if received else _HEADS[:2]
+    own = [f.with_name(f.name + "_") if f.name in arrow_arrays.RESERVED else f for f in fields]
+    return pa.schema([*heads, *own], metadata=dict(metadata))
 
 
 def gather(buffer: npt.NDArray[np.uint8], starts: IntArray, lengths: IntArray, size: int) -> ByteMatrix:

@@ -126,6 +126,7 @@ class VehicleTime:
     _systems: dict[int, _System] = field(default_factory=dict)
     _wraps: dict[Source, int] = field(default_factory=dict)
     _knots: dict[int, Knots] = field(default_factory=dict)
+    _placed: dict[int, tuple[IntArray, IntArray]] = field(default_factory=dict)
     _arrival: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     _utc: bool = False
     _last: dict[Source, tuple[int, int]] = field(default_factory=dict)
@@ -157,6 +158,7 @@ class VehicleTime:
         self._utc = utc
         owners = sorted({stream.source[0] for stream in clocked})
         self._knots = {system: self._make_knots(system, clocked) for system in owners}
+        self._placed = {}
         if self.main is None or (self.main not in self.vehicles and self.vehicles & set(self._knots)):
             self.main = self._choose_main()
 
@@ -185,7 +187,9 @@ class VehicleTime:
             self.sources.setdefault(source, stated.field)
             if self.sources[source] == stated.field:
                 return stated.time_ns, knots.boots_of(rows)
-        placed_ns, boots = self._between(owner, rows, knots)
+        if owner not in self._placed:
+            self._placed[owner] = self._between(owner, np.arange(len(self._arrival)), knots)
+        placed_ns, boots = (values[rows] for values in self._placed[owner])
         return (placed_ns if stated is None else self._settle(stated, placed_ns)), boots
 
     def _settle(self, stream: Clocked, placed_ns: IntArray) -> IntArray:

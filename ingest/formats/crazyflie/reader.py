@@ -108,6 +108,6 @@ def _part(reader: _Reader, kind: int, matrix: ByteMatrix, time_ns: IntArray) -> 
     if kind not in reader.schemas:
         source = "the deck's clock, since boot"
         metadata = {"time_source": source, "message": layout.name}
-        reader.schemas[kind] = message_schema(layout, columns, metadata, received=False)
+        reader.schemas[kind] = message_schema(layout.columns, metadata, received=False)
     heads = [numbers(time_ns), constant(0, len(time_ns), np.int32)]
     return StreamPart(layout.name, pa.Table.from_arrays([*heads, *columns], schema=reader.schemas[kind]))

@@ -276,7 +276,7 @@ def _table(reader: _Reader, code: int, matrix: ByteMatrix, time_ns: IntArray, bo
             "message": definition.name,
             **({"instance": instance} if instance else {}),
         }
-        reader.schemas[definition.stream] = message_schema(layout, columns, metadata, received=False)
+        reader.schemas[definition.stream] = message_schema(layout.columns, metadata, received=False)
     schema = reader.schemas[definition.stream]
     table = pa.Table.from_arrays([numbers(time_ns), numbers(boots.astype(np.int32)), *columns], schema=schema)
     return StreamPart(definition.stream, table)

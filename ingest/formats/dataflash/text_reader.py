@@ -22,7 +22,7 @@ from flysid.errors import FormatError
 from flysid.flight import ClockMap, Damage, Region
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
 from flysid.ingest.formats.common.clock import IntArray
-from flysid.ingest.formats.common.columns import Layout, message_schema, numbers, strings
+from flysid.ingest.formats.common.columns import Layout, message_schema, numbers, schema_field, strings
 from flysid.ingest.formats.common.line_batches import whole_lines
 from flysid.ingest.formats.common.vehicle_time import Clocked, VehicleTime
 from flysid.ingest.formats.dataflash.layouts import (
@@ -312,7 +312,8 @@ def _table(reader: _Reader, code: int, columns: list[Column], times: tuple[IntAr
             "message": definition.name,
             **({"instance": instance} if instance else {}),
         }
-        reader.schemas[definition.stream] = message_schema(layout, arrays, metadata, received=False)
+        fields = (schema_field(spec, array.type) for spec, array in zip(layout.fields, arrays, strict=True))
+        reader.schemas[definition.stream] = message_schema(fields, metadata, received=False)
     heads = [numbers(times[0]), numbers(times[1].astype(np.int32))]
     return StreamPart(
         definition.stream, pa.Table.from_arrays(heads + arrays, schema=reader.schemas[definition.stream])

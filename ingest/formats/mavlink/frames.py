@@ -189,6 +189,10 @@ class Scanner:
     crc_extra : seeds by message id (`Dialect.crc_extra`).
     stamp : bytes before each frame: 8 in a tlog, 0 in raw MAVLink.
     chain : walks clean stretches; `plain_chain(crc_extra)` or the compiled one.
+
+    Attributes
+    ----------
+    foreign : frames that another dialect may know: of unknown ids, or right but for the seed.
     """
 
     crc_extra: npt.NDArray[np.int16]
@@ -201,6 +205,7 @@ class Scanner:
     truncated: bool = False
     unstamped: int = 0
     unknown: dict[tuple[int, int, int], int] = field(default_factory=dict)
+    foreign: int = 0
     _lost_at: int | None = None
     _reason: str = ""
     _expected: int = -1
@@ -236,11 +241,13 @@ class Scanner:
         self._expected = -1
         if head is not None and self._is_known(head.message):
             self.bad_checksums += 1
+            self.foreign += holds_with_some_seed(buffer, q, head)
             self._reason = "bad checksum"
             self._expected = batch.base + head.end
         elif head is not None and self._is_confirmed(buffer, head.end):
             key = (*divmod(_sender(buffer, q), 256), head.message)
             self.unknown[key] = self.unknown.get(key, 0) + 1
+            self.foreign += 1
             return head.end
         self._lost_at = batch.base + position
         return self._search(batch, position)
@@ -339,6 +346,15 @@ def is_valid(buffer: Buffer, q: int, head: Header, seed: int) -> bool:
 
     stated = int.from_bytes(buffer[head.crc_at : head.crc_at + 2], "little")
     return bool(fastcrc.crc16.mcrf4xx(bytes(buffer[q + 1 : head.crc_at]) + bytes([seed])) == stated)
+
+
+def holds_with_some_seed(buffer: Buffer, q: int, head: Header) -> bool:
+    """True where the CRC would hold if the message had another layout; by chance once in 256."""
+    import fastcrc
+
+    stated = int.from_bytes(buffer[head.crc_at : head.crc_at + 2], "little")
+    crc = fastcrc.crc16.mcrf4xx(bytes(buffer[q + 1 : head.crc_at]))
+    return bool(((crc >> 8) ^ CRC_TABLE == stated).any())
 
 
 def is_checked(buffer: Buffer, q: int, crc_extra: npt.NDArray[np.int16]) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 
 from flysid.ingest.formats.base import HEAD_BYTES
 from flysid.ingest.formats.common.columns import as_array
@@ -50,6 +50,7 @@ def stamp_bytes(head: bytes) -> int:
     return STAMP_BYTES if chained >= count_frames(head, 0)[1] else 0
 
 
+@lru_cache(maxsize=4)
 def count_frames(head: bytes, stamp: int) -> tuple[int, int]:
     """(valid frames, valid frames less lost regions) in `head` under one hypothesis."""
     scanner = make_scanner(DEFAULT, stamp)
@@ -76,12 +77,15 @@ def _plain_chain(dialect: str) -> Chain:
 
 
 def choose_dialect(sample: bytes, stamp: int) -> str:
-    """ardupilotmega unless another dialect fails on fewer frames (bad CRCs and unknown ids)."""
-    misses = {}
+    """ardupilotmega unless another dialect knows, and finds valid, more frames.
+
+    What no seed of a CRC explains fails in every dialect: others, slow to import, are asked for the rest.
+    """
+    valid = {}
     for name in (DEFAULT, *OTHERS):
         scanner = make_scanner(name, stamp)
-        scanner.scan(as_array(sample), 0, len(sample))
-        misses[name] = scanner.bad_checksums + sum(scanner.unknown.values())
-        if misses[name] == 0:
+        frames, _ = scanner.scan(as_array(sample), 0, len(sample))
+        valid[name] = len(frames) - sum(scanner.unknown.values())
+        if not scanner.foreign:
             break
-    return min(misses, key=lambda name: misses[name])
+    return max(valid, key=lambda name: valid[name])

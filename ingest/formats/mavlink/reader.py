@@ -100,7 +100,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     while position < len(view):
         start = position
         frames, position = _next_frames(reader.scanner, view, start, limits)
-        if start == 0 and (reader.scanner.bad_checksums or reader.scanner.unknown):
+        if start == 0 and reader.scanner.foreign:
             dialect = choose_dialect(bytes(view[:PROBE_BYTES]), stamp)
             if dialect != DEFAULT:
                 reader = _Reader(load_dialect(dialect), make_scanner(dialect, stamp, len(view)))
@@ -154,7 +154,7 @@ def frame_batches(view: memoryview, limits: Limits) -> Iterator[tuple[Frames, Di
     name = DEFAULT
     scanner = make_scanner(name, stamp, len(view))
     frames, position = _next_frames(scanner, view, 0, limits)
-    if scanner.bad_checksums or scanner.unknown:
+    if scanner.foreign:
         name = choose_dialect(bytes(view[:PROBE_BYTES]), stamp)
         scanner = make_scanner(name, stamp, len(view))
         frames, position = _next_frames(scanner, view, 0, limits)
@@ -356,7 +356,7 @@ def _table(
             "component": str(source[1]),
             "message": layout.name,
         }
-        reader.schemas[source] = message_schema(layout, columns, metadata, received=received is not None)
+        reader.schemas[source] = message_schema(layout.columns, metadata, received=received is not None)
     heads = [numbers(times[0]), numbers(times[1].astype(np.int32))]
     if received is not None:
         heads.append(numbers(received))

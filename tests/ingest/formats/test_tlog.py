@@ -413,3 +413,12 @@ def test_whether_frames_carry_stamps_is_decided_where_frames_begin(ahead: bytes)
     assert flight.damage.bytes_skipped == len(ahead)
     raw = read(ahead + b"".join(flying(sender(), 1000)))
     assert (raw.rows, raw.info["timestamps"]) == (1000, "none")
+
+
+def test_damage_to_one_frame_does_not_change_the_dialect() -> None:
+    vehicle = sender()
+    frames = [*flying(vehicle, 5), frame(vehicle, vehicle.ahrs_encode(0, 0, 0, 0, 0, 0, 0))]
+    frames[-1] = frames[-1][:-1] + bytes([frames[-1][-1] ^ 1])
+    flight = read(log_of(frames))
+    assert flight.info["dialect"] == "ardupilotmega"
+    assert flight.damage.bad_checksums == 1
