@@ -123,6 +123,27 @@ class HasDifferenceEquation(Protocol):
     def system(self) -> DifferenceEquation: ...
 
 
+class StateMatrices(Protocol):
+    """x(k+1) = a x + b u, y = c x + d u."""
+
+    @property
+    def a(self) -> FloatArray: ...
+    @property
+    def b(self) -> FloatArray: ...
+    @property
+    def c(self) -> FloatArray: ...
+    @property
+    def d(self) -> FloatArray: ...
+
+
+@runtime_checkable
+class HasRealisation(Protocol):
+    """A linear model that offers its state-space matrices."""
+
+    @property
+    def realisation(self) -> StateMatrices: ...
+
+
 @runtime_checkable
 class LocallyLinear(Protocol):
     """A model whose rules are difference equations."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -88,6 +88,7 @@ class Diagnosis:
     checks : of the models of the headline: stability, conditioning, intervals.
     near : how far held-out samples are from training samples; None without training data, or too few.
     loops : per output, whether the input answers it, in the training data where known.
+    steps : predictions by horizon: one step ahead of every model, further ahead of those of the headline.
     """
 
     outputs: tuple[OutputDiagnosis, ...]
@@ -99,6 +100,7 @@ class Diagnosis:
     free_runs: tuple[Trial, ...]
     loops: tuple[Feedback, ...] = ()
     near: Nearness | None = None
+    steps: Mapping[str, tuple[Trial, ...]] = field(default_factory=dict)
 
 
 def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
@@ -107,6 +109,8 @@ def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
     test = comparison.test
     free = run_trials(models, test, FREE_RUN)
     one = run_trials(models, test, "1")
+    headline = {n: models[n] for n in (comparison.baseline, comparison.contender) if n}
+    further = [h for h in comparison.horizons if h not in (FREE_RUN, "1")]
     return Diagnosis(
         outputs=tuple(_output(j, free, one, comparison) for j in range(len(test.outputs))),
         outside=() if train is None else outside_training(train, test),
@@ -116,11 +120,12 @@ def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
             if not comparison.models[name].reference
         },
         rule_use={name: rule_use(m, test) for name, m in models.items() if len(m.rules()) > 1},
-        checks={n: check(models[n], test, train) for n in (comparison.baseline, comparison.contender) if n},
+        checks={n: check(model, test, train) for n, model in headline.items()},
         changes=tuple(_changes(test, i) for i in range(len(test.inputs))),
         free_runs=free,
         loops=() if train is None else feedback(models[comparison.baseline], train),
         near=None if train is None else nearness(train, test, max(1, comparison.lags)),
+        steps={"1": one} | {h: run_trials(headline, test, h) for h in further},
     )
 
 

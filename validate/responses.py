@@ -1,16 +1,19 @@
-"""Frequency response and steady state of any fitted model, by its polynomials or by simulating it."""
+"""Frequency response, step, poles and steady state of any fitted model; where measured data rest."""
 
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg
 
-from flysid.dataset import FloatArray
+from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Fitted
-from flysid.model.capabilities import HasDifferenceEquation, LocallyLinear
+from flysid.model.capabilities import HasDifferenceEquation, HasRealisation, LinearModel, LocallyLinear
 from flysid.model.polynomials import ComplexArray
 
 LONGEST = 4000
 SLOWEST = 20_000
+AT_REST = 0.1
+"""Share of a signal's range that it may drift by and still be called at rest."""
 
 
 def responses(model: Fitted, hz: FloatArray, output: int, signal: int) -> list[ComplexArray]:
@@ -70,3 +73,83 @@ def steady_outputs(
         if np.ptp(tail) <= 1e-2 * max(float(np.ptp(y)), 1e-12):
             settled[i] = tail[-1]
     return settled
+
+
+def step_from(
+    model: Fitted, rest: FloatArray, height: float, place: tuple[int, int], samples: int
+) -> FloatArray:
+    """(samples,) what a step of one input adds to an output; every input stands at `rest` (n_u,) before it.
+
+    `place` is (output, input). The model first runs for `samples` at `rest`, so that it has settled where it
+    settles at all.
+    """
+    output, signal = place
+    u = np.tile(rest, (model.n_init + 2 * samples, 1))
+    still = model.simulate(u)[-samples:, output]
+    u[-samples:, signal] += height
+    moved: FloatArray = model.simulate(u)[-samples:, output] - still
+    return moved
+
+
+def poles_and_zeros(model: Fitted, output: int, signal: int) -> list[tuple[ComplexArray, ComplexArray]]:
+    """Poles and zeros in z from an input to an output, of every rule; those of pure delay are left out.
+
+    Zeros are known of models of one output and of state-space models.
+    """
+    if isinstance(model, LocallyLinear):
+        return [_roots(A, B, signal) for A, B, _ in model.local_polynomials()]
+    if isinstance(model, HasDifferenceEquation):
+        return [_roots(-model.system.a[1:], model.system.b, signal)]
+    if isinstance(model, HasRealisation):
+        s = model.realisation
+        return [(_poles_of(s.a), _transmission_zeros(s.a, s.b[:, signal], s.c[output], s.d[output, signal]))]
+    if isinstance(model, LinearModel):
+        return [(np.asarray(model.poles, dtype=np.complex128), np.zeros(0, dtype=np.complex128))]
+    return []
+
+
+def _roots(A: FloatArray, B: FloatArray, signal: int) -> tuple[ComplexArray, ComplexArray]:
+    """Of A (na, n_y, n_y) and B (nb, n_y, n_u)."""
+    n_y = B.shape[1]
+    matrix = np.eye(len(A) * n_y, k=-n_y)
+    if len(A):
+        matrix[:n_y] = np.hstack(list(A))
+    known = n_y == 1
+    return _poles_of(matrix), np.roots(B[:, 0, signal] if known else []).astype(np.complex128)
+
+
+def _poles_of(matrix: FloatArray) -> ComplexArray:
+    """Eigenvalues, but those at zero: they are samples of delay."""
+    found = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
+    return found[np.abs(found) > 1e-6]
+
+
+def _transmission_zeros(a: FloatArray, b: FloatArray, c: FloatArray, d: float) -> ComplexArray:
+    """Finite eigenvalues of the system's pencil [a - z I, b; c, d]."""
+    n = len(a)
+    left = np.block([[a, b[:, None]], [c[None, :], np.array([[d]])]])
+    right = np.diag(np.r_[np.ones(n), 0.0])
+    found = scipy.linalg.eigvals(left, right)
+    return np.asarray(found[np.isfinite(found) & (np.abs(found) < 1e6)], dtype=np.complex128)
+
+
+def measured_rests(data: Dataset, seconds: float, output: int, signal: int) -> FloatArray:
+    """(M, 2) mean input and output of stretches of `seconds` in which nothing drifts: measured equilibria.
+
+    Nothing drifts where the mean of every signal over the last third of the stretch lies within a tenth of
+    the signal's range (5th to 95th percentile) of that over the first third, and no input moves by more than
+    two tenths.
+    """
+    rows = max(6, round(seconds / data.dt_s))
+    third = rows // 3
+    every = [np.hstack([s.u, s.y[:, output : output + 1]]) for s in data.segments]
+    reach = AT_REST * np.ptp(np.percentile(np.concatenate(every), (5.0, 95.0), axis=0), axis=0)
+    found = []
+    for values in every:
+        for start in range(0, len(values) - rows + 1, max(1, rows // 2)):
+            piece = values[start : start + rows]
+            drift = np.abs(piece[-third:].mean(axis=0) - piece[:third].mean(axis=0))
+            swing = np.ptp(piece[:, :-1], axis=0)
+            if (drift <= reach).all() and (swing <= 2.0 * reach[:-1]).all():
+                found.append((piece[:, signal].mean(), piece[:, -1].mean()))
+    return np.array(found).reshape(-1, 2)

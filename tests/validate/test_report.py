@@ -22,6 +22,7 @@ from flysid.validate.compare import compare
 from flysid.validate.report import ReportContext, Sweep, render, write_report
 from flysid.validate.report.decimate import decimate, rounded
 from flysid.validate.report.figures import bode, sweep_figure
+from flysid.validate.report.overlay import Role
 from flysid.validate.report.rulefigures import antecedent_range, membership_figures
 from flysid.validate.report.svg import log_ticks, ticks
 from flysid.validate.shown import ShownComparison
@@ -114,9 +115,9 @@ def test_a_stranger_learns_who_is_who_and_in_what_unit() -> None:
     words = Page(rendered()).words
     assert "Fuzzy model (TS) against linear model (ARX) on 6 held-out segments" in words
     assert "steady gain m/s per deg" in words
-    assert words.count("R1 R2 R3") == 3  # below the strip, above both pictures of rules along time
-    assert "where each model settles, ARX dashed, TS solid" in words
-    assert "dashed: ARX; solid: R1, R2, R3, coloured as in the table of rules" in words
+    assert words.count("R1 R2 R3") == 2  # below the strip, above the pictures of rules along time
+    assert "where each model settles for a constant input" in words
+    assert "Dashed: ARX. Solid: R1, R2, R3, in the colours of the table of rules." in words
 
 
 def test_rules_in_the_key_have_the_one_word_of_their_condition() -> None:
@@ -180,10 +181,11 @@ def test_rules_are_counted_in_whole_numbers() -> None:
 def test_every_panel_is_drawn_and_anchors_exist() -> None:
     page = Page(rendered())
     for title in (
-        "autocorrelation of one-step residual", "cross-correlation of free-run error", "Rule count",
-        "Static map",
+        "Autocorrelation of the one-step residual", "Cross-correlation of the free-run error", "Rule count",
+        "Histogram of the one-step residual", "Spectrum of the one-step residual", "Static map",
+        "Step response to u", "Frequency response from u",
         "Membership functions", "Input coverage", "Output coverage", "Degree of fulfilment",
-        "Output of individual rules", "Reproduce", "Local models against the linear baseline",
+        "Output of individual rules", "Reproduce",
     ):  # fmt: skip
         assert title in page.words, title
     ids = {a.get("id") for _, a in page.tags}
@@ -335,10 +337,10 @@ def test_rules_of_two_fuzzy_models_are_told_apart() -> None:
     page = Page(render(ReportContext.of({"x": compare(two, test, baseline="a:ts")})))
     assert "B:TS R1" in page.words
     assert "A:TS R2" in page.words
-    assert "Local models against the baseline" in page.words
     hz = np.geomspace(0.1, 1.0, 5)
     two_rules = [Curve((1.0 / (1.0 + 1j * hz)).astype(np.complex128), None)] * 2
-    drawn = bode(None, {"arx": two_rules, "ts": two_rules}, hz, "m/s", "both")
+    pair = {Role("a:ts", "arx", shown=True): two_rules, Role("b:ts", "ts", shown=True): two_rules}
+    drawn = bode(None, pair, hz, "m/s", "both")
     assert drawn.count('"rule r1 dashed"') == drawn.count('"rule r1"') == 2  # gain and phase
     alone = Page(render(context())).words
     assert "TS R1" not in alone

@@ -123,17 +123,25 @@ def test_paper_starts_the_numbers_and_every_channel_on_a_page(browser: Any, page
     assert breaks == ["page"] * 4
 
 
-def test_pictures_that_scroll_can_be_reached_by_the_keyboard_and_others_need_no_stop(
-    browser: Any, page: Path
-) -> None:
-    for width, stops in ((390, 2), (1280, 0)):
-        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        opened(browser, page)
-        found = browser.execute_script(
-            "return document.querySelectorAll('.channel:not([hidden]) .wide[tabindex]').length"
+@pytest.mark.parametrize("width", [390, 768, 1280])
+def test_no_table_and_no_chart_is_cut(browser: Any, page: Path, width: int) -> None:
+    """With the details closed, as a phone opens the page, and with all of them open."""
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    opened(browser, page)
+    scroll_to_charts(browser)
+    for _ in range(2):
+        cut = browser.execute_script(
+            """return [...document.querySelectorAll('body, main, main *')]
+                 .filter(e => e.checkVisibility() && !e.closest('.sr') && e.scrollWidth > e.clientWidth + 2
+                              && getComputedStyle(e).overflowX !== 'visible')
+                 .map(e => e.className + ' ' + e.scrollWidth + ' in ' + e.clientWidth)"""
         )
-        assert found == stops
+        assert cut == []
+        if width == 390:
+            assert browser.execute_script("return document.documentElement.scrollHeight") < 8000
+        browser.execute_script("document.querySelectorAll('details').forEach(d => { d.open = true; })")
+        width = 0  # the bound on the height is for closed details
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
@@ -236,10 +244,18 @@ def test_other_models_are_picked_in_place_and_the_curves_leave_as_csv(browser: A
     )
     assert opened(browser, path) == []
     scroll_to_charts(browser)
-    pick = browser.find_element("css selector", ".picks button:not(.save)")
+    buttons = {b.text: b for b in browser.find_elements("css selector", ".picks.models button")}
+    assert list(buttons) == ["ARX", "TS", "OE", "ARX 1 step ahead", "TS 1 step ahead"]
+    pick = buttons["OE"]
     assert pick.get_attribute("aria-pressed") == "false"
-    pick.click()
-    assert pick.get_attribute("aria-pressed") == "true"
+    for on in (True, False, True):  # every chart of the channel follows
+        pick.click()
+        assert pick.get_attribute("aria-pressed") == str(on).lower()
+        hidden = browser.execute_script(
+            "return [...document.querySelectorAll('svg [data-model=oe]')].map(e => e.hasAttribute('hidden'))"
+        )
+        assert len(hidden) >= 8
+        assert hidden == [not on] * len(hidden)
     told = browser.execute_async_script(
         """const done = arguments[0], make = URL.createObjectURL;
            URL.createObjectURL = blob => { blob.text().then(done); return make.call(URL, blob); };
@@ -248,4 +264,4 @@ def test_other_models_are_picked_in_place_and_the_curves_leave_as_csv(browser: A
     head, *rows = told.strip().splitlines()
     assert pick.text in head
     assert len(rows) > 50
-    assert all(len(row.split(",")) == 6 for row in rows)
+    assert all(len(row.split(",")) == 8 for row in rows)

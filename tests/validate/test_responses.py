@@ -5,11 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.signal
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
 from flysid.model.capabilities import HasDifferenceEquation
-from flysid.validate.responses import impulse_response, responses, steady_outputs
+from flysid.model.statespace import StateSpace
+from flysid.validate.responses import (
+    impulse_response,
+    measured_rests,
+    poles_and_zeros,
+    responses,
+    steady_outputs,
+    step_from,
+)
 from tests.fakes import FirstOrder
 
 HZ = np.geomspace(0.01, 9.9, 50)
@@ -62,3 +71,42 @@ def test_impulse_and_steady_state() -> None:
     )
     runaway = steady_outputs(replace(LINEAR, a=1.0), levels, np.zeros(1), 0, 0)
     assert np.isnan(runaway[[0, 2]]).all()
+
+
+def test_a_step_from_rest_is_that_of_the_difference_equation() -> None:
+    model = FirstOrder(a=0.9, b=0.1, c=0.3)
+    moved = step_from(model, np.array([2.0]), 0.5, (0, 0), 40)
+    assert moved[0] == 0.0
+    np.testing.assert_allclose(moved, 0.5 * (1.0 - 0.9 ** np.arange(40)), atol=1e-9)
+
+
+def test_poles_and_zeros_are_those_of_the_plant() -> None:
+    """(z - 0.5) (z - 0.8) y = z^-1 (z + 0.3) u: as a difference equation and as states."""
+    rng = np.random.default_rng(0)
+    u = rng.normal(size=4000)
+    y = scipy.signal.lfilter([0.0, 0.0, 1.0, 0.3], [1.0, -1.3, 0.4], u)[:, None]
+    data = Dataset.from_arrays([u[:, None]], [y + 1e-6 * rng.normal(size=y.shape)], 0.1)
+    for model in (ARX(na=2, nb=2, nk=2).fit(data), StateSpace(order=3).fit(data)):
+        ((poles, zeros),) = poles_and_zeros(model, 0, 0)
+        assert any(abs(poles - 0.8) < 1e-3)
+        assert any(abs(poles - 0.5) < 1e-3)
+        assert any(abs(zeros + 0.3) < 1e-3)
+
+
+def test_equilibria_are_where_nothing_drifts() -> None:
+    """Steps of 10 s into a lag of 1 s: of every step the end rests; of a ramp, nothing does."""
+    levels = [0.0, 1.0, -1.0, 2.0, 0.5]
+    u = np.repeat(levels, 100)[:, None]
+    data = flown_with(u)
+    rests = measured_rests(data, 3.0, 0, 0)
+    assert len(rests) >= len(levels)
+    np.testing.assert_allclose(rests[:, 1], 3.0 * rests[:, 0], atol=0.35)
+    ramp = flown_with(np.linspace(-1.0, 1.0, 60)[:, None])
+    assert measured_rests(ramp, 3.0, 0, 0).shape == (0, 2)
+
+
+def flown_with(u: FloatArray) -> Dataset:
+    """y of gain 3 and a lag of 1 s, sampled at 10 Hz."""
+    a = np.exp(-0.1)
+    y = scipy.signal.lfilter([0.0, 3.0 * (1.0 - a)], [1.0, -a], u, axis=0)
+    return Dataset.from_arrays([u], [y], 0.1)

@@ -1,16 +1,20 @@
-"""Still pictures of one channel: residual tests, frequency response, static map, coverage, rule count."""
+"""Still pictures of one channel: interval, frequency response, static map, coverage, rule count."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from markupsafe import Markup
 
 from flysid.dataset import FloatArray
+from flysid.model.polynomials import ComplexArray
 from flysid.validate.bands import Curve
 from flysid.validate.comparison import Pair
 from flysid.validate.report.context import Sweep
+from flysid.validate.report.overlay import Role
 from flysid.validate.report.svg import (
     Axes,
     area,
@@ -19,19 +23,24 @@ from flysid.validate.report.svg import (
     frame,
     legend,
     line,
+    owned,
     picture,
     segment,
     span,
-    stems,
     text,
     tick_text,
     ticks,
+    whiskers,
 )
-from flysid.validate.residuals import Correlation, Spectrum
+from flysid.validate.residuals import Spectrum
 from flysid.validate.words import interval_words
 
 HALF = 470.0
 THIRD = 310.0
+TRUSTED = 0.6
+"""Coherence from which a measured point counts (Tischler and Remple 2012)."""
+NEAREST = 1.0 / 160.0
+"""Of two measured points, as a share of the axis: closer ones are one dot."""
 
 
 def interval_bar(
@@ -60,66 +69,60 @@ def interval_bar(
     return picture(width, height + 16.0 if scale else height, parts, label, "scaled" if scale else "interval")
 
 
-def correlogram(c: Correlation, dt_s: float, css: str, label: str) -> Markup:
-    """Correlation against lag in seconds, with its 99 % band."""
-    peak = max(0.25, min(1.0, 1.15 * float(np.max(np.abs(c.rho), initial=0.0))), 1.3 * c.band)
-    low = -peak if float(np.min(c.rho, initial=0.0)) < -0.3 * peak else -0.5 * peak
-    seconds = c.lags * dt_s
-    left = 0.0 if seconds[0] > 0 else float(seconds[0])
-    half = 0.5 * dt_s
-    axes = Axes(
-        (left - half, float(seconds[-1]) + half), (low, peak), top=10.0, width=HALF - 56, height=110.0
-    )
-    negative = seconds[0] < 0
-    parts = [
-        box((axes.left, axes.right), (float(axes.py(c.band)), float(axes.py(-c.band))), "band"),
-        frame(axes, "", "lag, s (positive: the input leads)" if negative else "lag, s", y_count=5),
-        segment(axes.left, float(axes.py(0.0)), axes.right, float(axes.py(0.0)), "axis"),
-        stems(axes, seconds, c.rho, f"stem {css}"),
-    ]
-    return picture(HALF, 158, parts, label)
-
-
 def bode(
     empirical: Spectrum | None,
-    models: Mapping[str, Sequence[Curve]],
+    models: Mapping[Role, Sequence[Curve]],
     hz: FloatArray,
     unit: str,
     label: str,
 ) -> Markup:
-    """Gain, phase and coherence; `models` maps a CSS class stem to one curve per rule, with its band."""
-    curves = [c.response for own in models.values() for c in own]
-    gain_db = [20 * np.log10(np.maximum(np.abs(r), 1e-12)) for r in curves]
-    phases = [np.unwrap(np.angle(r)) * 180 / np.pi for r in curves]
-    shown = [*gain_db]
-    if empirical is not None:
-        trusted = empirical.coherence > 0.5
-        shown.append(20 * np.log10(np.maximum(np.abs(empirical.response[trusted]), 1e-12)))
-    low, high = span(*shown)
+    """Gain, phase and coherence; `models` gives every model one curve per rule, with its band.
+
+    The axes hold the models of the headline and every measured point of enough coherence.
+    """
+    shown = [c.response for role, own in models.items() if role.shown for c in own]
+    gains = [_db(r) for r in shown]
+    phases = [_degrees(r) for r in shown]
+    measured = None if empirical is None else _Measured.of(empirical, hz, phases)
+    if measured is not None:
+        gains.append(measured.db[measured.trusted])
+    low, high = span(*gains)
     width = HALF - 60
     x = (float(hz[0]), float(hz[-1]))
     gain = Axes(x, (max(low, high - 80), high), width=width, height=150, log_x=True)
-    phase = Axes(x, span(*phases, around=-90.0), top=214, width=width, height=100, log_x=True)
+    turned = [*phases, *([] if measured is None else [measured.degrees[measured.trusted]])]
+    phase = Axes(x, span(*turned, around=-90.0), top=214, width=width, height=100, log_x=True)
     parts = [
         frame(gain, f"gain, dB ({unit})", x_ticks=False),
         frame(phase, "phase, deg", x_ticks=False),
     ]
     bottom = Axes(x, (0.0, 1.0), top=344, width=width, height=44, log_x=True)
     parts.append(frame(bottom, "coherence", "frequency, Hz", y_count=1))
-    if empirical is not None:
-        parts += _empirical(empirical, gain, phase, bottom, phases)
-    for css, own in models.items():
+    if measured is not None:
+        parts += _empirical(measured, gain, phase, bottom)
+    for role, own in models.items():
+        drawn: list[Markup] = []
         for i, curve in enumerate(own):
-            stem = css if len(own) == 1 else f"r{i % 8 + 1}"
-            rule = f"rule {stem} dashed" if css == "arx" else f"rule {stem}"  # the baseline is dashed
-            parts += _curve(curve, hz, (gain, phase), stem, css if len(own) == 1 else rule)
+            stem = role.css if len(own) == 1 else f"r{i % 8 + 1}"
+            rule = f"rule {stem} dashed" if role.css == "arx" else f"rule {stem}"  # the baseline is dashed
+            style = role.css if len(own) == 1 else rule if role.shown else f"{rule} other"
+            drawn += _curve(curve, hz, (gain, phase), stem, style)
+        parts.append(owned(role.model, drawn, shown=role.shown))
     return picture(HALF, 424, parts, label)
+
+
+def _db(response: ComplexArray) -> FloatArray:
+    return np.asarray(20 * np.log10(np.maximum(np.abs(response), 1e-12)))
+
+
+def _degrees(response: ComplexArray) -> FloatArray:
+    return np.asarray(np.unwrap(np.angle(response)) * 180 / np.pi)
 
 
 def _curve(curve: Curve, hz: FloatArray, axes: tuple[Axes, Axes], stem: str, style: str) -> list[Markup]:
     """Gain and phase of one rule over its band; every third point of a band is enough."""
     gain, phase = axes
-    degrees = np.unwrap(np.angle(curve.response)) * 180 / np.pi
+    degrees = _degrees(curve.response)
     parts = []
     if curve.band is not None:
         few = slice(None, None, 3)
@@ -130,67 +133,84 @@ def _curve(curve: Curve, hz: FloatArray, axes: tuple[Axes, Axes], stem: str, sty
             if np.isfinite(low).all() and np.isfinite(high).all():
                 ends = (np.clip(low, *one.y), np.clip(high, *one.y))
                 parts.append(area(one, hz[few], *ends, f"sure {stem}"))
-    parts.append(line(gain, hz, 20 * np.log10(np.maximum(np.abs(curve.response), 1e-12)), style))
+    parts.append(line(gain, hz, _db(curve.response), style))
     parts.append(line(phase, hz, degrees, style))
     return parts
 
 
-def _empirical(
-    s: Spectrum, gain: Axes, phase: Axes, bottom: Axes, phases: Sequence[FloatArray]
-) -> list[Markup]:
-    """Measured points; faint where the coherence is below one half."""
-    inside = (s.hz >= gain.x[0]) & (s.hz <= gain.x[1])
-    db = 20 * np.log10(np.maximum(np.abs(s.response), 1e-12))
-    degrees = np.angle(s.response) * 180 / np.pi
-    if phases:
-        near = np.mean([np.interp(s.hz, np.geomspace(*gain.x, len(p)), p) for p in phases], axis=0)
-        degrees = degrees + 360.0 * np.round((near - degrees) / 360.0)
-    parts = [area(bottom, s.hz[inside], np.zeros(int(inside.sum())), s.coherence[inside], "fill")]
-    parts += _empirical_band(s, gain, phase, degrees)
-    for css, chosen in (("dot faint", s.coherence <= 0.5), ("dot", s.coherence > 0.5)):
-        keep = inside & chosen & (db > gain.y[0]) & (db < gain.y[1])
-        parts.append(dots(gain, s.hz[keep], db[keep], css))
-        seen = keep & (degrees > phase.y[0]) & (degrees < phase.y[1])
-        parts.append(dots(phase, s.hz[seen], degrees[seen], css))
-    return parts
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """Points of a measured response that stand apart on the page; (F,) each.
+
+    Attributes
+    ----------
+    spread : half the 95 % interval of the gain over the gain, and of the phase in rad.
+    trusted : the coherence is high enough.
+    """
+
+    hz: FloatArray
+    db: FloatArray
+    degrees: FloatArray
+    coherence: FloatArray
+    spread: FloatArray
+    trusted: npt.NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, s: Spectrum, hz: FloatArray, phases: Sequence[FloatArray]) -> _Measured:
+        """Within the range of `hz`; the phase on the turn that is nearest to the models'."""
+        keep = np.flatnonzero((s.hz >= hz[0]) & (s.hz <= hz[-1]))
+        keep = keep[_apart(np.log(s.hz[keep] / hz[0]) / np.log(hz[-1] / hz[0]))]
+        degrees = np.angle(s.response[keep]) * 180 / np.pi
+        if phases:
+            near = np.mean([np.interp(s.hz[keep], hz, p) for p in phases], axis=0)
+            degrees = degrees + 360.0 * np.round((near - degrees) / 360.0)
+        coherence = s.coherence[keep]
+        spread = 1.96 * s.relative_error[keep]
+        return cls(s.hz[keep], _db(s.response[keep]), degrees, coherence, spread, coherence >= TRUSTED)
 
 
-def _empirical_band(s: Spectrum, gain: Axes, phase: Axes, degrees: FloatArray) -> list[Markup]:
-    """95 % whiskers of gain and phase where the coherence is above one half."""
-    spread = 1.96 * s.relative_error
-    db = 20 * np.log10(np.maximum(np.abs(s.response), 1e-12))
-    upper = 20 * np.log10(1.0 + spread)
-    lower = 20 * np.log10(np.maximum(1.0 - spread, 1e-2))
-    turn = spread * 180 / np.pi
-    shown = (s.coherence > 0.5) & (s.hz >= gain.x[0]) & (s.hz <= gain.x[1])
-    parts = []
-    for k in np.flatnonzero(shown):
-        at = np.full(2, s.hz[k])
-        for axes, low, high in (
-            (gain, db[k] + lower[k], db[k] + upper[k]),
-            (phase, degrees[k] - turn[k], degrees[k] + turn[k]),
-        ):
-            ends = np.clip(np.array([low, high]), *axes.y)
-            if ends[0] < ends[1]:
-                parts.append(line(axes, at, ends, "whisker thin"))
+def _apart(places: FloatArray) -> list[int]:
+    """Indices of rising places (shares of the axis) that are at least `NEAREST` from the one before."""
+    found: list[int] = []
+    for i, place in enumerate(places):
+        if not found or place - places[found[-1]] >= NEAREST:
+            found.append(i)
+    return found
+
+
+def _empirical(m: _Measured, gain: Axes, phase: Axes, bottom: Axes) -> list[Markup]:
+    """Measured points with their whiskers; faint where the coherence is too low."""
+    parts = [area(bottom, m.hz, np.zeros(len(m.hz)), m.coherence, "fill")]
+    low_db = m.db + 20 * np.log10(np.maximum(1.0 - m.spread, 1e-2))
+    high_db = m.db + 20 * np.log10(1.0 + m.spread)
+    turn = m.spread * 180 / np.pi
+    for axes, values, low, high in (
+        (gain, m.db, low_db, high_db),
+        (phase, m.degrees, m.degrees - turn, m.degrees + turn),
+    ):
+        inside = (values > axes.y[0]) & (values < axes.y[1])
+        good = inside & m.trusted
+        bottom_end = np.clip(low, *axes.y)[good]
+        top_end = np.clip(high, *axes.y)[good]
+        parts.append(whiskers(axes, m.hz[good], bottom_end, top_end, "whisker thin"))
+        parts.append(dots(axes, m.hz[inside & ~m.trusted], values[inside & ~m.trusted], "dot faint"))
+        parts.append(dots(axes, m.hz[good], values[good], "dot"))
     return parts
 
 
 def static_map(
-    u: FloatArray,
-    y: FloatArray,
-    levels: FloatArray,
-    curves: Mapping[str, FloatArray],
-    words: tuple[str, str, str],
+    rests: FloatArray, levels: FloatArray, steady: Mapping[Role, FloatArray], words: tuple[str, str, str]
 ) -> Markup:
-    """Training samples (u, y) as dots, each model's steady output over `levels`; words: x, y, label."""
-    vertical = span(y, *[c for c in curves.values() if np.isfinite(c).any()])
-    spread = 1.5 * (float(np.ptp(y)) or 1.0)
-    vertical = (max(vertical[0], float(y.min()) - spread), min(vertical[1], float(y.max()) + spread))
-    axes = Axes(span(u, levels), vertical, width=HALF - 60, height=170)
-    step = max(1, len(u) // 500)
-    parts = [frame(axes, words[1], words[0]), dots(axes, u[::step], y[::step], "dot faint")]
-    parts += [line(axes, levels, curve, css) for css, curve in curves.items()]
+    """Measured equilibria (M, 2) as dots, each model's steady output over `levels`; words: x, y, label."""
+    shown = [v for role, v in steady.items() if role.shown and np.isfinite(v).any()]
+    low, high = span(*shown, rests[:, 1])
+    more = 0.5 * (high - low)
+    all_low, all_high = span(*steady.values(), rests[:, 1])
+    limits = (max(all_low, low - more), min(all_high, high + more))
+    axes = Axes(span(rests[:, 0], levels), limits, width=HALF - 60, height=170)
+    parts = [frame(axes, words[1], words[0]), dots(axes, rests[:, 0], rests[:, 1], "dot")]
+    for role, values in steady.items():
+        parts.append(owned(role.model, [line(axes, levels, values, role.css)], shown=role.shown))
     return picture(HALF, 234, parts, words[2])
 
 

@@ -40,7 +40,7 @@ class Strip:
     models : (name, CSS class, (P,) free run) of each model drawn.
     runs : (from, to, rule) of the strongest rule of the contender.
     bands : (CSS class, lower, upper), (P / THIN,) each, of the free runs that have one.
-    others : (P,) free run of each model of `picked`.
+    others : (P,) each of `extras`: free runs of models, and predictions; NaN where there is none.
     """
 
     trial: int
@@ -85,8 +85,8 @@ def _strip(source: Source, at: int, place: tuple[int, int], banded: bool) -> Str
     for name, _ in names:
         series[f"m {name}"] = trial.yh[name][:, output]
         series[f"e {name}"] = trial.y[:, output] - trial.yh[name][:, output]
-    others = picked(comparison)
-    series |= {f"o {name}": trial.yh[name][:, output] for name in others}
+    others = _others(source, trial, output)
+    series |= {f"o {i}": values for i, values in enumerate(others)}
     times, few = decimate(t, series, source.points)
     runs: list[tuple[float, float, int]] = []
     if comparison.contender:
@@ -103,8 +103,25 @@ def _strip(source: Source, at: int, place: tuple[int, int], banded: bool) -> Str
         tuple(few[f"e {name}"] for name, _ in names),
         tuple(runs),
         tuple(_bands(source, trial, output, times) if banded else ()),
-        tuple(few[f"o {name}"] for name in others),
+        tuple(few[f"o {i}"] for i in range(len(others))),
     )
+
+
+def _others(source: Source, trial: Trial, output: int) -> list[FloatArray]:
+    """(M,) of each of `extras` along a trial."""
+    runs = [trial.yh[name][:, output] for name in picked(source.comparison)]
+    k = steps_ahead(source)
+    if k is None:
+        return runs
+    ahead = {t.segment: t for t in source.diagnosis.steps.get(k, ())}.get(trial.segment)
+    for name, _ in drawn(source.comparison):
+        values = np.full(len(trial.y), np.nan)
+        if ahead is not None:
+            own = ahead.yh[name][:, output]
+            own = own[max(0, len(own) - len(values)) :]
+            values[len(values) - len(own) :] = own
+        runs.append(values)
+    return runs
 
 
 def _bands(
@@ -131,10 +148,48 @@ def drawn(comparison: Comparison) -> list[tuple[str, str]]:
 
 
 def picked(comparison: Comparison) -> list[str]:
-    """The models that a reader may add to the interactive plot: all that are not drawn, references last."""
+    """The models that a reader may add to the pictures: all that are not drawn, references last."""
     shown = {name for name, _ in drawn(comparison)}
     others = [name for name in comparison.fitted if name not in shown]
     return sorted(others, key=lambda name: comparison.models[name].reference)
+
+
+@dataclass(frozen=True)
+class Role:
+    """One model of the page's pictures: its name, its CSS class, and whether it is shown from the start."""
+
+    model: str
+    css: str
+    shown: bool
+
+
+def roles(comparison: Comparison) -> list[Role]:
+    """Every model but the references, those of the headline first."""
+    first = [Role(name, css, shown=True) for name, css in drawn(comparison)]
+    more = [Role(name, f"other {other_colour(i)}", shown=False) for i, name in enumerate(picked(comparison))]
+    return [*first, *(role for role in more if not comparison.models[role.model].reference)]
+
+
+def other_colour(i: int) -> str:
+    """Of the i-th model picked: from the end of the palette whose beginning belongs to the rules."""
+    return f"r{8 - i % 8}"
+
+
+def steps_ahead(source: Source) -> str | None:
+    """The farthest horizon of the comparison in steps, which the models of the headline are drawn at, too."""
+    counts = [int(h) for h in source.comparison.horizons if h != FREE_RUN]
+    return str(max(counts)) if counts else None
+
+
+def extras(source: Source) -> list[str]:
+    """What a reader may add to the interactive plot: other models, and those drawn, some steps ahead."""
+    k = steps_ahead(source)
+    names = [name.upper() for name, _ in drawn(source.comparison)] if k else []
+    words = f"{k} step{'s' if k != '1' else ''} ahead"
+    return [
+        *(one_line(m).upper() for m in picked(source.comparison)),
+        *(f"{one_line(n)} {words}" for n in names),
+    ]
 
 
 def buttons(comparison: Comparison, pieces: Sequence[Strip], output: int) -> tuple[tuple[str, str], ...]:
@@ -212,7 +267,9 @@ def as_json(strip: Strip, label: str) -> dict[str, Any]:
         "u": rounded(strip.u),
         "models": [rounded(values) for _, _, values in strip.models],
         "errors": [rounded(error) for error in strip.errors],
-        "others": [rounded(values) for values in strip.others],
+        "others": [
+            rounded(values if np.ptp(values) else values[:1]) for values in strip.others
+        ],  # one: equal
         "range": list(vertical(strip)),
         "error_range": list(error_range(strip)),
         "input_range": list(span(strip.u, pad=0.1)),

@@ -19,7 +19,7 @@ from flysid.validate.report.html import environment, load_asset, script_json, se
 from flysid.validate.report.masthead import masthead
 from flysid.validate.report.overlay import MOST_SEGMENTS, picked
 from flysid.validate.report.sections import Section, sections
-from flysid.validate.report.telling import telling
+from flysid.validate.report.telling import answer, telling
 from flysid.validate.terminal import standing
 from flysid.validate.words import (
     change_words,
@@ -144,6 +144,7 @@ def _cards(comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagno
                     "horizon": "RMSE in " + horizon_words(entry.horizon, c.dt_s),
                     "telling": shown,
                     "where": where,
+                    "answer": answer(c, (j, diagnoses[channel].outputs[j].main_input)),
                     "bar": interval_bar(pair, reach, narrative.css(pair), scale=True),
                     "interval": interval_words(pair),
                     "reason": pair.reason,

@@ -18,7 +18,7 @@ from flysid.validate.report.decimate import decimate
 from flysid.validate.report.svg import Axes, area, frame, line, picture, span, text
 from flysid.validate.words import one_line
 
-WIDE = 960.0
+HALF = 470.0
 THIRD = 310.0
 SHOWN_FROM = 0.25
 _LAG = re.compile(r"\(k(?:-(\d+))?\)")
@@ -120,13 +120,13 @@ def fulfilment(firing: FloatArray, t: FloatArray, label: str) -> Markup:
     """Normalised firing strengths (N, R) stacked over time."""
     rules = firing.shape[1]
     names = [f"r{i}" for i in range(rules)]
-    times, parts_of = _thinned(t, dict(zip(names, firing.T, strict=True)), 320)
+    times, parts_of = _thinned(t, dict(zip(names, firing.T, strict=True)), 240)
     stack = np.cumsum(np.column_stack([np.zeros(len(times)), *(parts_of[n] for n in names)]), axis=1)
     stack = stack / np.maximum(stack[:, -1:], 1e-12)
-    axes = Axes((float(t[0]), float(t[-1])), (0.0, 1.0), top=8, width=WIDE - 60, height=84)
+    axes = Axes((float(t[0]), float(t[-1])), (0.0, 1.0), top=8, width=HALF - 60, height=110)
     parts = [area(axes, times, stack[:, i], stack[:, i + 1], f"stack r{i % 8 + 1}") for i in range(rules)]
     parts.append(frame(axes, "", "time in segment, s", y_count=2))
-    return picture(WIDE, 128, parts, label)
+    return picture(HALF, 154, parts, label)
 
 
 def _thinned(
@@ -142,14 +142,14 @@ def rule_output_figure(
 ) -> Markup:
     """What every rule (N, R) says one step ahead, where it fires at 0.25 or more; measured y in grey."""
     shown = np.where(firing >= SHOWN_FROM, outputs, np.nan)
-    step = max(1, len(t) // 500)
-    times, measured = decimate(t, {"y": y}, 500)
+    step = max(1, len(t) // 240)
+    times, measured = decimate(t, {"y": y}, 300)
     low, high = span(y)
     inside = shown[np.isfinite(shown) & (shown > low - (high - low)) & (shown < high + (high - low))]
-    axes = Axes((float(t[0]), float(t[-1])), span(y, inside), top=22, width=WIDE - 60, height=140)
+    axes = Axes((float(t[0]), float(t[-1])), span(y, inside), top=22, width=HALF - 60, height=120)
     parts = [frame(axes, words[0], "time in segment, s"), line(axes, times, measured["y"], "measured faint")]
     parts += [line(axes, t[::step], shown[::step, r], f"rule r{r % 8 + 1}") for r in range(shown.shape[1])]
-    return picture(WIDE, 204, parts, words[1])
+    return picture(HALF, 184, parts, words[1])
 
 
 def strongest_runs(firing: FloatArray, t: FloatArray, shortest: float) -> list[tuple[float, float, int]]:

@@ -14,31 +14,25 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Rule
 from flysid.model.capabilities import HasMemberships, HasOperatingPoints, HasRuleOutputs
 from flysid.model.rules.operating_words import sentences
-from flysid.validate.bands import curves
 from flysid.validate.comparison import Comparison
 from flysid.validate.report import figures, overlay, rulefigures
 from flysid.validate.report.channel_data import Source
 from flysid.validate.report.checktable import CheckRow, check_rows, coefficient_rows, interval_text
-from flysid.validate.report.context import Sweep
+from flysid.validate.report.modelpanels import (
+    Panel,
+    dynamics_panels,
+    gain_unit,
+    residual_panels,
+    rules_of,
+    with_unit,
+)
 from flysid.validate.report.narrative import badge
-from flysid.validate.residuals import Correlation
-from flysid.validate.responses import steady_outputs
 from flysid.validate.words import number, one_line
 
 UNSTABLE = "unstable"
 UNKNOWN = "not pinned down"
 NOWHERE = "–"
-STROKES = {"arx": "dashed", "ts": "solid"}
 SIGN = re.compile(r"(?<![\w)])-(?=[ \d])")
-
-
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """A picture with its heading and a line that says how to read it."""
-
-    title: str
-    note: str
-    picture: Markup
 
 
 @dataclass(frozen=True)
@@ -97,9 +91,9 @@ def _section(source: Source, j: int, anchor: str) -> Section:
     pieces = overlay.strips(source, j, signal)
     longest = max(range(len(pieces)), key=lambda i: pieces[i].t[-1] - pieces[i].t[0])
     titles = (
-        _with_unit(c.test.outputs[j].name, c.test.outputs[j].unit),
-        _with_unit("error (measured − simulated)", c.test.outputs[j].unit),
-        "input " + _with_unit(c.test.inputs[signal].name, c.test.inputs[signal].unit),
+        with_unit(c.test.outputs[j].name, c.test.outputs[j].unit),
+        with_unit("error (measured − simulated)", c.test.outputs[j].unit),
+        "input " + with_unit(c.test.inputs[signal].name, c.test.inputs[signal].unit),
     )
     labels = [one_line(c.segments[p.index]) for p in pieces]
     name = one_line(source.channel or c.test.outputs[j].name)
@@ -115,8 +109,8 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         ),
         buttons=overlay.buttons(c, pieces, j),
         left_out=overlay.left_out(len(source.diagnosis.free_runs), len(pieces)),
-        residuals=_residuals(source, j),
-        dynamics=_dynamics(source, j, signal),
+        residuals=residual_panels(source, j),
+        dynamics=dynamics_panels(source, j, signal),
         rules=_named_rules(
             [(m, _rule_rows(source, m, css, (j, signal))) for m, css in reversed(overlay.drawn(c))]
         ),
@@ -127,7 +121,7 @@ def _section(source: Source, j: int, anchor: str) -> Section:
         coefficients=coefficient_rows(c, source.diagnosis, j),
         simpler=_simpler(source),
         said=_said(source, j),
-        gain_unit=_gain_unit(c, j, signal),
+        gain_unit=gain_unit(c, j, signal),
         key=_key(c),
         data={
             "segments": [overlay.as_json(p, label) for p, label in zip(pieces, labels, strict=True)],
@@ -135,7 +129,8 @@ def _section(source: Source, j: int, anchor: str) -> Section:
             "titles": list(titles),
             "banded": any(p.bands for p in pieces),
             "models": [f"{one_line(m).upper()} free run" for m, _ in overlay.drawn(c)],
-            "others": [one_line(m).upper() for m in overlay.picked(c)],
+            "others": overlay.extras(source),
+            "names": [one_line(m) for m in (*(m for m, _ in overlay.drawn(c)), *overlay.picked(c))],
         },
     )
 
@@ -161,127 +156,13 @@ def _said(source: Source, j: int) -> tuple[str, ...]:
     return tuple(_typeset(text) for text in sentences(points, (model.outputs, model.inputs)))
 
 
-def _with_unit(name: str, unit: str) -> str:
-    return one_line(f"{name}, {unit}" if unit else name)
-
-
-def _residuals(source: Source, j: int) -> tuple[Panel, ...]:
-    c = source.comparison
-    d = source.diagnosis.outputs[j]
-    panels = []
-    for model, css in overlay.drawn(c):
-        test = d.whiteness[model]
-        panels.append(
-            Panel(
-                f"{one_line(model).upper()}: autocorrelation of one-step residual",
-                f"{test.outside} of {test.tested} lags outside the 99 % band",
-                figures.correlogram(
-                    test, c.dt_s, css, f"Autocorrelation of the one-step residual of {model}"
-                ),
-            )
-        )
-    for model, css in overlay.drawn(c):
-        for i, correlation in enumerate(d.dependence.get(model, ())):
-            panels.append(_dependence(correlation, c, model, css, i))
-    return tuple(panels)
-
-
-def _dependence(correlation: Correlation, c: Comparison, model: str, css: str, i: int) -> Panel:
-    lag, rho = correlation.peak
-    verdict = "some dynamics missing" if correlation.fails else "nothing left that the input explains"
-    if correlation.blind and not correlation.fails:
-        verdict = "too little data to tell" if correlation.rho.any() else "the input does not move"
-    name = one_line(c.test.inputs[i].name)
-    peak = f"{rho:+.2f}".replace("-", "−")
-    return Panel(
-        f"{one_line(model).upper()}: cross-correlation of free-run error with {name}",
-        f"peak {peak} at {lag * c.dt_s:.2f} s; {correlation.outside} of {correlation.tested} causal lags "
-        f"outside Bartlett's 99 % band: {verdict}",
-        figures.correlogram(correlation, c.dt_s, css, f"Free-run error of {model} against {name}"),
-    )
-
-
-def _dynamics(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
-    panels = [_bode(source, j, signal)]
-    sweep = source.sweep or _noted_sweep(source.comparison)
-    if sweep is not None:
-        unit = one_line(source.comparison.test.outputs[j].unit)
-        bars = " Bars: one standard error of the distance to the best." if any(sweep.spread) else ""
-        panels.append(Panel("Rule count", one_line(sweep.words + bars), figures.sweep_figure(sweep, unit)))
-    panels.append(_static(source, j, signal))
-    return tuple(panels)
-
-
-def _noted_sweep(c: Comparison) -> Sweep | None:
-    if c.contender is None:
-        return None
-    info = c.models[c.contender]
-    return Sweep.from_notes(info.notes, info.n_rules)
-
-
-def _bode(source: Source, j: int, signal: int) -> Panel:
-    c = source.comparison
-    empirical = source.diagnosis.outputs[j].responses[signal]
-    total = max(len(s) for s in c.test.segments) * c.dt_s
-    hz = np.geomspace(max(2.0 / total, 1e-4), 0.5 / c.dt_s, 160)
-    known = {m: curves(c.fitted[m], hz, (j, signal), source.sure(m)) for m, _ in overlay.drawn(c)}
-    unit = _gain_unit(c, j, signal)
-    rules = ", ".join(one_line(r.label) for r in _rules_of(c))
-    solid = f"solid: {rules}, coloured as in the table of rules; " if rules else ""
-    seen = "dots: measured, with 95 % whiskers, faint where the coherence is below 0.5"
-    if empirical is None:
-        seen = "no response could be measured: the input hardly moves, or the record is too short"
-    return Panel(
-        f"Local models against the {'' if c.models[c.baseline].fuzzy else 'linear '}baseline",
-        f"{seen}; dashed: {one_line(c.baseline).upper()}; {solid}shaded: 95 % bands from the training data",
-        figures.bode(
-            empirical,
-            {css: known[m] for m, css in overlay.drawn(c)},
-            hz,
-            unit,
-            "Frequency response of the rules and the linear model",
-        ),
-    )
-
-
-def _gain_unit(c: Comparison, j: int, signal: int) -> str:
-    """ "m/s per deg"."""
-    return one_line(f"{c.test.outputs[j].unit or '1'} per {c.test.inputs[signal].unit or '1'}")
-
-
-def _rules_of(c: Comparison) -> tuple[Rule, ...]:
-    """The contender's rules where it has several."""
-    rules = c.fitted[c.contender].rules() if c.contender else ()
-    return tuple(rules) if len(rules) > 1 else ()
-
-
 def _key(c: Comparison) -> tuple[tuple[str, str], ...]:
     """(CSS class, "R1 forward") of every rule; the words where one antecedent tells all rules apart."""
-    rules = _rules_of(c)
+    rules = rules_of(c)
     words = [re.findall(r" is A\d+ '([^']*)'", rule.condition) for rule in rules]
     alone = all(len(said) == 1 for said in words) and len({said[0] for said in words}) == len(rules)
     names = [f"{r.label} {said[0]}" if alone else r.label for r, said in zip(rules, words, strict=True)]
     return tuple((f"r{i % 8 + 1}", one_line(name)) for i, name in enumerate(names))
-
-
-def _static(source: Source, j: int, signal: int) -> Panel:
-    c = source.comparison
-    data = source.train or c.test
-    u = np.concatenate([s.u[:, signal] for s in data.segments])
-    y = np.concatenate([s.y[:, j] for s in data.segments])
-    fixed = np.mean(np.concatenate([s.u for s in data.segments]), axis=0)
-    levels = np.linspace(float(u.min()), float(u.max()), 25)
-    steady = {css: steady_outputs(c.fitted[m], levels, fixed, j, signal) for m, css in overlay.drawn(c)}
-    x = _with_unit(c.test.inputs[signal].name, c.test.inputs[signal].unit)
-    name = c.test.outputs[j].name
-    return Panel(
-        "Static map",
-        f"dots: {'training' if source.train else 'held-out'} samples; lines: where each model settles, "
-        + ", ".join(f"{one_line(m).upper()} {STROKES[css]}" for m, css in overlay.drawn(c)),
-        figures.static_map(
-            u, y, levels, steady, (x, _with_unit(name, c.test.outputs[j].unit), f"Static map of {name}")
-        ),
-    )
 
 
 def _named_rules(
@@ -368,7 +249,7 @@ def _sets(source: Source, j: int, signal: int) -> tuple[Panel, ...]:
                 if train is not None
                 else "line: held out",
                 figures.coverage(
-                    train, _column(c.test, side, i), (_with_unit(s.name, s.unit), f"Histogram of {s.name}")
+                    train, _column(c.test, side, i), (with_unit(s.name, s.unit), f"Histogram of {s.name}")
                 ),
             )
         )
@@ -400,7 +281,7 @@ def _wide(source: Source, j: int, index: int, label: str) -> tuple[Panel, ...]:
     if isinstance(model, HasRuleOutputs):
         out = np.asarray(model.rule_outputs(segment.u, segment.y))[:, :, j]
         words = (
-            _with_unit(c.test.outputs[j].name, c.test.outputs[j].unit),
+            with_unit(c.test.outputs[j].name, c.test.outputs[j].unit),
             f"Output of every rule in {label}",
         )
         panels.append(

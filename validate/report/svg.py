@@ -192,10 +192,10 @@ def box(x: tuple[float, float], y: tuple[float, float], css: str) -> Markup:
     )
 
 
-def stems(axes: Axes, x: FloatArray, y: FloatArray, css: str) -> Markup:
-    """Vertical bars from zero."""
-    zero = _n(float(axes.py(0.0)))
-    d = "".join(f"M{_n(a)} {zero}V{_n(b)}" for a, b in zip(axes.px(x), axes.py(y), strict=True))
+def whiskers(axes: Axes, x: FloatArray, low: FloatArray, high: FloatArray, css: str) -> Markup:
+    """Vertical lines from low to high, drawn as one path."""
+    ends = zip(axes.px(x), axes.py(low), axes.py(high), strict=True)
+    d = "".join(f"M{_n(at)} {_n(bottom)}V{_n(top)}" for at, bottom, top in ends if abs(bottom - top) > 1.0)
     return Markup('<path d="{}" class="{}"/>').format(d, css)
 
 
@@ -213,6 +213,13 @@ def picture(width: float, height: float, parts: Iterable[Markup], label: str, cs
     )
 
 
+def owned(model: str, parts: Iterable[Markup], *, shown: bool) -> Markup:
+    """What a picture has of one model; the page's buttons show and hide it."""
+    return Markup('<g data-model="{}"{}>{}</g>').format(
+        one_line(model), Markup("" if shown else " hidden"), Markup("").join(parts)
+    )
+
+
 def legend(items: Sequence[tuple[str, str]], x: float, y: float) -> Markup:
     """Short lines with names, (css class, name), from x to the right."""
     parts: list[Markup] = []
@@ -224,6 +231,6 @@ def legend(items: Sequence[tuple[str, str]], x: float, y: float) -> Markup:
 
 
 __all__ = [
-    "Axes", "area", "box", "dots", "escape", "frame", "legend", "line", "log_ticks", "picture", "segment",
-    "span", "stems", "text", "tick_text", "ticks",
+    "Axes", "area", "box", "dots", "escape", "frame", "legend", "line", "log_ticks", "owned", "picture",
+    "segment", "span", "text", "tick_text", "ticks", "whiskers",
 ]  # fmt: skip

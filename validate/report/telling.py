@@ -1,16 +1,21 @@
-"""The most telling ten seconds of a channel: where the two models of the verdict differ most."""
+"""What a card tells of a channel: the ten seconds in which the two models of the verdict differ most, and how
+the output answers a small step."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
 
+from flysid.dataset import FloatArray
+from flysid.model.base import Fitted
+from flysid.model.capabilities import HasOperatingPoints
 from flysid.validate.comparison import Comparison
 from flysid.validate.report.overlay import drawn
 from flysid.validate.report.svg import Axes, line, picture, segment, span, text, tick_text, ticks
+from flysid.validate.responses import step_from
 from flysid.validate.segmentnames import begin_s, clock, segment_names
 from flysid.validate.trials import Trial
 from flysid.validate.words import one_line
@@ -18,6 +23,13 @@ from flysid.validate.words import one_line
 SECONDS = 10.0
 WIDTH = 340.0
 HEIGHT = 132.0
+SMALL = 1e-3
+"""Height of the step, in units of the input: the output's limits are far."""
+REACHED = 1.0 - np.exp(-1.0)
+LASTING = 6.0
+"""Time constants that a step is followed for."""
+LONGEST = 20_000
+"""Samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +85,50 @@ def telling(comparison: Comparison, trials: Sequence[Trial], output: int) -> tup
     label = f"Measured and simulated {one_line(name.name)}, {one_line(name.unit)}"
     where = segment_names(comparison.test)[found.trial.segment]
     return picture(WIDTH, HEIGHT, parts, label, "telling"), one_line(where)
+
+
+def answer(comparison: Comparison, place: tuple[int, int]) -> str:
+    """What a small lasting step of an input does, by the model to be used; "" where no final change is known.
+
+    `place` is (output, input). Rules that answer differently give a range.
+    """
+    output, signal = place
+    pair = comparison.verdict.get(comparison.test.outputs[output].name)
+    name = comparison.contender if pair is not None and pair.earned else comparison.baseline
+    model = comparison.fitted[name or comparison.baseline]
+    found = list(_answers(model, output, signal))
+    gains = np.array([gain for gain, _ in found])
+    seconds = np.array([reached for _, reached in found])
+    if not found or not np.isfinite([gains, seconds]).all() or abs(np.sign(gains).sum()) < len(gains):
+        return ""
+    y, u = comparison.test.outputs[output], comparison.test.inputs[signal]
+    more = f"one more {u.unit} of {u.name}" if u.unit else f"one unit more of {u.name}"
+    size = f"{_range(np.abs(gains))} {y.unit}".strip()
+    effect = f"adds {size} to {y.name}" if gains[0] > 0 else f"takes {size} from {y.name}"
+    return one_line(f"{more[0].upper()}{more[1:]} {effect}; 63 % of that after {_range(seconds)} s.")
+
+
+def _answers(model: Fitted, output: int, signal: int) -> Iterator[tuple[float, float]]:
+    """Final change per unit, and seconds until 63 % of it, wherever the model's behaviour is known."""
+    if isinstance(model, HasOperatingPoints) and model.operating_points:
+        for p in model.operating_points:
+            if p.output == output:
+                yield float(p.gain[signal]), float(p.reached_s[signal])
+        return
+    rules = model.rules()
+    gain = float(np.asarray(rules[0].dc_gain)[output, signal])
+    if len(rules) > 1 or not np.isfinite([gain, rules[0].time_constant_s]).all() or gain == 0.0:
+        return
+    samples = 1 + int(np.ceil(np.clip(LASTING * rules[0].time_constant_s / model.dt_s, 1.0, LONGEST)))
+    moved = step_from(model, np.zeros(len(model.inputs)), SMALL, (output, signal), samples) / (SMALL * gain)
+    passed = np.flatnonzero(moved >= REACHED)
+    if len(passed):
+        yield gain, float(passed[0]) * model.dt_s
+
+
+def _range(values: FloatArray) -> str:
+    low, high = (f"{v:.2g}" for v in (values.min(), values.max()))
+    return low if low == high else f"{low} to {high}"
 
 
 def _scale(axes: Axes) -> Markup:

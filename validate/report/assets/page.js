@@ -91,10 +91,11 @@
     var key = "channel" + index;
     live.hidden = false;
     var models = channel.models.map(function (name, i) {
-      return series(name, i === 0 ? "arx" : "ts", i === 0 ? [5, 3] : undefined, 1.6);
+      return series(name, ownColour(i), i === 0 ? [5, 3] : undefined, 1.6);
     });
+    var picked = channel.names.length - channel.models.length; // the others are models drawn, some steps ahead
     var others = channel.others.map(function (name, i) {
-      var line = series(name, otherColour(i), [2, 2], 1.6);
+      var line = i < picked ? series(name, otherColour(i), [2, 2], 1.6) : series(name, ownColour(i - picked), [1, 3], 1.6);
       line.show = false;
       return line;
     });
@@ -144,7 +145,8 @@
     function show(i) {
       current = channel.segments[i];
       zooming = true;
-      top.setData([current.t].concat(current.models, current.others, [current.y])); // the measurement lies on top
+      others = current.others.map(function (values) { return spread(values, current.t.length); });
+      top.setData([current.t].concat(current.models, others, [current.y])); // the measurement lies on top
       middle.setData([current.t].concat(current.errors));
       bottom.setData([current.t, current.u]);
       zooming = false;
@@ -170,15 +172,30 @@
     show(channel.shown);
     figure.querySelector(".still").setAttribute("hidden", "");
     charts.push({ paint: paintStrip });
-    channel.others.forEach(function (name, i) {
-      press(figure.querySelector(".picks"), name, otherColour(i), function (on) {
-        top.setSeries(models.length + 1 + i, { show: on });
+    var section = figure.closest(".channel"), picks = section.querySelector(".picks.models");
+    function reveal(name, on) { // every picture of the section has a part for each model
+      section.querySelectorAll("[data-model]").forEach(function (part) {
+        if (part.dataset.model === name) { part.toggleAttribute("hidden", !on); }
+      });
+    }
+    channel.models.forEach(function (name, i) {
+      press(picks, channel.names[i].toUpperCase(), ownColour(i), true, function (on) {
+        top.setSeries(1 + i, { show: on });
+        middle.setSeries(1 + i, { show: on });
+        reveal(channel.names[i], on);
       });
     });
+    channel.others.forEach(function (name, i) {
+      press(picks, name, i < picked ? otherColour(i) : ownColour(i - picked), false, function (on) {
+        top.setSeries(models.length + 1 + i, { show: on });
+        if (i < picked) { reveal(channel.names[models.length + i], on); }
+      });
+    });
+    picks.hidden = false;
     figure.querySelector(".picks").hidden = false;
     figure.querySelector(".save").addEventListener("click", function () {
       var names = ["time_s", "measured"].concat(channel.models, channel.others, channel.titles[2]);
-      var columns = [current.t, current.y].concat(current.models, current.others, [current.u]);
+      var columns = [current.t, current.y].concat(current.models, others, [current.u]);
       save(current.label + ".csv", [names.map(quoted)].concat(current.t.map(function (_, row) {
         return columns.map(function (column) { return column[row]; });
       })));
@@ -186,15 +203,21 @@
     return show;
   }
 
-  function otherColour(i) { return "r" + (i % 8 + 1); }
+  function ownColour(i) { return i === 0 ? "arx" : "ts"; }
+
+  function otherColour(i) { return "r" + (8 - i % 8); }
+
+  function spread(values, n) { // one number stands for equal ones
+    return values.length === 1 && n > 1 ? new Array(n).fill(values[0]) : values;
+  }
 
   function quoted(text) { return '"' + text.replace(/"/g, '""') + '"'; }
 
-  function press(parent, name, css, act) { // a button that stays down
+  function press(parent, name, css, down, act) { // a button that stays down
     var button = document.createElement("button");
     var swatch = document.createElement("span");
     button.type = "button";
-    button.setAttribute("aria-pressed", "false");
+    button.setAttribute("aria-pressed", String(down));
     swatch.className = "swatch " + css;
     swatch.setAttribute("aria-hidden", "true");
     button.append(swatch, name);
@@ -203,7 +226,7 @@
       button.setAttribute("aria-pressed", String(on));
       act(on);
     });
-    parent.insertBefore(button, parent.querySelector(".save"));
+    parent.appendChild(button);
   }
 
   function save(name, rows) {
@@ -232,14 +255,7 @@
     });
   }
 
-  function reachable() { // a picture that scrolls can be reached by the keyboard, others need no stop
-    document.querySelectorAll(".channel:not([hidden]) .wide").forEach(function (figure) {
-      if (figure.scrollWidth > figure.clientWidth) { figure.tabIndex = 0; } else { figure.removeAttribute("tabindex"); }
-    });
-  }
-
   function resize() {
-    reachable();
     charts.forEach(function (c) {
       if (c.plot && c.parent.clientWidth > 0) { c.plot.setSize({ width: Math.max(260, c.parent.clientWidth), height: c.height }); }
       if (c.paint) { c.paint(); }
