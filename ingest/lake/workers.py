@@ -19,6 +19,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from collections import deque
@@ -26,7 +27,8 @@ from collections.abc import Callable, Generator, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
+from multiprocessing.context import ForkServerContext, SpawnContext
+from multiprocessing.process import BaseProcess
 from typing import Any, Generic, TypeVar
 
 from flysid import progress
@@ -35,6 +37,7 @@ from flysid.errors import FlysidError, UsageError
 HEADROOM_BYTES = 1 << 30
 LOOK_EVERY_S = 0.1
 JOIN_S = 5.0
+_NEEDED_BY_ALL = "flysid.ingest.lake.batch"
 _NO_WORKER = "no worker process can be started: {}"
 
 Task = TypeVar("Task")
@@ -99,11 +102,21 @@ def run_bounded(
             worker.end()
 
 
+def _context(function: Callable[[Any], Any]) -> ForkServerContext | SpawnContext:
+    """Workers come from a process that has imported what they need; elsewhere each imports for itself."""
+    if sys.platform != "linux":
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    home: str = getattr(function, "func", function).__module__
+    context.set_forkserver_preload([_NEEDED_BY_ALL, home])
+    return context
+
+
 class _Worker(Generic[Task, Outcome]):
     """One process and the task that it is at."""
 
     def __init__(self, function: Callable[[Task], Outcome], bounds: Bounds) -> None:
-        context = multiprocessing.get_context("spawn")
+        context = _context(function)
         try:
             self.connection, theirs = context.Pipe()
         except OSError as error:
@@ -113,8 +126,8 @@ class _Worker(Generic[Task, Outcome]):
         self._since = 0.0
         self._is_ready = False
         self.has_ended = False
-        self._process: SpawnProcess = context.Process(
-            target=_serve, args=(theirs, function, bounds.memory_bytes), daemon=True
+        self._process: BaseProcess = context.Process(
+            target=_serve, args=(theirs, function, bounds.memory_bytes, dict(os.environ)), daemon=True
         )
         try:
             self._process.start()
@@ -230,8 +243,15 @@ def anonymous_bytes(pid: int | None) -> int:
 # ------------------------------------------------------------------------------------- in the worker
 
 
-def _serve(connection: Connection, function: Callable[[Any], Any], memory_bytes: int | None) -> None:
+def _serve(
+    connection: Connection,
+    function: Callable[[Any], Any],
+    memory_bytes: int | None,
+    environment: dict[str, str],
+) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ.clear()  # it is the one of the day when the first worker began
+    os.environ.update(environment)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if memory_bytes is not None:
         cap_data(memory_bytes + HEADROOM_BYTES)
