@@ -1,9 +1,9 @@
 """Do the words of rules describe the vehicle?  python -m bench.rule_words [PLANT...] [--seeds N] [--first N]
 
-Plants whose small steps are known are flown with steps and noise, fitted with given orders, and every
-operating point that the model speaks of is asked three things: is its gain, and its time to 63 %, that of the
-model's own free run about that place (two simulated small steps); is it the plant's; does its interval hold
-the plant's.
+Plants whose small steps are known, the simulated quadrotor among them, are flown with noise and fitted: by
+the search that `flysid fit` makes, or, "given", with orders and antecedent. Every operating point that the
+model speaks of is asked three things: is its gain, and its time to 63 %, that of the model's own free run
+about that place (two simulated small steps); is it the plant's; does its interval hold the plant's.
 Beside it: what the strongest rule there says by itself, as the words did before.
 """
 
@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -20,14 +21,25 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from bench.hidden_plants import LINEAR, PLANTS, Plant
-from flysid.dataset import Dataset, FloatArray
+from bench.vehicle import PERIOD_S
+from flysid.dataset import Dataset, FloatArray, Segment, Signal
+from flysid.ingest.synth.plans import BOLD, GENTLE, MULTISINE, PILOT, STEPS
+from flysid.ingest.synth.plants import LOOPS
+from flysid.ingest.synth.rigid_body import ALL, Vehicle, fly_vehicle
+from flysid.ingest.synth.vehicles import dispersed
 from flysid.model.base import OperatingPoint
+from flysid.model.rules.phrases import answers_like
 from flysid.model.ts import TS
+from flysid.model.ts_best import BestTS
 from flysid.model.ts_state_space import TSStateSpace
 
 NOISE = 0.03  # of the output's spread
 SAMPLES = 800
 RECORDS = 6
+FLIGHTS = (STEPS, PILOT, MULTISINE, STEPS)
+FLIGHT_S = 60.0
+SPEED_NOISE = 0.02  # m/s
+SETTLED_S = 40.0
 _NUDGE = 1e-6
 _REACHED = 1.0 - np.exp(-1.0)
 
@@ -104,85 +116,186 @@ def own_answer(model: Any, point: OperatingPoint, size: float) -> FloatArray:
         moved = u.copy()
         moved[rows:, 0] += way
         ends.append(model.simulate(moved)[:, point.output])
-    answer = (ends[0] - ends[1])[rows:] / (2 * size)
+    return reached((ends[0] - ends[1])[rows:] / (2 * size), model.dt_s)
+
+
+Truth = Callable[[float], FloatArray]
+"""An output's level -> (2,) gain and seconds to 63 % of the plant's tangent there."""
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A plant as it is flown and fitted.
+
+    Attributes
+    ----------
+    record : seed -> what it flew, and what is true of it.
+    estimator : how it is fitted.
+    small : a small step of its input.
+    """
+
+    record: Callable[[int], tuple[Dataset, Truth]]
+    estimator: Callable[[], Any]
+    small: float
+
+
+def of_plant(plant: Plant, inputs: tuple[float, float], estimator: Callable[[], Any]) -> Flown:
+    """A bench plant that rests between two inputs."""
+
+    def record(seed: int) -> tuple[Dataset, Truth]:
+        seeds = tuple(1000 * seed + i for i in range(RECORDS))
+        return plant.dataset(seeds, SAMPLES, NOISE)[0], lambda level: truth(plant, level, inputs)
+
+    return Flown(record, estimator, 1e-4 * (inputs[1] - inputs[0]))
+
+
+def of_vehicle(loop: str, estimator: Callable[[], Any]) -> Flown:
+    """One axis of the simulated quadrotor, another specimen of it for every seed."""
+    column = list(LOOPS).index(loop)
+    output = LOOPS[loop].output
+    most = BOLD[column] * GENTLE[column]
+
+    def record(seed: int) -> tuple[Dataset, Truth]:
+        vehicle = dispersed(Vehicle(), np.random.default_rng([seed, 1, 2]))
+        peaks = (BOLD[0] * GENTLE[0], BOLD[1] * GENTLE[1], BOLD[2] * GENTLE[2])
+        time_s = np.arange(round(FLIGHT_S / PERIOD_S), dtype=np.float64) * PERIOD_S
+        segments = []
+        for i, manoeuvre in enumerate(FLIGHTS):
+            rng = np.random.default_rng([seed, i])
+            u = manoeuvre.command(time_s, peaks, rng)
+            u = np.where(np.arange(u.shape[1]) == column, u, 0.0)
+            y = fly_vehicle(vehicle, u).series()[output] + SPEED_NOISE * rng.standard_normal(len(u))
+            segments.append(Segment(u[:, [column]], y[:, None], flight=str(i)))
+        data = Dataset(PERIOD_S, (Signal("u"),), (Signal(output, "m/s"),), tuple(segments))
+        return data, lambda level: vehicle_truth(vehicle, column, level)
+
+    return Flown(record, estimator, 1e-3 * most)
+
+
+def vehicle_truth(vehicle: Vehicle, column: int, level: float) -> FloatArray:
+    """(2,) gain and seconds to 63 % of small steps where the vehicle flies at a constant speed."""
+    fresh = replace(vehicle, effects=replace(ALL, battery_sag=False))
+    output = list(LOOPS.values())[column].output
+    half = round(SETTLED_S / PERIOD_S)
+    most = 1.1 * BOLD[column] * GENTLE[column]
+
+    def speed(u: FloatArray) -> FloatArray:
+        commands = np.zeros((len(u), 3))
+        commands[:, column] = u
+        return np.asarray(fly_vehicle(fresh, commands).series()[output])
+
+    u = float(brentq(lambda v: speed(np.full(half, v))[-1] - level, -most, most, xtol=1e-6))
+    size = 1e-3 * most
+    up, down = (speed(np.concatenate([np.full(half, u), np.full(half, u + s)]))[half:] for s in (size, -size))
+    return reached((up - down) / (2 * size), PERIOD_S)
+
+
+def reached(answer: FloatArray, dt_s: float) -> FloatArray:
+    """(2,) gain and seconds to 63 % of a settled answer to a unit step."""
     gain = float(answer[-1])
-    at = int(np.flatnonzero(answer / gain >= _REACHED)[0])
     share = answer / gain
+    at = int(np.flatnonzero(share >= _REACHED)[0])
     within = (_REACHED - share[at - 1]) / (share[at] - share[at - 1]) if at else 0.0
-    return np.array([gain, model.dt_s * (at - 1 + within if at else 0.0)])
+    return np.array([gain, dt_s * (at - 1 + within if at else 0.0)])
 
 
-def rows_of(model: Any, plant: Plant, inputs: tuple[float, float]) -> Iterator[Row]:
+def rows_of(model: Any, true_at: Truth, small: float) -> Iterator[Row]:
     """Every operating point of a model, beside the truth."""
     rules = model.rules()
-    for p in model.operating_points:
-        true = truth(plant, float(p.outputs[0]), inputs)
+    for p in getattr(model, "operating_points", ()):
+        true = true_at(float(p.outputs[0]))
         said = np.array([p.gain[0], p.reached_s[0]])
         ends = np.array([p.gain_interval[:, 0], p.reached_interval_s[:, 0]])
         held = np.where(np.isfinite(ends).all(axis=1), (ends[:, 0] <= true) & (true <= ends[:, 1]), np.nan)
         loudest = rules[int(p.shares.argmax())]
         rule = np.array([float(loudest.dc_gain[0, 0]), loudest.time_constant_s])
-        yield Row(said, own_answer(model, p, 1e-4 * (inputs[1] - inputs[0])), true, rule, held)
+        yield Row(said, own_answer(model, p, small), true, rule, held)
 
 
+DRAG = PLANTS["vehicle with drag and a lagging actuator"]
+LINEAR_VEHICLE = LINEAR["linear vehicle"]
 LAGS = partial(TS, na=2, nb=2, nk=1, most_rules=4)
 STATES = partial(TSStateSpace, states=2, nk=1, ridge=0.1, antecedents=["y(k-1)"], most_rules=3)
-DRAG = PLANTS["vehicle with drag and a lagging actuator"]
-FLOWN: dict[str, tuple[Plant, Callable[[], Any], tuple[float, float]]] = {
-    "drag": (DRAG, partial(LAGS, antecedents=["y(k-1)"]), (-2.0, 2.0)),
-    "Hammerstein": (PLANTS["Hammerstein"], partial(LAGS, antecedents=["u"]), (-5.0, 5.0)),
-    "Wiener": (PLANTS["Wiener"], partial(LAGS, antecedents=["y(k-1)"]), (-5.0, 5.0)),
-    "linear": (LINEAR["linear vehicle"], partial(LAGS, antecedents=["y(k-1)"]), (-5.0, 5.0)),
-    "drag, hidden": (DRAG, STATES, (-2.0, 2.0)),
-    "Wiener, hidden": (PLANTS["Wiener"], STATES, (-5.0, 5.0)),
+OVER_OUTPUT = partial(LAGS, antecedents=["y(k-1)"])
+OVER_INPUT = partial(LAGS, antecedents=["u"])
+FLOWN: dict[str, Flown] = {
+    **{loop: of_vehicle(loop, BestTS) for loop in LOOPS},
+    "drag": of_plant(DRAG, (-2.0, 2.0), BestTS),
+    "Hammerstein": of_plant(PLANTS["Hammerstein"], (-5.0, 5.0), BestTS),
+    "Wiener": of_plant(PLANTS["Wiener"], (-5.0, 5.0), BestTS),
+    "drag, given": of_plant(DRAG, (-2.0, 2.0), OVER_OUTPUT),
+    "Hammerstein, given": of_plant(PLANTS["Hammerstein"], (-5.0, 5.0), OVER_INPUT),
+    "Wiener, given": of_plant(PLANTS["Wiener"], (-5.0, 5.0), OVER_OUTPUT),
+    "linear, given": of_plant(LINEAR_VEHICLE, (-5.0, 5.0), OVER_OUTPUT),
+    "drag, hidden": of_plant(DRAG, (-2.0, 2.0), STATES),
+    "Wiener, hidden": of_plant(PLANTS["Wiener"], (-5.0, 5.0), STATES),
 }
-"""Plant, how it is fitted (orders and antecedent given, rules chosen), inputs between which it rests."""
 
 
-def record(plant: Plant, seed: int) -> Dataset:
-    """What one seed flies."""
-    return plant.dataset(tuple(1000 * seed + i for i in range(RECORDS)), SAMPLES, NOISE)[0]
+@dataclass(frozen=True)
+class Told:
+    """One fitted model: its points, rules, pairs of rules with one label, and pairs that answer alike."""
+
+    rows: tuple[Row, ...]
+    rules: int
+    labels: int
+    alike: int
 
 
-def told(name: str, seeds: range) -> str:
+def told(flown: Flown, seed: int) -> Told:
+    """One seed flown and fitted."""
+    data, true_at = flown.record(seed)
+    model = flown.estimator().fit(data)
+    rules = model.rules()
+    pairs = list(combinations(rules, 2))
+    return Told(
+        tuple(rows_of(model, true_at, flown.small)),
+        len(rules),
+        sum(a.condition == b.condition for a, b in pairs),
+        sum(answers_like(a, b) for a, b in pairs),
+    )
+
+
+def line(name: str, models: list[Told]) -> str:
     """One line of the table."""
-    plant, estimator, inputs = FLOWN[name]
-    rows = []
-    rules = []
-    alike = 0
-    for seed in seeds:
-        model = estimator().fit(record(plant, seed))
-        rows += list(rows_of(model, plant, inputs))
-        rules.append(len(model.rules()))
-        conditions = [rule.condition for rule in model.rules()]
-        alike += len(conditions) - len(set(conditions))
+    rows = [row for model in models for row in model.rows]
+    if not rows:
+        return f"{name}: no operating points"
 
     def off(of: str, against: str) -> str:
         gap = np.abs([getattr(r, of) / getattr(r, against) - 1.0 for r in rows])
         return " ".join(
-            f"{100 * v:4.0f}" for v in (*np.nanmedian(gap, axis=0), *np.nanquantile(gap, 0.9, axis=0))
+            f"{100 * np.nanquantile(gap, q, axis=0)[i]:.0f}" for i in (0, 1) for q in (0.5, 0.9, 1)
         )
 
     held = np.array([r.held for r in rows])
-    given = np.isfinite(held).mean(axis=0)
-    share = np.nanmean(held, axis=0)
+    given = np.isfinite(held)
+    shares = " ".join(f"{np.nansum(held[:, i]):.0f}/{given[:, i].sum()}" for i in (0, 1))
+    rules = np.mean([model.rules for model in models])
     return (
-        f"{name:15s} {len(rows):4d} points, {np.mean(rules):.1f} rules | own {off('said', 'own')} | "
-        f"truth {off('said', 'true')} | before {off('rule', 'true')} | "
-        f"held {100 * share[0]:.1f} {100 * share[1]:.1f} of {100 * given[0]:.0f} {100 * given[1]:.0f} % | "
-        f"same labels {alike}"
+        f"{name:18s} {len(models):2d} seeds {len(rows):4d} points {rules:.1f} rules | "
+        f"own {off('said', 'own')} | truth {off('said', 'true')} | before {off('rule', 'true')} | "
+        f"held {shares} | same labels {sum(m.labels for m in models)} alike {sum(m.alike for m in models)}"
     )
 
 
 def main() -> None:
-    """Print a line per plant: medians of gain and time, then 90 % quantiles, in per cent."""
+    """Print a line per fit, then one per plant.
+
+    Gain, then time: median, 90 % quantile and worst, in per cent.
+    """
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("plants", nargs="*", default=list(FLOWN))
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=100)
     asked = parser.parse_args()
-    for name in asked.plants:
-        print(told(name, range(asked.first, asked.first + asked.seeds)), flush=True)
+    found: dict[str, list[Told]] = {name: [] for name in asked.plants}
+    for seed in range(asked.first, asked.first + asked.seeds):
+        for name, models in found.items():
+            models.append(told(FLOWN[name], seed))
+            print(f"  {seed} " + line(name, models[-1:]), flush=True)
+    for name, models in found.items():
+        print(line(name, models), flush=True)
 
 
 if __name__ == "__main__":

@@ -164,13 +164,14 @@ def meaning(
 def _where_loudest(rule: Rule, signals: Signals, others: Sequence[Rule]) -> list[str]:
     if not rule.here:
         return ["nowhere the strongest at rest"]
-    like = next((other for other in others if _answers_like(rule, other)), None)
+    like = next((other for other in others if answers_like(rule, other)), None)
     if like is not None:
         return [f"answers like {like.label}"]
     return [f"loudest {at_loudest(point, signals)}" for point in rule.here]
 
 
-def _answers_like(rule: Rule, other: Rule) -> bool:
+def answers_like(rule: Rule, other: Rule) -> bool:
+    """Whether the model answers alike where either is the loudest, within 10 % or the 95 % intervals."""
     same = len(rule.here) == len(other.here) > 0
     return same and all(answers_alike(p, q) for p, q in zip(rule.here, other.here, strict=True))
 
