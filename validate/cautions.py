@@ -9,6 +9,7 @@ from flysid.model.feedback import BIASED, REMEDY
 from flysid.validate.caution import Caution, Comparisons, Diagnoses, heads, join
 from flysid.validate.caution_data import in_the_data
 from flysid.validate.caution_models import (
+    beyond_band,
     collinear,
     contested,
     one_rule,
@@ -65,7 +66,7 @@ def _rules() -> tuple[Callable[[Comparisons, Diagnoses], Iterator[Caution]], ...
     return (
         _diverged, useless, contested, one_rule, runs_away, _unstable, _unexplained, _extrapolates, _holes,
         _missing_dynamics, _undecided, _few, unsure_gains, collinear, _feedback, _noisy_start, _not_white,
-        _one_step_flatters, _idle_rules, spare_words, _unused,
+        _one_step_flatters, _idle_rules, beyond_band, spare_words, _unused,
     )  # fmt: skip
 
 

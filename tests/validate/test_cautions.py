@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from flysid.dataset import Dataset, Segment
 from flysid.ingest.align.doubts import Doubt
 from flysid.validate.caution_data import WEIGHTS
 from flysid.validate.cautions import MOST, cautions
@@ -83,3 +84,18 @@ def test_one_caution_speaks_of_all_channels_and_tells_equal_names_apart() -> Non
         t for t in (c.text for c in cautions({"r": compared()}, {"r": wild})) if "training range" in t
     ]
     assert "on u (5.0 %)" in alone
+
+
+def test_a_gain_above_what_the_flights_show_is_cautioned() -> None:
+    """Slow inputs end below the bandwidth of the model; fast ones do not."""
+    rng = np.random.default_rng(3)
+    quick = replace(TS, a=0.3, b=0.7, labels=("R1",))
+    for hold, warned in ((60, True), (1, False)):
+        u = np.repeat(rng.normal(size=6000 // hold), hold)
+        u = np.convolve(u, np.ones(hold) / hold, mode="same")[:, None]
+        y = quick.simulate(u, np.zeros((1, 1))) + 0.05 * rng.normal(size=u.shape)
+        test = Dataset(quick.dt_s, quick.inputs, quick.outputs, (Segment(u, y, flight="f"),), name="roll")
+        c = compare({"arx": replace(quick, structure="arx"), "ts": quick}, test)
+        told = [t for t in cautions({"roll": c}, {"roll": diagnose(c)}) if "answers strongly" in t.text]
+        assert bool(told) is warned
+        assert all("of roll" in t.text for t in told)
