@@ -7,21 +7,14 @@ import shlex
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli import complete
-from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import CHECK_FAILED, check_target, cores, say
+from flysid.cli.fleet_data import FleetData, fleet_data_options
+from flysid.cli.output import CHECK_FAILED, check_target, say
 from flysid.errors import UsageError
 from flysid.showing import counted
-
-if TYPE_CHECKING:
-    from flysid.fleet.models.gather import Gathered
-    from flysid.ingest.align.recipe import Recipe
-    from flysid.ingest.lake.lake import Lake
 
 PAGE = "report.html"
 DOCUMENT = "report.json"
@@ -40,10 +33,8 @@ def _day(_ctx: click.Context, _param: click.Parameter, value: str) -> int | None
 
 
 @click.command("changed")
-@click.argument("lake", type=SOURCE)
-@click.option("--recipe", "-r", required=True, shell_complete=complete.recipes, help="Name or .toml file.")
+@fleet_data_options
 @click.option("--output", "-o", type=click.Path(path_type=Path), help="Folder of the page.  [LAKE/changed]")
-@click.option("--channel", "-c", "channels", multiple=True, help="This channel alone; may be repeated.")
 @click.option(
     "--before", "before_ns", default="", metavar="DATE", callback=_day,
     help="Flights before it (UTC) against those from then on.",
@@ -55,27 +46,19 @@ def _day(_ctx: click.Context, _param: click.Parameter, value: str) -> int | None
     "--rate", default=0.05, show_default=True, type=click.FloatRange(0.0, 0.5, min_open=True),
     help="Share of false ones among the flagged, at most.",
 )  # fmt: skip
-@click.option(
-    "--grid", "rate_hz", type=click.FloatRange(0.0, min_open=True), metavar="HZ", help="Rate of the grid."
-)
 @click.option("--runs", type=click.Path(path_type=Path), help="A 'fleet fit --ts' whose reports to link to.")
 @click.option("--fail-if", type=click.Choice(["changed", "unlike"]), help="Exit with 4 where a vehicle is.")
-@click.option("--jobs", "-j", default=0, metavar="N", help="Processes; one per core when not given.")
 @click.option("--force", is_flag=True, help="Replace the page if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
 @progress_options
 def command(
-    lake: Path,
-    recipe: str,
+    data: FleetData,
     output: Path | None,
-    channels: tuple[str, ...],
     before_ns: int | None,
     halves: bool,
     rate: float,
-    rate_hz: float | None,
     runs: Path | None,
     fail_if: str | None,
-    jobs: int,
     force: bool,
     as_json: bool,
     quiet: bool,
@@ -89,7 +72,7 @@ def command(
     """
     if halves and before_ns is not None:
         raise UsageError("--halves and --before say different things", hint="leave out one or the other")
-    target = output or lake / "changed"
+    target = output or data.folder / "changed"
     check_target(target, force or (output is None and (target / DOCUMENT).is_file()))
     from flysid.files import write_atomically, writing_to
     from flysid.fleet.models.changed import compare
@@ -97,10 +80,10 @@ def command(
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.lake import open as open_lake
 
-    opened = open_lake(lake)
-    asked = load_recipe(recipe)
+    opened = open_lake(data.folder)
+    asked = load_recipe(data.recipe)
     with display.shown():
-        gathered = gathered_of(opened, asked, channels, rate_hz, jobs, quiet)
+        gathered = data.gather(opened, asked, quiet)
         compared = compare(gathered, asked, opened.facts, rate, before_ns)
     document = json.dumps(compared.document(), indent=1, allow_nan=False) + "\n"
     reports = _reports(runs, list(compared.names)) if runs else {}
@@ -128,20 +111,6 @@ def command(
     say(f"{title}. {lead}".strip(), quiet)
     say(f"page: {page}", quiet)
     return CHECK_FAILED if any(found.question == fail_if for found in compared.findings) else 0
-
-
-def gathered_of(
-    lake: Lake, recipe: Recipe, channels: tuple[str, ...], rate_hz: float | None, jobs: int, quiet: bool
-) -> Gathered:
-    """The fleet's triangles; says how many flights were read for them."""
-    from flysid.fleet.models.gather import gather
-    from flysid.fleet.models.triangle_store import Folder
-
-    found = gather(lake, recipe, Folder(lake.folder), channels, rate_hz, jobs or cores())
-    say(f"{counted(found.read, 'flight')} read, {len(lake) - found.read:,} known", quiet)
-    for flight, why in found.lost.items():
-        say(f"{flight}: could not be read: {why}")
-    return found
 
 
 def _reports(runs: Path, vehicles: list[str]) -> dict[str, Path]:

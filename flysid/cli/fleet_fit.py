@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from flysid.cli import complete
-from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
-from flysid.cli.fleet_changed import gathered_of
-from flysid.cli.output import aligned, check_target, cores, say
+from flysid.cli.fleet_data import FleetData, fleet_data_options
+from flysid.cli.output import aligned, check_target, say
 from flysid.showing import counted
 
 if TYPE_CHECKING:
@@ -24,36 +22,26 @@ HEADINGS = ("GROUP", "CHANNEL", "FLIGHTS", "SAMPLES", "RMSE", "GAIN", "AT")
 
 
 @click.command("fit")
-@click.argument("lake", type=SOURCE)
-@click.option("--recipe", "-r", required=True, shell_complete=complete.recipes, help="Name or .toml file.")
+@fleet_data_options
 @click.option(
     "--by", default="vehicle", show_default=True, metavar="A,B", help="Of vehicle, firmware, month."
 )
 @click.option("--output", "-o", type=click.Path(path_type=Path), help="Folder for the models.")
-@click.option("--channel", "-c", "channels", multiple=True, help="This channel alone; may be repeated.")
-@click.option(
-    "--grid", "rate_hz", type=click.FloatRange(0.0, min_open=True), metavar="HZ", help="Rate of the grid."
-)
 @click.option("--ts", is_flag=True, help="Also a run for each vehicle, as 'fit --vehicle' makes it.")
 @click.option("--models", "-m", default="", metavar="A,B", help="Of those runs; as 'fit' takes them.")
 @click.option(
     "--effort", default="normal", type=click.Choice(["quick", "normal", "thorough"]), help="Of those runs."
 )
-@click.option("--jobs", "-j", default=0, metavar="N", help="Processes; one per core when not given.")
 @click.option("--force", is_flag=True, help="Replace the models if they are there.")
 @click.option("--json", "as_json", is_flag=True, help="Print the models as JSON.")
 @progress_options
 def command(
-    lake: Path,
-    recipe: str,
+    data: FleetData,
     by: str,
     output: Path | None,
-    channels: tuple[str, ...],
-    rate_hz: float | None,
     ts: bool,
     models: str,
     effort: str,
-    jobs: int,
     force: bool,
     as_json: bool,
     quiet: bool,
@@ -74,11 +62,11 @@ def command(
     from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.lake import open as open_lake
 
-    opened = open_lake(lake)
-    asked = load_recipe(recipe)
+    opened = open_lake(data.folder)
+    asked = load_recipe(data.recipe)
     keys = tuple(key for key in by.replace(" ", "").split(",") if key)
     with display.shown():
-        gathered = gathered_of(opened, asked, channels, rate_hz, jobs, quiet)
+        gathered = data.gather(opened, asked, quiet)
         fitted = fit_groups(gathered, keys)
     text = json.dumps(fitted.document(asked.name), indent=1, allow_nan=False) + "\n"
     if output is not None:
@@ -93,7 +81,7 @@ def command(
         say(f"{name_of(group.key)}, {group.channel}: {group.reason}")
     failed = 0
     if ts and output is not None:
-        failed = run_vehicles(opened, recipe, output, channels, models, effort, jobs, display, quiet)
+        failed = run_vehicles(opened, data, output, models, effort, display, quiet)
     return 3 if unfit or failed else 0
 
 
@@ -125,12 +113,10 @@ def name_of(key: object) -> str:
 
 def run_vehicles(
     lake: Lake,
-    recipe: str,
+    data: FleetData,
     output: Path,
-    channels: tuple[str, ...],
     models: str,
     effort: str,
-    jobs: int,
     display: Display,
     quiet: bool,
 ) -> int:
@@ -140,10 +126,10 @@ def run_vehicles(
     from flysid.validate.run import FitSettings
 
     labels = tuple(label for label in models.replace(" ", "").lower().split(",") if label)
-    settings = FitSettings(channels=channels, models=labels, effort=effort)
+    settings = FitSettings(channels=data.channels, models=labels, effort=effort)
     named = [name for name in vehicles(lake) if name]
     with display.shown():
-        done = fit_vehicles(lake, recipe, output, settings, named, jobs or cores())
+        done = fit_vehicles(lake, data.recipe, output, settings, named, data.jobs)
     failed = {name: why for name, why in done.items() if isinstance(why, str)}
     for name, why in failed.items():
         say(f"{name}: {why}")

@@ -11,6 +11,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 
 from flysid.errors import DataError, RecipeError
@@ -33,34 +35,40 @@ class RollingLog:
 
     name: str = "live"
     info: Mapping[str, str] = field(default_factory=dict)
-    _parts: dict[str, list[pa.Table]] = field(default_factory=dict)
+    _tables: dict[str, pa.Table] = field(default_factory=dict)
 
     @property
     def rows(self) -> Mapping[str, int]:
-        return {key: sum(t.num_rows for t in parts) for key, parts in self._parts.items()}
+        return {key: table.num_rows for key, table in self._tables.items()}
 
     @property
     def allowed(self) -> None:
         return None
 
     def columns(self, stream: str) -> Sequence[str]:
-        names: Sequence[str] = self._parts[stream][-1].column_names
+        names: Sequence[str] = self._tables[stream].column_names
         return names
 
     def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
-        return pa.concat_tables([t.select(list(columns)) for t in self._parts[stream]])
+        return self._tables[stream].select(list(columns))
 
     def add(self, stream: str, table: pa.Table) -> None:
         """Append rows; what is older than the window goes, and all of it where the clock steps back."""
         if not table.num_rows:
             return
-        parts = self._parts.setdefault(stream, [])
-        first, last = (table.column(TIME)[k].as_py() for k in (0, -1))
-        if parts and parts[-1].column(TIME)[-1].as_py() > first + WINDOW_S * 1e9:
-            parts.clear()
-        parts.append(table)
-        while parts and parts[0].column(TIME)[-1].as_py() < last - WINDOW_S * 1e9:
-            parts.pop(0)
+        before = self._tables.get(stream)
+        times = _times(table)
+        if before is not None:
+            known = _times(before)
+            if known[-1] <= times[0] + WINDOW_S * 1e9:
+                recent = np.flatnonzero(known >= times[-1] - WINDOW_S * 1e9)
+                kept = before.slice(int(recent[0])) if len(recent) else before.slice(0, 0)
+                table = pa.concat_tables([kept, table]).combine_chunks()
+        self._tables[stream] = table
+
+
+def _times(table: pa.Table) -> npt.NDArray[np.int64]:
+    return np.asarray(table.column(TIME).to_numpy(), dtype=np.int64)
 
 
 @dataclass

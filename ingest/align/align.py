@@ -27,7 +27,7 @@ from flysid.ingest.align.labels import Labels, labels_of
 from flysid.ingest.align.recipe import Recipe, SignalSpec, load_recipe
 from flysid.ingest.align.report import AlignReport, FlightReport, SignalReport
 from flysid.ingest.align.resample import Series, Span
-from flysid.ingest.align.signals import FlightLog, Loaded, Log, Samples, find_source, load_signal, missing
+from flysid.ingest.align.signals import FlightLog, Loaded, Log, find_source, load_signal, missing
 from flysid.ingest.align.vehicle import vehicle_of
 
 FloatArray = npt.NDArray[np.float64]
@@ -219,7 +219,8 @@ class _Job:
             return FlightReport(log.name, reason=f"no source for {lacking}"), (), {}
         clocks = align_clocks(self.recipe.clocks, log)
         loaded = {n: clocks.apply(load_signal(n, spec, log)) for n, spec in self.specs.items()}
-        reports = tuple(self._describe(name, found) for name, found in loaded.items())
+        tidied = {n: self._tidy(n, found) for n, found in loaded.items()}
+        reports = tuple(self._describe(n, found, tidied[n]) for n, found in loaded.items())
         empty = [note for found in loaded.values() if not found.boots for note in found.notes]
         reason = "; ".join(empty) or self._too_slow(loaded, dt_ns)
         if reason:
@@ -235,7 +236,7 @@ class _Job:
         segments: list[Segment] = []
         for boot in boots:
             name = log.name if len(boots) == 1 else f"{log.name}#{boot}"
-            series = {n: self._tidy(n, f.boots[boot]) for n, f in loaded.items()}
+            series = {n: boots_of[boot] for n, boots_of in tidied.items()}
             if all(len(s.t_ns) for s in series.values()):
                 part = _Boot(self, name, series, dt_ns, labels.get(boot, Labels()), vehicle_of(log.info))
                 found, counts = part.segments(conditions.spans.get(boot))
@@ -243,11 +244,13 @@ class _Job:
                 report = report.plus(counts)
         return report, tuple(segments), {n: f.resolution for n, f in loaded.items()}
 
-    def _tidy(self, name: str, samples: Samples) -> Series:
-        return resample.tidy(samples.t_ns, samples.x, self.specs[name].max_rate)
+    def _tidy(self, name: str, found: Loaded) -> dict[int, Series]:
+        """The boots of a signal, fit for resampling."""
+        rate = self.specs[name].max_rate
+        return {boot: resample.tidy(s.t_ns, s.x, rate) for boot, s in found.boots.items()}
 
-    def _describe(self, name: str, found: Loaded) -> SignalReport:
-        series = [self._tidy(name, samples) for samples in found.boots.values()]
+    def _describe(self, name: str, found: Loaded, boots: Mapping[int, Series]) -> SignalReport:
+        series = boots.values()
         return SignalReport(
             name=name,
             stream=found.stream,
@@ -291,8 +294,9 @@ class _Boot:
 
     def segments(self, allowed: Sequence[Span] | None) -> tuple[list[Segment], FlightReport]:
         """Segments, and the counts of what was kept and dropped. `allowed`: where conditions hold."""
-        spans: Sequence[Span] = self._spans()
-        total = sum(b - a for a, b in spans)
+        known = self._spans()
+        spans: Sequence[Span] = known
+        total = sum(b - a for a, b in known)
         if allowed is not None:
             spans = resample.intersect(spans, allowed)
         spans = resample.cut_long(self.labels.cut(spans), self.job.recipe.max_segment_s)
@@ -303,7 +307,7 @@ class _Boot:
             self.name,
             segments=len(kept),
             short_segments=len(made) - len(kept),
-            gaps=max(0, len(self._spans()) - 1),
+            gaps=max(0, len(known) - 1),
             used_s=sum(len(s) - 1 for s in kept) * self.dt_ns * 1e-9,
             total_s=total * 1e-9,
             filtered=ratio,
@@ -320,7 +324,7 @@ class _Boot:
 
     def _spans_of(self, name: str, series: Series) -> list[Span]:
         spec = self.job.specs[name]
-        period = resample.period_ns(series.t_ns)
+        period = series.period_ns
         if spec.max_gap_s is not None:
             gap = min(spec.max_gap_s * 1e9, float(resample.FOREVER))
         else:
@@ -333,7 +337,7 @@ class _Boot:
         if not self.job.recipe.antialias:
             return 1
         states = [s for n, s in self.series.items() if self.job.specs[n].hold == "linear"]
-        fastest = min((resample.period_ns(s.t_ns) for s in states), default=float(self.dt_ns))
+        fastest = min((s.period_ns for s in states), default=float(self.dt_ns))
         return int(np.clip(self.dt_ns / fastest + 0.2, 1, MAX_RATIO))
 
     def _segment(self, span: Span, ratio: int) -> Segment | None:

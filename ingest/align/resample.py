@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +39,11 @@ class Series:
     non_finite: int = 0
     duplicates: int = 0
     spikes: int = 0
+
+    @cached_property
+    def period_ns(self) -> float:
+        """Mean distance of samples, in ns; see `period_ns`."""
+        return period_ns(self.t_ns)
 
 
 def tidy(t_ns: IntArray, x: FloatArray, max_rate: float | None = None) -> Series:
@@ -184,7 +190,7 @@ def hold_tolerance_ns(series: Series, grid_ns: IntArray) -> int:
     if len(grid_ns) < 3 or len(series.t_ns) < 3:
         return 0
     dt = int(grid_ns[1] - grid_ns[0])
-    if not 0.8 < period_ns(series.t_ns) / dt < 1.25:
+    if not 0.8 < series.period_ns / dt < 1.25:
         return 0
     inside = series.t_ns[(series.t_ns >= grid_ns[0]) & (series.t_ns <= grid_ns[-1])]
     distance = (inside - grid_ns[0] + dt // 2) % dt - dt // 2
