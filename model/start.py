@@ -60,6 +60,15 @@ class Limited(Protocol):
     def unlimited(self) -> Runs: ...
 
 
+@runtime_checkable
+class StartsItself(Protocol):
+    """A model that estimates by itself, in numbers of its own, what a run starts from."""
+
+    def run_from_measured(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, n_y) run whose start fits the measured first rows y (W, n_y) best."""
+        ...
+
+
 def estimate_start(model: Runs, u: FloatArray, y: FloatArray) -> FloatArray:
     """(n_init, n_y) first outputs from which the model follows a measured window best.
 
@@ -149,6 +158,8 @@ class FreeRuns:
 def run_from_window(model: Runs, segment: Segment, window: int) -> FloatArray:
     """(N, n_y) simulation of a segment whose first `window` samples only give the starting state."""
     with np.errstate(over="ignore", invalid="ignore"):  # what breaks the laws is counted, not warned of
+        if isinstance(model, StartsItself):
+            return model.run_from_measured(segment.u, segment.y[:window])
         y0 = estimate_start(model, segment.u[:window], segment.y[:window])
         return model.simulate(segment.u, y0)
 

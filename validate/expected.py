@@ -8,6 +8,7 @@ they cannot drift from it.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 from flysid.dataset import Signal
@@ -17,15 +18,15 @@ from flysid.validate.comparison import Entry, ModelScore, Pair
 from flysid.validate.document import channel_documents
 from flysid.validate.intervals import Change, Scope
 from flysid.validate.metrics import Scores
-from flysid.validate.run import Run, asked_for, models_of
+from flysid.validate.run import Beside, Run, asked_for, models_of
 from flysid.validate.trials import FREE_RUN, horizon_name
 from flysid.validate.verdict import Evidence, Verdict
 
 SCORE = ModelScore(Scores(1, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0), ())
 
 
-def expected_of_run(run: Run) -> dict[str, Any]:
-    """The fields of what `judge_run` will find.
+def expected_of_run(run: Run, beside: Beside = MappingProxyType({})) -> dict[str, Any]:
+    """The fields of what `judge_run` will find; arguments as there.
 
     Raises
     ------
@@ -33,7 +34,7 @@ def expected_of_run(run: Run) -> dict[str, Any]:
     """
     channels = {}
     for channel in run.channels:
-        models = models_of(run, channel)
+        models = {**models_of(run, channel), **beside.get(channel.name, {})}
         contender = asked_for(run.settings.models, models, channel.baseline)
         channels[channel.name] = models, sides_of(models, channel.baseline, contender)
     return expected_document(channels, run.skipped)

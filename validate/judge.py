@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from flysid.catalogue import FlightFacts
@@ -24,7 +25,7 @@ from flysid.validate.paperfigures import write_figures
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.narrative import worse_than_constant
 from flysid.validate.report.page import render
-from flysid.validate.run import FitSettings, HeldOut, Run, asked_for, held_out
+from flysid.validate.run import Beside, FitSettings, HeldOut, Run, asked_for, held_out, with_models
 from flysid.validate.tables import to_csv, to_markdown
 from flysid.validate.terminal import summary, table
 from flysid.validate.words import one_line, physics_words
@@ -120,7 +121,11 @@ class Judgement:
 
 
 def judge_run(
-    run: Run, data: str | Path | None = None, remark: str = "", only: Selection | None = None
+    run: Run,
+    data: str | Path | None = None,
+    remark: str = "",
+    only: Selection | None = None,
+    beside: Beside = MappingProxyType({}),
 ) -> Judgement:
     """Compare every channel of a run on its held-out part; tells of its progress (`flysid.progress`).
 
@@ -129,6 +134,7 @@ def judge_run(
     data : the ingested folder, where it moved since the fit.
     remark : stands above the report's title, e.g. "simulated flights".
     only : judge on these of the held-out flights and stretches alone.
+    beside : further models, by channel and label, that are judged on the same flights as the run's.
 
     Raises
     ------
@@ -136,7 +142,7 @@ def judge_run(
     StoreError, UsageError : the run or the data folder cannot be read.
     """
     tell("aligning the held-out part", share=0.0)
-    held = held_out(run, data)
+    held = [with_models(item, beside.get(item.channel.name, {})) for item in held_out(run, data)]
     chosen = None if only is None else chosen_lake(run, data, only)
     if only is not None:
         remark = remark or f"judged with {' '.join(only.options)}"
@@ -263,6 +269,8 @@ def _provenance(run: Run, held: list[HeldOut]) -> dict[str, str]:
         found[name + FIT_TIME] = ", ".join(f"{k} {v:.2f} s" for k, v in item.channel.fit_seconds.items())
         if item.channel.dead_times:
             found[f"{name}: dead time"] = "; ".join(item.channel.dead_times)
+        for label in sorted(set(item.models) - set(item.channel.models)):
+            found[f"{name}: {label}"] = " ".join(item.models[label].notes)
         for label, why in item.channel.failed.items():
             found[f"{name}: {label} not fitted"] = why
     return found | {f"version of {k}": v for k, v in run.versions.items()}

@@ -160,6 +160,18 @@ class HeldOut:
     turns: tuple[Turn, ...] = ()
 
 
+Beside = Mapping[str, Mapping[str, Fitted]]
+"""Models that a run did not fit, by channel and label."""
+
+
+def with_models(held: HeldOut, more: Mapping[str, Fitted]) -> HeldOut:
+    """The channel with further models. No flight of it is known to them: they are in every turn, too."""
+    if not more:
+        return held
+    turns = tuple(replace(turn, models={**turn.models, **more}) for turn in held.turns)
+    return replace(held, models={**held.models, **more}, turns=turns)
+
+
 def versions() -> dict[str, str]:
     """Versions that a result depends on."""
     found = {"flysid": __version__, "python": platform.python_version()}

@@ -31,6 +31,7 @@ VERBS = {
     "fit": "Fit linear and Takagi-Sugeno models to an ingested folder.",
     "fly": "A design's gains on many simulated vehicles, beside the present ones.",
     "gains": "What the gains that a log states mean: crossover, margins, bandwidth, noise.",
+    "import": "Take a linear model over from MATLAB or python-control.",
     "ingest": "Read flight logs into typed parquet tables.",
     "ls": "List the flights and streams of an ingested folder.",
     "plan": "Plan the flight to fly next; what more flying would make known.",
@@ -54,7 +55,7 @@ STEPS = {
     "Prepare": ("ingest", "record", "synth", "scrub", "plan"),
     "Fit": ("fit", "tf", "step"),
     "Judge": ("validate", "compare", "runs", "gains", "design", "fly", "watch", "reproduce"),
-    "Share": ("export",),
+    "Share": ("export", "import"),
     "Many": ("fleet",),
     "Try": ("demo",),
 }

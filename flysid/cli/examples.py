@@ -24,6 +24,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "flysid fly design --mass 1..1.4 --json",
     ),
     "gains": ("flysid gains flight.bfl", "flysid gains data --axis roll --plot loop.png"),
+    "import": (
+        "flysid import sys.mat --run run -c longitudinal -o sim.json",
+        "flysid import plant.npz --run run -o plant.json",
+    ),
     "ingest": ("flysid ingest logs/ -o data", "flysid ingest flight.bin 'more/*.ulg' -o data"),
     "ls": ("flysid ls data", "flysid ls flight.bin --suggest"),
     "plan": (
@@ -54,7 +58,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "flysid tf flight.csv --from pitch_cmd --to v_x --poles 2",
     ),
     "watch": ("flysid watch run crash.bin", "flysid watch run udp:0.0.0.0:14550 --fail"),
-    "validate": ("flysid validate run", "flysid validate run -o paper --markdown --figures pdf"),
+    "validate": (
+        "flysid validate run -o paper --markdown --figures pdf",
+        "flysid validate run --with sim=sys.mat --with mine=sim:simulate",
+    ),
 }
 
 

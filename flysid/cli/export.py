@@ -36,7 +36,10 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
 @click.option(
     "--c", "c_folder", type=click.Path(path_type=Path), metavar="DIR", help="A model as C99, into DIR."
 )
-@click.option("--fmu", type=click.Path(path_type=Path), metavar="F.fmu", help="A model as FMI 2.0 FMU.")
+@click.option("--fmu", type=click.Path(path_type=Path), metavar="F.fmu", help="A model as an FMU.")
+@click.option(
+    "--fmi", type=click.Choice(["2", "3"]), default="2", show_default=True, help="Version of the FMU."
+)
 @click.option(
     "--matlab", type=click.Path(path_type=Path), metavar="DIR", help="A model as .m files, into DIR."
 )
@@ -64,6 +67,7 @@ def command(
     told: Words,
     c_folder: Path | None,
     fmu: Path | None,
+    fmi: str,
     matlab: Path | None,
     lpv: Path | None,
     float32: bool,
@@ -87,7 +91,7 @@ def command(
     if c_folder is not None:
         write_c(wanted, c_folder, single=float32, force=force)
     if fmu is not None:
-        write_fmu(wanted, fmu, force=force)
+        write_fmu(wanted, fmu, 3 if fmi == "3" else 2, force=force)
     if matlab is not None:
         write_matlab(wanted, matlab, force=force)
     if lpv is not None:

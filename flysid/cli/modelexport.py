@@ -11,6 +11,7 @@ from flysid.errors import UsageError
 
 if TYPE_CHECKING:
     from flysid.dataset import Dataset
+    from flysid.export.fmu import FMIVersion
     from flysid.model.base import Fitted
     from flysid.validate.run import ChannelRun, Run
 
@@ -109,7 +110,7 @@ def write_c(wanted: Wanted, folder: Path, *, single: bool, force: bool) -> None:
             (place / file).write_text(text, "utf-8")
 
 
-def write_fmu(wanted: Wanted, file: Path, *, force: bool) -> None:
+def write_fmu(wanted: Wanted, file: Path, version: FMIVersion, *, force: bool) -> None:
     """Write the FMU of a model."""
     from flysid.export.fmu import fmu_bytes
     from flysid.export.programs import program_of
@@ -117,7 +118,7 @@ def write_fmu(wanted: Wanted, file: Path, *, force: bool) -> None:
 
     check_target(file, force)
     found = find_model(wanted)
-    content = fmu_bytes(program_of(found.model, wanted.rate_hz), found.name)
+    content = fmu_bytes(program_of(found.model, wanted.rate_hz), found.name, version=version)
     with writing_to(file):
         write_atomically(file, content)
 

@@ -15,6 +15,7 @@ from flysid.progress import part
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
+    from flysid.validate.run import Beside
 
 
 @click.command("validate")
@@ -29,6 +30,21 @@ if TYPE_CHECKING:
     type=click.Choice(["pdf", "svg", "png"]),
     help="Also draw figures for a paper into the report's folder (needs matplotlib: flysid[plot]).",
 )
+@click.option(
+    "--with",
+    "wanted",
+    multiple=True,
+    metavar="[CHANNEL/]LABEL=MODEL",
+    help="Judge a model of your own beside the run's: a .mat, .m, .npz or .json file, an .fmu, or "
+    "module:function, which is imported; may be repeated.",
+)
+@click.option(
+    "--start",
+    "starts",
+    multiple=True,
+    metavar="LABEL=VARIABLE",
+    help="A variable of an FMU that a run starts from; may be repeated.",
+)
 @click.option("--force", is_flag=True, help="Replace the report if it is there.")
 @selection_options
 @comparison_forms
@@ -39,6 +55,8 @@ def command(
     data: Path | None,
     condition: str | None,
     figures: str | None,
+    wanted: tuple[str, ...],
+    starts: tuple[str, ...],
     force: bool,
     selection: Selection,
     quiet: bool,
@@ -56,17 +74,22 @@ def command(
     from flysid.validate.expected import expected_of_run
     from flysid.validate.judge import judge_run, write_judgement
     from flysid.validate.paperfigures import require_matplotlib
-    from flysid.validate.run import open_run
+    from flysid.validate.run import models_of, open_run
 
     if figures is not None:
         require_matplotlib()
     opened = open_run(run)
     check_target(target, force or is_own_report(target, run))
+    beside: Beside = {}
+    if wanted:
+        from flysid.outside.bring import brought
+
+        beside = brought(wanted, {c.name: models_of(opened, c) for c in opened.channels}, starts)
     if condition is not None:
-        check_condition(condition, expected_of_run(opened))
+        check_condition(condition, expected_of_run(opened, beside))
     with display.shown():
         with part(0.0, 0.5):
-            judgement = judge_run(opened, data, only=given(selection))
+            judgement = judge_run(opened, data, only=given(selection), beside=beside)
         with part(0.5, 1.0):
             page = write_judgement(judgement, target, figures)
     click.echo(judgement.text(form))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flysid.export.fmu import PLATFORM, fmu_bytes
+from flysid.export.fmu import PLATFORMS, FMIVersion, fmu_bytes
 from flysid.export.programs import program_of
 from flysid.export.reference import run
 from tests.flysid.export.compiled import gcc, needs_gcc
@@ -21,29 +21,44 @@ pytestmark = needs_gcc
 
 def slave(path: Path, place: Path) -> Any:
     from fmpy.fmi2 import FMU2Slave
+    from fmpy.fmi3 import FMU3Slave
 
     told = fmpy.read_model_description(str(path))
     fmpy.extract(str(path), str(place))
-    found = FMU2Slave(
-        guid=told.guid, unzipDirectory=str(place), modelIdentifier="plant", instanceName="plant"
-    )
+    kind = FMU2Slave if told.fmiVersion == "2.0" else FMU3Slave
+    found = kind(guid=told.guid, unzipDirectory=str(place), modelIdentifier="plant", instanceName="plant")
     found.instantiate()
-    found.setupExperiment(startTime=0.0)
-    found.enterInitializationMode()
+    if told.fmiVersion == "2.0":
+        found.setupExperiment(startTime=0.0)
+        found.enterInitializationMode()
+    else:
+        found.enterInitializationMode(startTime=0.0)
     found.exitInitializationMode()
     return found
 
 
+def stepped(simulator: Any, u: np.ndarray, rows: range, dt_s: float) -> np.ndarray:
+    """Outputs of some rows, each read before the step behind it."""
+    second = hasattr(simulator, "setReal")
+    found = []
+    for k in rows:
+        (simulator.setReal if second else simulator.setFloat64)([0], [u[k, 0]])
+        found.append((simulator.getReal if second else simulator.getFloat64)([1]))
+        simulator.doStep(k * dt_s, dt_s)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("name", ["ts", "oe", "ts_ss", "static ts", "statespace, late input"])
 def test_an_fmu_is_valid_small_and_equals_the_program_exactly_from_rest_and_after_a_kept_state(
-    name: str, tmp_path: Path
+    name: str, version: FMIVersion, tmp_path: Path
 ) -> None:
     from fmpy.validation import validate_fmu
 
     program = program_of(example(name))
     path = tmp_path / "plant.fmu"
-    path.write_bytes(fmu_bytes(program, "plant"))
-    assert path.read_bytes() == fmu_bytes(program, "plant")
+    path.write_bytes(fmu_bytes(program, "plant", version=version))
+    assert path.read_bytes() == fmu_bytes(program, "plant", version=version)
     assert path.stat().st_size < 100_000
     assert validate_fmu(str(path)) == []
     simulator = slave(path, tmp_path / "unpacked")
@@ -51,12 +66,7 @@ def test_an_fmu_is_valid_small_and_equals_the_program_exactly_from_rest_and_afte
     expected = run(program, u)[0]
 
     def runs(rows: range) -> np.ndarray:
-        found = []
-        for k in rows:
-            simulator.setReal([0], [u[k, 0]])
-            found.append(simulator.getReal([1]))
-            simulator.doStep(k * program.dt_s, program.dt_s)
-        return np.array(found)
+        return stepped(simulator, u, rows, program.dt_s)
 
     assert np.array_equal(runs(range(100)), expected[:100])
     kept = simulator.getFMUState()
@@ -87,15 +97,43 @@ def test_simulate_fmu_reads_an_output_one_sample_late_as_fmi_says(tmp_path: Path
     assert np.array_equal(told, run(program, u)[0][: len(told), 0])
 
 
-def test_it_builds_from_its_own_sources(tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("name", ["ts", "oe", "statespace, late input"])
+def test_a_run_starts_from_any_past_that_is_set(name: str, version: FMIVersion, tmp_path: Path) -> None:
+    program = program_of(example(name))
     path = tmp_path / "plant.fmu"
-    path.write_bytes(fmu_bytes(program_of(example("ts")), "plant"))
+    path.write_bytes(fmu_bytes(program, "plant", version=version))
+    u = inputs(example(name), 200)
+    memory = run(program, u[:80])[1]
+    simulator = slave(path, tmp_path / "unpacked")
+    places = list(range(2, 2 + len(memory)))
+    (simulator.setReal if version == 2 else simulator.setFloat64)(places, list(memory))
+    found = (simulator.getReal if version == 2 else simulator.getFloat64)(places)
+    assert np.allclose(found, memory, rtol=1e-14, atol=1e-14)
+    assert np.array_equal(
+        stepped(simulator, u, range(80, 200), program.dt_s), run(program, u[80:], memory)[0]
+    )
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_it_builds_from_its_own_sources(version: FMIVersion, tmp_path: Path) -> None:
+    path = tmp_path / "plant.fmu"
+    path.write_bytes(fmu_bytes(program_of(example("ts")), "plant", version=version))
     with zipfile.ZipFile(path) as archive:
         archive.extractall(tmp_path)
     sources = tmp_path / "sources"
-    flags = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-ffp-contract=off")
-    gcc(*flags, "-shared", "-fPIC", "-o", tmp_path / "again.so", *sources.glob("*.c"), "-lm")
-    assert (tmp_path / "binaries" / PLATFORM / "plant.so").is_file()
+    flags = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror")
+    gcc(
+        *flags,
+        "-ffp-contract=off",
+        "-shared",
+        "-fPIC",
+        "-o",
+        tmp_path / "again.so",
+        *sources.glob("*.c"),
+        "-lm",
+    )
+    assert (tmp_path / "binaries" / PLATFORMS[version] / "plant.so").is_file()
 
 
 def test_without_a_binary_only_the_sources_are_inside(tmp_path: Path) -> None:

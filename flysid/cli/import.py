@@ -1,0 +1,49 @@
+"""`flysid import FILE --run RUN -o MODEL.json`: a linear model from elsewhere, as a model file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from flysid.errors import UsageError
+
+
+@click.command("import")
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option(
+    "--run",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="A run whose signals, units and sample time the model is taken to.",
+)
+@click.option("--channel", "-c", default="", help="Of the run.")
+@click.option("--out", "-o", required=True, type=click.Path(path_type=Path), help="Model file to write.")
+@click.option("--force", is_flag=True, help="Replace the file if it is there.")
+def command(source: Path, run: Path, channel: str, out: Path, force: bool) -> None:
+    """Take a linear model over from MATLAB or python-control (.mat, .m, .npz, .json).
+
+    The file written is a model file like any other: export it, draw it, hand it to 'flysid validate --with'.
+    Functions and FMUs are not copied; name them to 'flysid validate --with'.
+    """
+    from flysid.cli.output import check_target
+    from flysid.outside.bring import bring
+    from flysid.outside.signals import Like
+    from flysid.outside.simulator import Simulated
+    from flysid.validate.run import models_of, open_run
+
+    check_target(out, force)
+    channels = {c.name: c for c in open_run(run).channels}
+    if channel not in channels and (channel or len(channels) > 1):
+        what = f"no channel {channel!r}" if channel else f"{len(channels)} channels"
+        raise UsageError(f"the run has {what}", hint="--channel " + ", or --channel ".join(channels))
+    chosen = channels[channel] if channel else next(iter(channels.values()))
+    like = Like.of(next(iter(models_of(open_run(run), chosen).values())))
+    model = bring(str(source), like)
+    if isinstance(model, Simulated):
+        raise UsageError(
+            f"{model.simulator.words} is run where it is",
+            hint=f"flysid validate {run} --with LABEL={source}",
+        )
+    model.save(out)
+    click.echo(str(out))

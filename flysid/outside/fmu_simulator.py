@@ -1,0 +1,178 @@
+"""An FMU for co-simulation as a simulator, run by FMPy (`flysid[fmu]`).
+
+An FMU is a program: it is run because the user has named it. The convention of samples is that of
+`flysid.export.fmu`: set u(k), read y(k), step to k + 1.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import weakref
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.errors import UsageError
+from flysid.outside.signals import Like, matched
+from flysid.outside.simulator import Simulated
+
+SETTABLE = ("local", "output")
+
+
+@dataclass(frozen=True, eq=False)
+class FmuSimulator:
+    """An unpacked FMU: one fresh instance a run."""
+
+    name: str
+    description: Any
+    folder: str
+    dt_s: float
+    start: FloatArray
+    starts: tuple[int, ...]
+    u_places: tuple[int, ...]
+    y_places: tuple[int, ...]
+
+    starts_at_outputs = False
+
+    @property
+    def words(self) -> str:
+        """ "the FMU plant.fmu"."""
+        return f"the FMU {self.name}"
+
+    def run(self, u: FloatArray, start: FloatArray) -> FloatArray:
+        """(N, n_y) outputs.
+
+        Raises
+        ------
+        UsageError : the FMU fails.
+        """
+        try:
+            return self._run(u, start)
+        except Exception as error:  # somebody else's program
+            raise UsageError(f"{self.words} fails: {type(error).__name__}: {error}"[:300]) from error
+
+    def _run(self, u: FloatArray, start: FloatArray) -> FloatArray:
+        from fmpy import instantiate_fmu
+
+        slave = instantiate_fmu(self.folder, self.description, "CoSimulation")
+        newer = self.description.fmiVersion.startswith("3")
+        put, get = (slave.setFloat64, slave.getFloat64) if newer else (slave.setReal, slave.getReal)
+        out = np.empty((len(u), len(self.y_places)))
+        try:
+            if newer:
+                slave.enterInitializationMode(startTime=0.0)
+            else:
+                slave.setupExperiment(startTime=0.0)
+                slave.enterInitializationMode()
+            if self.starts:
+                put(self.starts, [float(x) for x in start])
+            if self.u_places and len(u):
+                put(self.u_places, [float(x) for x in u[0]])
+            slave.exitInitializationMode()
+            for k in range(len(u)):
+                if self.u_places:
+                    put(self.u_places, [float(x) for x in u[k]])
+                out[k] = get(self.y_places)
+                if k + 1 < len(u):
+                    slave.doStep(currentCommunicationPoint=k * self.dt_s, communicationStepSize=self.dt_s)
+            slave.terminate()
+        finally:
+            slave.freeInstance()
+        return out
+
+
+def fmu_model(path: Path, like: Like, starts: Sequence[str] = ()) -> Simulated:
+    """Unpack an FMU and match its signals.
+
+    Parameters
+    ----------
+    starts : variables that a run starts from, besides those that the FMU declares so (initial "exact").
+
+    Raises
+    ------
+    UsageError : no FMPy, not an FMU for co-simulation on this machine, other signals, units or sample time.
+    """
+    try:
+        import fmpy
+    except ImportError as error:
+        raise UsageError("FMPy is needed for FMUs", hint="pip install 'flysid[fmu]'") from error
+    try:
+        told = fmpy.read_model_description(str(path))
+        platforms = fmpy.supported_platforms(str(path))
+    except Exception as error:  # somebody else's archive
+        raise UsageError(f"not an FMU: {error}"[:200], path=path) from error
+    if told.coSimulation is None:
+        raise UsageError("an FMU for model exchange", path=path, hint="export it for co-simulation")
+    here = fmpy.platform if told.fmiVersion.startswith("2") else fmpy.platform_tuple
+    if here not in platforms and fmpy.platform not in platforms:
+        raise UsageError(
+            f"it holds no binary for {here}, but for {', '.join(platforms) or 'none'}",
+            path=path,
+            hint="build it for this machine, from its sources if it has them",
+        )
+    step = told.defaultExperiment.stepSize if told.defaultExperiment is not None else None
+    if told.coSimulation.canHandleVariableCommunicationStepSize is not True and step is not None:
+        ratio = like.dt_s / float(step)
+        if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
+            raise UsageError(f"the FMU steps by {float(step):g} s, the data by {like.dt_s:g} s", path=path)
+    floats = [v for v in told.modelVariables if v.type in ("Real", "Float64") and not v.dimensions]
+    sides = []
+    for side, ours in (("input", like.inputs), ("output", like.outputs)):
+        found = [v for v in floats if v.causality == side]
+        names = [v.name for v in found]
+        missing = [s.name for s in ours if s.name not in names]
+        if missing and len(found) != len(ours):
+            raise UsageError(f"the FMU has no {side} {', '.join(missing)}, but {', '.join(names)}", path=path)
+        used = found if missing else [found[names.index(s.name)] for s in ours]
+        own = matched(ours, [v.name for v in used], [_unit(v) for v in used], side)
+        sides.append((own, tuple(used[j].valueReference for j in own.order)))
+    (ins, u_places), (outs, y_places) = sides
+    begins = [v for v in floats if _starts(v) or v.name in starts]
+    lost = sorted(set(starts) - {v.name for v in begins})
+    if lost:
+        raise UsageError(f"the FMU has no real variable {', '.join(lost)}", path=path)
+    folder = tempfile.mkdtemp(prefix="flysid-fmu-")
+    fmpy.extract(str(path), folder)
+    simulator = FmuSimulator(
+        name=path.name,
+        description=told,
+        folder=folder,
+        dt_s=like.dt_s,
+        start=np.array([float(v.start or 0.0) for v in begins]),
+        starts=tuple(v.valueReference for v in begins),
+        u_places=u_places,
+        y_places=y_places,
+    )
+    weakref.finalize(simulator, shutil.rmtree, folder, ignore_errors=True)
+    about = ", ".join(v.name for v in begins)
+    began = (
+        f"A free run starts from {about}, fitted to the measured window."
+        if begins
+        else "It declares nothing that a run starts from: every free run starts as the FMU does."
+    )
+    return Simulated(
+        dt_s=like.dt_s,
+        inputs=like.inputs,
+        outputs=like.outputs,
+        simulator=simulator,
+        u_factors=ins.factors,
+        y_factors=outs.factors,
+        notes=(f"The FMU {path.name}; nothing was estimated.", began, *ins.notes, *outs.notes),
+    )
+
+
+def _unit(variable: Any) -> str:
+    declared = variable.declaredType
+    return str(variable.unit or (declared.unit if declared is not None else None) or "")
+
+
+def _starts(variable: Any) -> bool:
+    """Whether the FMU declares that a run starts from it."""
+    return (
+        variable.initial == "exact" and variable.causality in SETTABLE and variable.variability != "constant"
+    )
