@@ -28,7 +28,7 @@ def command(source: Path, run: Path, channel: str, out: Path, force: bool) -> No
     """
     from flysid.cli.output import check_target
     from flysid.outside.bring import bring
-    from flysid.outside.signals import Like
+    from flysid.outside.like import Like
     from flysid.outside.simulator import Simulated
     from flysid.validate.run import models_of, open_run
 

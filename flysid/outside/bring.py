@@ -10,8 +10,8 @@ from flysid.errors import FlysidError, UsageError
 from flysid.model.base import MODEL_FORMAT, Fitted, load
 from flysid.outside.fmu_simulator import fmu_model
 from flysid.outside.function_simulator import function_model
+from flysid.outside.like import Like
 from flysid.outside.linear_system import linear_model
-from flysid.outside.signals import Like
 from flysid.outside.stored import read_stored
 
 FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")

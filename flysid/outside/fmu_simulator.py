@@ -18,7 +18,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.outside.signals import Like, matched
+from flysid.outside.like import Like, matched
 from flysid.outside.simulator import Simulated
 
 SETTABLE = ("local", "output")

@@ -17,8 +17,9 @@ from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.base import try_out
 from flysid.model.start import WINDOW_LAGS, WINDOW_S
+from flysid.model.subspace.fitted_model import FittedStateSpace, resting
 from flysid.model.subspace.kalman import gains_of
-from flysid.model.subspace.model import FittedStateSpace, resting
+from flysid.outside.like import Like, matched
 from flysid.outside.sampled import (
     Block,
     Matrices,
@@ -27,7 +28,6 @@ from flysid.outside.sampled import (
     in_falling_powers,
     side_by_side,
 )
-from flysid.outside.signals import Like, matched
 from flysid.outside.stored import CLASS
 
 NAMES: Mapping[str, tuple[str, ...]] = {

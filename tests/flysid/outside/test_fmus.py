@@ -13,7 +13,7 @@ from flysid.errors import UsageError
 from flysid.export.fmu import fmu_bytes
 from flysid.export.programs import program_of
 from flysid.outside.bring import bring
-from flysid.outside.signals import Like
+from flysid.outside.like import Like
 from tests.flysid.export.compiled import needs_gcc
 from tests.flysid.export.test_c import example, inputs
 

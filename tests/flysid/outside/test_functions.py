@@ -10,7 +10,7 @@ import pytest
 from flysid.dataset import Segment, Signal
 from flysid.errors import UsageError
 from flysid.outside.bring import bring
-from flysid.outside.signals import Like
+from flysid.outside.like import Like
 
 LIKE = Like(0.02, (Signal("pitch", "rad"),), (Signal("v", "m/s"),))
 SIMULATORS = """

@@ -15,7 +15,7 @@ from flysid.dataset import Segment, Signal
 from flysid.errors import FlysidError
 from flysid.model.base import load
 from flysid.outside.bring import bring
-from flysid.outside.signals import Like
+from flysid.outside.like import Like
 
 DT = 0.02
 ONE = Like(DT, (Signal("theta_in", "rad"),), (Signal("v_x", "m/s"),))
