@@ -200,21 +200,26 @@ def _is_text(cells: Sequence[str], decimal_comma: bool) -> bool:
 def _time_column(
     columns: Sequence[Column], rows: Sequence[Sequence[str]], decimal_comma: bool
 ) -> TimeColumn | None:
-    """The first column that is called a time and rises."""
+    """The column that is called a time, rises, and tells most rows theirs: at least half; the first of such.
+
+    Rows without a time are counted as lost. Numbering all rows for their sake would invent times.
+    """
+    found: list[tuple[int, TimeColumn]] = []
     for index, column in enumerate(columns):
         stated = time_unit_of(column.name)
         if stated is None:
             continue
-        cells = [row[index] for row in rows]
+        told = [row[index] for row in rows if row[index] not in MISSING]
         if column.is_text:
-            if sum(bool(_STAMP.match(c)) for c in cells) >= MOSTLY * len(cells):
-                return TimeColumn(index, column.name, DATED)
+            dates = sum(bool(_STAMP.match(cell)) for cell in told)
+            if dates >= MOSTLY * len(told):
+                found.append((dates, TimeColumn(index, column.name, DATED)))
             continue
-        values = np.array(numbers_in(cells, decimal_comma))
-        if len(values) < MOSTLY * len(cells) or np.mean(np.diff(values, append=np.inf) >= 0) < MOSTLY:
-            continue
-        return TimeColumn(index, column.name, column.unit or stated, first=values)
-    return None
+        values = np.array(numbers_in(told, decimal_comma))
+        if len(values) and np.mean(np.diff(values, append=np.inf) >= 0) >= MOSTLY:
+            found.append((len(values), TimeColumn(index, column.name, column.unit or stated, first=values)))
+    count, best = max(found, key=lambda each: each[0], default=(0, None))
+    return best if 2 * count >= len(rows) else None
 
 
 def numbers_in(cells: Sequence[str], decimal_comma: bool) -> list[float]:

@@ -171,6 +171,21 @@ def test_a_table_without_a_time_has_numbered_rows() -> None:
     assert seconds(skipped) == [0.0, 2.0]  # the time of what is lost goes by
 
 
+@pytest.mark.parametrize("missing", [1, 3, 9, 10])
+def test_rows_without_a_time_are_lost_not_numbered(missing: int) -> None:
+    cells = ["" if k in range(1, 1 + missing) else f"{k / 50}" for k in range(20)]
+    flight = read("time_s,x\n" + "".join(f"{cell},{k}\n" for k, cell in enumerate(cells)))
+    assert seconds(flight) == pytest.approx([float(cell) for cell in cells if cell])
+    assert flight.damage.bytes_skipped == sum(len(f",{k}\n") for k in range(1, 1 + missing))
+
+
+def test_the_fuller_time_is_taken() -> None:
+    rows = "".join(f"{k / 10 if k % 3 else ''},{k / 50},{k}\n" for k in range(30))
+    flight = read("gps time,time_s,x\n" + rows)
+    assert seconds(flight) == pytest.approx([k / 50 for k in range(30)])
+    assert not flight.damage.lossy
+
+
 def test_a_table_without_a_header_has_numbered_columns() -> None:
     assert read("1.5,2\n3,4\n5,6\n")["table"].column_names[2:] == ["c1", "c2"]
 
