@@ -42,6 +42,7 @@ WRITERS: Mapping[str, tuple[str, Callable[[Recording], bytes]]] = {
     "tlog": (".tlog", _writer("mavlink", "tlog_bytes")),
     "mcap": (".mcap", _writer("mcap", "mcap_bytes")),
     "dataflash": (".bin", _writer("dataflash", "dataflash_bytes")),
+    "blackbox": (".bbl", _writer("blackbox", "blackbox_bytes")),
     "ulog": (".ulg", _writer("ulog", "ulog_bytes")),
     "mcap-ros1": (".ros1.mcap", _writer("ros_messages", "ros1_bytes")),
     "mcap-ros2": (".ros2.mcap", _writer("ros_messages", "ros2_bytes")),

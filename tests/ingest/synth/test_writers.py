@@ -18,6 +18,7 @@ from flysid.cli.synth import command
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.flight import TIME
+from flysid.ingest.align.align import dataset
 from flysid.ingest.formats.registry import all_formats
 from flysid.ingest.synth.dryden import Gust
 from flysid.ingest.synth.live import Pace, fly_live
@@ -28,6 +29,7 @@ from flysid.ingest.synth.truth import truth_bytes
 from flysid.ingest.synth.vehicles import EFFECTS
 from flysid.ingest.synth.writers.ardrone import _wrapped_time
 from flysid.ingest.synth.writers.ros_messages import ROS1, ROS2, layout
+from tests.ingest.formats.test_blackbox import compare_with_chirp_core
 
 BOLD = Order(plant="ardrone", plan="demo", duration_s=6.0, noise=0.02, seed=4)
 
@@ -128,6 +130,47 @@ def test_ulog_is_what_pyulog_reads(recording: Recording, tmp_path: Path) -> None
     assert not log.file_corruption
     got = log.get_dataset("vehicle_local_position").data
     close(got["vz"], -recording.state["vz"], 1e-6)
+
+
+def test_blackbox(recording: Recording, tmp_path: Path) -> None:
+    flight = read_back(recording, "blackbox", tmp_path)
+    state = recording.state
+    sent = recording.command
+    np.testing.assert_array_equal(column(flight, "main", TIME), state.time_ns)
+    for axis, name in enumerate("pqr"):
+        close(0.1 * column(flight, "main", f"gyroADC[{axis}]"), state[name], 0.0501)
+    close(0.1 * column(flight, "main", "setpoint[0]"), 5 * (sent["phi_in"] - state["phi"]), 0.0501)
+    close(0.1 * column(flight, "main", "setpoint[1]"), 5 * (sent["theta_in"] - state["theta"]), 0.0501)
+    close(0.01 * column(flight, "main", "baroAlt") - 20.0, state["z"], 0.00501)
+    # Betaflight's mixer of a quadrotor X, taken apart again
+    motors = np.array([column(flight, "main", f"motor[{k}]") for k in range(4)])
+    roll = (motors[2] + motors[3] - motors[0] - motors[1]) / 4 / (2047 - 48)
+    free = ((motors > 48) & (motors < 2047)).all(axis=0)
+    assert free.mean() > 0.9
+    close(roll[free], 0.5 * state["roll_effort"][free], 0.001)
+    close(0.001 * column(flight, "main", "axisP[1]"), -0.5 * state["pitch_effort"], 0.000501)
+    assert np.corrcoef(np.diff(state["p"]), state["roll_effort"][:-1])[0, 1] > 0.3
+    north_m = 111_319.49 * (1e-7 * column(flight, "gps", "GPS_coord[0]") - 47.3977420)
+    due = np.isin(state.time_ns, column(flight, "gps", TIME).astype(np.int64))
+    close(north_m, state["x"][due], 0.012)
+    assert flight.info["vehicle"] == f"flysid {recording.system}"
+    assert (flight.clocks[0].utc_offset_ns or 0) == recording.boot_utc_ns
+
+
+def test_blackbox_is_what_chirp_core_reads(recording: Recording, tmp_path: Path) -> None:
+    holed = Recording(**{**vars(recording), "lost": ((13 * 10**9, 14 * 10**9),)})
+    path = tmp_path / "flight.bbl"
+    path.write_bytes(WRITERS["blackbox"][1](holed))
+    compare_with_chirp_core(path)
+
+
+def test_a_blackbox_of_the_simulator_serves_the_rate_recipe(tmp_path: Path) -> None:
+    path = tmp_path / "flight.bbl"
+    flown = fly_one(Order(plant="ardrone", plan="demo", duration_s=6.0, sensor="navdata", seed=5), 0)
+    path.write_bytes(WRITERS["blackbox"][1](flown))
+    data = dataset([flysid.read(path)], "betaflight-rate", "roll_motors")
+    assert data.dt_s == pytest.approx(0.005)
+    close(data.segments[0].y[:, 0], flown.state["p"][: len(data.segments[0].y)], 0.0501)
 
 
 @pytest.mark.parametrize("name", ["mcap-ros1", "mcap-ros2"])
