@@ -14,6 +14,7 @@ WEIGHTS: Mapping[str, float] = {
     "short": 5.5,
     "narrow": 4.5,
     "holes": 4.2,
+    "kinematics": 4.0,
     "pooled": 3.5,
     "band": 0.4,
 }

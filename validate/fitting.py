@@ -23,6 +23,7 @@ from flysid.files import replacing_folder, slug, write_atomically
 from flysid.ingest.align.doubts import doubts
 from flysid.ingest.align.recipe import Recipe, load_recipe, recipe_text
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
+from flysid.ingest.kinematics.telling import Instruments
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.base import Estimator
@@ -220,11 +221,13 @@ def fit_run(
     wanted = _chosen([n for n in recipe.channels if n not in skipped], settings.channels)
     with replacing_folder(out) as folder:
         queue: list[MemoryJob | DiskJob] = []
+        instruments = Instruments(lake.logs)
         with tempfile.TemporaryDirectory(prefix=".aligned-", dir=folder) as scratch:
             for name in wanted:
                 tell("aligning", channel=name, share=0.0)
                 try:
-                    queue.append(_job(lake, recipe, name, Places(folder, Path(scratch)), settings))
+                    job = _job(lake, recipe, name, Places(folder, Path(scratch)), settings)
+                    queue.append(replace(job, doubts=(*job.doubts, *instruments.doubts(recipe, name))))
                 except (DataError, MemoryError) as error:
                     skipped[name] = reason(error)
             found, interrupted = _fitted(queue, jobs)

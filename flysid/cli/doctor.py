@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from flysid.cli import complete
 from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.display import Display, progress_options
+from flysid.cli.kinematics import Motion, motions, write_corrected
 from flysid.cli.ls import clock_text
 from flysid.cli.output import REASONS_SHOWN, aligned, say, say_passed_over
 from flysid.cli.source import format_option, time_unit_option
+from flysid.errors import UsageError
 from flysid.progress import tell
 from flysid.showing import counted
 
@@ -43,6 +46,25 @@ HEADINGS = (
 @format_option
 @time_unit_option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option(
+    "--kinematics",
+    is_flag=True,
+    help="Do attitude, gyro, accelerometer, velocity and position agree? Biases, scales, lags, lever arm.",
+)
+@click.option(
+    "--correct",
+    "correct",
+    default="",
+    metavar="RECIPE",
+    shell_complete=complete.recipes,
+    help="With --kinematics, of one log: this recipe with what was found taken out of its signals.",
+)
+@click.option(
+    "--output",
+    "-o",
+    type=click.Path(path_type=Path),
+    help="File of the corrected recipe.  [default: corrected.toml]",
+)
 @progress_options
 def command(
     logs: tuple[str, ...],
@@ -51,6 +73,9 @@ def command(
     format_: str,
     time_unit: str,
     as_json: bool,
+    kinematics: bool,
+    correct: str,
+    output: Path | None,
     quiet: bool,
     display: Display,
 ) -> int:
@@ -66,13 +91,16 @@ def command(
     from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
     from flysid.place import is_address
 
+    if (correct or output) and not kinematics:
+        raise UsageError("--correct and -o belong to --kinematics", hint="flysid doctor LOG --kinematics")
     bounds = Bounds(max_memory, max_time)
     found = find_logs([here(log) if is_address(log) else log for log in logs], bounds)
     unreadable = len(found.unread)
     surveys: dict[Path, Survey] = {}
     for skipped in found.unread:
         say(f"skipped: {skipped.path}: {skipped.reason}")
-    look = partial(survey_or_reason, limits=Limits(time_unit=time_unit, format=format_))
+    limits = Limits(time_unit=time_unit, format=format_)
+    look = partial(survey_or_reason, limits=limits)
     with display.shown():
         for path, outcome in run_bounded(look, found.paths, 1, bounds):
             tell("examined", log=path.name, share=(len(surveys) + unreadable + 1) / (len(found.paths) + 1))
@@ -81,10 +109,18 @@ def command(
                 unreadable += 1
             else:
                 surveys[path] = outcome
+    moved = motions(list(surveys), limits, bounds, display) if kinematics else {}
     if as_json:
-        click.echo(json.dumps({"logs": [as_document(path, s) for path, s in surveys.items()]}, indent=1))
+        shown = [
+            as_document(path, s) | moved.get(path, Motion()).as_document() for path, s in surveys.items()
+        ]
+        click.echo(json.dumps({"logs": shown}, indent=1))
     elif surveys:
         click.echo("\n".join(aligned([HEADINGS, *(row(path, s) for path, s in surveys.items())])))
+    if moved and not as_json:
+        click.echo("\n".join(line for path, motion in moved.items() for line in motion.lines(path)))
+    if correct:
+        write_corrected(moved, correct, output or Path("corrected.toml"), limits, quiet)
     for path, survey in surveys.items():
         if "clock_note" in survey.info:
             say(f"note: {short_name(path)}: {survey.info['clock_note']}", quiet)

@@ -33,7 +33,7 @@ class Doubt:
     Attributes
     ----------
     kind : "quiet", "slow", "short", "unexplained", "narrow", "holes", "pooled" or "band"; REMARKS are no
-        faults.
+        faults. "kinematics" where instruments disagree (`flysid.ingest.kinematics`).
     text : what is the matter, no full stop.
     todo : what to log, to fly or to choose next time.
     """

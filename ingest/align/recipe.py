@@ -56,6 +56,7 @@ class Source:
     where : rows are kept where these columns have these values, e.g. {"C": 0} for one estimator core.
     time : a column that holds the sample's own time, e.g. `timestamp_sample`; `time_ns` when empty.
     row_period_s : seconds from row to row, for a table without a time column, and for nothing else.
+    lag_s : age of a value when it is stamped; it is taken off the stamps.
     """
 
     stream: str
@@ -68,6 +69,7 @@ class Source:
     where: dict[str, int | float | str] = dataclasses.field(default_factory=dict)
     time: str = ""
     row_period_s: float | None = None
+    lag_s: float = 0.0
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -423,6 +425,8 @@ def _check_source(source: Source, name: str, where: str) -> None:
         raise RecipeError(f"unknown unit {source.unit!r} of {name!r}", path=where)
     if source.row_period_s is not None and not 0 < source.row_period_s < float("inf"):
         raise RecipeError(f"row_period_s of {name!r} must be positive, not {source.row_period_s}", path=where)
+    if not abs(source.lag_s) < 1e6:
+        raise RecipeError(f"lag_s of {name!r} must be seconds, not {source.lag_s}", path=where)
     if source.scale == 0.0:
         raise RecipeError(f"scale of {name!r} must not be 0", path=where)
     if source.yaw is not None:

@@ -216,7 +216,7 @@ def load_source(source: Source, stream: str, unit: str, log: Log) -> Loaded:
             return Loaded({}, stream, "/".join(source.fields), notes=(told,))
     table = _in_order(source, _rows_timed(source, rows))
     boots = _integers(table[BOOT])
-    t_ns = _times(source, table)
+    t_ns = _times(source, table) - round(source.lag_s * 1e9)
     columns = _matrix(source, table)
     transform = TRANSFORMS[source.transform]
     gain, notes = _gain(source, stream, unit, table)
