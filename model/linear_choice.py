@@ -15,13 +15,12 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.base import Estimator, Fitted
-from flysid.model.selection import block_means, clearly_better
+from flysid.model.selection import block_means, clearly_better, parts_to_choose_on
 from flysid.model.shared import fit_key, once
 from flysid.model.start import run_from_window, start_window
 from flysid.progress import tell
 
 FIRST = "arx"
-HELD_OUT = 0.25
 FEWEST = 10
 """Rows that a segment must score."""
 LOST = 1e6
@@ -104,7 +103,7 @@ def choose_baseline(train: Dataset, candidates: Mapping[str, Estimator]) -> Choi
     FitError : no candidate could be fitted.
     """
     try:
-        fit, check = train.split(holdout=HELD_OUT)
+        fit, check = parts_to_choose_on(train)
         errors = _of_the_bounded(_fitted(candidates, fit, check), check)
     except DataError:
         return Choice(_first(candidates), words="the training part is too short to choose on")

@@ -12,6 +12,16 @@ from flysid.model.base import Fitted
 BLOCKS = 16
 LEVEL = 0.01
 """Relative difference in mean square that nobody would pay an order for."""
+HELD_OUT = 0.25
+"""Of training data, where no part was given to choose on."""
+
+
+def parts_to_choose_on(train: Dataset) -> tuple[Dataset, Dataset]:
+    """What candidates are fitted to and what they are judged on; raises DataError where there is too little.
+
+    Whoever chooses on whole flights takes the same, so that a fit which several ask for is done once.
+    """
+    return train.split(holdout=HELD_OUT)
 
 
 def block_errors(model: Fitted, data: Dataset, skip: int, scale: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ differences: exact in one step for a linear model). All structures are treated a
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -23,6 +24,7 @@ WINDOW_S = 1.0
 WINDOW_LAGS = 5
 MAX_SHARE = 0.1
 STEPS = 4
+_FLAT = 1e-7  # cosine between the residual and what a start can still move
 
 
 def start_window(n_init: int, n_samples: int, dt_s: float) -> int:
@@ -104,6 +106,9 @@ def estimate_start(model: Runs, u: FloatArray, y: FloatArray) -> FloatArray:
         best = trial
         cost = new_cost
         residual = new_residual
+        slope = jacobian.T @ residual
+        if np.abs(slope).max() <= _FLAT * float(np.linalg.norm(jacobian, axis=0).max()) * math.sqrt(cost):
+            break  # a linear model is there in one step, and another Jacobian would be the same
     return best
 
 

@@ -19,6 +19,7 @@ from flysid.model.rules.contest import contest as contest_of_rules
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.judging import INTEGRATES, hold_out
 from flysid.model.rules.learning import SWEEP
+from flysid.model.rules.linear_starts import refitted
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.rules.structure_choice import Refit, advantage, block_errors, unproven
 from flysid.model.shared import sharing
@@ -108,7 +109,8 @@ def _linear_enough(
             models: tuple[Refit, Refit] = (lambda _: model, lambda _: rules)
         else:
             parts = [hold_out(train, found.taken.known.least, fold) for fold in range(PARTS)]
-            models = (linear_rivals(hint)[label].fit, found.taken.again)
+            again = refitted(model)
+            models = (linear_rivals(hint)[label].fit if again is None else again.fit, found.taken.again)
         said = unproven(*models, parts)
         if not said:
             return None

@@ -140,6 +140,13 @@ class Run:
     skipped: Mapping[str, str]
     versions: Mapping[str, str]
     interrupted: bool = False
+    _loaded: dict[str, Fitted] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def model(self, file: str) -> Fitted:
+        """A model file of the run, read once; StoreError where it is missing or damaged."""
+        if file not in self._loaded:
+            self._loaded[file] = _load(self.folder, file)
+        return self._loaded[file]
 
 
 @dataclass(frozen=True)
@@ -324,13 +331,13 @@ def _held_out_channel(run: Run, channel: ChannelRun, data: Dataset | DatasetFile
 
 
 def _turn(run: Run, fold: FoldRun, data: Dataset) -> Turn:
-    models = {label: _load(run.folder, file) for label, file in fold.models.items()}
+    models = {label: run.model(file) for label, file in fold.models.items()}
     return Turn(models, Split.from_dict(fold.split).apply(data)[1])
 
 
 def models_of(run: Run, channel: ChannelRun) -> dict[str, Fitted]:
     """The fitted models of a channel by label; StoreError where a file is missing or damaged."""
-    return {label: _load(run.folder, file) for label, file in channel.models.items()}
+    return {label: run.model(file) for label, file in channel.models.items()}
 
 
 def asked_for(labels: Sequence[str], models: Mapping[str, Fitted], baseline: str) -> str | None:

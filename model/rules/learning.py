@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -30,6 +31,8 @@ from flysid.model.rules.regressor_layout import (
 from flysid.model.rules.search import affords, cross_validated, search
 from flysid.model.rules.search_context import SPARE_ROWS, SearchContext, Settings
 from flysid.model.rules.stages import ordered
+from flysid.model.selection import parts_to_choose_on
+from flysid.split import MIN_FLIGHTS
 
 SWEEP = "Validation free-run error by number of rules"
 """How the note begins that says what was tried."""
@@ -103,9 +106,10 @@ def learn(
     deepest = _deepest(settings, train) if len(choices) > 1 else 0
     depths = [deepest, *(o.depth for o in choices), *(max(a.lag, a.minus) for a in named)]
     least = max(depths) + SPARE_ROWS
-    fit_part, check_part, own = _parts(train, validation, least)
+    long = len(train) >= settings.search.short
+    fit_part, check_part, own = _parts(train, validation, least, long=long)
     shift, scale = scaling(fit_part)
-    small = own and settings.rules == "auto" and settings.refine and len(train) < settings.search.short
+    small = own and settings.rules == "auto" and settings.refine and not long
     folds = tuple(hold_out(train, least, fold) for fold in range(1, settings.search.folds)) if small else ()
     gain = settings.search.short_rule_gain if small else settings.search.rule_gain
     context = SearchContext(settings, fit_part, check_part, shift, scale, least, folds=folds, gain=gain)
@@ -288,7 +292,9 @@ def _named(settings: Settings, choices: Sequence[Orders], train: Dataset) -> tup
     return named
 
 
-def _parts(train: Dataset, validation: Dataset | None, least: int) -> tuple[Dataset, Dataset, bool]:
+def _parts(
+    train: Dataset, validation: Dataset | None, least: int, *, long: bool
+) -> tuple[Dataset, Dataset, bool]:
     longest = max((len(s) for s in train.segments), default=0)
     if longest < least:
         raise DataError(
@@ -297,8 +303,18 @@ def _parts(train: Dataset, validation: Dataset | None, least: int) -> tuple[Data
         )
     if validation is not None and any(len(s) >= least for s in validation.segments):
         return train, validation, False
-    kept, held = hold_out(train, least)
+    kept, held = _whole_flights(train, least) if long else hold_out(train, least)
     return kept, held, True
+
+
+def _whole_flights(train: Dataset, least: int) -> tuple[Dataset, Dataset]:
+    """The parts that the baseline is chosen on, where flights are enough: its rivals share their fits."""
+    if len(train.flights) >= MIN_FLIGHTS:
+        with suppress(DataError):
+            parts = parts_to_choose_on(train)
+            if all(any(len(s) >= least for s in part.segments) for part in parts):
+                return parts
+    return hold_out(train, least)
 
 
 def rule_verdict(settings: Settings, models: Sequence[Candidate], at: int) -> list[str]:

@@ -89,14 +89,25 @@ def _fitted(
         return None
     if isinstance(fitted, FittedLinear):
         orders = _orders(fitted.system)
-        refined = fitted.noise is not None
-        again: ARX | StateSpace = ARX(na=orders.na, nb=orders.nb, nk=orders.nk, refine=refined)
+        again: ARX | StateSpace = _arx_again(fitted)
         return LinearModel(name, orders, fitted.system, fitted.u_origin, fitted.y_origin, again)
     if fitted.order > _MOST_STATES:
         return None
     system = as_difference(fitted)
     again = StateSpace(order=fitted.order, refine=False, nk=1)
     return LinearModel(name, _orders(system), system, fitted.u_origin, fitted.y_origin, again)
+
+
+def _arx_again(fitted: FittedLinear) -> ARX:
+    """ARX of the same orders and delays, refined where this one is."""
+    orders = _orders(fitted.system)
+    return ARX(na=orders.na, nb=orders.nb, nk=orders.nk, refine=fitted.noise is not None)
+
+
+def refitted(model: Fitted) -> ARX | None:
+    """What fits a model of ARX again with its orders, as rules are refitted with theirs; None for others."""
+    is_arx = isinstance(model, FittedLinear) and model.structure == "arx" and len(model.outputs) == 1
+    return _arx_again(model) if is_arx else None
 
 
 def _orders(system: Difference) -> Orders:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
@@ -19,6 +19,7 @@ from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import Layout, Orders, runs_of
 from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.rules.stages import refine
+from flysid.model.shared import digest, once
 
 SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
 # of the mean square: never, and at most, worth an order
@@ -82,6 +83,13 @@ class SearchContext:
     gain: float = 0.0
     fold_rules: int = 0
 
+    def key(self, choices: Hashable) -> Hashable:
+        """What linear models of these choices hang on; one rule, as a rival, and rules ask for the same."""
+        s = self.settings
+        asked = (s.na == "auto", s.refine, s.iterations, tuple(s.nk_hint), self.known, self.integrates)
+        parts = digest(self.fit_part), digest(self.check_part)
+        return choices, asked, parts, self.least, self.must_be_bounded
+
     @property
     def most_rules(self) -> int:
         """Where growth stops."""
@@ -129,12 +137,12 @@ class SearchContext:
 
     def linear(self, choices: Sequence[Orders]) -> tuple[list[Candidate], list[str]]:
         """Linear models, each refined from the one before, up to the best orders."""
-        candidates = self._of_orders(choices)
+        candidates = list(self._of_orders(tuple(choices)))
         notes: list[str] = []
         needless = self._needless(candidates) if len(choices) > 1 else ()
         if needless:
             candidates += self._of_orders(
-                list(dict.fromkeys(_without(orders, needless) for orders in choices))
+                tuple(dict.fromkeys(_without(orders, needless) for orders in choices))
             )
             names = ", ".join(self.fit_part.inputs[j].name for j in needless)
             notes = [f"A linear model simulates held-out parts as well without past values of {names}."]
@@ -150,7 +158,8 @@ class SearchContext:
         others = [c for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
         return [candidates[at], *others], notes
 
-    def _of_orders(self, choices: Sequence[Orders]) -> list[Candidate]:
+    @once(key)
+    def _of_orders(self, choices: tuple[Orders, ...]) -> tuple[Candidate, ...]:
         """One linear model of each, or two where one holds an integrator; each starts from those before."""
         candidates: list[Candidate] = []
         loose: list[Stage] = []
@@ -159,14 +168,15 @@ class SearchContext:
             if self.settings.refine:
                 nested = (embedded_start(known, problem) for known in reversed(loose))
                 start = next(filter(None, nested), ())
-                start += arx_start(problem, self.fit_part)
+                if self.settings.na != "auto":  # else the linear side's model of its own orders comes in
+                    start += arx_start(problem, self.fit_part)
                 stage = linear_stage(problem, self.settings.iterations, start)
             else:
                 stage = unrefined(problem)
             variants = self._settled(stage, loose)
             candidates += [self.judge(self.ready(s)) for s in variants]
             loose += variants
-        return candidates
+        return tuple(candidates)
 
     def _needless(self, candidates: Sequence[Candidate]) -> tuple[int, ...]:
         """Inputs whose past values a linear model of the best of these orders does as well without.
@@ -194,10 +204,11 @@ class SearchContext:
         return tuple(sorted(needless))
 
     def _left_out(self, orders: Orders, inputs: Sequence[int]) -> Candidate:
-        (found, *_) = self._on_every_part(self._of_orders([_without(orders, inputs)]))
+        (found, *_) = self._on_every_part(self._of_orders((_without(orders, inputs),)))
         return found
 
-    def _linear_side(self, choices: int) -> list[Candidate]:
+    @once(key)
+    def _linear_side(self, choices: int) -> Sequence[Candidate]:
         """What the linear side chooses by itself, with its delays, as it is and refined."""
         if not self.settings.refine:
             return []

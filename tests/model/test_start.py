@@ -58,6 +58,23 @@ def test_with_noise_the_free_run_starts_far_closer_than_from_measured_lags(
     assert measured > 5 * estimated
 
 
+def test_a_linear_model_is_asked_for_one_jacobian_only(
+    noisy: tuple[Oscillator, FloatArray, FloatArray, FloatArray],
+) -> None:
+    model, u, _, y = noisy
+    calls: list[int] = []
+
+    class Counted(Oscillator):
+        def simulate(self, u: FloatArray, y0: FloatArray | None = None) -> FloatArray:
+            calls.append(1)
+            return super().simulate(u, y0)
+
+    found = estimate_start(Counted(), u[:100], y[:100])
+    np.testing.assert_allclose(found, estimate_start(model, u[:100], y[:100]))
+    guesses = 3
+    assert len(calls) == guesses + 2 * model.n_init + 1
+
+
 def test_a_window_with_no_more_equations_than_unknowns_gives_the_measured_lags() -> None:
     y = np.array([[1.0], [2.0], [3.0]])
     np.testing.assert_array_equal(estimate_start(Oscillator(), np.zeros((3, 1)), y), y[:2])

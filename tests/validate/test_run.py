@@ -25,7 +25,7 @@ from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.model.anfis import ANFIS
 from flysid.model.arx import ARX
-from flysid.model.base import Estimator
+from flysid.model.base import Estimator, Fitted, load
 from flysid.model.ensemble import Ensemble
 from flysid.model.linear_choice import linear_estimators
 from flysid.model.oe import OE
@@ -148,6 +148,23 @@ def test_the_judgement_finds_a_linear_model_enough_on_a_linear_plant(run: Run, j
     expected = expected_of_run(open_run(run.folder))
     assert fields_of(expected["channels"]) == fields_of(judgement.document["channels"])
     assert expected["skipped"] == judgement.document["skipped"]
+
+
+def test_a_model_is_read_once_for_a_condition_and_the_judgement(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = open_run(run.folder)
+    read: list[Path] = []
+
+    def counted(path: str | Path) -> Fitted:
+        read.append(Path(path))
+        return load(path)
+
+    monkeypatch.setattr("flysid.validate.run.load", counted)
+    expected_of_run(opened)
+    held_out(opened)
+    files = [f for c in opened.channels for m in (c, *c.folds) for f in m.models.values()]
+    assert len(read) == len(set(read)) == len(files)
 
 
 def test_the_report_is_written_whole_and_says_where_it_came_from(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -12,9 +15,12 @@ from flysid.model.base import Fitted
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear_choice import best_linear, choose_baseline, free_run_errors, linear_estimators
 from flysid.model.one_rule import OneRule, linear_choice, linear_rivals
+from flysid.model.rules import search_context
 from flysid.model.rules.fitted import FittedTS
+from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.linear_starts import as_linear
 from flysid.model.rules.search_settings import EFFORTS
+from flysid.model.selection import parts_to_choose_on
 from flysid.model.shared import sharing
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
@@ -71,6 +77,28 @@ def test_one_rule_over_lags_has_the_linear_models_coefficients(asked: dict[str, 
     test = lag(3).segments[0]
     linear_run = choice[1].free_run(test)  # type: ignore[attr-defined]
     assert np.allclose(model.free_run(test)[100:], linear_run[100:], atol=1e-3)
+
+
+def test_on_whole_flights_rules_start_from_what_their_rival_of_one_rule_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    flights = [replace(lag(seed, 150).segments[0], flight=str(seed)) for seed in range(4)]
+    train = lag(0).with_segments(flights)
+    short = replace(EFFORTS["quick"], short=100)
+    asked: list[int] = []
+    alone = search_context.linear_stage
+
+    def counted(*args: Any) -> Stage:
+        asked.append(1)
+        return alone(*args)
+
+    monkeypatch.setattr(search_context, "linear_stage", counted)
+    with sharing():
+        OneRule(search=short).fit(*parts_to_choose_on(train))
+        rival = len(asked)
+        TS(rules=2, search=short).fit(train)
+    assert rival > 0
+    assert len(asked) == rival
 
 
 def test_a_state_space_with_delays_becomes_its_difference_equation() -> None:
