@@ -91,16 +91,20 @@ class State:
     last : step of every channel; of all the work under "".
     validation : error by channel and model.
     share : of all the work that is done.
+    whole : seconds that all of it takes, by the share and the time when the share last rose.
     """
 
     started: float = field(default_factory=time.monotonic)
     last: dict[str, Step] = field(default_factory=dict)
     validation: dict[tuple[str, str], float] = field(default_factory=dict)
     share: float = 0.0
+    whole: float = 0.0
 
     def hear(self, step: Step) -> None:
         self.last[step.channel] = step
-        self.share = max(self.share, step.share or 0.0)
+        if (step.share or 0.0) > self.share:
+            self.share = step.share or 0.0
+            self.whole = self.seconds / self.share
         if step.validation is not None:
             self.validation[step.channel, step.model] = step.validation
 
@@ -110,10 +114,14 @@ class State:
 
     @property
     def left(self) -> str:
-        """ "about 40 s left", as far as the past tells the future; "" where it does not."""
-        if not 0.0 < self.share < 1.0:
+        """ "about 40 s left", as far as the past tells the future; "" where it does not.
+
+        It falls while a step takes its time, and is said no more where that was longer than foreseen.
+        """
+        left = self.whole - self.seconds
+        if not 0.0 < self.share < 1.0 or left < 0.0:
             return ""
-        return f"about {duration(self.seconds * (1.0 - self.share) / self.share)} left"
+        return f"about {duration(left)} left"
 
     def as_json(self, step: Step) -> str:
         """One object for programs."""
