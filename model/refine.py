@@ -184,10 +184,21 @@ def _evaluate(
 def _triangle(residual: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
     """R and Qᵀr of J = QR, from one QR of [J r]."""
     n = jacobian.shape[1]
-    r = np.asarray(np.linalg.qr(np.column_stack([jacobian, residual]), mode="r"))
-    full = np.zeros((n + 1, n + 1))
-    full[: r.shape[0]] = r
+    full = upper_triangle(jacobian, residual)
     return full[:n, :n], full[:n, n]
+
+
+def upper_triangle(matrix: FloatArray, column: FloatArray) -> FloatArray:
+    """(n + 1, n + 1) R of [matrix (N, n) | column (N,)] = QR; `np.linalg.qr` copies both twice."""
+    from scipy.linalg.lapack import dgeqrf
+
+    rows, n = matrix.shape
+    both = np.empty((rows, n + 1), order="F")
+    both[:, :n] = matrix
+    both[:, n] = column
+    full = np.zeros((n + 1, n + 1))
+    full[:rows] = np.triu(dgeqrf(both, overwrite_a=True)[0][: n + 1])
+    return full
 
 
 def _try(
@@ -209,6 +220,8 @@ def _try(
 
 def _step(point: _Point, scale: FloatArray, damping: float) -> FloatArray | None:
     """Solve (JᵀJ + damping D²) step = -Jᵀr in scaled unknowns; None when that is singular."""
+    from scipy.linalg.lapack import dgels
+
     n = len(scale)
     if isinstance(point.jtj, Bordered):
         found = point.jtj.damped_step(scale, damping, point.gradient)
@@ -216,7 +229,7 @@ def _step(point: _Point, scale: FloatArray, damping: float) -> FloatArray | None
     if point.triangle is not None and point.rotated is not None:
         # least squares on [R D⁻¹; sqrt(damping) I] keeps the condition of J instead of squaring it
         matrix = np.vstack([point.triangle / scale, np.sqrt(damping) * np.eye(n)])
-        solution = np.linalg.lstsq(matrix, np.concatenate([-point.rotated, np.zeros(n)]), rcond=None)[0]
+        solution = dgels(matrix, np.concatenate([-point.rotated, np.zeros(n)]))[1][:n]
     else:
         assert point.jtj is not None
         matrix = point.jtj / np.outer(scale, scale) + damping * np.eye(n)

@@ -25,7 +25,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import FitError
 from flysid.model.compiled_filters import differences, filtered, free_responses, is_stable
 from flysid.model.polynomials import free_basis, monic_basis, stabilised
-from flysid.model.refine import Refinement, levenberg_marquardt
+from flysid.model.refine import Refinement, levenberg_marquardt, upper_triangle
 
 ONE = np.ones(1)
 
@@ -312,7 +312,7 @@ def _instrumental(phi: FloatArray, z: FloatArray, y: FloatArray) -> FloatArray:
     lengths = np.linalg.norm(phi, axis=0)
     scale = np.where(lengths > 0, lengths, 1.0)
     if z is phi:
-        triangle = np.asarray(np.linalg.qr(np.column_stack([phi / scale, y]), mode="r"))
+        triangle = upper_triangle(phi / scale, y)
         solution = np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=1e-14)[0]
         return np.asarray(solution / scale)
     z_lengths = np.linalg.norm(z, axis=0)

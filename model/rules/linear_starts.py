@@ -106,8 +106,9 @@ def _arx_again(fitted: FittedLinear) -> ARX:
 
 def refitted(model: Fitted) -> ARX | None:
     """What fits a model of ARX again with its orders, as rules are refitted with theirs; None for others."""
-    is_arx = isinstance(model, FittedLinear) and model.structure == "arx" and len(model.outputs) == 1
-    return _arx_again(model) if is_arx else None
+    if isinstance(model, FittedLinear) and model.structure == "arx" and len(model.outputs) == 1:
+        return _arx_again(model)
+    return None
 
 
 def _orders(system: Difference) -> Orders:

@@ -39,7 +39,7 @@ def test_parts_place_shares_and_name_what_steps_are_about() -> None:
 
 def test_the_time_left_falls_while_a_step_takes_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
-    monkeypatch.setattr(display.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     state = State(started=now[0])
     now[0] += 10.0
     state.hear(Step("choosing", share=0.25))

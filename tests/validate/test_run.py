@@ -163,7 +163,8 @@ def test_a_model_is_read_once_for_a_condition_and_the_judgement(
     monkeypatch.setattr("flysid.validate.run.load", counted)
     expected_of_run(opened)
     held_out(opened)
-    files = [f for c in opened.channels for m in (c, *c.folds) for f in m.models.values()]
+    files = {f for c in opened.channels for f in c.models.values()}
+    files |= {f for c in opened.channels for fold in c.folds for f in fold.models.values()}
     assert len(read) == len(set(read)) == len(files)
 
 

@@ -18,6 +18,7 @@ from flysid.model.one_rule import OneRule, linear_choice, linear_rivals
 from flysid.model.rules import search_context
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.free_run_error import Stage
+from flysid.model.rules.growth import linear_stage
 from flysid.model.rules.linear_starts import as_linear
 from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.selection import parts_to_choose_on
@@ -86,7 +87,7 @@ def test_on_whole_flights_rules_start_from_what_their_rival_of_one_rule_found(
     train = lag(0).with_segments(flights)
     short = replace(EFFORTS["quick"], short=100)
     asked: list[int] = []
-    alone = search_context.linear_stage
+    alone = linear_stage
 
     def counted(*args: Any) -> Stage:
         asked.append(1)
