@@ -1,42 +1,78 @@
-"""Margins of simulated loops against the truth: `python -m bench.gain_margins [FLIGHTS]`.
+"""Margins of simulated loops against the truth: `python -m bench.gain_margins [FLIGHTS] [FIRMWARE] [OUTER]`.
 
-Every flight has a vehicle of its own (gain 45 to 100, lag 12 to 30 ms, delay 2 to 6 ms) and lasts one to
-three minutes. How often the truth lies in the 95 % interval, and how often a figure was stated at all.
+Every flight has a vehicle of its own and lasts one to three minutes. How often the truth lies in the 95 %
+interval, and how often a figure was stated at all. FIRMWARE is betaflight (a record of 500 Hz), px4 or
+ardupilot (logs of 100 Hz as they keep them, parameters read from the log); OUTER, 1/s, closes an angle loop
+around the rate loop of the last two.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from flysid.errors import DataError
-from flysid.loops.margins import margins
+from flysid.loops.controller import Controller, ardupilot, px4
+from flysid.loops.judged import judge
+from flysid.loops.margins import Margins, margins
 from flysid.loops.stick_response import Loop
+from tests.flysid.loops.autopilots import ARDUPILOT, PX4, ardupilot_log, px4_log
 from tests.flysid.loops.simulated import PID, Vehicle, fly, truth
+
+Found = tuple[Margins | None, dict[str, float]]
+
+
+def betaflight_flight(seed: int, _outer: float) -> Found:
+    """A vehicle of gain 45 to 100, lag 12 to 30 ms, delay 2 to 6 ms."""
+    rng = np.random.default_rng(10_000 + seed)
+    vehicle = Vehicle(rng.uniform(45, 100), rng.uniform(0.012, 0.03), int(rng.integers(4, 13)))
+    record = fly(vehicle, PID, rng.uniform(60.0, 180.0), seed)
+    try:
+        return margins(Loop.of([record]), PID), truth(vehicle, PID)
+    except DataError:
+        return None, {}
+
+
+def autopilot_flight(firmware: str) -> Callable[[int, float], Found]:
+    """Vehicles of gain 8 to 15, lag 25 to 50 ms, delay 2 to 6 ms, judged from their logs."""
+    law: Controller = (
+        px4({f"MC_ROLLRATE_{k}": v for k, v in PX4.items()} | {"IMU_DGYRO_CUTOFF": 30.0}, "roll")
+        if firmware == "px4"
+        else ardupilot({f"ATC_RAT_RLL_{k}": v for k, v in ARDUPILOT.items()}, "roll")
+    )
+    log = px4_log if firmware == "px4" else ardupilot_log
+
+    def flown(seed: int, outer: float) -> Found:
+        rng = np.random.default_rng(20_000 + seed)
+        vehicle = Vehicle(rng.uniform(8, 15), rng.uniform(0.025, 0.05), 2 * int(rng.integers(2, 7)))
+        record = log(rng.uniform(60.0, 180.0), 30_000 + seed, vehicle=vehicle, outer=outer)
+        true = truth(replace(vehicle, delay_steps=vehicle.delay_steps + 1), law)  # a step is half a step late
+        return judge([record], ["roll"])[0].margins, true
+
+    return flown
 
 
 def main(arguments: list[str]) -> int:
     """Print the shares."""
     count = int(arguments[0]) if arguments else 200
+    firmware = arguments[1] if len(arguments) > 1 else "betaflight"
+    outer = float(arguments[2]) if len(arguments) > 2 else 0.0
+    flown = betaflight_flight if firmware == "betaflight" else autopilot_flight(firmware)
     held: dict[str, list[bool]] = {}
     errors: dict[str, list[float]] = {}
     refused = 0
     for seed in range(count):
-        rng = np.random.default_rng(10_000 + seed)
-        vehicle = Vehicle(rng.uniform(45, 100), rng.uniform(0.012, 0.03), int(rng.integers(4, 13)))
-        record = fly(vehicle, PID, rng.uniform(60.0, 180.0), seed)
-        try:
-            found = margins(Loop.of([record]), PID)
-        except DataError:
-            refused += 1
-            continue
-        for name, value in truth(vehicle, PID).items():
+        found, true = flown(seed, outer)
+        refused += found is None
+        for name, value in true.items() if found is not None else ():
             figure = getattr(found, name)
             if figure.value is not None:
                 held.setdefault(name, []).append(figure.low <= value <= figure.high)
                 errors.setdefault(name, []).append(figure.value - value)
-    print(f"{count} flights, {refused} refused")
+    print(f"{firmware}, outer loop {outer:g} 1/s: {count} flights, {refused} refused")
     for name, rows in held.items():
         away = np.array(errors[name])
         told = f"median error {np.median(away):+.3g}, 95 % within {np.quantile(np.abs(away), 0.95):.3g}"

@@ -8,6 +8,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.export.csource import identifier, rendered
+from flysid.export.fis import fis_text, why_no_fis
 from flysid.export.program import Program
 from flysid.model.base import Fitted
 from flysid.model.linear.difference_equation import FittedLinear
@@ -16,13 +17,15 @@ from flysid.model.transfer_function import FittedTF
 
 
 def matlab_files(model: Fitted, program: Program, name: str) -> dict[str, str]:
-    """File name -> text: `<name>_simulate.m`, and `<name>_model.m` of a linear model."""
+    """File name -> text: `NAME_simulate.m`; `NAME_model.m` of a linear model; `NAME.fis` of static rules."""
     theta = program.theta
     m = program.memberships
     words: dict[str, Any] = {"m": literal, "theta_all": list(theta)}
     if m is not None:
         words["right"] = m.right
     files = {f"{name}_simulate.m": rendered("simulate.m.j2", program, name, words)}
+    if not why_no_fis(program):
+        files[f"{name}.fis"] = fis_text(program, name)
     text = _object(model)
     if text:
         files[f"{name}_model.m"] = _function(model, name, text)
