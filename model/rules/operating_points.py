@@ -3,7 +3,8 @@
 Numbers are of tangents (`flysid.model.rules.steady_map`) at places spread over what was flown. Their errors
 are to first order, the place solved anew for every step: noise alone. Too few rules bend a tangent, which no
 covariance shows; what the model with one rule more says there is added, or where growth ended with one
-fewer.
+fewer. Where the errors still depend on what is simulated, noise is not all there is, and its share is widened
+(`flysid.model.rules.lack_of_fit`).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from flysid.model.covariance import root_of
 from flysid.model.polynomials import Z95
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.kernel import Parameters
+from flysid.model.rules.lack_of_fit import scale_factor
 from flysid.model.rules.regressor_layout import Layout
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.rule_uncertainty import uncertainty
@@ -65,7 +67,8 @@ def described(model: M, train: Dataset, neighbour: Stage | None = None) -> M:
     sure: Spread | None = None
     if neighbour is not None:
         with contextlib.suppress(DataError, np.linalg.LinAlgError), np.errstate(all="ignore"):
-            sure = uncertainty(model, train)
+            found = uncertainty(model, train)
+            sure = replace(found, covariance=scale_factor(model, train) ** 2 * found.covariance)
     more = (
         None if neighbour is None else Numbers(neighbour.layout, neighbour.problem.parameters(neighbour.body))
     )
