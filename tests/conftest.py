@@ -7,20 +7,15 @@ from typing import Any
 
 import pytest
 
-from flysid.model.arx import ARX
-from flysid.model.base import Estimator
-from flysid.validate import fitting
 from tests.browser import launch
+from tests.contest import arx_only
 
 
 @pytest.fixture
-def arx_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """ARX alone competes for the baseline, where a test is of the way to a verdict and not of the contest."""
-
-    def only(nk_hint: tuple[int, ...] = ()) -> dict[str, Estimator]:
-        return {"arx": ARX(nk_hint=nk_hint)}
-
-    monkeypatch.setattr(fitting, "linear_rivals", only)
+def arx_alone() -> Iterator[None]:
+    """See `tests.contest`."""
+    with arx_only():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ A new structure adds a builder to EXAMPLES under its structure's name; keep each
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from flysid.model.mean import Mean
 from flysid.model.multirotor import Multirotor
 from flysid.model.oe import OE
 from flysid.model.persistence import Persistence
+from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.statespace import StateSpace
 from flysid.model.static_ts import StaticTS
 from flysid.model.transfer_function import TF
@@ -59,6 +61,8 @@ def scaled(dataset: Dataset, a: float, b: float) -> Dataset:
     )
 
 
+SMALL = SearchSettings(linear_systems=1, ridges=(0.1,), lanes=1)
+
 Builder = Callable[[Dataset], Fitted]
 
 EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
@@ -76,9 +80,12 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "ts": (TS(rules=2, na=2, nb=2, nk=1, iterations=10).fit, data()),
     "ts, one step": (TS(rules=2, na=2, nb=2, nk=1, refine=False).fit, data()),
     "ts, anfis": (ANFIS(rules=2, epochs=10).fit, data(2, 1)),
-    "ts, two inputs and outputs": (TS(rules=2, na=2, nb=1, nk=1, iterations=5).fit, data(2, 2)),
-    "ts_ss": (TSStateSpace(states=2, rules=2, nk=1, iterations=10).fit, data()),
-    "ts_ss, two inputs and outputs": (TSStateSpace(states=4, rules=2, nk=1, iterations=5).fit, data(2, 2)),
+    "ts, two inputs and outputs": (TS(rules=2, na=2, nb=1, nk=1, iterations=5).fit, data(2, 2, samples=200)),
+    "ts_ss": (TSStateSpace(states=2, rules=2, nk=1, iterations=10, search=SMALL).fit, data(samples=200)),
+    "ts_ss, two inputs and outputs": (
+        TSStateSpace(states=2, rules=2, nk=1, iterations=5, search=SMALL).fit,
+        data(2, 2, samples=200),
+    ),
     "fir": (FIR(taps=12).fit, data()),
     "fir, two inputs and outputs": (FIR(taps=6, nk=(1, 0)).fit, data(2, 2)),
     "armax": (ARMAX(na=2, nb=2, nk=1, nc=2).fit, data()),
@@ -102,6 +109,14 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "multirotor, accelerations": (Multirotor(kind="acceleration").fit, data(2, 2)),
     "arx, static": (ARX(na=0, nb=1, nk=0, refine=False).fit, data()),
 }
+
+
+@cache
+def fitted(name: str) -> Fitted:
+    """The model of an example, fitted once a process."""
+    build, dataset = EXAMPLES[name]
+    return build(dataset)
+
 
 SCALING_TOLERANCE = {"ts": 1e-5}
 """Share of the output's range, where a search ends at a tolerance; 1e-6 for the others."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +14,9 @@ from hypothesis import strategies as st
 from flysid.dataset import FloatArray, Segment
 from flysid.errors import UsageError
 from flysid.model.base import Fitted, all_structures, load
-from tests.model_examples import EXAMPLES, SCALING_TOLERANCE, scaled
+from tests.model_examples import EXAMPLES, SCALING_TOLERANCE, fitted, scaled
 
 ROWS = 80
-
-
-@cache
-def fitted(name: str) -> Fitted:
-    build, dataset = EXAMPLES[name]
-    return build(dataset)
 
 
 def signals(model: Fitted, seed: int) -> tuple[FloatArray, FloatArray]:

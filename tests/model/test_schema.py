@@ -11,7 +11,7 @@ import jsonschema
 import pytest
 
 from flysid.model.base import all_structures
-from tests.model_examples import EXAMPLES
+from tests.model_examples import EXAMPLES, fitted
 
 SCHEMA = Path("docs/reference/model.schema.json")
 
@@ -23,10 +23,8 @@ def validator() -> Any:
     return jsonschema.Draft202012Validator(schema)
 
 
-@cache
 def saved(name: str) -> str:
-    fit, data = EXAMPLES[name]
-    return json.dumps(fit(data).to_dict(), allow_nan=False)
+    return json.dumps(fitted(name).to_dict(), allow_nan=False)
 
 
 @pytest.mark.parametrize("name", list(EXAMPLES))

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -5,6 +7,7 @@ from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import UsageError
 from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
 from flysid.model.arx import ARX
+from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.ts import TS
 
 DT = 0.02
@@ -40,12 +43,14 @@ def test_nothing_is_handed_over_where_the_data_do_not_tell() -> None:
     assert "no delay without a moving input" in still.words
 
 
+@pytest.mark.usefixtures("arx_alone")
 def test_ts_on_a_short_record_bridges_a_dead_time_handed_over_or_found_by_the_linear_side() -> None:
+    quick = replace(EFFORTS["quick"], highest_order=2)  # the loop's own
     train = late(7)
     test = late(7, noise=0.0)
     s = test.segments[0]
     for hint in (delays_to_try(dead_times(train), 1), ()):
-        model = TS(rules=1, nk_hint=hint).fit(train)
+        model = TS(rules=1, nk_hint=hint, search=quick).fit(train)
         assert model.layout.orders.nk[0] in (7, 8, 9)
         error = model.simulate(s.u, s.y[: model.n_init])[50:] - s.y[50:]
         assert np.std(error) < 0.1 * np.std(s.y[50:])

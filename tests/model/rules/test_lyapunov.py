@@ -28,7 +28,7 @@ def companion(poles: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("n", [1, 2, 4, 6])
-@pytest.mark.parametrize("condition", [10.0, 1e3, 1e5, 1e7])
+@pytest.mark.parametrize("condition", [10.0, 1e7])
 @pytest.mark.parametrize("rho", [0.9, 0.999])
 def test_one_that_exists_is_found_and_is_a_proof(n: int, condition: float, rho: float) -> None:
     rules = with_common_function(n, condition, rho, seed=round(condition) % 1009)

@@ -48,6 +48,7 @@ def test_an_unknown_effort_names_the_known_ones() -> None:
     assert all(effort in raised.value.hint for effort in EFFORTS)
 
 
+@pytest.mark.usefixtures("arx_alone")
 def test_what_is_set_is_done() -> None:
     """Fewer parts held out, no order above the highest, and no more rules than win what is asked for."""
     data = _data()
@@ -59,6 +60,7 @@ def test_what_is_set_is_done() -> None:
     assert len(one.rules()) == 1 < len(usual.rules())
 
 
+@pytest.mark.usefixtures("arx_alone")
 def test_a_quick_search_leaves_hidden_states_out() -> None:
     data = PLANTS["hysteresis"].dataset((1,), 400, 0.02)[0]
     quick = replace(EFFORTS["quick"], highest_order=2)

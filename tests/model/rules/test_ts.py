@@ -16,10 +16,14 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.base import load
 from flysid.model.rules import learning as estimate
+from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.ts import TS, FittedTS
 from flysid.model.ts_state_space import TSStateSpace
+from tests.contest import arx_only
 
+pytestmark = pytest.mark.usefixtures("arx_alone")
 DT = 0.05
+QUICK = replace(EFFORTS["quick"], highest_order=2)  # no plant here is of a higher one
 
 
 def second_order(n: int, seed: int, bend: float = 0.0) -> tuple[FloatArray, FloatArray]:
@@ -35,7 +39,8 @@ def second_order(n: int, seed: int, bend: float = 0.0) -> tuple[FloatArray, Floa
 @pytest.fixture(scope="module")
 def bent() -> FittedTS:
     u, y = second_order(2000, 1, bend=0.1)
-    return TS(most_rules=3).fit(Dataset.from_arrays(u, y, DT))
+    with arx_only():
+        return TS(most_rules=3, search=QUICK).fit(Dataset.from_arrays(u, y, DT))
 
 
 def free_run_rmse(model: FittedTS, u: FloatArray, y: FloatArray) -> float:
@@ -45,7 +50,7 @@ def free_run_rmse(model: FittedTS, u: FloatArray, y: FloatArray) -> float:
 
 def test_linear_plant_needs_one_rule() -> None:
     u, y = second_order(1200, 0)
-    model = TS().fit(Dataset.from_arrays(u, y, DT))
+    model = TS(search=QUICK).fit(Dataset.from_arrays(u, y, DT))
     assert len(model.rules()) == 1
     assert any("One rule is enough" in note for note in model.notes)
     fresh_u, fresh_y = second_order(800, 9)
@@ -62,7 +67,7 @@ def test_three_rules_on_a_linear_plant_are_nearly_equal() -> None:
 
 def test_nonlinear_plant_is_followed_better_with_rules(bent: FittedTS) -> None:
     u, y = second_order(1500, 7, bend=0.1)
-    linear = TS(rules=1).fit(Dataset.from_arrays(*second_order(2000, 1, bend=0.1), DT))
+    linear = TS(rules=1, search=QUICK).fit(Dataset.from_arrays(*second_order(2000, 1, bend=0.1), DT))
     assert len(bent.rules()) > 1
     assert free_run_rmse(bent, u, y) < 0.3 * free_run_rmse(linear, u, y)
 

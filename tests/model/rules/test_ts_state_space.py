@@ -418,6 +418,7 @@ def test_a_dead_time_that_the_log_shows_is_tried() -> None:
     assert {system.real.input_lags for system in found} == {((1,),), ((4,),)}
 
 
+@pytest.mark.usefixtures("arx_alone")
 def test_the_contest_takes_the_hidden_state_of_two_tanks() -> None:
     """An overflow behind a hidden level: rules over lags cannot say it, and the contest is sure."""
     tanks, _ = TANKS.dataset((33,), 1024, 0.02)

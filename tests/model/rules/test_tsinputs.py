@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.model.rules.fitted import FittedTS
+from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.ts import TS
 
+pytestmark = pytest.mark.usefixtures("arx_alone")
 DT = 0.05
+QUICK = replace(EFFORTS["quick"], highest_order=2)  # no plant here is of a higher one
 
 
 def held(n: int, rng: np.random.Generator, length: int = 15) -> FloatArray:
@@ -49,9 +55,9 @@ def free_run_error(model: FittedTS, u: FloatArray, y: FloatArray) -> float:
 def test_inputs_that_do_nothing_cost_nothing() -> None:
     u, y = bent(1500, 2)
     noisy = y + 0.02 * y.std() * np.random.default_rng(2).normal(size=len(y))
-    model = TS(most_rules=2).fit(dataset(u, noisy, "throttle", "pan", "tilt"))
+    model = TS(most_rules=2, search=QUICK).fit(dataset(u, noisy, "throttle", "pan", "tilt"))
     assert any("past values of pan, tilt" in note for note in model.notes)
-    alone = TS(most_rules=2).fit(dataset(u[:, :1], noisy, "throttle"))
+    alone = TS(most_rules=2, search=QUICK).fit(dataset(u[:, :1], noisy, "throttle"))
     fresh_u, fresh_y = bent(1000, 7)
     assert free_run_error(model, fresh_u, fresh_y) < 1.2 * free_run_error(alone, fresh_u[:, :1], fresh_y)
 
@@ -59,11 +65,11 @@ def test_inputs_that_do_nothing_cost_nothing() -> None:
 def test_an_input_that_only_sets_the_gain_speaks_in_the_conditions() -> None:
     u, y = scheduled(2000, 1)
     noisy = y + 0.02 * y.std() * np.random.default_rng(2).normal(size=len(y))
-    model = TS(most_rules=2).fit(dataset(u, noisy, "aileron", "airspeed"))
+    model = TS(most_rules=2, search=QUICK).fit(dataset(u, noisy, "aileron", "airspeed"))
     names = [antecedent.name(model.layout.signals) for antecedent in model.layout.antecedents]
     assert any("airspeed" in name for name in names)
     fresh_u, fresh_y = scheduled(1000, 7)
-    linear = TS(rules=1).fit(dataset(u, noisy, "aileron", "airspeed"))
+    linear = TS(rules=1, search=QUICK).fit(dataset(u, noisy, "aileron", "airspeed"))
     assert free_run_error(model, fresh_u, fresh_y) < 0.3 * free_run_error(linear, fresh_u, fresh_y)
 
 

@@ -118,6 +118,7 @@ def test_states_are_a_setting_of_one_structure() -> None:
             TS(states=states).fit(DATA)  # type: ignore[arg-type]
 
 
+@pytest.mark.usefixtures("arx_alone")
 def test_hidden_states_compete_where_states_are_left_open() -> None:
     """Of a linear plant one rule over lags says all; its model is one of rules, whoever found it."""
     quick = SearchSettings.of("quick")

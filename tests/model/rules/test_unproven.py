@@ -97,6 +97,7 @@ def more(rng: np.random.Generator, flights: int) -> Dataset:
     return Dataset.from_arrays(us, ys, 0.05)
 
 
+@pytest.mark.usefixtures("arx_alone")
 def test_rules_that_noise_chose_give_way_to_the_linear_model() -> None:
     train, rng = drifting(3, 2)
     found = BestTS(search=EFFORTS["quick"]).fit(train)
