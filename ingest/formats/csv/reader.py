@@ -39,7 +39,7 @@ from flysid.ingest.formats.csv.layouts import MISSING, Column, Layout, cells_of,
 STREAM = "table"
 MAX_LINE_BYTES = 1 << 20
 BATCH_BYTES = 1 << 22
-BLOCK_BYTES = 1 << 17  # stays in a processor's cache while Arrow takes it apart
+BLOCK_BYTES = 1 << 18  # stays in a processor's cache while Arrow takes it apart
 ROW_NS = 10**9
 
 

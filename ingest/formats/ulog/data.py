@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 import pyarrow as pa
@@ -121,7 +121,7 @@ class DataDecoder:
             *map(_column, layout.fields, columns),
         ]
         if index not in self._schemas:
-            self._schemas[index] = _schema(subscription, arrays)
+            self._schemas[index] = _schema(subscription)
         return StreamPart(subscription.stream, pa.Table.from_arrays(arrays, schema=self._schemas[index]))
 
     def _observe(self, index: int, columns: Sequence[Values], time_ns: Index) -> None:
@@ -147,28 +147,33 @@ def _column(spec: UlogField, values: Values) -> pa.Array:
     return arrow_arrays.matrix(values) if spec.count else arrow_arrays.numeric(values)
 
 
-def _schema(subscription: Subscription, arrays: list[pa.Array]) -> pa.Schema:
-    layout = subscription.layout
-    names = dict.fromkeys((TIME, BOOT))
-    for spec in layout.fields:
-        names[arrow_arrays.free_name(spec.name, names)] = None
+def _schema(subscription: Subscription) -> pa.Schema:
     about = {
-        "time_source": "timestamp" if layout.time else "neighbours",
+        "time_source": "timestamp" if subscription.layout.time else "neighbours",
         "topic": subscription.topic,
         "instance": str(subscription.instance),
     }
-    units = ["", "", *(px4_unit(subscription.topic, spec.name) for spec in layout.fields)]
-    fields = [
-        pa.field(name, array.type, metadata=_unit_note(unit))
-        for name, array, unit in zip(names, arrays, units, strict=True)
-    ]
-    return pa.schema(fields, metadata=about)
+    return pa.schema(_fields(subscription.topic, subscription.layout), metadata=about)
 
 
-@cache
-def _unit_note(unit: str) -> pa.KeyValueMetadata | None:
-    """The metadata of a column of this unit; made once, as that costs more than the column's field."""
-    return pa.KeyValueMetadata(field_metadata(unit)) if unit else None
+@lru_cache(maxsize=1024)
+def _fields(topic: str, layout: UlogLayout) -> tuple[pa.Field, ...]:
+    """time_ns, boot, then the fields of a topic with their units; logs of one kind share them."""
+    fields = [pa.field(TIME, pa.int64()), pa.field(BOOT, pa.int32())]
+    taken = {TIME, BOOT}
+    for spec in layout.fields:
+        name = arrow_arrays.free_name(spec.name, taken)
+        taken.add(name)
+        fields.append(pa.field(name, _kind(spec), metadata=field_metadata(px4_unit(topic, spec.name))))
+    return tuple(fields)
+
+
+def _kind(spec: UlogField) -> pa.DataType:
+    """The type that `_column` gives."""
+    if spec.kind == "char" and spec.count:
+        return pa.string()
+    number = arrow_arrays.number_type(np.dtype("?" if spec.kind == "bool" else NUMBERS[spec.kind]))
+    return pa.list_(number, spec.count) if spec.count else number
 
 
 def far_ahead(time_us: Index) -> NDArray[np.bool_]:

@@ -37,6 +37,7 @@ NUMBERS: Mapping[str, str] = {
 _KINDS = {kind: np.dtype(code) for kind, code in NUMBERS.items()}
 MAX_FIELD_TEXTS = 1 << 12
 MAX_FIELD_CHARS = 1 << 10
+MAX_SHARED_CHARS = 1 << 12  # of a layout that is kept for the next log
 _FIELD = re.compile(r"^\s*(?P<type>[^\s\[\]]+)(?:\[(?P<size>\d{1,5})\])?\s+(?P<name>\S.*?)\s*$")
 
 
@@ -64,6 +65,9 @@ class UlogLayout:
 
     fields: tuple[UlogField, ...]
     full_size: int
+
+    def __hash__(self) -> int:
+        return hash((self.full_size, len(self.fields)))  # cheap: layouts are keys of caches
 
     @cached_property
     def size(self) -> int:
@@ -106,7 +110,27 @@ def parse_format(text: str) -> tuple[str, str]:
 
 
 def flatten(name: str, formats: Mapping[str, str]) -> UlogLayout:
-    """The layout of format `name`. Raises LayoutError: unknown, recursive, malformed, or too large."""
+    """The layout of format `name`. Raises LayoutError: unknown, recursive, malformed, or too large.
+
+    Logs of one kind share their layouts: a small log has nearly as many formats as rows.
+    """
+    if name in formats and (known := _plain(formats[name])) is not None:
+        return known
+    return _flattened(name, formats)
+
+
+@lru_cache(maxsize=1024)
+def _plain(text: str) -> UlogLayout | None:
+    """The layout of a format that holds no other one; None where it does, or cannot be read."""
+    if len(text) > MAX_SHARED_CHARS:
+        return None
+    try:
+        return _flattened("", {"": text})
+    except LayoutError:
+        return None
+
+
+def _flattened(name: str, formats: Mapping[str, str]) -> UlogLayout:
     fields: list[UlogField] = []
     end = _flatten_into(name, "", 0, (formats, fields, ()))
     while fields and fields[-1].name.startswith("_padding"):

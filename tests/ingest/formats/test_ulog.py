@@ -165,6 +165,17 @@ def test_a_topic_whose_format_changes_goes_on_under_another_key() -> None:
     assert flight["other~2"]["more"].to_pylist() == [2]
 
 
+def test_logs_share_no_layout_that_another_format_decides() -> None:
+    """`topic` holds a `point`: the same words mean other bytes where `point` is another."""
+    for kind, code in (("float", "f"), ("int16_t", "h"), ("float", "f")):
+        formats = (f"point:{kind} x;", "topic:uint64_t timestamp;point p;", "other:uint64_t timestamp;point x;")
+        head = sample.HEAD + b"".join(sample.record("F", text.encode()) for text in formats)
+        rows = [sample.data(0, struct.pack(f"<Q{code}", 1_000_000 + k, k)) for k in range(5)]
+        flight = read(head + sample.subscribe(0, 0, "topic") + b"".join(rows))
+        assert flight["topic"]["p.x"].to_pylist() == list(range(5))
+        assert not flight.damage.lossy
+
+
 def test_appended_data_are_read_as_sections_of_their_own() -> None:
     body = tail(others(0, 10), others(10, 1)[:-5])
     offsets = [len(body), len(body) + len(others(11, 4))]
