@@ -168,7 +168,11 @@ def test_a_topic_whose_format_changes_goes_on_under_another_key() -> None:
 def test_logs_share_no_layout_that_another_format_decides() -> None:
     """`topic` holds a `point`: the same words mean other bytes where `point` is another."""
     for kind, code in (("float", "f"), ("int16_t", "h"), ("float", "f")):
-        formats = (f"point:{kind} x;", "topic:uint64_t timestamp;point p;", "other:uint64_t timestamp;point x;")
+        formats = (
+            f"point:{kind} x;",
+            "topic:uint64_t timestamp;point p;",
+            "other:uint64_t timestamp;point x;",
+        )
         head = sample.HEAD + b"".join(sample.record("F", text.encode()) for text in formats)
         rows = [sample.data(0, struct.pack(f"<Q{code}", 1_000_000 + k, k)) for k in range(5)]
         flight = read(head + sample.subscribe(0, 0, "topic") + b"".join(rows))
