@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 
 from tests.browser import launch
-from tests.contest import arx_only
+from tests.contest import linear_side
 
 
 @pytest.fixture
 def arx_alone() -> Iterator[None]:
-    """See `tests.contest`."""
-    with arx_only():
+    """ARX alone competes for the baseline and for the rules' linear side; see `tests.contest`."""
+    with linear_side("arx"):
         yield
 
 

@@ -1,4 +1,4 @@
-"""ARX alone as the linear side, where a test is of rules, of data or of a way to a verdict.
+"""Fewer linear structures in the contest, where a test is of rules, of data or of a way to a verdict.
 
 The contest of all linear structures, which every fit of rules and every run begins with, takes seconds; it is
 tried in tests/model/rules/test_one_rule.py, tests/validate/test_baseline.py and in the benches.
@@ -12,19 +12,27 @@ from contextlib import contextmanager
 import pytest
 
 from flysid.model import one_rule, ts_best
-from flysid.model.arx import ARX
 from flysid.model.base import Estimator
+from flysid.model.linear_choice import linear_estimators
 from flysid.validate import fitting
-
-
-def _only(nk_hint: tuple[int, ...] = ()) -> dict[str, Estimator]:
-    return {"arx": ARX(nk_hint=nk_hint)}
+from flysid.validate.fitdisk import DiskJob
+from flysid.validate.run import ChannelRun
 
 
 @contextmanager
-def arx_only() -> Iterator[None]:
-    """Within the block only ARX competes for the baseline and for the rules' linear side."""
+def linear_side(*labels: str) -> Iterator[None]:
+    """Within the block only these compete for the baseline and for the rules' linear side."""
+
+    def only(nk_hint: tuple[int, ...] = ()) -> dict[str, Estimator]:
+        return {label: model for label, model in linear_estimators(nk_hint).items() if label in labels}
+
     with pytest.MonkeyPatch.context() as patch:
         for module in (one_rule, ts_best, fitting):
-            patch.setattr(module, "linear_rivals", _only)
+            patch.setattr(module, "linear_rivals", only)
         yield
+
+
+def fit_beside_arx(job: fitting.MemoryJob | DiskJob) -> ChannelRun | str:
+    """A channel's fit as a worker does it, where only ARX competes: patches do not reach another process."""
+    with linear_side("arx"):
+        return job.run()

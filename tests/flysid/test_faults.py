@@ -17,11 +17,13 @@ from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
+from flysid.validate import fitting
 from flysid.validate.diskparts import FilePart
 from flysid.validate.fitting import MemoryJob, _fitted, fit_run
 from flysid.validate.judge import judge_run
 from flysid.validate.run import FitSettings
 from soak import Outcome
+from tests.contest import fit_beside_arx
 from tests.fault_trials import full_disks, killed_ingests, limited, read_only_disks, small_data, visible
 
 
@@ -51,7 +53,9 @@ def test_no_room_is_named_and_nothing_partial_shows(
     assert outcome.raised >= refused
 
 
-def test_one_and_two_workers_fit_and_judge_alike(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("arx_alone")
+def test_one_and_two_workers_fit_and_judge_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fitting, "_run", fit_beside_arx)
     lake = open_lake(small_data(tmp_path))
     settings = FitSettings(channels=("vertical", "lateral"), rules=1, rotate=False)
     found = []

@@ -24,6 +24,7 @@ from flysid.validate.crossrun import RunSource, expected_of_runs, judge_runs, un
 from flysid.validate.fitting import fit_run
 from flysid.validate.report.narrative import called
 from flysid.validate.run import ChannelRun, FitSettings, HeldOut, Run, held_out
+from tests.contest import linear_side
 from tests.fakes import fields_of
 
 CHANNEL = "longitudinal"
@@ -83,15 +84,10 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run]:
         write_atomically(root / f"{recording.name}{WRITERS['mcap'][0]}", WRITERS["mcap"][1](recording))
     list(ingest_logs(find_logs([root]), root / "data"))
     lake = open_lake(root / "data")
-    a, b = (
-        fit_run(
-            lake,
-            "ardrone-synthetic",
-            root / f"r{s}",
-            FitSettings(channels=(CHANNEL,), rules=1, seed=s, rotate=False),
-        )
-        for s in (7, 13)
-    )
+    chosen = FitSettings(channels=(CHANNEL,), rules=1, rotate=False)
+    with linear_side("arx", "oe"):
+        a = fit_run(lake, "ardrone-synthetic", root / "r7", replace(chosen, seed=7))
+        b = fit_run(lake, "ardrone-synthetic", root / "r13", replace(chosen, seed=13))
     return a, b
 
 

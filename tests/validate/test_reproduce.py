@@ -17,6 +17,7 @@ from flysid.model.ts import TS
 from flysid.validate.compare import compare
 from flysid.validate.paper import CANNOT_REPRODUCE, LOOPS, PaperLoop
 from flysid.validate.reproduce import LoopResult, draw_figures, experiment, from_rest, to_document
+from tests.contest import linear_side
 
 NAMES = [loop.name for loop in LOOPS]
 STATIC_CEILING = {"longitudinal": 0.0256, "lateral": 0.1225, "vertical": 0.0690}  # m/s
@@ -29,7 +30,8 @@ def loop_named(name: str) -> PaperLoop:
 @pytest.fixture(scope="module", params=NAMES)
 def dynamic(request: pytest.FixtureRequest) -> tuple[str, Fitted]:
     train, _ = experiment(loop_named(request.param), "training")
-    return request.param, TS(rules=3).fit(train)
+    with linear_side("arx"):
+        return request.param, TS(rules=3).fit(train)
 
 
 @pytest.mark.parametrize("rules", [3, 7])

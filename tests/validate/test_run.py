@@ -27,7 +27,6 @@ from flysid.model.anfis import ANFIS
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted, load
 from flysid.model.ensemble import Ensemble
-from flysid.model.linear_choice import linear_estimators
 from flysid.model.oe import OE
 from flysid.model.ts import TS
 from flysid.split import Split
@@ -40,6 +39,7 @@ from flysid.validate.judge import Judgement, judge_run, write_judgement
 from flysid.validate.report import render
 from flysid.validate.run import FitSettings, HeldOut, Run, asked_for, held_out, open_run
 from flysid.validate.words import number
+from tests.contest import linear_side
 from tests.fakes import FirstOrder, fields_of, flown
 
 CHANNEL = "longitudinal"
@@ -48,12 +48,7 @@ CHANNEL = "longitudinal"
 @pytest.fixture(scope="module", autouse=True)
 def two_candidates() -> Iterator[None]:
     """ARX and OE alone compete for the baseline here, to save time; tests/flysid/test_cli.py has them all."""
-
-    def two(nk_hint: tuple[int, ...] = ()) -> dict[str, Estimator]:
-        return {name: e for name, e in linear_estimators(nk_hint).items() if name in ("arx", "oe")}
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fitting, "linear_rivals", two)
+    with linear_side("arx", "oe"):
         yield
 
 

@@ -159,6 +159,7 @@ def test_groups_come_from_triangles(gathered: Gathered) -> None:
         fit_groups(gathered, ("colour",))
 
 
+@pytest.mark.usefixtures("arx_alone")
 def test_runs_of_vehicles_are_those_of_fit(lake: Lake, tmp_path: Path) -> None:
     settings = FitSettings(channels=(CHANNEL,), models=("line",), effort="quick", rotate=False)
     vehicle = next(f.info["sys_uuid"] for f in lake.facts if f.id.startswith("v001"))

@@ -318,6 +318,7 @@ def test_rows_and_facts_are_each_others_image(tmp_path: Path) -> None:
     assert facts_in(rows_of(facts)) == facts
 
 
+@pytest.mark.usefixtures("arx_alone")
 def test_a_run_that_was_fitted_to_a_lake_is_validated_on_it(bucket: str, tmp_path: Path) -> None:
     fill(f"{bucket}/in", 3, vehicles=1)
     ingested(f"{bucket}/in", f"{bucket}/lake")

@@ -33,10 +33,10 @@ from tests.format_trials import (
 )
 
 # `make soak` makes more of them
-CUT_EVERY = 97
-FLIPS = 150
-INSERTIONS = 60
-DELETIONS = 25
+CUT_EVERY = 197
+FLIPS = 60
+INSERTIONS = 24
+DELETIONS = 12
 
 each_format = pytest.mark.parametrize("name", FORMATS)
 

@@ -19,7 +19,7 @@ from flysid.model.rules import learning as estimate
 from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.ts import TS, FittedTS
 from flysid.model.ts_state_space import TSStateSpace
-from tests.contest import arx_only
+from tests.contest import linear_side
 
 pytestmark = pytest.mark.usefixtures("arx_alone")
 DT = 0.05
@@ -39,7 +39,7 @@ def second_order(n: int, seed: int, bend: float = 0.0) -> tuple[FloatArray, Floa
 @pytest.fixture(scope="module")
 def bent() -> FittedTS:
     u, y = second_order(2000, 1, bend=0.1)
-    with arx_only():
+    with linear_side("arx"):
         return TS(most_rules=3, search=QUICK).fit(Dataset.from_arrays(u, y, DT))
 
 
