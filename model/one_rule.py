@@ -32,10 +32,11 @@ class OneRule:
 
     Parameters
     ----------
-    nk_hint : delays per input to try besides its own choices.
+    nk_hint, nk_least : delays per input to try besides its own choices, and not to go below.
     """
 
     nk_hint: Sequence[int] = ()
+    nk_least: Sequence[int] = ()
     rules: int = 1
     na: Any = "auto"
     nb: Any = "auto"
@@ -87,13 +88,13 @@ class OneRuleOverStates:
         return finished(learned.stage, train, learned.notes, intervals=learned.intervals)
 
 
-def linear_rivals(nk_hint: tuple[int, ...] = ()) -> dict[str, Estimator]:
+def linear_rivals(nk_hint: tuple[int, ...] = (), nk_least: tuple[int, ...] = ()) -> dict[str, Estimator]:
     """All that competes for the baseline, by label: linear structures, then one rule over lags, over states.
 
-    `nk_hint`: delays per input that they try besides their own.
+    `nk_hint`: delays per input that they try besides their own; `nk_least`: below which one rule does not go.
     """
     alone: dict[str, Estimator] = {
-        "one_rule": OneRule(nk_hint=nk_hint),
+        "one_rule": OneRule(nk_hint=nk_hint, nk_least=nk_least),
         "one_rule_ss": OneRuleOverStates(nk_hint=nk_hint),
     }
     return linear_estimators(nk_hint) | alone
@@ -105,7 +106,7 @@ def linear_choice(settings: Asked, train: Dataset, validation: Dataset | None) -
     Where nothing is asked for it is the baseline of `flysid fit`, the same fit.
     """
     hint = tuple(settings.nk_hint)
-    candidates = linear_rivals(hint)
+    candidates = linear_rivals(hint, tuple(settings.nk_least))
     if (settings.na, settings.nb, settings.nk) != ("auto", "auto", "auto"):
         asked: dict[str, Any] = {"na": settings.na, "nb": settings.nb, "nk": settings.nk, "nk_hint": hint}
         candidates = {"arx": ARX(**asked), "oe": OE(**asked)}

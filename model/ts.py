@@ -42,6 +42,7 @@ class TS:
     iterations : Levenberg-Marquardt steps per stage.
     nk_hint : delays that "auto" tries as well, one per input: the dead time that the log shows
         (`flysid.ingest.excitation.dead_time`).
+    nk_least : delays that "auto" does not go below, one per input: what the log shows for certain.
     stable : no rule keeps a pole outside the unit circle (`rules.stabilise`); without it a rule may,
         as long as the blend comes back from random inputs. The pole at one of an integrating process stays.
     search : what the search weighs and how long it looks, see `SearchSettings`.
@@ -69,6 +70,7 @@ class TS:
     most_rules: int = 5
     iterations: int = 30
     nk_hint: Sequence[int] = ()
+    nk_least: Sequence[int] = ()
     stable: bool = False
     search: SearchSettings = NORMAL
     states: int | Literal["auto"] = 0

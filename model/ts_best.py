@@ -41,7 +41,7 @@ class BestTS:
 
     Parameters
     ----------
-    rules, antecedents, most_rules, nk_hint, search : see `TS`.
+    rules, antecedents, most_rules, nk_hint, nk_least, search : see `TS`.
 
     Examples
     --------
@@ -56,6 +56,7 @@ class BestTS:
     antecedents: Sequence[str] | Literal["auto"] = "auto"
     most_rules: int = 5
     nk_hint: Sequence[int] = ()
+    nk_least: Sequence[int] = ()
     search: SearchSettings = NORMAL
 
     def fit(self, train: Dataset, validation: Dataset | None = None) -> Fitted:
@@ -73,7 +74,7 @@ class BestTS:
 @on_one_thread
 def contest(settings: BestTS, train: Dataset, validation: Dataset | None = None) -> Contest:
     """Both kinds, the second where the first hints at it; the linear model where neither pays."""
-    names = ("rules", "antecedents", "most_rules", "nk_hint", "search")
+    names = ("rules", "antecedents", "most_rules", "nk_hint", "nk_least", "search")
     asked = TS(states="auto", **{name: getattr(settings, name) for name in names})
     with sharing():
         found = contest_of_rules(asked, train, validation, linear_choice)
@@ -91,8 +92,8 @@ def _linear_enough(
     count = len(rules.parameters.theta)
     if settings.rules not in ("auto", 1) or INTEGRATES in rules.notes:
         return None
-    hint = tuple(settings.nk_hint)
-    choice = linear_choice(TS(nk_hint=hint), train, validation)
+    delays = tuple(settings.nk_hint), tuple(settings.nk_least)
+    choice = linear_choice(TS(nk_hint=delays[0], nk_least=delays[1]), train, validation)
     if choice is None:
         return None
     label, model = choice
@@ -110,7 +111,7 @@ def _linear_enough(
         else:
             parts = [hold_out(train, found.taken.known.least, fold) for fold in range(PARTS)]
             again = refitted(model)
-            models = (linear_rivals(hint)[label].fit if again is None else again.fit, found.taken.again)
+            models = (linear_rivals(*delays)[label].fit if again is None else again.fit, found.taken.again)
         said = unproven(*models, parts)
         if not said:
             return None

@@ -22,7 +22,7 @@ from flysid.errors import DataError, UsageError
 from flysid.files import replacing_folder, slug, write_atomically
 from flysid.ingest.align.doubts import doubts
 from flysid.ingest.align.recipe import Recipe, load_recipe, recipe_text
-from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
+from flysid.ingest.excitation.dead_time import dead_times, delays_to_try, least_delays
 from flysid.ingest.kinematics.telling import Instruments
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
@@ -56,11 +56,15 @@ FROM_DISK = " from disk: it has more samples than may be in memory (--memory)"
 
 
 def estimators(
-    settings: FitSettings, baseline: str = "arx", nk_hint: tuple[int, ...] = ()
+    settings: FitSettings,
+    baseline: str = "arx",
+    nk_hint: tuple[int, ...] = (),
+    nk_least: tuple[int, ...] = (),
 ) -> dict[str, Estimator]:
     """The models of a run, by label: references, linear ones, the paper's static TS, dynamic TS.
 
-    `nk_hint`: delays per input that the training data speak for, tried besides the models' own choices.
+    `nk_hint`: delays per input that the training data speak for, tried besides the models' own choices;
+    `nk_least`: delays that rules do not go below, as the training data show no answer before.
 
     Raises
     ------
@@ -85,25 +89,26 @@ def estimators(
     rules: Any = settings.rules
     asked: Any = {"rules": rules, "antecedents": antecedents, "nk_hint": nk_hint}
     asked["search"] = SearchSettings.of(settings.effort)  # type: ignore[arg-type]
+    late: Any = {**asked, "nk_least": nk_least}
     known: dict[str, Estimator] = {
         "mean": Mean(),
         "persistence": Persistence(),
         "line": Line(),
-        **linear_rivals(nk_hint),
+        **linear_rivals(nk_hint, nk_least),
         "fir": FIR(),
         "iv": IV(nk_hint=nk_hint),
         "tf": TF(nk_hint=nk_hint),
         "multirotor": Multirotor(),
         "static_ts": StaticTS(seed=settings.seed),
-        "ts": BestTS(**asked),
-        "ts_lags": TS(**asked),
+        "ts": BestTS(**late),
+        "ts_lags": TS(**late),
         "ts_ss": TSStateSpace(**asked),
         "anfis": ANFIS(
             rules=ANFIS.rules if rules == "auto" else rules,
             nk=max([ANFIS.nk, *nk_hint]),
             antecedents=settings.antecedents or (),
         ),
-        "ensemble": Ensemble(of=TS(**asked)),
+        "ensemble": Ensemble(of=TS(**late)),
     }
     for label in settings.models:
         if label not in known:
@@ -128,11 +133,11 @@ class MemoryJob(ChannelJob[Dataset]):
         with plan.choice():
             tell("looking for dead times", share=0.0)
             late = dead_times(train)
-            hint = delays_to_try(late, len(train.inputs))
+            delays = delays_to_try(late, len(train.inputs)), least_delays(late, len(train.inputs))
             started = time.perf_counter()
-            choice = choose_baseline(train, linear_rivals(hint))
+            choice = choose_baseline(train, linear_rivals(*delays))
             fits = Fits(seconds={CHOICE: time.perf_counter() - started})
-        wanted = estimators(settings, choice.label, hint)
+        wanted = estimators(settings, choice.label, *delays)
         plan = FitPlan(tuple(wanted), turns)
         beside = [label for label in wanted if label in (*BESIDE, choice.label)]
         first = list(wanted)[: 1 + list(wanted).index(beside[-1])]
@@ -178,8 +183,9 @@ def _so_far(channel: ChannelRun, labels: Iterable[str]) -> ChannelRun:
 
 def _of_a_fold(settings: FitSettings, fits: Fits, train: Dataset) -> dict[str, Estimator]:
     """The run's models again, with the delays that this fold's training part speaks for."""
-    hint = delays_to_try(dead_times(train), len(train.inputs))
-    every = {**linear_rivals(hint), **estimators(settings, BESIDE[0], hint)}
+    late = dead_times(train)
+    delays = delays_to_try(late, len(train.inputs)), least_delays(late, len(train.inputs))
+    every = {**linear_rivals(*delays), **estimators(settings, BESIDE[0], *delays)}
     return {label: estimator for label, estimator in every.items() if label in fits.models}
 
 

@@ -51,9 +51,17 @@ class DeadTime:
         if self.reason:
             return f"{found}, not handed over: {self.reason}"
         loop = ", in a closed loop" if self.delay.feedback else ""
+        floor = f", rules none below {self.least}" if self.least else ""
         if self.delay.nk < LATE:
             return f"{found}{loop}: every model tries so short a delay by itself"
-        return f"{found}{loop}; the models try nk = {self.delay.nk} besides their own choices"
+        return f"{found}{loop}; the models try nk = {self.delay.nk} besides their own choices{floor}"
+
+    @property
+    def least(self) -> int:
+        """Samples before which the log shows no answer, certainly; 0 where that is not certain."""
+        if self.delay is None or self.reason or self.delay.feedback:
+            return 0
+        return round(self.delay.low_s / self.dt_s)
 
 
 def dead_times(data: Dataset) -> tuple[DeadTime, ...]:
@@ -74,6 +82,12 @@ def delays_to_try(found: Sequence[DeadTime], inputs: int) -> tuple[int, ...]:
     }
     delays = [nk for nk in known.values() if nk is not None]
     return tuple(delays) if len(delays) == inputs and max(delays) >= LATE else ()
+
+
+def least_delays(found: Sequence[DeadTime], inputs: int) -> tuple[int, ...]:
+    """Delays in samples, one per input, below which no output answers for certain; () where all are 0."""
+    floors = [min((d.least for d in found if d.column == i), default=0) for i in range(inputs)]
+    return tuple(floors) if any(floors) else ()
 
 
 def _pair(data: Dataset, column: int, output: int) -> DeadTime:

@@ -84,7 +84,7 @@ def check_orders(settings: PolynomialSettings, n_u: int) -> None:
         raise UsageError(f"n_init must be at least 1, not {settings.n_init}")
 
 
-def check_hint(nk_hint: Sequence[int], n_u: int) -> None:
+def check_hint(nk_hint: Sequence[int], n_u: int, name: str = "nk_hint") -> None:
     """Raise UsageError unless there is none or one whole number of at least 0 per input."""
     if len(nk_hint) not in (0, n_u) or not all(isinstance(k, int) and k >= 0 for k in nk_hint):
-        raise UsageError(f"nk_hint={nk_hint!r}", hint=f"give () or {n_u} whole numbers, one per input")
+        raise UsageError(f"{name}={nk_hint!r}", hint=f"give () or {n_u} whole numbers, one per input")

@@ -101,6 +101,7 @@ def learn(
     check(settings)
     settings.search.check()
     check_hint(settings.nk_hint, len(train.inputs))
+    check_hint(settings.nk_least, len(train.inputs), "nk_least")
     choices = order_choices(settings, len(train.inputs))
     named = _named(settings, choices, train)
     deepest = _deepest(settings, train) if len(choices) > 1 else 0
@@ -249,19 +250,21 @@ def _per_input(value: int | Sequence[int], inputs: int, name: str) -> tuple[int,
 def order_choices(settings: Settings, inputs: int) -> list[Orders]:
     """Orders to try, simplest first: n outputs and n + 1 inputs from the present one on.
 
-    n goes from 1 to `search.highest_order`.
+    n goes from 1 to `search.highest_order`; behind a dead time that the log shows there is no present one.
 
     Raises
     ------
     UsageError : orders that leave nothing to learn, or another number of them than of inputs.
     """
     choices: list[Orders] = []
+    own = tuple(settings.nk_least) or (0,) * inputs
     for n in range(1, settings.search.highest_order + 1):
         na = n if settings.na == "auto" else int(settings.na)
-        nk = 0 if settings.nk == "auto" else settings.nk
-        more = 1 if settings.nk == "auto" else 0
-        nb = (n if settings.na == "auto" else na) + more if settings.nb == "auto" else settings.nb
-        orders = Orders(na, _per_input(nb, inputs, "nb"), _per_input(nk, inputs, "nk"))
+        nk = own if settings.nk == "auto" else _per_input(settings.nk, inputs, "nk")
+        more = [1 if settings.nk == "auto" and k == 0 else 0 for k in nk]
+        lags = n if settings.na == "auto" else na
+        nb = [lags + one for one in more] if settings.nb == "auto" else settings.nb
+        orders = Orders(na, _per_input(nb, inputs, "nb"), nk)
         if orders not in choices:
             choices.append(orders)
     if all(b == 0 for b in choices[0].nb) and choices[0].na == 0:
@@ -274,8 +277,15 @@ def _delayed(settings: Settings, choices: Sequence[Orders]) -> list[Orders]:
     hint = tuple(settings.nk_hint)
     if settings.nk != "auto" or max(hint, default=0) < _LATE:
         return []
-    fewer = 1 if settings.nb == "auto" else 0  # the coefficient of the present input goes
-    return [Orders(o.na, tuple(max(1, b - fewer) for b in o.nb), hint) for o in choices]
+    own = choices[0].nk
+    hint = tuple(map(max, hint, own))
+    fewer = [
+        1 if settings.nb == "auto" and k == 0 else 0 for k in own
+    ]  # the present input's coefficient goes
+    behind = [
+        Orders(o.na, tuple(max(1, b - f) for b, f in zip(o.nb, fewer, strict=True)), hint) for o in choices
+    ]
+    return [orders for orders in behind if orders not in choices]
 
 
 def _named(settings: Settings, choices: Sequence[Orders], train: Dataset) -> tuple[Antecedent, ...]:

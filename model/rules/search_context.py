@@ -55,6 +55,8 @@ class Settings(Protocol):
     @property
     def nk_hint(self) -> Sequence[int]: ...
     @property
+    def nk_least(self) -> Sequence[int]: ...
+    @property
     def search(self) -> SearchSettings: ...
 
 
@@ -86,7 +88,15 @@ class SearchContext:
     def key(self, choices: Hashable) -> Hashable:
         """What linear models of these choices hang on; one rule, as a rival, and rules ask for the same."""
         s = self.settings
-        asked = (s.na == "auto", s.refine, s.iterations, tuple(s.nk_hint), self.known, self.integrates)
+        asked = (
+            s.na == "auto",
+            s.refine,
+            s.iterations,
+            tuple(s.nk_hint),
+            tuple(s.nk_least),
+            self.known,
+            self.integrates,
+        )
         parts = digest(self.fit_part), digest(self.check_part)
         return choices, asked, parts, self.least, self.must_be_bounded
 
@@ -218,9 +228,13 @@ class SearchContext:
         if choices == 1:
             return []
         found = linear_models(self.fit_part, self.check_part, self.settings.nk_hint)
-        return [
-            c for model in found if model.orders.depth + SPARE_ROWS <= self.least for c in self._both(model)
-        ]
+        return [c for model in found if self._may_start(model.orders) for c in self._both(model)]
+
+    def _may_start(self, orders: Orders) -> bool:
+        """The data hold these lags, and none is shorter than the dead time that the log shows."""
+        least = tuple(self.settings.nk_least) or (0,) * len(orders.nk)
+        late = all(k >= floor or not b for k, floor, b in zip(orders.nk, least, orders.nb, strict=True))
+        return late and orders.depth + SPARE_ROWS <= self.least
 
     def _on_every_part(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """The candidates with their errors on the parts that other folds hold out, refitted without them.

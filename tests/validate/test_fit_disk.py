@@ -125,7 +125,7 @@ def test_a_file_is_fitted_from_disk_and_judged(file: DatasetFile, tmp_path: Path
 def test_a_small_file_is_fitted_in_memory_by_all(
     file: DatasetFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fitting, "linear_rivals", lambda _=(): {"arx": ARX(2, 2, 1), "oe": OE(2, 2, 1)})
+    monkeypatch.setattr(fitting, "linear_rivals", lambda *_: {"arx": ARX(2, 2, 1), "oe": OE(2, 2, 1)})
     command = ["fit", str(file.path), "-o", str(tmp_path / "run"), "--models", "line"]
     done = CliRunner().invoke(root, command)
     assert done.exit_code == 0, done.output

@@ -81,7 +81,7 @@ def turned(data: Path) -> Run:
     settings = FitSettings(channels=(CHANNEL,), models=("line",))
     given: dict[str, Estimator] = {"arx": ARX(na=2, nb=2, nk=1, refine=False), "oe": OE(na=1, nb=1, nk=1)}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fitting, "linear_rivals", lambda _=(): given)
+        patch.setattr(fitting, "linear_rivals", lambda *_: given)
         return fit_run(open_lake(data), "ardrone-synthetic", data.parent / "turned", settings)
 
 

@@ -39,7 +39,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     list(ingest_logs(find_logs([root]), root / "data"))
     given: dict[str, Estimator] = {"arx": ARX(na=2, nb=2, nk=1, refine=False), "oe": OE(na=1, nb=1, nk=1)}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fitting, "linear_rivals", lambda _=(): given)
+        patch.setattr(fitting, "linear_rivals", lambda *_: given)
         settings = FitSettings(channels=(CHANNEL,), models=("line",))
         return fit_run(open_lake(root / "data"), "ardrone-synthetic", root / "run", settings)
 

@@ -5,7 +5,7 @@ import pytest
 
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import UsageError
-from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
+from flysid.ingest.excitation.dead_time import dead_times, delays_to_try, least_delays
 from flysid.model.arx import ARX
 from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.ts import TS
@@ -56,6 +56,19 @@ def test_ts_on_a_short_record_bridges_a_dead_time_handed_over_or_found_by_the_li
         assert np.std(error) < 0.1 * np.std(s.y[50:])
 
 
+def test_a_dead_time_that_is_certain_is_a_floor_for_rules() -> None:
+    """Second order by itself, the plant's lag is not taken for dead time, and no model answers before it."""
+    assert least_delays(dead_times(late(0)), 1) == ()
+    train = late(7)
+    (found,) = dead_times(train)
+    (floor,) = least_delays([found], 1)
+    assert 5 <= floor <= 7
+    assert f"rules none below {floor}" in found.words
+    model = TS(rules=1, nk_least=(floor,)).fit(train)
+    assert model.layout.orders.nk[0] >= floor
+    assert TS(rules=1, nk=2, nk_least=(floor,)).fit(train).layout.orders.nk == (2,)  # asked for
+
+
 def test_a_delay_beyond_the_range_of_the_search_is_tried_where_it_is_handed_over() -> None:
     train = late(30)  # 0.6 s; the search itself ends at 0.5 s
     own = ARX().fit(train)
@@ -70,3 +83,6 @@ def test_a_delay_beyond_the_range_of_the_search_is_tried_where_it_is_handed_over
 def test_a_hint_that_cannot_be_is_refused(structure: type[ARX] | type[TS], hint: tuple[int, ...]) -> None:
     with pytest.raises(UsageError, match="nk_hint"):
         structure(nk_hint=hint).fit(late(1))
+    if structure is TS:
+        with pytest.raises(UsageError, match="nk_least"):
+            TS(nk_least=hint).fit(late(1))
