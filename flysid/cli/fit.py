@@ -12,7 +12,7 @@ from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, cores, say
-from flysid.cli.source import Words, is_log, lost_on_the_way, opened, selection_options, words_options
+from flysid.cli.source import Words, is_ingested, lost_on_the_way, opened, selection_options, words_options
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -110,8 +110,8 @@ def command(
 ) -> int:
     """Fit linear and Takagi-Sugeno models to every channel of a recipe, or from some fields to others.
 
-    DATA is an ingested folder; or a single log or table (.csv), which is ingested into RUN.data; or a dataset
-    file that Python wrote (.parquet), which is one channel already.
+    DATA is an ingested folder; or a log, a folder of logs or a quoted pattern, which are ingested into
+    RUN.data; or a dataset file that Python wrote (.parquet), which is one channel already.
     A part of the data is held out before anything is learned; 'flysid validate RUN' judges the models on it.
     Interrupted (Ctrl-C), it leaves a run with the models that were finished and ends with 130.
     Channels that the data cannot serve are named and left out. Exit code 3: --channel asked for one of them,
@@ -121,7 +121,7 @@ def command(
     is_dataset = _is_dataset(data)
     if is_dataset:
         check_no_words(data, words)
-    place = fresh_place(output, force) if not is_dataset and is_log(data) else None
+    place = fresh_place(output, force) if not is_dataset and not is_ingested(data) else None
     from flysid.ingest.align.doubts import REMARKS
     from flysid.validate.fitting import FROM_DISK, fit_file, fit_run
     from flysid.validate.run import FitSettings
@@ -135,7 +135,7 @@ def command(
         with display.shown():
             run = fit_file(data, output, settings)
     else:
-        with opened(data, words, selection, place, quiet) as (lake, chosen), display.shown():
+        with display.shown(), opened(data, words, selection, place, quiet) as (lake, chosen):
             run = fit_run(lake, chosen, output, settings, jobs=jobs or cores())
             lost = lost_on_the_way(data, lake)
     if as_json:
@@ -187,7 +187,7 @@ def check_no_words(data: Path, asked: Words) -> None:
 
 
 def fresh_place(output: Path, force: bool) -> Path:
-    """The folder RUN.data for the log of a run, not there any more: other logs in it would be fitted too."""
+    """The folder RUN.data for the logs of a run, not there any more: others in it would be fitted too."""
     place = output.with_name(output.name + ".data")
     check_target(place, force)
     if place.exists():

@@ -36,17 +36,17 @@ def command(
     quiet: bool,  # noqa: ARG001
     display: Display,
 ) -> None:
-    """List the flights of an ingested folder, or what they can identify.
+    """List flights, or what they can identify.
 
-    With --suggest, DATA may be a log or a folder of logs, too.
+    DATA is an ingested folder, a log, a folder of logs or a quoted pattern.
     """
     if suggest:
         _suggest(data, selection, display, as_json, every)
         return
     from flysid.ingest.lake.chosen_flights import select
-    from flysid.ingest.lake.lake import open as open_lake
 
-    flights = select(open_lake(data), selection).facts
+    with display.shown(), opened_flights(data) as lake:
+        flights = select(lake, selection).facts
     if as_json:
         click.echo(json.dumps({"flights": [as_document(f) for f in flights]}, indent=1))
     else:

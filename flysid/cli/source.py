@@ -1,4 +1,4 @@
-"""What `fit` and `tf` work on: an ingested folder or a log, with a recipe or a few words instead of one."""
+"""What verbs work on: an ingested folder, or logs; with a recipe or a few words instead of one."""
 
 from __future__ import annotations
 
@@ -204,18 +204,18 @@ def opened(
 ) -> Iterator[tuple[Lake, str]]:
     """The flights that are meant, and the name of a recipe; both hold until the block ends.
 
-    A log is ingested first, into the new folder `place`, which goes again where the block fails; for as long
+    Logs are ingested first, into the new folder `place`, which goes again where the block fails; for as long
     as the block lasts where `place` is None.
 
     Raises
     ------
-    UsageError : neither a recipe nor fields, or both; no such folder; a unit of time for a folder; flights
-        of several vehicles that are not to be pooled.
+    UsageError : neither a recipe nor fields, or both; no such file or folder, or no log in it; a unit of time
+        for an ingested folder; flights of several vehicles that are not to be pooled.
     RecipeError : a field is not there.
     """
     if words.recipe and (words.inputs or words.outputs or words.dt is not None):
         raise UsageError("--recipe says what --from, --to and --dt would", hint="leave out one or the other")
-    if data.is_dir():
+    if is_ingested(data):
         _refuse_reading_again(data, words)
     from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
     from flysid.ingest.lake.lake import open as open_lake
@@ -224,7 +224,7 @@ def opened(
         target = place or Path(folder) / "data"
         recipe = Path(folder) / "quick.toml"
         try:
-            whole = open_lake(_taken_in(data, target, words, quiet) if is_log(data) else data)
+            whole = open_lake(data if is_ingested(data) else _taken_in(data, target, words, quiet))
             lake = select(whole, selection)
             if not selection.pool:
                 require_one_vehicle(lake)
@@ -265,7 +265,7 @@ def require_fit(lake: Lake, recipe: str) -> None:
 
 @contextmanager
 def opened_flights(source: Path, told: Words | None = None) -> Iterator[Lake]:
-    """The flights of an ingested folder, of a log, or of a folder of logs; logs are read for this block only.
+    """The flights of an ingested folder, or of logs, which are read for this block only.
 
     Raises
     ------
@@ -273,10 +273,9 @@ def opened_flights(source: Path, told: Words | None = None) -> Iterator[Lake]:
     FormatError : nothing of a log can be read.
     """
     from flysid.ingest.lake.lake import open as open_lake
-    from flysid.manifest import DATA_FILE
 
     words = told or Words("", (), (), None)
-    if (source / DATA_FILE).is_file():
+    if is_ingested(source):
         _refuse_reading_again(source, words)
         yield open_lake(source)
         return
@@ -294,16 +293,16 @@ def _refuse_reading_again(data: Path, words: Words) -> None:
         )
 
 
-def is_log(data: Path) -> bool:
-    """Whether a path names a log, an archive of logs or a member of one."""
-    from flysid.ingest.formats.opening import names_log
+def is_ingested(data: Path) -> bool:
+    """Whether `flysid ingest` made this folder; anything else names logs."""
+    from flysid.manifest import DATA_FILE
 
-    return not data.is_dir() and names_log(data)
+    return (data / DATA_FILE).is_file()
 
 
 def lost_on_the_way(data: Path, lake: Lake) -> bool:
-    """Whether `data` is a log that was read with losses; those of an ingested folder were told before."""
-    return is_log(data) and any(flight.lossy for flight in lake.facts)
+    """Whether logs were read with losses; those of an ingested folder were told before."""
+    return not is_ingested(data) and any(flight.lossy for flight in lake.facts)
 
 
 def _written(words: Words, lake: Lake) -> str:
@@ -318,16 +317,16 @@ def _written(words: Words, lake: Lake) -> str:
     return quick_recipe(lake.logs, words.inputs, words.outputs, words.dt)
 
 
-def _taken_in(log: Path, place: Path, words: Words, quiet: bool) -> Path:
-    """Ingest one log; raises FormatError where nothing of it can be read."""
+def _taken_in(logs: Path, place: Path, words: Words, quiet: bool) -> Path:
+    """Ingest a log, a folder of logs or a pattern; raises FormatError where nothing of them can be read."""
     from flysid.cli.losses import report
     from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.batch import ingest_logs
     from flysid.ingest.lake.finding import find_logs
 
     told = Limits(time_unit=words.time_unit, format=words.format)
-    results = list(ingest_logs(find_logs([log]), place, jobs=1, limits=told))
+    results = list(ingest_logs(find_logs([logs]), place, limits=told))
     report(results, quiet)
     if all(result.skipped for result in results):
-        raise FormatError("nothing could be read", path=log, hint=f"flysid doctor {log}")
+        raise FormatError("nothing could be read", path=logs, hint=f"flysid doctor {logs}")
     return place

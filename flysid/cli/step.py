@@ -49,8 +49,9 @@ def command(
 ) -> int:
     """What a step of the command does, read off ordinary flying: latency, rise, overshoot, settling.
 
-    DATA is an ingested folder, or a single log or table (.csv). A channel whose input answers its output is
-    refused: its record holds no step response (exit code 3 where --channel asked for it).
+    DATA is an ingested folder, a log or table (.csv), a folder of logs or a quoted pattern. A channel whose
+    input answers its output is refused: its record holds no step response. Exit code 3: --channel asked for
+    such a channel.
     """
     from flysid.validate.steps import channel_steps, draw_steps
 

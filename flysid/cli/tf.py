@@ -111,9 +111,10 @@ def command(
 ) -> int:
     """Identify transfer functions in s, with intervals, from the frequency response and the free run.
 
-    DATA is an ingested folder, or a single log or table (.csv). Every flight of it is used; 'flysid fit
-    --models tf' and 'flysid validate' judge such a model on flights that it has not seen. Channels that the
-    data cannot serve are named (exit code 3 where --channel asked for them; 4: --fail-if holds).
+    DATA is an ingested folder, a log or table (.csv), a folder of logs or a quoted pattern. All its flights
+    are used; 'flysid fit --models tf' and 'flysid validate' judge such a model on flights that it has not
+    seen. Channels that the data cannot serve are named. Exit code 3: --channel asked for one of them; 4:
+    --fail-if holds.
     """
     from flysid.model.transfer_function import TF
     from flysid.validate.transfers import identify
@@ -134,7 +135,7 @@ def command(
         band=settings["band"] or None,
         method=settings["method"],
     )
-    with opened(data, words, selection, None, quiet) as (lake, chosen), display.shown():
+    with display.shown(), opened(data, words, selection, None, quiet) as (lake, chosen):
         found, skipped = identify(
             lake, chosen, estimator, channels=channels, reference=reference, reference_at=reference_at
         )

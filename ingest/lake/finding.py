@@ -100,7 +100,9 @@ def _expand(item: str) -> list[Path]:
         if found:
             return [Path(name) for name in found]
         raise UsageError("the pattern matches nothing", path=item)
-    raise UsageError("no such file or folder", path=item)
+    raise UsageError(
+        "no such file or folder", path=item, hint="'flysid ingest LOG... -o DATA' makes a folder of flights"
+    )
 
 
 class _Archives:

@@ -94,3 +94,18 @@ def test_a_time_that_cannot_be_is_refused_before_anything_is_read(place: Path) -
     done = call("fit", "data", "-r", "ardrone-synthetic", "-o", "other", "--between", "5..2", cwd=place)
     assert done.returncode == 2
     assert "12:30..14:00" in done.stderr
+
+
+def test_a_folder_of_logs_and_a_pattern_are_read_as_an_ingested_folder_is(place: Path) -> None:
+    words = ("-r", "ardrone-synthetic", "-c", "lateral", "-m", "arx", "--no-rotate", "-j", "1", "-q")
+    for source, run in (("logs", "of_logs"), ("logs/*.mcap", "of_pattern"), ("data", "of_data")):
+        done = call("fit", source, *words, "-o", run, cwd=place)
+        assert done.returncode == 0, done.stderr
+    models = [(place / run / "lateral/arx.json").read_bytes() for run in ("of_logs", "of_pattern", "of_data")]
+    assert models[0] == models[1] == models[2]
+    assert (place / "of_logs.data/flysid-data.json").is_file()
+    listed = call("ls", "logs/*.mcap", cwd=place)
+    assert listed.returncode == 0, listed.stderr
+    missing = call("fit", "nowhere", *words, "-o", "none", cwd=place)
+    assert missing.returncode == 2
+    assert "no such file or folder" in missing.stderr
