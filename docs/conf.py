@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import re
+import sys
+from pathlib import Path
 from typing import Any
 
 import flysid
+
+sys.path.insert(0, str(Path(__file__).parent))
+from gallery_reports import make_gallery
 
 project = "flysid"
 author = "the flysid authors"
 release = flysid.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_click"]
-exclude_patterns = ["_build", "pictures"]
+exclude_patterns = ["_build", "_gallery", "pictures"]
+html_extra_path = ["_gallery"]
 html_theme = "furo"
 html_title = "flysid"
 html_show_copyright = False
@@ -48,3 +54,4 @@ def list_entries(_app: Any, _what: str, _name: str, _object: Any, _options: Any,
 def setup(app: Any) -> None:
     """Called by Sphinx."""
     app.connect("autodoc-process-docstring", list_entries)
+    app.connect("builder-inited", make_gallery)

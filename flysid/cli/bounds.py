@@ -46,7 +46,7 @@ memory_option = click.option(
     metavar="SIZE",
     envvar="FLYSID_MAX_MEMORY",
     callback=_memory,
-    help="Memory that one log may take, or none; also FLYSID_MAX_MEMORY.",
+    help="Memory limit per log, or none; also FLYSID_MAX_MEMORY.",
 )
 time_option = click.option(
     "--max-time",
@@ -55,5 +55,5 @@ time_option = click.option(
     metavar="TIME",
     envvar="FLYSID_MAX_TIME",
     callback=_time,
-    help="Time that one log may take, or none; also FLYSID_MAX_TIME.",
+    help="Time limit per log, or none; also FLYSID_MAX_TIME.",
 )

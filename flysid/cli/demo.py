@@ -73,13 +73,13 @@ class Stages:
     help="Folder.",
 )
 @click.option(
-    "--plant", default="ardrone", show_default=True, type=click.Choice(list(PLANS)), help="What flies."
+    "--plant", default="ardrone", show_default=True, type=click.Choice(list(PLANS)), help="Vehicle."
 )
 @click.option("--seed", default=1, show_default=True)
 @click.option("--force", is_flag=True, help="Replace an earlier demo in that folder.")
 @progress_options
 def command(output: Path, plant: str, seed: int, force: bool, quiet: bool, display: Display) -> None:
-    """Fly, ingest, fit and validate on simulated flights; end with the path of a report.
+    """Simulate flights, ingest, fit and validate them; print the path of the report.
 
     The vehicle is a nonlinear AR.Drone; with --plant ardrone-linear the paper's transfer functions (10),
     (11) and (12), on which rules cannot help.

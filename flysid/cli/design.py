@@ -35,23 +35,23 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
     type=click.Choice(FIRMWARES),
     default="pid",
     show_default=True,
-    help="Whose names and units the gains have.",
+    help="Names and units of the gains.",
 )
 @click.option(
     "--old",
     metavar="FILE",
     help="Parameter file with the present gains; 'published' for those that come with tum-ardrone.",
 )
-@click.option("--ms", default=1.6, show_default=True, help="Most that a disturbance may grow, on any plant.")
+@click.option("--ms", default=1.6, show_default=True, help="Largest sensitivity peak (Ms) on any plant.")
 @click.option(
-    "--peak", default=1.15, show_default=True, help="Most from reference to position, on any plant."
+    "--peak", default=1.15, show_default=True, help="Largest peak of reference to position on any plant."
 )
-@click.option("--noise", type=float, help="Most input per m/s of noise.  [default: 5 % of what was flown]")
-@click.option("--limit", type=float, help="Of the input, in its unit.")
-@click.option("--gain", callback=a_range, metavar="LOW..HIGH", help="The plant's gain may be this times it.")
-@click.option("--delay", callback=a_range, metavar="LOW..HIGH", help="This many seconds may be added.")
+@click.option("--noise", type=float, help="Largest input per m/s of noise.  [default: 5 % of what was flown]")
+@click.option("--limit", type=float, help="Input limit, in its unit.")
+@click.option("--gain", callback=a_range, metavar="LOW..HIGH", help="Range of the plant's gain, as a factor.")
+@click.option("--delay", callback=a_range, metavar="LOW..HIGH", help="Range of additional delay, s.")
 @click.option("--feed-forward", is_flag=True, help="Find the input per speed of the reference, too.")
-@click.option("--data", type=click.Path(path_type=Path), help="The run's data, where they moved.")
+@click.option("--data", type=click.Path(path_type=Path), help="The run's data, if they have moved.")
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path), help="Folder for design.json, old.param, new.param."
 )
@@ -77,7 +77,7 @@ def command(
     quiet: bool,
     display: Display,
 ) -> int:
-    """Find gains that serve the worst of all good models best, beside the present ones.
+    """Find robust gains: best for the worst of all good models, beside the present gains.
 
     The loop: position to velocity to the channel's input. Plants: every good model, every rule,
     linearisations, the ends of intervals; all of them keep the bounds. No gain moves by more than a factor

@@ -36,15 +36,15 @@ def progress_options(function: F) -> F:
 
     decorated: Any = verb
     for option in (
-        click.option("--quiet", "-q", is_flag=True, help="Say only what went wrong."),
-        click.option("--verbose", "-v", is_flag=True, help="Tell of every step."),
+        click.option("--quiet", "-q", is_flag=True, help="Print errors and warnings only."),
+        click.option("--verbose", "-v", is_flag=True, help="Print every step."),
         click.option(
             "--progress",
             "form",
             default="auto",
             show_default=True,
             type=click.Choice(["auto", "json"]),
-            help="On stderr: a table on a terminal and lines elsewhere, or one JSON object a line.",
+            help="Progress on stderr: a table on a terminal, lines elsewhere; or one JSON object per line.",
         ),
     ):
         decorated = option(decorated)

@@ -79,9 +79,9 @@ def command(
     quiet: bool,
     display: Display,
 ) -> int:
-    """Say of every log what it holds, what was lost, and what to log next time.
+    """Check every log: its contents, its losses, and what to log next time.
 
-    Ends with 3 when something was lost or a log cannot be read, and with 1 when none can.
+    Exit code 3: data was lost, or a log could not be read; 1: no log could be read.
     """
     from flysid.cli.addresses import here
     from flysid.ingest.formats.base import Limits

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from flysid.cli.addresses import SOURCE
+from flysid.cli.display import Display
 from flysid.cli.source import Words, opened_flights, reading_options
 from flysid.errors import UsageError
 
@@ -49,12 +50,12 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
     metavar="F.json|F.mat",
     help="A model as affine systems and their weights, in physical units.",
 )
-@click.option("--float32", is_flag=True, help="C in float32, if the model bears it on its training data.")
+@click.option("--float32", is_flag=True, help="C in float32, if it is accurate enough on the training data.")
 @click.option("--channel", "-c", default="", help="Of a run.")
 @click.option(
     "--model", "label", default="", help="Of a run's channel.  [default: the one that the verdict is of]"
 )
-@click.option("--data", type=SOURCE, help="The run's data, where they moved since the fit.")
+@click.option("--data", type=SOURCE, help="The run's data, if they have moved since the fit.")
 @click.option("--force", is_flag=True, help="Replace the target if it is there.")
 def command(
     source: Path,
@@ -75,7 +76,7 @@ def command(
     label: str,
     data: Path | None,
 ) -> None:
-    """Write a flight's streams, or a fitted model, for other programs.
+    """Export a flight's streams, or a fitted model, to other programs.
 
     A flight's streams keep their own times and have a table each, unless --rate asks for one. A model (a
     run's folder, or a model file) becomes C99 without allocation, an FMU, or MATLAB text.
@@ -123,7 +124,7 @@ def export_flight(
     from flysid.ingest.lake.chosen_flights import Selection, select
     from flysid.ingest.lake.flight_export import GRID, export_tables, gridded_table, physical_tables
 
-    with opened_flights(source, told) as lake:
+    with Display().shown(), opened_flights(source, told) as lake:
         logs = select(lake, Selection(flights=(flight,) if flight else ())).logs
         if len(logs) != 1:
             raise UsageError(

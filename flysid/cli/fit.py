@@ -12,8 +12,17 @@ from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import check_target, cores, say
-from flysid.cli.source import Words, is_ingested, lost_on_the_way, opened, selection_options, words_options
+from flysid.cli.source import (
+    READING_OF_A_FIT,
+    Words,
+    is_ingested,
+    lost_on_the_way,
+    opened,
+    selection_options,
+    words_options,
+)
 from flysid.errors import UsageError
+from flysid.progress import part
 
 if TYPE_CHECKING:
     from flysid.ingest.lake.chosen_flights import Selection
@@ -54,17 +63,23 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
     "fir, iv, line, statespace, static_ts, tf, ts (ts_lags, or ts_ss where a hidden state explains more).  "
     "[default: line,static_ts,ts]",
 )
-@click.option("--rules", default="auto", callback=_rules, show_default=True, help="Rules of the TS model.")
+@click.option(
+    "--rules", default="auto", callback=_rules, show_default=True, help="Number of rules of the TS model."
+)
 @click.option("--antecedent", "-a", "antecedents", multiple=True, help="Variable that chooses between rules.")
 @click.option(
     "--effort",
     default="normal",
     show_default=True,
     type=click.Choice(["quick", "normal", "thorough"]),
-    help="Of the search for rules.",
+    help="Effort of the search for rules.",
 )
 @click.option(
-    "--holdout", default=0.3, show_default=True, type=click.FloatRange(0.05, 0.8), help="Share kept back."
+    "--holdout",
+    default=0.3,
+    show_default=True,
+    type=click.FloatRange(0.05, 0.8),
+    help="Share of the data that is held out.",
 )
 @click.option("--by", default="auto", show_default=True, type=click.Choice(["auto", "flight", "time"]))
 @click.option("--seed", default=7, show_default=True)
@@ -72,8 +87,8 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
     "--rotate/--no-rotate",
     default=True,
     show_default=True,
-    help="Where fewer than 5 flights would be held out and 5 exist: leave every flight out once, in 5 folds, "
-    "and judge on all. Costs five more fits.",
+    help="With five or more flights, fewer than five held out: leave every flight out once, in five folds, "
+    "and judge on all. This takes five more fits.",
 )
 @click.option(
     "--memory",
@@ -81,11 +96,11 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
     show_default=True,
     metavar="MB",
     type=click.FloatRange(0.0),
-    help="Of a channel's samples in memory; larger ones are fitted from disk, by arx, fir, iv, statespace.",
+    help="Memory for a channel's samples. Larger ones are fitted from disk, by arx, fir, iv, statespace.",
 )
 @click.option("--jobs", "-j", default=0, metavar="N", help="Channels at a time; one per core when not given.")
 @click.option("--force", is_flag=True, help="Replace the run if it is there.")
-@click.option("--json", "as_json", is_flag=True, help="Print what was fitted as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the run as JSON.")
 @progress_options
 def command(
     data: Path,
@@ -136,7 +151,8 @@ def command(
             run = fit_file(data, output, settings)
     else:
         with display.shown(), opened(data, words, selection, place, quiet) as (lake, chosen):
-            run = fit_run(lake, chosen, output, settings, jobs=jobs or cores())
+            with part(0.0 if is_ingested(data) else READING_OF_A_FIT):
+                run = fit_run(lake, chosen, output, settings, jobs=jobs or cores())
             lost = lost_on_the_way(data, lake)
     if as_json:
         click.echo((output / "run.json").read_text("utf-8"), nl=False)

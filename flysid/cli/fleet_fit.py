@@ -30,7 +30,10 @@ HEADINGS = ("GROUP", "CHANNEL", "FLIGHTS", "SAMPLES", "RMSE", "GAIN", "AT")
 @click.option("--ts", is_flag=True, help="Also a run for each vehicle, as 'fit --vehicle' makes it.")
 @click.option("--models", "-m", default="", metavar="A,B", help="Of those runs; as 'fit' takes them.")
 @click.option(
-    "--effort", default="normal", type=click.Choice(["quick", "normal", "thorough"]), help="Of those runs."
+    "--effort",
+    default="normal",
+    type=click.Choice(["quick", "normal", "thorough"]),
+    help="Effort of the search for rules in these runs.",
 )
 @click.option("--force", is_flag=True, help="Replace the models if they are there.")
 @click.option("--json", "as_json", is_flag=True, help="Print the models as JSON.")

@@ -14,12 +14,16 @@ from flysid.cli.output import CHECK_FAILED, aligned, check_target, say
 
 @click.command("fly")
 @click.argument("design", type=click.Path(path_type=Path))
-@click.option("--vehicles", default=100, show_default=True, help="How many are drawn.")
-@click.option("--wind", default=4.0, show_default=True, help="Strongest wind, m/s; each vehicle has its own.")
-@click.option("--seed", default=1, show_default=True, help="Of vehicles, wind and noise.")
+@click.option("--vehicles", default=100, show_default=True, help="Number of simulated vehicles.")
+@click.option(
+    "--wind", default=4.0, show_default=True, help="Strongest wind, m/s; it differs from vehicle to vehicle."
+)
+@click.option("--seed", default=1, show_default=True, help="Seed of vehicles, wind and noise.")
 @click.option("--mass", callback=a_range, metavar="LOW..HIGH", help="Times nominal.  [default: 0.8..1.2]")
 @click.option("--drag", callback=a_range, metavar="LOW..HIGH", help="Times nominal.  [default: 0.6..1.4]")
-@click.option("--delay", callback=a_range, metavar="LOW..HIGH", help="Of the link, s.  [default: 0.02..0.08]")
+@click.option(
+    "--delay", callback=a_range, metavar="LOW..HIGH", help="Delay of the link, s.  [default: 0.02..0.08]"
+)
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="The page, an HTML file.")
 @click.option("--force", is_flag=True, help="Replace the page if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from flysid.cli.addresses import SOURCE
+from flysid.cli.display import Display
 from flysid.cli.output import check_target, printable, say
 from flysid.cli.source import Words, opened_flights, reading_options
 
@@ -22,7 +23,9 @@ from flysid.cli.source import Words, opened_flights, reading_options
     help="[default: roll, pitch]",
 )
 @click.option("--flight", "flights", multiple=True, help="This flight alone; may be repeated.")
-@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Nyquist plot into this file.")
+@click.option(
+    "--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a Nyquist plot to this file."
+)
 @click.option("--force", is_flag=True, help="Replace the picture if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @reading_options
@@ -35,7 +38,7 @@ def command(
     as_json: bool,
     told: Words,
 ) -> int:
-    """Say what the present gains mean: crossover, margins, bandwidth, noise; each with a 95 % interval.
+    """Crossover, margins, bandwidth and noise of the present gains, each with a 95 % interval.
 
     Reads the gains from the log (Betaflight 3.1 to 3.5, PX4 1.12 on, ArduCopter 4.0 on), measures the plant
     through the sticks, and closes the loop. Where the flights do not tell, or the stated gains do not give
@@ -47,7 +50,7 @@ def command(
 
     if plot is not None:
         check_target(plot, force)
-    with opened_flights(source, told) as lake:
+    with Display().shown(), opened_flights(source, told) as lake:
         found = judge(select(lake, Selection(flights=flights)).logs, axes or ("roll", "pitch"))
     known = [j for j in found if j.margins is not None]
     if as_json:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from flysid.cli.display import Display
 from flysid.cli.output import check_target, printable
 from flysid.cli.source import Words, opened, selection_options, words_options
 from flysid.errors import UsageError
@@ -37,10 +38,10 @@ class Beginning:
     "axes",
     multiple=True,
     metavar="NAME=PEAK",
-    help="What to command, and how far to either side, with its unit: theta_in=5deg; may be repeated. Of a "
+    help="Input and peak amplitude, with its unit: theta_in=5deg; may be repeated. Of a "
     "run or flights: instead of their inputs, as far as the last flight went.",
 )
-@click.option("--limit", "limits", multiple=True, metavar="NAME=PEAK", help="An axis goes no further.")
+@click.option("--limit", "limits", multiple=True, metavar="NAME=PEAK", help="Largest amplitude of an axis.")
 @click.option(
     "--band",
     nargs=2,
@@ -48,8 +49,8 @@ class Beginning:
     metavar="LOW HIGH",
     help="Hz.  [default: around the poles of a run's models]",
 )
-@click.option("--seconds", default=60.0, show_default=True, help="Of the whole flight.")
-@click.option("--rate", default=50.0, show_default=True, metavar="HZ", help="Rows a second in plan.csv.")
+@click.option("--seconds", default=60.0, show_default=True, help="Duration of the flight.")
+@click.option("--rate", default=50.0, show_default=True, metavar="HZ", help="Sample rate of plan.csv.")
 @click.option(
     "--kind",
     default="multisine",
@@ -64,16 +65,26 @@ class Beginning:
     help="With --kind chirp: also SID_* parameters; where the sweep enters.",
 )
 @click.option("--px4-plane", is_flag=True, help="With --kind chirp: also FW_AT_* parameters (PX4 v1.16 on).")
-@click.option("--more", default=3.0, show_default=True, metavar="MINUTES", help="More of the same, of a run.")
-@click.option("--aim", type=float, metavar="PERCENT", help="How long until figures are known this well.")
-@click.option("--channel", "-c", "channels", multiple=True, help="Of the recipe or run; may be repeated.")
 @click.option(
-    "--data", type=click.Path(path_type=Path), help="The run's data, where they moved since the fit."
+    "--more",
+    default=3.0,
+    show_default=True,
+    metavar="MINUTES",
+    help="Further minutes of the same flying, for a run.",
+)
+@click.option(
+    "--aim", type=float, metavar="PERCENT", help="Flight time until every figure is known to this accuracy."
+)
+@click.option(
+    "--channel", "-c", "channels", multiple=True, help="Channel of the recipe or run; may be repeated."
+)
+@click.option(
+    "--data", type=click.Path(path_type=Path), help="The run's data, if they have moved since the fit."
 )
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for the plan's files.")
 @click.option("--force", is_flag=True, help="Replace the folder if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
-@click.option("--quiet", "-q", is_flag=True)
+@click.option("--quiet", "-q", is_flag=True, help="Print errors and warnings only.")
 @words_options
 @selection_options
 def command(
@@ -97,7 +108,7 @@ def command(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Plan the flight to fly next: signals that identify, safe amplitudes, and what more flying would tell.
+    """Plan the next flight: input signals, safe amplitudes, and the accuracy to expect.
 
     SOURCE is a run (what is known, and what more of the same would make of it), an ingested folder or a log
     (amplitudes from its last flight), or nothing: then --axis and --band say all. -o writes plan.csv,
@@ -147,7 +158,7 @@ def _begun(
     from flysid.ingest.align.recipe import load_recipe, recipe_text
     from flysid.plan.briefing import axes_of_last_flight
 
-    with opened(source, words, selection, None, quiet) as (lake, name):
+    with Display(quiet=quiet).shown(), opened(source, words, selection, None, quiet) as (lake, name):
         recipe = load_recipe(name)
         wanted = channels or lake.channels(recipe)
         found = [axes_of_last_flight(lake.dataset(recipe, channel)) for channel in wanted]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.addresses import SOURCE
+from flysid.cli.display import Display
 from flysid.cli.source import opened_flights, plot_options, reading_options
 from flysid.showing import first_of
 
@@ -70,7 +71,7 @@ def command(
     target = out or Path(f"{source.name or 'flights'}.html".replace("/", "_"))
     if not term:
         check_target(target, force)
-    with opened_flights(source, told) as lake:
+    with Display().shown(), opened_flights(source, told) as lake:
         shown = replace(selection.stretches, mishaps=True)  # a crash is what people look for
         timelines = [
             lay_out(log, choose_curves(log, fields, pair, recipe), shown.allowed(log))

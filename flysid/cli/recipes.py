@@ -24,9 +24,9 @@ HEADINGS = ("RECIPE", "CHANNELS", "FOR")
     "source",
     type=SOURCE,
     metavar="LOG|DATA",
-    help="Only those that this log, or a flight of this folder, can serve, with the channels that it can.",
+    help="Only recipes that fit this log, or a flight of this folder, with the channels that fit.",
 )
-@click.option("--toml", is_flag=True, help="Print the recipe's text, to begin one of your own.")
+@click.option("--toml", is_flag=True, help="Print the recipe's text, as a start for your own.")
 def command(name: str, source: Path | None, toml: bool) -> None:
     """List the recipes, or explain one: its channels, signals, units and sources.
 

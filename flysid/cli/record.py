@@ -29,7 +29,7 @@ LOST_HERE = 3
     "-o", "--output", required=True, type=click.Path(path_type=Path), help="The file, e.g. flight.tlog."
 )
 @click.option(
-    "--rotate", multiple=True, metavar="WHEN", help="New part: 256MB, 10min or boot; again for several."
+    "--rotate", multiple=True, metavar="WHEN", help="Start a new part: 256MB, 10min or boot; may be repeated."
 )
 @click.option("--key", type=click.Path(path_type=Path), help="File of the signing key, mode 0600.")
 @click.option(
@@ -39,9 +39,9 @@ LOST_HERE = 3
     show_default=True,
     help="With a key: frames without a signature; radio keeps RADIO_STATUS alone.",
 )
-@click.option("--heartbeat", is_flag=True, help="Send heartbeats; without, nothing is ever sent.")
+@click.option("--heartbeat", is_flag=True, help="Send heartbeats; otherwise nothing is sent.")
 @click.option("--buffer", type=int, metavar="BYTES", help="Socket buffer.  [default: as much as can be had]")
-@click.option("--for", "seconds", type=float, metavar="S", help="End after so many seconds.")
+@click.option("--for", "seconds", type=float, metavar="S", help="Stop after this many seconds.")
 @click.option("-q", "--quiet", is_flag=True, help="Only paths and errors.")
 def command(
     links: tuple[str, ...],

@@ -47,7 +47,7 @@ VERDICTS = {
 )
 @progress_options
 def command(paper: str, as_json: bool, figures: Path | None, quiet: bool, display: Display) -> None:  # noqa: ARG001
-    """Print a paper's figures and rule tables beside what can, and what cannot, be reproduced.
+    """Reproduce a paper's figures and rule tables, and state what cannot be reproduced.
 
     ardrone-ts: Takagi-Sugeno identification of the AR.Drone's longitudinal, lateral and vertical loops.
     """

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.addresses import SOURCE
+from flysid.cli.display import Display
 from flysid.cli.losses import losses
 from flysid.cli.ls import clock_text
 from flysid.cli.output import aligned, printable, say
@@ -31,8 +32,8 @@ HEADINGS = ("COLUMN", "TYPE", "UNIT", "SCALE", "MIN", "MEAN", "MAX", "MISSING", 
 @click.argument("source", type=SOURCE, metavar="LOG|DATA")
 @click.argument("names", nargs=-1, metavar="[FLIGHT] [STREAM]")
 @click.option("--json", "as_json", is_flag=True, help="Print the manifest (or the stream's entry) as JSON.")
-@click.option("-n", "--rows", default=5, show_default=True, help="First rows of the stream to print.")
-@click.option("--params", is_flag=True, help="Print the parameters as the log leaves them.")
+@click.option("-n", "--rows", default=5, show_default=True, help="Number of rows of the stream to print.")
+@click.option("--params", is_flag=True, help="Print the parameters at the end of the log.")
 @click.option("--events", is_flag=True, help="Print modes, messages and parameter changes, in order.")
 @click.option("--track", is_flag=True, help="Print the positions as CSV.")
 @reading_options
@@ -59,7 +60,7 @@ def command(
 
     if params + events + track > 1:
         raise UsageError("--params, --events and --track are one at a time", hint="run it once for each")
-    with opened_flights(source, told) as lake:
+    with Display().shown(), opened_flights(source, told) as lake:
         flight, stream = _split(str(source), names, [facts.id for facts in lake.facts])
         [log] = select(lake, Selection(flights=(flight,))).logs
         if params:

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from flysid.ingest.lake.lake import Lake
 
 F = TypeVar("F", bound=Callable[..., Any])
+READING_OF_A_FIT = 0.05
+READING_OF_A_LOOK = 0.5
+"""Shares of the work that reading the logs is, before a fit and before a look."""
 
 
 @dataclass(frozen=True)
@@ -47,14 +50,14 @@ format_option = click.option(
     default="",
     metavar="NAME",
     callback=_known_format,
-    help="Of the log, where its bytes do not tell: tlog, csv, ...",
+    help="Format of the log, if it cannot be detected: tlog, csv, ...",
 )
 time_unit_option = click.option(
     "--time-unit",
     default="",
     type=click.Choice(["", "s", "ms", "us", "ns"]),
     metavar="UNIT",
-    help="Of a table's times that state none: s, ms, us or ns.",
+    help="Unit of a table's time column, if it names none: s, ms, us or ns.",
 )
 
 
@@ -78,7 +81,9 @@ def words_options(function: F) -> F:
     for option in (
         format_option,
         time_unit_option,
-        click.option("--dt", type=float, metavar="SECONDS", help="Between rows, where a table has no time."),
+        click.option(
+            "--dt", type=float, metavar="SECONDS", help="Sample time of a table without a time column."
+        ),
         click.option("--to", "outputs", multiple=True, metavar="FIELD", help="Output; see --from."),
         click.option(
             "--from",
@@ -159,16 +164,19 @@ def given(selection: Selection) -> Selection | None:
 
 
 _FLIGHTS = (
-    click.option("--pool", is_flag=True, help="Put flights of several vehicles together."),
+    click.option("--pool", is_flag=True, help="Allow flights of several vehicles in one data set."),
     click.option(
-        "--vehicle", default="", metavar="NAME", help="Its flights alone; a part of its name will do."
+        "--vehicle",
+        default="",
+        metavar="NAME",
+        help="Only flights of this vehicle; part of its name is enough.",
     ),
     click.option(
         "--exclude",
         multiple=True,
         metavar="FLIGHT",
         shell_complete=complete.flights,
-        help="Not this flight; may be repeated.",
+        help="Leave out this flight; may be repeated.",
     ),
     click.option(
         "--flight",
@@ -176,24 +184,24 @@ _FLIGHTS = (
         multiple=True,
         metavar="FLIGHT",
         shell_complete=complete.flights,
-        help="This flight alone, by its id or the beginning of it; may be repeated.",
+        help="Only this flight, by its id or the beginning of it; may be repeated.",
     ),
 )
 _MISHAPS = click.option(
     "--keep-mishaps",
     "mishaps",
     is_flag=True,
-    help="Keep crashes, failsafes and losses of control, which are left out otherwise.",
+    help="Keep crashes, failsafes and losses of control; by default they are left out.",
 )
 _STRETCHES = (
     click.option(
-        "--mode", "modes", multiple=True, metavar="MODE", help="In this flight mode alone; may be repeated."
+        "--mode", "modes", multiple=True, metavar="MODE", help="Only this flight mode; may be repeated."
     ),
     click.option(
         "--between",
         default="",
         metavar="FROM..TO",
-        help="This part of every flight alone, e.g. 12:30..14:00 (min:s since its beginning).",
+        help="Only this part of every flight, e.g. 12:30..14:00 (min:s from its beginning).",
     ),
 )
 
@@ -224,7 +232,9 @@ def opened(
         target = place or Path(folder) / "data"
         recipe = Path(folder) / "quick.toml"
         try:
-            whole = open_lake(data if is_ingested(data) else _taken_in(data, target, words, quiet))
+            whole = open_lake(
+                data if is_ingested(data) else _taken_in(data, target, words, quiet, READING_OF_A_FIT)
+            )
             lake = select(whole, selection)
             if not selection.pool:
                 require_one_vehicle(lake)
@@ -280,7 +290,7 @@ def opened_flights(source: Path, told: Words | None = None) -> Iterator[Lake]:
         yield open_lake(source)
         return
     with TemporaryDirectory() as folder:
-        yield open_lake(_taken_in(source, Path(folder) / "data", words, quiet=True))
+        yield open_lake(_taken_in(source, Path(folder) / "data", words, True, READING_OF_A_LOOK))
 
 
 def _refuse_reading_again(data: Path, words: Words) -> None:
@@ -317,15 +327,22 @@ def _written(words: Words, lake: Lake) -> str:
     return quick_recipe(lake.logs, words.inputs, words.outputs, words.dt)
 
 
-def _taken_in(logs: Path, place: Path, words: Words, quiet: bool) -> Path:
-    """Ingest a log, a folder of logs or a pattern; raises FormatError where nothing of them can be read."""
+def _taken_in(logs: Path, place: Path, words: Words, quiet: bool, share: float) -> Path:
+    """Ingest a log, a folder of logs or a pattern, as a `share` of the work.
+
+    Raises
+    ------
+    FormatError : nothing of them can be read.
+    """
     from flysid.cli.losses import report
     from flysid.ingest.formats.base import Limits
     from flysid.ingest.lake.batch import ingest_logs
     from flysid.ingest.lake.finding import find_logs
+    from flysid.progress import part
 
     told = Limits(time_unit=words.time_unit, format=words.format)
-    results = list(ingest_logs(find_logs([logs]), place, limits=told))
+    with part(0.0, share):
+        results = list(ingest_logs(find_logs([logs]), place, limits=told))
     report(results, quiet)
     if all(result.skipped for result in results):
         raise FormatError("nothing could be read", path=logs, hint=f"flysid doctor {logs}")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.addresses import SOURCE
+from flysid.cli.display import Display
 from flysid.cli.output import check_target, printable, say
 from flysid.cli.source import Words, opened, selection_options, words_options
 
@@ -27,13 +28,13 @@ if TYPE_CHECKING:
     "--fast",
     type=float,
     metavar="SIZE",
-    help="Two responses: where the input went above this within the horizon, and where it stayed below.",
+    help="Two responses: where the input exceeds SIZE within the horizon, and where it does not.",
 )
-@click.option("--against", type=SOURCE, help="A second log or folder, over the first.")
-@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Draw into this file.")
+@click.option("--against", type=SOURCE, help="A second log or folder, drawn over the first.")
+@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a plot to this file.")
 @click.option("--force", is_flag=True, help="Replace the picture if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
-@click.option("--quiet", "-q", is_flag=True)
+@click.option("--quiet", "-q", is_flag=True, help="Print errors and warnings only.")
 def command(
     data: Path,
     selection: Selection,
@@ -47,7 +48,7 @@ def command(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """What a step of the command does, read off ordinary flying: latency, rise, overshoot, settling.
+    """Estimate the step response from ordinary flight: latency, rise time, overshoot, settling time.
 
     DATA is an ingested folder, a log or table (.csv), a folder of logs or a quoted pattern. A channel whose
     input answers its output is refused: its record holds no step response. Exit code 3: --channel asked for
@@ -61,7 +62,7 @@ def command(
     skipped: dict[str, str] = {}
     for place in (data, *([against] if against is not None else [])):
         of = place.name if against is not None else ""
-        with opened(place, words, selection, None, quiet) as (lake, chosen):
+        with Display(quiet=quiet).shown(), opened(place, words, selection, None, quiet) as (lake, chosen):
             steps, why = channel_steps(lake, chosen, channels=channels, horizon_s=horizon, fast=fast, of=of)
         found += steps
         skipped |= {f"{name} of {of}" if of else name: reason for name, reason in why.items()}

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     "--watch", "run", type=click.Path(path_type=Path), help="With --live: a run's models beside it."
 )
 @click.option(
-    "--false-alarms", default=0.1, show_default=True, metavar="RATE", help="An hour, of the vehicle."
+    "--false-alarms", default=0.1, show_default=True, metavar="RATE", help="False alarms per hour of flight."
 )
 @click.option(
     "-o",
@@ -51,7 +51,7 @@ def command(
     false_alarms: float,
     output: Path | None,
 ) -> int:
-    """See logs, choose, fit, judge and compare in the browser.
+    """Browse logs, choose, fit, judge and compare in the browser.
 
     DATA is an ingested folder, or a new one; the studio keeps its uploads, jobs and runs in DATA.studio.
     The server answers on this machine alone, to the address that it prints. Whatever the page does is a

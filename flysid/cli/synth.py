@@ -36,13 +36,11 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 
 @click.command("synth")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Folder for the logs.")
-@click.option(
-    "--plant", default="ardrone-linear", show_default=True, help="What flies; ardrone is nonlinear."
-)
-@click.option("--plan", default="mixed", show_default=True, help="What is flown; --list names all.")
+@click.option("--plant", default="ardrone-linear", show_default=True, help="Vehicle; ardrone is nonlinear.")
+@click.option("--plan", default="mixed", show_default=True, help="Manoeuvres; --list names all.")
 @click.option("--duration", default=120.0, show_default=True, metavar="S", help="Seconds of each flight.")
 @click.option("--amplitude", default=1.0, show_default=True, help="Factor on the plan's amplitudes.")
-@click.option("--sensor", default="telemetry", show_default=True, help="What measures.")
+@click.option("--sensor", default="telemetry", show_default=True, help="Sensors.")
 @click.option(
     "--noise", default=0.02, show_default=True, help="Velocity noise of telemetry, m/s (one sigma)."
 )
@@ -50,7 +48,7 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.option(
     "--gust", "gusts", multiple=True, metavar="START:RISE:X:Y:Z", help="1 - cosine gust, s and m/s."
 )
-@click.option("--without", multiple=True, metavar="EFFECT", help="Switch an effect of the vehicle off.")
+@click.option("--without", multiple=True, metavar="EFFECT", help="Switch off an effect of the vehicle.")
 @click.option("--altitude", default=20.0, show_default=True, metavar="M", help="Above ground at the start.")
 @click.option(
     "--fleet", default=1, show_default=True, metavar="N", help="Vehicles, their parameters dispersed."
@@ -60,15 +58,11 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     "changes",
     multiple=True,
     metavar="VEHICLE:FLIGHT:WHAT:FACTOR",
-    help="From its flight on, a vehicle's mass, thrust, drag or lag is so many times what it was.",
+    help="Multiply a vehicle's mass, thrust, drag or lag by FACTOR from this flight on.",
 )
 @click.option("--seed", default=1, show_default=True, help="Same seed, same bytes.")
-@click.option(
-    "--format", "formats", multiple=True, metavar="NAME", help="Again for several.  [default: tlog]"
-)
-@click.option(
-    "--dropout", "dropouts", multiple=True, metavar="START:LENGTH", help="The link is silent then, s."
-)
+@click.option("--format", "formats", multiple=True, metavar="NAME", help="May be repeated.  [default: tlog]")
+@click.option("--dropout", "dropouts", multiple=True, metavar="START:LENGTH", help="Silence of the link, s.")
 @click.option("--truth/--no-truth", default=True, help="Beside the logs: NAME.truth.parquet.")
 @click.option(
     "-j", "--jobs", default=1, show_default=True, metavar="N", help="Processes; 0 for one per core."
@@ -76,16 +70,14 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.option(
     "--live", metavar="udp:HOST:PORT", help="Fly now and send MAVLink there instead of writing logs."
 )
-@click.option(
-    "--speed", default=1.0, show_default=True, help="Of --live: 2 flies twice as fast as the clock."
-)
+@click.option("--speed", default=1.0, show_default=True, help="Speed of --live: 2 is twice real time.")
 @click.option(
     "--list",
     is_flag=True,
     is_eager=True,
     expose_value=False,
     callback=list_all,
-    help="Name the plants, plans, sensors, formats.",
+    help="List the plants, plans, sensors and formats.",
 )
 @click.option("--force", is_flag=True, help="Replace logs that exist.")
 @click.option("-q", "--quiet", is_flag=True, help="Only paths and errors.")
@@ -97,7 +89,7 @@ def command(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Fly simulated vehicles and write the logs that they would have written; prints their paths."""
+    """Simulate flights, write the logs that the vehicles would have written, and print their paths."""
     order = ordered(**options)
     if live is not None:
         from flysid.ingest.synth.live import Pace, fly_live

@@ -55,14 +55,18 @@ def _auto_or(kind: type) -> Any:
     default="",
     type=click.Choice(["", "input", "setpoint"]),
     metavar="PLACE",
-    help="Where it enters, for margins: input (added to the controller's output) or setpoint (the controller "
-    "sees the difference alone).",
+    help="Where the reference enters, for margins: input (added to the controller's output) or setpoint "
+    "(only the difference reaches the controller).",
 )
 @click.option(
     "--fail-if", "condition", help="Exit with 4 where this holds: 'loop.phase_margin_deg.low < 45'."
 )
-@click.option("--poles", default="auto", callback=_auto_or(int), show_default=True, help="Of every output.")
-@click.option("--zeros", default="auto", callback=_auto_or(int), show_default=True, help="Of every input.")
+@click.option(
+    "--poles", default="auto", callback=_auto_or(int), show_default=True, help="Number of poles, per output."
+)
+@click.option(
+    "--zeros", default="auto", callback=_auto_or(int), show_default=True, help="Number of zeros, per input."
+)
 @click.option("--dead-time", default="auto", callback=_auto_or(float), show_default=True, metavar="S")
 @click.option(
     "--hold",
@@ -76,11 +80,13 @@ def _auto_or(kind: type) -> Any:
     default="none",
     show_default=True,
     type=click.Choice(["none", "remove", "estimate"]),
-    help="A straight line per segment: taken out first, or fitted along.",
+    help="A straight line per segment: removed before the fit, or estimated with it.",
 )
-@click.option("--band", nargs=2, type=float, metavar="LOW HIGH", help="Fit the response there alone, rad/s.")
-@click.option("--no-refine", is_flag=True, help="Leave the fit to the frequency response as it is.")
-@click.option("--unstable", is_flag=True, help="Admit unstable poles; fits the frequency response alone.")
+@click.option(
+    "--band", nargs=2, type=float, metavar="LOW HIGH", help="Fit the response in this band only, rad/s."
+)
+@click.option("--no-refine", is_flag=True, help="Keep the fit to the frequency response as it is.")
+@click.option("--unstable", is_flag=True, help="Allow unstable poles; fits the frequency response only.")
 @click.option(
     "--method",
     default="local",
@@ -89,7 +95,9 @@ def _auto_or(kind: type) -> Any:
     help="How the frequency response is measured.",
 )
 @click.option("--table", is_flag=True, help="Print the measured frequency response as a Bode table too.")
-@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Bode plot into this file.")
+@click.option(
+    "--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a Bode plot to this file."
+)
 @click.option("--force", is_flag=True, help="Replace the picture if it is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @progress_options

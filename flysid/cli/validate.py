@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.option(
     "--output", "-o", type=click.Path(path_type=Path), help="Folder of the report [default: RUN/report]."
 )
-@click.option("--data", type=SOURCE, help="The ingested folder, where it moved since the fit.")
+@click.option("--data", type=SOURCE, help="The ingested folder, if it has moved since the fit.")
 @click.option("--fail-if", "condition", help="Exit with 4 where this holds, e.g. 'free_run.change_pct > 5'.")
 @click.option(
     "--figures",

@@ -36,18 +36,21 @@ KINDS = ("udp:", "udpout:", "tcp:", "serial:")
     default=0.1,
     show_default=True,
     metavar="RATE",
-    help="An hour, of the vehicle: channels share them.",
+    help="False alarms per hour of flight, over all channels.",
 )
 @click.option("--model", "label", help="ts, arx, ...  [default: each channel's best linear one]")
-@click.option("--channel", "channels", multiple=True, help="This channel alone; again for several.")
-@click.option("--data", type=SOURCE, help="The run's data, where it moved.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Record the link there, too.")
-@click.option("--heartbeat", is_flag=True, help="Send heartbeats; without, nothing is ever sent.")
-@click.option("--for", "seconds", type=float, metavar="S", help="End after so many seconds.")
+@click.option("--channel", "channels", multiple=True, help="Only this channel; may be repeated.")
+@click.option("--data", type=SOURCE, help="The run's data, if it has moved.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Also record the link to this file.")
+@click.option("--heartbeat", is_flag=True, help="Send heartbeats; otherwise nothing is sent.")
+@click.option("--for", "seconds", type=float, metavar="S", help="Stop after this many seconds.")
 @click.option(
-    "--exec", "hook", metavar="COMMAND", help="Run at every event, which it reads as JSON from stdin."
+    "--exec",
+    "hook",
+    metavar="COMMAND",
+    help="Command to run at every event; it reads the event as JSON from stdin.",
 )
-@click.option("--fail", is_flag=True, help="Exit code 6 where there was an alarm.")
+@click.option("--fail", is_flag=True, help="Exit with 6 if there was an alarm.")
 @click.option("--json", "as_json", is_flag=True, help="Print events as JSON lines.")
 @click.option("-q", "--quiet", is_flag=True, help="Only events and errors.")
 def command(
@@ -65,7 +68,7 @@ def command(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Say when a vehicle leaves the behaviour that a RUN's models know, on a LINK now or in a LOG afterwards.
+    """Raise an alarm when a vehicle no longer behaves as a RUN's models predict, on a LINK or in a LOG.
 
     Thresholds come from the run's held-out flights. An input outside the training flights is shown, and is no
     alarm. The vehicle is never commanded.

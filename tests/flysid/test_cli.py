@@ -56,7 +56,7 @@ def test_a_process_ends_with_the_code_and_writes_to_the_right_streams(tmp_path: 
         (["ingest", "notes.txt", "-o", "data"], 1, "not a flight log"),
         (["ingest", "empty.tlog", "-o", "data"], 1, "empty"),
         (["ingest", "folder", "-o", "data"], 2, "no flight log"),
-        (["fit", "folder", "--recipe", "ardrone-synthetic", "-o", "run"], 2, "ingest"),
+        (["fit", "folder", "--recipe", "ardrone-synthetic", "-o", "run"], 2, "no flight log"),
         (["fit", "absent", "--recipe", "ardrone-synthetic", "-o", "run"], 2, "absent"),
         (["validate", "absent"], 2, "no such run"),
         (["validate", "folder"], 2, "not a run"),

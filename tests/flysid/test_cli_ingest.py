@@ -168,10 +168,8 @@ def test_show_names_the_flights_where_it_is_not_told_which(tmp_path: Path, logs:
     assert len(near) == len(set(near))
 
 
-def test_a_log_where_a_folder_is_wanted_is_told_so(logs: Path) -> None:
-    with pytest.raises(UsageError, match="a file, not an ingested folder") as caught:
-        code(flysid("ls", logs / "one.tlog"))
-    assert f"flysid ingest {logs / 'one.tlog'} -o DATA" in caught.value.hint
+def test_a_log_is_listed_as_the_folder_that_it_would_make(logs: Path) -> None:
+    assert "\none-" in flysid("ls", logs / "one.tlog").stdout
 
 
 def test_what_cannot_be_written_says_what_would_help(tmp_path: Path) -> None:
