@@ -77,7 +77,7 @@ release: $(VENV)/.installed  ## wheel and sdist of a clean tree in dist/, checke
 	git tag --annotate --message "flysid" "v$$($(BIN)/python -c 'import flysid; print(flysid.__version__)')"
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache flysid-demo .bench docs/_build docs/_gallery
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache flysid-demo .bench docs/_build
 
 samples: $(VENV)/.installed  ## sample_logs/, bit for bit
 	$(BIN)/python -m flysid synth -o sample_logs --force --no-truth --plan multisine --seed 1 --duration 30 --format tlog

@@ -10,14 +10,13 @@ from typing import Any
 import flysid
 
 sys.path.insert(0, str(Path(__file__).parent))
-from gallery_reports import make_gallery
+from gallery_reports import fill_gallery, make_gallery
 
 project = "flysid"
 author = "the flysid authors"
 release = flysid.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_click"]
-exclude_patterns = ["_build", "_gallery", "pictures"]
-html_extra_path = ["_gallery"]
+exclude_patterns = ["_build", "pictures"]
 html_theme = "furo"
 html_title = "flysid"
 html_show_copyright = False
@@ -54,4 +53,6 @@ def list_entries(_app: Any, _what: str, _name: str, _object: Any, _options: Any,
 def setup(app: Any) -> None:
     """Called by Sphinx."""
     app.connect("autodoc-process-docstring", list_entries)
+    app.add_config_value("gallery", "all", "env")
     app.connect("builder-inited", make_gallery)
+    app.connect("source-read", fill_gallery)

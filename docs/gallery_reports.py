@@ -90,7 +90,8 @@ EXAMPLES = (
         "sets are compared on flights that neither has seen.",
         (
             "synth -o before --no-truth --plant ardrone --plan demo --duration 40",
-            "synth -o after --no-truth --plant ardrone --plan demo --duration 40 --seed 2 --change 0:0:mass:1.5",
+            "synth -o after --no-truth --plant ardrone --plan demo --duration 40 --seed 2 "
+            "--change 0:0:mass:1.5",
             f"{FIT.replace('logs', 'before').replace('run', 'old')} -c vertical",
             f"{FIT.replace('logs', 'after').replace('run', 'new')} -c vertical",
             "compare old new -o report",
@@ -148,10 +149,20 @@ def section(example: Example, folder: Path) -> str:
 
 
 def make_gallery(app: Any) -> None:
-    """Called by Sphinx before it reads: reports that are missing are made, and listed for gallery.md."""
-    place = Path(app.srcdir) / "_gallery"
-    folder = place / "gallery"
-    for example in EXAMPLES:
-        if not (folder / f"{example.name}.html").is_file():
-            make(example, folder)
-    (place / "list.md").write_text("\n".join(section(example, folder) for example in EXAMPLES), "utf-8")
+    """Called by Sphinx before it reads: reports that are missing from the site are made."""
+    for example in _wanted(app):
+        if not (Path(app.outdir) / "gallery" / f"{example.name}.html").is_file():
+            make(example, Path(app.outdir) / "gallery")
+
+
+def fill_gallery(app: Any, page: str, source: list[str]) -> None:
+    """Called by Sphinx with the text of every page: the gallery's lists the reports."""
+    if page == "gallery":
+        folder = Path(app.outdir) / "gallery"
+        source[0] += "\n".join(section(example, folder) for example in _wanted(app))
+
+
+def _wanted(app: Any) -> list[Example]:
+    """All, or those that `sphinx -D gallery=NAME,NAME` names."""
+    names = app.config.gallery.split(",")
+    return [example for example in EXAMPLES if "all" in names or example.name in names]

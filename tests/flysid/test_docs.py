@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import importlib.util
 import inspect
 import re
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -84,9 +86,39 @@ def test_the_guards_of_report_md_are_understood() -> None:
         check_condition(expression, document)
 
 
+def test_a_report_of_the_gallery_is_made_by_its_commands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A small one: those of the site are made by `make docs` alone."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    gallery = importlib.import_module("gallery_reports")
+    synth = "synth -o logs --no-truth --plan steps --duration 20"
+    fit = "fit logs -r ardrone-synthetic -c lateral -m arx --holdout 0.5 -o run"
+    small = gallery.Example("small", "Small", "Few words.", (synth, fit, "validate run -o report"))
+    gallery.make(small, tmp_path)
+    assert "<h1 id" in (tmp_path / "small.html").read_text("utf-8")
+    assert ElementTree.parse(tmp_path / "small.svg").getroot().tag.endswith("svg")
+    listed = gallery.section(small, tmp_path)
+    assert 'href="gallery/small.html"' in listed
+    assert f"$ flysid {fit}" in listed
+    assert len({example.name for example in gallery.EXAMPLES}) == 6
+
+
 def test_the_site_is_built_without_a_warning_and_knows_every_verb_and_name(tmp_path: Path) -> None:
     pytest.importorskip("furo")
-    command = [sys.executable, "-m", "sphinx", "-n", "-W", "--keep-going", "-q", "-b", "html"]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-n",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-b",
+        "html",
+        "-D",
+        "gallery=none",
+    ]
     done = subprocess.run(
         [*command, "docs", str(tmp_path)], cwd=ROOT, capture_output=True, text=True, timeout=300
     )
