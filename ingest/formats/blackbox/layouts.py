@@ -190,6 +190,9 @@ def _main(header: Header) -> dict[str, Meaning]:
         "gyroADC": rate,
         "gyroUnfilt": rate,
         "gyroRaw": rate,
+        "gyroRaw2": rate,
+        "gyroRAW": rate,
+        "servo": Meaning("us"),
         "axisRate": Meaning("deg/s"),
         "setpoint": Meaning("deg/s", fine),
         "setpoint[3]": Meaning("", 1e-3, description="throttle of the mixer, 0 to 1"),
@@ -203,11 +206,11 @@ def _main(header: Header) -> dict[str, Meaning]:
         **{f"axis{term}": share for term in "PIDFS"},
     }
     if firmware == "rotorflight":
-        found |= {f"axis{term}": Meaning("", 1e-3) for term in "PIDFBO"}
+        found |= {f"axis{term}": Meaning("", 1e-3) for term in "PIDFBO"} | _ROTORFLIGHT
     if firmware == "inav":
         found |= _INAV
     if gravity := header.number("acc_1G", 0):
-        found["accSmooth"] = Meaning("G", 1 / gravity)
+        found |= dict.fromkeys(("accSmooth", "accADC", "accVib"), Meaning("G", 1 / gravity))
     if (poles := header.number("motor_poles", 0)) > 0:
         found["eRPM"] = Meaning("rpm", 200 / poles)
     if firmware == "betaflight":
@@ -249,6 +252,25 @@ _INAV = {
     "navTgtVel": Meaning("cm/s"),
     "navAcc": Meaning("cm/s/s"),
     "AirSpeed": Meaning("cm/s"),
+    "navEPH": Meaning("cm"),
+    "navEPV": Meaning("cm"),
+    "navSurf": Meaning("cm"),
+    "surfaceRaw": Meaning("cm"),
+    "mcPosAxisP": Meaning("cm/s"),
+    **{f"mcVelAxis{term}[0]": Meaning("cm/s/s") for term in ("P", "I", "D", "FF", "Out")},
+    **{f"mcVelAxis{term}[1]": Meaning("cm/s/s") for term in ("P", "I", "D", "FF", "Out")},
+    **{f"fw{loop}{term}": Meaning("ddeg") for loop in ("Alt", "Pos") for term in ("P", "I", "D", "Out")},
+    **{f"gyroPeak{axis}": Meaning("Hz") for axis in ("Roll", "Pitch", "Yaw")},
+}
+_ROTORFLIGHT = {
+    "mixer": Meaning("", 1e-3),
+    "attitude": Meaning("ddeg"),
+    "altitude": Meaning("cm"),
+    "vario": Meaning("cm/s"),
+    "headspeed": Meaning("rpm"),
+    "tailspeed": Meaning("rpm"),
+    "Vbat": Meaning("V", 0.01),
+    "Ibat": Meaning("A", 0.01),
 }
 _SLOW = {
     "failsafePhase": Meaning(enum=FAILSAFE),
@@ -256,6 +278,8 @@ _SLOW = {
     "rxFlightChannelsValid": Meaning(enum={0: "no", 1: "yes"}),
     "powerSupplyImpedance": Meaning(),
     "sagCompensatedVBat": Meaning("V", 0.01),
+    "wind": Meaning("cm/s"),
+    "escRPM": Meaning("rpm"),
 }
 
 
@@ -271,4 +295,7 @@ def _gps(header: Header) -> dict[str, Meaning]:
     }
     if firmware == "betaflight" and version >= (4,):
         found["GPS_altitude"] = Meaning("dm")
+    if firmware == "inav":
+        found |= {"GPS_altitude": Meaning("m"), "GPS_hdop": Meaning("", 0.01)}
+        found |= dict.fromkeys(("GPS_eph", "GPS_epv"), Meaning("cm"))
     return found

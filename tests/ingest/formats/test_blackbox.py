@@ -28,6 +28,7 @@ from flysid.ingest.formats.blackbox.writing import (
     unsigned_vb,
     wrapped,
 )
+from flysid.ingest.formats.common.units import factor
 from flysid.ingest.formats.registry import FORMATS
 from tests.samplelogs import blackbox as sample
 from tests.samplelogs.blackbox import END, KINDS, SETTINGS
@@ -329,6 +330,48 @@ def test_inav_ends_with_a_reason_and_logs_at_a_share_of_its_loops() -> None:
     assert flight.info["autopilot"] == "inav"
     assert matrix(flight, "main")[:, 0].tolist() == iterations
     assert flight["events"]["text"].to_pylist() == ["End of log (disarm reason:4)"]
+
+
+# as the firmwares' field tables have them: INAV 8, Rotorflight 2; in groups where their encodings have groups
+CRAFT = {
+    "INAV 8.0.0 (1234abcd) F722": (
+        "1/2",
+        ["attitude[0]", "navVel[2]", "mcVelAxisOut[1]", "vbat", "servo[0]"],
+    ),
+    "Rotorflight 4.5.0 (1234abcd) NEXUS": ("2", ["headspeed", "mixer[0]", "axisO[1]", "Vbat", "servo[0]"]),
+}
+UNITS = {
+    "attitude[0]": ("deg", 0.1),
+    "navVel[2]": ("m/s", 0.01),
+    "mcVelAxisOut[1]": ("m/s^2", 0.01),
+    "vbat": ("V", 0.01),
+    "servo[0]": ("s", 1e-6),
+    "headspeed": ("rpm", 1.0),
+    "mixer[0]": ("", 1e-3),
+    "axisO[1]": ("", 1e-3),
+    "Vbat": ("V", 0.01),
+}
+
+
+@pytest.mark.parametrize("revision", CRAFT)
+def test_fields_of_other_firmwares_have_their_units(revision: str) -> None:
+    interval, own = CRAFT[revision]
+    names = ["loopIteration", "time", *own]
+    fields = {
+        "I": Fields(names, [0, 0, 1, 1, 1, 0, 0], [0, 0, 0, 0, 0, 9, 8], [1, 1, 0, 0, 0, 3, 0]),
+        "P": Fields(names, [0, 0, 1, 1, 1, 0, 0], [6, 2, 1, 1, 1, 1, 3], [9, 0, 7, 7, 7, 6, 0]),
+    }
+    writer = Writer(fields, {**SETTINGS, "Firmware revision": revision, "P interval": "1/2"})
+    rows = [[2 * k, 1000 * k, k % 50 - 25, 3 * k % 700, -k, 2480 - k // 9, 1500 + k % 7] for k in range(60)]
+    frames = [writer.frame("I" if row[0] % 16 == 0 else "P", row) for row in rows]
+    header = [line.replace(b"P interval:1/2", f"P interval:{interval}".encode()) for line in writer.header()]
+    flight = read(b"".join([*header, *frames, END]))
+    assert not flight.damage.lossy
+    assert matrix(flight, "main").tolist() == rows
+    found = {f.name: (field_unit(f), field_scale(f)) for f in flight["main"].schema}
+    for name in own:
+        unit, scale = UNITS[name]
+        assert factor(found[name][0], unit) * found[name][1] == pytest.approx(scale), name
 
 
 def test_other_layouts_later_in_the_file_get_a_stream_of_their_own() -> None:
