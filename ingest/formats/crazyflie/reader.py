@@ -60,7 +60,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     has_crc = _crc_is_right(view)
     stop = len(view) - CRC_BYTES if has_crc else len(view)
     reader = _Reader(header)
-    for found in walk(view, header, stop, limits.batch_bytes):
+    for found in walk(view, header, stop, limits.batch_bytes, 0 if has_crc else CRC_BYTES):
         if isinstance(found, Events):
             yield from _parts(reader, view, found)
             release(view, int(found.at[0]), int(found.at[-1]))

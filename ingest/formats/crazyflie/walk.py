@@ -37,18 +37,25 @@ class Events:
     time_ns: IntArray
 
 
-def walk(view: memoryview, header: Header, stop: int, batch: int) -> Iterator[Events | Lost]:
-    """The events up to `stop` in batches of about `batch` bytes, and what is lost between them."""
-    return _Walk(view, header, stop).run(batch)
+def walk(
+    view: memoryview, header: Header, stop: int, batch: int, checksum: int = 0
+) -> Iterator[Events | Lost]:
+    """The events up to `stop` in batches of about `batch` bytes, and what is lost between them.
+
+    The last `checksum` bytes may be no event.
+    """
+    return _Walk(view, header, stop, (stop, stop - checksum)).run(batch)
 
 
 class _Walk:
-    def __init__(self, view: memoryview, header: Header, stop: int) -> None:
+    def __init__(self, view: memoryview, header: Header, stop: int, ends: tuple[int, ...]) -> None:
         self.view = view
         self.stop = stop
+        self.ends = ends
         self.start = header.end
         self.sizes = {kind: header.size_of(kind) for kind in header.kinds}
-        self.spans = set(self.sizes.values())
+        sizes = set(self.sizes.values())
+        self.spans = sizes | {one + other for one in sizes for other in sizes}  # one event, or two
         self.head = struct.Struct("<HI" if TIME_BYTES[header.version] == 4 else "<HQ")
         self.unit_ns = TIME_NS[header.version]
         self.ids = np.array(sorted(self.sizes), dtype=np.uint16)
@@ -61,17 +68,16 @@ class _Walk:
         while at < self.stop:
             kind, time_ns, end = self.event(at)
             is_timely = end > 0 and timely(time_ns, last)
-            if is_timely and (end == self.stop or self.is_head(end, time_ns)):
+            if is_timely and (end in self.ends or self.is_head(end, time_ns)):
                 found.append((at, kind, time_ns))
                 last = time_ns
                 at = end
-            elif end and not is_timely and (end == self.stop or self.is_head(end, last)) and last is not None:
+            elif end and not is_timely and (end in self.ends or self.is_head(end, last)) and last is not None:
                 yield from _handed(found)
                 yield Lost(at, end, "an event out of time")
                 at = end
             else:
-                near = time_ns if last is None and end else last
-                ahead = self.in_step(at + 1, near)
+                ahead = self.in_step(at + 1, last)
                 follows = ahead == self.stop or (ahead - end in self.spans and self.is_head(ahead, time_ns))
                 if is_timely and ahead >= end and follows:
                     found.append((at, kind, time_ns))
@@ -101,8 +107,28 @@ class _Walk:
         kind, count = self.head.unpack_from(self.view, at)
         return kind in self.sizes and timely(count * self.unit_ns, last)
 
+    def is_chain(self, at: int, last: int | None) -> bool:
+        """Whether an event stands here and two heads follow it, or one and the log's end.
+
+        One head is too little behind damage: a byte out of step, a time is 256 times as large, which may be
+        within the hour, and then no true event goes on from it.
+        """
+        _, time_ns, end = self.event(at)
+        if not end or not timely(time_ns, last):
+            return False
+        for _ in range(2):
+            if end in self.ends:
+                return True
+            if not self.is_head(end, time_ns):
+                return False
+            _, time_ns, after = self.event(end)
+            if not after:
+                return True  # cut by the log's end
+            end = after
+        return True
+
     def in_step(self, start: int, last: int | None) -> int:
-        """The first place from `start` on where two events follow each other or the log ends."""
+        """The first place from `start` on where events follow each other or the log ends."""
         for begin in range(start, self.stop, WINDOW_BYTES):
             piece = self.view[begin : min(begin + WINDOW_BYTES + 1, self.stop)]
             window = np.frombuffer(piece, dtype=np.uint8)
@@ -110,8 +136,7 @@ class _Walk:
                 break
             pairs = window[:-1].astype(np.uint16) | window[1:].astype(np.uint16) << 8
             for offset in np.flatnonzero(np.isin(pairs, self.ids)).tolist():
-                _, time_ns, end = self.event(begin + offset)
-                if end and timely(time_ns, last) and (end == self.stop or self.is_head(end, time_ns)):
+                if self.is_chain(begin + offset, last):
                     return begin + int(offset)
         return self.stop
 

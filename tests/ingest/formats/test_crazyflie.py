@@ -84,3 +84,27 @@ def test_nothing_is_invented_behind_damage() -> None:
             strange = [time for time in times if time not in sound[name]]
             assert len(strange) <= 1, (at, size, kind)  # an event whose own time was hit
         assert flight.rows >= 504 - 8
+
+
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("event", [0, 1, -2, -1])
+def test_a_bit_of_the_head_of_an_event_at_an_end_costs_no_other(version: int, event: int) -> None:
+    blob = sample.build(version)
+    events = sample.events(version)
+    index = event % len(events)
+    start = len(sample.header(version)) + sum(map(len, events[:index]))
+    for bit in range(8 * (6 if version == 1 else 10)):  # of its head: kind and time
+        damaged = bytearray(blob)
+        damaged[start + bit // 8] ^= 1 << bit % 8
+        flight = read(bytes(damaged))
+        assert len(events) - 1 <= flight.rows <= len(events), bit
+        assert flight.damage.lossy
+
+
+def test_bytes_that_look_like_events_far_ahead_cost_only_themselves() -> None:
+    """A time without its last byte, and a kind of 0 behind it, look like an event an hour ahead."""
+    blob = bytearray(sample.build())
+    blob[1767:1775] = (1).to_bytes(8, "little")
+    flight = read(bytes(blob))
+    assert flight.rows >= 502
+    assert flight.clocks[0].last_ns < 20 * 10**9
