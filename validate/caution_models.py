@@ -58,7 +58,7 @@ def _nothing_learnt(kind: str, where: str) -> Caution:
     if kind == "line":
         return Caution(
             "warning",
-            f"In free run {called[kind]} is as good on {where} as a model: no dynamics are shown.",
+            f"In free run {called[kind]} is as good on {where} as a model: the data show no dynamics.",
             "use the line, or fly manoeuvres that excite the dynamics.",
             3.6,
         )
@@ -90,7 +90,7 @@ def contested(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
     if said:
         yield Caution(
             "warning",
-            "Better than the linear model that the training data chose, but not than every linear one: "
+            "Better than the linear model chosen on the training data, but not than every linear model: "
             f"{join(said)}.",
             "quote the change against the best linear model of the table; train on more flights, so that the "
             "choice of the baseline is less a matter of luck.",
@@ -136,7 +136,7 @@ def beyond_band(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caut
     if said:
         yield Caution(
             "note",
-            "The flights show what the input does up to a frequency only, and the model still answers "
+            "The flights excite the vehicle up to a limited frequency, and the model still responds "
             f"strongly above it: {join(said)}.",
             "do not use its gain there, as in a fast control loop; fly faster manoeuvres, such as a chirp.",
             0.7,
@@ -170,7 +170,7 @@ def spare_words(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caut
     if said:
         yield Caution(
             "note",
-            f"The rules could say nearly the same in fewer words on {join(said)}, by free-run RMSE on the "
+            f"Fewer rules or conditions would do nearly as well on {join(said)}, by free-run RMSE on the "
             "training flights.",
             "fit with one rule less (--rules), or flysid.model.rules.simplify.",
             0.65,
@@ -233,7 +233,7 @@ def collinear(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
     if said:
         yield Caution(
             "note",
-            f"The regressors hardly differ on {join(said)}: single coefficients mean little there.",
+            f"The regressors are nearly collinear on {join(said)}: single coefficients mean little there.",
             "read gains and time constants, not coefficients; lower the order or the sample rate.",
             0.55,
         )

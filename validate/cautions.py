@@ -39,7 +39,7 @@ UNDECIDED: Mapping[str, tuple[str, str]] = {
         "hold out flights that move it, or check the recipe's signals.",
     ),
     "input": (
-        "No input of {} moves on the held-out part: how the output answers one was not tried.",
+        "No input of {} moves on the held-out part: the response to an input was not tested.",
         "hold out flights with manoeuvres, or check the recipe's signals.",
     ),
 }
@@ -153,8 +153,8 @@ def _holes(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
         yield Caution(
             "warning",
             "Held-out samples lie in holes of the training data, inside its range but far from every sample: "
-            f"{said}, most in {where} ({100 * worst.worst_far:.0f} %). What models do there was never seen.",
-            "train on inputs of many levels, at many outputs; three levels say nothing of what is between.",
+            f"{said}, most in {where} ({100 * worst.worst_far:.0f} %). The models are untested there.",
+            "train on inputs of many amplitudes, over the whole range of the output.",
             2.0 + worst.far,
         )
 
@@ -194,8 +194,8 @@ def _unexplained(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cau
     if said:
         yield Caution(
             "warning",
-            f"At no frequency does any input explain half of {join(said)} (coherence below 0.5): no model "
-            "from these inputs can follow it.",
+            f"No input explains half of the output at any frequency on {join(said)} (coherence below 0.5): "
+            "no model from these inputs can follow it.",
             "excite the command more, look for a missing input or wind, or check the recipe's signals.",
             4.0,
         )
@@ -329,7 +329,7 @@ def _idle_rules(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caut
         yield Caution(
             "note",
             f"Rules that hardly fire on held-out data: {join(said[:6])}"
-            f"{' and more' if len(said) > 6 else ''}. What is said of them was not tested.",
+            f"{' and more' if len(said) > 6 else ''}. The held-out data do not test them.",
             "use fewer rules, or hold out flights that reach them.",
             0.8,
         )

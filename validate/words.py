@@ -103,7 +103,7 @@ def scope_words(pair: Pair) -> list[str]:
     if pair.scope is Scope.THESE:
         said.append("these are parts of flights that the models trained on: another flight may differ")
     else:
-        said.append("one flight cannot say whether another would agree")
+        said.append("one flight does not show whether another would agree")
     if pair.basis.slow:
         said.append(
             f"the error changes slower than {pair.scope} last{'s' * (pair.scope is not Scope.THESE)}: only a "

@@ -98,7 +98,7 @@ def test_references_stand_beside_the_models_and_are_never_the_contender() -> Non
         assert text.count("reference") == 2
     assert ",persistence," in to_csv({"c": c})
     page = render(ReportContext({"c": c}, train={"c": TRAIN}))
-    assert "lines to stay below" in page
+    assert "A useful model errs less than both" in page
 
 
 def test_a_model_that_loses_to_the_mean_is_called_out() -> None:
@@ -159,7 +159,7 @@ def test_better_than_a_poor_baseline_is_not_better_than_every_linear_model() -> 
     assert found["short_of"] == ["arx"]
     assert found["rivals"]["arx"]["verdict"] == "same"
     said = cautions({"roll": c}, {"roll": diagnose(c, TRAIN)})
-    assert said[0].text.startswith("Better than the linear model that the training data chose, but not than")
+    assert said[0].text.startswith("Better than the linear model chosen on the training data, but not than")
 
 
 def test_better_than_every_linear_model_is_a_headline() -> None:

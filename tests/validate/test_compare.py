@@ -146,7 +146,7 @@ def test_an_input_that_never_moves_shows_nothing() -> None:
         "no input moves on the held-out part",
     )
     text = [t.text for t in cautions({"roll": c}, {"roll": diagnose(c)})]
-    assert "No input of y moves on the held-out part: how the output answers one was not tried." in text
+    assert "No input of y moves on the held-out part: the response to an input was not tested." in text
     page = render(ReportContext.of({"roll": c}))
     assert "nothing left that the input explains" not in page
     assert "the input does not move" in page

@@ -25,4 +25,4 @@ def test_one_flight_shows_what_it_shows_and_says_so() -> None:
     assert pair.scope is Scope.THIS
     assert pair.verdict in ("better", "worse")
     assert "on this flight" in verdict_words(pair)
-    assert "one flight cannot say whether another would agree" in scope_words(pair)
+    assert "one flight does not show whether another would agree" in scope_words(pair)

@@ -85,7 +85,7 @@ def _poles(name: str, d: Diagnosis) -> Finding:
 def _blend(name: str, d: Diagnosis) -> Finding:
     checks = d.checks.get(name)
     if checks is None or not checks.certificate:
-        return Finding("one rule: its poles say all")
+        return Finding("one rule: see its poles")
     return Finding(one_line(checks.certificate), True if checks.proved else None)
 
 

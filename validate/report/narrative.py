@@ -208,7 +208,7 @@ def subtitle(pairs: Heads, idle: Sequence[str] = ()) -> str:
         rest = subtitle([(name, pair) for name, pair in pairs if name not in lost])
         return f"Both models diverged in free run on {_listed(lost)}: see the cautions. {rest}".rstrip()
     if pairs and all(pair.verdict is Verdict.SAME for _, pair in pairs) and _all_linear(pairs):
-        return " ".join(["Rules were searched for, and none paid.", *_scopes(pairs)])
+        return " ".join(["A search for rules found none that lowers the error.", *_scopes(pairs)])
     if pairs and all(pair.verdict is Verdict.SAME for _, pair in pairs):
         both = f"the {called(pairs[0][1].model)} and the {base_words(pairs)}"
         said = f"In free run {both} are the same: keep the simpler one."
