@@ -17,7 +17,7 @@ from scipy.signal import cheby1, cheby2, lfilter
 from bench.ts_experiment import Experiment, experiment, integrate, multisine, off, print_lines, steps
 from flysid.dataset import FloatArray
 from flysid.errors import FlysidError
-from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
+from flysid.ingest.excitation.dead_time import dead_times, delays_to_try, least_delays
 from flysid.model.base import Fitted
 from flysid.model.linear_choice import choose_baseline, confirmed
 from flysid.model.one_rule import linear_rivals
@@ -378,13 +378,15 @@ PLANTS: dict[str, Callable[[np.random.Generator], Experiment]] = {
 def fitted(plant: Experiment) -> tuple[str, Fitted, Fitted, float]:
     """The baseline's label, its model, the TS model, and its CPU seconds, all as `flysid fit` makes them."""
     train = plant.train
-    hint = delays_to_try(dead_times(train), 1)
-    linear = linear_rivals(hint)
+    late = dead_times(train)
+    hint = delays_to_try(late, 1)
+    least = least_delays(late, 1)
+    linear = linear_rivals(hint, least)
     choice = choose_baseline(train, linear)
     models = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
     base = confirmed(choice, models, train).label
     begin = time.process_time()
-    ts = BestTS(nk_hint=hint).fit(train)
+    ts = BestTS(nk_hint=hint, nk_least=least).fit(train)
     return base, models[base], ts, time.process_time() - begin
 
 

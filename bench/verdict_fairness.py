@@ -27,11 +27,12 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import FlysidError
-from flysid.ingest.excitation.dead_time import dead_times, delays_to_try
+from flysid.ingest.excitation.dead_time import dead_times, delays_to_try, least_delays
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
 from flysid.model.linear_choice import choose_baseline, confirmed
 from flysid.model.one_rule import linear_rivals
+from flysid.model.shared import sharing
 from flysid.model.ts import TS
 from flysid.model.ts_best import BestTS
 from flysid.validate.compare import compare
@@ -43,11 +44,11 @@ TEST = 8
 FRESH = 120
 VERDICTS = ("better", "contested", "same", "worse", "not enough data")
 LENGTH = 500
-CONTENDERS: dict[str, Callable[[tuple[int, ...]], Estimator]] = {
-    "ts": lambda hint: BestTS(most_rules=3, nk_hint=hint),
-    "ts_lags": lambda hint: TS(most_rules=3, nk_hint=hint),
+CONTENDERS: dict[str, Callable[[tuple[int, ...], tuple[int, ...]], Estimator]] = {
+    "ts": lambda hint, least: BestTS(most_rules=3, nk_hint=hint, nk_least=least),
+    "ts_lags": lambda hint, least: TS(most_rules=3, nk_hint=hint, nk_least=least),
 }
-"""Dead times to try -> what is fitted against the linear side."""
+"""Dead times to try, and those not to go below -> what is fitted against the linear side."""
 
 
 @dataclass(frozen=True)
@@ -189,12 +190,14 @@ def judged(plant: Plant, rng: np.random.Generator, seed: int, contender: str = "
     began = time.process_time()
     train = flights(plant, TRAIN, rng, "t")
     test = flights(plant, TEST, rng, "h")
-    hint = delays_to_try(dead_times(train), 1)
-    linear = linear_rivals(hint)
-    choice = choose_baseline(train, linear)
-    models: dict[str, Fitted] = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
-    base = confirmed(choice, models, train).label
-    models["ts"] = CONTENDERS[contender](hint).fit(train)
+    late = dead_times(train)
+    delays = delays_to_try(late, 1), least_delays(late, 1)
+    linear = linear_rivals(*delays)
+    with sharing():
+        choice = choose_baseline(train, linear)
+        models: dict[str, Fitted] = {n: linear[n].fit(train) for n in dict.fromkeys(("arx", choice.label))}
+        base = confirmed(choice, models, train).label
+        models["ts"] = CONTENDERS[contender](*delays).fit(train)
     pair = compare(models, test, horizons=[FREE_RUN], baseline=base).verdict["y"]
     many = flights(plant, FRESH, rng, "f")
     fresh = compare(models, many, horizons=[FREE_RUN], baseline=base).verdict["y"]

@@ -101,12 +101,15 @@ class MeasuredResponse:
         good = _smoothed(own) > level
         edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]])))
         inside = np.zeros(len(self.omega))
-        runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+        counts = own > level
+        runs = [  # none on its neighbours' word alone
+            (start, stop)
+            for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+            if counts[start:stop].any()
+        ]
         if runs:
             start, stop = max(runs, key=lambda r: float(np.log(self.omega[r[1] - 1] / self.omega[r[0]])))
-            kept = start + np.flatnonzero(
-                own[start:stop] > level[start:stop]
-            )  # no edge on a neighbour's word
+            kept = start + np.flatnonzero(counts[start:stop])  # no edge on a neighbour's word
             inside[kept[0] : kept[-1] + 1] = 1.0
         return inside
 

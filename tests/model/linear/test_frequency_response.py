@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
@@ -152,3 +154,15 @@ def test_noise_free_data_have_no_error_and_finite_figures() -> None:
     assert np.isfinite(m.response).all()
     assert np.isfinite(m.gain_interval_db()).all()
     assert np.median(m.error) < 0.01
+
+
+def test_a_band_does_not_rest_on_neighbours_alone() -> None:
+    """A dip between two peaks is above one half in the mean of three, and not by itself."""
+    measured = measure_response(experiment(1, "steps"))
+    coherence = np.full(measured.coherence.shape, 0.1)
+    coherence[20:23, 0] = (0.95, 0.3, 0.95)
+    assert replace(measured, coherence=coherence).band() is None
+    coherence[22, 0] = 0.3
+    coherence[40:44, 0] = 0.9
+    low, high = replace(measured, coherence=coherence).band() or (0.0, 0.0)
+    assert (low, high) == (measured.omega[40], measured.omega[43])
