@@ -23,9 +23,9 @@ from flysid.model.rules.growth import Training, one_rule_more
 from flysid.model.rules.realisation import coordinates
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.saturation import saturation_limits
-from flysid.model.rules.state_context import StateContext
-from flysid.model.rules.state_systems import linear_systems
-from flysid.model.ts_state_space import TSStateSpace
+from flysid.model.rules.search_context import SearchContext
+from flysid.model.rules.state_systems import in_coordinates, linear_systems, system_stage
+from flysid.model.ts import TS
 
 SAMPLES = 1024
 RULES = 4
@@ -48,11 +48,11 @@ def gap(model: Fitted, test: Dataset, truth: list[FloatArray]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)) / np.std(np.concatenate(truth)))
 
 
-def grown(bench: StateContext, start: Stage, how: Training) -> list[Stage]:
+def grown(context: SearchContext, start: Stage, how: Training) -> list[Stage]:
     """Models with 1 to RULES rules."""
     stages = [start]
     while len(stages) < RULES:
-        found = one_rule_more(stages[-1], bench.candidates(stages[-1].layout), how)
+        found = one_rule_more(stages[-1], context.antecedents(stages[-1].layout), how)
         stages.append(found[0].stage if found else stages[-1])
     return stages
 
@@ -69,17 +69,17 @@ def main(names: list[str]) -> int:
 def _compare(name: str, noise: float, seed: int) -> None:
     train, _ = PLANTS[name].dataset((seed,), SAMPLES, noise)
     test, truth = PLANTS[name].dataset((100 + seed, 101 + seed), SAMPLES, noise)
-    settings = TSStateSpace(states=STATES.get(name, 2), nk=1)
+    settings = TS(states=STATES.get(name, 2), nk=1)
     scaled = scaling(train)
-    bench = StateContext(settings, 40, saturation_limits(train), scaled)
+    context = SearchContext(settings, train, train, *scaled, 40)
     print(f"{name}, noise {noise:.0%}, recording {seed}: ARX {gap(ARX().fit(train), test, truth):.4f}")
     system = linear_systems(settings, train, None, scaled)[0]
-    linear = bench.linear(system, train)
+    linear = system_stage(system, train, 40, scaled, saturation_limits(train))
     for name in coordinates(system.real, 1):
-        start, words = bench.in_coordinates(linear, name)
+        start, words = in_coordinates(linear, name)
         for title, how in STRATEGIES.items():
             begin = time.process_time()
-            stages = grown(bench, start, how)
+            stages = grown(context, start, how)
             seconds = time.process_time() - begin
             errors = ", ".join(f"{gap(finished(s, train, ()), test, truth):.4f}" for s in stages)
             print(f"  {words[:24]:24s} {title:24s} {errors}  {seconds:.1f} s CPU", flush=True)

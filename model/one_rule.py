@@ -17,9 +17,8 @@ from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
 from flysid.model.linear_choice import best_linear, linear_estimators
 from flysid.model.oe import OE
-from flysid.model.rules import state_learning
+from flysid.model.rules import learning
 from flysid.model.rules.fitted import FittedTS, finished
-from flysid.model.rules.learning import learn
 from flysid.model.rules.linear_starts import Asked
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.shared import fit_key, once
@@ -28,15 +27,17 @@ from flysid.model.threads import on_one_thread
 
 @dataclass(frozen=True)
 class OneRule:
-    """Settings of one rule over lags.
+    """Settings of one rule.
 
     Parameters
     ----------
     nk_hint, nk_least : delays per input to try besides its own choices, and not to go below.
+    states : 0: over lags; a number or "auto": over states, hidden ones among them.
     """
 
     nk_hint: Sequence[int] = ()
     nk_least: Sequence[int] = ()
+    states: Any = 0
     rules: int = 1
     na: Any = "auto"
     nb: Any = "auto"
@@ -45,46 +46,21 @@ class OneRule:
     refine: bool = True
     most_rules: int = 1
     iterations: int = 30
-    search: SearchSettings = NORMAL
-
-    @on_one_thread
-    @once(fit_key)
-    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:
-        """Choose orders by the validation free run and refine on it.
-
-        Raises
-        ------
-        DataError : no or too few samples, a signal that never moves.
-        FitError : no stable model was found.
-        """
-        learned = learn(self, train, validation)
-        return finished(learned.stage, train, learned.notes)
-
-
-@dataclass(frozen=True)
-class OneRuleOverStates:
-    """Settings of one rule over states, hidden ones among them.
-
-    Parameters
-    ----------
-    nk_hint : delays per input to try besides its own choices.
-    """
-
-    nk_hint: Sequence[int] = ()
-    rules: int = 1
-    states: Any = "auto"
-    nk: Any = "auto"
-    antecedents: Any = "auto"
-    most_rules: int = 1
-    iterations: int = 30
     ridge: Any = "auto"
     search: SearchSettings = NORMAL
 
     @on_one_thread
     @once(fit_key)
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:
-        """Choose states by the validation free run; raises as `OneRule.fit`."""
-        learned = state_learning.learn(self, train, validation)
+        """Choose orders, or states, by the validation free run and refine on it.
+
+        Raises
+        ------
+        DataError : no or too few samples, a signal that never moves.
+        FitError : no stable model was found.
+        """
+        learn = learning.over_lags if self.states == 0 else learning.over_states
+        learned = learn(self, train, validation)
         return finished(learned.stage, train, learned.notes, intervals=learned.intervals)
 
 
@@ -95,7 +71,7 @@ def linear_rivals(nk_hint: tuple[int, ...] = (), nk_least: tuple[int, ...] = ())
     """
     alone: dict[str, Estimator] = {
         "one_rule": OneRule(nk_hint=nk_hint, nk_least=nk_least),
-        "one_rule_ss": OneRuleOverStates(nk_hint=nk_hint),
+        "one_rule_ss": OneRule(nk_hint=nk_hint, states="auto"),
     }
     return linear_estimators(nk_hint) | alone
 

@@ -14,7 +14,7 @@ from typing import Literal
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.one_rule import linear_choice
-from flysid.model.rules import learning, state_learning
+from flysid.model.rules import learning
 from flysid.model.rules.contest import contest
 from flysid.model.rules.fitted import FittedTS, finished
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
@@ -49,8 +49,7 @@ class TS:
     states : 0: rules over lags of the outputs. A number: rules over so many states, the outputs included;
         na, nb, refine and stable are then left as they are. "auto": rules over lags, or over hidden states
         where these explain clearly more.
-    ridge : over hidden states, weight on the difference of the rules, in shares of the error that is left, or
-        "auto".
+    ridge : weight on the difference of the rules, in shares of the error that is left, or "auto".
 
     Source: Takagi & Sugeno (1985), IEEE Trans. SMC 15; the search: `flysid.model.rules.learning`.
 
@@ -92,7 +91,7 @@ class TS:
                 return over_states(self, train, validation)
             with sharing():
                 return contest(self, train, validation, linear_choice).of_rules
-        learned = learning.learn(self, train, validation, linear_choice)
+        learned = learning.over_lags(self, train, validation, linear_choice)
         model = finished(
             learned.stage, train, learned.notes, intervals=self.refine, neighbour=learned.neighbour
         )
@@ -108,11 +107,11 @@ class TS:
             raise UsageError("refine=False and stable=True are of rules over lags", hint="give states=0")
 
 
-def over_states(
-    settings: state_learning.Settings, train: Dataset, validation: Dataset | None = None
-) -> FittedTS:
-    """Rules over hidden states: realise linear models, grow rules, refine and choose; raises as `TS.fit`."""
-    learned = state_learning.learn(settings, train, validation)
+def over_states(settings: TS, train: Dataset, validation: Dataset | None) -> FittedTS:
+    """Rules over hidden states, whose number may be chosen; raises as `TS.fit`."""
+    if settings.states == 0:
+        raise UsageError("states=0", hint='give "auto" or a whole number from 1 on')
+    learned = learning.over_states(settings, train, validation)
     return finished(
         learned.stage, train, learned.notes, intervals=learned.intervals, neighbour=learned.neighbour
     )

@@ -9,7 +9,6 @@ better on the training data.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -17,13 +16,12 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Fitted
 from flysid.model.noise import noise_model
-from flysid.model.rules import learning, state_learning
+from flysid.model.rules import learning
 from flysid.model.rules.fitted import FittedTS, finished
-from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.judging import hold_out
 from flysid.model.rules.regressor_layout import scaling
-from flysid.model.rules.search_context import Settings as LagSettings
-from flysid.model.rules.state_learning import Settings as StateSettings
+from flysid.model.rules.search_context import Settings
+from flysid.model.rules.search_record import Learned, LinearSide
 from flysid.model.rules.structure_choice import Advantage, advantage, block_errors, compared
 from flysid.model.start import start_window
 
@@ -34,23 +32,6 @@ _MOST_SAMPLES = 100_000
 PARTS = 4
 """Of a record, each held out in turn to compare two models."""
 _STEPS = 6  # of both models' refinement on the rest
-
-
-class Settings(LagSettings, StateSettings, Protocol):
-    """What either kind needs to know; `TS` is one."""
-
-
-class Learned(Protocol):
-    """What a search of either kind found."""
-
-    @property
-    def least(self) -> int:
-        """Rows that a segment of a part must have."""
-        ...
-
-    def again(self, data: Dataset, iterations: int) -> Stage:
-        """The stage refined from where it is on a part of the data."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +107,10 @@ class Contest:
 
 
 def contest(
-    settings: Settings, train: Dataset, validation: Dataset | None, linear_side: learning.LinearSide
+    settings: Settings, train: Dataset, validation: Dataset | None, linear_side: LinearSide
 ) -> Contest:
     """Both kinds, the second where the first hints at it."""
-    known = learning.learn(settings, train, validation, linear_side)
+    known = learning.over_lags(settings, train, validation, linear_side)
     lagged = finished(
         known.stage, train, known.notes, intervals=known.linear is None, neighbour=known.neighbour
     )
@@ -137,7 +118,7 @@ def contest(
     if not (settings.search.hidden_states and hints_at_hidden_state(lagged, train)):
         return Contest(lags)
     try:
-        learned = state_learning.learn(settings, train, validation)
+        learned = learning.over_states(settings, train, validation)
         if learned.stage.rules == 1 == known.stage.rules:
             return Contest(lags)
         found = finished(

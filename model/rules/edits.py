@@ -1,8 +1,4 @@
-"""Edits of the rules: two as one, one dropped, a condition left out; pruning, and merge and split.
-
-Pruning ends a search: a rule that growth needed on its way may be idle in the end, and so may a condition.
-What goes is what costs next to nothing on validation; often that free run gets better, as there is less to be
-fitted to noise.
+"""Edits of the rules: two as one, one dropped, a condition left out; merge and split.
 
 Growth inserts rule after rule and never takes one back: it ends in a local minimum that hangs on the first
 places. One rule more, and two merged again, leaves it (split and merge: Ueda, Nakano, Ghahramani and Hinton
@@ -19,18 +15,17 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.free_run_error import Body, Stage
-from flysid.model.rules.growth import best_started, rule_support
+from flysid.model.rules.growth import Training, best_started, one_rule_more, rule_support
 from flysid.model.rules.judging import Candidate
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import Layout
-from flysid.model.rules.search import one_more
 from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.stages import ordered, refine, with_ridge
+from flysid.model.selection import clearly_better
 
 _TRIED = 3  # edits that are refined, of all ranked by their cost in training
 _RIDGE = 0.01  # of the mean square error, as in growth
-_LEAST_GAIN = 0.01  # of the validation's mean square, and one standard error
 
 
 def edits(layout: Layout, p: Parameters, support: FloatArray) -> Iterator[tuple[str, Layout, Parameters]]:
@@ -88,36 +83,18 @@ def _apart(body: Body) -> Body:
     return replace(body, centre=np.zeros_like(body.centre), width=np.ones_like(body.width))
 
 
-def prune(context: SearchContext, chosen: Candidate) -> tuple[Candidate, list[str]]:
-    """The chosen model without what validation does not miss, and a sentence about every edit."""
-    # `chosen` may have been judged on other parts too, harder or easier ones; the edits are not
-    limit = context.judge(chosen.stage).mean
-    said = list[str]()
-    while context.settings.search.prune and chosen.stage.rules > 1:
-        offers = [(what, context.judge(stage)) for what, stage in refined_edits(context, chosen.stage)]
-        good = [(what, c) for what, c in offers if c.stable and c.mean <= limit]
-        if not good:
-            break
-        what, chosen = min(good, key=lambda offer: offer[1].mean)
-        said.append(f"Simplified: {what}.")
-    return chosen, said
-
-
-def refined_edits(
-    context: SearchContext, stage: Stage, *, fewer_rules: bool = False
-) -> Iterator[tuple[str, Stage]]:
-    """The most promising edits, or only those that leave fewer rules, refined on the training part."""
+def _refined_mergers(context: SearchContext, stage: Stage) -> Iterator[Stage]:
+    """The most promising edits that leave fewer rules, refined on the training part."""
     stage = ordered(stage)
     problem = stage.problem
     tried = [
-        (what, replace(s, problem=replace(s.problem, stress=problem.stress)))
-        for what, layout, p in edits(problem.layout, problem.parameters(stage.body), rule_support(stage))
-        if len(p.theta) < stage.rules or not fewer_rules
+        replace(s, problem=replace(s.problem, stress=problem.stress))
+        for _, layout, p in edits(problem.layout, problem.parameters(stage.body), rule_support(stage))
+        if len(p.theta) < stage.rules
         for s in staged(layout, p, problem.runs)
     ]
-    tried.sort(key=lambda edit: edit[1].cost)
-    for what, s in tried[:_TRIED]:
-        yield what, refine(with_ridge(s, _RIDGE * s.cost), context.settings.iterations // 2, 1e-5)
+    for s in sorted(tried, key=lambda s: s.cost)[:_TRIED]:
+        yield refine(with_ridge(s, _RIDGE * s.cost), context.settings.iterations // 2, 1e-5)
 
 
 def merge_and_split(context: SearchContext, models: Sequence[Candidate], at: int) -> Candidate:
@@ -131,12 +108,20 @@ def merge_and_split(context: SearchContext, models: Sequence[Candidate], at: int
     if context.folds or chosen.stage.rules < 2:
         return chosen
     for _ in range(context.settings.search.exchanges):
-        found = _again(context, chosen, larger or one_more(context, chosen))
+        found = _again(context, chosen, larger or _one_more(context, chosen.stage))
         if found is chosen:
             break
         chosen = found
         larger = []
     return chosen
+
+
+def _one_more(context: SearchContext, stage: Stage) -> list[Candidate]:
+    """A model with one rule more than the known one, as far as data and growth go."""
+    if not context.room(stage):
+        return []
+    how = Training(iterations=context.settings.iterations)
+    return [context.judge(g.stage) for g in one_rule_more(stage, context.antecedents(stage.layout), how)]
 
 
 def _again(context: SearchContext, chosen: Candidate, larger: Sequence[Candidate]) -> Candidate:
@@ -145,14 +130,8 @@ def _again(context: SearchContext, chosen: Candidate, larger: Sequence[Candidate
     found = [
         context.judge(stage)
         for more in larger
-        for _, stage in refined_edits(context, more.stage, fewer_rules=True)
+        for stage in _refined_mergers(context, more.stage)
         if stage.cost < chosen.stage.cost
     ]
-    better = [kid for kid in found if kid.stable and _is_better(kid, known)]
+    better = [kid for kid in found if kid.stable and clearly_better(kid.errors, known.errors)]
     return min(better, key=lambda kid: kid.mean, default=chosen)
-
-
-def _is_better(candidate: Candidate, known: Candidate) -> bool:
-    gap = known.errors - candidate.errors
-    spread = float(gap.std(ddof=1) / np.sqrt(len(gap))) if len(gap) > 1 else 0.0
-    return float(gap.mean()) > max(spread, _LEAST_GAIN * known.mean)

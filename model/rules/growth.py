@@ -179,7 +179,8 @@ class Training:
     Attributes
     ----------
     ridge : of the mean square error: 0.01 is as if one more sample in a hundred said that rules are equal.
-    tries : insertions tried out, the most promising ones; 0: the best along every antecedent, and one more.
+    tries : insertions that are tried out over hidden states, the most promising ones; over lags it is the
+        best along every antecedent, and one more.
     iterations, tolerance : Levenberg-Marquardt steps of the last refinement, and when it has converged.
     """
 

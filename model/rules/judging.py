@@ -15,15 +15,15 @@ from functools import cached_property
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
-from flysid.model.rules.contraction import is_contracting
-from flysid.model.rules.free_run_error import Stage, started_run, widened
+from flysid.model.rules.boundedness import is_bounded
+from flysid.model.rules.free_run_error import Stage, started_run
 from flysid.model.rules.kernel import Parameters, free_run
 from flysid.model.rules.linear_starts import LinearModel
-from flysid.model.rules.probe_inputs import probe_run
 from flysid.model.rules.realisation import initial_states
 from flysid.model.rules.regressor_layout import windows
 from flysid.model.rules.rule_poles import unheld
 from flysid.model.rules.stages import prior_of
+from flysid.model.selection import block_means
 from flysid.model.start import MAX_SHARE, estimate_start
 
 INTEGRATES = (
@@ -31,17 +31,8 @@ INTEGRATES = (
     "the output limits."
 )
 """What users are told of a model that does not come back."""
-_BLOCKS = 16
-_FAR = 10.0  # ranges: in a closed loop an output that integrates is never seen to move as it can
-_NEAR = 0.5  # of what was seen: hidden states, and outputs beside them, that are farther out have left it
-_STEPS = 3000  # of random inputs
-# samples that random inputs are held, at most
-_LONG_SEED = 2
-_LONG_HOLD = 100
-_RARELY = 0.02  # of the samples
-_MOST_AWAY = 0.2  # of the samples: models that were any good on fresh data stayed below a tenth
-_ROUNDING = 1e-5  # of a pole at one that stands twice
-_RESOLUTION = 1e-10  # mean squares (of normalised outputs) below this are all "exact"
+EXACT = 1e-10
+"""Mean squares, in variances of the output, that count as none."""
 _WINDOWS = 4  # that a judging part is cut into,
 _LONGER = 3  # each at least this many times as long as what starts it,
 _SCORED = 5  # with so many rows at least to score
@@ -163,9 +154,7 @@ def judging_window(runs: Sequence[FloatArray], least: int) -> int:
 
 def blocks(errors: Sequence[FloatArray]) -> FloatArray:
     """Mean squares over about 16 blocks of consecutive samples; no block crosses a run's edge."""
-    size = max(1, sum(len(e) for e in errors) // _BLOCKS)
-    parts = [part for e in errors for part in np.array_split(e, max(1, round(len(e) / size)))]
-    return np.array([float((p * p).mean()) for p in parts])
+    return block_means([np.mean(e * e, axis=1) for e in errors])
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,114 +184,12 @@ class Candidate:
         return float(self.errors.mean())
 
 
-def choose(
-    candidates: Sequence[Candidate],
-    *,
-    least_gain: float = 0.0,
-    most_loss: float = np.inf,
-    most_misfit: float = np.inf,
-) -> int:
-    """Index of the simplest stable candidate within one standard error of the best stable one.
-
-    `least_gain` and `most_loss` bound the relative loss in mean square that simplicity is worth: a rule
-    must lower it by more than the first, however sure that gain is. Orders are chosen with a most_loss of
-    0.05, because a linear model of too low an order makes rules look useful that only replace its lags.
-    `most_misfit` bounds the loss on the training part in the same way: one validation flight may happen not
-    to ask for what a simpler model lacks.
-    """
-    stable = [i for i, c in enumerate(candidates) if c.stable]
-    if not stable:
-        return 0
-    best = min(stable, key=lambda i: candidates[i].mean)
-    for i in stable:
-        gap = candidates[i].errors - candidates[best].errors
-        allowed = float(gap.std(ddof=1) / np.sqrt(len(gap))) if len(gap) > 1 else 0.0
-        allowed = min(max(allowed, least_gain * candidates[best].mean), most_loss * candidates[best].mean)
-        fits = candidates[i].stage.cost <= (1.0 + most_misfit) * candidates[best].stage.cost
-        if i == best or (fits and gap.mean() <= allowed) or candidates[i].mean < _RESOLUTION:
-            return i
-    return best
-
-
-def is_bounded(stage: Stage, seed: int = 0) -> bool:
-    """Whether the free run comes back from bounded random inputs, and stays near under usual ones.
-
-    First random steps over the whole range of the training inputs, which may push any plant far out; then
-    blocks of the training inputs in random order. In that second part no more than one sample in fifty may
-    lie on an output limit (the range of training, widened by itself on each side) or, with hidden states,
-    half the range beyond what was simulated: ends at which a plant itself saturates are no limits in this
-    sense. The model must also forget how it was started (`is_contracting`), and rules over lags must stay
-    off the limits most of the time where random inputs are held for long. Of a model that holds an integrator
-    the changes of the output are asked instead (the range widened tenfold), as its output may go anywhere.
-    Lags are held at the limits here, those of a single rule too (`unheld`): one that stays there is too near
-    to instability.
-    """
-    problem = stage.problem
-    layout = stage.layout
-    x = _pushed(stage, seed)[_STEPS + _STEPS // 4 :]
-    limits = problem.limits
-    seen = [run[layout.uncompared :, : layout.n] for run in stage.simulated()]
-    if layout.hidden:
-        limits = widened(_range(seen), _NEAR)
-    if problem.integrates:
-        if not _rules_settle(stage):
-            return False
-        x = np.diff(x, axis=0)
-        limits = widened(_range([np.diff(run, axis=0) for run in seen]), _FAR)
-    if not _share_at(x, limits) < _RARELY:
-        return False
-    if problem.integrates or not _returns(stage):
-        return problem.integrates
-    par = problem.parameters(stage.body)
-    return is_contracting(problem.runs, _range(seen), layout.depth, layout.lags, par)
-
-
-def _range(runs: Sequence[FloatArray]) -> FloatArray:
-    """(2, n) smallest and largest values of every column."""
-    x = np.vstack(list(runs))
-    return np.stack([x.min(axis=0), x.max(axis=0)])
-
-
-def _returns(stage: Stage) -> bool:
-    """Whether rules over lags stay off their limits most of the time under random inputs held for long.
-
-    Short pushes average out in a slow plant: they do not reach the place from which rules run away. A stable
-    linear model comes back by itself once the inputs turn, so that only rules are asked.
-    """
-    if stage.rules == 1 or stage.layout.hidden:
-        return True
-    y = _pushed(stage, _LONG_SEED, _LONG_HOLD)[:_STEPS]
-    return _share_at(y, stage.problem.limits) < _MOST_AWAY
-
-
-def _pushed(stage: Stage, seed: int, longest: int | None = None) -> FloatArray:
-    """(2 _STEPS, n) what is simulated under the inputs of `probe_run`, held at the limits."""
-    problem = stage.problem
-    layout = stage.layout
-    W = probe_run(problem.runs, layout.n, _STEPS, seed, longest)
-    free_run(W, layout.depth, layout.lags, problem.parameters(stage.body))
-    return W[:, : layout.n]
-
-
-def _share_at(x: FloatArray, limits: FloatArray) -> float:
-    """Share of the rows of x (N, n) in which a column is at a limit, beyond it, or no number."""
-    return float((~((x > limits[0]) & (x < limits[1]))).any(axis=1).mean())
-
-
-def _rules_settle(stage: Stage) -> bool:
-    """Whether no rule has a pole outside the unit circle: behind an integrator it would drift away."""
-    lags = stage.problem.layout.orders.na
-    theta = stage.problem.parameters(stage.body).theta[:, 0, :lags]
-    poles = [np.abs(np.roots(np.concatenate([[1.0], -row]))).max() for row in theta]
-    return bool(max(poles) < 1.0 + _ROUNDING)
-
-
 def judged(stage: Stage, runs: Sequence[FloatArray], skip: int, *, must_be_bounded: bool = True) -> Candidate:
     """A stage on judging runs, of which the first rows (at least `skip`) only start it; may it be offered?"""
     errors = blocks(free_run_errors(stage, runs, judging_window(runs, skip)))
-    own = _window_errors(stage, runs, skip) if stage.layout.hidden else np.zeros(0)
+    own = _window_errors(stage, runs, skip)
     stable = is_bounded(stage) if must_be_bounded else True
-    return Candidate(stage, _finite(errors), stable, windows=_finite(own))
+    return Candidate(stage, _finite(errors), stable, windows=_finite(own if len(own) else errors))
 
 
 def _window_errors(stage: Stage, runs: Sequence[FloatArray], skip: int) -> FloatArray:

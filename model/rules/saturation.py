@@ -28,6 +28,17 @@ def saturation_limits(data: Dataset) -> FloatArray:
     return ends
 
 
+def in_words(ends: FloatArray, train: Dataset) -> list[str]:
+    """A sentence about every end."""
+    return [
+        f"{signal.name} {word} {ends[side, i]:.4g} {signal.unit}".rstrip()
+        + ", where it came to a stop repeatedly: taken as an end of its travel."
+        for side, word in enumerate(("never falls below", "never exceeds"))
+        for i, signal in enumerate(train.outputs)
+        if np.isfinite(ends[side, i])
+    ]
+
+
 def _upper_end(y: Sequence[FloatArray]) -> float:
     """The level at which y saturates above; inf where it does not."""
     top = max(float(v.max()) for v in y)

@@ -1,4 +1,4 @@
-"""Data, settings and judgement that all stages of one TS fit share, and its linear models."""
+"""Data, settings and judgement that all stages of one fit of rules share; linear models over lags."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ from typing import Literal, Protocol
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
+from flysid.model.rules.boundedness import probe_run
+from flysid.model.rules.families import Family
 from flysid.model.rules.free_run_error import Problem, Stage
 from flysid.model.rules.growth import embedded_start, first_basis, linear_stage, rebased, unrefined
 from flysid.model.rules.integrator import looks_integrating, with_integrator
-from flysid.model.rules.judging import Candidate, choose, judged
+from flysid.model.rules.judging import EXACT, Candidate, judged
 from flysid.model.rules.linear_starts import LinearModel, arx_start, as_stage, linear_models
-from flysid.model.rules.probe_inputs import probe_run
 from flysid.model.rules.refit import refit
-from flysid.model.rules.regressor_layout import Layout, Orders, runs_of
-from flysid.model.rules.search_settings import SearchSettings
+from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, parse_antecedent, runs_of
+from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.rules.stages import refine
+from flysid.model.selection import simplest
 from flysid.model.shared import digest, once
 
 SPARE_ROWS = 10  # a segment must be longer than the depth by this to say anything
@@ -31,6 +33,7 @@ _LOOSE = 100.0  # ranges within which the search for a linear model may move
 _FAR = 10.0  # ranges that a plant which integrates may leave its training range by
 _STRESS = 1000  # steps of each kind of stress
 _STRESS_SEED = 1  # not the one that models are asked with in the end
+_ROWS_PER_NUMBER = 4
 
 
 class Settings(Protocol):
@@ -58,6 +61,10 @@ class Settings(Protocol):
     def nk_least(self) -> Sequence[int]: ...
     @property
     def search(self) -> SearchSettings: ...
+    @property
+    def states(self) -> int | Literal["auto"]: ...
+    @property
+    def ridge(self) -> float | Literal["auto"]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +73,10 @@ class SearchContext:
 
     Attributes
     ----------
-    integrates : whether models keep a pole at one; None asks the data.
-    known : the linear side's model to start from; None lets it search.
+    folds : further parts of little data, held out in turn.
     gain : share of the mean square that a rule must win.
-    fold_rules : on a fold, the number of rules up to which it is grown; 0: this is none.
+    promise : in logarithms of the mean square, what two rules must lower fit and validation by on average.
+    ridges : weights on the difference of rules, see `Training`; the first for every start.
     """
 
     settings: Settings
@@ -80,36 +87,52 @@ class SearchContext:
     least: int
     must_be_bounded: bool = True
     folds: tuple[tuple[Dataset, Dataset], ...] = ()
-    integrates: bool | None = None
-    known: LinearModel | None = None
     gain: float = 0.0
-    fold_rules: int = 0
+    promise: float = 0.0
+    ridges: tuple[float, ...] = NORMAL.ridges
 
     def key(self, choices: Hashable) -> Hashable:
         """What linear models of these choices hang on; one rule, as a rival, and rules ask for the same."""
         s = self.settings
-        asked = (
-            s.na == "auto",
-            s.refine,
-            s.iterations,
-            tuple(s.nk_hint),
-            tuple(s.nk_least),
-            self.known,
-            self.integrates,
-        )
+        asked = (s.na == "auto", s.refine, s.iterations, tuple(s.nk_hint), tuple(s.nk_least))
         parts = digest(self.fit_part), digest(self.check_part)
         return choices, asked, parts, self.least, self.must_be_bounded
 
     @property
-    def most_rules(self) -> int:
-        """Where growth stops."""
-        asked = self.settings.rules
-        return self.fold_rules or (self.settings.most_rules if asked == "auto" else asked)
+    def parts(self) -> tuple[tuple[Dataset, Dataset], ...]:
+        """Fitting and judging parts; places for rules are searched for on the first."""
+        return ((self.fit_part, self.check_part), *self.folds)
 
     @property
-    def lanes(self) -> int:
-        """Models that go on from two rules to three; a fold only confirms, and grows one."""
-        return 1 if self.fold_rules else self.settings.search.lanes
+    def auto(self) -> bool:
+        """The number of rules is chosen."""
+        return self.settings.rules == "auto"
+
+    @property
+    def most_rules(self) -> int:
+        """Where growth stops."""
+        return self.settings.most_rules if self.settings.rules == "auto" else self.settings.rules
+
+    def error(self, family: Family) -> float:
+        """What families are ranked by: the validation error of the asked, or the best number of rules."""
+        return float(family.rmse.min() if self.auto else family.rmse[-1])
+
+    def room(self, stage: Stage, more: int = 1) -> bool:
+        """Whether there are samples enough for so many rules more."""
+        numbers = stage.body.a[0].size * (stage.rules + more)
+        return bool(numbers * _ROWS_PER_NUMBER < stage.problem.samples)
+
+    def antecedents(self, layout: Layout) -> tuple[Antecedent, ...]:
+        """Variables to split along: those asked for, or all that may tell rules apart.
+
+        An input named without a lag is meant at the first lag that acts with these orders.
+        """
+        asked = self.settings.antecedents
+        if asked == "auto":
+            return found_antecedents(layout)
+        known = layout.signals[: layout.n]
+        terms = (parse_antecedent(name, known, layout.inputs, layout.orders.nk) for name in asked)
+        return tuple(dict.fromkeys(terms))
 
     def problem(self, orders: Orders) -> Problem:
         """The problem of a linear model of these orders.
@@ -140,12 +163,13 @@ class SearchContext:
         )
         return replace(stage, problem=replace(problem, limits=limits, stress=stress))
 
-    def judge(self, stage: Stage) -> Candidate:
-        """The stage on the validation part."""
-        runs = runs_of(stage.problem.layout, self.check_part.segments, self.least)
+    def judge(self, stage: Stage, check: Dataset | None = None) -> Candidate:
+        """The stage on a judging part, the first one where none is given."""
+        data = self.check_part if check is None else check
+        runs = runs_of(stage.layout, data.segments, self.least)
         return judged(stage, runs, self.least - SPARE_ROWS, must_be_bounded=self.must_be_bounded)
 
-    def linear(self, choices: Sequence[Orders]) -> tuple[list[Candidate], list[str]]:
+    def linear(self, choices: Sequence[Orders]) -> tuple[list[Family], list[str]]:
         """Linear models, each refined from the one before, up to the best orders."""
         candidates = list(self._of_orders(tuple(choices)))
         notes: list[str] = []
@@ -158,15 +182,16 @@ class SearchContext:
             notes = [f"A linear model simulates held-out parts as well without past values of {names}."]
         candidates += self._linear_side(len(choices))
         candidates.sort(key=lambda c: c.stage.body.size)
-        judged_all = self._on_every_part(candidates) if len(candidates) > 1 else candidates
-        at = choose(judged_all, least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS, most_misfit=_ORDER_MISFIT)
+        everywhere = self._on_every_part(candidates)
+        judged_all = [_together(models) for models in everywhere]
+        at = _simplest(judged_all)
         orders = candidates[at].stage.problem.layout.orders
         how = (
             "as given" if len(choices) == 1 else "the simplest within one standard error of the best, and 5 %"
         )
         notes = [f"Orders {orders}: {how} (validation free run of the linear model).", *notes]
-        others = [c for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
-        return [candidates[at], *others], notes
+        others = [i for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
+        return [Family(tuple((model,) for model in everywhere[i])) for i in (at, *others)], notes
 
     @once(key)
     def _of_orders(self, choices: tuple[Orders, ...]) -> tuple[Candidate, ...]:
@@ -198,7 +223,7 @@ class SearchContext:
             return ()
         best = min(candidates, key=lambda c: (not c.stable, c.mean))
         orders = best.stage.problem.layout.orders
-        (whole,) = self._on_every_part([best])
+        whole = _together(self._on_every_part([best])[0])
         alone = {j: self._left_out(orders, (j,)) for j, lags in enumerate(orders.nb) if lags}
         needless: tuple[int, ...] = ()
         for j in sorted(alone, key=lambda j: alone[j].mean):
@@ -206,25 +231,19 @@ class SearchContext:
             if len(tried) == len(alone):
                 break
             rest = alone[j] if len(tried) == 1 else self._left_out(orders, tried)
-            if choose(
-                [rest, whole], least_gain=_ORDER_GAIN, most_loss=_ORDER_LOSS, most_misfit=_ORDER_MISFIT
-            ):
+            if _simplest([rest, whole]):
                 break
             needless = tried
         return tuple(sorted(needless))
 
     def _left_out(self, orders: Orders, inputs: Sequence[int]) -> Candidate:
-        (found, *_) = self._on_every_part(self._of_orders((_without(orders, inputs),)))
-        return found
+        return _together(self._on_every_part(self._of_orders((_without(orders, inputs),)))[0])
 
     @once(key)
     def _linear_side(self, choices: int) -> Sequence[Candidate]:
         """What the linear side chooses by itself, with its delays, as it is and refined."""
         if not self.settings.refine:
             return []
-        if self.known is not None:
-            again = self.known.refitted(self.fit_part)
-            return [] if again is None else self._both(again)
         if choices == 1:
             return []
         found = linear_models(self.fit_part, self.check_part, self.settings.nk_hint)
@@ -236,19 +255,20 @@ class SearchContext:
         late = all(k >= floor or not b for k, floor, b in zip(orders.nk, least, orders.nb, strict=True))
         return late and orders.depth + SPARE_ROWS <= self.least
 
-    def _on_every_part(self, candidates: Sequence[Candidate]) -> list[Candidate]:
-        """The candidates with their errors on the parts that other folds hold out, refitted without them.
+    def _on_every_part(self, candidates: Sequence[Candidate]) -> list[tuple[Candidate, ...]]:
+        """The candidates beside themselves on the parts that other folds hold out, refitted without them.
 
         One quarter of little data says too little to choose orders by.
         """
-        errors = [[c.errors] for c in candidates]
+        found = [[c] for c in candidates]
         for fit_part, check_part in self.folds:
-            for known, candidate in zip(errors, candidates, strict=True):
-                layout = candidate.stage.problem.layout
-                again = refit(candidate, fit_part, runs_of(layout, fit_part.segments, self.least), _STEPS)
+            for known in found:
+                layout = known[0].stage.layout
+                again = refit(known[0], fit_part, runs_of(layout, fit_part.segments, self.least), _STEPS)
                 runs = runs_of(layout, check_part.segments, self.least)
-                known.append(judged(again, runs, self.least - SPARE_ROWS, must_be_bounded=False).errors)
-        return [replace(c, errors=np.concatenate(e)) for c, e in zip(candidates, errors, strict=True)]
+                one = judged(again, runs, self.least - SPARE_ROWS, must_be_bounded=False)
+                known.append(replace(one, stable=known[0].stable))
+        return [tuple(models) for models in found]
 
     def _both(self, model: LinearModel) -> list[Candidate]:
         plain = as_stage(model, self.problem(model.orders))
@@ -261,11 +281,42 @@ class SearchContext:
 
     def _settled(self, stage: Stage, known: Sequence[Stage] = ()) -> tuple[Stage, ...]:
         """The linear stage, its integrator kept where it has one."""
-        asked = looks_integrating(stage) if self.integrates is None else self.integrates
-        if not (self.settings.refine and asked):
+        if not (self.settings.refine and looks_integrating(stage)):
             return (stage,)
-        stages = with_integrator(stage, self.settings.iterations, known)
-        return stages if self.integrates is None else stages[:1]
+        return with_integrator(stage, self.settings.iterations, known)
+
+
+def _simplest(candidates: Sequence[Candidate]) -> int:
+    """Index of the simplest stable linear model that runs as near as the best stable one, or nearly.
+
+    A linear model of too low an order makes rules look useful that only replace its lags, so that simplicity
+    may cost little, on the training part too: one validation flight may happen not to ask for what a simpler
+    model lacks.
+    """
+    stable = [i for i, c in enumerate(candidates) if c.stable] or [0]
+    best = candidates[min(stable, key=lambda i: candidates[i].mean)]
+    most = (1.0 + _ORDER_MISFIT) * best.stage.cost
+    fits = [i for i in stable if candidates[i] is best or candidates[i].stage.cost <= most]
+    errors = [np.maximum(candidates[i].errors, EXACT) for i in fits]
+    return fits[simplest(errors, _ORDER_LOSS, _ORDER_GAIN)]
+
+
+def _together(models: Sequence[Candidate]) -> Candidate:
+    """A candidate with its errors on every part."""
+    return replace(models[0], errors=np.concatenate([m.errors for m in models]))
+
+
+def found_antecedents(layout: Layout) -> tuple[Antecedent, ...]:
+    """The newest outputs and hidden states, the newest two of every input, the change of every output."""
+    orders = layout.orders
+    newest = [Antecedent(i, 1) for i in range(layout.n)] if orders.na else []
+    inputs = [
+        Antecedent(layout.n + j, lag)
+        for j, (nb, nk) in enumerate(zip(orders.nb, orders.nk, strict=True))
+        for lag in range(nk, nk + min(max(nb, 1), 2))
+    ]
+    change = [Antecedent(i, 1, 2) for i in range(layout.n_y)] if orders.na >= 2 else []
+    return (*newest, *inputs, *change)
 
 
 def _without(orders: Orders, inputs: Sequence[int]) -> Orders:

@@ -24,13 +24,12 @@ class SearchSettings:
     rule_gain : share of the validation's mean square that a rule must win; 0.05 is about 2.5 % of the error.
     short_rule_gain : the same on short records, where the choice itself overfits.
     highest_order : lags of the outputs up to which linear models are tried.
-    lanes : models that go on from two rules to three, and so forth.
+    lanes : linear starts, those from which two rules do best, that are grown over all parts.
     exchanges : rounds in which a chosen model of long records is found again by way of one rule more.
-    prune : rules and conditions that validation does not miss are left out in the end.
     hidden_states : rules over hidden states compete where the data hint at them (`BestTS`).
     linear_systems : linear state spaces, best first, whose coordinates hidden rules are grown in.
-    ridges : weights on the difference of hidden rules, in shares of the error that is left; the first is for
-        every start, the others for the best one.
+    ridges : weights on the difference of rules, in shares of the error that is left, rising; those after the
+        first are for rules that ran away. Over hidden states the first is left out.
 
     Examples
     --------
@@ -47,10 +46,9 @@ class SearchSettings:
     highest_order: int = 4
     lanes: int = 2
     exchanges: int = 3
-    prune: bool = True
     hidden_states: bool = True
     linear_systems: int = 4
-    ridges: tuple[float, ...] = (0.1, 0.01)
+    ridges: tuple[float, ...] = (0.01, 0.1, 1.0)
 
     @classmethod
     def of(cls, effort: Effort) -> SearchSettings:
@@ -83,7 +81,7 @@ class SearchSettings:
 
 NORMAL = SearchSettings()
 """What the models take by themselves."""
-_MORE = SearchSettings(highest_order=6, lanes=4, exchanges=6, linear_systems=8, ridges=(0.1, 1.0, 0.01))
+_MORE = SearchSettings(highest_order=6, lanes=4, exchanges=6, linear_systems=8)
 EFFORTS: Mapping[str, SearchSettings] = {
     "quick": SearchSettings(folds=1, highest_order=3, lanes=1, exchanges=0, hidden_states=False),
     "normal": NORMAL,

@@ -13,9 +13,9 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.assembly import at_stage, free_run_rmse
+from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.consequents import refuse_few, refuse_other_data
 from flysid.model.rules.edits import edits, staged
-from flysid.model.rules.judging import is_bounded
 from flysid.model.rules.operating_points import described
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.regressor_layout import runs_of

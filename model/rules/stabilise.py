@@ -17,12 +17,12 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.rules.assembly import at_stage, free_run_rmse
+from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.consequents import refuse_few, refuse_other_data
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.free_run_error import Body, Problem, Stage, widened
 from flysid.model.rules.growth import best_started
 from flysid.model.rules.integrator import holds_integrator
-from flysid.model.rules.judging import is_bounded
 from flysid.model.rules.kernel import IntArray
 from flysid.model.rules.local_models import certificate_of
 from flysid.model.rules.operating_points import described

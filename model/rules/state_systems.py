@@ -18,14 +18,16 @@ from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.oe import OE
 from flysid.model.rules.free_run_error import Body, Problem, Stage
 from flysid.model.rules.realisation import (
+    PLAIN,
     PLAIN_WORDS,
     Prior,
     Realisation,
+    coordinates,
     initial_states,
     realised,
     uncorrelated,
 )
-from flysid.model.rules.regressor_layout import Layout
+from flysid.model.rules.regressor_layout import Layout, Orders, runs_of
 from flysid.model.rules.stages import refine
 from flysid.model.statespace import StateSpace, with_choices_made
 from flysid.model.subspace.fitted_model import FittedStateSpace
@@ -36,6 +38,7 @@ _MOST_OE = 4  # and the order of the best state space, up to this
 _HIDDEN_LIMIT = 12.0  # spreads that a hidden state may reach
 _FLOOR = 1e-3  # of the metric's diagonal, added to it: directions that the linear model does not feel
 _START_ROWS = 400  # of a run from which a linear start takes its initial state
+_LINEAR_STEPS = 20  # of a linear system's refinement
 _OVERFLOW = 1e9  # spreads: a state beyond has run away
 
 
@@ -202,6 +205,54 @@ def realised_states(model: FittedStateSpace, shift: FloatArray, scale: FloatArra
         if direct:
             taps[k][:, j] += E[:, j]
     return Realisation(A, taps, c, lags, PLAIN_WORDS)
+
+
+def system_stage(
+    system: System, data: Dataset, least: int, scaled: tuple[FloatArray, FloatArray], ends: FloatArray
+) -> Stage:
+    """One rule: the system as it is, or refined on the data where that is what it stands for.
+
+    Parameters
+    ----------
+    least : rows that a segment must have.
+    scaled : shift and scale (n_y + n_u,).
+    ends : (2, n_y) outputs at which the plant itself saturates, physical.
+    """
+    real = system.on(data)
+    shift, scale = scaled
+    n_y = len(data.outputs)
+    hidden = len(real.A) - n_y
+    layout = Layout(
+        data.outputs,
+        data.inputs,
+        Orders.of_states(real.input_lags),
+        (),
+        np.concatenate([shift[:n_y], np.zeros(hidden), shift[n_y:]]),
+        np.concatenate([scale[:n_y], np.ones(hidden), scale[n_y:]]),
+        hidden,
+        0.0,
+    )
+    runs = runs_of(layout, data.segments, least)
+    steps = 0 if system.again else _LINEAR_STEPS
+    return linear_stage(layout, runs, real, (ends - shift[:n_y]) / scale[:n_y], steps, whiten=True)
+
+
+def coordinate_names(stage: Stage) -> tuple[str, ...]:
+    """The choices of hidden states for a single rule, most readable first; one where none are hidden."""
+    if not stage.layout.hidden:
+        return (PLAIN,)
+    return tuple(coordinates(Realisation.of(stage.layout, stage.body.a[0]), stage.layout.n_y))
+
+
+def in_coordinates(stage: Stage, name: str) -> tuple[Stage, str]:
+    """A single rule in other coordinates, and what its hidden states are then."""
+    if name == PLAIN:
+        return stage, PLAIN_WORDS
+    choices = coordinates(Realisation.of(stage.layout, stage.body.a[0]), stage.layout.n_y)
+    real = choices.get(name, next(iter(choices.values())))
+    ends = stage.problem.limits[:, : stage.layout.n_y]
+    layout = replace(stage.layout, antecedents=())
+    return linear_stage(layout, stage.problem.runs, real, ends, 0), real.words
 
 
 def linear_stage(

@@ -20,11 +20,11 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.rules.assembly import free_run_rmse, with_noise_model
+from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.consequents import refuse_other_data, weighted
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.free_run_error import Stage, run_sensitivities
 from flysid.model.rules.growth import best_started
-from flysid.model.rules.judging import is_bounded
 from flysid.model.rules.kernel import Parameters, firing
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.refit import as_problem

@@ -9,9 +9,9 @@ import pytest
 
 from flysid.dataset import Dataset
 from flysid.model.bordered import Bordered
+from flysid.model.rules.boundedness import probe_run
 from flysid.model.rules.free_run_error import Body, Problem, Stage
 from flysid.model.rules.growth import first_basis, insertions, linear_stage
-from flysid.model.rules.probe_inputs import probe_run
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, runs_of, scaling
 
 P = 4

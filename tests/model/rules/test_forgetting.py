@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray, Signal
-from flysid.model.rules.contraction import is_contracting
+from flysid.model.rules.boundedness import is_contracting
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders
 

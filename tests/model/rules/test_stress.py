@@ -7,10 +7,9 @@ import pytest
 from scipy.signal import lfilter
 
 from flysid.dataset import FloatArray, Signal
+from flysid.model.rules.boundedness import is_bounded, probe_run
 from flysid.model.rules.growth import unrefined
-from flysid.model.rules.judging import is_bounded
 from flysid.model.rules.kernel import Parameters
-from flysid.model.rules.probe_inputs import probe_run
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders
 

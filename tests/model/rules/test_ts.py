@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.base import load
-from flysid.model.rules import learning as estimate
+from flysid.model.rules import last_steps, learning
 from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.ts import TS, FittedTS
 from flysid.model.ts_state_space import TSStateSpace
@@ -137,7 +137,7 @@ def test_a_last_refinement_that_was_not_taken_is_not_claimed(monkeypatch: pytest
     settings = TS(rules=2, na=2, nb=1, nk=1)
     claim = "refined once more on the held-out part"
     assert any(claim in note for note in settings.fit(data).notes)
-    monkeypatch.setattr(estimate, "refit", lambda chosen, *_: chosen.stage)
+    monkeypatch.setattr(last_steps, "refit", lambda chosen, *_: chosen.stage)
     notes = settings.fit(data).notes
     assert not any(claim in note for note in notes)
     assert any("it was no longer stable" in note for note in notes)
@@ -199,7 +199,7 @@ def test_more_rules_than_data_are_refused_before_they_are_grown(monkeypatch: pyt
     def never(*_: object) -> None:
         raise AssertionError("growing hundreds of rules takes hours")
 
-    monkeypatch.setattr(estimate, "search", never)
+    monkeypatch.setattr(learning, "search", never)
     with pytest.raises(DataError, match="90 rules of 3 numbers need more than the"):
         TS(rules=90, na=1, nb=1, nk=1).fit(Dataset.from_arrays(u, y, DT))
 

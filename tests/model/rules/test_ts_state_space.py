@@ -18,15 +18,15 @@ from flysid.model.oe import OE
 from flysid.model.rules.contest import hints_at_hidden_state
 from flysid.model.rules.control_system import next_step, to_nonlinear_system
 from flysid.model.rules.fitted import FittedTS, from_dict
-from flysid.model.rules.free_run_error import Body
+from flysid.model.rules.free_run_error import Body, Stage
 from flysid.model.rules.growth import Training, one_rule_more
 from flysid.model.rules.local_models import certificate, linearise, polytope
 from flysid.model.rules.realisation import coordinates, realised
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.rule_uncertainty import Uncertainty, uncertainty
 from flysid.model.rules.saturation import saturation_limits
-from flysid.model.rules.state_context import StateContext
-from flysid.model.rules.state_systems import System, linear_systems, realised_states
+from flysid.model.rules.search_context import SearchContext
+from flysid.model.rules.state_systems import linear_systems, realised_states, system_stage
 from flysid.model.rules.structure_choice import Advantage, advantage
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
@@ -58,11 +58,13 @@ def free_run_gap(model: FittedTS, test: Dataset, truth: list[FloatArray]) -> flo
     return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)) / np.std(np.concatenate(truth)))
 
 
-def system_of(dataset: Dataset, states: int = 2) -> tuple[StateContext, System]:
-    settings = TSStateSpace(states=states, nk=1)
+def begun(dataset: Dataset, states: int = 2, nk: int = 1, least: int = 30) -> tuple[SearchContext, Stage]:
+    """What a search shares, and its first linear system as one rule."""
+    settings = TS(states=states, nk=nk)
     scaled = scaling(dataset)
-    systems = linear_systems(settings, dataset, None, scaled)
-    return StateContext(settings, 30, saturation_limits(dataset), scaled), systems[0]
+    system = linear_systems(settings, dataset, None, scaled)[0]
+    context = SearchContext(settings, dataset, dataset, *scaled, least)
+    return context, system_stage(system, dataset, least, scaled, saturation_limits(dataset))
 
 
 def test_a_lagging_actuator_and_drag_are_found() -> None:
@@ -94,9 +96,8 @@ def test_every_coordinate_is_the_same_linear_model() -> None:
 
 def test_sensitivities_are_exact() -> None:
     """The gradient of the cost agrees with central differences."""
-    bench, system = system_of(vehicle())
-    stage = bench.linear(system, vehicle())
-    grown = one_rule_more(stage, bench.candidates(stage.layout), Training(iterations=3, tries=1))[0].stage
+    context, stage = begun(vehicle())
+    grown = one_rule_more(stage, context.antecedents(stage.layout), Training(iterations=3, tries=1))[0].stage
     p = grown.unknowns + 1e-3 * np.random.default_rng(0).standard_normal(len(grown.unknowns))
     g = grown.descent(p, 0)[1].slope
     for j in range(len(p)):
@@ -108,13 +109,10 @@ def test_sensitivities_are_exact() -> None:
 @pytest.mark.parametrize("samples", [218, 500])
 def test_models_of_any_delay_are_judged_over_the_same_windows(samples: int) -> None:
     train = LINEAR["motor"].dataset((1,), samples, 0.02)[0]
-    scaled = scaling(train)
     counts = []
     for nk in (1, 12):
-        settings = TSStateSpace(states=2, nk=nk)
-        bench = StateContext(settings, 60, saturation_limits(train), scaled)
-        stage = bench.linear(linear_systems(settings, train, None, scaled)[0], train)
-        counts.append(len(bench.judge(stage, train).windows))
+        context, stage = begun(train, nk=nk, least=58)
+        counts.append(len(context.judge(stage).windows))
     assert counts[0] == counts[1] > 0
 
 

@@ -9,14 +9,13 @@ import pytest
 
 from bench.ts_intervals import known_model
 from flysid.model.rules.edits import merge_and_split
+from flysid.model.rules.families import Family, fewest_rules, sweep_in_words
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.judging import Candidate
-from flysid.model.rules.learning import rule_verdict
 from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.stages import inserted
-from flysid.model.ts import TS
 from tests.known_rules import context_of, stage_of
 
 
@@ -56,12 +55,25 @@ def test_a_good_model_stays(truth: FittedTS, context: SearchContext) -> None:
 
 def test_the_sweep_tells_how_sure_its_distances_are(truth: FittedTS, context: SearchContext) -> None:
     good, poor = (context.judge(stage_of(context, truth, share)) for share in (0.0, 0.8))
-    models = [replace(poor, errors=np.array([0.04, 0.08])), replace(good, errors=np.array([0.01, 0.03]))]
-    note, _ = rule_verdict(TS(), models, 1)
+    models = (replace(poor, errors=np.array([0.04, 0.08])), replace(good, errors=np.array([0.01, 0.03])))
+    grown = Family((models,))
     root = np.sqrt(0.06)  # the gaps 0.03 and 0.05 have a standard error of 0.01
-    assert f"2: {root:.3g} +- {0.01 / (2 * root):.2g}, 2: {np.sqrt(0.02):.3g}. +-" in note
-    alone, _ = rule_verdict(TS(), models[:1], 0)
-    assert "+-" not in alone
+    assert sweep_in_words(grown, grown) == f"1: {root:.3g} +- {0.01 / (2 * root):.2g}, 2: {np.sqrt(0.02):.3g}"
+    assert "+-" not in sweep_in_words(Family((models[:1],)), grown)
+
+
+def test_a_rule_that_helps_in_one_window_is_not_worth_it(truth: FittedTS, context: SearchContext) -> None:
+    """Four folds of four windows; one fold hides what the others have, and the mean looks at nothing else."""
+    one = context.judge(stage_of(context, truth, 0.0))
+    even = np.full(4, 0.01)
+    helped = Family(tuple((replace(one, windows=w), replace(one, windows=0.5 * w)) for w in [even] * 4))
+    assert fewest_rules(helped, helped, 0.2) == 1
+    rare = [np.array([1.0, 0.01, 0.01, 0.01]), even, even, even]
+    lucky = [np.array([0.5, 0.01, 0.01, 0.01]), even, even, even]
+    once = Family(
+        tuple((replace(one, windows=a), replace(one, windows=b)) for a, b in zip(rare, lucky, strict=True))
+    )
+    assert fewest_rules(once, once, 0.2) == 0
 
 
 def test_little_data_and_single_rules_are_left_alone(truth: FittedTS, context: SearchContext) -> None:

@@ -10,14 +10,9 @@ import pytest
 from bench.ts_intervals import experiment, known_model
 from flysid.dataset import Dataset
 from flysid.errors import DataError
-from flysid.model.rules.edits import prune
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.growth import unrefined
-from flysid.model.rules.refit import as_problem
-from flysid.model.rules.regressor_layout import Antecedent, runs_of
-from flysid.model.rules.search_context import SearchContext
+from flysid.model.rules.regressor_layout import Antecedent
 from flysid.model.rules.simplify import simplifications, simplify
-from flysid.model.ts import TS
 
 
 @pytest.fixture(scope="module")
@@ -66,21 +61,6 @@ def test_a_condition_that_says_nothing_is_left_out(truth: FittedTS) -> None:
     simpler, steps = simplify(chatty, experiment(truth, 1), experiment(truth, 2))
     assert simpler.antecedents == truth.antecedents
     assert [s.what for s in steps] == ["conditions on y(k-1) left out"]
-
-
-def test_words_are_left_out_by_what_they_cost_on_the_same_data(truth: FittedTS) -> None:
-    """A model that was also judged on harder parts of the data keeps the rules that it needs."""
-    train = experiment(truth, 1)
-    check = experiment(truth, 2)
-    layout = truth.layout
-    least = truth.n_init + 10
-    context = SearchContext(TS(), train, check, layout.shift, layout.scale, least)
-    stage = unrefined(*as_problem(layout, truth.parameters, runs_of(layout, train.segments, least)))
-    here = context.judge(stage)
-    harder = replace(here, errors=np.concatenate([here.errors, 100.0 * here.errors]))
-    kept, said = prune(context, harder)
-    assert kept.stage.rules == 2
-    assert said == []
 
 
 def test_one_rule_has_nothing_to_simplify(truth: FittedTS) -> None:

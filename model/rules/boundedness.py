@@ -1,0 +1,175 @@
+"""Whether a free run comes back from bounded inputs, and forgets how it was started.
+
+Rules can run away under inputs that training never held for long, and they can hold a model at two places at
+once: a run that starts a little off then ends elsewhere and stays there, inside all limits, while the record,
+started well, is followed closely. A stable linear model forgets its start always (its modes decay); of rules
+it is asked by runs on the same inputs from starts far apart, the sampled form of a contraction (Lohmiller and
+Slotine 1998).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from flysid.dataset import FloatArray
+from flysid.model.rules.free_run_error import Stage, widened
+from flysid.model.rules.kernel import Lags, Parameters, free_run
+
+_FAR = 10.0  # ranges: in a closed loop an output that integrates is never seen to move as it can
+_NEAR = 0.5  # of what was seen: hidden states, and outputs beside them, that are farther out have left it
+_PUSHES = 3000  # random inputs
+# samples that random inputs are held, at most
+_LONG_SEED = 2
+_LONG_HOLD = 100
+_RARELY = 0.02  # of the samples
+_MOST_AWAY = 0.2  # of the samples: models that were any good on fresh data stayed below a tenth
+_ROUNDING = 1e-5  # of a pole at one that stands twice
+_RUN_STEPS = (3000, 30_000)  # at least, and at most; between them as long as the training runs together
+_APART = 0.25  # of what was seen, in the end of a run; starts at its ends are half of it from the middle
+
+
+def is_bounded(stage: Stage, seed: int = 0) -> bool:
+    """Whether the free run comes back from bounded random inputs, and stays near under usual ones.
+
+    First random steps over the whole range of the training inputs, which may push any plant far out; then
+    blocks of the training inputs in random order. In that second part no more than one sample in fifty may
+    lie on an output limit (the range of training, widened by itself on each side) or, with hidden states,
+    half the range beyond what was simulated: ends at which a plant itself saturates are no limits in this
+    sense. The model must also forget how it was started (`is_contracting`), and rules over lags must stay
+    off the limits most of the time where random inputs are held for long. Of a model that holds an integrator
+    the changes of the output are asked instead (the range widened tenfold), as its output may go anywhere.
+    Lags are held at the limits here, those of a single rule too (`unheld`): one that stays there is too near
+    to instability.
+    """
+    problem = stage.problem
+    layout = stage.layout
+    x = _pushed(stage, seed)[_PUSHES + _PUSHES // 4 :]
+    limits = problem.limits
+    seen = [run[layout.uncompared :, : layout.n] for run in stage.simulated()]
+    if layout.hidden:
+        limits = widened(_range(seen), _NEAR)
+    if problem.integrates:
+        if not _rules_settle(stage):
+            return False
+        x = np.diff(x, axis=0)
+        limits = widened(_range([np.diff(run, axis=0) for run in seen]), _FAR)
+    if not _share_at(x, limits) < _RARELY:
+        return False
+    if problem.integrates or not _returns(stage):
+        return problem.integrates
+    par = problem.parameters(stage.body)
+    return is_contracting(problem.runs, _range(seen), layout.depth, layout.lags, par)
+
+
+def _range(runs: Sequence[FloatArray]) -> FloatArray:
+    """(2, n) smallest and largest values of every column."""
+    x = np.vstack(list(runs))
+    return np.stack([x.min(axis=0), x.max(axis=0)])
+
+
+def _returns(stage: Stage) -> bool:
+    """Whether rules over lags stay off their limits most of the time under random inputs held for long.
+
+    Short pushes average out in a slow plant: they do not reach the place from which rules run away. A stable
+    linear model comes back by itself once the inputs turn, so that only rules are asked.
+    """
+    if stage.rules == 1 or stage.layout.hidden:
+        return True
+    y = _pushed(stage, _LONG_SEED, _LONG_HOLD)[:_PUSHES]
+    return _share_at(y, stage.problem.limits) < _MOST_AWAY
+
+
+def _pushed(stage: Stage, seed: int, longest: int | None = None) -> FloatArray:
+    """(2 _PUSHES, n) what is simulated under the inputs of `probe_run`, held at the limits."""
+    problem = stage.problem
+    layout = stage.layout
+    W = probe_run(problem.runs, layout.n, _PUSHES, seed, longest)
+    free_run(W, layout.depth, layout.lags, problem.parameters(stage.body))
+    return W[:, : layout.n]
+
+
+def _share_at(x: FloatArray, limits: FloatArray) -> float:
+    """Share of the rows of x (N, n) in which a column is at a limit, beyond it, or no number."""
+    return float((~((x > limits[0]) & (x < limits[1]))).any(axis=1).mean())
+
+
+def _rules_settle(stage: Stage) -> bool:
+    """Whether no rule has a pole outside the unit circle: behind an integrator it would drift away."""
+    lags = stage.problem.layout.orders.na
+    theta = stage.problem.parameters(stage.body).theta[:, 0, :lags]
+    poles = [np.abs(np.roots(np.concatenate([[1.0], -row]))).max() for row in theta]
+    return bool(max(poles) < 1.0 + _ROUNDING)
+
+
+def is_contracting(
+    runs: Sequence[FloatArray], seen: FloatArray, depth: int, lags: Lags, par: Parameters
+) -> bool:
+    """Whether runs from the ends of what was seen come together under the training inputs, shuffled.
+
+    Parameters
+    ----------
+    runs : (N, n + n_u) normalised training runs; of them only the inputs matter.
+    seen : (2, n) smallest and largest simulated quantities: outputs, or states.
+    depth : first row that is simulated.
+    """
+    n = seen.shape[1]
+    steps = int(np.clip(sum(len(W) for W in runs), *_RUN_STEPS))
+    W = probe_run(runs, n, steps, seed=0)[steps:]
+    middle = seen.mean(axis=0)
+    last = len(W) - len(W) // 4
+    reach = np.where(seen[1] > seen[0], seen[1] - seen[0], 1.0)
+    reference = _run(W, middle, depth, lags, par)[last:]
+    for start in _starts(seen, middle):
+        gap = np.abs(_run(W, start, depth, lags, par)[last:] - reference) / reach
+        if not (gap > _APART).any(axis=1).mean() < _RARELY:
+            return False
+    return True
+
+
+def _starts(seen: FloatArray, middle: FloatArray) -> Iterator[FloatArray]:
+    """Everything at one end; where there are several quantities, each alone at either end too."""
+    yield from seen
+    for end in seen if len(middle) > 1 else ():
+        for j in range(len(middle)):
+            yield np.where(np.arange(len(middle)) == j, end, middle)
+
+
+def _run(W: FloatArray, start: FloatArray, depth: int, lags: Lags, par: Parameters) -> FloatArray:
+    run = W.copy()
+    run[:depth, : len(start)] = start
+    free_run(run, depth, lags, par)
+    return run[:, : len(start)]
+
+
+def probe_run(
+    runs: Sequence[FloatArray], n_y: int, steps: int, seed: int, longest: int | None = None
+) -> FloatArray:
+    """W (2 steps, n_y + n_u): `steps` random inputs in the training range, then training ones shuffled.
+
+    Parameters
+    ----------
+    longest : random inputs are held for 2 samples up to so many, or up to a 200th of the training inputs if
+        that is more; for just that 200th where None.
+    """
+    rng = np.random.default_rng(seed)
+    pool = np.vstack([W[:, n_y:] for W in runs])
+    low = pool.min(axis=0)
+    high = pool.max(axis=0)
+    hold = max(2, len(pool) // 200)
+    begins = rng.integers(0, max(1, len(pool) - hold), size=-(-steps // hold))
+    usual = np.vstack([pool[b : b + hold] for b in begins])[:steps]
+    even = np.full(-(-steps // hold), hold)
+    holds = even if longest is None else _lengths(steps, max(longest, hold), rng)
+    wild = np.repeat(rng.uniform(low, high, (len(holds), len(low))), holds, axis=0)[:steps]
+    W = np.zeros((2 * steps, n_y + len(low)))
+    W[:, n_y:] = np.vstack([wild, usual])
+    return W
+
+
+def _lengths(steps: int, longest: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+    """Lengths from 2 to `longest`, evenly spread in logarithms, that make at least `steps` together."""
+    lengths = np.exp(rng.uniform(np.log(2.0), np.log(longest + 1.0), size=steps // 2 + 1)).astype(np.int64)
+    return lengths[: int(np.searchsorted(np.cumsum(lengths), steps)) + 1]

@@ -1,0 +1,166 @@
+"""The first step of a search for rules: the data split, and linear models to start from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+from flysid.dataset import Dataset
+from flysid.errors import DataError
+from flysid.model.linear.settings import check_hint
+from flysid.model.rules.families import Family, tolerant
+from flysid.model.rules.judging import INTEGRATES, Candidate, hold_out
+from flysid.model.rules.lag_orders import check, named_antecedents, order_choices
+from flysid.model.rules.regressor_layout import scaling
+from flysid.model.rules.saturation import in_words, saturation_limits
+from flysid.model.rules.search_context import SPARE_ROWS, SearchContext, Settings
+from flysid.model.rules.search_record import Search
+from flysid.model.rules.state_systems import System, linear_systems, system_stage
+from flysid.model.selection import parts_to_choose_on
+from flysid.split import MIN_FLIGHTS
+
+_HIGHEST_LINEAR = 12  # samples of lags that the linear side may choose on short records,
+_DEEPEST_DELAY = 40  # and on long ones, delay included
+_SHARE = 20  # a segment must be so many times longer than what the linear side looks back
+_STATE_RULE_GAIN = 0.1  # of the mean square: what a rule over hidden states must win
+_STATE_PROMISE = 0.3  # in logarithms of the mean square
+_LEVEL = 1.02  # times the least error: as good, if it has fewer states
+_MOST_STATES = 8  # of a system that rules are grown from
+
+
+def lag_starts(settings: Settings, train: Dataset, validation: Dataset | None) -> Search:
+    """The data split, and linear models of several orders."""
+    check(settings)
+    settings.search.check()
+    check_hint(settings.nk_hint, len(train.inputs))
+    check_hint(settings.nk_least, len(train.inputs), "nk_least")
+    choices = order_choices(settings, len(train.inputs))
+    named = named_antecedents(settings, choices, train)
+    deepest = _deepest(settings, train) if len(choices) > 1 else 0
+    least = max(deepest, *(o.depth for o in choices), *(max(a.lag, a.minus) for a in named), 0) + SPARE_ROWS
+    long = len(train) >= settings.search.short
+    fit_part, check_part, own = _parts(train, validation, least, whole=long)
+    shift, scale = scaling(fit_part)
+    small = own and settings.rules == "auto" and settings.refine and not long
+    folds = tuple(hold_out(train, least, fold) for fold in range(1, settings.search.folds)) if small else ()
+    gain = settings.search.short_rule_gain if small else settings.search.rule_gain
+    context = SearchContext(
+        settings,
+        fit_part,
+        check_part,
+        shift,
+        scale,
+        least,
+        folds=folds,
+        gain=gain,
+        promise=gain,
+        ridges=_ridges(settings),
+    )
+    starts, notes = context.linear(choices)
+    if not any(s.linear.stable for s in starts):
+        context = replace(context, must_be_bounded=False)
+        starts = [_unstressed(tolerant(s)) for s in starts]
+        notes.append(f"{INTEGRATES} Boundedness was not asked for.")
+    if folds:
+        notes.append("Little data: parts of it were held out in turn to choose the number of rules.")
+    return _begun(context, train, validation, own, starts[0], starts, notes)
+
+
+def _begun(
+    context: SearchContext,
+    train: Dataset,
+    validation: Dataset | None,
+    own: bool,
+    plain: Family,
+    starts: Sequence[Family],
+    notes: Sequence[str],
+) -> Search:
+    one = plain.linear
+    return Search(
+        context, train, validation, own, plain, tuple(starts), plain, one, one.stage, notes=tuple(notes)
+    )
+
+
+def _ridges(settings: Settings, first: int = 0) -> tuple[float, ...]:
+    ladder = settings.search.ridges
+    return (ladder[first:] or ladder) if settings.ridge == "auto" else (settings.ridge,)
+
+
+def _unstressed(family: Family) -> Family:
+    def freed(c: Candidate) -> Candidate:
+        return replace(c, stage=replace(c.stage, problem=replace(c.stage.problem, stress=None)))
+
+    return replace(family, folds=tuple(tuple(map(freed, fold)) for fold in family.folds))
+
+
+def _deepest(settings: Settings, train: Dataset) -> int:
+    """Samples that the linear side's models may look back."""
+    longest = max((len(s) for s in train.segments), default=0)
+    return min(_DEEPEST_DELAY if len(train) > settings.search.short else _HIGHEST_LINEAR, longest // _SHARE)
+
+
+def _parts(
+    train: Dataset, validation: Dataset | None, least: int, *, whole: bool = False
+) -> tuple[Dataset, Dataset, bool]:
+    longest = max((len(s) for s in train.segments), default=0)
+    if longest < least:
+        raise DataError(
+            f"the longest segment has {longest} samples; this model needs {least}",
+            hint="record longer, allow longer gaps, or ask for lower orders or fewer states",
+        )
+    if validation is not None and any(len(s) >= least for s in validation.segments):
+        return train, validation, False
+    kept, held = _whole_flights(train, least) if whole else hold_out(train, least)
+    return kept, held, True
+
+
+def _whole_flights(train: Dataset, least: int) -> tuple[Dataset, Dataset]:
+    """The parts that the baseline is chosen on, where flights are enough: its rivals share their fits."""
+    if len(train.flights) >= MIN_FLIGHTS:
+        with suppress(DataError):
+            parts = parts_to_choose_on(train)
+            if all(any(len(s) >= least for s in part.segments) for part in parts):
+                return parts
+    return hold_out(train, least)
+
+
+def state_starts(settings: Settings, train: Dataset, validation: Dataset | None) -> Search:
+    """Linear systems, and the data split as they need it."""
+    check(settings)
+    settings.search.check()
+    scaled = scaling(train)
+    systems = linear_systems(settings, train, validation, scaled)
+    depth = max(lag for s in systems for own in s.real.input_lags for lag in own)
+    least = depth + 2 * max(len(s.real.A) for s in systems) + SPARE_ROWS
+    fit_part, check_part, own = _parts(train, validation, least)
+    ends = saturation_limits(train)
+    small = own and settings.rules == "auto" and len(train) < settings.search.short
+    folds = tuple(hold_out(train, least, fold) for fold in range(1, settings.search.folds)) if small else ()
+    context = SearchContext(
+        settings,
+        fit_part,
+        check_part,
+        *scaled,
+        least,
+        folds=folds,
+        gain=_STATE_RULE_GAIN,
+        promise=_STATE_PROMISE,
+        ridges=_ridges(settings, 1),
+    )
+
+    def judged(system: System) -> Family:
+        stages = [system_stage(system, fit, least, scaled, ends) for fit, _ in context.parts]
+        checks = [check for _, check in context.parts]
+        return Family(
+            tuple((context.judge(s, c),) for s, c in zip(stages, checks, strict=True)), system=system
+        )
+
+    families = sorted(map(judged, systems), key=lambda f: tolerant(f).rmse[0])
+    near = [f for f in families if tolerant(f).rmse[0] <= _LEVEL * tolerant(families[0]).rmse[0]]
+    plain = tolerant(min(near, key=lambda f: f.linear.stage.layout.n))
+    starts = [f for f in families if f.linear.stage.layout.n <= _MOST_STATES]
+    starts = starts[: settings.search.linear_systems]
+    tried = "; ".join(dict.fromkeys(s.title for s in systems))
+    notes = [f"Tried, in several coordinates: {tried}."] if len(systems) > 1 else []
+    return _begun(context, train, validation, own, plain, starts, [*notes, *in_words(ends, train)])
