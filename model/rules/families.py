@@ -13,7 +13,7 @@ from flysid.model.rules.realisation import PLAIN, PLAIN_WORDS
 from flysid.model.rules.state_systems import System
 from flysid.model.selection import standard_error
 
-_CLEAR = 1.5  # standard errors over windows; those of one fold share a model
+_CLEAR = 1.5  # standard errors over windows of several folds; those of one fold share a model
 _UNBOUNDED = 1e6  # mean square that stands for a model that may not be offered
 
 
@@ -90,9 +90,10 @@ def fewest_rules(family: Family, plain: Family, gain: float) -> int:
     """
     units = sweep(family, plain)
     best = _best(units, family)
+    clear = _CLEAR if len(family.folds) > 1 else 1.0
     for i in range(best):
         gap = _gap(units[i], units[best], family)
-        if gap.mean() <= max(_CLEAR * standard_error(gap), gain) or units[i].mean() <= EXACT:
+        if gap.mean() <= max(clear * standard_error(gap), gain) or units[i].mean() <= EXACT:
             return i
     return best
 
