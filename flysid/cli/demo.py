@@ -27,7 +27,7 @@ FLOWN = {
     "ardrone-linear": "the paper's loops (10), (11), (12)",
 }
 RECIPE = "ardrone-synthetic"
-DURATION_S = 60.0
+DURATION_S = 30.0
 FLOWN_TIMES = 2  # the plan, so that
 HOLDOUT = 0.5  # leaves more than four flights to the verdict, which then speaks of another flight
 MARKER = ".flysid-demo"
