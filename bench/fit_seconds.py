@@ -1,10 +1,11 @@
-"""CPU seconds of `flysid fit` and `flysid demo` as commands: `python -m bench.fit_seconds [NAME...]`.
+"""CPU seconds of `flysid fit` and `flysid demo` on one core: `python -m bench.fit_seconds [NAME...]`.
 
 On a busy machine CPU seconds grow, too: every row stands beside those of a fixed loop, before and after it.
 """
 
 from __future__ import annotations
 
+import os
 import resource
 import subprocess
 import sys
@@ -89,7 +90,8 @@ def line(name: str) -> str:
 
 
 def main() -> None:
-    """Print a line per case."""
+    """Print a line per case; one core, so that no command starts processes whose time is not seen here."""
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     for name in sys.argv[1:] or CASES:
         print(line(name), flush=True)
 
