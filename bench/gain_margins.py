@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from flysid.dataset import FloatArray
 from flysid.errors import DataError
-from flysid.loops.controller import Controller, ardupilot, px4
 from flysid.loops.judged import judge
 from flysid.loops.margins import Margins, margins
-from flysid.loops.stick_response import Loop
-from tests.flysid.loops.autopilots import ARDUPILOT, PX4, ardupilot_log, px4_log
+from flysid.loops.stick_response import ComplexArray, Loop
+from tests.flysid.loops.autopilots import ARDUPILOT, PX4, STEP_S, ardupilot_log, px4_log
 from tests.flysid.loops.simulated import PID, Vehicle, fly, truth
 
 Found = tuple[Margins | None, dict[str, float]]
@@ -36,21 +36,57 @@ def betaflight_flight(seed: int, _outer: float) -> Found:
         return None, {}
 
 
+@dataclass(frozen=True)
+class Sampled:
+    """The vehicle as it is simulated, step by step of a millisecond (`tests.flysid.loops.autopilots`)."""
+
+    vehicle: Vehicle
+
+    def response(self, f: FloatArray) -> ComplexArray:
+        """(F,) from the controller's output to the rate."""
+        v = self.vehicle
+        back = np.exp(-2j * np.pi * f * STEP_S)
+        whole = (1.0 - (1.0 - STEP_S / v.lag_s) * back) * (1.0 - back)
+        return np.asarray(v.gain * STEP_S**2 / v.lag_s * back ** (1 + v.delay_steps // 2) / whole)
+
+
+@dataclass(frozen=True)
+class Flown:
+    """The controller as it is simulated, step by step."""
+
+    firmware: str
+
+    def feedback(self, f: FloatArray) -> ComplexArray:
+        """(F,) from the rate to the output, sign turned."""
+        back = np.exp(-2j * np.pi * f * STEP_S)
+        unit = np.pi / 180.0 * 1000.0
+        slope = (1.0 - back) / STEP_S
+        if self.firmware == "px4":
+            g = {name: unit * value for name, value in PX4.items()}
+            w = 2.0 * np.pi * 30.0
+            part = 0.25 * STEP_S
+            turn = 1.0 - part * np.sqrt(2.0) * w
+            once = np.array([[1.0 - part * part * w * w, part * turn], [-part * w * w, turn]])
+            push = np.array([part * part * w * w, part * w * w])
+            every = np.linalg.matrix_power(once, 4)
+            pushed = sum(np.linalg.matrix_power(once, k) @ push for k in range(4))
+            filtered = np.array([np.linalg.solve(np.eye(2) - b * every, pushed)[0] for b in back])
+        else:
+            g = {name: unit * value for name, value in ARDUPILOT.items()}
+            keep = np.exp(-2.0 * np.pi * ARDUPILOT["FLTD"] * STEP_S)
+            filtered = (1.0 - keep) / (1.0 - keep * back)
+        return np.asarray(g["P"] + g["I"] * STEP_S / (1.0 - back) + g["D"] * slope * filtered)
+
+
 def autopilot_flight(firmware: str) -> Callable[[int, float], Found]:
     """Vehicles of gain 8 to 15, lag 25 to 50 ms, delay 2 to 6 ms, judged from their logs."""
-    law: Controller = (
-        px4({f"MC_ROLLRATE_{k}": v for k, v in PX4.items()} | {"IMU_DGYRO_CUTOFF": 30.0}, "roll")
-        if firmware == "px4"
-        else ardupilot({f"ATC_RAT_RLL_{k}": v for k, v in ARDUPILOT.items()}, "roll")
-    )
     log = px4_log if firmware == "px4" else ardupilot_log
 
     def flown(seed: int, outer: float) -> Found:
         rng = np.random.default_rng(20_000 + seed)
         vehicle = Vehicle(rng.uniform(8, 15), rng.uniform(0.025, 0.05), 2 * int(rng.integers(2, 7)))
         record = log(rng.uniform(60.0, 180.0), 30_000 + seed, vehicle=vehicle, outer=outer)
-        true = truth(replace(vehicle, delay_steps=vehicle.delay_steps + 1), law)  # a step is half a step late
-        return judge([record], ["roll"])[0].margins, true
+        return judge([record], ["roll"])[0].margins, truth(Sampled(vehicle), Flown(firmware))
 
     return flown
 

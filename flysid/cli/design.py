@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.output import aligned, check_target, printable, say
 from flysid.errors import UsageError
+
+if TYPE_CHECKING:
+    from flysid.design.designing import Wish
 
 FIRMWARES = ("pid", "px4", "ardupilot", "tum-ardrone")
 
@@ -29,6 +33,13 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 @click.command("design")
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--channel", "-c", "channels", multiple=True, help="This channel only; may be repeated.")
+@click.option(
+    "--method",
+    type=click.Choice(["pid", "pdc"]),
+    default="pid",
+    show_default=True,
+    help="pdc: gains for every rule of the TS model, with a proof; needs --limit.",
+)
 @click.option(
     "--for",
     "firmware",
@@ -61,6 +72,7 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 def command(
     run: Path,
     channels: tuple[str, ...],
+    method: str,
     firmware: str,
     old: str | None,
     ms: float,
@@ -104,6 +116,8 @@ def command(
         spread,
         feedforward=feed_forward,
     )
+    if method == "pdc":
+        return _of_rules(run, replace(wish, old={}), data, out, quiet, display)
     with display.shown():
         design = design_run(open_run(run), wish, data)
     if as_json:
@@ -123,6 +137,30 @@ def command(
             say("no new.param: without the present gains (--old FILE) there is no way back", quiet)
     if not as_json:
         say(SAFETY)
+    return 3 if design.refused else 0
+
+
+def _of_rules(
+    run: Path, wish: Wish, data: Path | None, out: Path | None, quiet: bool, display: Display
+) -> int:
+    """Find, print and write gains of rules."""
+    from flysid.design.firmware import SAFETY
+    from flysid.design.rule_design import PROVED, design_rules
+    from flysid.files import replacing_folder
+    from flysid.validate.run import open_run
+
+    with display.shown():
+        design = design_rules(open_run(run), wish, data)
+    for axis in design.axes:
+        click.echo("\n".join(printable(line) for line in axis.lines()))
+    for name, (why, hint) in design.refused.items():
+        say(f"{name}: refused: {why}. Try: {hint}", quiet)
+    if out is not None:
+        with replacing_folder(out) as place:
+            for file, text in design.files().items():
+                (place / file).write_text(text, "utf-8")
+        say(f"written: {out}", quiet)
+    say(f"{PROVED} {SAFETY}")
     return 3 if design.refused else 0
 
 

@@ -82,7 +82,7 @@ def design_run(run: Run, wish: Wish, data: str | Path | None = None) -> Design:
     for item in held_out(replace(run, channels=chosen), data):
         tell("looking whether the flights identify the plant", channel=item.channel.name)
         try:
-            ready.append(_ready(item, wish))
+            ready.append(ready_channel(item, wish))
         except (DataError, UsageError) as error:
             refused[item.channel.name] = (error.message, error.hint or "")
     if not ready:
@@ -102,7 +102,8 @@ def design_run(run: Run, wish: Wish, data: str | Path | None = None) -> Design:
     )
 
 
-def _ready(item: HeldOut, wish: Wish) -> Ready:
+def ready_channel(item: HeldOut, wish: Wish) -> Ready:
+    """A channel of a run, or DataError, UsageError where it may not be designed for."""
     found = identified(item, wish.limit)
     u = found.train.inputs[0]
     firmware = firmware_for(wish.firmware, _own(wish.old, found.name), u.unit, wish.limit)

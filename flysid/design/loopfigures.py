@@ -67,17 +67,38 @@ def figures(laws: Laws, plants: ComplexArray, parts: Parts) -> Figures:
     if laws.on_error:
         centre = centre + slope * through
         slope = np.zeros_like(slope)
-    loop = (centre * (1.0 + position * parts.place) + slope) * plants
+    seen = centre + slope
+    asked = centre * position
+    return figures_of_paths(seen + asked * parts.place, asked, seen, plants, parts, integral[:, :, 0])
+
+
+def figures_of_paths(
+    centre: ComplexArray,
+    asked: ComplexArray,
+    seen: ComplexArray,
+    plants: ComplexArray,
+    parts: Parts,
+    integral: FloatArray | None = None,
+) -> Figures:
+    """Of controllers (S, 1, F) by their paths to the input, on every plant (P, F).
+
+    Parameters
+    ----------
+    centre, asked, seen : from the velocity and the position that it comes to; from the reference; from the
+        measured velocity alone.
+    integral : (S, 1) more than 0 where the controller integrates; None: all do.
+    """
+    loop = centre * plants
     whole = 1.0 + loop
-    answer = centre * position * plants * parts.place / whole
+    answer = asked * plants * parts.place / whole
     lag = (1.0 - answer) / parts.omega
     push = plants * parts.place / whole / parts.omega
     sensitivity = 1.0 / np.abs(whole)
     return Figures(
-        _is_stable(whole, loop, integral[:, :, 0]),
+        _is_stable(whole, loop, np.ones(1) if integral is None else integral),
         sensitivity.max(axis=-1),
         np.abs(answer).max(axis=-1),
-        (np.abs(centre + slope) * sensitivity).max(axis=-1),
+        (np.abs(seen) * sensitivity).max(axis=-1),
         _crossover(np.abs(loop), parts.omega),
         _squared(lag, parts.omega),
         _squared(push, parts.omega),

@@ -15,6 +15,7 @@ from numba import njit
 
 from flysid.dataset import FloatArray
 from flysid.design.law import ComplexArray, Gains, keeping
+from flysid.design.rule_plants import RuleLaw, blended, packed_rules
 from flysid.errors import UsageError
 from flysid.ingest.synth.dryden import Wind, wind_field
 from flysid.ingest.synth.inner_loop import Axis
@@ -132,8 +133,18 @@ def course() -> tuple[FloatArray, FloatArray]:
     return place, speed
 
 
-def fly_trial(trial: Trial, laws: tuple[Gains, Gains], doubtful: Doubtful) -> dict[str, Flown]:
-    """Fly the course under the laws of x and y; the same noise and wind whatever the laws."""
+def fly_trial(
+    trial: Trial,
+    laws: tuple[Gains, Gains],
+    doubtful: Doubtful,
+    rules: tuple[RuleLaw | None, RuleLaw | None] = (None, None),
+) -> dict[str, Flown]:
+    """Fly the course under the laws of x and y; the same noise and wind whatever the laws.
+
+    Parameters
+    ----------
+    rules : of an axis that gains of rules fly instead of its law.
+    """
     rng = np.random.default_rng(trial.seed)
     place, speed = course()
     noise = rng.standard_normal((len(place), 4))
@@ -151,6 +162,7 @@ def fly_trial(trial: Trial, laws: tuple[Gains, Gains], doubtful: Doubtful) -> di
         limit,
         round(trial.vehicle.delay_s / STEP_S),
         trial.vehicle.physics().packed(),
+        *packed_rules(rules),
     )
     away = place - states[:, :2] * np.array([1.0, -1.0])
     lost = bool(
@@ -180,7 +192,7 @@ def _judged(away: FloatArray, u: FloatArray, limit: float, step_s: tuple[float, 
 
 
 @njit(cache=True)
-def _fly(x, place, speed, noise, air, laws, keep, limit, late, f):  # type: ignore[no-untyped-def]
+def _fly(x, place, speed, noise, air, laws, keep, limit, late, f, counts, numbers, sets):  # type: ignore[no-untyped-def]
     """(N, 26) states and (N, 2) inputs in deg; the link holds every command and is `late` ms late."""
     hold = round(PERIOD_S / STEP_S)
     whole = late // hold
@@ -194,6 +206,7 @@ def _fly(x, place, speed, noise, air, laws, keep, limit, late, f):  # type: igno
     total = np.zeros(2)
     smooth = np.zeros(2)
     even = np.zeros(2)
+    seen_by = np.zeros((2, numbers.shape[3]))
     for k in range(n):
         states[k] = x
         sine = math.sin(x[8])
@@ -203,6 +216,22 @@ def _fly(x, place, speed, noise, air, laws, keep, limit, late, f):  # type: igno
             p = sign * x[axis] + noise[k, axis]
             ahead = cosine * x[3] + sine * x[4] if axis == 0 else sine * x[3] - cosine * x[4]
             v = ahead + noise[k, 2 + axis]
+            if counts[axis, 0] > 0:
+                speeds, sent = counts[axis]
+                xi = seen_by[axis]
+                for i in range(speeds - 1, 0, -1):
+                    xi[i] = xi[i - 1]
+                for i in range(speeds + sent - 1, speeds, -1):
+                    xi[i] = xi[i - 1]
+                xi[0] = v
+                xi[speeds] = inputs[k - 1, axis] if k else 0.0
+                away = p - place[k, axis]
+                xi[speeds + sent] = away
+                u = blended(xi, numbers[axis], sets[axis])
+                inputs[k, axis] = min(max(u, -limit), limit)
+                if abs(u) <= limit or u * away > 0.0:
+                    xi[speeds + sent + 1] += PERIOD_S * away
+                continue
             position, velocity, integral, derivative, _, _, on_error, feedforward = laws[axis]
             asked = speed[k, axis] if feedforward != 0.0 else 0.0
             error = position * (place[k, axis] - p) + asked - v

@@ -18,15 +18,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.model.rules.barrier import slackless, symmetric_basis, value_at
 from flysid.model.threads import on_one_thread
 
 MOST_STATES = 16
 _BISECTIONS = 6  # of the decay
-_NEWTON = 40  # steps at one weight of the slack
-_STEPS = 400  # altogether
-_STEEPER = 4.0  # the weight of the slack grows by this,
-_GAP = 1e-10  # until the slack is known this closely
-_CENTRED = 1e-6  # of Newton's decrement
 
 
 @on_one_thread
@@ -89,7 +85,7 @@ def _square_decay(A: FloatArray, P: FloatArray, L: FloatArray) -> float:
 def _feasible(rules: Sequence[FloatArray], g: float) -> FloatArray | None:
     """A P of the inequalities at decay g, scaled so that P < I; None where the slack stays above zero."""
     n = len(rules[0])
-    E = _symmetric_basis(n)
+    E = symmetric_basis(n)
     blocks = [
         (
             np.zeros((n, n)),
@@ -100,91 +96,9 @@ def _feasible(rules: Sequence[FloatArray], g: float) -> FloatArray | None:
     still = np.zeros((1, n, n))
     blocks += [(np.zeros((n, n)), np.concatenate([E, still])), (np.eye(n), np.concatenate([-E, still]))]
     x = np.append(0.5 * np.einsum("kii->k", E), 0.0)
-    worst = max(float(-np.linalg.eigvalsh(_at(block, x))[0]) for block in blocks[:-2])
+    worst = max(float(-np.linalg.eigvalsh(value_at(block, x))[0]) for block in blocks[:-2])
     if worst < 0.0:
         return 0.5 * np.eye(n)
     x[-1] = 2.0 * worst + 1e-3
-    return _slackless(blocks, x, E)
-
-
-def _slackless(
-    blocks: Sequence[tuple[FloatArray, FloatArray]], x: FloatArray, E: FloatArray
-) -> FloatArray | None:
-    """P once the slack, the last of the unknowns x, is below zero."""
-    weight = 1.0 / float(x[-1])
-    steps = 0
-    while steps < _STEPS:
-        for _ in range(_NEWTON):
-            g, H = _slopes(blocks, x, weight)
-            step: FloatArray = np.asarray(np.linalg.lstsq(H, -g, rcond=1e-14)[0], dtype=np.float64)
-            gain = float(-g @ step)
-            steps = steps + 1
-            size = _size(blocks, x, step, weight, gain) if gain > _CENTRED else 0.0
-            if size == 0.0:
-                break
-            x = x + size * step
-            if x[-1] < 0.0:
-                return np.asarray(np.tensordot(x[:-1], E, 1))
-        gap = 2.0 * len(blocks) * len(E[0]) / weight  # twice what the slack can still fall by from the centre
-        if gap < max(_GAP, float(x[-1])):
-            return None
-        weight *= _STEEPER
-    return None
-
-
-def _slopes(
-    blocks: Sequence[tuple[FloatArray, FloatArray]], x: FloatArray, weight: float
-) -> tuple[FloatArray, FloatArray]:
-    """Gradient and Hessian of the barrier."""
-    g = np.zeros(len(x))
-    H = np.zeros((len(x), len(x)))
-    g[-1] = weight
-    for F0, F in blocks:
-        inverse = np.linalg.inv(np.linalg.cholesky(_at((F0, F), x)))
-        G = inverse @ F @ inverse.T
-        g -= np.einsum("kii->k", G)
-        rows = G.reshape(len(x), -1)
-        H += rows @ rows.T
-    return g, H
-
-
-def _size(
-    blocks: Sequence[tuple[FloatArray, FloatArray]],
-    x: FloatArray,
-    step: FloatArray,
-    weight: float,
-    gain: float,
-) -> float:
-    """How much of a Newton step lowers the barrier; 0 where nothing does."""
-    now = _barrier(blocks, x, weight)
-    size = 1.0
-    while size > 1e-10:
-        if _barrier(blocks, x + size * step, weight) <= now - 1e-4 * size * gain:
-            return size
-        size *= 0.5
-    return 0.0
-
-
-def _barrier(blocks: Sequence[tuple[FloatArray, FloatArray]], x: FloatArray, weight: float) -> float:
-    value = weight * float(x[-1])
-    for block in blocks:
-        try:
-            L = np.linalg.cholesky(_at(block, x))
-        except np.linalg.LinAlgError:
-            return float("inf")
-        value -= 2.0 * float(np.log(L.diagonal()).sum())
-    return value
-
-
-def _at(block: tuple[FloatArray, FloatArray], x: FloatArray) -> FloatArray:
-    """(n, n) value of an affine block at the unknowns."""
-    return np.asarray(block[0] + np.tensordot(x, block[1], 1))
-
-
-def _symmetric_basis(n: int) -> FloatArray:
-    """(n (n + 1) / 2, n, n) symmetric matrices, one entry above the diagonal each."""
-    rows, columns = np.triu_indices(n)
-    E = np.zeros((len(rows), n, n))
-    at = np.arange(len(rows))
-    E[at, rows, columns] = E[at, columns, rows] = 1.0
-    return E
+    inside = slackless(blocks, x)
+    return None if inside is None else np.asarray(np.tensordot(inside[:-1], E, 1))

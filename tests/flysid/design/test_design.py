@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flysid.design.designed import Design, Meaning, open_design
-from flysid.design.designing import Wish, _designed, _new, _ready, with_feedforward
+from flysid.design.designing import Wish, _designed, _new, ready_channel, with_feedforward
 from flysid.design.drawn_plants import PlantSet, Spread, grid, plants_of
 from flysid.design.firmware import SAFETY, SCHEMES, Firmware, firmware_for, read_parameters
 from flysid.design.gain_search import Bounds, Box, search
@@ -137,7 +137,7 @@ def test_parameters_come_back_as_they_were(name: str) -> None:
 def test_no_parameter_moves_by_more_than_a_factor_of_two(name: str) -> None:
     _, truth = known_plant()
     bounds = Bounds(ms=1.9, peak=1.5, noise=200.0, crossover_rad_s=30.0)
-    ready = _ready(good(), Wish(firmware=name, old=STATED[name], limit=LIMIT))
+    ready = ready_channel(good(), Wish(firmware=name, old=STATED[name], limit=LIMIT))
     firmware = ready.firmware
     old = STATED[name]
     present = firmware.gains(old)
@@ -286,13 +286,13 @@ def test_a_model_without_an_interval_alone_is_refused() -> None:
 def test_a_present_loop_faster_than_the_flights_is_refused() -> None:
     wish = Wish(old={"position": 30.0, "velocity": 400.0}, limit=LIMIT)
     with pytest.raises(DataError, match="tell nothing above") as refused:
-        _designed([_ready(good(), wish)], wish)
+        _designed([ready_channel(good(), wish)], wish)
     assert "sweep" in str(refused.value.hint)
 
 
 def test_a_design_stands_beside_the_present_gains_and_is_stored_without_loss(tmp_path: Path) -> None:
     wish = Wish(old=PUBLISHED, limit=LIMIT)
-    ready = _ready(good(), wish)
+    ready = ready_channel(good(), wish)
     axes = _designed([ready], wish)
     design = Design("run", ("pid", "words"), tuple(axes), {}, PUBLISHED, _new([ready], axes, wish))
     axis = axes[0]
@@ -317,7 +317,7 @@ def test_a_design_stands_beside_the_present_gains_and_is_stored_without_loss(tmp
 
 def test_without_present_gains_no_parameters_are_written() -> None:
     wish = Wish(limit=LIMIT)
-    ready = _ready(good(), wish)
+    ready = ready_channel(good(), wish)
     axes = _designed([ready], wish)
     files = Design("run", ("pid", "words"), tuple(axes)).files()
     assert list(files) == ["design.json"]
@@ -326,8 +326,8 @@ def test_without_present_gains_no_parameters_are_written() -> None:
 
 def test_a_plant_that_falls_as_the_input_rises_is_turned_round() -> None:
     wish = Wish(limit=LIMIT)
-    up = _ready(good(), wish)
-    down = _ready(good(gain=-1.0), wish)
+    up = ready_channel(good(), wish)
+    down = ready_channel(good(gain=-1.0), wish)
     assert (up.sign, down.sign) == (1.0, -1.0)
     assert _designed([down], wish)[0].laws["goal"].velocity > 0.0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numba import njit
@@ -28,6 +29,18 @@ class Vehicle:
         s = 2j * np.pi * f
         delay = self.delay_steps * STEP_S  # half a step of hold, less half a step of the integration
         return np.asarray(self.gain / (s * (self.lag_s * s + 1.0)) * np.exp(-s * delay))
+
+
+class Answers(Protocol):
+    """What has a response from the controller's output to the rate."""
+
+    def response(self, f: FloatArray) -> ComplexArray: ...
+
+
+class FeedsBack(Protocol):
+    """What has a response from the rate to the output, sign turned."""
+
+    def feedback(self, f: FloatArray) -> ComplexArray: ...
 
 
 PID = Controller({"rollPID P": 46.0}, 1.47, 11.0, 0.013, 0.6, ((1, 100.0), (1, 200.0)))
@@ -97,7 +110,7 @@ def _run(r, d, noise, numbers, delay):  # type: ignore[no-untyped-def]
     return u, y
 
 
-def truth(vehicle: Vehicle, controller: Controller) -> dict[str, float]:
+def truth(vehicle: Answers, controller: FeedsBack) -> dict[str, float]:
     """Crossover (Hz), phase margin (deg), gain margin (dB) and Ms of the loop itself."""
     f = np.geomspace(0.5, 200.0, 20_000)
     loop = vehicle.response(f) * controller.feedback(f)

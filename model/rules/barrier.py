@@ -1,0 +1,130 @@
+"""Linear matrix inequalities F0 + x_1 F_1 + ... > 0 by an interior-point method.
+
+A linear cost c'x less the logarithms of the determinants is minimised by Newton steps, the cost weighing more
+and more (Boyd, El Ghaoui, Feron and Balakrishnan, 1994, section 2.4). What is found is to be verified by the
+caller: nothing may rest on the search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+
+Block = tuple[FloatArray, FloatArray]
+"""F0 (m, m), and F (k, m, m) of the k unknowns."""
+_NEWTON = 40  # steps at one weight of the cost
+_STEPS = 400  # altogether
+_STEEPER = 4.0  # the weight of the cost grows by this,
+_GAP = 1e-10  # until a slack is known this closely
+_CENTRED = 1e-6  # of Newton's decrement
+
+
+def slackless(blocks: Sequence[Block], x: FloatArray) -> FloatArray | None:
+    """(k,) unknowns once the slack, the last of them, is below zero; None where it stays above.
+
+    Parameters
+    ----------
+    x : strictly inside all blocks.
+    """
+    cost = np.eye(len(x))[-1]
+
+    def known(gap: float, x: FloatArray) -> bool:
+        return gap < max(_GAP, float(x[-1]))
+
+    found = _followed(blocks, cost, x, 1.0 / float(x[-1]), known, lambda x: bool(x[-1] < 0.0))
+    return found if found[-1] < 0.0 else None
+
+
+def cheapest(blocks: Sequence[Block], cost: FloatArray, x: FloatArray, share: float) -> FloatArray:
+    """(k,) unknowns whose cost is within a share of the least; strictly inside all blocks.
+
+    Parameters
+    ----------
+    x : strictly inside all blocks.
+    """
+
+    def known(gap: float, x: FloatArray) -> bool:
+        return gap < share * abs(float(cost @ x))
+
+    return _followed(blocks, cost, x, 1.0 / max(abs(float(cost @ x)), 1e-12), known, lambda _: False)
+
+
+def _followed(
+    blocks: Sequence[Block],
+    cost: FloatArray,
+    x: FloatArray,
+    weight: float,
+    known: Callable[[float, FloatArray], bool],
+    enough: Callable[[FloatArray], bool],
+) -> FloatArray:
+    """Where the central path is left: the gap is known closely enough, or what was found is enough."""
+    rows = sum(len(F0) for F0, _ in blocks)
+    steps = 0
+    while steps < _STEPS:
+        for _ in range(_NEWTON):
+            g, H = _slopes(blocks, x, weight * cost)
+            step: FloatArray = np.asarray(np.linalg.lstsq(H, -g, rcond=1e-14)[0], dtype=np.float64)
+            gain = float(-g @ step)
+            steps = steps + 1
+            size = _size(blocks, x, step, weight * cost, gain) if gain > _CENTRED else 0.0
+            if size == 0.0:
+                break
+            x = x + size * step
+            if enough(x):
+                return x
+        if known(2.0 * rows / weight, x):  # twice what the cost can still fall by from the centre
+            return x
+        weight *= _STEEPER
+    return x
+
+
+def _slopes(blocks: Sequence[Block], x: FloatArray, cost: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Gradient and Hessian of the barrier."""
+    g = np.array(cost)
+    H = np.zeros((len(x), len(x)))
+    for F0, F in blocks:
+        inverse = np.linalg.inv(np.linalg.cholesky(value_at((F0, F), x)))
+        G = inverse @ F @ inverse.T
+        g -= np.einsum("kii->k", G)
+        rows = G.reshape(len(x), -1)
+        H += rows @ rows.T
+    return g, H
+
+
+def _size(blocks: Sequence[Block], x: FloatArray, step: FloatArray, cost: FloatArray, gain: float) -> float:
+    """How much of a Newton step lowers the barrier; 0 where nothing does."""
+    now = _barrier(blocks, x, cost)
+    size = 1.0
+    while size > 1e-10:
+        if _barrier(blocks, x + size * step, cost) <= now - 1e-4 * size * gain:
+            return size
+        size *= 0.5
+    return 0.0
+
+
+def _barrier(blocks: Sequence[Block], x: FloatArray, cost: FloatArray) -> float:
+    value = float(cost @ x)
+    for block in blocks:
+        try:
+            L = np.linalg.cholesky(value_at(block, x))
+        except np.linalg.LinAlgError:
+            return float("inf")
+        value -= 2.0 * float(np.log(L.diagonal()).sum())
+    return value
+
+
+def value_at(block: Block, x: FloatArray) -> FloatArray:
+    """(m, m) value of a block at the unknowns."""
+    return np.asarray(block[0] + np.tensordot(x, block[1], 1))
+
+
+def symmetric_basis(n: int) -> FloatArray:
+    """(n (n + 1) / 2, n, n) symmetric matrices, one entry above the diagonal each."""
+    rows, columns = np.triu_indices(n)
+    E = np.zeros((len(rows), n, n))
+    at = np.arange(len(rows))
+    E[at, rows, columns] = E[at, columns, rows] = 1.0
+    return E
