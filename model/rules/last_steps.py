@@ -90,27 +90,29 @@ def refit_states(found: Search) -> Search:
     made = None
     if found.at == 0:
         stage, words = single(found.train)
+        drifts = not is_bounded(stage)
         if system.again is not None:
             made = lambda data: single(data)[0]  # noqa: E731
     else:
         words = family.words
         start, _ = in_coordinates(on(found.train), family.coordinates)
-        stage = ordered(_on_everything(found, start, family.ridge))
+        drifts = not is_bounded(start)
+        stage = ordered(_on_everything(found, start, family.ridge, drifts=drifts))
     hidden = f" Hidden states: {words}, in units of their spread in training." if stage.layout.hidden else ""
     notes = [f"From {system.title}.{hidden}", *found.notes]
-    if not is_bounded(stage):
+    if drifts:
         notes.append(INTEGRATES)
     if stage.rules <= found.at:
         notes.append(f"{stage.rules} rules came back from bounded random inputs.")
     return replace(found, stage=stage, made=made, notes=tuple(notes))
 
 
-def _on_everything(found: Search, start: Stage, ridge: float) -> Stage:
+def _on_everything(found: Search, start: Stage, ridge: float, *, drifts: bool) -> Stage:
     """The chosen model refined on all the data from the first part's.
 
-    Fewer rules where the model does not come back from bounded random inputs, though one rule does.
+    Fewer rules where the model does not come back from bounded random inputs, though one rule does
+    (`drifts` is False).
     """
-    drifts = not is_bounded(start)
     for model in found.models[found.at : 0 : -1]:
         stage = on_runs_of(model.stage, start)
         stage = refine(
