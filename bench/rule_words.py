@@ -10,7 +10,7 @@ Beside it: what the strongest rule there says by itself, as the words did before
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -36,7 +36,8 @@ from flysid.model.ts_state_space import TSStateSpace
 NOISE = 0.03  # of the output's spread
 SAMPLES = 800
 RECORDS = 6
-FLIGHTS = (STEPS, PILOT, MULTISINE, STEPS)
+FLIGHTS = (STEPS, PILOT, MULTISINE, STEPS, PILOT, MULTISINE)
+TRAINED = 4
 FLIGHT_S = 60.0
 SPEED_NOISE = 0.02  # m/s
 SETTLED_S = 40.0
@@ -152,24 +153,35 @@ def of_plant(plant: Plant, inputs: tuple[float, float], estimator: Callable[[], 
 def of_vehicle(loop: str, estimator: Callable[[], Any]) -> Flown:
     """One axis of the simulated quadrotor, another specimen of it for every seed."""
     column = list(LOOPS).index(loop)
-    output = LOOPS[loop].output
     most = BOLD[column] * GENTLE[column]
 
     def record(seed: int) -> tuple[Dataset, Truth]:
-        vehicle = dispersed(Vehicle(), np.random.default_rng([seed, 1, 2]))
-        peaks = (BOLD[0] * GENTLE[0], BOLD[1] * GENTLE[1], BOLD[2] * GENTLE[2])
-        time_s = np.arange(round(FLIGHT_S / PERIOD_S), dtype=np.float64) * PERIOD_S
-        segments = []
-        for i, manoeuvre in enumerate(FLIGHTS):
-            rng = np.random.default_rng([seed, i])
-            u = manoeuvre.command(time_s, peaks, rng)
-            u = np.where(np.arange(u.shape[1]) == column, u, 0.0)
-            y = fly_vehicle(vehicle, u).series()[output] + SPEED_NOISE * rng.standard_normal(len(u))
-            segments.append(Segment(u[:, [column]], y[:, None], flight=str(i)))
-        data = Dataset(PERIOD_S, (Signal("u"),), (Signal(output, "m/s"),), tuple(segments))
+        vehicle = specimen(seed)
+        data = vehicle_flights(vehicle, loop, seed, range(TRAINED))
         return data, lambda level: vehicle_truth(vehicle, column, level)
 
     return Flown(record, estimator, 1e-3 * most)
+
+
+def specimen(seed: int) -> Vehicle:
+    """Another vehicle of the type for every seed."""
+    return dispersed(Vehicle(), np.random.default_rng([seed, 1, 2]))
+
+
+def vehicle_flights(vehicle: Vehicle, loop: str, seed: int, flights: Iterable[int]) -> Dataset:
+    """Some of the flights of a seed, one axis commanded, its speed measured with noise."""
+    column = list(LOOPS).index(loop)
+    output = LOOPS[loop].output
+    peaks = (BOLD[0] * GENTLE[0], BOLD[1] * GENTLE[1], BOLD[2] * GENTLE[2])
+    time_s = np.arange(round(FLIGHT_S / PERIOD_S), dtype=np.float64) * PERIOD_S
+    segments = []
+    for i in flights:
+        rng = np.random.default_rng([seed, i])
+        u = FLIGHTS[i].command(time_s, peaks, rng)
+        u = np.where(np.arange(u.shape[1]) == column, u, 0.0)
+        y = fly_vehicle(vehicle, u).series()[output] + SPEED_NOISE * rng.standard_normal(len(u))
+        segments.append(Segment(u[:, [column]], y[:, None], flight=str(i)))
+    return Dataset(PERIOD_S, (Signal("u"),), (Signal(output, "m/s"),), tuple(segments))
 
 
 def vehicle_truth(vehicle: Vehicle, column: int, level: float) -> FloatArray:
