@@ -32,21 +32,21 @@ class Example:
 EXAMPLES = (
     Example(
         "nonlinear",
-        "Rules pay",
+        "A nonlinear vehicle",
         "The drag of this quadrotor grows with its speed. The gain of the longitudinal channel therefore "
-        "depends on the speed, and two rules follow it where one linear model cannot.",
+        "depends on the speed. Two rules can follow it; one linear model cannot.",
         (
-            "synth -o logs --no-truth --plant ardrone --plan demo --duration 40",
+            "synth -o logs --no-truth --plant ardrone --plan demo --duration 20",
             f"{FIT} -c longitudinal",
             VALIDATE,
         ),
     ),
     Example(
         "linear",
-        "A linear model is enough",
-        "The same manoeuvres flown with a linear plant. The report says so and recommends the simpler model.",
+        "A linear vehicle",
+        "The same manoeuvres, flown with a linear plant: rules have nothing to add.",
         (
-            "synth -o logs --no-truth --plant ardrone-linear --plan demo --duration 40",
+            "synth -o logs --no-truth --plant ardrone-linear --plan demo --duration 20",
             f"{FIT} -c lateral",
             VALIDATE,
         ),
@@ -56,7 +56,7 @@ EXAMPLES = (
         "A single flight",
         "One log, split in time. Every verdict is limited to this flight: nothing is known of another.",
         (
-            "synth -o logs --no-truth --plant ardrone --plan multisine --duration 120",
+            "synth -o logs --no-truth --plant ardrone --plan multisine --duration 90",
             f"{FIT} -c longitudinal",
             VALIDATE,
         ),
@@ -67,7 +67,7 @@ EXAMPLES = (
         "Steady wind of 3 m/s with turbulence pushes the vehicle beyond what its inputs explain. Compare the "
         "coherence and the cautions with those of the calm flights.",
         (
-            "synth -o logs --no-truth --plant ardrone --plan demo --duration 40 --wind 3",
+            "synth -o logs --no-truth --plant ardrone --plan demo --duration 20 --wind 3",
             f"{FIT} -c longitudinal",
             VALIDATE,
         ),
@@ -75,10 +75,10 @@ EXAMPLES = (
     Example(
         "routine",
         "Ordinary flying",
-        "Routine flights excite little: long stretches of hover and few changes of the input. The intervals "
-        "are wide, and the cautions say what to fly instead.",
+        "Routine flights excite little: long stretches of hover and few changes of the input. Look at the "
+        "width of the intervals, and at the cautions.",
         (
-            "synth -o logs --no-truth --plant ardrone --plan routine --duration 60",
+            "synth -o logs --no-truth --plant ardrone --plan routine --duration 30",
             f"{FIT} -c vertical",
             VALIDATE,
         ),
@@ -86,14 +86,14 @@ EXAMPLES = (
     Example(
         "two-runs",
         "Before and after a change",
-        "The second set of logs comes from a vehicle with half as much mass again. Models fitted to both "
+        "The second set of logs comes from a vehicle with twice the drag. Models fitted to both "
         "sets are compared on flights that neither has seen.",
         (
-            "synth -o before --no-truth --plant ardrone --plan demo --duration 40",
-            "synth -o after --no-truth --plant ardrone --plan demo --duration 40 --seed 2 "
-            "--change 0:0:mass:1.5",
-            f"{FIT.replace('logs', 'before').replace('run', 'old')} -c vertical",
-            f"{FIT.replace('logs', 'after').replace('run', 'new')} -c vertical",
+            "synth -o before --no-truth --plant ardrone --plan demo --duration 20",
+            "synth -o after --no-truth --plant ardrone --plan demo --duration 20 --seed 2 "
+            "--change 1:1:drag:2",
+            f"{FIT.replace('logs', 'before').replace('run', 'old')} -c longitudinal",
+            f"{FIT.replace('logs', 'after').replace('run', 'new')} -c longitudinal",
             "compare old new -o report",
         ),
     ),

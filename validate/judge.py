@@ -84,7 +84,7 @@ class Judgement:
         for channel, d in self.context.diagnoses.items():
             checks = d.checks.get(self.comparisons[channel].contender or "")
             if checks is not None and checks.simpler:
-                lines.append(f"{channel}: in fewer words: {checks.simpler[0]} RMSE on the training flights")
+                lines.append(f"{channel}: simpler rules: {checks.simpler[0]} RMSE on the training flights")
         return ["\n".join(map(one_line, lines))] if lines else []
 
     def text(self, form: str = "table") -> str:
