@@ -14,7 +14,7 @@ An unknown id cannot be checked: such a frame is accepted only where a checked o
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -263,8 +263,7 @@ class Scanner:
         base = batch.base
         limit = batch.limit
         lost = self._lost_at - base
-        for match in MARKER.finditer(buffer, begin, min(limit + self.stamp, len(buffer))):
-            q = match.start()
+        for q in _markers(buffer, begin, min(limit + self.stamp, len(buffer))):
             head = None if q == lost + self.stamp else read_header(buffer, q)
             if head is None or not self._is_known(head.message):
                 continue
@@ -321,6 +320,14 @@ class Scanner:
             or (after < len(buffer) and buffer[after] in (V1, V2))
             or _sender(buffer, q) in self._seen
         )
+
+
+def _markers(buffer: Buffer, begin: int, end: int) -> Iterator[int]:
+    """Where frames may begin. Stretches without any, as lost writes leave them, are passed over at once."""
+    for start in range(begin, end, HEADER_BLOCK):
+        piece = bytes(buffer[start : min(start + HEADER_BLOCK, end)])
+        if b"\xfd" in piece or b"\xfe" in piece:
+            yield from (start + match.start() for match in MARKER.finditer(piece))
 
 
 def read_header(buffer: Buffer, q: int) -> Header | None:
