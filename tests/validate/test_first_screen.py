@@ -15,7 +15,7 @@ from flysid.validate.compare import compare
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.masthead import dates, masthead
 from flysid.validate.report.page import render
-from flysid.validate.report.telling import most_telling
+from flysid.validate.report.telling import answer, most_telling
 from flysid.validate.segmentnames import BEGIN, segment_names
 from tests.fakes import FirstOrder, flown
 
@@ -111,3 +111,11 @@ def test_every_card_has_its_picture_and_a_numbered_scale() -> None:
     assert "1 log: log-1.bin" in first_screen
     assert " %</text>" in first_screen
     assert "linear model, free run" in first_screen
+
+
+def test_the_card_says_how_the_output_answers_a_small_step() -> None:
+    """Of a first-order lag: its gain, and its time constant of 0.47 s, rounded up to a sample."""
+    c = compare([FirstOrder(a=0.9, b=0.1), FirstOrder(a=0.9, b=0.05)], flown(TS, [300] * 2, noise=0.02))
+    assert answer(c, (0, 0)) == "One more deg of u adds 1 m/s to y; 63 % of that after 0.5 s."
+    integrating = FirstOrder(a=1.0, b=0.1)
+    assert answer(compare([integrating], flown(TS, [300] * 2, noise=0.02)), (0, 0)) == ""
