@@ -14,7 +14,9 @@ from flysid.cli.output import aligned, check_target, printable, say
 from flysid.errors import UsageError
 
 if TYPE_CHECKING:
+    from flysid.design.designed import Design
     from flysid.design.designing import Wish
+    from flysid.design.rule_design import RuleDesign
 
 FIRMWARES = ("pid", "px4", "ardupilot", "tum-ardrone")
 
@@ -99,7 +101,6 @@ def command(
     from flysid.design.designing import Wish, design_run
     from flysid.design.drawn_plants import Spread
     from flysid.design.firmware import SAFETY
-    from flysid.files import replacing_folder
     from flysid.validate.run import open_run
 
     if out is not None:
@@ -117,7 +118,7 @@ def command(
         feedforward=feed_forward,
     )
     if method == "pdc":
-        return _of_rules(run, replace(wish, old={}), data, out, quiet, display)
+        return _of_rules(run, replace(wish, old={}), data, out, as_json, quiet, display)
     with display.shown():
         design = design_run(open_run(run), wish, data)
     if as_json:
@@ -126,33 +127,39 @@ def command(
         for axis in design.axes:
             click.echo("\n".join(printable(line) for line in axis.lines()))
             click.echo("\n".join(f"    {line}" for line in aligned(axis.table())) + "\n")
-    for name, (why, hint) in design.refused.items():
-        say(f"{name}: refused: {why}. Try: {hint}", quiet)
-    if out is not None:
-        with replacing_folder(out) as place:
-            for file, text in design.files().items():
-                (place / file).write_text(text, "utf-8")
-        say(f"written: {out}", quiet)
-        if not design.new:
-            say("no new.param: without the present gains (--old FILE) there is no way back", quiet)
+    _write(design, out, quiet)
+    if out is not None and not design.new:
+        say("no new.param: without the present gains (--old FILE) there is no way back", quiet)
     if not as_json:
         say(SAFETY)
     return 3 if design.refused else 0
 
 
 def _of_rules(
-    run: Path, wish: Wish, data: Path | None, out: Path | None, quiet: bool, display: Display
+    run: Path, wish: Wish, data: Path | None, out: Path | None, as_json: bool, quiet: bool, display: Display
 ) -> int:
     """Find, print and write gains of rules."""
     from flysid.design.firmware import SAFETY
     from flysid.design.rule_design import PROVED, design_rules
-    from flysid.files import replacing_folder
     from flysid.validate.run import open_run
 
     with display.shown():
         design = design_rules(open_run(run), wish, data)
-    for axis in design.axes:
-        click.echo("\n".join(printable(line) for line in axis.lines()))
+    if as_json:
+        click.echo(json.dumps(design.to_dict(), indent=1, allow_nan=False))
+    else:
+        for axis in design.axes:
+            click.echo("\n".join(printable(line) for line in axis.lines()))
+    _write(design, out, quiet)
+    if not as_json:
+        say(f"{PROVED} {SAFETY}")
+    return 3 if design.refused else 0
+
+
+def _write(design: Design | RuleDesign, out: Path | None, quiet: bool) -> None:
+    """Say why channels were refused, and write the files of the others."""
+    from flysid.files import replacing_folder
+
     for name, (why, hint) in design.refused.items():
         say(f"{name}: refused: {why}. Try: {hint}", quiet)
     if out is not None:
@@ -160,8 +167,6 @@ def _of_rules(
             for file, text in design.files().items():
                 (place / file).write_text(text, "utf-8")
         say(f"written: {out}", quiet)
-    say(f"{PROVED} {SAFETY}")
-    return 3 if design.refused else 0
 
 
 def old_parameters(old: str | None, firmware: str) -> dict[str, float]:

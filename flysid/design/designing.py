@@ -72,22 +72,16 @@ def design_run(run: Run, wish: Wish, data: str | Path | None = None) -> Design:
     UsageError : no such channel. DataError : no channel can be designed for, or no gains keep the bounds.
     StoreError : the run or its data cannot be read.
     """
-    names = [c.name for c in run.channels]
-    unknown = [c for c in wish.channels if c not in names]
-    if unknown:
-        raise UsageError(f"no channel {unknown[0]!r} in the run", hint=f"--channel {' or '.join(names)}")
-    chosen = tuple(c for c in run.channels if not wish.channels or c.name in wish.channels)
     ready: list[Ready] = []
     refused: dict[str, tuple[str, str]] = {}
-    for item in held_out(replace(run, channels=chosen), data):
+    for item in held_out(wished_channels(run, wish), data):
         tell("looking whether the flights identify the plant", channel=item.channel.name)
         try:
             ready.append(ready_channel(item, wish))
         except (DataError, UsageError) as error:
             refused[item.channel.name] = (error.message, error.hint or "")
     if not ready:
-        name, (why, hint) = next(iter(refused.items()))
-        raise DataError(f"no channel can be designed for; {name}: {why}", hint=hint)
+        raise none_left(refused)
     tell("searching for gains")
     scheme = ready[0].firmware.scheme
     together = [ready] if scheme.shared else [[r] for r in ready]
@@ -100,6 +94,21 @@ def design_run(run: Run, wish: Wish, data: str | Path | None = None) -> Design:
         dict(wish.old),
         _new(ready, axes, wish),
     )
+
+
+def wished_channels(run: Run, wish: Wish) -> Run:
+    """The run with the channels of the wish; UsageError where it has no such channel."""
+    names = [c.name for c in run.channels]
+    unknown = [c for c in wish.channels if c not in names]
+    if unknown:
+        raise UsageError(f"no channel {unknown[0]!r} in the run", hint=f"--channel {' or '.join(names)}")
+    return replace(run, channels=tuple(c for c in run.channels if c.name in (wish.channels or names)))
+
+
+def none_left(refused: Mapping[str, tuple[str, str]]) -> DataError:
+    """What to say where every channel was refused: the first reason, and what to do about it."""
+    name, (why, hint) = next(iter(refused.items()))
+    return DataError(f"no channel can be designed for; {name}: {why}", hint=hint)
 
 
 def ready_channel(item: HeldOut, wish: Wish) -> Ready:

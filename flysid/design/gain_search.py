@@ -18,6 +18,7 @@ from flysid.design.loopfigures import Figures, Laws, figures
 from flysid.errors import DataError, UsageError
 
 OUT_OF_BOUNDS = 1e6
+"""Least cost of gains that break a bound; those inside cost at most this."""
 
 
 @dataclass(frozen=True)

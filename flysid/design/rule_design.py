@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flysid.design.designing import Wish, ready_channel
+from flysid.design.designing import Wish, none_left, ready_channel, wished_channels
 from flysid.design.firmware import SAFETY
 from flysid.design.law import Parts
 from flysid.design.rule_gains import law_figures, search_rule_gains
@@ -77,9 +77,9 @@ class RuleDesign:
     axes: tuple[RuleAxis, ...]
     refused: Mapping[str, tuple[str, str]]
 
-    def files(self) -> dict[str, str]:
-        """Name -> text."""
-        body = {
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return {
             "format": FORMAT,
             "version": 1,
             "safety": SAFETY,
@@ -87,7 +87,10 @@ class RuleDesign:
             "run": self.run,
             "axes": [axis.to_dict() for axis in self.axes],
         }
-        return {FILE: json.dumps(body, indent=1, allow_nan=False) + "\n"}
+
+    def files(self) -> dict[str, str]:
+        """Name -> text."""
+        return {FILE: json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"}
 
 
 def design_rules(run: Run, wish: Wish, data: str | Path | None = None) -> RuleDesign:
@@ -103,14 +106,9 @@ def design_rules(run: Run, wish: Wish, data: str | Path | None = None) -> RuleDe
     """
     if wish.limit is None:
         raise UsageError("gains of rules are found inside the input's limit", hint="--limit, in its unit")
-    names = [c.name for c in run.channels]
-    unknown = [c for c in wish.channels if c not in names]
-    if unknown:
-        raise UsageError(f"no channel {unknown[0]!r} in the run", hint=f"--channel {' or '.join(names)}")
-    chosen = tuple(c for c in run.channels if not wish.channels or c.name in wish.channels)
     axes: list[RuleAxis] = []
     refused: dict[str, tuple[str, str]] = {}
-    for item in held_out(replace(run, channels=chosen), data):
+    for item in held_out(wished_channels(run, wish), data):
         tell("searching for gains of every rule", channel=item.channel.name)
         try:
             ready = ready_channel(item, wish)
@@ -131,6 +129,5 @@ def design_rules(run: Run, wish: Wish, data: str | Path | None = None) -> RuleDe
         units = (train.inputs[0].unit, train.outputs[0].unit)
         axes.append(RuleAxis(item.channel.name, label, units, law, *worst))
     if not axes:
-        name, (why, hint) = next(iter(refused.items()))
-        raise DataError(f"no channel can be designed for; {name}: {why}", hint=hint)
+        raise none_left(refused)
     return RuleDesign(str(run.folder), tuple(axes), refused)

@@ -9,9 +9,9 @@ For unknown Q > 0, M_r and g, with V = Q^-1 and K_r = -M_r V, the corners C of t
 
 decay d, cost g of position, its sum and the input's changes (D = M - e Q, e picks the last input) from the
 start x0, input inside its limit from there (Boyd et al., 1994; Tanaka and Wang, 2001, chapters 3 and 6).
-Solved by flysid's own interior point in coordinates in
-which the mean rule's Riccati solution is the identity. The weights of the cost are chosen so that every
-rule's gains keep the same bounds on every plant as a PID has to, at the least cost of the worst.
+Solved by flysid's own interior point in coordinates in which the mean rule's Riccati solution is the
+identity. The weights of the cost are chosen so that every rule's gains keep the same bounds on every plant as
+a PID has to, at the least cost of the worst.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.design.certificate import proves
 from flysid.design.drawn_plants import PlantSet
-from flysid.design.gain_search import Bounds
+from flysid.design.gain_search import OUT_OF_BOUNDS, Bounds
 from flysid.design.law import Parts
 from flysid.design.loopfigures import Figures, figures_of_paths
 from flysid.design.rule_plants import RuleLaw, RulePlant
@@ -62,7 +62,7 @@ def search_rule_gains(
         cost = float(bounds.cost(law_figures(law, plants, parts)).max())
         if best is None or cost < best[0]:
             best = cost, law
-    if best is None or best[0] >= 1e6:
+    if best is None or best[0] >= OUT_OF_BOUNDS:
         raise DataError(
             "no certified gains of the rules keep Ms, peak, noise and crossover within bounds on all plants",
             hint="allow more (--ms, --noise), or --method pid",
