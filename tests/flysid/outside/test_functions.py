@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +67,7 @@ number = 3
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "my_simulators.py").write_text(SIMULATORS)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delitem(__import__("sys").modules, "my_simulators", raising=False)
+    monkeypatch.delitem(sys.modules, "my_simulators", raising=False)
 
 
 def flight(start: float) -> Segment:
