@@ -33,12 +33,13 @@ def command(source: Path, run: Path, channel: str, out: Path, force: bool) -> No
     from flysid.validate.run import models_of, open_run
 
     check_target(out, force)
-    channels = {c.name: c for c in open_run(run).channels}
+    opened = open_run(run)
+    channels = {c.name: c for c in opened.channels}
     if channel not in channels and (channel or len(channels) > 1):
         what = f"no channel {channel!r}" if channel else f"{len(channels)} channels"
         raise UsageError(f"the run has {what}", hint="--channel " + ", or --channel ".join(channels))
     chosen = channels[channel] if channel else next(iter(channels.values()))
-    like = Like.of(next(iter(models_of(open_run(run), chosen).values())))
+    like = Like.of(next(iter(models_of(opened, chosen).values())))
     model = bring(str(source), like)
     if isinstance(model, Simulated):
         raise UsageError(

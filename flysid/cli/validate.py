@@ -81,7 +81,7 @@ def command(
     opened = open_run(run)
     check_target(target, force or is_own_report(target, run))
     beside: Beside = {}
-    if wanted:
+    if wanted or starts:
         from flysid.outside.bring import brought
 
         beside = brought(wanted, {c.name: models_of(opened, c) for c in opened.channels}, starts)

@@ -15,7 +15,7 @@ from flysid.outside.linear_system import linear_model
 from flysid.outside.stored import read_stored
 
 FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
-WORDS = re.compile(r"(?:(?P<channel>[^/=]+)/)?(?P<label>[\w.+-]+)=(?P<source>.+)")
+WANTED = re.compile(r"(?:(?P<channel>[^/=]+)/)?(?P<label>[\w.+-]+)=(?P<source>.+)")
 
 
 def bring(source: str, like: Like, starts: Sequence[str] = ()) -> Fitted:
@@ -32,10 +32,12 @@ def bring(source: str, like: Like, starts: Sequence[str] = ()) -> Fitted:
         damaged or holds something else.
     """
     path = Path(source)
-    if not path.exists() and FUNCTION.fullmatch(source):
-        return function_model(source, like)
     if path.suffix.lower() == ".fmu":
         return fmu_model(path, like, starts)
+    if starts:
+        raise UsageError(f"{source} is no FMU, to have a variable to start from", hint="leave out --start")
+    if not path.exists() and FUNCTION.fullmatch(source):
+        return function_model(source, like)
     fields = read_stored(path)
     if fields.get("format") == MODEL_FORMAT:
         return load(path)
@@ -57,24 +59,33 @@ def brought(
 
     Raises
     ------
-    UsageError : not understood, a label that is taken, or a model of no channel. Else as `bring`.
+    UsageError : not understood, a label that is taken, a start of no model, or a model of no channel. Else
+        as `bring`.
     """
+    labels = {match["label"] for text in wanted if (match := WANTED.fullmatch(text))}
+    begins: dict[str, list[str]] = {}
+    for text in starts:
+        label, _, variable = text.partition("=")
+        if label not in labels or not variable:
+            raise UsageError(f"{text!r} is a start of no model", hint="LABEL=VARIABLE, LABEL as in --with")
+        begins.setdefault(label, []).append(variable)
     found: dict[str, dict[str, Fitted]] = {}
     for text in wanted:
-        match = WORDS.fullmatch(text)
+        match = WANTED.fullmatch(text)
         if match is None:
             raise UsageError(f"{text!r} is not understood", hint="LABEL=FILE, or CHANNEL/LABEL=FILE")
-        channel, label, source = match["channel"], match["label"], match["source"]
+        channel = match["channel"]
+        label = match["label"]
+        source = match["source"]
         if channel is not None and channel not in channels:
             raise UsageError(f"the run has no channel {channel!r}", hint=f"one of {', '.join(channels)}")
-        begins = [s.partition("=")[2] for s in starts if s.partition("=")[0] == label]
         fits: list[str] = []
         why: FlysidError | None = None
         for name in [channel] if channel is not None else channels:
             if label in channels[name] or label in found.get(name, {}):
                 raise UsageError(f"the channel {name} has a model {label!r} already", hint="another label")
             try:
-                model = bring(source, Like.of(next(iter(channels[name].values()))), begins)
+                model = bring(source, Like.of(next(iter(channels[name].values()))), begins.get(label, ()))
             except UsageError as error:
                 why = why or error
                 continue

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from flysid.dataset import FloatArray
+from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
-from flysid.outside.like import Like, matched
+from flysid.outside.like import Like, Matched, matched
 from flysid.outside.simulator import Simulated
 
 SETTABLE = ("local", "output")
@@ -97,47 +97,23 @@ def fmu_model(path: Path, like: Like, starts: Sequence[str] = ()) -> Simulated:
     ------
     UsageError : no FMPy, not an FMU for co-simulation on this machine, other signals, units or sample time.
     """
-    try:
-        import fmpy
-    except ImportError as error:
-        raise UsageError("FMPy is needed for FMUs", hint="pip install 'flysid[fmu]'") from error
-    try:
-        told = fmpy.read_model_description(str(path))
-        platforms = fmpy.supported_platforms(str(path))
-    except Exception as error:  # somebody else's archive
-        raise UsageError(f"not an FMU: {error}"[:200], path=path) from error
-    if told.coSimulation is None:
-        raise UsageError("an FMU for model exchange", path=path, hint="export it for co-simulation")
-    here = fmpy.platform if told.fmiVersion.startswith("2") else fmpy.platform_tuple
-    if here not in platforms and fmpy.platform not in platforms:
-        raise UsageError(
-            f"it holds no binary for {here}, but for {', '.join(platforms) or 'none'}",
-            path=path,
-            hint="build it for this machine, from its sources if it has them",
-        )
-    step = told.defaultExperiment.stepSize if told.defaultExperiment is not None else None
-    if told.coSimulation.canHandleVariableCommunicationStepSize is not True and step is not None:
-        ratio = like.dt_s / float(step)
-        if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
-            raise UsageError(f"the FMU steps by {float(step):g} s, the data by {like.dt_s:g} s", path=path)
+    told = _description(path)
+    _refuse_other_steps(told, like.dt_s, path)
     floats = [v for v in told.modelVariables if v.type in ("Real", "Float64") and not v.dimensions]
-    sides = []
-    for side, ours in (("input", like.inputs), ("output", like.outputs)):
-        found = [v for v in floats if v.causality == side]
-        names = [v.name for v in found]
-        missing = [s.name for s in ours if s.name not in names]
-        if missing and len(found) != len(ours):
-            raise UsageError(f"the FMU has no {side} {', '.join(missing)}, but {', '.join(names)}", path=path)
-        used = found if missing else [found[names.index(s.name)] for s in ours]
-        own = matched(ours, [v.name for v in used], [_unit(v) for v in used], side)
-        sides.append((own, tuple(used[j].valueReference for j in own.order)))
-    (ins, u_places), (outs, y_places) = sides
+    ins, u_places = _side(floats, like.inputs, "input", path)
+    outs, y_places = _side(floats, like.outputs, "output", path)
     begins = [v for v in floats if _starts(v) or v.name in starts]
     lost = sorted(set(starts) - {v.name for v in begins})
     if lost:
-        raise UsageError(f"the FMU has no real variable {', '.join(lost)}", path=path)
+        raise UsageError(
+            f"the FMU has no real variable {', '.join(lost)}",
+            path=path,
+            hint="its modelDescription.xml names them",
+        )
+    from fmpy import extract
+
     folder = tempfile.mkdtemp(prefix="flysid-fmu-")
-    fmpy.extract(str(path), folder)
+    extract(str(path), folder)
     simulator = FmuSimulator(
         name=path.name,
         description=told,
@@ -164,6 +140,61 @@ def fmu_model(path: Path, like: Like, starts: Sequence[str] = ()) -> Simulated:
         y_factors=outs.factors,
         notes=(f"The FMU {path.name}; nothing was estimated.", began, *ins.notes, *outs.notes),
     )
+
+
+def _description(path: Path) -> Any:
+    """What the FMU says of itself; UsageError where it cannot be run here."""
+    try:
+        import fmpy
+    except ImportError as error:
+        raise UsageError("FMPy is needed for FMUs", hint="pip install 'flysid[fmu]'") from error
+    try:
+        told = fmpy.read_model_description(str(path))
+        platforms = fmpy.supported_platforms(str(path))
+    except Exception as error:  # somebody else's archive
+        raise UsageError(f"not an FMU: {error}"[:200], path=path) from error
+    if told.coSimulation is None:
+        raise UsageError("an FMU for model exchange", path=path, hint="export it for co-simulation")
+    here = fmpy.platform if told.fmiVersion.startswith("2") else fmpy.platform_tuple
+    if here not in platforms and fmpy.platform not in platforms:
+        raise UsageError(
+            f"it holds no binary for {here}, but for {', '.join(platforms) or 'none'}",
+            path=path,
+            hint="build it for this machine, from its sources if it has them",
+        )
+    return told
+
+
+def _refuse_other_steps(told: Any, dt_s: float, path: Path) -> None:
+    """UsageError unless the data's sample time is a whole number of the FMU's steps, or it takes any."""
+    step = told.defaultExperiment.stepSize if told.defaultExperiment is not None else None
+    if step is None or told.coSimulation.canHandleVariableCommunicationStepSize is True:
+        return
+    ratio = dt_s / float(step)
+    if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
+        raise UsageError(
+            f"the FMU steps by {float(step):g} s, the data by {dt_s:g} s",
+            path=path,
+            hint="export it with the data's step, or a whole fraction of it",
+        )
+
+
+def _side(
+    floats: Sequence[Any], ours: Sequence[Signal], side: str, path: Path
+) -> tuple[Matched, tuple[int, ...]]:
+    """The FMU's inputs or outputs that the data's signals are, and their value references."""
+    found = [v for v in floats if v.causality == side]
+    names = [v.name for v in found]
+    missing = [s.name for s in ours if s.name not in names]
+    if missing and len(found) != len(ours):
+        raise UsageError(
+            f"the FMU has no {side} {', '.join(missing)}, but {', '.join(names)}",
+            path=path,
+            hint=f"name its {side}s as the data do",
+        )
+    used = found if missing else [found[names.index(s.name)] for s in ours]
+    own = matched(ours, [v.name for v in used], [_unit(v) for v in used], side)
+    return own, tuple(used[j].valueReference for j in own.order)
 
 
 def _unit(variable: Any) -> str:

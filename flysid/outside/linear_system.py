@@ -92,7 +92,7 @@ class _Parts:
 
         Parameters
         ----------
-        n_y : outputs that are expected: files tell a column of cells from a row of them no more.
+        n_y : outputs that are expected: files do not tell a column of cells from a row of them.
         """
         value = _plain(self._value(name))
         if value is None:

@@ -28,6 +28,11 @@ TOKEN = re.compile(
       |(?P<mark>[-+*/^=,()\[\]{}'])""",
     re.VERBOSE,
 )
+QUOTED = re.compile(r"'(?:[^'\n]|'')*'")
+HINT = (
+    "write the model as literals: sys = idpoly(A, B, C, D, F, [], Ts), idss(A, B, C, D, K, 'Ts', Ts), "
+    "idtf(num, den, Ts), ss, tf or filt; or save it as .mat"
+)
 VALUE_ENDS = ("number", "name", "text")
 CLOSING = {"[": "]", "{": "}"}
 SIGNS: Mapping[str, float] = {"+": 1.0, "-": -1.0}
@@ -69,7 +74,7 @@ def _tokens(text: str) -> list[Token]:
     apart = False
     while at < len(text):
         quoted = text[at] == "'" and not (found and not apart and _ends_a_value(found[-1]))
-        match = re.compile(r"'(?:[^'\n]|'')*'").match(text, at) if quoted else TOKEN.match(text, at)
+        match = (QUOTED if quoted else TOKEN).match(text, at)
         if match is None:
             raise FormatError(f"line {line}: {text[at : at + 20]!r} is not understood", hint=HINT)
         kind = "text" if quoted else str(match.lastgroup)
@@ -79,12 +84,6 @@ def _tokens(text: str) -> list[Token]:
         line += match[0].count("\n")
         at = match.end()
     return [*found, Token("end", "\n", line, False)]
-
-
-HINT = (
-    "write the model as literals: sys = idpoly(A, B, C, D, F, [], Ts), idss(A, B, C, D, K, 'Ts', Ts), "
-    "idtf(num, den, Ts), ss, tf or filt; or save it as .mat"
-)
 
 
 def _ends_a_value(token: Token) -> bool:

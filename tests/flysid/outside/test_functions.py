@@ -10,7 +10,7 @@ import pytest
 
 from flysid.dataset import Segment, Signal
 from flysid.errors import UsageError
-from flysid.outside.bring import bring
+from flysid.outside.bring import bring, brought
 from flysid.outside.like import Like
 
 LIKE = Like(0.02, (Signal("pitch", "rad"),), (Signal("v", "m/s"),))
@@ -119,3 +119,14 @@ def test_what_is_no_simulator_is_refused(name: str, match: str) -> None:
         bring(f"my_simulators:{name}", LIKE)
     with pytest.raises(UsageError, match="cannot be imported"):
         bring("no_such_module:f", LIKE)
+
+
+def test_a_start_that_nothing_takes_is_refused() -> None:
+    channels = {"x": {"own": bring("my_simulators:drag", LIKE)}}
+    source = ["mine=my_simulators:drag"]
+    assert brought(source, channels)["x"].keys() == {"mine"}
+    for start in ("other=v", "mine", "mine="):
+        with pytest.raises(UsageError, match="a start of no model"):
+            brought(source, channels, [start])
+    with pytest.raises(UsageError, match="is no FMU"):
+        brought(source, channels, ["mine=v"])
