@@ -53,7 +53,7 @@ def grown(context: SearchContext, start: Stage, how: Training) -> list[Stage]:
     stages = [start]
     while len(stages) < RULES:
         found = one_rule_more(stages[-1], context.antecedents(stages[-1].layout), how)
-        stages.append(found[0].stage if found else stages[-1])
+        stages.append(found.stage if found else stages[-1])
     return stages
 
 

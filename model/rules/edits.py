@@ -121,7 +121,8 @@ def _one_more(context: SearchContext, stage: Stage) -> list[Candidate]:
     if not context.room(stage):
         return []
     how = Training(iterations=context.settings.iterations)
-    return [context.judge(g.stage) for g in one_rule_more(stage, context.antecedents(stage.layout), how)]
+    grown = one_rule_more(stage, context.antecedents(stage.layout), how)
+    return [context.judge(grown.stage)] if grown else []
 
 
 def _again(context: SearchContext, chosen: Candidate, larger: Sequence[Candidate]) -> Candidate:

@@ -19,7 +19,7 @@ from flysid.dataset import FloatArray
 from flysid.model.rules.free_run_error import Body, Problem, Stage, antecedent_range
 from flysid.model.rules.kernel import firing
 from flysid.model.rules.regressor_layout import Antecedent, Layout, windows
-from flysid.model.rules.stages import expected_cost, inserted, on_runs, on_runs_of, refine, with_ridge
+from flysid.model.rules.stages import expected_cost, inserted, on_runs_of, refine, with_ridge
 
 _PLACES = (0.15, 0.5, 0.85)
 _FIRST_PLACES = (0.1, 0.3, 0.7, 0.9)  # not the middle, from where there is no other side
@@ -205,10 +205,9 @@ class Insertion:
 
 @dataclass(frozen=True, eq=False)
 class Grown:
-    """One rule more: where it went, the stage as it was put there, and the stage refined."""
+    """One rule more: where it went, and the stage refined with it."""
 
     where: Insertion
-    start: Stage
     stage: Stage
 
 
@@ -284,13 +283,11 @@ def thinned(stage: Stage, samples: int) -> Stage:
     return replace(stage, problem=replace(stage.problem, runs=runs), initial=initial)
 
 
-def one_rule_more(
-    stage: Stage, antecedents: Sequence[Antecedent], how: Training, keep: int = 1
-) -> list[Grown]:
-    """The best insertions, refined fully, lowest training cost first; none where no region has samples.
+def one_rule_more(stage: Stage, antecedents: Sequence[Antecedent], how: Training) -> Grown | None:
+    """The best insertion, refined fully; None where no region has samples.
 
     What a Gauss-Newton step promises ranks insertions along one antecedent well, and compares antecedents
-    over lags badly: so some are tried out, on few rows, by a few steps of refinement. `keep` of them go on.
+    over lags badly: so some are tried out, on few rows, by a few steps of refinement.
     """
     stage = with_ridge(stage, how.ridge * stage.mean_square())
     few = thinned(stage, _FEW)
@@ -298,15 +295,14 @@ def one_rule_more(
     order = _worth_trying(
         [o[0].antecedent for o in options], [expected_cost(o[1]) for o in options], how.tries
     )
-    trials = [(i, refine(options[i][1], max(6, how.iterations // 3), 1e-5)) for i in order]
-    trials.sort(key=lambda trial: trial[1].cost)
-    found = []
-    for i, trial in trials[:keep]:
-        best = settled(trial, how)
-        if few is not stage:
-            best = settled(on_runs_of(best, stage), how)
-        found.append(Grown(options[i][0], on_runs(options[i][1], stage), best))
-    return found
+    trials = [(options[i][0], refine(options[i][1], max(6, how.iterations // 3), 1e-5)) for i in order]
+    if not trials:
+        return None
+    where, trial = min(trials, key=lambda each: each[1].cost)
+    best = settled(trial, how)
+    if few is not stage:
+        best = settled(on_runs_of(best, stage), how)
+    return Grown(where, best)
 
 
 def _worth_trying(kinds: Sequence[Antecedent], costs: Sequence[float], tries: int) -> list[int]:

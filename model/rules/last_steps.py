@@ -87,12 +87,13 @@ def refit_states(found: Search) -> Search:
     def single(data: Dataset) -> tuple[Stage, str]:
         return in_coordinates(on(data), "" if len(system.real.A) <= _READABLE else "plain")
 
-    made = None
+    def again(data: Dataset) -> Stage:
+        return single(data)[0]
+
+    made = again if found.at == 0 and system.again is not None else None
     if found.at == 0:
         stage, words = single(found.train)
         drifts = not is_bounded(stage)
-        if system.again is not None:
-            made = lambda data: single(data)[0]  # noqa: E731
     else:
         words = family.words
         start, _ = in_coordinates(on(found.train), family.coordinates)

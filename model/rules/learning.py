@@ -123,15 +123,13 @@ def _verdict(found: Search) -> tuple[str, ...]:
     return (said, f"{found.at + 1} rules: the fewest that are not clearly worse than the best.")
 
 
-def _edits(found: Search) -> bool:
-    """Whether the search may edit its rules: where it chose them by itself."""
-    s = found.context.settings
-    return s.refine and s.rules == "auto" and s.antecedents == "auto"
-
-
 def merge_and_split(found: Search) -> Search:
-    """The same number of rules by way of one more, where training and validation both prefer it."""
-    if not _edits(found):
+    """The same number of rules by way of one more, where training and validation both prefer it.
+
+    Rules that were asked for stay as they are.
+    """
+    s = found.context.settings
+    if not (s.refine and s.rules == "auto" and s.antecedents == "auto"):
         return found
     chosen = edits.merge_and_split(found.context, found.models, found.at)
     return replace(found, chosen=chosen, stage=ordered(chosen.stage))

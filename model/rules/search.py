@@ -79,7 +79,7 @@ def _screened(context: SearchContext, starts: Sequence[Family]) -> list[Screened
         for name in coordinate_names(first):
             stage, words = in_coordinates(first, name)
             better = one_rule_more(stage, context.antecedents(stage.layout), _SCREEN)
-            found = better[0].stage if better else stage
+            found = better.stage if better else stage
             judged = context.judge(found)
             fit = _change(found.mean_square(), first.mean_square())
             tried.append(
@@ -112,11 +112,11 @@ def grown(context: SearchContext, start: Family, ridge: float, done: float = 0.0
         family.stages < context.most_rules and context.room(stages[0]) and not _idle(context, family, stages)
     ):
         better = one_rule_more(stages[0], context.antecedents(stages[0].layout), how)
-        if not better:
+        if better is None:
             break
-        gain = _gain(stages[0], better[0].stage)
-        rest = (_likewise(context, stage, better[0].where, how, gain) for stage in stages[1:])
-        stages = [better[0].stage, *rest]
+        gain = _gain(stages[0], better.stage)
+        rest = (_likewise(context, stage, better.where, how, gain) for stage in stages[1:])
+        stages = [better.stage, *rest]
         new = [context.judge(s, c) for s, c in zip(stages, checks, strict=True)]
         new = [replace(m, stable=True) if drifts else m for m in new]
         family = replace(family, folds=tuple((*f, m) for f, m in zip(family.folds, new, strict=True)))
@@ -131,7 +131,7 @@ def _likewise(context: SearchContext, stage: Stage, where: Insertion, how: Train
     if found is not None and _gain(stage, found) >= _AS_MUCH * gain:
         return found
     own = one_rule_more(stage, context.antecedents(stage.layout), how)
-    options = [*(g.stage for g in own), *([found] if found else [])]
+    options = [*([own.stage] if own else []), *([found] if found else [])]
     return min(options, key=lambda s: s.cost, default=stage)
 
 

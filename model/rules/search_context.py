@@ -242,9 +242,7 @@ class SearchContext:
     @once(key)
     def _linear_side(self, choices: int) -> Sequence[Candidate]:
         """What the linear side chooses by itself, with its delays, as it is and refined."""
-        if not self.settings.refine:
-            return []
-        if choices == 1:
+        if not self.settings.refine or choices == 1:
             return []
         found = linear_models(self.fit_part, self.check_part, self.settings.nk_hint)
         return [c for model in found if self._may_start(model.orders) for c in self._both(model)]

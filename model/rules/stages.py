@@ -24,17 +24,13 @@ def with_ridge(stage: Stage, ridge: float) -> Stage:
     return replace(stage, problem=replace(stage.problem, ridge=ridge))
 
 
-def on_runs(stage: Stage, other: Stage) -> Stage:
-    """A stage's model on the runs of another stage, started where that one starts."""
-    return replace(stage, problem=replace(stage.problem, runs=other.problem.runs), initial=other.initial)
-
-
 def on_runs_of(stage: Stage, other: Stage) -> Stage:
     """A stage's model on the runs of another, started where that one is; hidden states where is likely."""
-    kept = on_runs(stage, other)
+    runs = other.problem.runs
+    kept = replace(stage, problem=replace(stage.problem, runs=runs), initial=other.initial)
     if not stage.layout.hidden:
         return kept
-    return min((on_other_runs(stage, other.problem.runs), kept), key=lambda s: s.mean_square())
+    return min((on_other_runs(stage, runs), kept), key=lambda s: s.mean_square())
 
 
 def on_other_runs(stage: Stage, runs: tuple[FloatArray, ...]) -> Stage:

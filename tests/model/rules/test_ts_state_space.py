@@ -97,7 +97,9 @@ def test_every_coordinate_is_the_same_linear_model() -> None:
 def test_sensitivities_are_exact() -> None:
     """The gradient of the cost agrees with central differences."""
     context, stage = begun(vehicle())
-    grown = one_rule_more(stage, context.antecedents(stage.layout), Training(iterations=3, tries=1))[0].stage
+    more = one_rule_more(stage, context.antecedents(stage.layout), Training(iterations=3, tries=1))
+    assert more is not None
+    grown = more.stage
     p = grown.unknowns + 1e-3 * np.random.default_rng(0).standard_normal(len(grown.unknowns))
     g = grown.descent(p, 0)[1].slope
     for j in range(len(p)):
