@@ -25,7 +25,7 @@ Residuals: TypeAlias = tuple[FloatArray, FloatArray]
 """(N,) residuals r and their (N, n) Jacobian dr/dtheta."""
 NormalEquations: TypeAlias = tuple[float, FloatArray | Bordered, FloatArray]
 """cost rᵀr, (n, n) JᵀJ and (n,) Jᵀr."""
-Reason = Literal["converged", "stalled", "max_iterations", "validation", "stopped"]
+Reason = Literal["converged", "stalled", "max_iterations"]
 
 FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e16
@@ -39,22 +39,15 @@ class Refinement:
 
     Attributes
     ----------
-    theta : (n,) the best parameters: of lowest validation cost where one was given, else of lowest cost.
+    theta : (n,) the parameters of lowest cost.
     cost : sum of squared residuals at `theta`.
-    start_cost : the same at the start.
-    iterations : accepted steps that led to `theta`.
     reason : "converged" (step or improvement below the tolerance, or the gradient vanished), "stalled" (no
-        step lowers the cost), "max_iterations", "validation" (the validation cost rose), "stopped" (the
-        caller said so).
-    validation_cost : at `theta`; None when no validation was given.
+        step lowers the cost), "max_iterations".
     """
 
     theta: FloatArray
     cost: float
-    start_cost: float
-    iterations: int
     reason: Reason
-    validation_cost: float | None = None
 
 
 @dataclass(frozen=True)
@@ -75,11 +68,8 @@ def levenberg_marquardt(
     theta0: FloatArray,
     *,
     cost: Callable[[FloatArray], float] | None = None,
-    validate: Callable[[FloatArray], float] | None = None,
-    stop: Callable[[], bool] | None = None,
     max_iterations: int = 50,
     tolerance: float = 1e-8,
-    patience: int = 5,
 ) -> Refinement:
     """Minimise the sum of squared residuals from a start.
 
@@ -88,9 +78,6 @@ def levenberg_marquardt(
     evaluate : theta -> (r, J) or (cost, JᵀJ, Jᵀr). May return non-finite values for divergent models.
     theta0 : (n,) start; its cost must be finite.
     cost : theta -> rᵀr without derivatives, when that is cheaper: trial points are then tried with it first.
-    validate : theta -> cost on data held out from the fit. The search keeps the point of lowest validation
-        cost and ends when `patience` accepted steps brought no lower one (early stopping).
-    stop : asked before every iteration; True ends the search (a time budget, a cancelled command).
     tolerance : relative decrease of the cost, and relative length of the step, that count as converged.
 
     Raises
@@ -101,14 +88,11 @@ def levenberg_marquardt(
     scale = _floored(point.diagonal)
     damping = FIRST_DAMPING
     growth = 2.0
-    best = _Best(point, None if validate is None else _finite_or_inf(validate(point.theta)))
     reason: Reason = "max_iterations"
-    start_cost = point.cost
-    accepted = 0
     tries = 0
     while tries < max_iterations:
-        if (stop is not None and stop()) or point.cost == 0.0 or _is_stationary(point, scale):
-            reason = "converged" if point.cost == 0.0 or _is_stationary(point, scale) else "stopped"
+        if point.cost == 0.0 or _is_stationary(point, scale):
+            reason = "converged"
             break
         tries += 1
         step = _step(point, scale, damping)
@@ -124,18 +108,11 @@ def levenberg_marquardt(
         damping, growth = _relax(damping, point, new, step, scale)
         settled = point.cost - new.cost <= tolerance * point.cost or _is_short(step, point, scale, tolerance)
         point = new
-        accepted = accepted + 1
         scale = np.maximum(scale, np.sqrt(point.diagonal))
-        best = best.after(point, accepted, validate)
         if settled:
             reason = "converged"
             break
-        if validate is not None and accepted - best.iteration >= patience:
-            reason = "validation"
-            break
-    return Refinement(
-        best.point.theta, best.point.cost, start_cost, best.iteration, reason, best.validation_cost
-    )
+    return Refinement(point.theta, point.cost, reason)
 
 
 def _started(evaluate: Callable[[FloatArray], Residuals | NormalEquations], theta0: FloatArray) -> _Point:
@@ -143,21 +120,6 @@ def _started(evaluate: Callable[[FloatArray], Residuals | NormalEquations], thet
     if point is None:
         raise FitError("the start of the refinement diverges", hint="give a stable start")
     return point
-
-
-@dataclass(frozen=True)
-class _Best:
-    point: _Point
-    validation_cost: float | None
-    iteration: int = 0
-
-    def after(self, point: _Point, iteration: int, validate: Callable[[FloatArray], float] | None) -> _Best:
-        """The better of this and a newly accepted point."""
-        if validate is None:
-            return _Best(point, None, iteration)
-        value = _finite_or_inf(validate(point.theta))
-        lowest = np.inf if self.validation_cost is None else self.validation_cost
-        return _Best(point, value, iteration) if value < lowest else self
 
 
 def _evaluate(
@@ -266,7 +228,3 @@ def _floored(diagonal: FloatArray) -> FloatArray:
     largest = float(norms.max(initial=0.0)) or 1.0
     floored: FloatArray = np.maximum(norms, 1e-8 * largest)
     return floored
-
-
-def _finite_or_inf(value: float) -> float:
-    return float(value) if np.isfinite(value) else np.inf

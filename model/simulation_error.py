@@ -15,7 +15,7 @@ filters of several bandwidths, then Levenberg-Marquardt; all in difference coord
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -237,22 +237,14 @@ class OutputError:
         jacobian = np.hstack(columns)
         return residual, without(space, jacobian)
 
-    def refine(
-        self,
-        theta: FloatArray,
-        *,
-        max_iterations: int = 50,
-        tolerance: float = 1e-6,
-        stop: Callable[[], bool] | None = None,
-    ) -> Refinement:
+    def refine(self, theta: FloatArray, *, max_iterations: int) -> Refinement:
         """Levenberg-Marquardt from a stable start."""
         return levenberg_marquardt(
             self.residuals_and_jacobian,
             theta,
             cost=self.cost,
             max_iterations=max_iterations,
-            tolerance=tolerance,
-            stop=stop,
+            tolerance=1e-6,
         )
 
     # -- starts ------------------------------------------------------------------------------------------
@@ -337,32 +329,23 @@ class Start:
     cost: float
 
 
-def find_start(
-    problem: OutputError, known: Sequence[FloatArray] = (), *, tries: int = 2, polish: int = 3
-) -> Start:
+def find_start(problem: OutputError, *, tries: int = 2, polish: int = 3) -> Start:
     """The start of lowest simulation error: refined instrumental variables from several bandwidths.
 
     Every bandwidth gets `tries` iterations, the best of them `polish` more.
-
-    Parameters
-    ----------
-    known : other starts to consider, e.g. least squares one step ahead.
 
     Raises
     ------
     FitError : every attempt diverges.
     """
-    best = Start(np.zeros(problem.orders.count), np.inf)
-    for theta in known:
-        best = _lower(best, problem, theta)
     attempts = []
     for bandwidth in BANDWIDTHS:
         a_filter = filter_polynomial(problem.orders.na, float(np.exp(-bandwidth)))
         attempts.append(_instrumental_search(problem, a_filter, None, tries))
     attempts.sort(key=lambda s: s.cost)
-    best = min(best, attempts[0], key=lambda s: s.cost)
-    if np.isfinite(attempts[0].cost) and polish:
-        model = to_transfer(attempts[0].theta, problem.orders)
+    best = attempts[0]
+    if np.isfinite(best.cost) and polish:
+        model = to_transfer(best.theta, problem.orders)
         best = min(best, _instrumental_search(problem, model.a, model, polish), key=lambda s: s.cost)
     if not np.isfinite(best.cost):
         raise FitError("no stable start was found for the simulation-error fit", hint="give other orders")

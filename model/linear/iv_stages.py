@@ -112,20 +112,18 @@ def fitted_by_iv(
     orders: Sequence[Orders],
     columns: Columns,
     n_init: int | None,
-    driven: Mapping[int, Path] | None = None,
 ) -> FittedLinear:
     """Every output's estimate, as one model.
 
     Parameters
     ----------
     blocks : outputs, then inputs, in scaled deviations.
-    driven : what the references drive, where it is known already; see `driven_by`.
 
     Raises
     ------
     FitError : the instruments are blind. DataError : no segment is long enough.
     """
-    driven = driven_by(blocks, len(orders), columns) if driven is None else driven
+    driven = driven_by(blocks, len(orders), columns)
     found = [estimated_by_iv(parts, blocks, (i, own), columns, driven) for i, own in enumerate(orders)]
     return _model(parts, orders, columns, found, n_init)
 

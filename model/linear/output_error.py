@@ -77,7 +77,7 @@ def widened(options: Sequence[int], delay: int, most: int) -> list[int]:
     return [*options, *(d for d in (delay, delay - 1, delay + 1) if 0 <= d <= most and d not in options)]
 
 
-def fit_output(problem: OutputError, known: Sequence[FloatArray] = (), *, iterations: int = 40) -> OneOutput:
+def fit_output(problem: OutputError) -> OneOutput:
     """Start and refine.
 
     Raises
@@ -90,8 +90,8 @@ def fit_output(problem: OutputError, known: Sequence[FloatArray] = (), *, iterat
             f"no segment has the {problem.start_row() + 2 * problem.orders.na + 1} samples these orders need",
             hint="choose smaller orders or delays, or bring longer segments",
         )
-    start = find_start(problem, known)
-    found = problem.refine(start.theta, max_iterations=iterations)
+    start = find_start(problem)
+    found = problem.refine(start.theta, max_iterations=40)
     return OneOutput(problem, found.theta, found.cost)
 
 
