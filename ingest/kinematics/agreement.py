@@ -23,7 +23,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import nnls
 from scipy.signal.windows import tukey
 
-FloatArray = npt.NDArray[np.float64]
+from flysid.dataset import FloatArray
+
 ComplexArray = npt.NDArray[np.complex128]
 
 LONGEST_LAG_S = 0.5

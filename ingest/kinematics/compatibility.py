@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import norm
 
+from flysid.dataset import FloatArray
 from flysid.errors import FlysidError
 from flysid.ingest.align import resample
 from flysid.ingest.align.clocks import align_clocks
@@ -21,11 +22,19 @@ from flysid.ingest.align.resample import Series
 from flysid.ingest.align.signals import Loaded, Log, find_source, load_signal
 from flysid.ingest.excitation.excitation import QUIET
 from flysid.ingest.kinematics.agreement import Agreement, Record, agreement
-from flysid.ingest.kinematics.motion import INSTRUMENTS, attitude, gridded, highest_hz, without_jumps
+from flysid.ingest.kinematics.motion import (
+    INSTRUMENTS,
+    MIN_SECONDS,
+    attitude,
+    gridded,
+    highest_hz,
+    without_jumps,
+)
 
 LEVEL = 0.05
 """Chance of any finding at all in a flight whose instruments agree."""
 SPLINE_LOSS = 0.01
+"""Of a scale: what splines lose of motion as fast as is looked at."""
 GRAVITY_RANGE = 0.026
 """m/s^2: half of what gravity varies by from the equator to the poles."""
 UNKNOWN_SCALE = 0.5
@@ -185,7 +194,7 @@ class Correction:
 def corrections_of(parameters: Sequence[Parameter]) -> dict[str, Correction]:
     """By signal, from what was found: biases and scales of one axis go together, as do all axes' lags.
 
-    None where an axis follows another motion: nobody knows which of the two is right.
+    Nothing where an axis follows another motion: nobody knows which of the two is right.
     """
     if any(p.foreign for p in parameters):
         return {}
@@ -235,7 +244,9 @@ def _compare(instrument: str, log: Log, corrections: Mapping[str, Correction]) -
             highest = min(highest, highest_hz(series))
             slowest = max(slowest, source_s)
     if not records:
-        return Comparison(instrument, sources, reason="no stretch of 5 s in which all of it was logged")
+        return Comparison(
+            instrument, sources, reason=f"no stretch of {MIN_SECONDS:g} s in which all of it was logged"
+        )
     alive = np.max([np.ptp(r.measured, axis=0) for r in records], axis=0) > 0.0
     axes = [a for a, moves in zip(recipe.channels[instrument].outputs, alive, strict=True) if moves]
     if not axes:
@@ -276,7 +287,7 @@ def _parameters(
     axes: Sequence[str],
     found: Agreement,
     half_period_s: float,
-    gravity: npt.NDArray[np.float64],
+    gravity: FloatArray,
 ) -> Iterator[Parameter]:
     for i, axis in enumerate(axes):
         unit = quantities().signals[axis].unit

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.constants import g as GRAVITY
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, median_filter
@@ -18,17 +17,19 @@ from scipy.signal import welch
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
+from flysid.dataset import FloatArray
 from flysid.ingest.align import resample
 from flysid.ingest.align.resample import Series, Span
 from flysid.ingest.kinematics.agreement import Record
 
-FloatArray = npt.NDArray[np.float64]
 Columns = Mapping[str, FloatArray]
 
 SPLINE_GOOD_TO = 0.2
 """Of a source's rate: a cubic spline through samples loses less than 1 % of what is slower."""
 MIN_SECONDS = 5.0
+"""Of a stretch that is compared."""
 RARE = 1e-3
+"""Chance that noise of a whole record passes for a jump."""
 ANGLES = frozenset({"roll", "pitch", "yaw", "heading"})
 
 
@@ -90,8 +91,8 @@ def _sampled(series: Mapping[str, Series], span: Span, dt_ns: float) -> Columns:
 def without_jumps(record: Record, source_s: float) -> list[Record]:
     """The stretches between the jumps of an estimator that was reset.
 
-    A jump stands for one or two periods of the slowest source, `source_s`. It is what no noise does in a
-    thousand flights, measured by the median of the difference, here and in the whole record.
+    A jump stands for one or two periods of the slowest source, `source_s`. It is what noise does in one of
+    a thousand records, measured by the median of the difference, here and in the whole record.
     """
     off = record.measured - record.implied
     off = np.abs(off - np.median(off, axis=0))

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import FloatArray
-from flysid.errors import DataError, FitError, UsageError
+from flysid.errors import DataError, FitError
 from flysid.model.frequency.rational import (
     Coordinates,
     Form,
@@ -412,32 +412,6 @@ def _tischler(problem: _Problem, errors: FloatArray, n_u: int) -> FloatArray:
     deg = np.degrees(errors[m:])
     each = problem.trust * (db**2 + PHASE_WEIGHT * deg**2)
     return np.array([20.0 * float(np.mean(each[problem.source == j])) for j in range(n_u)])
-
-
-def choose_fit(
-    measured: MeasuredResponse,
-    candidates: Sequence[Form],
-    *,
-    weighting: Weighting = "coherence",
-    hold: Hold = "zero",
-    bands: Sequence[tuple[float, float]] | None = None,
-) -> tuple[ResponseFit, str]:
-    """The fit of lowest BIC among several orders, and a sentence that says so.
-
-    Raises
-    ------
-    DataError : an input without trustworthy frequencies. FitError : none of the orders could be fitted.
-    """
-    fits = []
-    why = None
-    for form in candidates:
-        try:
-            fits.append(fit_response(measured, form, weighting=weighting, hold=hold, bands=bands))
-        except (FitError, DataError) as error:
-            why = error
-    if not fits:
-        raise why if why is not None else UsageError("there are no orders to choose from")
-    return best_fit(fits)
 
 
 def best_fit(fits: Sequence[ResponseFit]) -> tuple[ResponseFit, str]:

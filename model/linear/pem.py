@@ -106,13 +106,13 @@ class PredictionError:
         jacobian = np.hstack(dynamics(transfer, noise, record, rest, states @ (mixing @ weights)))
         return rest, jacobian - basis @ (basis.T @ jacobian)
 
-    def refine(self, theta: FloatArray, *, max_iterations: int = 60) -> Refinement:
+    def refine(self, theta: FloatArray) -> Refinement:
         """Levenberg-Marquardt from an admissible start."""
         return levenberg_marquardt(
             self.residuals_and_jacobian,
             theta,
             cost=self.cost,
-            max_iterations=max_iterations,
+            max_iterations=60,
         )
 
     def _unprojected(
