@@ -40,6 +40,11 @@ def full_window(n_init: int, dt_s: float) -> int:
     return max(round(WINDOW_S / dt_s), WINDOW_LAGS * n_init)
 
 
+def lags_inside_window(dt_s: float, needed: int) -> int:
+    """As many lags as never lengthen `full_window`; at least `needed`, and 1."""
+    return max(round(WINDOW_S / dt_s / WINDOW_LAGS), needed, 1)
+
+
 class Runs(Protocol):
     """What a start is estimated for: anything that simulates from its first outputs."""
 

@@ -12,6 +12,8 @@ from flysid.model.polynomials import ComplexArray
 
 LONGEST = 4000
 SLOWEST = 20_000
+LASTING = 6.0
+"""Time constants that a step is followed for: it settles to a quarter of a per cent."""
 AT_REST = 0.1
 """Share of a signal's range that it may drift by and still be called at rest."""
 

@@ -93,7 +93,8 @@ class Follower:
     def __post_init__(self) -> None:
         conditions = tuple(replace(c, margin_s=0.0) for c in self.recipe.conditions)
         self._recipe = replace(self.recipe, conditions=conditions, min_segment_s=0.0)
-        self._pieces, self._log = Pieces(LIVE_DIALECT), RollingLog()
+        self._pieces = Pieces(LIVE_DIALECT)
+        self._log = RollingLog()
         self._newest_ns = {w.name: 0 for w in self.watches}
         self._heard_s = {w.name: time.monotonic() for w in self.watches}
         self._silent: set[str] = set()

@@ -16,7 +16,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.base import try_out
-from flysid.model.start import WINDOW_LAGS, WINDOW_S
+from flysid.model.start import lags_inside_window
 from flysid.model.subspace.fitted_model import FittedStateSpace, resting
 from flysid.model.subspace.kalman import gains_of
 from flysid.outside.like import Like, matched
@@ -169,7 +169,7 @@ def started(model: FittedStateSpace) -> FittedStateSpace:
     As many samples as a fifth of the window that estimates the start of a free run, or as it has states.
     """
     system = model.realisation
-    most = max(round(WINDOW_S / model.dt_s / WINDOW_LAGS), system.order + max(model.delays, default=0), 1)
+    most = lags_inside_window(model.dt_s, system.order + max(model.delays, default=0))
     n_y = len(model.outputs)
     unsure = replace(system, state=DIFFUSE * np.eye(system.order), innovation=np.eye(n_y))
     noise = np.array([np.ones(n_y), -np.ones(n_y)])

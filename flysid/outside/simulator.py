@@ -18,7 +18,7 @@ from flysid.model.arguments import as_columns, as_record
 from flysid.model.base import Rule
 from flysid.model.freerun import saturated
 from flysid.model.noise import output_error_ahead
-from flysid.model.start import STEPS, WINDOW_LAGS, WINDOW_S, FreeRuns
+from flysid.model.start import STEPS, FreeRuns, lags_inside_window
 
 FAR = 1e12
 SHIFT = 1e-4
@@ -71,7 +71,7 @@ class Simulated(FreeRuns):
     @property
     def n_init(self) -> int:
         """As few samples as never lengthen the window that the starts of all models are estimated from."""
-        return max(round(WINDOW_S / self.dt_s / WINDOW_LAGS), len(self.simulator.start), 1)
+        return lags_inside_window(self.dt_s, len(self.simulator.start))
 
     @property
     def output_limits(self) -> FloatArray:

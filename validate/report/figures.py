@@ -16,6 +16,8 @@ from flysid.validate.comparison import Pair
 from flysid.validate.report.context import Sweep
 from flysid.validate.report.overlay import Role
 from flysid.validate.report.svg import (
+    HALF,
+    THIRD,
     Axes,
     area,
     box,
@@ -35,8 +37,6 @@ from flysid.validate.report.svg import (
 from flysid.validate.residuals import Spectrum
 from flysid.validate.words import interval_words
 
-HALF = 470.0
-THIRD = 310.0
 TRUSTED = 0.6
 """Coherence from which a measured point counts (Tischler and Remple 2012)."""
 NEAREST = 1.0 / 160.0
@@ -196,22 +196,6 @@ def _empirical(m: _Measured, gain: Axes, phase: Axes, bottom: Axes) -> list[Mark
         parts.append(dots(axes, m.hz[inside & ~m.trusted], values[inside & ~m.trusted], "dot faint"))
         parts.append(dots(axes, m.hz[good], values[good], "dot"))
     return parts
-
-
-def static_map(
-    rests: FloatArray, levels: FloatArray, steady: Mapping[Role, FloatArray], words: tuple[str, str, str]
-) -> Markup:
-    """Measured equilibria (M, 2) as dots, each model's steady output over `levels`; words: x, y, label."""
-    shown = [v for role, v in steady.items() if role.shown and np.isfinite(v).any()]
-    low, high = span(*shown, rests[:, 1])
-    more = 0.5 * (high - low)
-    all_low, all_high = span(*steady.values(), rests[:, 1])
-    limits = (max(all_low, low - more), min(all_high, high + more))
-    axes = Axes(span(rests[:, 0], levels), limits, width=HALF - 60, height=170)
-    parts = [frame(axes, words[1], words[0]), dots(axes, rests[:, 0], rests[:, 1], "dot")]
-    for role, values in steady.items():
-        parts.append(owned(role.model, [line(axes, levels, values, role.css)], shown=role.shown))
-    return picture(HALF, 234, parts, words[2])
 
 
 def coverage(train: FloatArray | None, test: FloatArray, words: tuple[str, str]) -> Markup:

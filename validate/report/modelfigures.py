@@ -14,22 +14,24 @@ from markupsafe import Markup
 from flysid.dataset import FloatArray
 from flysid.model.polynomials import ComplexArray
 from flysid.validate.report.overlay import Role
-from flysid.validate.report.svg import Axes, box, dots, frame, line, owned, picture, segment, span
+from flysid.validate.report.svg import HALF, Axes, box, dots, frame, line, owned, picture, segment, span
 from flysid.validate.residuals import Correlation
 
-HALF = 470.0
 BINS = 41
 """Of the histogram: an odd number has a bin about zero."""
 
 Lines = Mapping[Role, FloatArray]
 
 
-def reached(values: Lines, *, around: float | None = None) -> tuple[float, float]:
-    """Limits of the models that are shown; the others may go half as far beyond."""
+def reached(
+    values: Lines, *, measured: FloatArray | None = None, around: float | None = None
+) -> tuple[float, float]:
+    """Limits of the models that are shown and of what was measured; the others may go half as far beyond."""
+    seen = [] if measured is None else [measured]
     own = [v for role, v in values.items() if role.shown]
-    low, high = span(*own, around=around)
+    low, high = span(*own, *seen, around=around)
     more = 0.5 * (high - low)
-    all_low, all_high = span(*values.values(), around=around)
+    all_low, all_high = span(*values.values(), *seen, around=around)
     return max(all_low, low - more), min(all_high, high + more)
 
 
@@ -44,6 +46,14 @@ def step_figure(t: FloatArray, values: Lines, unit: str, label: str) -> Markup:
     zero = float(axes.py(0.0))
     parts = [frame(axes, unit, "time after the step, s"), segment(axes.left, zero, axes.right, zero, "axis")]
     return picture(HALF, 216, [*parts, *_each(axes, t, values)], label)
+
+
+def static_map(rests: FloatArray, levels: FloatArray, steady: Lines, words: tuple[str, str, str]) -> Markup:
+    """Measured equilibria (M, 2) as dots, each model's steady output over `levels`; words: x, y, label."""
+    limits = reached(steady, measured=rests[:, 1])
+    axes = Axes(span(rests[:, 0], levels), limits, width=HALF - 60, height=170)
+    parts = [frame(axes, words[1], words[0]), dots(axes, rests[:, 0], rests[:, 1], "dot")]
+    return picture(HALF, 234, [*parts, *_each(axes, levels, steady)], words[2])
 
 
 def pole_map(found: Mapping[Role, Sequence[tuple[ComplexArray, ComplexArray]]], label: str) -> Markup:
@@ -61,7 +71,8 @@ def pole_map(found: Mapping[Role, Sequence[tuple[ComplexArray, ComplexArray]]], 
         (middle - wide / 2, middle + wide / 2), (-0.06 * tall, 0.94 * tall), width=width, height=height
     )
     turn = np.linspace(0.0, np.pi, 721)
-    x, y = np.cos(turn), np.sin(turn)
+    x = np.cos(turn)
+    y = np.sin(turn)
     inside = (x >= axes.x[0]) & (x <= axes.x[1]) & (y <= axes.y[1])
     parts = [frame(axes, "imaginary part of z", "real part of z")]
     zero = float(axes.py(0.0))
@@ -91,7 +102,7 @@ def _marks(axes: Axes, z: ComplexArray, colour: str, *, cross: bool) -> Markup:
 
 
 def histogram(residuals: Lines, words: tuple[str, str]) -> Markup:
-    """Share of the one-step residuals of every model in each of 41 bins; `words`: axis, label."""
+    """Share of the one-step residuals of every model in each of `BINS` bins; `words`: axis, label."""
     own = np.concatenate([r for role, r in residuals.items() if role.shown])
     own = own[np.isfinite(own)]
     reach = float(np.percentile(np.abs(own), 99.5)) if len(own) else 1.0

@@ -18,11 +18,9 @@ from flysid.validate.report.channel_data import Source
 from flysid.validate.report.context import Sweep
 from flysid.validate.report.overlay import Role, drawn, roles
 from flysid.validate.residuals import Correlation
-from flysid.validate.responses import measured_rests, poles_and_zeros, steady_outputs, step_from
+from flysid.validate.responses import LASTING, measured_rests, poles_and_zeros, steady_outputs, step_from
 from flysid.validate.words import number, one_line
 
-TIME_CONSTANTS = 6.0
-"""That a step is followed for: it settles to a quarter of a per cent."""
 SETTLED = 3.0
 """Time constants after which 95 % of a change have happened: what lasts so long may be at rest."""
 STEP_POINTS = (50, 4000)
@@ -228,7 +226,7 @@ def _step(source: Source, j: int, signal: int) -> Panel:
     rest = u.mean(axis=0)
     height = float(np.std(u[:, signal])) or 1.0
     longest = max(len(s) for s in c.test.segments)
-    samples = int(np.clip(TIME_CONSTANTS * _slowest(source) / c.dt_s, STEP_POINTS[0], STEP_POINTS[1]))
+    samples = int(np.clip(LASTING * _slowest(source) / c.dt_s, STEP_POINTS[0], STEP_POINTS[1]))
     samples = max(STEP_POINTS[0], min(samples, longest))
     every = max(1, samples // 200)
     values = {
@@ -289,5 +287,5 @@ def _static(source: Source, j: int, signal: int) -> Panel:
     return Panel(
         "Static map",
         f"Lines: where each model settles for a constant input. {said}",
-        figures.static_map(rests, levels, steady, words),
+        modelfigures.static_map(rests, levels, steady, words),
     )

@@ -15,11 +15,9 @@ from markupsafe import Markup
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.model.capabilities import HasMemberships, HasTrainedRange
 from flysid.validate.report.decimate import decimate
-from flysid.validate.report.svg import Axes, area, frame, line, picture, span, text
+from flysid.validate.report.svg import HALF, THIRD, Axes, area, frame, line, picture, span, text
 from flysid.validate.words import one_line
 
-HALF = 470.0
-THIRD = 310.0
 SHOWN_FROM = 0.25
 _LAG = re.compile(r"\(k(?:-(\d+))?\)")
 

@@ -14,6 +14,10 @@ from markupsafe import Markup, escape
 from flysid.dataset import FloatArray
 from flysid.validate.words import one_line
 
+HALF = 470.0
+THIRD = 310.0
+"""Widths of pictures that stand two and three in a row."""
+
 
 @dataclass(frozen=True)
 class Axes:
@@ -231,6 +235,6 @@ def legend(items: Sequence[tuple[str, str]], x: float, y: float) -> Markup:
 
 
 __all__ = [
-    "Axes", "area", "box", "dots", "escape", "frame", "legend", "line", "log_ticks", "owned", "picture",
-    "segment", "span", "text", "tick_text", "ticks", "whiskers",
+    "HALF", "THIRD", "Axes", "area", "box", "dots", "escape", "frame", "legend", "line", "log_ticks", "owned",
+    "picture", "segment", "span", "text", "tick_text", "ticks", "whiskers",
 ]  # fmt: skip

@@ -15,7 +15,7 @@ from flysid.model.capabilities import HasOperatingPoints
 from flysid.validate.comparison import Comparison
 from flysid.validate.report.overlay import drawn
 from flysid.validate.report.svg import Axes, line, picture, segment, span, text, tick_text, ticks
-from flysid.validate.responses import step_from
+from flysid.validate.responses import LASTING, step_from
 from flysid.validate.segmentnames import begin_s, clock, segment_names
 from flysid.validate.trials import Trial
 from flysid.validate.words import one_line
@@ -26,8 +26,6 @@ HEIGHT = 132.0
 SMALL = 1e-3
 """Height of the step, in units of the input: the output's limits are far."""
 REACHED = 1.0 - np.exp(-1.0)
-LASTING = 6.0
-"""Time constants that a step is followed for."""
 LONGEST = 20_000
 """Samples."""
 
@@ -101,7 +99,8 @@ def answer(comparison: Comparison, place: tuple[int, int]) -> str:
     seconds = np.array([reached for _, reached in found])
     if not found or not np.isfinite([gains, seconds]).all() or abs(np.sign(gains).sum()) < len(gains):
         return ""
-    y, u = comparison.test.outputs[output], comparison.test.inputs[signal]
+    y = comparison.test.outputs[output]
+    u = comparison.test.inputs[signal]
     more = f"one more {u.unit} of {u.name}" if u.unit else f"one unit more of {u.name}"
     size = f"{_range(np.abs(gains))} {y.unit}".strip()
     effect = f"adds {size} to {y.name}" if gains[0] > 0 else f"takes {size} from {y.name}"
