@@ -57,11 +57,11 @@ def server() -> Iterator[S3Server]:
             found.kill()
 
 
-def fill(inbox: Place, count: int, rows: int = 3000) -> None:
+def fill(inbox: Place, count: int) -> None:
     """Logs of about 100 kB, each with content of its own: tables of three signals."""
     inbox.put("first", b"")  # makes the bucket
     inbox.delete(["first"])
-    steps = [f"{i / 50:.2f},{(i * 7919) % 1000 / 500 - 1:.3f}," for i in range(rows)]
+    steps = [f"{i / 50:.2f},{(i * 7919) % 1000 / 500 - 1:.3f}," for i in range(3000)]
     for n in range(count):
         lines = [f"{step}{(i * 31 + n) % 997 / 100:.2f},{n}" for i, step in enumerate(steps)]
         text = "time_s,command,response,number\n" + "\n".join(lines) + "\n"

@@ -72,9 +72,9 @@ class Instruments:
     position: float = 0.01
 
 
-def flown(seed: int, faults: Faults, seconds: float = 60.0, seen: Instruments | None = None) -> Flight:
+def flown(seed: int, faults: Faults, seconds: float = 60.0) -> Flight:
     """One flight, as PX4 would log it."""
-    seen = seen or Instruments()
+    seen = Instruments()
     rng = np.random.default_rng(seed)
     time_s = np.arange(round(seconds / COMMAND_S)) * COMMAND_S
     commands = np.column_stack([pilot(time_s, peak, rng) for peak in PEAKS])

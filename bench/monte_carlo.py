@@ -53,9 +53,9 @@ class Plant:
         drive = lfilter(self.b, self.f, u) + lfilter(self.c, self.d, e)
         return u[extra:], np.asarray(lfilter([1.0], self.a, drive))[extra:]
 
-    def bound(self, rows: int = ROWS, long: int = 400_000) -> FloatArray:
-        """(p,) Cramer-Rao standard deviations of a.., f.., b.. for `rows` samples (Ljung, 1999, 9.3)."""
-        u, y = self.fly(10**6, long)
+    def bound(self) -> FloatArray:
+        """(p,) Cramer-Rao standard deviations of a.., f.., b.. for ROWS samples (Ljung, 1999, 9.3)."""
+        u, y = self.fly(10**6, 400_000)
         left = lfilter(self.a, [1.0], y) - lfilter(self.b, self.f, u)
         e = lfilter(self.d, self.c, left)
         whitened_u = lfilter(self.d, self.c, lfilter([1.0], self.f, u))
@@ -67,7 +67,7 @@ class Plant:
         columns += [_late(lfilter([1.0], self.c, left), k) for k in range(1, len(self.d))]
         psi = np.stack(columns, axis=1)[1000:]
         information = psi.T @ psi / len(psi) / self.noise**2
-        return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))[:kept] / rows))
+        return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))[:kept] / ROWS))
 
     @property
     def truth(self) -> FloatArray:

@@ -107,7 +107,8 @@ class _LeastSquaresFit:
     def __init__(self, settings: ARX, parts: Parts) -> None:
         self.settings = settings
         self.parts = parts
-        self.n_y, self.n_u = len(parts.train.outputs), len(parts.train.inputs)
+        self.n_y = len(parts.train.outputs)
+        self.n_u = len(parts.train.inputs)
         if settings.refine is False and "auto" not in (settings.na, settings.nb, settings.nk):
             self.choice = self._fixed()
             self.note = f"Orders as given: {self.choice}."

@@ -84,8 +84,8 @@ def _number(parameter: Parameter) -> str:
     return f"{numbers[0]} [{numbers[1]}, {numbers[2]}] {unit[1]}".rstrip()
 
 
-def lines(found: Compatibility, everything: bool = False) -> Iterator[str]:
-    """A log's kinematics for people: what was compared, then what was found; or all that was estimated."""
+def lines(found: Compatibility) -> Iterator[str]:
+    """A log's kinematics for people: what was compared, then what was found."""
     for comparison in found.comparisons:
         title = f"{_name(comparison.instrument)} against {AGAINST[comparison.instrument]}"
         if comparison.reason:
@@ -96,8 +96,7 @@ def lines(found: Compatibility, everything: bool = False) -> Iterator[str]:
         cut = f", {comparison.cut_s:.0f} s around jumps left out" if comparison.cut_s >= 1.0 else ""
         verdict = "agree" if not wrong else f"{len(wrong)} of {len(comparison.parameters)} numbers differ"
         yield f"{title}: {comparison.seconds:.0f} s compared{cut}: {verdict}"
-        for parameter in comparison.parameters if everything else wrong:
-            yield f"  {sentence(parameter, comparison)}" + (" <-" if everything and parameter.found else "")
+        yield from (f"  {sentence(parameter, comparison)}" for parameter in wrong)
         for axis in comparison.still:
             yield (
                 f"  {quantities().signals[axis].description} did not move enough for a scale; fly {FLY[axis]}"

@@ -141,7 +141,8 @@ class _Worker(Generic[Task, Outcome]):
         return self._task is not None
 
     def give(self, task: Task) -> None:
-        self._task, self._since = task, time.monotonic()
+        self._task = task
+        self._since = time.monotonic()
         with suppress(OSError):  # it has died: `outcome` finds out
             self.connection.send(task)
 
@@ -156,7 +157,8 @@ class _Worker(Generic[Task, Outcome]):
         except (EOFError, OSError):
             return self._lost("")
         if kind == "ready":
-            self._is_ready, self._since = True, time.monotonic()
+            self._is_ready = True
+            self._since = time.monotonic()
             return None
         if kind == "told":
             progress.relay(content)

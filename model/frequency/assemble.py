@@ -180,7 +180,8 @@ def _sampled_covariance(parts: Parts, fit: OneTransfer, i: int, covariance: Floa
         step = STEP * max(abs(float(fit.theta[p])), 1e-3)
         up = fit.theta.copy()
         down = fit.theta.copy()
-        up[p], down[p] = fit.theta[p] + step, fit.theta[p] - step
+        up[p] += step
+        down[p] -= step
         if (fit.problem.rational(down).dead_time_s < 0.0).any():
             down = fit.theta
         columns.append((coefficients(up) - coefficients(down)) / (up[p] - down[p]))

@@ -31,7 +31,7 @@ _RUN_STEPS = (3000, 30_000)  # at least, and at most; between them as long as th
 _APART = 0.25  # of what was seen, in the end of a run; starts at its ends are half of it from the middle
 
 
-def is_bounded(stage: Stage, seed: int = 0) -> bool:
+def is_bounded(stage: Stage) -> bool:
     """Whether the free run comes back from bounded random inputs, and stays near under usual ones.
 
     First random steps over the whole range of the training inputs, which may push any plant far out; then
@@ -46,7 +46,7 @@ def is_bounded(stage: Stage, seed: int = 0) -> bool:
     """
     problem = stage.problem
     layout = stage.layout
-    x = _pushed(stage, seed)[_PUSHES + _PUSHES // 4 :]
+    x = _pushed(stage, seed=0)[_PUSHES + _PUSHES // 4 :]
     limits = problem.limits
     seen = [run[layout.uncompared :, : layout.n] for run in stage.simulated()]
     if layout.hidden:

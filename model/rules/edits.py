@@ -60,7 +60,8 @@ def _merged(p: Parameters, i: int, j: int, share: FloatArray) -> Parameters:
     kept = _kept(p, np.delete(np.arange(len(p.theta)), j))
     at = i if i < j else i - 1
     kept.theta[at] = np.tensordot(w, p.theta[[i, j]], axes=1)
-    kept.centre[at], kept.width[at] = centre, np.sqrt(spread)
+    kept.centre[at] = centre
+    kept.width[at] = np.sqrt(spread)
     return kept
 
 

@@ -47,10 +47,11 @@ def scale_factor(model: RuleModel, train: Dataset) -> float:
 
 def _followed(model: RuleModel, data: Dataset) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
     """Inputs, free run and what it leaves of every segment, behind the samples that start it, normalised."""
-    y = np.vstack([s.y for s in data.segments])
-    u = np.vstack([s.u for s in data.segments])
-    (y_mean, u_mean), (y_spread, u_spread) = ([f(part, axis=0) for part in (y, u)] for f in (np.mean, np.std))
-    scales = np.where(y_spread > 0.0, y_spread, 1.0), np.where(u_spread > 0.0, u_spread, 1.0)
+    n_y = len(data.outputs)
+    signals = np.vstack([np.hstack([s.y, s.u]) for s in data.segments])
+    mean = signals.mean(axis=0)
+    spread = signals.std(axis=0)
+    scale = np.where(spread > 0.0, spread, 1.0)
     rows = 0
     for s in data.segments:
         window = start_window(model.n_init, len(s), model.dt_s)
@@ -59,9 +60,9 @@ def _followed(model: RuleModel, data: Dataset) -> Iterator[tuple[FloatArray, Flo
         run = model.start.followed(model, s.u, s.y[:window])[window:]
         rows += len(run)
         yield (
-            (s.u[window:] - u_mean) / scales[1],
-            (run - y_mean) / scales[0],
-            (s.y[window:] - run) / scales[0],
+            (s.u[window:] - mean[n_y:]) / scale[n_y:],
+            (run - mean[:n_y]) / scale[:n_y],
+            (s.y[window:] - run) / scale[:n_y],
         )
 
 

@@ -19,6 +19,7 @@ from flysid.model.rules.descent import Fixed, Sizes, descend
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.regressor_layout import Layout
 
+_MOST_CHOICES = 3  # of coordinates, each of which is grown from
 _SINGULAR = 1e-6  # coordinates closer to dependent than this are not offered
 PLAIN = "plain"
 """The coordinates that a realisation comes in; hidden states are then made uncorrelated."""
@@ -119,7 +120,7 @@ def _first_lag(taps: FloatArray) -> int:
     return int(moving[0]) if len(moving) else 1
 
 
-def coordinates(plain: Realisation, n_y: int, most: int = 3) -> dict[str, Realisation]:
+def coordinates(plain: Realisation, n_y: int) -> dict[str, Realisation]:
     """The same system with its hidden states chosen in different ways, most readable first, by name."""
     n = len(plain.A)
     if n == n_y:
@@ -140,7 +141,7 @@ def coordinates(plain: Realisation, n_y: int, most: int = 3) -> dict[str, Realis
     for name, rows, words in choices:
         size = np.linalg.norm(rows, axis=1, keepdims=True)
         T = np.vstack([C, rows / np.where(size > 0, size, 1.0)])
-        if np.linalg.cond(T) < 1.0 / _SINGULAR and len(found) < most:
+        if np.linalg.cond(T) < 1.0 / _SINGULAR and len(found) < _MOST_CHOICES:
             found[name] = plain.transformed(T, np.zeros(n), words)
     return found or {PLAIN: plain}
 

@@ -66,7 +66,8 @@ class Projections:
     """Decompositions of one part of the data, all from one pass."""
 
     def __init__(self, settings: SubspaceSettings, parts: Parts, data: Source, deepest: int) -> None:
-        self.settings, self.signals = settings, (len(data.outputs), len(data.inputs))
+        self.settings = settings
+        self.signals = (len(data.outputs), len(data.inputs))
         self.triangle = triangle_for(data, parts.scaling, deepest)
 
     def of(self, method: Method, past: int) -> Projection:

@@ -32,8 +32,14 @@ GPS_NS = 100 * MS_NS
 MODES = 0b11  # armed, angle
 DISARMED_BY_SWITCH = 4
 AXES = range(3)
-PREVIOUS, AVERAGE = 1, 3  # predictors of P frames
-SIGNED, THREE, FOUR, EIGHT = 0, 7, 8, 6  # encodings
+# predictors of P frames
+PREVIOUS = 1
+AVERAGE = 3
+# encodings: one number, groups of three, of four, of eight
+SIGNED = 0
+THREE = 7
+FOUR = 8
+EIGHT = 6
 
 # name, signed, predictor and encoding of I, the same of P
 Column = tuple[str, int, int, int, int, int]
