@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from flysid.design import rule_design
 from flysid.design.certificate import proves
+from flysid.design.rule_design import RuleAxis, RuleDesign
 from flysid.design.rule_gains import certified_gains
 from flysid.design.rule_plants import RuleLaw, RulePlant, blended, packed_rules
+from flysid.validate import run
+from tests.command import call
 
 DT = 0.02
 
@@ -106,3 +112,20 @@ def test_compiled_blend_is_the_law(law: RuleLaw) -> None:
         w = np.exp(-0.5 * (((z - p.centre) / p.width) ** 2).sum(axis=1))
         expected = -float(w @ law.gains @ x) / w.sum()
         assert blended(x, numbers[1], sets[1]) == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_printed_numbers_alone_hold_the_proof(
+    law: RuleLaw, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    axis = RuleAxis("x", "ts", ("deg", "m/s"), law, ms=1.5, peak=1.1, noise=20.0, tracking=0.9)
+    design = RuleDesign("run", (axis,), {"y": ("too little moved", "fly longer")})
+    monkeypatch.setattr(rule_design, "design_rules", lambda *_: design)
+    monkeypatch.setattr(run, "open_run", lambda _: None)
+    done = call("design", "run", "--method", "pdc", "--limit", "12", "--json", cwd=tmp_path)
+    assert done.returncode == 3
+    assert "y: refused: too little moved. Try: fly longer" in done.stderr
+    body = json.loads(done.stdout)
+    assert body == json.loads(design.files()[rule_design.FILE])
+    told = body["axes"][0]
+    assert proves(told["a"], told["b"], told["gains"], told["metric"], told["decay"])
+    assert len(told["states"]) == len(told["metric"])
