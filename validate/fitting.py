@@ -22,7 +22,7 @@ from flysid.errors import DataError, UsageError
 from flysid.files import replacing_folder, slug, write_atomically
 from flysid.ingest.align.doubts import doubts
 from flysid.ingest.align.recipe import Recipe, load_recipe, recipe_text
-from flysid.ingest.excitation.dead_time import dead_times, delays_to_try, least_delays
+from flysid.ingest.excitation.dead_time import DeadTime, dead_times, delays_to_try, least_delays
 from flysid.ingest.kinematics.telling import Instruments
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
@@ -133,7 +133,7 @@ class MemoryJob(ChannelJob[Dataset]):
         with plan.choice():
             tell("looking for dead times", share=0.0)
             late = dead_times(train)
-            delays = delays_to_try(late, len(train.inputs)), least_delays(late, len(train.inputs))
+            delays = _delays(late, train)
             started = time.perf_counter()
             choice = choose_baseline(train, linear_rivals(*delays))
             fits = Fits(seconds={CHOICE: time.perf_counter() - started})
@@ -181,10 +181,15 @@ def _so_far(channel: ChannelRun, labels: Iterable[str]) -> ChannelRun:
     return replace(channel, failed=missing | dict(channel.failed))
 
 
+def _delays(late: Sequence[DeadTime], train: Dataset) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Delays in samples per input to try besides the models' own, and those that rules do not go below."""
+    count = len(train.inputs)
+    return delays_to_try(late, count), least_delays(late, count)
+
+
 def _of_a_fold(settings: FitSettings, fits: Fits, train: Dataset) -> dict[str, Estimator]:
     """The run's models again, with the delays that this fold's training part speaks for."""
-    late = dead_times(train)
-    delays = delays_to_try(late, len(train.inputs)), least_delays(late, len(train.inputs))
+    delays = _delays(dead_times(train), train)
     every = {**linear_rivals(*delays), **estimators(settings, BESIDE[0], *delays)}
     return {label: estimator for label, estimator in every.items() if label in fits.models}
 

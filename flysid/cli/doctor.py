@@ -53,7 +53,6 @@ HEADINGS = (
 )
 @click.option(
     "--correct",
-    "correct",
     default="",
     metavar="RECIPE",
     shell_complete=complete.recipes,
