@@ -155,17 +155,14 @@ def measure_response(
     DataError : too short, an input or the output never changes, inputs that cannot be told apart.
     UsageError : no such method or reference, too few references, or an empty band.
 
-    Example
-    -------
-    >>> measure_response(data, reference=["chirp"]).band()  # doctest: +SKIP
-    (4.1, 73.6)
-
     Examples
     --------
     >>> measured = flysid.measure_response(train, points=20)  # train: see `flysid.Dataset`
     >>> low, high = measured.band()  # rad/s, where the coherence can be trusted
     >>> low < 1.0 < high
     True
+    >>> flysid.measure_response(data, reference=["chirp"]).band()  # doctest: +SKIP
+    (4.1, 73.6)
     """
     if method not in METHODS:
         raise UsageError(f"no method {method!r}", hint=f"one of {', '.join(map(repr, METHODS))}")
