@@ -34,7 +34,7 @@ VERBS = {
     "import": "Import a linear model from MATLAB or python-control.",
     "ingest": "Read flight logs into a folder of typed Parquet tables.",
     "ls": "List flights, and what they can identify.",
-    "plan": "Plan the next flight, and predict what it will tell.",
+    "plan": "Plan the next flight, and predict the accuracy of its results.",
     "plot": "Plot fields of a log over time, with modes and messages.",
     "recipes": "List the recipes, or explain one; which ones fit a log.",
     "record": "Record MAVLink links to a tlog, with losses counted.",

@@ -23,10 +23,10 @@ FOLDER = click.Path(path_type=Path)
 @click.argument("run_b", type=FOLDER)
 @click.option("--output", "-o", type=FOLDER, help="Folder of the report; none is written when not given.")
 @click.option("--model", "-m", "label", help="Model of the headline, in both runs [default: ts, else arx].")
-@click.option("--data-a", type=FOLDER, help="The ingested folder of RUN_A, where it moved since the fit.")
-@click.option("--data-b", type=FOLDER, help="The ingested folder of RUN_B, where it moved since the fit.")
-@click.option("--fail-if", "condition", help="Exit with 4 where this holds, e.g. 'free_run.change_pct > 5'.")
-@click.option("--force", is_flag=True, help="Replace the report if it is there.")
+@click.option("--data-a", type=FOLDER, help="The ingested folder of RUN_A, if it has moved since the fit.")
+@click.option("--data-b", type=FOLDER, help="The ingested folder of RUN_B, if it has moved since the fit.")
+@click.option("--fail-if", "condition", help="Exit with 4 if this holds, e.g. 'free_run.change_pct > 5'.")
+@click.option("--force", is_flag=True, help="Replace the report if it exists.")
 @selection_options
 @comparison_forms
 @progress_options
@@ -46,9 +46,9 @@ def command(
 ) -> int:
     """Compare the models of two runs on flights that neither has trained on.
 
-    The data are what RUN_B held out, without the flights that RUN_A was trained on. Changes are of RUN_B's
-    models against RUN_A's; below 0 % RUN_B is better. Exit code 3: a channel of both runs could not be
-    compared; 4: --fail-if holds.
+    The data are those that RUN_B held out, except flights that RUN_A was trained on. Changes are those of
+    RUN_B's models relative to RUN_A's; below 0 % RUN_B is better. Exit code 3: a channel of both runs could
+    not be compared; 4: --fail-if holds.
     """
     form = chosen_form(forms)
     if output is not None:

@@ -81,8 +81,8 @@ class Stages:
 def command(output: Path, plant: str, seed: int, force: bool, quiet: bool, display: Display) -> None:
     """Simulate flights, ingest, fit and validate them; print the path of the report.
 
-    The vehicle is a nonlinear AR.Drone; with --plant ardrone-linear the paper's transfer functions (10),
-    (11) and (12), on which rules cannot help.
+    The vehicle is a nonlinear AR.Drone. With --plant ardrone-linear it is the paper's transfer functions
+    (10), (11) and (12), where rules cannot help.
     """
     started = time.perf_counter()
     prepare(output, force)

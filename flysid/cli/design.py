@@ -34,7 +34,7 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 
 @click.command("design")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--channel", "-c", "channels", multiple=True, help="This channel only; may be repeated.")
+@click.option("--channel", "-c", "channels", multiple=True, help="Only this channel; may be repeated.")
 @click.option(
     "--method",
     type=click.Choice(["pid", "pdc"]),
@@ -63,12 +63,12 @@ def a_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 @click.option("--limit", type=float, help="Input limit, in its unit.")
 @click.option("--gain", callback=a_range, metavar="LOW..HIGH", help="Range of the plant's gain, as a factor.")
 @click.option("--delay", callback=a_range, metavar="LOW..HIGH", help="Range of additional delay, s.")
-@click.option("--feed-forward", is_flag=True, help="Find the input per speed of the reference, too.")
+@click.option("--feed-forward", is_flag=True, help="Also find the input per unit of reference speed.")
 @click.option("--data", type=click.Path(path_type=Path), help="The run's data, if they have moved.")
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path), help="Folder for design.json, old.param, new.param."
 )
-@click.option("--force", is_flag=True, help="Replace the folder if it is there.")
+@click.option("--force", is_flag=True, help="Replace the folder if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the design as JSON.")
 @progress_options
 def command(
@@ -91,12 +91,13 @@ def command(
     quiet: bool,
     display: Display,
 ) -> int:
-    """Find robust gains: best for the worst of all good models, beside the present gains.
+    """Find robust gains, optimised for the worst of all good models; compare them with the present gains.
 
-    The loop: position to velocity to the channel's input. Plants: every good model, every rule,
-    linearisations, the ends of intervals; all of them keep the bounds. No gain moves by more than a factor
-    of two for the next flight; "where this leads" is what the bounds allow. Where the flights do not identify
-    the plant, it says why, and what to fly (exit code 3 where a channel was refused). Nothing here was flown.
+    The loop is a cascade from position to velocity to the channel's input. The bounds hold on every plant:
+    all good models, all rules, linearisations and the ends of intervals. For the next flight no gain
+    changes by more than a factor of two; "where this leads" is what the bounds allow. If the flights do not
+    identify the plant, the output says why and what to fly (exit code 3: a channel was refused). The gains
+    have not been flown.
     """
     from flysid.design.designing import Wish, design_run
     from flysid.design.drawn_plants import Spread

@@ -49,14 +49,14 @@ HEADINGS = (
 @click.option(
     "--kinematics",
     is_flag=True,
-    help="Do attitude, gyro, accelerometer, velocity and position agree? Biases, scales, lags, lever arm.",
+    help="Compare attitude, gyro, accelerometer, velocity and position: biases, scales, lags, lever arm.",
 )
 @click.option(
     "--correct",
     default="",
     metavar="RECIPE",
     shell_complete=complete.recipes,
-    help="With --kinematics, of one log: this recipe with what was found taken out of its signals.",
+    help="With --kinematics, for one log: write this recipe with its signals corrected for the findings.",
 )
 @click.option(
     "--output",

@@ -12,11 +12,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "flysid design run -c longitudinal --limit 12 -o design",
         "flysid design run --for px4 --old vehicle.params --gain 0.85..1.15 --delay 0..0.04 -o design",
     ),
-    "doctor": (
-        "flysid doctor flight.bin",
-        "flysid doctor flight.ulg --kinematics",
-        "flysid doctor logs/ --json",
-    ),
+    "doctor": ("flysid doctor logs/ --json", "flysid doctor flight.ulg --kinematics"),
     "export": ("flysid export flight.bin ATT RATE --to mat", "flysid export flight.ulg --to csv --rate 50"),
     "fit": (
         "flysid fit data --recipe ardupilot-attitude -o run",

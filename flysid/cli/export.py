@@ -23,14 +23,14 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
     type=click.Choice(KINDS),
     default="csv",
     show_default=True,
-    help="Kind of file, of a flight.",
+    help="File type, for a flight.",
 )
 @click.option("--flight", default="", help="The flight of a folder, by id or its beginning.")
 @click.option(
     "--rate",
     "rate_hz",
     type=float,
-    help="One table on a grid of this many rows a second; of a transfer function: steps a second.",
+    help="One table on a grid of this many rows per second; for a transfer function: steps per second.",
 )
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="File, or folder for several tables.")
 @reading_options
@@ -51,12 +51,12 @@ KINDS = ("csv", "parquet", "mat", "xlsx", "mcap")
     help="A model as affine systems and their weights, in physical units.",
 )
 @click.option("--float32", is_flag=True, help="C in float32, if it is accurate enough on the training data.")
-@click.option("--channel", "-c", default="", help="Of a run.")
+@click.option("--channel", "-c", default="", help="Channel of the run.")
 @click.option(
-    "--model", "label", default="", help="Of a run's channel.  [default: the one that the verdict is of]"
+    "--model", "label", default="", help="Model of the channel.  [default: the one that the verdict is of]"
 )
 @click.option("--data", type=SOURCE, help="The run's data, if they have moved since the fit.")
-@click.option("--force", is_flag=True, help="Replace the target if it is there.")
+@click.option("--force", is_flag=True, help="Replace the target if it exists.")
 def command(
     source: Path,
     streams: tuple[str, ...],
@@ -78,8 +78,8 @@ def command(
 ) -> None:
     """Export a flight's streams, or a fitted model, to other programs.
 
-    A flight's streams keep their own times and have a table each, unless --rate asks for one. A model (a
-    run's folder, or a model file) becomes C99 without allocation, an FMU, or MATLAB text.
+    Each stream of a flight has its own table with its own times; --rate puts all on one grid. A model (a
+    run's folder, or a model file) becomes C99 without allocation, an FMU, or MATLAB files.
 
     \b
     flysid export flight.bin ATT RATE --to mat -o flight.mat

@@ -87,8 +87,8 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
     "--rotate/--no-rotate",
     default=True,
     show_default=True,
-    help="With five or more flights, fewer than five held out: leave every flight out once, in five folds, "
-    "and judge on all. This takes five more fits.",
+    help="With at least five flights and fewer than five held out: leave every flight out once, in five "
+    "folds, and judge on all. This takes five more fits.",
 )
 @click.option(
     "--memory",
@@ -98,8 +98,10 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
     type=click.FloatRange(0.0),
     help="Memory for a channel's samples. Larger ones are fitted from disk, by arx, fir, iv, statespace.",
 )
-@click.option("--jobs", "-j", default=0, metavar="N", help="Channels at a time; one per core when not given.")
-@click.option("--force", is_flag=True, help="Replace the run if it is there.")
+@click.option(
+    "--jobs", "-j", default=0, metavar="N", help="Channels in parallel; one per core when not given."
+)
+@click.option("--force", is_flag=True, help="Replace the run if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the run as JSON.")
 @progress_options
 def command(
@@ -123,14 +125,13 @@ def command(
     quiet: bool,
     display: Display,
 ) -> int:
-    """Fit linear and Takagi-Sugeno models to every channel of a recipe, or from some fields to others.
+    """Fit linear and Takagi-Sugeno models to every channel of a recipe, or between given fields.
 
     DATA is an ingested folder; or a log, a folder of logs or a quoted pattern, which are ingested into
-    RUN.data; or a dataset file that Python wrote (.parquet), which is one channel already.
-    A part of the data is held out before anything is learned; 'flysid validate RUN' judges the models on it.
-    Interrupted (Ctrl-C), it leaves a run with the models that were finished and ends with 130.
-    Channels that the data cannot serve are named and left out. Exit code 3: --channel asked for one of them,
-    or a log was read with losses.
+    RUN.data; or a dataset file written from Python (.parquet), which is a single channel. Part of the data
+    is held out before anything is fitted; 'flysid validate RUN' judges the models on it. Ctrl-C leaves a
+    run with the finished models (exit code 130). Channels that the data do not support are named and left
+    out. Exit code 3: --channel named one of them, or a log was read with losses.
     """
     check_target(output, force)
     is_dataset = _is_dataset(data)

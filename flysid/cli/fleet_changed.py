@@ -37,18 +37,20 @@ def _day(_ctx: click.Context, _param: click.Parameter, value: str) -> int | None
 @click.option("--output", "-o", type=click.Path(path_type=Path), help="Folder of the page.  [LAKE/changed]")
 @click.option(
     "--before", "before_ns", default="", metavar="DATE", callback=_day,
-    help="Flights before it (UTC) against those from then on.",
+    help="Compare flights before this date (UTC) with later ones.",
 )  # fmt: skip
 @click.option(
-    "--halves", is_flag=True, help="Each vehicle's first half of flights against its second (default)."
+    "--halves", is_flag=True, help="Compare each vehicle's first half of flights with its second (default)."
 )
 @click.option(
     "--rate", default=0.05, show_default=True, type=click.FloatRange(0.0, 0.5, min_open=True),
-    help="Share of false ones among the flagged, at most.",
+    help="Largest share of false positives among the flagged.",
 )  # fmt: skip
-@click.option("--runs", type=click.Path(path_type=Path), help="A 'fleet fit --ts' whose reports to link to.")
-@click.option("--fail-if", type=click.Choice(["changed", "unlike"]), help="Exit with 4 where a vehicle is.")
-@click.option("--force", is_flag=True, help="Replace the page if it is there.")
+@click.option(
+    "--runs", type=click.Path(path_type=Path), help="Output of 'fleet fit --ts', whose reports are linked."
+)
+@click.option("--fail-if", type=click.Choice(["changed", "unlike"]), help="Exit with 4 if a vehicle is.")
+@click.option("--force", is_flag=True, help="Replace the page if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
 @progress_options
 def command(
@@ -64,11 +66,11 @@ def command(
     quiet: bool,
     display: Display,
 ) -> int:
-    """Find the vehicles of a fleet that have changed, and those that are unlike the others.
+    """Find the vehicles of a fleet that have changed, and those that differ from the others.
 
-    Compares gain and phase of each channel where the flights tell them; writes report.html and report.json,
-    and prints one line for each finding. Flights are read once; a second call with this recipe reads none.
-    Exit code 4: --fail-if holds.
+    Compares gain and phase of each channel in the band that the flights determine. Writes report.html and
+    report.json, and prints one line per finding. Flights are read once; a second call with the same recipe
+    reads none. Exit code 4: --fail-if holds.
     """
     if halves and before_ns is not None:
         raise UsageError("--halves and --before say different things", hint="leave out one or the other")

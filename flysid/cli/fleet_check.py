@@ -21,21 +21,23 @@ SHOWN = 5
 
 @click.command("check")
 @click.argument("lake", metavar="LAKE")
-@click.option("--repair", is_flag=True, help="Make the catalogue again, remove what belongs to no flight.")
+@click.option(
+    "--repair", is_flag=True, help="Rebuild the catalogue and remove objects that belong to no flight."
+)
 @click.option(
     "--older",
     default="1d",
     show_default=True,
     callback=seconds,
     metavar="TIME",
-    help="With --repair: remove only what is older; younger may be somebody's work right now.",
+    help="With --repair: remove only older objects; newer ones may belong to a running ingest.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @progress_options
 def command(lake: str, repair: bool, older: float, as_json: bool, quiet: bool, display: Display) -> int:
-    """Compare a lake's manifests, which are the truth, with its tables and its catalogue.
+    """Check a lake's tables and catalogue against its manifests.
 
-    Ends with 4 where something is wrong and stays so.
+    Exit code 4: something is wrong and was not repaired.
     """
     from flysid.fleet.lakes import open_lake
     from flysid.fleet.upkeep import check

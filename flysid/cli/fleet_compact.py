@@ -12,10 +12,10 @@ from flysid.cli.output import say
 @click.argument("lake", metavar="LAKE")
 @progress_options
 def command(lake: str, quiet: bool, display: Display) -> None:
-    """Put the tables of all flights into parts of about 128 MB, a message and a month each.
+    """Merge the tables of all flights into parts of about 128 MB, by message and month.
 
-    The flights stay as they are. A month whose flights are as before is left alone. 'flysid fleet files'
-    names the parts to whoever reads them; readers see the old or the new. One compaction runs at a time.
+    The flights are not changed. A month whose flights have not changed is skipped. 'flysid fleet files'
+    lists the parts; readers see either the old or the new ones. One compaction runs at a time.
     """
     from flysid.fleet.compaction import compact
     from flysid.fleet.lakes import open_lake

@@ -80,7 +80,7 @@ def fleet_data_options(function: F) -> F:
             help="Rate of the grid.",
         ),
         click.option(
-            "--channel", "-c", "channels", multiple=True, help="This channel alone; may be repeated."
+            "--channel", "-c", "channels", multiple=True, help="Only this channel; may be repeated."
         ),
         click.option(
             "--recipe", "-r", required=True, shell_complete=complete.recipes, help="Name or .toml file."

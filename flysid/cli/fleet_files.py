@@ -8,9 +8,11 @@ import click
 @click.command("files")
 @click.argument("lake", metavar="LAKE")
 @click.argument("message", metavar="MESSAGE")
-@click.option("--where", default="", metavar="SQL", help="Of flights for which this holds: their own tables.")
+@click.option(
+    "--where", default="", metavar="SQL", help="Only flights for which this holds, in their own tables."
+)
 def command(lake: str, message: str, where: str) -> None:
-    """Print the addresses of the parquet files that hold a message: compacted parts, and flights in none."""
+    """Print the addresses of a message's parquet files: compacted parts, and tables of other flights."""
     from flysid.fleet.compaction import files_of
     from flysid.fleet.lakes import open_lake
 

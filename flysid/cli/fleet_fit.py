@@ -24,18 +24,18 @@ HEADINGS = ("GROUP", "CHANNEL", "FLIGHTS", "SAMPLES", "RMSE", "GAIN", "AT")
 @click.command("fit")
 @fleet_data_options
 @click.option(
-    "--by", default="vehicle", show_default=True, metavar="A,B", help="Of vehicle, firmware, month."
+    "--by", default="vehicle", show_default=True, metavar="A,B", help="Group by vehicle, firmware, month."
 )
 @click.option("--output", "-o", type=click.Path(path_type=Path), help="Folder for the models.")
 @click.option("--ts", is_flag=True, help="Also a run for each vehicle, as 'fit --vehicle' makes it.")
-@click.option("--models", "-m", default="", metavar="A,B", help="Of those runs; as 'fit' takes them.")
+@click.option("--models", "-m", default="", metavar="A,B", help="Models of those runs, as for 'fit'.")
 @click.option(
     "--effort",
     default="normal",
     type=click.Choice(["quick", "normal", "thorough"]),
     help="Effort of the search for rules in these runs.",
 )
-@click.option("--force", is_flag=True, help="Replace the models if they are there.")
+@click.option("--force", is_flag=True, help="Replace the models if they exist.")
 @click.option("--json", "as_json", is_flag=True, help="Print the models as JSON.")
 @progress_options
 def command(
@@ -52,9 +52,10 @@ def command(
 ) -> int:
     """Fit a linear model to every group of a fleet's flights, and Takagi-Sugeno models to every vehicle.
 
-    Flights are read once; their triangles are kept beside them, and another --by reads none. Covariances come
-    from the scatter between flights. With -o the models are written as fleet.json; --ts adds a run folder for
-    each vehicle, ready for 'flysid validate'. Exit code 3: a group or a vehicle could not be fitted.
+    Flights are read once; their triangular factors are cached beside them, so another --by reads none.
+    Covariances come from the scatter between flights. With -o the models are written as fleet.json; --ts
+    adds a run folder for each vehicle, ready for 'flysid validate'. Exit code 3: a group or a vehicle could
+    not be fitted.
     """
     if output is not None:
         check_target(output / MODELS, force)

@@ -14,13 +14,13 @@ SHOWN = 3
 
 @click.command("forget")
 @click.argument("lake", metavar="LAKE")
-@click.option("--vehicle", required=True, metavar="NAME", help="Whose flights; the whole name.")
+@click.option("--vehicle", required=True, metavar="NAME", help="Full name of the vehicle.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @progress_options
 def command(lake: str, vehicle: str, yes: bool, quiet: bool, display: Display) -> None:
     """Remove a vehicle's flights: objects, rows, its part of compacted tables, and the catalogue's history.
 
-    It says what it cannot reach. Nobody should ingest or compact at the same time.
+    It lists what it cannot remove. Do not ingest or compact at the same time.
     """
     from flysid.fleet.forgetting import forget
     from flysid.fleet.lakes import open_lake

@@ -21,14 +21,14 @@ COLUMNS = ("flight", "vehicle", "firmware", "start", "duration_s", "rows", "lost
 
 @click.command("ls")
 @click.argument("lake", metavar="LAKE|DATA")
-@click.option("--vehicle", default="", metavar="NAME", help="Its flights alone.")
-@click.option("--firmware", default="", metavar="NAME", help="Flights of this firmware alone.")
-@click.option("--where", default="", metavar="SQL", help="Flights for which a condition holds.")
-@click.option("--sql", default="", metavar="SELECT", help="Any question about the table 'flights' instead.")
-@click.option("--by", default="", metavar="COLUMN", help="Flights and hours for each of these instead.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON, a row a line.")
+@click.option("--vehicle", default="", metavar="NAME", help="Only flights of this vehicle.")
+@click.option("--firmware", default="", metavar="NAME", help="Only flights with this firmware.")
+@click.option("--where", default="", metavar="SQL", help="Only flights for which this condition holds.")
+@click.option("--sql", default="", metavar="SELECT", help="Run this query on the table 'flights' instead.")
+@click.option("--by", default="", metavar="COLUMN", help="Print flights and hours per group instead.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, one row per line.")
 def command(lake: str, vehicle: str, firmware: str, where: str, sql: str, by: str, as_json: bool) -> None:
-    """List the flights of a fleet: whose they are, which firmware flew, what was lost.
+    """List the flights of a fleet: vehicle, firmware and losses.
 
     \b
     flysid fleet ls s3://lake --vehicle v017

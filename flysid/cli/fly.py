@@ -25,7 +25,7 @@ from flysid.cli.output import CHECK_FAILED, aligned, check_target, say
     "--delay", callback=a_range, metavar="LOW..HIGH", help="Delay of the link, s.  [default: 0.02..0.08]"
 )
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="The page, an HTML file.")
-@click.option("--force", is_flag=True, help="Replace the page if it is there.")
+@click.option("--force", is_flag=True, help="Replace the page if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @progress_options
 def command(
@@ -42,12 +42,12 @@ def command(
     quiet: bool,
     display: Display,
 ) -> int:
-    """Fly a design on simulated vehicles that are not the one that was modelled.
+    """Fly a design on simulated vehicles that differ from the identified one.
 
-    Mass, drag, delay, motors and inner loop of each are drawn apart from what the inner loop believes; noise
-    and wind are the same for every set of gains: the present ones, twice the present ones, those for the next
-    flight, and where the design leads. Exit code 4 where a vehicle is lost under designed gains, or a true
-    vehicle's loop is unstable.
+    Mass, drag, delay, motors and inner loop of each vehicle are random and differ from what its inner loop
+    assumes. Noise and wind are the same for every set of gains: the present ones, twice the present ones,
+    those for the next flight, and where the design leads. Exit code 4: a vehicle is lost under designed
+    gains, or a true vehicle's loop is unstable.
     """
     from dataclasses import replace
 

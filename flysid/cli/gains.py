@@ -22,11 +22,11 @@ from flysid.cli.source import Words, opened_flights, reading_options
     type=click.Choice(["roll", "pitch", "yaw"]),
     help="[default: roll, pitch]",
 )
-@click.option("--flight", "flights", multiple=True, help="This flight alone; may be repeated.")
+@click.option("--flight", "flights", multiple=True, help="Only this flight; may be repeated.")
 @click.option(
     "--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a Nyquist plot to this file."
 )
-@click.option("--force", is_flag=True, help="Replace the picture if it is there.")
+@click.option("--force", is_flag=True, help="Replace the plot if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @reading_options
 def command(
@@ -38,12 +38,12 @@ def command(
     as_json: bool,
     told: Words,
 ) -> int:
-    """Crossover, margins, bandwidth and noise of the present gains, each with a 95 % interval.
+    """Estimate crossover, margins, bandwidth and noise of the present gains, each with a 95 % interval.
 
     Reads the gains from the log (Betaflight 3.1 to 3.5, PX4 1.12 on, ArduCopter 4.0 on), measures the plant
-    through the sticks, and closes the loop. Where the flights do not tell, or the stated gains do not give
-    what the log recorded, it says so, and what to fly (exit code 3 where nothing is known of any axis). It
-    proposes no gains.
+    from the response to the sticks, and computes the loop. If the flights do not determine a figure, or the
+    stated gains do not reproduce the recorded output, it says so, and what to fly (exit code 3: nothing is
+    known of any axis). It proposes no gains.
     """
     from flysid.ingest.lake.chosen_flights import Selection, select
     from flysid.loops.judged import CAUTION, judge

@@ -15,16 +15,16 @@ from flysid.errors import UsageError
     "--run",
     required=True,
     type=click.Path(path_type=Path),
-    help="A run whose signals, units and sample time the model is taken to.",
+    help="Run whose signals, units and sample time the model is converted to.",
 )
 @click.option("--channel", "-c", default="", help="Of the run.")
 @click.option("--out", "-o", required=True, type=click.Path(path_type=Path), help="Model file to write.")
-@click.option("--force", is_flag=True, help="Replace the file if it is there.")
+@click.option("--force", is_flag=True, help="Replace the file if it exists.")
 def command(source: Path, run: Path, channel: str, out: Path, force: bool) -> None:
-    """Take a linear model over from MATLAB or python-control (.mat, .m, .npz, .json).
+    """Import a linear model from MATLAB or python-control (.mat, .m, .npz, .json).
 
-    The file written is a model file like any other: export it, draw it, hand it to 'flysid validate --with'.
-    Functions and FMUs are not copied; name them to 'flysid validate --with'.
+    The result is a model file like any other: export it, plot it, or pass it to 'flysid validate --with'.
+    Functions and FMUs are not imported; pass them to 'flysid validate --with' directly.
     """
     from flysid.cli.output import check_target
     from flysid.outside.bring import bring

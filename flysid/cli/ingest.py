@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     "--vehicle-in",
     default="",
     metavar="REGEX",
-    help="Finds the vehicle's name in a log's path or address, e.g. 'v[0-9]+'.",
+    help="Pattern of the vehicle's name in a log's path or address, e.g. 'v[0-9]+'.",
 )
 @lake_options
-@click.option("--force", is_flag=True, help="Read logs again that are there unchanged.")
-@click.option("--json", "as_json", is_flag=True, help="Print what happened to every log as JSON.")
+@click.option("--force", is_flag=True, help="Read logs again even if they are unchanged.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result for every log as JSON.")
 @progress_options
 def command(
     logs: tuple[str, ...],
@@ -53,15 +53,16 @@ def command(
 ) -> int:
     """Read flight logs (files, folders, patterns) into typed parquet tables, one per message.
 
-    Logs whose content is there already are skipped. Prints the id of each flight that was ingested.
-    Ends with 3 when something was lost or skipped, and says what and where. A log that needs more
-    memory or time than it may have is skipped and named; the others are read. In folders and .zip
-    archives, notes, pictures and other files that are no logs are named and passed over.
+    Logs that are already ingested are skipped. Prints the id of each flight that was ingested. Exit code 3:
+    something was lost or skipped; the output says what and where. A log that exceeds its limit of memory or
+    time is skipped and named; the others are read. In folders and .zip archives, files that are not logs,
+    such as notes and pictures, are named and passed over.
 
-    With --format or --time-unit, logs that are there already are read again: what they say may change.
+    With --format or --time-unit, logs that are already ingested are read again, as their data may change.
 
-    LOG and the folder may be addresses: s3://BUCKET/FOLDER, gs://, az:// (flysid[fleet]). What a lake there
-    has is not fetched again. Ends with 75 where a store or a cluster did not answer: run it again.
+    LOG and the folder may be addresses: s3://BUCKET/FOLDER, gs://, az:// (flysid[fleet]). Logs that the
+    lake already has are not fetched again. Exit code 75: a store or a cluster did not answer; run the
+    command again.
     """
     check_pattern(vehicle_in)
     from flysid.ingest.formats.base import Limits

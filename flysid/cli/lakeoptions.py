@@ -72,12 +72,14 @@ def _moment(_ctx: click.Context, _param: click.Parameter, text: str | None) -> d
 def cluster_options(function: F) -> F:
     """Adds --cluster and --workers."""
     for option in (
-        click.option("--workers", default=0, metavar="N", help="A Dask cluster of N processes here."),
+        click.option(
+            "--workers", default=0, metavar="N", help="A Dask cluster of N processes on this machine."
+        ),
         click.option(
             "--cluster",
             default="",
             metavar="ADDRESS",
-            help="A Dask scheduler, e.g. tcp://10.0.0.1:8786; it runs code for whoever reaches it.",
+            help="A Dask scheduler, e.g. tcp://10.0.0.1:8786; it runs code for anyone who can connect.",
         ),
     ):
         function = option(function)
@@ -111,21 +113,21 @@ def lake_options(function: F) -> F:
             default=None,
             metavar="TIME",
             callback=seconds,
-            help="From an address: look again every 5m, say, until interrupted.",
+            help="From an address: look again at this interval, e.g. 5m, until interrupted.",
         ),
         click.option(
             "--since",
             default=None,
             metavar="DATE",
             callback=_moment,
-            help="From an address: what arrived then or later (UTC).",
+            help="From an address: only logs that arrived then or later (UTC).",
         ),
         click.option(
             "--batch",
             default=32,
             show_default=True,
             type=click.IntRange(1, 1024),
-            help="Logs in a task, at most.",
+            help="Largest number of logs per task.",
         ),
     ):
         decorated = option(decorated)

@@ -23,8 +23,10 @@ HEADINGS = ("FLIGHT", "FORMAT", "VEHICLE", "TIME", "STREAMS", "RECORDS", "LOST")
 @click.command("ls")
 @click.argument("data", default="data", type=SOURCE)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option("--suggest", is_flag=True, help="Which channels the flights can identify, the good ones first.")
-@click.option("--all", "every", is_flag=True, help="With --suggest: what cannot be used, too.")
+@click.option(
+    "--suggest", is_flag=True, help="Show which channels the flights can identify, good ones first."
+)
+@click.option("--all", "every", is_flag=True, help="With --suggest: also what cannot be used.")
 @selection_options
 @progress_options
 def command(

@@ -38,8 +38,8 @@ class Beginning:
     "axes",
     multiple=True,
     metavar="NAME=PEAK",
-    help="Input and peak amplitude, with its unit: theta_in=5deg; may be repeated. Of a "
-    "run or flights: instead of their inputs, as far as the last flight went.",
+    help="Input and peak amplitude, with its unit: theta_in=5deg; may be repeated. For a "
+    "run or flights: replaces their inputs, up to the range of the last flight.",
 )
 @click.option("--limit", "limits", multiple=True, metavar="NAME=PEAK", help="Largest amplitude of an axis.")
 @click.option(
@@ -82,7 +82,7 @@ class Beginning:
     "--data", type=click.Path(path_type=Path), help="The run's data, if they have moved since the fit."
 )
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for the plan's files.")
-@click.option("--force", is_flag=True, help="Replace the folder if it is there.")
+@click.option("--force", is_flag=True, help="Replace the folder if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option("--quiet", "-q", is_flag=True, help="Print errors and warnings only.")
 @words_options
@@ -110,9 +110,9 @@ def command(
 ) -> int:
     """Plan the next flight: input signals, safe amplitudes, and the accuracy to expect.
 
-    SOURCE is a run (what is known, and what more of the same would make of it), an ingested folder or a log
-    (amplitudes from its last flight), or nothing: then --axis and --band say all. -o writes plan.csv,
-    recipe.toml for the log of it, and parameters for autopilots that can fly it. Exit code 3: a run does not
+    SOURCE is a run (its accuracy, now and after more of the same flying), an ingested folder or a log
+    (amplitudes from its last flight), or nothing: then give --axis and --band. -o writes plan.csv, a
+    recipe.toml for its log, and parameters for autopilots that can fly it. Exit code 3: a run does not
     determine some of its figures.
     """
     from flysid.plan.flightplan import axis_of, make_plan, within

@@ -36,7 +36,7 @@ PAIRS = ("attitude", "rate", "velocity")
 @click.option("--term", is_flag=True, help="Draw in the terminal.")
 @click.option("--open/--no-open", "show", default=False, help="Open the page in the browser.")
 @reading_options
-@click.option("--force", is_flag=True, help="Replace the file if it is there.")
+@click.option("--force", is_flag=True, help="Replace the file if it exists.")
 def command(
     source: Path,
     fields: tuple[str, ...],

@@ -37,10 +37,10 @@ LOST_HERE = 3
     type=click.Choice(["reject", "keep", "radio"]),
     default="reject",
     show_default=True,
-    help="With a key: frames without a signature; radio keeps RADIO_STATUS alone.",
+    help="With a key: frames without a signature; radio keeps only RADIO_STATUS.",
 )
 @click.option("--heartbeat", is_flag=True, help="Send heartbeats; otherwise nothing is sent.")
-@click.option("--buffer", type=int, metavar="BYTES", help="Socket buffer.  [default: as much as can be had]")
+@click.option("--buffer", type=int, metavar="BYTES", help="Socket buffer.  [default: as large as possible]")
 @click.option("--for", "seconds", type=float, metavar="S", help="Stop after this many seconds.")
 @click.option("-q", "--quiet", is_flag=True, help="Only paths and errors.")
 def command(
@@ -54,12 +54,12 @@ def command(
     seconds: float | None,
     quiet: bool,
 ) -> int:
-    """Record LINKs into a tlog until interrupted; prints the paths of the parts.
+    """Record LINKs into a tlog until interrupted; print the paths of the parts.
 
-    A LINK is udp:HOST:PORT (listens there), udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD. Beside
-    the file, FILE.json counts per link and system what came, what the link lost and what this host dropped;
-    FILE.rejects keeps the first bytes that are no frame. The key may also stand in FLYSID_SIGNING_KEY.
-    Ends with 5 when the disk refused, with 3 when this host dropped something.
+    A LINK is udp:HOST:PORT (listens there), udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD.
+    FILE.json counts, per link and system, the frames received, those lost on the link and those dropped by
+    this host. FILE.rejects keeps the first bytes that belong to no frame. The key may also be given in
+    FLYSID_SIGNING_KEY. Exit code 5: disk error; 3: this host dropped data.
     """
     from flysid.live.receiving import warm_up
     from flysid.live.recording import Recording

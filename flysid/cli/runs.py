@@ -22,9 +22,9 @@ HEADINGS = ("RECIPE", "CHANNEL", "HELD OUT", "RANK", "RUN", "LINEAR", "TS", "UNI
 def command(folders: tuple[Path, ...], as_json: bool) -> int:
     """List run folders and rank them by free-run error, channel by channel.
 
-    Searches the folders given, or the present one. Runs are ranked only among those that were judged on the
-    same held-out part. A run that cannot be read is named and left out (exit code 3). What was read is kept
-    in .flysid-runs.parquet in the folder, and read again only where a run changed.
+    Searches the given folders, or the current one. Runs are ranked only against runs judged on the same
+    held-out data. A run that cannot be read is named and left out (exit code 3). Results are cached in
+    .flysid-runs.parquet in the folder; a run is read again only if it has changed.
     """
     from flysid.validate.history import ranked
     from flysid.validate.runindex import list_runs

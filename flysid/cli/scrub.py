@@ -28,15 +28,15 @@ if TYPE_CHECKING:
     help="Move all positions to a neutral place, keeping the motion; or empty them.",
 )
 @format_option
-@click.option("--force", is_flag=True, help="Replace the copy if it is there.")
+@click.option("--force", is_flag=True, help="Replace the copy if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was removed as JSON.")
 @click.option("--quiet", "-q", is_flag=True)
 def command(log: Path, output: Path, gps: Gps, format_: str, force: bool, as_json: bool, quiet: bool) -> int:
-    """Write a copy of a log without what should not be shared, in its own format.
+    """Write a copy of a log without private data, in the same format.
 
-    Positions are moved or removed; serial numbers, names, passwords, paths, texts with identifiers and
-    embedded files are taken out; bytes that cannot be read are left out. Says what was removed, and where.
-    Ends with 3 when something could not be read.
+    Positions are moved or removed. Serial numbers, names, passwords, paths, texts with identifiers and
+    embedded files are removed. Unreadable bytes are left out. Prints what was removed, and where. Exit code
+    3: something could not be read.
     """
     from flysid.ingest.formats.base import Limits
     from flysid.ingest.formats.common.scrub_rules import UNREADABLE

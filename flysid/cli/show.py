@@ -47,9 +47,9 @@ def command(
     track: bool,
     told: Words,
 ) -> None:
-    """Show one flight, or one stream of it: columns with units and ranges, rates, what was lost.
+    """Show one flight, or one stream of it: columns with units and ranges, rates, losses.
 
-    FLIGHT may be the beginning of an id. It is not needed for a log, nor for a folder that holds one flight.
+    FLIGHT may be the beginning of an id. It is not needed for a log, nor for a folder with a single flight.
 
     \b
     flysid show flight.bin

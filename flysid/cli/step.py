@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 )
 @click.option("--against", type=SOURCE, help="A second log or folder, drawn over the first.")
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a plot to this file.")
-@click.option("--force", is_flag=True, help="Replace the picture if it is there.")
+@click.option("--force", is_flag=True, help="Replace the plot if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option("--quiet", "-q", is_flag=True, help="Print errors and warnings only.")
 def command(
@@ -51,8 +51,8 @@ def command(
     """Estimate the step response from ordinary flight: latency, rise time, overshoot, settling time.
 
     DATA is an ingested folder, a log or table (.csv), a folder of logs or a quoted pattern. A channel whose
-    input answers its output is refused: its record holds no step response. Exit code 3: --channel asked for
-    such a channel.
+    input reacts to its output is refused, because its record holds no step response. Exit code 3: --channel
+    named such a channel.
     """
     from flysid.validate.steps import channel_steps, draw_steps
 

@@ -23,11 +23,15 @@ if TYPE_CHECKING:
 @click.argument("data", default="data", type=SOURCE)
 @click.option("--port", default=0, metavar="N", help="Port on 127.0.0.1; a free one when not given.")
 @click.option(
-    "--runs", "runs", multiple=True, type=click.Path(path_type=Path), help="Also list runs in here."
+    "--runs",
+    "runs",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="Also list the runs in this folder.",
 )
 @click.option("--open/--no-open", "show", default=True, show_default=True, help="Open the browser.")
 @click.option(
-    "--live", "links", multiple=True, metavar="LINK", help="Record this link, and show what it brings."
+    "--live", "links", multiple=True, metavar="LINK", help="Record this link and show it in real time."
 )
 @click.option(
     "--watch", "run", type=click.Path(path_type=Path), help="With --live: a run's models beside it."
@@ -54,11 +58,11 @@ def command(
     """Browse logs, choose, fit, judge and compare in the browser.
 
     DATA is an ingested folder, or a new one; the studio keeps its uploads, jobs and runs in DATA.studio.
-    The server answers on this machine alone, to the address that it prints. Whatever the page does is a
-    command that it shows. Ctrl-C ends the server; a fit that runs goes on, and the next studio finds it.
+    The server answers only this machine, at the address that it prints. Everything that the page does is a
+    command, which it shows. Ctrl-C ends the server; a running fit continues, and the next studio finds it.
 
-    With --live what a link brings is recorded (see 'flysid record') and drawn as it comes; with --watch
-    beside what a run's models expect, with alarms (see 'flysid watch').
+    With --live, a link is recorded (see 'flysid record') and drawn in real time. With --watch, the
+    predictions of a run's models are drawn beside it, with alarms (see 'flysid watch').
 
     \b
     flysid studio

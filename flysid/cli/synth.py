@@ -51,7 +51,11 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 @click.option("--without", multiple=True, metavar="EFFECT", help="Switch off an effect of the vehicle.")
 @click.option("--altitude", default=20.0, show_default=True, metavar="M", help="Above ground at the start.")
 @click.option(
-    "--fleet", default=1, show_default=True, metavar="N", help="Vehicles, their parameters dispersed."
+    "--fleet",
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Number of vehicles, with dispersed parameters.",
 )
 @click.option(
     "--change",
@@ -62,8 +66,8 @@ def list_all(context: click.Context, _: click.Parameter, wanted: bool) -> None:
 )
 @click.option("--seed", default=1, show_default=True, help="Same seed, same bytes.")
 @click.option("--format", "formats", multiple=True, metavar="NAME", help="May be repeated.  [default: tlog]")
-@click.option("--dropout", "dropouts", multiple=True, metavar="START:LENGTH", help="Silence of the link, s.")
-@click.option("--truth/--no-truth", default=True, help="Beside the logs: NAME.truth.parquet.")
+@click.option("--dropout", "dropouts", multiple=True, metavar="START:LENGTH", help="Dropout of the link, s.")
+@click.option("--truth/--no-truth", default=True, help="Also write the true signals: NAME.truth.parquet.")
 @click.option(
     "-j", "--jobs", default=1, show_default=True, metavar="N", help="Processes; 0 for one per core."
 )

@@ -58,9 +58,7 @@ def _auto_or(kind: type) -> Any:
     help="Where the reference enters, for margins: input (added to the controller's output) or setpoint "
     "(only the difference reaches the controller).",
 )
-@click.option(
-    "--fail-if", "condition", help="Exit with 4 where this holds: 'loop.phase_margin_deg.low < 45'."
-)
+@click.option("--fail-if", "condition", help="Exit with 4 if this holds: 'loop.phase_margin_deg.low < 45'.")
 @click.option(
     "--poles", default="auto", callback=_auto_or(int), show_default=True, help="Number of poles, per output."
 )
@@ -73,7 +71,7 @@ def _auto_or(kind: type) -> Any:
     default="zero",
     show_default=True,
     type=click.Choice(["zero", "first"]),
-    help="Inputs between samples: constant (commands) or straight (measured signals).",
+    help="Inputs between samples: constant (commands) or linear (measured signals).",
 )
 @click.option(
     "--trend",
@@ -85,7 +83,7 @@ def _auto_or(kind: type) -> Any:
 @click.option(
     "--band", nargs=2, type=float, metavar="LOW HIGH", help="Fit the response in this band only, rad/s."
 )
-@click.option("--no-refine", is_flag=True, help="Keep the fit to the frequency response as it is.")
+@click.option("--no-refine", is_flag=True, help="Do not refine the fit to the frequency response.")
 @click.option("--unstable", is_flag=True, help="Allow unstable poles; fits the frequency response only.")
 @click.option(
     "--method",
@@ -98,7 +96,7 @@ def _auto_or(kind: type) -> Any:
 @click.option(
     "--plot", type=click.Path(dir_okay=False, path_type=Path), help="Write a Bode plot to this file."
 )
-@click.option("--force", is_flag=True, help="Replace the picture if it is there.")
+@click.option("--force", is_flag=True, help="Replace the plot if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @progress_options
 def command(
@@ -120,9 +118,9 @@ def command(
     """Identify transfer functions in s, with intervals, from the frequency response and the free run.
 
     DATA is an ingested folder, a log or table (.csv), a folder of logs or a quoted pattern. All its flights
-    are used; 'flysid fit --models tf' and 'flysid validate' judge such a model on flights that it has not
-    seen. Channels that the data cannot serve are named. Exit code 3: --channel asked for one of them; 4:
-    --fail-if holds.
+    are used; 'flysid fit --models tf' and 'flysid validate' judge such a model on held-out flights.
+    Channels that the data do not support are named. Exit code 3: --channel named one of them; 4: --fail-if
+    holds.
     """
     from flysid.model.transfer_function import TF
     from flysid.validate.transfers import identify

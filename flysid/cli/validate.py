@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     "--output", "-o", type=click.Path(path_type=Path), help="Folder of the report [default: RUN/report]."
 )
 @click.option("--data", type=SOURCE, help="The ingested folder, if it has moved since the fit.")
-@click.option("--fail-if", "condition", help="Exit with 4 where this holds, e.g. 'free_run.change_pct > 5'.")
+@click.option("--fail-if", "condition", help="Exit with 4 if this holds, e.g. 'free_run.change_pct > 5'.")
 @click.option(
     "--figures",
     type=click.Choice(["pdf", "svg", "png"]),
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     metavar="LABEL=VARIABLE",
     help="A variable of an FMU that a run starts from; may be repeated.",
 )
-@click.option("--force", is_flag=True, help="Replace the report if it is there.")
+@click.option("--force", is_flag=True, help="Replace the report if it exists.")
 @selection_options
 @comparison_forms
 @progress_options
@@ -65,8 +65,8 @@ def command(
 ) -> int:
     """Compare the models of a run on its held-out segments; write report.html and report.json.
 
-    Free run is the headline: models see the inputs and a window at the start, nothing else. Exit code 3: a
-    channel that was fitted could not be judged; 4: --fail-if holds.
+    Models are judged in free run: they see the inputs and a window at the start, nothing else. Exit code 3:
+    a fitted channel could not be judged; 4: --fail-if holds.
     """
     form = chosen_form(forms)
     target = output if output is not None else run / "report"

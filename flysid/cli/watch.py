@@ -70,8 +70,8 @@ def command(
 ) -> int:
     """Raise an alarm when a vehicle no longer behaves as a RUN's models predict, on a LINK or in a LOG.
 
-    Thresholds come from the run's held-out flights. An input outside the training flights is shown, and is no
-    alarm. The vehicle is never commanded.
+    Thresholds come from the run's held-out flights. An input outside the training range is shown, but is
+    not an alarm. The vehicle is never commanded.
     """
     from flysid.validate.run import open_run
 
