@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from flysid.studio.channels import Recipes
     from flysid.studio.flights import Flights
 
-ROOMS = ("flights", "uploads", "channels", "runs", "explain")
+ROOMS = ("flights", "uploads", "channels", "run_views", "explain")
 """What is imported while the page opens, in this order."""
 FRAME_POLICY = "sandbox allow-scripts; frame-ancestors 'self'"
 SILENCE_S = 10.0  # an event stream says something at least this often
@@ -60,10 +60,12 @@ class Studio:
 
     def load(self) -> None:
         """Import the rooms one after the other; requests wait for theirs."""
-        for room, loaded in self._loaded.items():
-            try:
+        try:
+            for room, loaded in self._loaded.items():
                 importlib.import_module(f"flysid.studio.{room}")
-            finally:
+                loaded.set()
+        finally:  # a request must not wait for a room that never comes: it says itself what is wrong
+            for loaded in self._loaded.values():
                 loaded.set()
 
     @cached_property
@@ -290,14 +292,14 @@ class Studio:
             ("POST", "uploads", "uploads", self.upload),
             ("GET", "uploads/{upload}", "uploads", self.quick_look),
             ("POST", "fits", "channels", self.fit),
-            ("POST", "validates", "runs", self.validate),
-            ("POST", "compares", "runs", self.compare),
-            ("GET", "comparisons/{name}/report.html", "runs", self.comparison_page),
-            ("GET", "runs", "runs", self.list_runs),
-            ("GET", "runs/{run}", "runs", self.describe_run),
+            ("POST", "validates", "run_views", self.validate),
+            ("POST", "compares", "run_views", self.compare),
+            ("GET", "comparisons/{name}/report.html", "run_views", self.comparison_page),
+            ("GET", "runs", "run_views", self.list_runs),
+            ("GET", "runs/{run}", "run_views", self.describe_run),
             ("GET", "runs/{run}/explanation", "explain", self.explanation),
-            ("GET", "runs/{run}/report.html", "runs", self.run_page),
-            ("GET", "runs/{run}/models/{channel:path}/{label}", "runs", self.model),
+            ("GET", "runs/{run}/report.html", "run_views", self.run_page),
+            ("GET", "runs/{run}/models/{channel:path}/{label}", "run_views", self.model),
         ]
         assets = StaticFiles(directory=str(resources.files("flysid.studio") / "assets"), html=True)
         return [
