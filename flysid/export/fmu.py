@@ -23,7 +23,6 @@ from flysid.export.csource import c_files, rendered
 from flysid.export.fmu_facts import Facts, as_xml, facts_of
 from flysid.export.fmu_third import fmi3_build, fmi3_description
 from flysid.export.program import Program
-from flysid.version import __version__
 
 EPOCH = (2000, 1, 1, 0, 0, 0)  # dates would make every archive another one
 PLATFORMS = {2: "linux64", 3: "x86_64-linux"}
@@ -83,16 +82,8 @@ def _compiled(compiler: str, sources: dict[str, str]) -> bytes:
 
 def _description(facts: Facts, identity: str) -> bytes:
     """modelDescription.xml of FMI 2.0."""
-    head = {
-        "fmiVersion": "2.0",
-        "modelName": facts.name,
-        "guid": identity,
-        "description": facts.about,
-        "generationTool": f"flysid {__version__}",
-        "variableNamingConvention": "flat",
-        "numberOfEventIndicators": "0",
-    }
-    root = ElementTree.Element("fmiModelDescription", head)
+    root = facts.root("2.0", guid=identity)
+    root.set("numberOfEventIndicators", "0")
     can = ("canGetAndSetFMUstate", "canSerializeFMUstate", "canNotUseMemoryManagementFunctions")
     simulation = ElementTree.SubElement(
         root, "CoSimulation", {"modelIdentifier": facts.name} | dict.fromkeys(can, "true")

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 from flysid.dataset import Signal
 from flysid.export.csource import asked
 from flysid.export.program import Program
+from flysid.version import __version__
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,12 @@ class Facts:
     def depends(self, initially: bool) -> tuple[int, ...]:
         """What an output depends on: in a run on inputs alone, at its start on the start as well."""
         return self.through + (tuple(range(self.outputs.stop, len(self.variables))) if initially else ())
+
+    def root(self, version: str, **identity: str) -> ElementTree.Element:
+        """The document's first element; what identifies the model has a name of its own in each version."""
+        head = {"fmiVersion": version, "modelName": self.name} | identity
+        head |= {"description": self.about, "generationTool": f"flysid {__version__}"}
+        return ElementTree.Element("fmiModelDescription", head | {"variableNamingConvention": "flat"})
 
     def add_units(self, root: ElementTree.Element) -> None:
         """UnitDefinitions, where there is a unit."""

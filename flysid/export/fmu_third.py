@@ -5,20 +5,11 @@ from __future__ import annotations
 from xml.etree import ElementTree
 
 from flysid.export.fmu_facts import Facts, as_xml
-from flysid.version import __version__
 
 
 def fmi3_description(facts: Facts, identity: str) -> bytes:
     """modelDescription.xml of FMI 3.0."""
-    head = {
-        "fmiVersion": "3.0",
-        "modelName": facts.name,
-        "instantiationToken": identity,
-        "description": facts.about,
-        "generationTool": f"flysid {__version__}",
-        "variableNamingConvention": "flat",
-    }
-    root = ElementTree.Element("fmiModelDescription", head)
+    root = facts.root("3.0", instantiationToken=identity)
     can = {"canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}
     step = {"canHandleVariableCommunicationStepSize": "false", "fixedInternalStepSize": repr(facts.dt_s)}
     ElementTree.SubElement(root, "CoSimulation", {"modelIdentifier": facts.name} | can | step)

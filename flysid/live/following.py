@@ -61,9 +61,8 @@ class RollingLog:
         if before is not None:
             known = _times(before)
             if known[-1] <= times[0] + WINDOW_S * 1e9:
-                recent = np.flatnonzero(known >= times[-1] - WINDOW_S * 1e9)
-                kept = before.slice(int(recent[0])) if len(recent) else before.slice(0, 0)
-                table = pa.concat_tables([kept, table]).combine_chunks()
+                is_old = np.append(known < times[-1] - WINDOW_S * 1e9, False)
+                table = pa.concat_tables([before.slice(int(np.argmin(is_old))), table]).combine_chunks()
         self._tables[stream] = table
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.outside.like import Like, Matched, matched
-from flysid.outside.simulator import Simulated
+from flysid.outside.simulator import Simulated, running
 
 SETTABLE = ("local", "output")
 
@@ -51,17 +51,16 @@ class FmuSimulator:
         ------
         UsageError : the FMU fails.
         """
-        try:
+        with running(self.words):
             return self._run(u, start)
-        except Exception as error:  # somebody else's program
-            raise UsageError(f"{self.words} fails: {type(error).__name__}: {error}"[:300]) from error
 
     def _run(self, u: FloatArray, start: FloatArray) -> FloatArray:
         from fmpy import instantiate_fmu
 
         slave = instantiate_fmu(self.folder, self.description, "CoSimulation")
         newer = self.description.fmiVersion.startswith("3")
-        put, get = (slave.setFloat64, slave.getFloat64) if newer else (slave.setReal, slave.getReal)
+        put = slave.setFloat64 if newer else slave.setReal
+        get = slave.getFloat64 if newer else slave.getReal
         out = np.empty((len(u), len(self.y_places)))
         try:
             if newer:

@@ -25,7 +25,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.outside.like import Like, matched
-from flysid.outside.simulator import Simulated
+from flysid.outside.simulator import Simulated, running
 
 TRIED = 60
 """Samples of the first trial."""
@@ -60,11 +60,8 @@ class FunctionSimulator:
         begin = np.array(start)
         if self.starts_at_outputs:
             begin[self.y_order] = start
-        try:
-            with np.errstate(all="ignore"):
-                found = np.asarray(self.function(given, self.dt_s, begin), dtype=np.float64)
-        except Exception as error:  # somebody else's code
-            raise UsageError(f"{self.words} fails: {type(error).__name__}: {error}"[:300]) from error
+        with running(self.words), np.errstate(all="ignore"):
+            found = np.asarray(self.function(given, self.dt_s, begin), dtype=np.float64)
         if found.ndim == 1:
             found = found[:, None]
         wanted = (len(u), len(self.y_order))

@@ -6,6 +6,8 @@ the run fits a window of measured samples best (least squares, Gauss-Newton with
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -46,6 +48,15 @@ class Simulator(Protocol):
     def run(self, u: FloatArray, start: FloatArray) -> FloatArray:
         """(N, n_y) outputs; row k depends on u[: k + 1] alone."""
         ...
+
+
+@contextmanager
+def running(words: str) -> Iterator[None]:
+    """Somebody else's program runs inside: whatever it raises becomes a UsageError that names it."""
+    try:
+        yield
+    except Exception as error:
+        raise UsageError(f"{words} fails: {type(error).__name__}: {error}"[:300]) from error
 
 
 @dataclass(frozen=True, eq=False, repr=False)

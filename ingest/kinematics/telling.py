@@ -150,11 +150,11 @@ class Instruments:
 
     def doubts(self, recipe: Recipe, channel: str) -> tuple[Doubt, ...]:
         """What is wrong with the fields that a channel uses."""
+        axes = [axis for c in quantities().channels.values() for axis in c.outputs]
         said: dict[str, None] = {}
         looked = 0
         for number, log in enumerate(self._logs):
             used = {place for name in recipe.signals_of(channel) for place in _places(recipe, name, log)}
-            axes = [axis for c in quantities().channels.values() for axis in c.outputs]
             if not any(used & _places(quantities(), axis, log) for axis in axes):
                 continue
             looked += 1
@@ -169,16 +169,16 @@ class Instruments:
         return tuple(Doubt("kinematics", f"{where}{words}", NEXT) for words in said)
 
 
-def _places(recipe: Recipe, signal: str, log: Log) -> set[tuple[str, str]]:
-    """Stream and field of all that a signal comes from."""
-    found = find_source(recipe.signals[signal].sources, log)
-    return {(found[1], name) for name in found[0].fields} if found else set()
-
-
 def _place(recipe: Recipe, signal: str, log: Log) -> tuple[str, tuple[str, ...]] | None:
     """Stream and fields that a signal comes from."""
     found = find_source(recipe.signals[signal].sources, log)
     return (found[1], found[0].fields) if found else None
+
+
+def _places(recipe: Recipe, signal: str, log: Log) -> set[tuple[str, str]]:
+    """Stream and field of all that a signal comes from."""
+    found = _place(recipe, signal, log)
+    return {(found[0], name) for name in found[1]} if found else set()
 
 
 def corrected_recipe(name: str, log: Log, found: Compatibility) -> tuple[str, list[str]]:
