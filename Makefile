@@ -15,10 +15,14 @@ $(VENV)/.installed: pyproject.toml
 demo: $(VENV)/.installed  ## the main job on embedded data, ends with a report
 	$(BIN)/flysid demo -o flysid-demo --force
 
-# Two workers that share what a file's tests share (worksteal keeps neighbours together); BLAS with a thread each.
+# The type check has one core for a minute: beside it the kernels are compiled, and the first tests run.
 test: $(VENV)/.installed  ## lint, types, import layers, tests
-	$(MAKE) --no-print-directory -j 2 types style kernels
-	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+	$(MAKE) --no-print-directory -j 3 types style unit
+
+# Three workers for two cores: many tests wait for a browser, a server or a link. They share what a file's tests
+# share (worksteal keeps neighbours together); BLAS with a thread each.
+unit: kernels  ## the tests alone
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist worksteal
 
 check: test
 
@@ -68,13 +72,11 @@ locked:  ## an environment of exactly the locked versions, every hash checked
 	$(BIN)/python -m pip install --no-deps -e .
 	touch $(VENV)/.installed
 
-release: $(VENV)/.installed  ## wheel and sdist of a clean tree in dist/, checked and tagged; all but the upload
-	test -z "$$(git status --porcelain)" || { echo "commit first"; exit 1; }
+# CHECKS: what must pass first. ADDRESS=https://... : where the repository can be read, for the archives' links.
+CHECKS ?= test audit docs
+release: $(VENV)/.installed  ## wheel and source archive in dist/, checked, and a tag: all but the upload
 	$(BIN)/python -m pip install --quiet build twine
-	rm -rf dist
-	$(BIN)/python -m build
-	$(BIN)/python -m twine check --strict dist/*
-	git tag --annotate --message "flysid" "v$$($(BIN)/python -c 'import flysid; print(flysid.__version__)')"
+	$(BIN)/python -m tests.release --checks '$(CHECKS)' $(ADDRESS)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache flysid-demo .bench docs/_build

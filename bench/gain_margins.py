@@ -1,9 +1,13 @@
-"""Margins of simulated loops against the truth: `python -m bench.gain_margins [FLIGHTS] [FIRMWARE] [OUTER]`.
+"""Margins of simulated loops against the truth.
+
+`python -m bench.gain_margins [FLIGHTS] [FIRMWARE] [OUTER] [FIRST] [law]`
 
 Every flight has a vehicle of its own and lasts one to three minutes. How often the truth lies in the 95 %
 interval, and how often a figure was stated at all. FIRMWARE is betaflight (a record of 500 Hz), px4 or
 ardupilot (logs of 100 Hz as they keep them, parameters read from the log); OUTER, 1/s, closes an angle loop
-around the rate loop of the last two.
+around the rate loop of the last two. FIRST is the first seed. The truth of the
+last two is that of the controller as it is simulated, in steps of a millisecond; with `law` that of the
+continuous law.
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ from flysid.loops.margins import Margins, margins
 from flysid.loops.stick_response import ComplexArray, Loop
 from tests.flysid.loops.autopilots import ARDUPILOT, PX4, STEP_S, ardupilot_log, px4_log
 from tests.flysid.loops.simulated import PID, Vehicle, fly, truth
+from tests.flysid.loops.test_autopilots import LAWS
 
 Found = tuple[Margins | None, dict[str, float]]
 
@@ -78,15 +83,16 @@ class Flown:
         return np.asarray(g["P"] + g["I"] * STEP_S / (1.0 - back) + g["D"] * slope * filtered)
 
 
-def autopilot_flight(firmware: str) -> Callable[[int, float], Found]:
+def autopilot_flight(firmware: str, continuous: bool) -> Callable[[int, float], Found]:
     """Vehicles of gain 8 to 15, lag 25 to 50 ms, delay 2 to 6 ms, judged from their logs."""
     log = px4_log if firmware == "px4" else ardupilot_log
+    controller = LAWS[firmware][1] if continuous else Flown(firmware)
 
     def flown(seed: int, outer: float) -> Found:
         rng = np.random.default_rng(20_000 + seed)
         vehicle = Vehicle(rng.uniform(8, 15), rng.uniform(0.025, 0.05), 2 * int(rng.integers(2, 7)))
         record = log(rng.uniform(60.0, 180.0), 30_000 + seed, vehicle=vehicle, outer=outer)
-        return judge([record], ["roll"])[0].margins, truth(Sampled(vehicle), Flown(firmware))
+        return judge([record], ["roll"])[0].margins, truth(Sampled(vehicle), controller)
 
     return flown
 
@@ -96,11 +102,12 @@ def main(arguments: list[str]) -> int:
     count = int(arguments[0]) if arguments else 200
     firmware = arguments[1] if len(arguments) > 1 else "betaflight"
     outer = float(arguments[2]) if len(arguments) > 2 else 0.0
-    flown = betaflight_flight if firmware == "betaflight" else autopilot_flight(firmware)
+    first = int(arguments[3]) if len(arguments) > 3 else 0
+    flown = betaflight_flight if firmware == "betaflight" else autopilot_flight(firmware, "law" in arguments)
     held: dict[str, list[bool]] = {}
     errors: dict[str, list[float]] = {}
     refused = 0
-    for seed in range(count):
+    for seed in range(first, first + count):
         found, true = flown(seed, outer)
         refused += found is None
         for name, value in true.items() if found is not None else ():

@@ -18,7 +18,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
-from flysid.loops.blackbox import record_of, settings_of
+from flysid.loops.blackbox_loops import record_of, settings_of
 from flysid.loops.controller import Controller, betaflight
 from flysid.loops.margins import margins
 from flysid.loops.prediction import Prediction, predict

@@ -28,10 +28,11 @@ def main(names: list[str]) -> int:
             begin = time.process_time()
             found = contest(BestTS(), train)
             both = time.process_time() - begin
-            taken = "hidden state" if found.hidden is not None and found.clear else "lags"
-            tried = "not tried" if found.hidden is None else f"{error(found.hidden, test, truth):.4f}"
+            taken = "hidden state" if found.taken is found.states else "lags"
+            tried = "not tried" if found.states is None else f"{error(found.states.model, test, truth):.4f}"
+            lags = error(found.lags.model, test, truth)
             print(
-                f"{name}, {samples} samples, noise {noise:.0%}: lags {error(found.lagged, test, truth):.4f},"
+                f"{name}, {samples} samples, noise {noise:.0%}: lags {lags:.4f},"
                 f" hidden {tried}, taken: {taken}; {both:.1f} s CPU in all",
                 flush=True,
             )

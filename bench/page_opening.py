@@ -19,7 +19,7 @@ from typing import Any
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.ts import TS
-from flysid.validate.compare import across_channels, compare
+from flysid.validate.compare_models import across_channels, compare
 from flysid.validate.report import ReportContext, write_report
 from tests.fakes import FirstOrder, flown
 

@@ -30,7 +30,7 @@ from flysid.model.arx import ARX
 from flysid.model.base import Estimator
 from flysid.model.multirotor import Multirotor
 from flysid.model.ts import TS
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.trials import FREE_RUN
 
 DT_S = 0.004

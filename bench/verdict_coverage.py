@@ -4,7 +4,7 @@ Errors of two models are drawn as AR(1) processes whose change is known, in flig
 and each model has its own luck in every flight. `python -m bench.verdict_coverage [repetitions [seed]]`
 prints one line per case: flights first, then single flights. The truth is the change on a typical flight
 (geometric mean), or of the process of the one flight there is. The numbers of `validate/intervals.py` were
-chosen on draws of another program; the claims rest on seed 4242.
+chosen on draws of another program; docs/measured/verdicts.md names the seeds that its figures rest on.
 """
 
 from __future__ import annotations

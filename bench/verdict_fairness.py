@@ -35,7 +35,7 @@ from flysid.model.one_rule import linear_rivals
 from flysid.model.shared import sharing
 from flysid.model.ts import TS
 from flysid.model.ts_best import BestTS
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.trials import FREE_RUN
 
 DT_S = 0.05

@@ -25,7 +25,7 @@ from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.ts import TS
 from flysid.split import plan_folds
-from flysid.validate.compare import Turn, compare
+from flysid.validate.compare_models import Turn, compare
 from flysid.validate.comparison import Pair
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict

@@ -23,7 +23,7 @@ from flysid.model.base import Fitted
 from flysid.model.linear_choice import choose_baseline, confirmed
 from flysid.model.one_rule import linear_rivals
 from flysid.model.ts_best import BestTS
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.trials import FREE_RUN
 
 NOISE = 0.02

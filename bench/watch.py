@@ -2,7 +2,9 @@
 
 A simulated quadrotor (50 Hz, wind of 0 to 4 m/s drawn for each flight, turbulence, sensor noise) is
 identified on 8 flights of 150 s; thresholds come from 4 h of other flights, false alarms are counted in fresh
-ones, and faults come at 60 s of 120, or are there from take-off. Seeds of the four sets are disjoint.
+ones, and faults come at 60 s of 120, or are there from take-off. Seeds of the four sets are disjoint. The
+watch begins 10 s after a flight does: the simulated vehicle starts trimmed for still air, and real wind does
+not come within one sample.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ ALTITUDE_M = 60.0
 TRAINING_S = 150.0
 FAULT_S = 120.0
 AT_S = 60.0
+SETTLING_S = 10.0
 ASKED_1_H = 0.1
 NOISE = {"thrust": 0.005, "v_z": 0.02, "q": 0.3, "r": 0.3}
 PLANS = (MULTISINE, PILOT, STEPS)
@@ -49,6 +52,7 @@ CHANNELS = {
     "vertical": ("vz_in", "v_z"),
 }
 TORQUES = ("pitch", "yaw")
+SAID = ("alarm", "outside")
 
 
 def faulty(load: float = 1.0, rotor_1: float = 1.0) -> Vehicle:
@@ -62,8 +66,6 @@ FAULTS = {
     "motor -15 %": faulty(rotor_1=0.85),
     "motor -3 %": faulty(rotor_1=0.97),
 }
-# The issue's promises: within so many seconds in 95 of 100 flights, on which channels.
-PROMISED = {"mass +20 %": (1.0, ("thrust",)), "motor -15 %": (1.0, TORQUES), "motor -3 %": (2.0, TORQUES)}
 
 
 @dataclass(frozen=True)
@@ -82,15 +84,17 @@ class Flown:
 def fly(seed: int, seconds: float, fault: tuple[float, Vehicle] | None = None) -> Flown:
     """One flight; the seed draws its plan, its wind and its noise."""
     rng = np.random.default_rng([seed, 25])
-    t = np.arange(round(seconds / PERIOD_S), dtype=np.float64) * PERIOD_S
+    settling = round(SETTLING_S / PERIOD_S)
+    t = np.arange(settling + round(seconds / PERIOD_S), dtype=np.float64) * PERIOD_S
     plan = PLANS[seed % len(PLANS)]
     command = plan.command(t, GENTLE, rng)
     wind = Wind(float(rng.uniform(0.0, 4.0)), float(rng.uniform(0.0, 360.0)))
     field = wind_field(wind, len(t), PERIOD_S, ALTITUDE_M, rng)
     drone = DRONE
-    if fault is not None and fault[0] == 0.0:
-        drone = fault[1]
-        fault = None
+    if fault is not None:
+        at_s, vehicle = fault
+        fault = (SETTLING_S + at_s, vehicle) if at_s else None
+        drone = DRONE if at_s else vehicle
     flown = fly_vehicle(drone, command, wind_m_s=field, start=drone.hover(ALTITUDE_M), fault=fault)
     series = flown.series()
     squares = flown.states[:, 12:16] ** 2
@@ -105,7 +109,7 @@ def fly(seed: int, seconds: float, fault: tuple[float, Vehicle] | None = None) -
         "yaw_torque": 1e3 * frame.torque_factor * (squares @ np.array([1.0, -1.0, 1.0, -1.0])),
     }
     noisy = {name: x + NOISE.get(name, 0.0) * rng.standard_normal(len(x)) for name, x in true.items()}
-    return Flown(noisy, f"flight-{seed}")
+    return Flown({name: x[settling:] for name, x in noisy.items()}, f"flight-{seed}")
 
 
 def dataset(channel: str, flights: list[Flown]) -> Dataset:
@@ -129,16 +133,16 @@ def watch(channel: str, model: Fitted, training: list[Flown], others: list[Flown
     return ChannelWatch(channel, model, limits, known)
 
 
-def first_alarms(watches: list[ChannelWatch], flown: Flown, after_s: float) -> dict[str, float]:
-    """Seconds from `after_s` to the first alarm of each channel from then on."""
-    found = {}
+def first_events(
+    watches: list[ChannelWatch], flown: Flown, after_s: float
+) -> Iterator[tuple[str, str, float]]:
+    """(channel, kind, seconds from `after_s` on) of each channel's first alarm and first "outside"."""
     for one in watches:
-        alarms = [
-            e.time_s for e in one.run(flown.segment(one.name)) if e.kind == "alarm" and e.time_s >= after_s
-        ]
-        if alarms:
-            found[one.name] = alarms[0] - after_s
-    return found
+        events = [e for e in one.run(flown.segment(one.name)) if e.time_s >= after_s]
+        for kind in SAID:
+            times = [e.time_s - after_s for e in events if e.kind == kind]
+            if times:
+                yield one.name, kind, times[0]
 
 
 def seeds(first: int, count: int) -> Iterator[int]:
@@ -152,6 +156,7 @@ def main() -> None:
     parser.add_argument("--hours", type=float, default=10.0, help="of nominal flight for false alarms")
     parser.add_argument("--calibration-hours", type=float, default=4.0)
     parser.add_argument("--faults", type=int, default=40, help="flights for each fault")
+    parser.add_argument("--only", default="", help="faults whose names begin so, e.g. motor")
     parser.add_argument("--channels", default=",".join(CHANNELS))
     parser.add_argument("--small", action="store_true", help="a tenth of everything")
     options = parser.parse_args()
@@ -161,7 +166,7 @@ def main() -> None:
     others = [
         fly(s, TRAINING_S) for s in seeds(2_000, round(share * options.calibration_hours * flights_an_hour))
     ]
-    nominal = [fly(s, TRAINING_S) for s in seeds(10_000, round(share * options.hours * flights_an_hour))]
+    nominal = [fly(s, TRAINING_S) for s in seeds(20_000, round(share * options.hours * flights_an_hour))]
     faults = max(4, round(share * options.faults))
     for kind in options.models.split(","):
         began = time.process_time()
@@ -171,8 +176,8 @@ def main() -> None:
         ]
         print(f"\n## {kind}\n\n(fitted and calibrated in {time.process_time() - began:.0f} s of CPU)\n")
         false_alarms(watches, nominal)
-        delays(watches, faults, "comes at 60 s", AT_S)
-        delays(watches, max(4, faults // 2), "from take-off", 0.0)
+        delays(watches, faults, "comes at 60 s", AT_S, options.only)
+        delays(watches, max(4, faults // 2), "from take-off", 0.0, options.only)
 
 
 def false_alarms(watches: list[ChannelWatch], nominal: list[Flown]) -> None:
@@ -197,17 +202,22 @@ def false_alarms(watches: list[ChannelWatch], nominal: list[Flown]) -> None:
     print(f"({spent:.1f} us of CPU a sample and channel, three detectors)\n")
 
 
-def delays(watches: list[ChannelWatch], count: int, when: str, at_s: float) -> None:
+def delays(watches: list[ChannelWatch], count: int, when: str, at_s: float, only: str) -> None:
     """Which share of flights with a fault each channel finds, and how soon."""
     print(f"\nFault {when}, {count} flights each; found, median / 95th percentile in s:\n")
     names = [one.name for one in watches]
     print("| fault | " + " | ".join(names) + " |\n|---" + "|---" * len(names) + "|")
     for k, (fault, vehicle) in enumerate(FAULTS.items()):
-        found: dict[str, list[float]] = {name: [] for name in names}
-        for seed in seeds(100_000 + 1_000 * k, count):
-            for name, delay in first_alarms(watches, fly(seed, FAULT_S, (at_s, vehicle)), at_s).items():
-                found[name].append(delay)
-        print(f"| {fault} | " + " | ".join(cell(found[name], count) for name in names) + " |")
+        if not fault.startswith(only):
+            continue
+        found: dict[tuple[str, str], list[float]] = {(name, kind): [] for kind in SAID for name in names}
+        for seed in seeds(200_000 + 1_000 * k, count):
+            flown = fly(seed, FAULT_S, (at_s, vehicle))
+            for name, said, delay in first_events(watches, flown, at_s):
+                found[name, said].append(delay)
+        for kind in SAID:
+            cells = [cell(found[name, kind], count) for name in names]
+            print(f"| {fault}, {kind} | " + " | ".join(cells) + " |")
 
 
 def cell(delays_s: list[float], count: int) -> str:

@@ -8,6 +8,7 @@ import re
 import shlex
 import subprocess
 import sys
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,8 +16,13 @@ from typing import Any
 
 import jinja2
 
-FIT = "fit logs -r ardrone-synthetic -m ts --rules 2 --effort quick --no-rotate -o run"
+FIT = "fit logs -r ardrone-synthetic -m ts --rules 2 --effort quick --holdout 0.5 --no-rotate -o run"
 VALIDATE = "validate run -o report"
+
+
+def _fly(folder: str, more: str, seeds: tuple[int, int] = (1, 2)) -> tuple[str, ...]:
+    """Twice the flights of a plan, so that enough are held out for a verdict."""
+    return tuple(f"synth -o {folder} --no-truth {more} --seed {seed}" for seed in seeds)
 
 
 @dataclass(frozen=True)
@@ -36,7 +42,7 @@ EXAMPLES = (
         "The drag of this quadrotor grows with its speed. The gain of the longitudinal channel therefore "
         "depends on the speed. Two rules can follow it; one linear model cannot.",
         (
-            "synth -o logs --no-truth --plant ardrone --plan demo --duration 20",
+            *_fly("logs", "--plant ardrone --plan demo --duration 30"),
             f"{FIT} -c longitudinal",
             VALIDATE,
         ),
@@ -46,7 +52,7 @@ EXAMPLES = (
         "A linear vehicle",
         "The same manoeuvres, flown with a linear plant: rules have nothing to add.",
         (
-            "synth -o logs --no-truth --plant ardrone-linear --plan demo --duration 20",
+            *_fly("logs", "--plant ardrone-linear --plan demo --duration 30"),
             f"{FIT} -c lateral",
             VALIDATE,
         ),
@@ -67,7 +73,7 @@ EXAMPLES = (
         "Steady wind of 3 m/s with turbulence pushes the vehicle beyond what its inputs explain. Compare the "
         "coherence and the cautions with those of the calm flights.",
         (
-            "synth -o logs --no-truth --plant ardrone --plan demo --duration 20 --wind 3",
+            *_fly("logs", "--plant ardrone --plan demo --duration 30 --wind 3"),
             f"{FIT} -c longitudinal",
             VALIDATE,
         ),
@@ -78,7 +84,7 @@ EXAMPLES = (
         "Routine flights excite little: long stretches of hover and few changes of the input. Look at the "
         "width of the intervals, and at the cautions.",
         (
-            "synth -o logs --no-truth --plant ardrone --plan routine --duration 30",
+            *_fly("logs", "--plant ardrone --plan routine --duration 30"),
             f"{FIT} -c vertical",
             VALIDATE,
         ),
@@ -89,9 +95,8 @@ EXAMPLES = (
         "The second set of logs comes from a vehicle with twice the drag. Models fitted to both "
         "sets are compared on flights that neither has seen.",
         (
-            "synth -o before --no-truth --plant ardrone --plan demo --duration 20",
-            "synth -o after --no-truth --plant ardrone --plan demo --duration 20 --seed 2 "
-            "--change 1:1:drag:2",
+            *_fly("before", "--plant ardrone --plan demo --duration 30"),
+            *_fly("after", "--plant ardrone --plan demo --duration 30 --change 1:1:drag:2", (3, 4)),
             f"{FIT.replace('logs', 'before').replace('run', 'old')} -c longitudinal",
             f"{FIT.replace('logs', 'after').replace('run', 'new')} -c longitudinal",
             "compare old new -o report",
@@ -138,7 +143,7 @@ def _between(text: str, before: str, after: str) -> str:
 def section(example: Example, folder: Path) -> str:
     """The Markdown of one example."""
     verdict = json.loads((folder / f"{example.name}.json").read_text("utf-8"))["verdict"]
-    commands = "\n".join(f"$ flysid {command}" for command in example.commands)
+    commands = "\n".join(map(_wrapped, example.commands))
     return (
         f"## {example.title}\n\n"
         f'<a href="gallery/{example.name}.html"><img src="gallery/{example.name}.svg" width="420" '
@@ -146,6 +151,12 @@ def section(example: Example, folder: Path) -> str:
         f"{example.words}\n\n**{verdict}** "
         f'<a href="gallery/{example.name}.html">Open the report</a>\n\n```console\n{commands}\n```\n'
     )
+
+
+def _wrapped(command: str) -> str:
+    """As typed in a shell, no line wider than the page."""
+    lines = textwrap.wrap(f"$ flysid {command}", 78, subsequent_indent="    ", break_on_hyphens=False)
+    return " \\\n".join(lines)
 
 
 def make_gallery(app: Any) -> None:

@@ -18,6 +18,7 @@ _HOME = {
     "FIR": "flysid.model.fir",
     "IV": "flysid.model.iv",
     "StateSpace": "flysid.model.statespace",
+    "StructuredStateSpace": "flysid.model.structured.structured_state_space",
     "TF": "flysid.model.transfer_function",
     "Multirotor": "flysid.model.multirotor",
     "Line": "flysid.model.line",
@@ -45,7 +46,7 @@ _HOME = {
     "open": "flysid.ingest.lake.lake",
     "dataset_from": "flysid.ingest.align.quick",
     "load": "flysid.model.base",
-    "compare": "flysid.validate.compare",
+    "compare": "flysid.validate.compare_models",
     "measure_response": "flysid.model.frequency.response",
     "draw_rules": "flysid.validate.rulesfigure",
     "update": "flysid.model.rules.update",
@@ -63,6 +64,7 @@ __all__ = [  # noqa: RUF022
     "FIR",
     "IV",
     "StateSpace",
+    "StructuredStateSpace",
     "TF",
     "Multirotor",
     "Line",
@@ -134,11 +136,12 @@ if TYPE_CHECKING:
     from flysid.model.rules.update import update
     from flysid.model.statespace import StateSpace
     from flysid.model.static_ts import StaticTS
+    from flysid.model.structured.structured_state_space import StructuredStateSpace
     from flysid.model.transfer_function import TF
     from flysid.model.ts import TS
     from flysid.model.ts_best import BestTS
     from flysid.model.ts_state_space import TSStateSpace
-    from flysid.validate.compare import compare
+    from flysid.validate.compare_models import compare
     from flysid.validate.rulesfigure import draw_rules
 
 

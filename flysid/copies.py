@@ -40,6 +40,8 @@ LEAST_CORRELATION = (
     0.3  # of the remainders of two recordings of one flight, at rates that differ by up to ten
 )
 SAME_OUTPUT = 0.02  # of its spread
+SAME_GAIN = 0.1  # of an output: by how much the factors of two recorders may differ
+NEIGHBOURS = 2  # samples on either side of one that another recorder may have mixed into it
 SAME_SHARE = 0.5  # of a flight whose outputs agree so well
 SAME_INPUT = 0.5  # of its spread: steps fall between the samples of the other recorder
 SIGMAS = 3.5  # of a correlation beyond the largest that chance makes over all lags
@@ -114,7 +116,9 @@ def _same_samples(train: Sequence[Stretch], test: Sequence[Stretch]) -> Copy | N
         seen = np.unique(rows[of.ravel() == i][:, None] + np.arange(1, COPY_ROWS))
         changes = len(np.intersect1d(seen, held.steps[mine]))
         if changes >= COPY_STEPS or (share > COPY_WHOLE and changes):
-            return Copy(names[mine], names[theirs], f"{min(share, 1.0):.0%} of its samples are the same")
+            return Copy(
+                names[mine], names[theirs], f"{100.0 * min(share, 1.0):.0f} % of its samples are the same"
+            )
     return None
 
 
@@ -192,6 +196,17 @@ class _Signal:
 
     x: FloatArray
     spectra: dict[int, npt.NDArray[np.complex128]] = field(default_factory=dict)
+    known_powers: dict[int, npt.NDArray[np.complex128]] = field(default_factory=dict)
+
+    @cached_property
+    def size(self) -> float:
+        """The largest magnitude: squares of huge units would overflow."""
+        return float(np.nanmax(np.abs(self.x))) or 1.0
+
+    @cached_property
+    def spread(self) -> float:
+        """The standard deviation, in units of `size`."""
+        return float(np.nanstd(self.x / self.size))
 
     def spectrum(self, size: int) -> npt.NDArray[np.complex128]:
         """Of the signal without its mean, filled up to `size`; kept, as every flight meets many others."""
@@ -200,6 +215,14 @@ class _Signal:
             mean = self.x[known].mean() if known.any() else 0.0
             self.spectra[size] = np.fft.rfft(np.where(known, self.x - mean, 0.0), size)
         return self.spectra[size]
+
+    def powers(self, size: int) -> npt.NDArray[np.complex128]:
+        """(3, size / 2 + 1) spectra of where it is known, of itself, of its square; in units of its size."""
+        if size not in self.known_powers:
+            known = np.isfinite(self.x)
+            x = np.where(known, self.x / self.size, 0.0)
+            self.known_powers[size] = np.fft.rfft([known, x, x**2], size)
+        return self.known_powers[size]
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,6 +241,11 @@ class _Grid:
     @cached_property
     def outputs(self) -> tuple[_Signal, ...]:
         return tuple(_Signal(column) for column in self.y.T)
+
+    @cached_property
+    def moves(self) -> tuple[_Signal, ...]:
+        """How the outputs change from sample to sample."""
+        return tuple(_Signal(column) for column in np.diff(self.y, axis=0).T)
 
     @cached_property
     def remainders(self) -> tuple[_Signal, ...]:
@@ -249,60 +277,70 @@ def _same_noise(theirs: _Grid, mine: _Grid) -> str:
             2.0 * np.log(len(a.x) + len(b.x))
         )  # the largest of so many lags, in standard deviations
         if rho > LEAST_CORRELATION and rho * np.sqrt(len(x)) > chance + SIGMAS:
-            return f"its noise is the same over {len(x) / mine.samples:.0%} of it (correlation {rho:.2f})"
+            share = 100.0 * len(x) / mine.samples
+            return f"its noise is the same over {share:.0f} % of it (correlation {rho:.2f})"
     return ""
 
 
 def _same_output(theirs: _Grid, mine: _Grid) -> str:
     """How the outputs of two flights agree, or ''; their inputs must agree roughly."""
-    lag = 0
-    shares = list[float]()
     if min(theirs.flown, mine.flown) < LEAST_OVERLAP:
         return ""
-    for a, b in zip(theirs.outputs, mine.outputs, strict=True):
-        size = float(np.nanmax(np.abs(b.x))) or 1.0  # squares of huge units would overflow
-        spread = float(np.nanstd(b.x / size))
-        if spread == 0.0:
-            continue
-        lag = _best_lag(a, b)
-        x, z = _overlapping(a.x, b.x, lag)
-        if len(x) < max(LEAST_OVERLAP, SAME_SHARE * mine.flown):
-            return ""
-        if _apart(x / size, z / size) > SAME_OUTPUT * spread:
-            return ""
-        shares.append(len(x) / mine.flown)
-    if not shares or not all(
-        _alike(*_overlapping(a, b, lag)) for a, b in zip(theirs.u.T, mine.u.T, strict=True)
-    ):
-        return ""
-    return f"its outputs are the same to within {SAME_OUTPUT:.0%} over {min(1.0, *shares, 1.0):.0%} of it"
-
-
-def _apart(x: FloatArray, z: FloatArray) -> float:
-    """RMS difference of two records, one of them moved by the fraction of a sample that suits them best.
-
-    Which of them a recorder brought to other times is not known, so that each is moved in turn, linearly
-    between its samples; the best fraction is then a least squares fit.
-    """
-    ways = [(a, b, step) for a, b in ((x, z), (z, x)) for step in (0, 2)]
-    return min(
-        _moved_apart(one[1:-1], other[1:-1], other[step : len(other) - 2 + step]) for one, other, step in ways
+    pairs = [*zip(theirs.outputs, mine.outputs, strict=True), *zip(theirs.moves, mine.moves, strict=True)]
+    lags = dict.fromkeys(_best_lag(a, b) for a, b in pairs)  # a part of a flight shows by its moves
+    least = max(LEAST_OVERLAP, SAME_SHARE * mine.flown) - 1  # of samples, so of moves
+    lags.update(
+        dict.fromkeys(_closest_lag(a, b, least) for a, b in zip(theirs.moves, mine.moves, strict=True))
+    )
+    share = max((_share_of_same(theirs, mine, lag) for lag in lags), default=0.0)
+    return (
+        f"its outputs are the same to within {100.0 * SAME_OUTPUT:.0f} % over {100.0 * share:.0f} % of it"
+        if share
+        else ""
     )
 
 
-def _moved_apart(x: FloatArray, z: FloatArray, beside: FloatArray) -> float:
-    """RMS difference of x and what lies between z and the samples beside it."""
-    gap = x - z
-    towards = beside - z
-    power = float(towards @ towards)
-    fraction = float(np.clip(gap @ towards / power, 0.0, 1.0)) if power > 0.0 else 0.0
-    rest = gap - fraction * towards
-    return float(np.sqrt(rest @ rest / len(rest)))
+def _share_of_same(theirs: _Grid, mine: _Grid, lag: int) -> float:
+    """The share of a flight whose outputs agree with another's at some lag; 0 where one of them does not."""
+    shares = list[float]()
+    for a, b in zip(theirs.outputs, mine.outputs, strict=True):
+        if b.spread == 0.0:
+            continue
+        x, z = _overlapping(a.x, b.x, lag)
+        if len(x) < max(LEAST_OVERLAP, SAME_SHARE * mine.flown):
+            return 0.0
+        if _apart(x / b.size, z / b.size, SAME_OUTPUT * b.spread):
+            return 0.0
+        shares.append(len(x) / mine.flown)
+    alike = all(_alike(*_overlapping(a, b, lag)) for a, b in zip(theirs.u.T, mine.u.T, strict=True))
+    return min(1.0, *shares) if shares and alike else 0.0
+
+
+def _apart(x: FloatArray, z: FloatArray, limit: float) -> bool:
+    """Whether two records differ by more than `limit` (RMS), one of them filtered as suits them best.
+
+    Another recorder has its own zero and rounds its factors, samples at other times, and smooths: a constant
+    and five neighbours of each sample take all that out. Which of them it did that to is not known.
+    """
+    return _filtered_apart(x, z, limit) and _filtered_apart(z, x, limit)
+
+
+def _filtered_apart(x: FloatArray, z: FloatArray, limit: float) -> bool:
+    """Whether samples of z around each one of x leave more than `limit` of it, or are larger or smaller."""
+    rows = len(x) - 2 * NEIGHBOURS
+    near = [z[k : k + rows] for k in range(2 * NEIGHBOURS + 1)]
+    columns = np.stack([np.ones(rows), *near, x[NEIGHBOURS : NEIGHBOURS + rows]], axis=1)
+    (triangle, _) = np.linalg.qr(columns, "raw")  # transposed
+    rest = abs(triangle[-1, columns.shape[1] - 1])
+    if rest > limit * np.sqrt(max(rows - columns.shape[1] + 1, 1)):
+        return True
+    weights = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=None)[0]
+    return bool(abs(weights[1:].sum() - 1.0) > SAME_GAIN)  # larger or smaller flights, not another's factor
 
 
 def _alike(x: FloatArray, z: FloatArray) -> bool:
     """Whether two records of an input are: a step may be a sample late, where values are held."""
-    return _apart(x, z) <= SAME_INPUT * float(np.std(z)) or not np.any(x != z)
+    return not _apart(x, z, SAME_INPUT * float(np.std(z))) or not np.any(x != z)
 
 
 def _regressors(s: Stretch) -> FloatArray:
@@ -406,6 +444,19 @@ def _best_lag(theirs: _Signal, mine: _Signal) -> int:
     """The lag of mine behind theirs at which their product is largest; NaN counts as 0."""
     size = 1 << int(np.ceil(np.log2(len(theirs.x) + len(mine.x))))
     at = int(np.argmax(np.fft.irfft(theirs.spectrum(size) * np.conj(mine.spectrum(size)), size)))
+    return at if at < len(theirs.x) else at - size
+
+
+def _closest_lag(theirs: _Signal, mine: _Signal, least: float) -> int:
+    """The lag of mine behind theirs at which they differ least, where at least so many samples overlap."""
+    size = 1 << int(np.ceil(np.log2(len(theirs.x) + len(mine.x))))
+    a = theirs.powers(size)
+    b = np.conj(mine.powers(size))
+    scale = theirs.size / mine.size
+    apart = scale**2 * a[2] * b[0] + a[0] * b[2] - 2.0 * scale * a[1] * b[1]
+    count, gap = np.fft.irfft([a[0] * b[0], apart], size)
+    mean = np.where(count > least - 0.5, gap / np.maximum(count, 1.0), np.inf)
+    at = int(np.argmin(mean))
     return at if at < len(theirs.x) else at - size
 
 

@@ -16,14 +16,13 @@ import numpy.typing as npt
 
 from flysid import tabular
 from flysid.errors import DataError, UsageError
-from flysid.showing import Table, as_text
+from flysid.showing import Table, as_text, counted
 from flysid.split import By, Split, plan_split
+from flysid.stretch import FloatArray as FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -249,8 +248,9 @@ class Dataset:
         signals = [", ".join(f"{s.name} [{s.unit}]" if s.unit else s.name for s in side)
                    for side in (self.inputs, self.outputs)]  # fmt: skip
         title = (
-            f"{self.name or 'dataset'}: {signals[0]} -> {signals[1]}; {len(self.segments)} segments, "
-            f"{len(self):,} samples, {1.0 / self.dt_s:.4g} Hz"
+            f"{self.name or 'dataset'}: {signals[0]} -> {signals[1]}; "
+            f"{counted(len(self.segments), 'segment')}, {counted(len(self), 'sample')}, "
+            f"{1.0 / self.dt_s:.4g} Hz"
         )
         rows = []
         for flight in self.flights:

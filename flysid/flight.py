@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from flysid.errors import UsageError
-from flysid.showing import Shown, Table
+from flysid.showing import Shown, Table, counted
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -164,7 +164,8 @@ class Flight(Shown):
     def _table(self) -> Table:
         whose = ", ".join(self.info[key] for key in ("vehicle", "autopilot", "firmware") if key in self.info)
         title = (
-            f"{self.source.name}: {self.source.format}, {self.rows:,} records in {len(self.tables)} streams"
+            f"{self.source.name}: {self.source.format}, {counted(self.rows, 'record')} in "
+            f"{counted(len(self.tables), 'stream')}"
         )
         title += f"; {whose}" if whose else ""
         title += "; with losses" if self.damage.lossy else ""

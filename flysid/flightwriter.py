@@ -32,6 +32,7 @@ ROWS_PER_GROUP = 1 << 20
 MAX_OPEN_FILES = 200
 BLOCK_BYTES = 4096  # what a file takes on the disk at least: smaller ones gain nothing from being compressed
 IntArray = npt.NDArray[np.int64]
+FloatArray = npt.NDArray[np.float64]
 _END = (1 << 31, 0)  # behind every (boot, time)
 _FILES = pyarrow.fs.LocalFileSystem()
 
@@ -196,6 +197,22 @@ def int_values(column: pa.ChunkedArray) -> IntArray:
     ]
     joined = pieces[0] if len(pieces) == 1 else np.concatenate([np.empty(0, np.int64), *pieces])
     return joined.astype(np.int64, copy=False)
+
+
+def float_values(column: pa.Array | pa.ChunkedArray) -> FloatArray:
+    """(n,) the values of a column of numbers, NaN where there is none, without importing pandas."""
+    if not len(column):
+        return np.empty(0)
+    if isinstance(column, pa.ChunkedArray):
+        return np.concatenate([float_values(chunk) for chunk in column.chunks])
+    numbers = column.cast(pa.float64(), safe=False)
+    valid, data = numbers.buffers()
+    here = slice(numbers.offset, numbers.offset + len(numbers))
+    values = np.frombuffer(data, dtype=np.float64)[here]
+    if not numbers.null_count:
+        return values
+    is_there = np.unpackbits(np.frombuffer(valid, dtype=np.uint8), bitorder="little")[here]
+    return np.where(is_there, values, np.nan)
 
 
 def in_order(table: pa.Table) -> pa.Table:

@@ -20,6 +20,7 @@ from msgspec import field
 from flysid import mirror
 from flysid.errors import StoreError, UsageError
 from flysid.flight import ClockMap, Damage, Source, resolve_stream
+from flysid.showing import Table, as_html, as_text, counted
 from flysid.version import check_version
 
 DATA_FORMAT = "flysid-data"
@@ -94,6 +95,22 @@ class Manifest(msgspec.Struct, frozen=True):
     def duration_s(self) -> float:
         """Vehicle time from first to last row, summed over boots, in seconds."""
         return sum(c.last_ns - c.first_ns for c in self.clocks) * 1e-9
+
+    def _table(self) -> Table:
+        title = (
+            f"{self.id}: {self.source.format}, {counted(self.rows, 'record')} in "
+            f"{counted(len(self.streams), 'stream')}, {self.duration_s:.1f} s"
+        )
+        title += "; with losses" if self.damage.lossy else ""
+        most = sorted(self.streams, key=lambda entry: -entry.rows)
+        rows = [(s.stream, f"{s.rows:,}", f"{s.rate_hz:.4g}" if s.rate_hz else "-") for s in most]
+        return Table(title, ("stream", "records", "Hz"), rows)
+
+    def __repr__(self) -> str:
+        return as_text(self._table())
+
+    def _repr_html_(self) -> str:
+        return as_html(self._table())
 
     def stream(self, name: str) -> StreamEntry:
         """The entry of a stream, by key or unambiguous message name; raises UsageError otherwise."""

@@ -54,6 +54,16 @@ def copy_of(place: Place, found: Found) -> Path:
     return path
 
 
+def log_at(place: Place) -> Path | None:
+    """The log at an address, as a file of the cache; None where there is none."""
+    above = str(place).rpartition("/")[0]
+    if above.endswith("/"):
+        return None  # a bucket
+    folder = Place(above)
+    found = folder.head(str(place)[len(above) + 1 :])
+    return copy_of(folder, found) if found else None
+
+
 def mark(data: Path, address: str) -> None:
     """Say that a data folder mirrors a lake."""
     if address_of(data) != address:

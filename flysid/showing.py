@@ -15,6 +15,12 @@ def counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
+def significant(value: float, digits: int = 3) -> str:
+    """So many significant digits, without an exponent where that is short: "1050", "0.0034", "2.5e+07"."""
+    rounded = float(f"{value:.{digits}g}")
+    return f"{rounded:.15g}" if 1e-4 <= abs(rounded) < 1e6 else f"{rounded:.{digits}g}"
+
+
 def first_of(names: Sequence[str], most: int) -> str:
     """The first names, and how many more there are: "a, b, c and 4 more"."""
     rest = len(names) - most

@@ -151,12 +151,73 @@ def plan_split(
         train, test = _by_time(data, flights, holdout, guard, rng)
     if not train or not test:
         raise DataError(
-            f"too little data to hold out {holdout:.0%} by {way}: "
+            f"too little data to hold out {100.0 * holdout:.0f} % by {way}: "
             f"{sum(len(s.y) for s in data.segments)} samples in {len(data.segments)} segments",
             hint="add flights, or shorten the guard",
         )
     refuse_copies(data, train, test)
     return _split_of(data, way, seed, holdout, guard if way == "time" else 0.0, (train, test))
+
+
+def plan_held(
+    data: Splittable,
+    held: Mapping[str, Sequence[tuple[int, int]]],
+    *,
+    seed: int = 0,
+    guard_s: float | None = None,
+) -> Split:
+    """Hold out what is named, instead of a share by chance.
+
+    Parameters
+    ----------
+    data : the dataset.
+    held : flight -> spans of vehicle time [start, stop) in ns.
+    guard_s : samples this near to a held-out span serve neither part; default as `plan_split`.
+
+    Raises
+    ------
+    DataError : nothing lies in the spans, or nothing beside them; a copy is held out.
+    """
+    guard = max(1.0, 20 * data.dt_s) if guard_s is None else guard_s
+    rows = [(s.flight, s.t0_ns, len(s.y)) for s in data.segments]
+    train, test = held_pieces(rows, data.dt_s, held, guard)
+    refuse_copies(data, train, test)
+    share = sum(map(len, test)) / len(data)
+    way = way_of(rows, train, test)
+    return _split_of(data, way, seed, share, guard if way == "time" else 0.0, (train, test))
+
+
+def held_pieces(
+    rows: Sequence[tuple[str, int, int]],
+    dt_s: float,
+    held: Mapping[str, Sequence[tuple[int, int]]],
+    guard_s: float,
+) -> tuple[list[Piece], list[Piece]]:
+    """(train, test) of segments, each a flight, the time of its first sample in ns, and its samples.
+
+    Raises
+    ------
+    DataError : nothing lies in the spans, or nothing beside them.
+    """
+    train: list[Piece] = []
+    test: list[Piece] = []
+    for index, (flight, t0_ns, count) in enumerate(rows):
+        spans_s = [(start * 1e-9, stop * 1e-9) for start, stop in held.get(flight, ())]
+        inside, near = _membership(np.asarray(t0_ns * 1e-9 + dt_s * np.arange(count)), spans_s, guard_s)
+        test += _runs(index, inside)
+        train += _runs(index, ~near)
+    if not train or not test:
+        raise DataError(
+            f"no {MIN_PIECE} samples in a row {'to train on' if test else 'in what is to be held out'}",
+            hint="hold out less" if test else "hold out parts that the channel uses, or longer ones",
+        )
+    return train, test
+
+
+def way_of(rows: Sequence[tuple[str, int, int]], train: Sequence[Piece], test: Sequence[Piece]) -> By:
+    """ "flight" where no flight serves both parts, else "time"."""
+    shared = {rows[p.segment][0] for p in train} & {rows[p.segment][0] for p in test}
+    return "time" if shared else "flight"
 
 
 def plan_folds(data: Splittable, folds: int, *, seed: int = 0) -> tuple[Split, ...]:

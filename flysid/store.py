@@ -56,6 +56,7 @@ __all__ = [
     "find_flight",
     "list_flights",
     "locked",
+    "mirror_of",
     "read_flight",
     "read_manifest",
     "read_stream",
@@ -115,6 +116,13 @@ def create_data_folder(data: str | Path) -> Path:
         document = f'{{"format": "{DATA_FORMAT}", "version": {VERSION}}}\n'
         write_atomically(data / DATA_FILE, document.encode())
     return data
+
+
+def mirror_of(address: str) -> Path:
+    """The data folder here that mirrors a lake; made where there is none yet."""
+    folder = create_data_folder(mirror.folder_for(address))
+    mirror.mark(folder, address)
+    return folder
 
 
 def remove_empty(data: Path) -> None:

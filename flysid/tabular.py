@@ -207,8 +207,8 @@ def _flight_row(name: str, segments: Sequence[Marked], dt_s: float) -> str:
         for a, b in parts
     )
     svg = (
-        f'<svg width="200" height="12" role="img" aria-label="{lost:.0%} lost">'
+        f'<svg width="200" height="12" role="img" aria-label="{100.0 * lost:.0f} % lost">'
         f'<rect width="200" height="12" fill="none" stroke="#999"/>{bars}</svg>'
     )
-    cells = (html.escape(name), str(len(segments)), f"{seconds:.1f}", f"{lost:.1%}", svg)
+    cells = (html.escape(name), str(len(segments)), f"{seconds:.1f}", f"{100.0 * lost:.1f} %", svg)
     return "<tr>" + "".join(f"<td>{c}</td>" for c in cells) + "</tr>"

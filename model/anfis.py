@@ -26,7 +26,6 @@ from flysid.model.threads import on_one_thread
 # of the step, Jang's heuristic rules
 _GROWTH = 1.1
 _SHRINKAGE = 0.9
-_RIDGE = 1e-9  # on consequents, relative: neighbouring rules are nearly collinear
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ class ANFIS:
         notes = (
             f"{self.rules} rules were asked for; memberships and consequents were learned in turn one step "
             f"ahead (ANFIS), epoch {best_epoch} of {self.epochs} was the best.",
-            "The free run was not looked at: compare it before you trust a simulation.",
+            "The free run was not used for the choice: validate it before you rely on a simulation.",
         )
         found = finished(ordered(best_started(learner.problem, best)), train, notes, intervals=False)
         return described(found, train)
@@ -170,12 +169,17 @@ class _Learner:
                 width=np.clip(width, 0.02 * (high - low), 3.0 * (high - low)),
             )
 
-    def with_consequents(self, body: Body) -> Body:
-        """Global least squares, the paper's eq. (4), for the body's memberships."""
+    def with_consequents(self, body: Body, *, ridge: float = 1e-9) -> Body:
+        """Global least squares, the paper's eq. (4), for the body's memberships.
+
+        Parameters
+        ----------
+        ridge : on consequents, relative: neighbouring rules are nearly collinear.
+        """
         phi = self.firing(body)
         design = (phi[:, :, None] * self.E[:, None, :]).reshape(len(phi), -1)
         gram = design.T @ design
-        gram[np.diag_indices_from(gram)] += _RIDGE * gram.trace() / len(gram)
+        gram[np.diag_indices_from(gram)] += ridge * gram.trace() / len(gram)
         a = np.linalg.solve(gram, design.T @ self.Y).reshape(*phi.shape[1:], -1, self.Y.shape[1])
         return replace(body, a=np.ascontiguousarray(a.transpose(0, 2, 1)))
 

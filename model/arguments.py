@@ -30,7 +30,7 @@ def as_columns(values: FloatArray, count: int, name: str) -> FloatArray:
     return array
 
 
-class _Signals(Protocol):
+class _SignalCounts(Protocol):
     """What a model says of its signals."""
 
     @property
@@ -39,7 +39,9 @@ class _Signals(Protocol):
     def outputs(self) -> tuple[Signal, ...]: ...
 
 
-def as_record(model: _Signals, u: FloatArray, y: FloatArray, k: int = 1) -> tuple[FloatArray, FloatArray]:
+def as_record(
+    model: _SignalCounts, u: FloatArray, y: FloatArray, k: int = 1
+) -> tuple[FloatArray, FloatArray]:
     """u (N, n_u) and y (N, n_y) that a model predicts k steps ahead on.
 
     Raises

@@ -48,7 +48,7 @@ class ARX(PolynomialSettings):
         outputs.
     n_init : of a refined model; others start from their lags.
 
-    Source: Ljung (1999), System Identification, 4.2; the refinement: `flysid.model.linear.refine`.
+    Source: Ljung (1999), System Identification, 4.2; the refinement: `flysid.model.linear.oe_search`.
 
     Examples
     --------

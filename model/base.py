@@ -202,6 +202,7 @@ STRUCTURES: Mapping[str, Structure] = {
         *(Structure(name, _LINEAR, "reference") for name in ("mean", "persistence")),
         *(Structure(name, _LINEAR, "linear") for name in ("line", "arx", "fir", "iv", "oe", "armax", "bj")),
         Structure("statespace", "flysid.model.subspace.fitted_model:from_dict", "linear"),
+        Structure("structured", "flysid.model.structured.fitted_structured:from_dict", "linear"),
         Structure("tf", "flysid.model.transfer_function:from_dict", "linear"),
         Structure("static-ts", "flysid.model.static_ts:from_dict", "rules"),
         Structure("ts", "flysid.model.rules.fitted:from_dict", "rules"),

@@ -1,6 +1,6 @@
-"""Compiled: filters, differences and responses, which a linear search asks for thousands of times.
+"""Compiled: differences and responses, which a linear search asks for thousands of times.
 
-Polynomials stand in rising powers of q⁻¹ and are monic where they divide.
+Polynomials stand in rising powers of q⁻¹.
 """
 
 from __future__ import annotations
@@ -11,18 +11,11 @@ import numpy as np
 from numba import njit
 
 from flysid.dataset import FloatArray
+from flysid.filters import own
 
 _GONE = 4e-18  # of a response's largest value: below the rounding of any sum it is part of
 
 compiled = njit(cache=True, error_model="numpy")
-
-
-def filtered(b: FloatArray, a: FloatArray, x: FloatArray) -> FloatArray:
-    """(N,) x, or each of (N, columns), through B / A from zero state: `scipy.signal.lfilter`, no checks."""
-    if x.ndim > 1:
-        return np.stack([filtered(b, a, column) for column in x.T], axis=1) if x.shape[1] else x
-    y: FloatArray = _filtered(_own(b), _own(a), _own(x))
-    return y
 
 
 def differences(signal: FloatArray, count: int, lag: int, rows: slice, *, monic: bool) -> FloatArray:
@@ -32,42 +25,19 @@ def differences(signal: FloatArray, count: int, lag: int, rows: slice, *, monic:
     p = count - 1 - (i - lag) (the coordinates beta).
     """
     first = 1 if monic else lag
-    columns: FloatArray = _differences(_own(signal), count, first, rows.start, rows.stop).T
+    columns: FloatArray = _differences(own(signal), count, first, rows.start, rows.stop).T
     return columns
 
 
 def free_responses(a: FloatArray, rows: int) -> FloatArray:
     """(M, na) responses of 1/A to states at the start, each of length one; M <= rows: then decayed."""
-    responses: FloatArray = _free_responses(_own(a), rows).T
+    responses: FloatArray = _free_responses(own(a), rows).T
     return responses
 
 
 def is_stable(a: FloatArray, radius: float = 1.0) -> bool:
     """Whether every root of A lies inside a circle, by reflection coefficients (Schur and Cohn)."""
     return bool(_is_stable(a / radius ** np.arange(len(a))))
-
-
-def _own(x: FloatArray) -> FloatArray:
-    """One row that may be written to, as nearly all are: compiled code is made for one kind of array only."""
-    return x if x.flags.c_contiguous and x.flags.writeable else x.copy()
-
-
-@compiled
-def _filtered(b: FloatArray, a: FloatArray, x: FloatArray) -> FloatArray:
-    order = max(a.size, b.size) - 1
-    state = np.zeros(order + 1)
-    y = np.empty(x.size)
-    for k in range(x.size):
-        value = b[0] * x[k] + state[0]
-        for i in range(order):
-            kept = state[i + 1]
-            if i + 1 < b.size:
-                kept += b[i + 1] * x[k]
-            if i + 1 < a.size:
-                kept -= a[i + 1] * value
-            state[i] = kept
-        y[k] = value
-    return y
 
 
 @compiled

@@ -82,7 +82,7 @@ class Ensemble:
                 f"{len(fitted)} of {self.members} members could be fitted: {reasons[0]}",
                 hint="give more data, or fewer members",
             )
-        share = f"{1 / self.members:.0%}"
+        share = f"{100.0 / self.members:.0f} %"
         notes = [f"The mean of {len(fitted)} models, each fitted without another {share} of the data."]
         if reasons:
             notes.append(f"{len(reasons)} more could not be fitted: {reasons[0]}")

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
+from flysid.filters import filtered
 from flysid.model.base import Fitted
 from flysid.model.noise import noise_model
 from flysid.model.start import estimate_start, start_window
@@ -110,8 +111,7 @@ def later_inputs(
     errors: Sequence[FloatArray], inputs: Sequence[FloatArray], lags: int
 ) -> tuple[float, float]:
     """(p of the F test, share of the variance) of later inputs in the whitened errors of segments."""
-    from scipy.signal import lfilter
-    from scipy.stats import f as distribution
+    from scipy.special import fdtrc
 
     if not errors or not any(float(np.ptp(e)) > 0.0 for e in errors):
         return 1.0, 0.0
@@ -120,8 +120,8 @@ def later_inputs(
     past = []
     later = []
     for error, u in zip(errors, inputs, strict=True):
-        e = lfilter(d, [1.0], error)
-        v = lfilter(d, [1.0], u - u.mean(axis=0), axis=0)
+        e = filtered(d, np.ones(1), error)
+        v = filtered(d, np.ones(1), u - u.mean(axis=0))
         rows = np.arange(lags + len(d), len(e) - lags)
         targets.append(e[rows])
         past.append(np.hstack([v[rows - k] for k in range(lags + 1)]))
@@ -140,7 +140,7 @@ def later_inputs(
     ratio = (gain / added) / max((total - gain) / freedom, 1e-300)
     # what chance explains on average is taken off the share
     share = max(gain / total - added / (freedom + added), 0.0)
-    return float(distribution.sf(ratio, added, freedom)), share
+    return float(fdtrc(added, freedom, ratio)), share
 
 
 def _basis(columns: FloatArray, size: float | None = None) -> tuple[FloatArray, int]:

@@ -4,7 +4,7 @@ With A_0 = I:  y(k) = sum_l [B_l u(k-l) - A_l y(k-l)] + c.  The state at time k 
 lag: z_i(k) = sum_{l>i} [B_l u(k+i-l) - A_l y(k+i-l)], what the past still contributes to y(k+i) (the
 transposed direct form, so that y(k) = z_0(k) + B_0 u(k) + c).
 
-Diagonal A (one output, or outputs that do not feed each other) runs through scipy's compiled filter; coupled
+Diagonal A (one output, or outputs that do not feed each other) runs through a compiled filter; coupled
 outputs through a compiled loop.
 """
 
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.filters import filtered
 
 _FAR = 100.0  # ranges between limits
 
@@ -42,14 +43,12 @@ class Difference:
 
     def drive(self, u: FloatArray) -> FloatArray:
         """(N, n_y) sum_l B_l u(k-l) + c for inputs that were zero before."""
-        from scipy.signal import lfilter
-
         out = np.empty((len(u), len(self.c)))
         out[:] = self.c
         for i, j in np.ndindex(*self.b.shape[1:]):
             taps = np.trim_zeros(self.b[:, i, j], "b")
             if len(taps):
-                out[:, i] += lfilter(taps, [1.0], u[:, j])
+                out[:, i] += filtered(taps, np.ones(1), u[:, j])
         return out
 
     def state(self, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -75,14 +74,12 @@ class Difference:
         if depth == 0:
             return drive
         if self.is_diagonal:
-            from scipy.signal import lfilter
-
             unit = np.eye(1, depth + 1)[0]
             out = np.empty_like(drive)
             for i in range(drive.shape[1]):
                 a = np.zeros(depth + 1)
                 a[: len(self.a)] = self.a[:, i, i]
-                out[:, i] = lfilter(unit, a, drive[:, i], zi=z[:, i])[0]
+                out[:, i] = filtered(unit, a, drive[:, i], z[:, i])
             return out
         a = np.zeros((depth + 1, *self.a.shape[1:]))
         a[: len(self.a)] = self.a

@@ -115,7 +115,7 @@ def _common(transfer: Any, i: int) -> tuple[FloatArray, FloatArray]:
     for j, (n, f) in enumerate(zip(nums, factors, strict=True)):
         taps = np.trim_zeros(np.convolve(n, f), "f")
         if len(taps) > len(common):
-            raise UsageError("the transfer function is improper: it would have to know the future")
+            raise UsageError("the transfer function is improper (more zeros than poles), so it is not causal")
         out[j, len(common) - len(taps) :] = taps
     return common / common[0], out / common[0]
 

@@ -52,7 +52,7 @@ UNDETERMINED = 0.5
 
 
 @dataclass(frozen=True)
-class Figure:
+class AxisFigure:
     """A number of the vehicle.
 
     Attributes
@@ -184,7 +184,7 @@ class FittedMultirotor(FreeRuns):
 
     # -- what an engineer asks of it ---------------------------------------------------------------------
 
-    def figures(self, output: int = 0) -> tuple[Figure, ...]:
+    def figures(self, output: int = 0) -> tuple[AxisFigure, ...]:
         """Lag, dead time, thrust curve, drag, every command's effect about its mean, trim."""
         axis = self.axes[output]
         theta = axis.theta
@@ -209,17 +209,17 @@ class FittedMultirotor(FreeRuns):
             value = per * theta[FIRST + j] * about
             half = Z95 * abs(per) * math.sqrt(max(float(slope @ axis.covariance @ slope), 0.0))
             per_unit = f"{unit} per {command.unit or '1'}"
-            found.append(Figure(f"effect of {command.name}", value, per_unit, half, value))
+            found.append(AxisFigure(f"effect of {command.name}", value, per_unit, half, value))
         half = Z95 * size * float(np.sqrt(max(axis.covariance[TRIM, TRIM], 0.0)))
         largest = size * float(np.abs(theta[FIRST:]).max())
-        found.append(Figure("trim", size * float(theta[TRIM]), unit, half, largest))
+        found.append(AxisFigure("trim", size * float(theta[TRIM]), unit, half, largest))
         return tuple(found)
 
-    def _figure(self, axis: Axis, name: str, index: int, unit: str, least: float = 0.0) -> Figure:
+    def _figure(self, axis: Axis, name: str, index: int, unit: str, least: float = 0.0) -> AxisFigure:
         value = float(axis.theta[index])
         known = index in axis.free
         half = Z95 * float(np.sqrt(max(axis.covariance[index, index], 0.0))) if known else np.nan
-        return Figure(name, value, unit, half, max(abs(value), least))
+        return AxisFigure(name, value, unit, half, max(abs(value), least))
 
     def coefficients(self) -> list[Coefficient]:
         """Every figure that these flights determine."""

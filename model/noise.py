@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.filters import filtered
 
 HIGHEST_ORDER = 12
 
@@ -70,9 +71,7 @@ def coloured_covariance(jacobians: Sequence[FloatArray], d: FloatArray, variance
 
 def coloured_gram(jacobians: Sequence[FloatArray], d: FloatArray) -> FloatArray:
     """(n, n) Jᵀ R J for noise that is white noise of variance 1 through 1/D: J filtered backwards in time."""
-    from scipy.signal import lfilter
-
-    backwards = (lfilter([1.0], d, jacobian[::-1], axis=0) for jacobian in jacobians)
+    backwards = (filtered(np.ones(1), d, jacobian[::-1]) for jacobian in jacobians)
     n = jacobians[0].shape[1]
     return np.asarray(sum((b.T @ b for b in backwards), np.zeros((n, n))))
 
@@ -123,14 +122,14 @@ def k_step_ahead(
     for j in range(1, k + 1):
         value = np.zeros_like(y)
         value[: n - j] = drive[j:]
-        for lag in range(1, len(a)):
+        for lag in range(1, min(len(a), n + j)):  # a record may be shorter than the polynomials
             if lag < j:
                 value -= ahead[j - lag - 1] @ a[lag].T
             else:
                 back = lag - j
                 value[back:] -= y[: n - back] @ a[lag].T
         if ma is not None and e is not None:
-            for lag in range(j, len(ma)):
+            for lag in range(j, min(len(ma), n + j)):
                 value[lag - j :] += e[: n - lag + j] * ma[lag]
         ahead.append(value)
     out = np.full((n - 1, y.shape[1]), np.nan)

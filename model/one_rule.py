@@ -7,7 +7,6 @@ one rule stands among the candidates for the baseline, and more rules never look
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,18 +14,19 @@ from flysid.dataset import Dataset
 from flysid.errors import FlysidError
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator, Fitted
+from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear_choice import best_linear, linear_estimators
 from flysid.model.oe import OE
-from flysid.model.rules import learning
-from flysid.model.rules.fitted import FittedTS, finished
-from flysid.model.rules.linear_starts import Asked
-from flysid.model.rules.search_settings import NORMAL, SearchSettings
+from flysid.model.rules import learning, linear_starts
+from flysid.model.rules.fitted import FittedTS
+from flysid.model.rules.search_settings import NORMAL, RuleSettings, SearchSettings
 from flysid.model.shared import fit_key, once
+from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.threads import on_one_thread
 
 
 @dataclass(frozen=True)
-class OneRule:
+class OneRule(RuleSettings):
     """Settings of one rule.
 
     Parameters
@@ -35,19 +35,8 @@ class OneRule:
     states : 0: over lags; a number or "auto": over states, hidden ones among them.
     """
 
-    nk_hint: Sequence[int] = ()
-    nk_least: Sequence[int] = ()
-    states: Any = 0
     rules: int = 1
-    na: Any = "auto"
-    nb: Any = "auto"
-    nk: Any = "auto"
-    antecedents: Any = "auto"
-    refine: bool = True
     most_rules: int = 1
-    iterations: int = 30
-    ridge: Any = "auto"
-    search: SearchSettings = NORMAL
 
     @on_one_thread
     @once(fit_key)
@@ -60,29 +49,54 @@ class OneRule:
         FitError : no stable model was found.
         """
         learn = learning.over_lags if self.states == 0 else learning.over_states
-        learned = learn(self, train, validation)
-        return finished(learned.stage, train, learned.notes, intervals=learned.intervals)
+        return learn(self, train, validation).model(train)
 
 
-def linear_rivals(nk_hint: tuple[int, ...] = (), nk_least: tuple[int, ...] = ()) -> dict[str, Estimator]:
+def linear_rivals(
+    nk_hint: tuple[int, ...] = (), nk_least: tuple[int, ...] = (), search: SearchSettings = NORMAL
+) -> dict[str, Estimator]:
     """All that competes for the baseline, by label: linear structures, then one rule over lags, over states.
 
-    `nk_hint`: delays per input that they try besides their own; `nk_least`: below which one rule does not go.
+    Parameters
+    ----------
+    nk_hint : delays per input that they try besides their own.
+    nk_least : below which one rule does not go.
+    search : how long one rule is looked for; without hidden states there is none over states.
     """
-    alone: dict[str, Estimator] = {
-        "one_rule": OneRule(nk_hint=nk_hint, nk_least=nk_least),
-        "one_rule_ss": OneRule(nk_hint=nk_hint, states="auto"),
-    }
+    alone: dict[str, Estimator] = {"linear_lags": OneRule(nk_hint=nk_hint, nk_least=nk_least, search=search)}
+    if search.hidden_states:
+        alone["linear_ss"] = OneRule(nk_hint=nk_hint, states="auto", search=search)
     return linear_estimators(nk_hint) | alone
 
 
-def linear_choice(settings: Asked, train: Dataset, validation: Dataset | None) -> tuple[str, Fitted] | None:
+def same_orders(model: Fitted, search: SearchSettings) -> Estimator | None:
+    """Settings that fit the linear side's choice again with its orders, on a part of the data, or on more.
+
+    None for several outputs, whose orders differ.
+
+    Parameters
+    ----------
+    search : how long one rule is refined.
+    """
+    if len(model.outputs) > 1:
+        return None
+    if isinstance(model, FittedTS):
+        orders = model.layout.orders
+        if model.layout.hidden:
+            return OneRule(states=model.layout.n, search=search)
+        return OneRule(na=orders.na, nb=orders.nb, nk=orders.nk, search=search)
+    return linear_starts.same_orders(model) if isinstance(model, FittedLinear | FittedStateSpace) else None
+
+
+def linear_choice(
+    settings: RuleSettings, train: Dataset, validation: Dataset | None
+) -> tuple[str, Fitted] | None:
     """The linear side's choice among models of the orders asked for, and its name; None where it has none.
 
     Where nothing is asked for it is the baseline of `flysid fit`, the same fit.
     """
     hint = tuple(settings.nk_hint)
-    candidates = linear_rivals(hint, tuple(settings.nk_least))
+    candidates = linear_rivals(hint, tuple(settings.nk_least), settings.search)
     if (settings.na, settings.nb, settings.nk) != ("auto", "auto", "auto"):
         asked: dict[str, Any] = {"na": settings.na, "nb": settings.nb, "nk": settings.nk, "nk_hint": hint}
         candidates = {"arx": ARX(**asked), "oe": OE(**asked)}

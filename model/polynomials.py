@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import FloatArray
+from flysid.showing import significant
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -88,8 +89,12 @@ class Mode:
         if self.frequency_rad_s == 0.0:
             return "integrator"
         if self.pole.imag:
-            return f"{self.frequency_rad_s:.4g} rad/s, damping {self.damping:.3g}"
-        return f"time constant {self.time_constant_s:.4g} s" if self.damping > 0 else "unstable, real"
+            return f"{significant(self.frequency_rad_s, 4)} rad/s, damping {significant(self.damping)}"
+        return (
+            f"time constant {significant(self.time_constant_s, 4)} s"
+            if self.damping > 0
+            else "unstable, real"
+        )
 
 
 def modes_of(roots: ComplexArray, dt_s: float) -> tuple[Mode, ...]:
@@ -121,7 +126,7 @@ def polynomial_text(coefficients: FloatArray, errors: FloatArray | None = None) 
     for power in powers[:MOST_TERMS]:
         value = coefficients[power]
         sign = ("-" if value < 0 else "") if not terms else (" - " if value < 0 else " + ")
-        error = f" (+- {half[power]:.2g})" if half[power] > 0 else ""
+        error = f" (+- {significant(half[power], 2)})" if half[power] > 0 else ""
         delay = f" q^-{power}" if power else ""
         terms.append(f"{sign}{_digits(abs(value), half[power])}{error}{delay}")
     more = len(powers) - MOST_TERMS

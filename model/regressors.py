@@ -33,9 +33,11 @@ class Lags:
 
     def __post_init__(self) -> None:
         if any(lag < 1 for lags in self.y for lag in lags):
-            raise UsageError("an output's lag must be at least 1: a model cannot know its own present output")
+            raise UsageError(
+                "an output's lag must be at least 1: the present output is what the model predicts"
+            )
         if any(lag < 0 for lags in self.u for lag in lags):
-            raise UsageError("an input's lag must not be negative: a model cannot know the future")
+            raise UsageError("an input's lag must not be negative: the model would not be causal")
 
     @classmethod
     def arx(cls, na: Sequence[int], nb: Sequence[int], nk: Sequence[int]) -> Lags:
@@ -105,7 +107,7 @@ def stacked(data: Dataset, lags: Lags, start: int | None = None) -> tuple[FloatA
     )
 
 
-class Transform(Protocol):
+class RegressorTransform(Protocol):
     """Inputs and outputs as scaled deviations."""
 
     @property
@@ -125,7 +127,7 @@ def chunks(
     lags: Lags,
     start: int | None = None,
     rows: int = CHUNK_ROWS,
-    transform: Transform | None = None,
+    transform: RegressorTransform | None = None,
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Phi and Y in pieces of at most `rows` rows: a fit needs memory for one piece only.
 

@@ -23,7 +23,8 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import FitError
-from flysid.model.compiled_filters import differences, filtered, free_responses, is_stable
+from flysid.filters import filtered
+from flysid.model.compiled_filters import differences, free_responses, is_stable
 from flysid.model.polynomials import free_basis, monic_basis, stabilised
 from flysid.model.refine import Refinement, levenberg_marquardt, upper_triangle
 

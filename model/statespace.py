@@ -116,15 +116,7 @@ class StateSpace:
         model = _final(self, plan.parts.train, plan.parts, plan.choice, plan.note)
         if self.refine is not False:
             model = _refined(self, plan.parts, plan.choice, model)
-        return _delayed_model(_settled(self, plan.parts, model), plan.late)
-
-
-def with_choices_made(settings: StateSpace, train: Dataset, validation: Dataset | None = None) -> StateSpace:
-    """The same settings with order, method, past and delays as `fit` would choose them."""
-    plan = _best_plan(settings, train, validation)
-    choice = plan.choice
-    nk = tuple(late + 1 for late in plan.late)
-    return replace(settings, order=choice.order, method=choice.method, past=choice.past, nk=nk)
+        return delayed_model(_settled(self, plan.parts, model), plan.late)
 
 
 def _plan_key(settings: StateSpace, train: Dataset, validation: Dataset | None) -> Hashable:
@@ -194,7 +186,7 @@ def _from_disk(settings: StateSpace, train: OnDisk, validation: Dataset | None) 
     data = Late(train, plan.late) if any(plan.late) else train
     parts = Parts.on_disk(data)
     model = _final(settings, data, parts, plan.choice, plan.note)
-    return _delayed_model(_stable(settings, parts, model), plan.late)
+    return delayed_model(_stable(settings, parts, model), plan.late)
 
 
 def _delays(settings: StateSpace, train: Dataset, validation: Dataset | None) -> list[tuple[int, ...]]:
@@ -213,7 +205,7 @@ def _delays(settings: StateSpace, train: Dataset, validation: Dataset | None) ->
     return [none, late] if any(late) and max(late) < shortest // 4 else [none]
 
 
-def _delayed_model(model: FittedStateSpace, late: tuple[int, ...]) -> FittedStateSpace:
+def delayed_model(model: FittedStateSpace, late: tuple[int, ...]) -> FittedStateSpace:
     """The model for inputs as they are sent; the start waits until they enter."""
     if not any(late):
         return model

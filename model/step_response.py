@@ -21,6 +21,7 @@ from flysid.model.fir import Posterior, centred_gram, posterior_of
 from flysid.model.noise import noise_model
 from flysid.model.polynomials import Z95
 from flysid.model.threads import on_one_thread
+from flysid.showing import significant
 
 HORIZON_S = 2.0
 MOST_TAPS = 200
@@ -46,9 +47,12 @@ class StepFigure:
     why: str = ""
 
     def __str__(self) -> str:
-        if self.value is None:
+        if self.value is None or self.low is None or self.high is None:
             return f"{self.name}: {self.why}"
-        return f"{self.name} {self.value:.3g} {self.unit}".rstrip() + f" [{self.low:.3g}, {self.high:.3g}]"
+        return (
+            f"{self.name} {significant(self.value)} {self.unit}".rstrip()
+            + f" [{significant(self.low)}, {significant(self.high)}]"
+        )
 
     def to_dict(self) -> dict[str, float | str | None]:
         """JSON types only."""

@@ -7,17 +7,15 @@ where a tank, an actuator or a friction element stands between, a hidden state s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.one_rule import linear_choice
 from flysid.model.rules import learning
 from flysid.model.rules.contest import contest
-from flysid.model.rules.fitted import FittedTS, finished
-from flysid.model.rules.search_settings import NORMAL, SearchSettings
+from flysid.model.rules.fitted import FittedTS
+from flysid.model.rules.search_settings import RuleSettings
 from flysid.model.rules.stabilise import with_stable_rules
 from flysid.model.shared import sharing
 from flysid.model.threads import on_one_thread
@@ -26,7 +24,7 @@ __all__ = ["TS", "FittedTS"]
 
 
 @dataclass(frozen=True)
-class TS:
+class TS(RuleSettings):
     """Settings of a dynamic TS model; the defaults choose by themselves.
 
     Parameters
@@ -60,21 +58,6 @@ class TS:
     1
     """
 
-    rules: int | Literal["auto"] = "auto"
-    na: int | Literal["auto"] = "auto"
-    nb: int | Sequence[int] | Literal["auto"] = "auto"
-    nk: int | Sequence[int] | Literal["auto"] = "auto"
-    antecedents: Sequence[str] | Literal["auto"] = "auto"
-    refine: bool = True
-    most_rules: int = 5
-    iterations: int = 30
-    nk_hint: Sequence[int] = ()
-    nk_least: Sequence[int] = ()
-    stable: bool = False
-    search: SearchSettings = NORMAL
-    states: int | Literal["auto"] = 0
-    ridge: float | Literal["auto"] = "auto"
-
     @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedTS:
         """Grow, refine and choose a model.
@@ -90,11 +73,9 @@ class TS:
             if self.states != "auto":
                 return over_states(self, train, validation)
             with sharing():
-                return contest(self, train, validation, linear_choice).of_rules
+                return contest(self, train, validation, linear_choice).described(train)
         learned = learning.over_lags(self, train, validation, linear_choice)
-        model = finished(
-            learned.stage, train, learned.notes, intervals=self.refine, neighbour=learned.neighbour
-        )
+        model = learned.model(train, intervals=self.refine)
         if not self.stable or learned.stage.problem.integrates:
             return model
         return with_stable_rules(model, train)
@@ -111,7 +92,4 @@ def over_states(settings: TS, train: Dataset, validation: Dataset | None) -> Fit
     """Rules over hidden states, whose number may be chosen; raises as `TS.fit`."""
     if settings.states == 0:
         raise UsageError("states=0", hint='give "auto" or a whole number from 1 on')
-    learned = learning.over_states(settings, train, validation)
-    return finished(
-        learned.stage, train, learned.notes, intervals=learned.intervals, neighbour=learned.neighbour
-    )
+    return learning.over_states(settings, train, validation).model(train)

@@ -13,13 +13,12 @@ from typing import Literal
 from flysid.dataset import Dataset
 from flysid.model.base import Fitted
 from flysid.model.linear.difference_equation import FittedLinear
-from flysid.model.one_rule import linear_choice, linear_rivals
+from flysid.model.one_rule import linear_choice, linear_rivals, same_orders
 from flysid.model.rules.contest import PARTS, Contest
 from flysid.model.rules.contest import contest as contest_of_rules
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.judging import INTEGRATES, hold_out
 from flysid.model.rules.learning import SWEEP
-from flysid.model.rules.linear_starts import refitted
 from flysid.model.rules.search_settings import NORMAL, SearchSettings
 from flysid.model.rules.structure_choice import Refit, advantage, block_errors, unproven
 from flysid.model.shared import sharing
@@ -59,6 +58,7 @@ class BestTS:
     nk_least: Sequence[int] = ()
     search: SearchSettings = NORMAL
 
+    @on_one_thread
     def fit(self, train: Dataset, validation: Dataset | None = None) -> Fitted:
         """Fit the model over lags, the other one where that may help, and linear ones; keep the best.
 
@@ -68,7 +68,7 @@ class BestTS:
         DataError : no or too few samples, a signal that never moves.
         FitError : no stable model was found.
         """
-        return contest(self, train, validation).winner
+        return contest(self, train, validation).winner(train)
 
 
 @on_one_thread
@@ -93,7 +93,9 @@ def _linear_enough(
     if settings.rules not in ("auto", 1) or INTEGRATES in rules.notes:
         return None
     delays = tuple(settings.nk_hint), tuple(settings.nk_least)
-    choice = linear_choice(TS(nk_hint=delays[0], nk_least=delays[1]), train, validation)
+    choice = linear_choice(
+        TS(nk_hint=delays[0], nk_least=delays[1], search=settings.search), train, validation
+    )
     if choice is None:
         return None
     label, model = choice
@@ -110,8 +112,11 @@ def _linear_enough(
             models: tuple[Refit, Refit] = (lambda _: model, lambda _: rules)
         else:
             parts = [hold_out(train, found.taken.known.least, fold) for fold in range(PARTS)]
-            again = refitted(model)
-            models = (linear_rivals(*delays)[label].fit if again is None else again.fit, found.taken.again)
+            again = same_orders(model, settings.search)
+            models = (
+                linear_rivals(*delays, settings.search)[label].fit if again is None else again.fit,
+                found.taken.again,
+            )
         said = unproven(*models, parts)
         if not said:
             return None

@@ -14,6 +14,7 @@ import importlib
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
@@ -50,16 +51,18 @@ def chosen(words: list[str]) -> dict[str, Campaign]:
     return found
 
 
-def run_apart(module: str, budget: Budget) -> list[Outcome]:
-    """The outcomes of one campaign, run in a process of its own; a crash is an outcome too."""
+def run_apart(module: str, budget: Budget) -> Iterator[Outcome]:
+    """The outcomes of one campaign as they come, run in a process of its own; a crash is an outcome too."""
     command = [sys.executable, "-m", "soak", "--inside", module]
     command += [] if budget.seconds is None else ["--minutes", str(budget.seconds / 60)]
     command += [word for subject in budget.subjects for word in ("--subject", subject)]
-    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
-    outcomes = [Outcome(**json.loads(text)) for text in done.stdout.splitlines() if text.startswith("{")]
-    if done.returncode:
-        outcomes.append(Outcome("(the campaign itself)", failures=[f"ended with {done.returncode}"]))
-    return outcomes
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for text in process.stdout:
+            if text.startswith("{"):
+                yield Outcome(**json.loads(text))
+    if process.returncode:
+        yield Outcome("(the campaign itself)", failures=[f"ended with {process.returncode}"])
 
 
 def run_inside(module: str, budget: Budget) -> None:

@@ -23,7 +23,7 @@ from flysid.validate.run import ChannelRun
 def linear_side(*labels: str) -> Iterator[None]:
     """Within the block only these compete for the baseline and for the rules' linear side."""
 
-    def only(nk_hint: tuple[int, ...] = (), _: tuple[int, ...] = ()) -> dict[str, Estimator]:
+    def only(nk_hint: tuple[int, ...] = (), *_: object) -> dict[str, Estimator]:
         return {label: model for label, model in linear_estimators(nk_hint).items() if label in labels}
 
     with pytest.MonkeyPatch.context() as patch:

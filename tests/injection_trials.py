@@ -24,7 +24,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, Segment
 from flysid.validate.cautions import cautions
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.document import to_json
 from flysid.validate.report import ReportContext, render
 from flysid.validate.tables import to_csv, to_markdown

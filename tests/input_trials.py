@@ -17,7 +17,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError, FitError, FlysidError, StoreError
 from flysid.model.base import Fitted, load
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.document import to_json
 from flysid.validate.verdict import Verdict
 from soak import Outcome

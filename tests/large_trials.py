@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+import random
 import warnings
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,30 +111,31 @@ def defaults() -> dict[str, Estimator]:
 
 
 def sizes() -> list[Size]:
-    """All that the soak tries."""
-    found = [Size(n, plant=p) for p in POLES for n in (1, 10, 300_000)]
-    found += [Size(n, 10_000, plant=p) for p in POLES for n in (10_000, 100_000, 300_000)]
-    found += [Size(n, inputs=50) for n in (1, 10, 300_000)]
-    found += [Size(300_000, offset=1e9), Size(300_000, 10_000, offset=1e9), Size(300_000, 10_000, 50)]
-    return [*found, Size(3_000_000), Size(3_000_000, 10_000), Size(3_000_000, inputs=10)]
+    """All that the soak tries, shuffled: every size, plant and offset, with one input and with 50."""
+    shapes = [(1, 1), (10, 1), (300_000, 1), (300_000, 10_000), (3_000_000, 1), (3_000_000, 10_000)]
+    shapes.append((10_000, 10_000))
+    crossed = itertools.product(shapes, (1, 50), (0.0, 1e9), POLES)
+    found = [Size(*shape, inputs, offset, plant) for shape, inputs, offset, plant in crossed]
+    random.Random("sizes").shuffle(found)
+    return found
 
 
 def fits_of_sizes(
-    estimators: dict[str, Estimator], chosen: Iterable[Size], goes_on: GoesOn = always
+    label: str, estimator: Estimator, chosen: Sequence[Size], goes_on: GoesOn = always
 ) -> Outcome:
-    """Fit everything to everything."""
-    outcome = Outcome("fits of unusual sizes: " + ", ".join(estimators))
+    """Fit a structure to data of every size."""
+    outcome = Outcome(label)
     with peak_memory(outcome):
         for size in chosen:
+            if not goes_on():
+                outcome.remark = f"of {len(chosen)}"
+                break
             data = size.data()
-            for label, estimator in estimators.items():
-                if not goes_on():
-                    return outcome
-                with outcome.trial():
-                    why = _tried(estimator, data)
-                outcome.raised += why == "diagnosis"
-                if why not in ("", "diagnosis"):
-                    outcome.failures.append(f"{size}; {label}: {why}")
+            with outcome.trial():
+                why = _tried(estimator, data)
+            outcome.raised += why == "diagnosis"
+            if why not in ("", "diagnosis"):
+                outcome.failures.append(f"{size}: {why}")
     return outcome
 
 

@@ -27,6 +27,7 @@ from flysid.model.persistence import Persistence
 from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.statespace import StateSpace
 from flysid.model.static_ts import StaticTS
+from flysid.model.structured.structured_state_space import StructuredStateSpace
 from flysid.model.transfer_function import TF
 from flysid.model.ts import TS
 from flysid.model.ts_state_space import TSStateSpace
@@ -105,6 +106,8 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "ensemble of rules": (Ensemble(StaticTS(rules=2), members=2).fit, data()),
     "tf": (TF(poles=2, zeros=1, dead_time_s=0.0).fit, data()),
     "tf, two inputs and outputs": (TF(poles=2, zeros=1, dead_time_s=0.0).fit, data(2, 2, samples=200)),
+    "structured": (StructuredStateSpace().fit, data()),
+    "structured, two inputs and outputs": (StructuredStateSpace(hold="first").fit, data(2, 2)),
     "multirotor": (Multirotor().fit, data()),
     "multirotor, accelerations": (Multirotor(kind="acceleration").fit, data(2, 2)),
     "arx, static": (ARX(na=0, nb=1, nk=0, refine=False).fit, data()),

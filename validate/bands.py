@@ -39,7 +39,7 @@ class ResponseBand:
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class BandCurve:
     """(F,) response of one rule, and its band where the model offers one."""
 
     response: ComplexArray
@@ -48,7 +48,7 @@ class Curve:
 
 def curves(
     model: Fitted, hz: FloatArray, place: tuple[int, int], sure: Uncertainty | None = None
-) -> list[Curve]:
+) -> list[BandCurve]:
     """Response of every rule with its band; `place`: (output, input); `sure`: of a fuzzy one."""
     nominal = responses(model, hz, *place)
     bands: Sequence[ResponseBand | None] = [None] * len(nominal)
@@ -56,7 +56,7 @@ def curves(
         bands = _drawn_bands(nominal, sure, hz, place)
     elif (known := _first_order(model, hz)) is not None:
         bands = [_linear_band(known, place)]
-    return [Curve(r, b) for r, b in zip(nominal, bands, strict=True)]
+    return [BandCurve(r, b) for r, b in zip(nominal, bands, strict=True)]
 
 
 def _first_order(model: Fitted, hz: FloatArray) -> FrequencyResponse | None:

@@ -6,16 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from flysid.model.base import Fitted
+from flysid.validate.beyond import beyond
 from flysid.validate.caution import Caution, Comparisons, Diagnoses, heads, join
 from flysid.validate.comparison import Comparison, Entry
-from flysid.validate.residuals import Spectrum
-from flysid.validate.responses import responses
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
 from flysid.validate.words import named, number, one_line
 
-HALF_POWER = np.sqrt(0.5)
 COLLINEAR = 1e5
 """Condition number above which single coefficients mean little."""
 CHEAP_PCT = 2.0
@@ -93,7 +90,7 @@ def contested(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
             "Better than the linear model chosen on the training data, but not than every linear model: "
             f"{join(said)}.",
             "quote the change against the best linear model of the table; train on more flights, so that the "
-            "choice of the baseline is less a matter of luck.",
+            "choice of the baseline is less subject to chance.",
             7.0,
         )
 
@@ -118,21 +115,16 @@ def one_rule(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution
 
 
 def beyond_band(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
-    """Models that answer strongly at frequencies at which nothing measured says how the vehicle does.
-
-    Strongly is with half the power of their largest answer where the input explains the output.
-    """
+    """Models that answer strongly at frequencies at which nothing measured says how the vehicle does."""
     said = []
     for channel, d in diagnoses.items():
         c = comparisons[channel]
-        name = c.contender or c.baseline
-        for i, out in enumerate(d.outputs):
-            for j, given in enumerate(c.test.inputs):
-                seen = out.responses[j]
-                share = None if seen is None else _share_beyond(c.fitted[name], seen, i, j)
-                if seen is not None and share is not None and share > HALF_POWER:
-                    to = f"{number(seen.explained_to_hz or 0.0)} Hz"
-                    said.append(f"{given.name} to {out.output.name} of {channel} ({to})")
+        model = c.fitted[c.contender or c.baseline]
+        said += [
+            f"{c.test.inputs[j].name} to {out.output.name} of {channel} ({number(end)} Hz)"
+            for i, out in enumerate(d.outputs)
+            for j, end in beyond(model, out.responses, i)
+        ]
     if said:
         yield Caution(
             "note",
@@ -141,20 +133,6 @@ def beyond_band(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caut
             "do not use its gain there, as in a fast control loop; fly faster manoeuvres, such as a chirp.",
             0.7,
         )
-
-
-def _share_beyond(model: Fitted, seen: Spectrum, output: int, signal: int) -> float | None:
-    """The largest gain of any rule above what is seen, over the largest below; None where either is not."""
-    end = seen.explained_to_hz
-    if end is None:
-        return None
-    hz = np.append(seen.hz, 0.5 / model.dt_s)
-    gains = [np.abs(g) for g in responses(model, hz, output, signal)]
-    if not gains or not np.isfinite(gains).all():
-        return None
-    largest = np.max(gains, axis=0)
-    beyond = hz > end
-    return float(largest[beyond].max() / largest[~beyond].max()) if largest[~beyond].max() > 0.0 else None
 
 
 def spare_words(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:

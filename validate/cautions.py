@@ -114,7 +114,7 @@ def _unstable(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cautio
         yield Caution(
             "warning",
             f"A local model is unstable by itself (a pole outside the unit circle) on {join(worst)}.",
-            "watch long simulations: an unstable rule may be held by its neighbours, or may not.",
+            "check long simulations: the neighbouring rules may or may not stabilise it.",
             5.0,
         )
 
@@ -259,7 +259,7 @@ def _few(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caution]:
         yield Caution(
             "note",
             f"Only {number} held-out flight{'s' if counts[-1] > 1 else ''} on {join(list(few))}: too few to "
-            "say much of another day, battery or wind.",
+            "generalise to another day, battery or wind.",
             f"hold out whole flights, {FEW + 1} or more.",
             2.0 if counts[0] == 1 else 0.95,
         )

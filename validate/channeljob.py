@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -15,6 +16,7 @@ from flysid.ingest.excitation.dead_time import DeadTime
 from flysid.model.base import Fitted
 from flysid.model.feedback import feedback
 from flysid.model.linear_choice import Choice
+from flysid.model.nonlinearity import nonlinearity
 from flysid.progress import part, tell
 from flysid.split import Split
 from flysid.validate.fitone import UNFIT, FitsTo, fit_one, reason
@@ -48,6 +50,7 @@ class ChannelJob(Generic[D]):
     data : the whole channel.
     folder : the run's; models go into a folder of the channel's name in it.
     lines, doubts : how the channel was aligned, and reasons in the data not to trust any model of it.
+    held : flight -> spans of vehicle time, ns, that are held out; a share by chance where there are none.
     """
 
     data: D
@@ -55,6 +58,7 @@ class ChannelJob(Generic[D]):
     settings: FitSettings
     lines: tuple[str, ...] = ()
     doubts: tuple[Doubt, ...] = ()
+    held: Mapping[str, Sequence[tuple[int, int]]] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -98,6 +102,7 @@ class ChannelJob(Generic[D]):
         seen : training samples, on which a loop around the baseline is looked for.
         late : dead times found in training.
         """
+        baseline = fits.models[choice.label]
         return ChannelRun(
             name=self.name,
             models=fits.files,
@@ -107,7 +112,16 @@ class ChannelJob(Generic[D]):
             failed=fits.failed,
             doubts=self.doubts,
             dead_times=tuple(d.words for d in late),
-            loops=tuple(f.words for f in feedback(fits.models[choice.label], seen) if f.closed),
+            loops=tuple(f.words for f in feedback(baseline, seen) if f.closed),
+            nonlinear=_nonlinear(baseline, seen),
             baseline=choice.label,
             chosen=choice.words,
         )
+
+
+def _nonlinear(baseline: Fitted, seen: Dataset) -> tuple[str, ...]:
+    """A sentence for each output; none where memory is short: no model is lost for it."""
+    try:
+        return tuple(n.words for n in nonlinearity(baseline, seen) if n.words)
+    except MemoryError:
+        return ()

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from flysid.dataset import Dataset, Signal
 from flysid.errors import UsageError
 from flysid.model.base import Fitted, kind_of
-from flysid.validate.intervals import Change, Scope
+from flysid.validate.intervals import ErrorChange, Scope
 from flysid.validate.metrics import Scores
 from flysid.validate.segmentnames import segment_names
 from flysid.validate.trials import FREE_RUN, horizon_name
@@ -69,7 +69,7 @@ class Pair:
     p: float | None
     p_holm: float | None
     unit: str
-    basis: Change
+    basis: ErrorChange
     evidence: Evidence
     verdict: Verdict
     reason: str

@@ -159,7 +159,7 @@ class _Guard:
                 f"condition compares {other.text!r}, a number, with {word.text!r}, a word", hint=EXAMPLE
             )
         if isinstance(a, str) and not isinstance(sign, ast.Eq | ast.NotEq):
-            raise UsageError("words are equal or not: nothing orders them", hint=EXAMPLE)
+            raise UsageError("words can only be compared with == and !=", hint=EXAMPLE)
         return _COMPARE[type(sign)](a, b)
 
     def _value(self, term: _Term) -> Value:

@@ -7,11 +7,12 @@ cannot be done, nothing is compared: a verdict on training data is worth nothing
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from flysid.catalogue import FlightFacts
 from flysid.dataset import Dataset
 from flysid.errors import DataError, FlysidError, UsageError
 from flysid.ingest.lake.chosen_flights import Selection, require_one_vehicle
@@ -20,7 +21,7 @@ from flysid.ingest.lake.lake import open as open_lake
 from flysid.model.base import Fitted, kind_of
 from flysid.progress import tell
 from flysid.split import Piece, Split, refuse_copies
-from flysid.validate.compare import Comparison, across_channels, compare, sides_of
+from flysid.validate.compare_models import Comparison, across_channels, compare, sides_of
 from flysid.validate.expected import expected_document
 from flysid.validate.judge import Judgement, by_reason, fit_command, split_words
 from flysid.validate.judgedparts import chosen_lake, restricted
@@ -79,17 +80,26 @@ def judge_runs(
     seconds = {n: _seconds("a", theirs[n]) | _seconds("b", ours[n]) for n in found}
     skipped = {name: "fitted by run B only" for name in ours if name not in theirs}
     skipped |= {name: "fitted by run A only" for name in theirs if name not in ours} | failed
-    context = replace(context, fit_seconds=seconds, skipped=skipped)
+    judged_on = [comparison.test for comparison in found.values()]
+    context = replace(context, fit_seconds=seconds, skipped=skipped, flights=_facts_of(b, chosen, judged_on))
     return Judgement(b.run, corrected, skipped, context, tuple(failed))
 
 
 def _refuse_several_vehicles(b: RunSource, chosen: Lake | None, ours: Mapping[str, HeldOut]) -> None:
     """Raise UsageError where held-out flights are of several vehicles: no verdict is of all of them."""
+    if b.run.recipe:
+        lake = chosen or open_lake(b.data or b.run.data)
+        held = _facts_of(b, lake, [part.test for part in ours.values()])
+        require_one_vehicle(lake.only([facts.id for facts in held]))
+
+
+def _facts_of(b: RunSource, chosen: Lake | None, parts: Sequence[Dataset]) -> tuple[FlightFacts, ...]:
+    """What the catalogue knows of the flights of these parts; a dataset file has none."""
     if not b.run.recipe:
-        return
+        return ()
     lake = chosen or open_lake(b.data or b.run.data)
-    held = {flight.partition("#")[0] for part in ours.values() for flight in part.test.flights}
-    require_one_vehicle(lake.only([facts.id for facts in lake.facts if facts.id in held]))
+    held = {flight.partition("#")[0] for part in parts for flight in part.flights}
+    return tuple(facts for facts in lake.facts if facts.id in held)
 
 
 def expected_of_runs(a: Run, b: Run, label: str | None = None) -> dict[str, Any]:
@@ -176,7 +186,7 @@ def _both(
 def _headline(a: Mapping[str, Fitted], b: Mapping[str, Fitted], label: str | None) -> str:
     shared = [name for name in a if name in b]
     if label is not None and label not in shared:
-        raise UsageError(f"not both runs have a model {label!r}", hint=f"one of {', '.join(shared)}")
+        raise UsageError(f"only one of the runs has a model {label!r}", hint=f"one of {', '.join(shared)}")
     if not shared:
         raise DataError(f"the runs share no model: {_names(a)} and {_names(b)}")
     return label or next((name for name in PREFERRED if name in shared), shared[0])

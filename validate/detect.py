@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 import numba
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from flysid.dataset import FloatArray, Segment
 from flysid.errors import DataError
@@ -199,7 +199,7 @@ def threshold(maxima: Sequence[Sequence[float]], block_s: float, per_hour: float
     if not len(beyond):
         return edge
     flights = sum(any(top > edge for top in flight) for flight in maxima)
-    scale = float(beyond.mean()) * 2 * flights / float(chi2.ppf(0.05, 2 * flights))
+    scale = float(beyond.mean()) * 2 * flights / float(chdtri(2 * flights, 0.95))
     expected = 3600.0 / block_s * len(beyond) / len(every)
     return edge + scale * max(0.0, math.log(expected / per_hour))
 

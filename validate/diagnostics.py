@@ -10,17 +10,18 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.model.base import Fitted
 from flysid.model.feedback import Feedback, feedback
+from flysid.model.nonlinearity import Nonlinearity, nonlinearity
 from flysid.validate.checks import Checks, check
 from flysid.validate.comparison import Comparison
 from flysid.validate.nearness import Nearness, nearness
 from flysid.validate.residuals import (
     Correlation,
-    Spectrum,
+    ResidualSpectrum,
     autocorrelation,
     cross_correlation,
     spectrum,
 )
-from flysid.validate.trials import FREE_RUN, Trial, run_trials
+from flysid.validate.trials import FREE_RUN, StructureTrial, run_trials
 
 LOOK_BACK_S = 2.0
 
@@ -67,7 +68,7 @@ class OutputDiagnosis:
     output: Signal
     whiteness: Mapping[str, Correlation]
     dependence: Mapping[str, tuple[Correlation, ...]]
-    responses: tuple[Spectrum | None, ...]
+    responses: tuple[ResidualSpectrum | None, ...]
 
     @property
     def main_input(self) -> int:
@@ -88,6 +89,7 @@ class Diagnosis:
     checks : of the models of the headline: stability, conditioning, intervals.
     near : how far held-out samples are from training samples; None without training data, or too few.
     loops : per output, whether the input answers it, in the training data where known.
+    nonlinear : per output, what share does not follow the inputs linearly in the training data, where known.
     steps : predictions by horizon: one step ahead of every model, further ahead of those of the headline.
     """
 
@@ -97,10 +99,11 @@ class Diagnosis:
     rule_use: Mapping[str, RuleUse]
     changes: tuple[float, ...]
     checks: Mapping[str, Checks]
-    free_runs: tuple[Trial, ...]
+    free_runs: tuple[StructureTrial, ...]
     loops: tuple[Feedback, ...] = ()
+    nonlinear: tuple[Nonlinearity, ...] = ()
     near: Nearness | None = None
-    steps: Mapping[str, tuple[Trial, ...]] = field(default_factory=dict)
+    steps: Mapping[str, tuple[StructureTrial, ...]] = field(default_factory=dict)
 
 
 def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
@@ -124,12 +127,15 @@ def diagnose(comparison: Comparison, train: Dataset | None = None) -> Diagnosis:
         changes=tuple(_changes(test, i) for i in range(len(test.inputs))),
         free_runs=free,
         loops=() if train is None else feedback(models[comparison.baseline], train),
+        nonlinear=() if train is None else nonlinearity(models[comparison.baseline], train),
         near=None if train is None else nearness(train, test, max(1, comparison.lags)),
         steps={"1": one} | {h: run_trials(headline, test, h) for h in further},
     )
 
 
-def _output(j: int, free: Sequence[Trial], one: Sequence[Trial], comparison: Comparison) -> OutputDiagnosis:
+def _output(
+    j: int, free: Sequence[StructureTrial], one: Sequence[StructureTrial], comparison: Comparison
+) -> OutputDiagnosis:
     test = comparison.test
     lags = _lags([len(t.y) for t in free], test.dt_s)
     inputs = range(len(test.inputs))

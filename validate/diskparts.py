@@ -16,7 +16,17 @@ from flysid.copies import find_copy
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.datasetfile import DatasetFile, Entry
 from flysid.errors import DataError
-from flysid.split import BLOCKS, MIN_FLIGHTS, MIN_PIECE, By, Piece, Split, flights_to_hold
+from flysid.split import (
+    BLOCKS,
+    MIN_FLIGHTS,
+    MIN_PIECE,
+    By,
+    Piece,
+    Split,
+    flights_to_hold,
+    held_pieces,
+    way_of,
+)
 
 MOST_HELD = 300_000
 """Samples of a held-out part: enough for a verdict, and in memory."""
@@ -141,8 +151,8 @@ def plan_on_disk(file: DatasetFile, *, holdout: float, by: By = "auto", seed: in
     test = _bounded(test)
     if not train or not test:
         raise DataError(
-            f"too little data to hold out {holdout:.0%} by {way}: {len(file)} samples in {len(entries)} "
-            "segments",
+            f"too little data to hold out {100.0 * holdout:.0f} % by {way}: {len(file)} samples in "
+            f"{len(entries)} segments",
             hint="add flights, or longer ones",
         )
     _refuse_copies(file, train, test)
@@ -151,6 +161,33 @@ def plan_on_disk(file: DatasetFile, *, holdout: float, by: By = "auto", seed: in
         seed=seed,
         holdout=holdout,
         guard_s=guard,
+        train=tuple(train),
+        test=tuple(test),
+        data_sha256=whole(file).content_hash(),
+        test_sha256=FilePart(file, tuple(test)).content_hash(),
+    )
+
+
+def plan_held_on_disk(
+    file: DatasetFile, held: Mapping[str, Sequence[tuple[int, int]]], *, seed: int = 0
+) -> Split:
+    """Hold out what is named as `flysid.split.plan_held` does, with at most `MOST_HELD` samples.
+
+    Raises
+    ------
+    DataError : nothing lies in the spans, or nothing beside them; a copy is held out.
+    """
+    guard = max(1.0, 20 * file.dt_s)
+    rows = [(e.flight, e.t0_ns, e.rows) for e in file.entries]
+    train, test = held_pieces(rows, file.dt_s, held, guard)
+    test = _bounded(test)
+    _refuse_copies(file, train, test)
+    way = way_of(rows, train, test)
+    return Split(
+        by=way,
+        seed=seed,
+        holdout=sum(map(len, test)) / len(file),
+        guard_s=guard if way == "time" else 0.0,
         train=tuple(train),
         test=tuple(test),
         data_sha256=whole(file).content_hash(),

@@ -52,8 +52,8 @@ def to_json(
             for c in cautions(comparisons, diagnoses, doubts)
         ]
         document["diagnostics"] = {name: _diagnosis(d, comparisons[name]) for name, d in diagnoses.items()}
-    plain: dict[str, Any] = _plain(document)
-    return plain
+    found: dict[str, Any] = plain(document)
+    return found
 
 
 def channel_documents(name: str, entries: Sequence[Entry], contender: str | None) -> dict[str, Any]:
@@ -76,6 +76,7 @@ def _diagnosis(d: Diagnosis, comparison: Comparison) -> dict[str, Any]:
         "distance_to_training": None if d.near is None else asdict(d.near),
         "rule_use": {name: asdict(use) for name, use in d.rule_use.items()},
         "checks": {name: _checks(c) for name, c in d.checks.items()},
+        "nonlinearity": [asdict(part) | {"found": part.found} for part in d.nonlinear],
         "feedback": [asdict(loop) | {"closed": loop.closed} for loop in d.loops],
         "outputs": {
             out.output.name: {
@@ -183,12 +184,12 @@ def _about(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """`value` in JSON types; a number that is not finite becomes null."""
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

@@ -13,10 +13,10 @@ from typing import Any
 
 from flysid.dataset import Signal
 from flysid.model.base import Fitted
-from flysid.validate.compare import HORIZONS, Sides, sides_of
+from flysid.validate.compare_models import HORIZONS, Sides, sides_of
 from flysid.validate.comparison import Entry, ModelScore, Pair
 from flysid.validate.document import channel_documents
-from flysid.validate.intervals import Change, Scope
+from flysid.validate.intervals import ErrorChange, Scope
 from flysid.validate.metrics import Scores
 from flysid.validate.run import Beside, Run, asked_for, models_of
 from flysid.validate.trials import FREE_RUN, horizon_name
@@ -66,7 +66,7 @@ def _entry(output: Signal, horizon: str, models: Mapping[str, Fitted], sides: Si
 
 def _pair(model: str, baseline: str) -> Pair:
     evidence = Evidence(1.0, 1.0, 1.0)
-    basis = Change(Scope.ANOTHER, 1, 0, None, {})
+    basis = ErrorChange(Scope.ANOTHER, 1, 0, None, {})
     return Pair(
         *(model, baseline, 1.0, (1.0, 1.0), 1.0, 1.0, "flights"), basis, evidence, Verdict.SAME, "expected"
     )

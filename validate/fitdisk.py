@@ -20,7 +20,7 @@ from flysid.model.linear_choice import Choice, free_run_errors
 from flysid.model.selection import clearly_better
 from flysid.progress import tell
 from flysid.validate.channeljob import ChannelJob, Fits
-from flysid.validate.diskparts import LOOK_ROWS, FilePart, plan_on_disk
+from flysid.validate.diskparts import LOOK_ROWS, FilePart, plan_held_on_disk, plan_on_disk
 from flysid.validate.fitplan import FitPlan
 from flysid.validate.run import ChannelRun
 
@@ -54,14 +54,18 @@ class DiskJob(ChannelJob[DatasetFile]):
 
     def _run(self) -> ChannelRun | str:
         settings = self.settings
-        split = plan_on_disk(self.data, holdout=settings.holdout, by=settings.by, seed=settings.seed)
+        split = (
+            plan_held_on_disk(self.data, self.held, seed=settings.seed)
+            if self.held
+            else plan_on_disk(self.data, holdout=settings.holdout, by=settings.by, seed=settings.seed)
+        )
         train = FilePart(self.data, split.train)
         look = train.head(LOOK_ROWS)
         late = dead_times(look)
         hint = delays_to_try(late, len(look.inputs))
-        wanted = streaming_estimators(settings.models, hint)
+        wanted = streaming_estimators(settings.labels, hint)
         plan = FitPlan(tuple(wanted))
-        fits = Fits(failed={n: self._cannot() for n in settings.models if n not in STREAMED})
+        fits = Fits(failed={n: self._cannot() for n in settings.labels if n not in STREAMED})
         told: ChannelRun | None = None
         for label, estimator in wanted.items():
             with plan.model(label):

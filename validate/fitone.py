@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError
 from flysid.files import write_atomically
 from flysid.model.base import Fitted
 from flysid.model.capabilities import HasOperatingPoints
 from flysid.model.rules import phrases as words
+from flysid.validate.beyond import cautioned
 
 S = TypeVar("S", contravariant=True)
 
@@ -27,6 +30,23 @@ def reason(error: Exception) -> str:
     return f"{said}. Try: fewer --jobs at a time, or a smaller --memory, which fits from disk"
 
 
+def nothing_done(recipe: str, done: str, why: Mapping[str, str]) -> DataError:
+    """No channel of a recipe could be `done`: every reason and every advice is said once.
+
+    Parameters
+    ----------
+    why : channel -> the reason.
+    """
+    said: dict[str, list[str]] = {}
+    hints: dict[str, None] = {}
+    for name, text in why.items():
+        cause, _, hint = text.removeprefix(f"channel {name!r}").partition(" Try: ")
+        said.setdefault(cause.lstrip(": "), []).append(name)
+        hints |= {hint: None} if hint else {}
+    reasons = "; ".join(f"{', '.join(names)}: {cause}" for cause, names in said.items())
+    return DataError(f"no channel of recipe {recipe!r} could be {done}: {reasons}", hint="; ".join(hints))
+
+
 class FitsTo(Protocol[S]):
     """An estimator of data in memory, or of data on disk."""
 
@@ -39,6 +59,8 @@ def fit_one(estimator: FitsTo[S], train: S, path: Path) -> Fitted | str:
         model = estimator.fit(train)
     except UNFIT as error:
         return reason(error)
+    if isinstance(train, Dataset):
+        model = cautioned(model, train)
     model.save(path)
     write_atomically(path.with_suffix(".txt"), in_words(model).encode())
     return model

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,24 +24,28 @@ from flysid.ingest.align.doubts import doubts
 from flysid.ingest.align.recipe import Recipe, load_recipe, recipe_text
 from flysid.ingest.excitation.dead_time import DeadTime, dead_times, delays_to_try, least_delays
 from flysid.ingest.kinematics.telling import Instruments
+from flysid.ingest.lake.chosen_flights import whole_ids
 from flysid.ingest.lake.lake import Lake
+from flysid.ingest.lake.stretches import held_spans
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.base import Estimator
 from flysid.model.linear_choice import choose_baseline, confirmed
 from flysid.model.one_rule import linear_rivals
+from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.shared import sharing
 from flysid.progress import Step, tell, through
-from flysid.split import plan_split
+from flysid.split import plan_held, plan_split
 from flysid.validate import folds
 from flysid.validate.baseline import REFERENCES
 from flysid.validate.channeljob import ChannelJob, Fits
 from flysid.validate.diskparts import LOOK_ROWS
 from flysid.validate.fitdisk import DiskJob
-from flysid.validate.fitone import reason
+from flysid.validate.fitone import nothing_done, reason
 from flysid.validate.fitplan import CHOICE, FitPlan
 from flysid.validate.run import (
     RECIPE_FILE,
     RUN_FILE,
+    STRUCTURE_FILE,
     ChannelRun,
     FitSettings,
     Run,
@@ -78,8 +82,8 @@ def estimators(
     from flysid.model.mean import Mean
     from flysid.model.multirotor import Multirotor
     from flysid.model.persistence import Persistence
-    from flysid.model.rules.search_settings import SearchSettings
     from flysid.model.static_ts import StaticTS
+    from flysid.model.structured.structured_state_space import StructuredStateSpace
     from flysid.model.transfer_function import TF
     from flysid.model.ts import TS
     from flysid.model.ts_best import BestTS
@@ -87,18 +91,19 @@ def estimators(
 
     antecedents: Any = settings.antecedents or "auto"
     rules: Any = settings.rules
-    asked: Any = {"rules": rules, "antecedents": antecedents, "nk_hint": nk_hint}
-    asked["search"] = SearchSettings.of(settings.effort)  # type: ignore[arg-type]
+    search = SearchSettings.of(settings.effort)
+    asked: Any = {"rules": rules, "antecedents": antecedents, "nk_hint": nk_hint, "search": search}
     late: Any = {**asked, "nk_least": nk_least}
     known: dict[str, Estimator] = {
         "mean": Mean(),
         "persistence": Persistence(),
         "line": Line(),
-        **linear_rivals(nk_hint, nk_least),
+        **linear_rivals(nk_hint, nk_least, search),
         "fir": FIR(),
         "iv": IV(nk_hint=nk_hint),
         "tf": TF(nk_hint=nk_hint),
         "multirotor": Multirotor(),
+        "structured": StructuredStateSpace(_structure_file(settings)),
         "static_ts": StaticTS(seed=settings.seed),
         "ts": BestTS(**late),
         "ts_lags": TS(**late),
@@ -110,11 +115,32 @@ def estimators(
         ),
         "ensemble": Ensemble(of=TS(**late)),
     }
-    for label in settings.models:
+    _check_models(settings, known)
+    wanted = {*REFERENCES, *BESIDE, baseline, *(settings.labels or USUAL)}
+    return {label: estimator for label, estimator in known.items() if label in wanted}
+
+
+def _check_models(settings: FitSettings, known: Collection[str]) -> None:
+    for label, given in zip(settings.labels, settings.models, strict=True):
         if label not in known:
             raise UsageError(f"no model {label!r}", hint=f"one of {', '.join(known)}")
-    wanted = {*REFERENCES, *BESIDE, baseline, *(settings.models or USUAL)}
-    return {label: estimator for label, estimator in known.items() if label in wanted}
+        if label != given and label != "structured":
+            raise UsageError(f"{label} takes no file", hint="structured:FILE does")
+    if settings.labels.count("structured") > 1:
+        raise UsageError("one structured model a run", hint="fit the other into a run of its own")
+
+
+def _structure_file(settings: FitSettings) -> str | None:
+    """The file behind "structured:"; None where every derivative is free."""
+    files = [file for label, _, file in (m.partition(":") for m in settings.models) if label == "structured"]
+    return files[0] or None if files else None
+
+
+def _keep_structure(folder: Path, settings: FitSettings) -> None:
+    """The file of the structured model beside the recipe: what a run holds is enough to make it again."""
+    file = _structure_file(settings)
+    if file is not None:
+        write_atomically(folder / STRUCTURE_FILE, Path(file).read_bytes())
 
 
 class MemoryJob(ChannelJob[Dataset]):
@@ -126,7 +152,11 @@ class MemoryJob(ChannelJob[Dataset]):
 
     def _shared(self) -> ChannelRun | str:
         settings = self.settings
-        split = plan_split(self.data, holdout=settings.holdout, by=settings.by, seed=settings.seed)
+        split = (
+            plan_held(self.data, self.held, seed=settings.seed)
+            if self.held
+            else plan_split(self.data, holdout=settings.holdout, by=settings.by, seed=settings.seed)
+        )
         train, _ = split.apply(self.data)
         turns = folds.FOLDS if folds.are_needed(split, self.data, settings) else 0
         plan = FitPlan(tuple(estimators(settings)), turns)
@@ -135,7 +165,7 @@ class MemoryJob(ChannelJob[Dataset]):
             late = dead_times(train)
             delays = _delays(late, train)
             started = time.perf_counter()
-            choice = choose_baseline(train, linear_rivals(*delays))
+            choice = choose_baseline(train, linear_rivals(*delays, SearchSettings.of(settings.effort)))
             fits = Fits(seconds={CHOICE: time.perf_counter() - started})
         wanted = estimators(settings, choice.label, *delays)
         plan = FitPlan(tuple(wanted), turns)
@@ -190,7 +220,10 @@ def _delays(late: Sequence[DeadTime], train: Dataset) -> tuple[tuple[int, ...], 
 def _of_a_fold(settings: FitSettings, fits: Fits, train: Dataset) -> dict[str, Estimator]:
     """The run's models again, with the delays that this fold's training part speaks for."""
     delays = _delays(dead_times(train), train)
-    every = {**linear_rivals(*delays), **estimators(settings, BESIDE[0], *delays)}
+    every = {
+        **linear_rivals(*delays, SearchSettings.of(settings.effort)),
+        **estimators(settings, BESIDE[0], *delays),
+    }
     return {label: estimator for label, estimator in every.items() if label in fits.models}
 
 
@@ -218,16 +251,22 @@ def fit_run(
     ------
     DataError : no channel could be fitted; the message gives each channel's reason.
     RecipeError : the recipe names what the data does not hold.
-    UsageError : `settings.channels` names a channel that the recipe does not have.
+    UsageError : `settings.channels` names a channel that the recipe does not have; `settings.held` a flight
+        that is not among the chosen ones.
     """
     estimators(settings)  # a model that is not known is named before anything is read
-    settings = replace(settings, selection=replace(settings.selection, stretches=lake.stretches))
+    settings = replace(
+        settings,
+        selection=replace(settings.selection, stretches=lake.stretches),
+        held=whole_ids(lake, settings.held),
+    )
+    held = held_spans(lake.logs, settings.held)
     recipe = load_recipe(recipe_name)
-    held = lake.channels(recipe)
+    served = lake.channels(recipe)
     skipped = {
         name: "no flight holds its streams"
-        for name in (recipe.channels if held and not settings.channels else ())
-        if name not in held
+        for name in (recipe.channels if served and not settings.channels else ())
+        if name not in served
     }
     wanted = _chosen([n for n in recipe.channels if n not in skipped], settings.channels)
     with replacing_folder(out) as folder:
@@ -238,7 +277,8 @@ def fit_run(
                 tell("aligning", channel=name, share=0.0)
                 try:
                     job = _job(lake, recipe, name, Places(folder, Path(scratch)), settings)
-                    queue.append(replace(job, doubts=(*job.doubts, *instruments.doubts(recipe, name))))
+                    more = instruments.doubts(recipe, name)
+                    queue.append(replace(job, doubts=(*job.doubts, *more), held=held))
                 except (DataError, MemoryError) as error:
                     skipped[name] = reason(error)
             found, interrupted = _fitted(queue, jobs)
@@ -247,8 +287,7 @@ def fit_run(
         if interrupted:
             _drop_unfinished(folder, fitted)
         if not fitted:
-            reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
-            raise DataError(f"no channel of recipe {recipe.name!r} could be fitted: {reasons}")
+            raise nothing_done(recipe.name, "fitted", skipped)
         run = Run(
             folder=out,
             data=lake.place,
@@ -261,6 +300,7 @@ def fit_run(
             interrupted=interrupted,
         )
         write_atomically(folder / RECIPE_FILE, recipe_text(recipe_name)[0].encode())
+        _keep_structure(folder, settings)
         write_atomically(folder / RUN_FILE, run_document(run))
     return run
 
@@ -276,6 +316,8 @@ def fit_file(path: Path, out: Path, settings: FitSettings) -> Run:
     UsageError : `settings` names a channel or a model that is not there.
     """
     estimators(settings)
+    if settings.held:
+        raise UsageError("the flights of a dataset file are held out by chance", hint="--holdout SHARE")
     file = open_dataset(path)
     _chosen([file.name], settings.channels)
     with replacing_folder(out) as folder:
@@ -289,6 +331,7 @@ def fit_file(path: Path, out: Path, settings: FitSettings) -> Run:
             _drop_unfinished(folder, [channel])
         flights = tuple(dict.fromkeys(e.flight for e in file.entries))
         run = Run(out, os.path.abspath(path), "", flights, settings, (channel,), {}, versions(), interrupted)
+        _keep_structure(folder, settings)
         write_atomically(folder / RUN_FILE, run_document(run))
     return run
 

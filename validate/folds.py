@@ -28,7 +28,12 @@ Estimators = Callable[[Dataset], Mapping[str, Estimator]]
 def are_needed(split: Split, data: Dataset, settings: FitSettings) -> bool:
     """Whether the split holds out too few flights, and there are enough to take turns."""
     held = {data.segments[p.segment].flight for p in split.test}
-    return settings.rotate and split.by == "flight" and len(held) <= FEW < len(data.flights)
+    return (
+        settings.rotate
+        and not settings.held
+        and split.by == "flight"
+        and len(held) <= FEW < len(data.flights)
+    )
 
 
 def fitted_in_turn(

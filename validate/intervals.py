@@ -1,12 +1,13 @@
 """How sure: the change in error on another flight, or on these flights, with a 95 % interval.
 
 *Another flight* of this vehicle: every held-out flight gives one number, l = log(RMSE_b / RMSE_a), and
-Student's t an interval of its mean, the change on a typical flight. It has one degree of freedom less than
-for normal numbers: where some flights suit one model and some the other, l stands in two heaps, few flights
-are often all of one, and then their spread is far too small. Two flights leave none, and a weak prior stands
-in (Smyth 2004, moderated t), with the weight of two flights: a spread of l of half of what the two
-predictions differ by relative to the errors (their geometric mean). Models that predict alike cannot have
-unlike luck; models that are far apart, and both near the vehicle, can.
+Student's t an interval of its mean, the change on a typical flight. Where some flights suit one model and
+some the other, l stands in two heaps, few flights are often all of one, and their spread is then far too
+small. So every flight is asked a second thing: how far the truth lies from the middle of the two predictions,
+in distances between them, w = (|e_a|^2 - |e_b|^2) / (2 |e_a - e_b|^2). It has the sign of -l, and no heaps:
+the vehicle of a flight lies anywhere between the models, or beyond one. A tenth of the mean of both squared
+errors is added to the squared distance, so that flights in which the models agree decide little. A change is
+shown only where t of w shows it too, else the interval reaches to no change.
 
 *These flights*: the held-out parts are of flights that the models trained on, or there is one flight only:
 *this flight* where there is no other, *the held-out flight* where others were trained on.
@@ -26,15 +27,15 @@ from enum import StrEnum
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.validate.verdict import ALPHA
 
 FEW = 4  # flights, which say little of how unlike they are
-PRIOR_FLIGHTS = 2  # that it counts for
-LUCK = 0.5  # of the difference in predictions
-MOST_LUCK = 1.0  # in a log ratio
+STILL = 0.1  # of the mean of both squared errors, added to the squared distance of the predictions
 STRETCH = 1.2  # of an interval of cross-fitted flights, whose models share their training data
 BLOCKS = (4, 12)
 BLOCK_LENGTHS = 15.0  # correlation lengths in a block
 LONG = 25.0  # correlation lengths from which on blocks alone suffice
+LOST = 2.0  # lengths by which a record seems to hold too many
 SLOW = 10.0  # correlation lengths below which only a large difference can be seen
 _TINY = 1e-300
 
@@ -59,7 +60,7 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class Change:
+class ErrorChange:
     """What held-out errors say of the change from a baseline to a model.
 
     Attributes
@@ -89,7 +90,7 @@ def change(
     seen: Collection[str] = (),
     *,
     rotated: bool = False,
-) -> Change:
+) -> ErrorChange:
     """The change from the errors of a baseline (ea) to those of a model (eb), one array per segment.
 
     Parameters
@@ -103,17 +104,19 @@ def change(
     by_flight = {name: _percent(value) for name, value in logs.items()}
     lost = not (any(e.any() for e in ea) and any(e.any() for e in eb))
     if len(logs) > 1 and not set(logs) & set(seen):
-        prior = expected_spread(ea, eb) if len(logs) == 2 else None
-        found = None if lost else across_flights(list(logs.values()), prior, rotated=rotated)
-        return Change(Scope.ANOTHER, len(logs), 0, found, by_flight, rotated=rotated)
+        sides = flight_sides(ea, eb, flights).values()
+        found = None if lost else across_flights(list(logs.values()), list(sides), rotated=rotated)
+        return ErrorChange(Scope.ANOTHER, len(logs), 0, found, by_flight, rotated=rotated)
     scope = Scope.THESE if len(logs) > 1 else Scope.HELD if set(seen) - set(logs) else Scope.THIS
     if lost:
-        return Change(scope, 0, 0, None, by_flight)
-    a = np.concatenate(ea) ** 2
-    b = np.concatenate(eb) ** 2
-    tau = _Lengths.of(a, b)
+        return ErrorChange(scope, 0, 0, None, by_flight)
+    whole_a = np.concatenate(ea)
+    whole_b = np.concatenate(eb)
+    a = whole_a**2
+    b = whole_b**2
+    tau = _Lengths.of(whole_a, whole_b)
     blocks = int(np.clip(len(a) / (BLOCK_LENGTHS * tau.longest), *BLOCKS))
-    return Change(
+    return ErrorChange(
         scope,
         blocks,
         len(a) // blocks,
@@ -127,57 +130,81 @@ def flight_logs(
     ea: Sequence[FloatArray], eb: Sequence[FloatArray], flights: Sequence[str]
 ) -> dict[str, float]:
     """log(RMSE_b / RMSE_a) of every flight."""
-    sums: dict[str, FloatArray] = {name: np.zeros(2) for name in flights}
+    return {name: 0.5 * _log_ratio(b, a) for name, (a, b, _) in _squares(ea, eb, flights).items()}
+
+
+def flight_sides(
+    ea: Sequence[FloatArray], eb: Sequence[FloatArray], flights: Sequence[str]
+) -> dict[str, float]:
+    """How far every flight lies from the middle of two predictions, in distances between them.
+
+    0.5 is where the second one is, -0.5 the first (the weights of Granger and Ramanathan, 1984, less a half),
+    both drawn a little to 0 by STILL.
+    """
+    return {
+        name: (a - b) / max(2.0 * apart + STILL * (a + b), _TINY)
+        for name, (a, b, apart) in _squares(ea, eb, flights).items()
+    }
+
+
+def _squares(
+    ea: Sequence[FloatArray], eb: Sequence[FloatArray], flights: Sequence[str]
+) -> dict[str, tuple[float, float, float]]:
+    """Sums of squares over every flight: both errors, and their difference."""
+    sums: dict[str, FloatArray] = {name: np.zeros(3) for name in flights}
     for a, b, name in zip(ea, eb, flights, strict=True):
-        sums[name] += (a @ a, b @ b)
-    return {name: 0.5 * _log_ratio(b, a) for name, (a, b) in sums.items()}
+        sums[name] += (a @ a, b @ b, (a - b) @ (a - b))
+    return {name: (float(s[0]), float(s[1]), float(s[2])) for name, s in sums.items()}
 
 
-def expected_spread(ea: Sequence[FloatArray], eb: Sequence[FloatArray]) -> float:
-    """The spread of l to expect before flights tell it; the same whichever model is the baseline."""
-    apart, a, b = (
-        sum(float(e @ e) for e in some) for some in ([x - y for x, y in zip(ea, eb, strict=True)], ea, eb)
-    )
-    return min(MOST_LUCK, LUCK * float(np.sqrt(apart / max(np.sqrt(a) * np.sqrt(b), _TINY))))
-
-
-def across_flights(logs: Sequence[float], prior: float | None = None, *, rotated: bool = False) -> Interval:
+def across_flights(logs: Sequence[float], sides: Sequence[float], *, rotated: bool = False) -> Interval:
     """The mean of log ratios of flights, as a change in percent: a typical flight (the geometric mean).
 
     Parameters
     ----------
-    prior : spread of the log ratios to expect, with the weight of PRIOR_FLIGHTS; None for Student's t alone,
-        which takes three flights.
-    rotated : the interval is stretched, as folds share training flights, and keeps its degree of freedom.
+    logs, sides : as `flight_logs` and `flight_sides` have them, of two flights and more.
+    rotated : the intervals are stretched, as folds share training flights.
     """
+    stretch = STRETCH if rotated else 1.0
+    mean, half, p = _students(logs, stretch)
+    side, _, p_side = _students(sides, stretch)
+    p = max(p, p_side) if mean * side < 0.0 else 1.0
+    low = mean - half
+    high = mean + half
+    if p >= ALPHA:
+        low = min(low, 0.0)
+        high = max(high, 0.0)
+    return Interval(_percent(mean), _percent(low), _percent(high), p)
+
+
+def _students(values: Sequence[float], stretch: float) -> tuple[float, float, float]:
+    """Mean, half width of its 95 % interval, and the two-sided p-value of zero."""
     from scipy.special import stdtr, stdtrit
 
-    n = len(logs)
-    weight = 0 if prior is None else PRIOR_FLIGHTS
-    mean = float(np.mean(logs))
-    squares = float(np.sum((np.array(logs) - mean) ** 2)) + weight * (prior or 0.0) ** 2
-    error = float(np.sqrt(squares / (weight + n - 1) / n)) * (STRETCH if rotated else 1.0)
-    freedom = max(1, weight + n - 1 - (not (rotated or weight)))
-    half = float(stdtrit(freedom, 0.975)) * error
-    p = 2.0 * float(stdtr(freedom, -abs(mean) / error)) if error > 1e-12 else float(abs(mean) < 1e-9)
-    return Interval(_percent(mean), _percent(mean - half), _percent(mean + half), min(p, 1.0))
+    n = len(values)
+    mean = float(np.mean(values))
+    error = stretch * float(np.std(values, ddof=1)) / float(np.sqrt(n))
+    p = 2.0 * float(stdtr(n - 1, -abs(mean) / error)) if error > 1e-12 else float(abs(mean) < 1e-9)
+    return mean, float(stdtrit(n - 1, 1.0 - ALPHA / 2.0)) * error, min(p, 1.0)
 
 
 @dataclass(frozen=True)
 class _Lengths:
-    """Correlation lengths, in samples, of two squared errors, and of their difference at equal means."""
+    """Correlation lengths, in samples, of two squared errors.
+
+    No shorter than the errors' own correlation makes them.
+    """
 
     a: float
     b: float
-    difference: float
 
     @classmethod
-    def of(cls, a: FloatArray, b: FloatArray) -> _Lengths:
-        return cls(*map(correlation_length, (a, b, b / b.mean() - a / a.mean())))
+    def of(cls, ea: FloatArray, eb: FloatArray) -> _Lengths:
+        return cls(*(max(correlation_length(e**2), length_of_square(e)) for e in (ea, eb)))
 
     @property
     def longest(self) -> float:
-        return max(self.a, self.b, self.difference)
+        return max(self.a, self.b)
 
 
 def within_flights(a: FloatArray, b: FloatArray, blocks: int, tau: _Lengths) -> Interval:
@@ -213,14 +240,15 @@ def _ratio_of_variances(
     """Low and high end of theta and its p-value, from the F distribution of two variances of so few lengths.
 
     What both errors share cancels in their ratio, so that the spread is scaled by that of their difference.
+    A slow error's length is found too short, by about two in the number of lengths (Kendall 1954).
     """
     from scipy.special import fdtr, fdtri
 
     x = a / a.mean()
     y = b / b.mean()
     own = float(np.var(x)) * tau.a + float(np.var(y)) * tau.b
-    scale = min(1.0, float(np.sqrt(np.var(y - x) * tau.difference / max(own, _TINY))))
-    freedom = (len(a) / tau.b, len(a) / tau.a)
+    scale = min(1.0, float(np.sqrt(np.var(y - x) * tau.longest / max(own, _TINY))))
+    freedom = [max(1.0, len(a) / length - LOST) for length in (tau.b, tau.a)]
     ends = [theta - 0.5 * scale * float(np.log(fdtri(*freedom, q))) for q in (0.975, 0.025)]
     below = float(fdtr(*freedom, np.exp(np.clip(2.0 * theta / max(scale, 1e-9), -600.0, 600.0))))
     return ends[0], ends[1], 2.0 * min(below, 1.0 - below)
@@ -239,6 +267,21 @@ def correlation_length(x: FloatArray) -> float:
     stop = np.flatnonzero(pairs <= 0.0)
     kept = pairs[: stop[0]] if len(stop) else pairs
     return max(1.0, 2.0 * float(kept.sum()) - 1.0)
+
+
+def length_of_square(e: FloatArray) -> float:
+    """Correlation length of the square of errors (N,) about zero, from their own correlation rho.
+
+    1 + 2 sum rho(k)^2, as for normal numbers, up to the first rho below zero. Of a slow error it tells more
+    than the square itself, whose mean has to be taken off.
+    """
+    covariance = _autocovariance(e)
+    if covariance[0] <= 0.0:
+        return 1.0
+    rho = covariance / covariance[0]
+    below = np.flatnonzero(rho <= 0.0)
+    kept = rho[: below[0]] if len(below) else rho
+    return max(1.0, 2.0 * float(kept @ kept) - 1.0)
 
 
 def _autocovariance(x: FloatArray) -> FloatArray:

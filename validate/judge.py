@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,12 +15,13 @@ from flysid.errors import DataError, UsageError
 from flysid.files import replacing_folder, write_atomically
 from flysid.ingest.lake.chosen_flights import Selection
 from flysid.ingest.lake.lake import open as open_lake
+from flysid.loops.judged import Judged, judge, states_gains
 from flysid.progress import tell
 from flysid.validate.caution import Caution
 from flysid.validate.cautions import cautions
-from flysid.validate.compare import Comparison, across_channels, compare
+from flysid.validate.compare_models import Comparison, across_channels, compare
 from flysid.validate.condition import matching_channels
-from flysid.validate.document import to_json
+from flysid.validate.document import plain, to_json
 from flysid.validate.judgedparts import chosen_lake, restricted
 from flysid.validate.paperfigures import write_figures
 from flysid.validate.report.context import ReportContext
@@ -59,6 +61,7 @@ class Judgement:
         return to_json(self.comparisons, self.context.diagnoses, self.context.doubts) | {
             "skipped": dict(self.skipped),
             "provenance": {k: v for k, v in self.context.provenance.items() if not k.endswith(FIT_TIME)},
+            "gains": plain([j.to_dict() for j in self.context.loops]),
             "fit_seconds": {name: dict(times) for name, times in self.context.fit_seconds.items()},
         }
 
@@ -69,13 +72,13 @@ class Judgement:
         poor = "\n".join(worse_than_constant(self.comparisons))
         physics = "\n".join(line for c in self.comparisons.values() for line in physics_words(c))
         head = [table(self.comparisons, times), poor, summary(self.comparisons), physics]
-        parts = [*head, *self._beware(), *self._simpler()]
+        parts = [*head, *self._grave(), *self._simpler()]
         return "\n\n".join(part for part in parts if part)
 
-    def _beware(self) -> list[str]:
+    def _grave(self) -> list[str]:
         """Dangers and warnings; notes are on the page."""
         grave = [c for c in self.cautions if c.level in ("danger", "warning")]
-        lines = [f"beware: {c.text} Try: {c.todo}" for c in grave]
+        lines = [f"caution: {c.text} Try: {c.todo}" for c in grave]
         return ["\n".join(map(one_line, lines))] if lines else []
 
     def _simpler(self) -> list[str]:
@@ -156,7 +159,7 @@ def judge_run(
                 item.models,
                 judged.test,
                 baseline=item.channel.baseline,
-                contender=asked_for(run.settings.models, item.models, item.channel.baseline),
+                contender=asked_for(run.settings.labels, item.models, item.channel.baseline),
                 seen=item.seen,
                 turns=judged.turns,
             )
@@ -166,7 +169,7 @@ def judge_run(
         raise DataError(f"no channel can be judged: {by_reason(failed)}")
     corrected = across_channels(comparisons)
     skipped = {**run.skipped, **failed}
-    context = replace(_context(run, corrected, held, remark, data), skipped=skipped)
+    context = replace(_context(run, corrected, held, remark, data), skipped=skipped, loops=_loops(run, data))
     return Judgement(run, corrected, skipped, context, tuple(failed))
 
 
@@ -224,13 +227,27 @@ def _flights(run: Run, data: str | Path | None) -> tuple[FlightFacts, ...]:
     return open_lake(data or run.data).only(run.flights).facts if run.recipe else ()
 
 
+def _loops(run: Run, data: str | Path | None) -> tuple[Judged, ...]:
+    """What the gains in the logs of the run's flights mean; nothing where no axis could be judged."""
+    if not run.recipe:
+        return ()
+    logs = [log for log in open_lake(data or run.data).only(run.flights).logs if states_gains(log)]
+    if logs:
+        tell("measuring the loops of the logged gains")
+    found = judge(logs)
+    return tuple(found) if any(j.margins is not None for j in found) else ()
+
+
 def fit_command(run: Run) -> str:
     """The command line that fits the run again, without its folder."""
     settings = run.settings
     words = [
         "flysid fit DATA",
         *([f"--recipe {run.recipe}"] if run.recipe else []),
-        f"--holdout {settings.holdout:g}",
+        *(
+            [f"--holdout {shlex.quote(part)}" for part in settings.held]
+            or [f"--holdout {settings.holdout:g}"]
+        ),
         f"--by {settings.by}",
     ]
     words += [f"--seed {settings.seed}", f"--rules {settings.rules}"]
@@ -245,8 +262,8 @@ def fit_command(run: Run) -> str:
 
 
 def split_words(split: Mapping[str, Any]) -> str:
-    """ "by flight, 30% held out, seed 7"."""
-    return f"by {split['by']}, {split['holdout']:.0%} held out, seed {split['seed']}"
+    """ "by flight, 30 % held out, seed 7"."""
+    return f"by {split['by']}, {100.0 * split['holdout']:.0f} % held out, seed {split['seed']}"
 
 
 def _provenance(run: Run, held: list[HeldOut]) -> dict[str, str]:

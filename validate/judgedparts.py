@@ -41,7 +41,7 @@ def restricted(held: HeldOut, lake: Lake) -> HeldOut:
     if not test.segments:
         flights = ", ".join(held.test.flights)
         raise DataError(
-            "nothing that was held out is among what was chosen",
+            "none of the chosen data was held out",
             hint=f"held out of {held.channel.name}: {flights}",
         )
     return replace(held, test=test, turns=tuple(turn for turn in turns if turn.test.segments))

@@ -19,7 +19,6 @@ USUAL = 0.99
 UNUSUAL = 5.0 * (1.0 - USUAL)
 """Share of held-out samples beyond it from which people are warned; another flight always has a few."""
 _BLOCKS = 10
-_MOST = 5000  # samples of either part
 
 
 @dataclass(frozen=True)
@@ -84,10 +83,17 @@ def nearness(train: Dataset, test: Dataset, lag: int) -> Nearness | None:
     )
 
 
-def _points(data: Dataset, lag: int, moving: FloatArray, spread: FloatArray) -> list[FloatArray]:
-    """Per segment (N, 2 n) its signals now and `lag` samples ago, in spreads; thinned where many."""
+def _points(
+    data: Dataset, lag: int, moving: FloatArray, spread: FloatArray, *, most: int = 5000
+) -> list[FloatArray]:
+    """Per segment (N, 2 n) its signals now and `lag` samples ago, in spreads; thinned where many.
+
+    Parameters
+    ----------
+    most : samples of either part.
+    """
     found = []
-    step = max(1, len(data) // _MOST)
+    step = max(1, len(data) // most)
     for s in data.segments:
         x = np.hstack([s.u, s.y])[:, moving] / spread[moving]
         now = x[lag:][::step]

@@ -21,7 +21,7 @@ from flysid.validate.report.context import ReportContext
 from flysid.validate.report.overlay import drawn
 from flysid.validate.report.rulefigures import antecedent_range
 from flysid.validate.responses import responses, steady_outputs
-from flysid.validate.trials import FREE_RUN, Trial, run_trials
+from flysid.validate.trials import FREE_RUN, StructureTrial, run_trials
 from flysid.validate.words import one_line
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ def axis_label(name: str, unit: str = "") -> str:
     return _literal(f"{name}, {unit}" if unit else name)
 
 
-def _longest(trials: tuple[Trial, ...]) -> Trial:
+def _longest(trials: tuple[StructureTrial, ...]) -> StructureTrial:
     return max(trials, key=lambda t: len(t.y))
 
 
@@ -168,7 +168,7 @@ def plot_free_run(comparison: Comparison, output: str | None, ax: Any) -> Any:
     return axes
 
 
-def _draw_free_run(axes: Axes, c: Comparison, trial: Trial, j: int) -> None:
+def _draw_free_run(axes: Axes, c: Comparison, trial: StructureTrial, j: int) -> None:
     t = c.dt_s * np.arange(trial.first, trial.first + len(trial.y))
     y = trial.y[:, j]
     reach = float(np.ptp(y)) or 1.0

@@ -126,7 +126,7 @@ def _pooled_products(a: Sequence[FloatArray], b: Sequence[FloatArray], lags: int
 
 
 @dataclass(frozen=True, eq=False)
-class Spectrum:
+class ResidualSpectrum:
     """Empirical response from one input to one output.
 
     Attributes
@@ -162,7 +162,9 @@ class Spectrum:
         return float(self.hz[known[-1]]) if len(known) else None
 
 
-def spectrum(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: float) -> Spectrum | None:
+def spectrum(
+    inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: float
+) -> ResidualSpectrum | None:
     """Welch's (1967) estimate with Hann windows that overlap by half; None with fewer than 3 windows."""
     total = sum(len(u) for u in inputs)
     width = 1 << int(np.log2(max(total / 8.0, 1.0)))
@@ -194,4 +196,4 @@ def spectrum(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
         return None
     coherence = np.abs(uy[keep]) ** 2 / (uu[keep] * yy[keep])
     gain = uy[keep] / uu[keep] * (unit_y / unit_u)
-    return Spectrum(hz[keep], gain, np.minimum(coherence, 1.0), max(1.0, count / OVERLAP))
+    return ResidualSpectrum(hz[keep], gain, np.minimum(coherence, 1.0), max(1.0, count / OVERLAP))

@@ -33,7 +33,7 @@ from flysid.manifest import DATA_FILE
 from flysid.model.base import Fitted, load
 from flysid.place import is_address
 from flysid.split import By, Split
-from flysid.validate.compare import CONTENDERS, Turn
+from flysid.validate.compare_models import CONTENDERS, Turn
 from flysid.validate.diskparts import LOOK_ROWS, parts_of
 from flysid.version import __version__, check_version
 
@@ -41,6 +41,7 @@ RUN_FORMAT = "flysid-run"
 RUN_VERSION = 1
 RUN_FILE = "run.json"
 RECIPE_FILE = "recipe.toml"
+STRUCTURE_FILE = "structured.toml"
 LIBRARIES = ("numpy", "scipy", "numba", "pyarrow", "pymavlink", "mcap")
 
 
@@ -57,11 +58,14 @@ class FitSettings:
     antecedents : variables that choose between rules, or () for automatic choice.
     channels : names to fit; all of the recipe's when empty.
     models : labels to fit besides the references, ARX, OE and the baseline; the usual ones when empty.
+        "structured:FILE" is the label "structured" with its file.
     rotate : where too few flights would be held out, judge each by models of the others
         (`flysid.validate.folds`).
     memory_mb : samples of a channel that may be in memory; a channel with more is fitted from disk.
     effort : of the search for rules, "quick", "normal" or "thorough".
     selection : flights and stretches that the user chose.
+    held : what is held out instead of a share by chance: flights, or parts of them
+        (`flysid.ingest.lake.stretches.parse_part`).
     """
 
     holdout: float = 0.3
@@ -75,6 +79,12 @@ class FitSettings:
     effort: str = "normal"
     rotate: bool = True
     selection: Selection = Selection()  # noqa: RUF009 - frozen
+    held: tuple[str, ...] = ()
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """`models` without the files that they come from."""
+        return tuple(model.partition(":")[0] for model in self.models)
 
 
 @dataclass(frozen=True)
@@ -101,6 +111,7 @@ class ChannelRun:
     doubts : reasons in the data not to trust any model of it.
     dead_times : what was found of the pairs' dead times and handed to the models, one sentence each.
     loops : where a loop is closed around the baseline's free run, one sentence per output.
+    nonlinear : what share of each output does not follow the inputs linearly, one sentence per output.
     on_disk : fitted from disk; the split is of a dataset file (`flysid.validate.diskparts`).
     folds : where all flights were left out in turn: the split and the models of every turn.
     """
@@ -116,6 +127,7 @@ class ChannelRun:
     doubts: tuple[Doubt, ...] = ()
     dead_times: tuple[str, ...] = ()
     loops: tuple[str, ...] = ()
+    nonlinear: tuple[str, ...] = ()
     on_disk: bool = False
     folds: tuple[FoldRun, ...] = ()
 
@@ -249,7 +261,7 @@ def _meant_by(folder: Path) -> str:
 
 def _run_from(folder: Path, body: Mapping[str, Any]) -> Run:
     settings = dict(body["settings"])
-    for name in ("antecedents", "channels", "models"):
+    for name in ("antecedents", "channels", "models", "held"):
         settings[name] = tuple(settings.get(name, ()))
     if "selection" in settings:
         settings["selection"] = _selection_from(settings["selection"])
@@ -268,13 +280,13 @@ def _run_from(folder: Path, body: Mapping[str, Any]) -> Run:
 
 def _selection_from(body: Mapping[str, Any]) -> Selection:
     parts = dict(body["stretches"])
-    stretches = Stretches(**{**parts, "modes": tuple(parts["modes"])})
+    stretches = Stretches(**{**parts, **{n: tuple(parts.get(n, ())) for n in ("modes", "without")}})
     lists = {name: tuple(body[name]) for name in ("flights", "exclude")}
     return Selection(**{**body, **lists, "stretches": stretches})
 
 
 def _channel_from(body: Mapping[str, Any]) -> ChannelRun:
-    lists = {name: tuple(body.get(name, ())) for name in ("aligned", "dead_times", "loops")}
+    lists = {name: tuple(body.get(name, ())) for name in ("aligned", "dead_times", "loops", "nonlinear")}
     doubts = tuple(Doubt(**d) for d in body.get("doubts", ()))
     folds = tuple(FoldRun(**f) for f in body.get("folds", ()))
     return ChannelRun(**{**body, **lists, "doubts": doubts, "folds": folds})

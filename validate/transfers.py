@@ -25,6 +25,7 @@ from flysid.model.frequency.response import MeasuredResponse, measure_response, 
 from flysid.model.polynomials import Z95, ComplexArray
 from flysid.model.transfer_function import TF, FittedTF
 from flysid.progress import tell
+from flysid.validate.fitone import nothing_done
 from flysid.validate.metrics import scores
 from flysid.validate.trials import FREE_RUN, run_trials
 
@@ -281,8 +282,7 @@ def identify(
         except (DataError, FitError, RecipeError) as error:
             skipped[name] = str(error)
     if not found:
-        reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
-        raise DataError(f"no channel of recipe {recipe.name!r} could be identified: {reasons}")
+        raise nothing_done(recipe.name, "identified", skipped)
     return found, skipped
 
 

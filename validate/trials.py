@@ -22,7 +22,7 @@ MIN_SCORED = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class StructureTrial:
     """One segment at one horizon, all models.
 
     Attributes
@@ -96,8 +96,8 @@ class Plan:
         return start_window(self.lags, n_samples, self.dt_s) + ahead
 
 
-def run_trials(models: Mapping[str, Fitted], test: Dataset, horizon: str) -> tuple[Trial, ...]:
-    """A Trial for every segment long enough to score at least 10 samples; the others are left out.
+def run_trials(models: Mapping[str, Fitted], test: Dataset, horizon: str) -> tuple[StructureTrial, ...]:
+    """A trial for every segment long enough to score at least 10 samples; the others are left out.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def run_trials(models: Mapping[str, Fitted], test: Dataset, horizon: str) -> tup
     return trials
 
 
-def _run(models: Mapping[str, Fitted], test: Dataset, index: int, plan: Plan) -> Trial:
+def _run(models: Mapping[str, Fitted], test: Dataset, index: int, plan: Plan) -> StructureTrial:
     segment = test.segments[index]
     first = plan.first(len(segment))
     outputs: dict[str, FloatArray] = {}
@@ -130,7 +130,7 @@ def _run(models: Mapping[str, Fitted], test: Dataset, index: int, plan: Plan) ->
         at = broken if at is None else at
         if at is not None:
             diverged[name] = (first + at) * test.dt_s
-    return Trial(index, first, segment.y[first:], outputs, diverged)
+    return StructureTrial(index, first, segment.y[first:], outputs, diverged)
 
 
 def _modelled(model: Fitted, segment: Segment, horizon: str, first: int) -> tuple[FloatArray, int | None]:

@@ -114,14 +114,7 @@ def scope_words(pair: Pair) -> list[str]:
 
 def _few_words(pair: Pair, shown: bool) -> list[str]:
     changes = list(pair.basis.by_flight.values())
-    if len(changes) > FEW:
-        return []
-    if shown and pair.units > 2:
-        return []
-    if shown:
-        usual = "on other flights too, if luck differs between flights as it usually does"
-        return [f"{usual} ({pair.units} flights; more would show it without this 'if')"]
-    if pair.verdict is Verdict.SAME or pair.change_pct is None:
+    if len(changes) > FEW or shown or pair.verdict is Verdict.SAME or pair.change_pct is None:
         return []
     lower = sum(c < 0.0 for c in changes)
     return [
@@ -176,7 +169,7 @@ def physics_words(comparison: Comparison) -> list[str]:
             output = one_line(entry.output.name)
             against = f"{verdict_words(pair)}, against {one_line(pair.baseline).upper()}"
             if pair.verdict is Verdict.NOT_ENOUGH:
-                said.append(f"{output}: whether a physical model is enough, these flights do not tell.")
+                said.append(f"{output}: these flights do not show whether a physical model is enough.")
             elif pair.verdict is Verdict.WORSE:
                 said.append(f"{output}: a physical model is not enough ({against}).")
             else:

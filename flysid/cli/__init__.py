@@ -10,13 +10,14 @@ goes to stderr.
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
 import click
 
 import flysid
-from flysid.cli.config import FILE, defaults_of
+from flysid.cli.config import FILE, defaults_of, environment_of
 from flysid.cli.lazy import LazyVerbs
 from flysid.cli.output import printable
 from flysid.errors import FlysidError
@@ -76,9 +77,9 @@ def root(ctx: click.Context) -> None:
     """Flight logs in, trustworthy models out."""
     verb = ctx.invoked_subcommand
     command = root.get_command(ctx, verb) if verb else None
-    path = Path(FILE)
-    if verb and command is not None and path.is_file():
-        ctx.default_map = {verb: defaults_of(verb, command, VERBS, path)}
+    if verb and command is not None:
+        said = defaults_of(verb, command, VERBS, Path(FILE)) | environment_of(verb, command, os.environ)
+        ctx.default_map = {verb: said}
 
 
 def report_error(error: FlysidError) -> None:
@@ -107,7 +108,7 @@ def main() -> None:
         sys.stderr.close()
         sys.exit(1)
     except OSError as error:
-        report_error(FlysidError(f"the system refused: {error.strerror or error}", path=error.filename))
+        report_error(FlysidError(f"operating system error: {error.strerror or error}", path=error.filename))
         sys.exit(1)
     except MemoryError:
         report_error(FlysidError("not enough memory", hint="close other programs"))

@@ -35,23 +35,20 @@ def here(address: str) -> Path:
     UsageError : neither is there.
     """
     from flysid.manifest import DATA_FILE, check_lake
-    from flysid.mirror import copy_of, folder_for, mark
+    from flysid.mirror import log_at
     from flysid.place import Place
-    from flysid.store import create_data_folder
+    from flysid.store import mirror_of
 
     place = Place(address.rstrip("/"))
     document = place.read_if_there(DATA_FILE)
     if document is not None:
         check_lake(document, str(place))
-        folder = create_data_folder(folder_for(str(place)))
-        mark(folder, str(place))
-        return folder
-    above, _, name = str(place).rpartition("/")
-    found = Place(above).head(name) if not above.endswith("/") else None
+        return mirror_of(str(place))
+    found = log_at(place)
     if found is None:
         raise UsageError(
             "neither a log nor a lake",
             path=address,
             hint=f"a folder of logs: flysid ingest {address} -o s3://LAKE",
         )
-    return copy_of(Place(above), found)
+    return found

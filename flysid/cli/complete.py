@@ -7,8 +7,9 @@ from pathlib import Path
 import click
 
 MODELS = (
-    "anfis", "armax", "arx", "bj", "ensemble", "fir", "iv", "line", "mean", "multirotor", "oe",
-    "one_rule", "one_rule_ss", "persistence", "statespace", "static_ts", "tf", "ts", "ts_lags", "ts_ss",
+    "anfis", "armax", "arx", "bj", "ensemble", "fir", "iv", "line", "linear_lags", "linear_ss", "mean",
+    "multirotor", "oe", "persistence", "statespace", "static_ts", "structured", "tf", "ts",
+    "ts_lags", "ts_ss",
 )  # fmt: skip
 """Labels that `flysid fit --models` knows."""
 
@@ -34,9 +35,13 @@ def channels(ctx: click.Context, _param: click.Parameter, incomplete: str) -> li
 
 
 def flights(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-    """Flights of the folder that stands on the line; of `data` where there is none."""
-    folder = Path(ctx.params.get("data") or "data") / "flights"
-    names = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
+    """Flights of the folder that stands on the line; of `data` where there is none.
+
+    Before an option's value is there, click leaves the line's arguments in `ctx.args`.
+    """
+    words = [*ctx.args, ctx.params.get("data") or ctx.params.get("source") or "data"]
+    folders = [Path(word) / "flights" for word in words]
+    names = sorted(path.name for folder in folders if folder.is_dir() for path in folder.iterdir())
     return [name for name in names if name.startswith(incomplete) and not name.startswith(".")]
 
 

@@ -106,7 +106,7 @@ def command(output: Path, plant: str, seed: int, force: bool, quiet: bool, displ
     for line in summary(judgement.comparisons).splitlines():
         say(f"  {line}", quiet)
     say(f"  {meaning(judgement)}", quiet)
-    say(f"  {time.perf_counter() - started:.0f} s in all", quiet)
+    say(f"  {time.perf_counter() - started:.0f} s in total", quiet)
     for line in LOOK_AT:
         say(f"  {line}", quiet)
     page = stages.report / "report.html"

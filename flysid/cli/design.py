@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,6 @@ from flysid.errors import UsageError
 
 if TYPE_CHECKING:
     from flysid.design.designed import Design
-    from flysid.design.designing import Wish
     from flysid.design.rule_design import RuleDesign
 
 FIRMWARES = ("pid", "px4", "ardupilot", "tum-ardrone")
@@ -101,9 +100,15 @@ def command(
     """
     from flysid.design.designing import Wish, design_run
     from flysid.design.drawn_plants import Spread
-    from flysid.design.firmware import SAFETY
+    from flysid.design.rule_design import design_rules
     from flysid.validate.run import open_run
 
+    of_rules = method == "pdc"
+    if of_rules and (firmware != "pid" or old is not None or feed_forward):
+        raise UsageError(
+            "--for, --old and --feed-forward are for the gains of a PID",
+            hint="leave them out, or --method pid",
+        )
     if out is not None:
         check_target(out, force)
     spread = Spread(gain or (1.0, 1.0), delay or (0.0, 0.0))
@@ -118,10 +123,9 @@ def command(
         spread,
         feedforward=feed_forward,
     )
-    if method == "pdc":
-        return _of_rules(run, replace(wish, old={}), data, out, as_json, quiet, display)
+    find: Callable[..., Design | RuleDesign] = design_rules if of_rules else design_run
     with display.shown():
-        design = design_run(open_run(run), wish, data)
+        design = find(open_run(run), wish, data)
     if as_json:
         click.echo(json.dumps(design.to_dict(), indent=1, allow_nan=False))
     else:
@@ -129,31 +133,8 @@ def command(
             click.echo("\n".join(printable(line) for line in axis.lines()))
             click.echo("\n".join(f"    {line}" for line in aligned(axis.table())) + "\n")
     _write(design, out, quiet)
-    if out is not None and not design.new:
-        say("no new.param: without the present gains (--old FILE) there is no way back", quiet)
     if not as_json:
-        say(SAFETY)
-    return 3 if design.refused else 0
-
-
-def _of_rules(
-    run: Path, wish: Wish, data: Path | None, out: Path | None, as_json: bool, quiet: bool, display: Display
-) -> int:
-    """Find, print and write gains of rules."""
-    from flysid.design.firmware import SAFETY
-    from flysid.design.rule_design import PROVED, design_rules
-    from flysid.validate.run import open_run
-
-    with display.shown():
-        design = design_rules(open_run(run), wish, data)
-    if as_json:
-        click.echo(json.dumps(design.to_dict(), indent=1, allow_nan=False))
-    else:
-        for axis in design.axes:
-            click.echo("\n".join(printable(line) for line in axis.lines()))
-    _write(design, out, quiet)
-    if not as_json:
-        say(f"{PROVED} {SAFETY}")
+        say(design.caution)
     return 3 if design.refused else 0
 
 

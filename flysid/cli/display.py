@@ -116,10 +116,11 @@ class State:
     def left(self) -> str:
         """ "about 40 s left", as far as the past tells the future; "" where it does not.
 
-        It falls while a step takes its time, and is said no more where that was longer than foreseen.
+        It falls while a step takes its time, and is said no more where that was longer than foreseen. Less
+        than a third of the work tells too little of the rest.
         """
         left = self.whole - self.seconds
-        if not 0.0 < self.share < 1.0 or left < 0.0:
+        if not 1.0 / 3.0 <= self.share < 1.0 or left < 0.0:
             return ""
         return f"about {duration(left)} left"
 
@@ -136,7 +137,7 @@ class State:
         error = "" if step.validation is None else f", validation {step.validation:.3g}"
         left = f", {self.left}" if self.left else ""
         said = f"{': '.join([*about, step.stage])}{error}"
-        return f"{duration(self.seconds):>7} {self.share:4.0%}  {said}{left}"
+        return f"{duration(self.seconds):>7} {100.0 * self.share:3.0f} %  {said}{left}"
 
 
 @contextmanager
@@ -202,7 +203,7 @@ def drawn(state: State) -> Group:
     told = state.last.get("")
     whole = f"{told.log}: {told.stage}" if told and told.log else told.stage if told else ""
     foot = ", ".join(
-        part for part in (f"{state.share:.0%} done", duration(state.seconds), state.left) if part
+        part for part in (f"{100.0 * state.share:.0f} % done", duration(state.seconds), state.left) if part
     )
     lines = [Text(printable(f"{whole}  {foot}".strip()), no_wrap=True, overflow="ellipsis")]
     channels = [name for name in state.last if name]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
@@ -30,6 +31,16 @@ if TYPE_CHECKING:
     from flysid.validate.run import ChannelRun, Run
 
 DATASET = ".parquet"
+SHARE = 0.3
+LEAST_SHARE = 0.05
+MOST_SHARE = 0.8
+
+
+class Held(NamedTuple):
+    """What a fit holds out: a share by chance, or flights and parts of them where any are named."""
+
+    share: float
+    parts: tuple[str, ...]
 
 
 def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | str:
@@ -38,6 +49,15 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
     if value.isdigit() and int(value) > 0:
         return int(value)
     raise click.BadParameter("a positive whole number, or auto")
+
+
+def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) -> Held:
+    shares = [float(word) for word in words if re.fullmatch(r"[0-9]*\.[0-9]+", word)]
+    if any(not LEAST_SHARE <= share <= MOST_SHARE for share in shares):
+        raise click.BadParameter(f"a share from {LEAST_SHARE} to {MOST_SHARE}")
+    if shares and len(words) > 1:
+        raise click.BadParameter("one share, or flights and parts of them")
+    return Held(shares[0] if shares else SHARE, () if shares else words)
 
 
 @click.command("fit")
@@ -60,7 +80,8 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
     metavar="A,B",
     shell_complete=complete.models,
     help="Models besides the references, ARX, OE and the baseline: anfis, armax, bj, ensemble (of ts_lags), "
-    "fir, iv, line, statespace, static_ts, tf, ts (ts_lags, or ts_ss where a hidden state explains more).  "
+    "fir, iv, line, statespace, static_ts, structured[:FILE] (docs/structured.md), tf, ts (ts_lags, or ts_ss "
+    "where a hidden state explains more).  "
     "[default: line,static_ts,ts]",
 )
 @click.option(
@@ -76,10 +97,11 @@ def _rules(_ctx: click.Context, _param: click.Parameter, value: str) -> int | st
 )
 @click.option(
     "--holdout",
-    default=0.3,
-    show_default=True,
-    type=click.FloatRange(0.05, 0.8),
-    help="Share of the data that is held out.",
+    multiple=True,
+    metavar="SHARE|FLIGHT[@FROM..TO]",
+    callback=_held,
+    help="Share of the data that is held out, chosen by chance; or the flights that are, or parts of them, "
+    "e.g. 0042@12:30..14:00; may be repeated then.  [default: 0.3]",
 )
 @click.option("--by", default="auto", show_default=True, type=click.Choice(["auto", "flight", "time"]))
 @click.option("--seed", default=7, show_default=True)
@@ -114,7 +136,7 @@ def command(
     rules: int | str,
     antecedents: tuple[str, ...],
     effort: str,
-    holdout: float,
+    holdout: Held,
     by: By,
     seed: int,
     rotate: bool,
@@ -138,13 +160,23 @@ def command(
     if is_dataset:
         check_no_words(data, words)
     place = fresh_place(output, force) if not is_dataset and not is_ingested(data) else None
-    from flysid.ingest.align.doubts import REMARKS
-    from flysid.validate.fitting import FROM_DISK, fit_file, fit_run
+    from flysid.validate.fitting import fit_file, fit_run
     from flysid.validate.run import FitSettings
 
-    labels = tuple(label for label in models.replace(" ", "").lower().split(",") if label)
+    labels = tuple(_label(word) for word in models.split(",") if word.strip())
     settings = FitSettings(
-        holdout, by, seed, rules, antecedents, channels, labels, memory, effort, rotate, selection
+        holdout.share,
+        by,
+        seed,
+        rules,
+        antecedents,
+        channels,
+        labels,
+        memory,
+        effort,
+        rotate,
+        selection,
+        holdout.parts,
     )
     lost = False
     if is_dataset:
@@ -159,22 +191,7 @@ def command(
         click.echo((output / "run.json").read_text("utf-8"), nl=False)
     else:
         click.echo(str(output))
-    for channel in run.channels:
-        if channel.on_disk:
-            say(f"{channel.name}{FROM_DISK}", quiet)
-        for label, why in channel.failed.items():
-            say(f"{channel.name}: {label} could not be fitted: {why}")
-        for doubt in channel.doubts:
-            if doubt.kind not in REMARKS:
-                say(f"{channel.name}: caution: {doubt}")
-        for delay in channel.dead_times:
-            say(f"{channel.name}: {delay}", quiet)
-        for loop in channel.loops:
-            say(f"{channel.name}: caution: {loop}")
-        for line in transfer_lines(run, channel):
-            say(line, quiet)
-    for name, why in run.skipped.items():
-        say(f"channel {name} skipped: {why.removeprefix(f'channel {name!r}: ')}")
+    _say_what_was_fitted(run, quiet)
     if run.interrupted:
         say(
             f"interrupted: {output} holds what was finished. 'flysid validate {output}' judges it; "
@@ -183,6 +200,27 @@ def command(
         return 130
     say(f"next: flysid validate {output}", quiet)
     return 3 if lost or set(channels) & set(run.skipped) else 0
+
+
+def _say_what_was_fitted(run: Run, quiet: bool) -> None:
+    from flysid.ingest.align.doubts import told
+    from flysid.validate.fitting import FROM_DISK
+
+    for channel in run.channels:
+        if channel.on_disk:
+            say(f"{channel.name}{FROM_DISK}", quiet)
+        for label, why in channel.failed.items():
+            say(f"{channel.name}: {label} could not be fitted: {why}")
+        for line in told(channel.doubts):
+            say(f"{channel.name}: {line}")
+        for said in (*channel.dead_times, *channel.nonlinear):
+            say(f"{channel.name}: {said}", quiet)
+        for loop in channel.loops:
+            say(f"{channel.name}: caution: {loop}")
+        for line in transfer_lines(run, channel):
+            say(line, quiet)
+    for name, why in run.skipped.items():
+        say(f"channel {name} skipped: {why.removeprefix(f'channel {name!r}: ')}")
 
 
 def _is_dataset(data: Path) -> bool:
@@ -201,6 +239,12 @@ def check_no_words(data: Path, asked: Words) -> None:
             path=data,
             hint="leave out --recipe, --from, --to, --dt and --time-unit",
         )
+
+
+def _label(word: str) -> str:
+    """A model's label in small letters; the path of its file stays as it is."""
+    label, mark, file = word.strip().partition(":")
+    return label.lower() + mark + file
 
 
 def fresh_place(output: Path, force: bool) -> Path:

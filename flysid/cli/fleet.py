@@ -7,7 +7,7 @@ import click
 from flysid.cli.lazy import LazyVerbs
 
 FLEET_VERBS: dict[str, str] = {
-    "changed": "Which vehicles no longer fly as they did, or not as the others.",
+    "changed": "List vehicles that have changed, or differ from the rest of the fleet.",
     "check": "Compare a lake's manifests with its tables and its catalogue.",
     "compact": "Put many small tables into few large ones, a message and a month each.",
     "files": "Print the addresses of the parquet files that hold a message.",

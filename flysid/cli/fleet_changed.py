@@ -49,7 +49,9 @@ def _day(_ctx: click.Context, _param: click.Parameter, value: str) -> int | None
 @click.option(
     "--runs", type=click.Path(path_type=Path), help="Output of 'fleet fit --ts', whose reports are linked."
 )
-@click.option("--fail-if", type=click.Choice(["changed", "unlike"]), help="Exit with 4 if a vehicle is.")
+@click.option(
+    "--fail-if", type=click.Choice(["changed", "unlike"]), help="Exit with 4 if a vehicle is flagged."
+)
 @click.option("--force", is_flag=True, help="Replace the page if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
 @progress_options
@@ -73,7 +75,7 @@ def command(
     reads none. Exit code 4: --fail-if holds.
     """
     if halves and before_ns is not None:
-        raise UsageError("--halves and --before say different things", hint="leave out one or the other")
+        raise UsageError("--halves and --before are mutually exclusive", hint="leave out one of them")
     target = output or data.folder / "changed"
     check_target(target, force or (output is None and (target / DOCUMENT).is_file()))
     from flysid.files import write_atomically, writing_to
@@ -84,8 +86,8 @@ def command(
 
     opened = open_lake(data.folder)
     asked = load_recipe(data.recipe)
-    with display.shown():
-        gathered = data.gather(opened, asked, quiet)
+    with data.engine(opened, quiet) as cluster, display.shown():
+        gathered = data.gather(opened, asked, cluster, quiet)
         compared = compare(gathered, asked, opened.facts, rate, before_ns)
     document = json.dumps(compared.document(), indent=1, allow_nan=False) + "\n"
     reports = _reports(runs, list(compared.names)) if runs else {}
@@ -117,7 +119,7 @@ def command(
 
 def _reports(runs: Path, vehicles: list[str]) -> dict[str, Path]:
     """The pages of the vehicles' own runs, where they are."""
-    from flysid.fleet.models.group_models import folder_of
+    from flysid.fleet.models.vehicle_runs import folder_of
 
     pages = {v: runs / folder_of(v) / "report" / PAGE for v in vehicles}
     return {v: page for v, page in pages.items() if page.is_file()}

@@ -60,7 +60,7 @@ def command(lake: str, repair: bool, older: float, as_json: bool, quiet: bool, d
     if removed:
         say(f"{counted(removed, 'object')} removed", quiet)
     if state.unlisted or state.stale or state.orphans:
-        say("flysid fleet check --repair puts the catalogue and old orphans right", quiet or repair)
+        say("flysid fleet check --repair rebuilds the catalogue and removes old orphans", quiet or repair)
     return 0 if state.is_whole else CHECK_FAILED
 
 
@@ -70,8 +70,8 @@ def faults(state: State) -> list[str]:
         "manifests that cannot be read": [f"{key}: {why}" for key, why in state.damaged.items()],
         "tables that are missing": list(state.missing),
         "logs with more than one flight": list(state.twice),
-        "flights that the catalogue lacks": list(state.unlisted),
-        "rows of the catalogue that are not as the manifests": list(state.stale),
+        "flights missing from the catalogue": list(state.unlisted),
+        "catalogue rows that differ from their manifests": list(state.stale),
         "objects that belong to no flight": [found.key for found in state.orphans],
     }
     return [f"{len(names):,} {kind}: {_some(names)}" for kind, names in kinds.items() if names]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -12,10 +13,13 @@ import click
 
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
+from flysid.cli.lakeoptions import check_one_cluster, cluster_options, dask_cluster
 from flysid.cli.output import cores, say
+from flysid.errors import UsageError
 from flysid.showing import counted
 
 if TYPE_CHECKING:
+    from flysid.fleet.cluster import Cluster
     from flysid.fleet.models.gather import Gathered
     from flysid.ingest.align.recipe import Recipe
     from flysid.ingest.lake.lake import Lake
@@ -34,6 +38,7 @@ class FleetData:
     channels : of the recipe; all when there are none.
     rate_hz : of the grid; chosen from the flights when None.
     jobs : processes.
+    cluster, workers : a Dask cluster to be found or made; neither: this machine's processes.
     """
 
     folder: Path
@@ -41,13 +46,35 @@ class FleetData:
     channels: tuple[str, ...]
     rate_hz: float | None
     jobs: int
+    cluster: str = ""
+    workers: int = 0
 
-    def gather(self, lake: Lake, recipe: Recipe, quiet: bool) -> Gathered:
+    @contextmanager
+    def engine(self, lake: Lake, quiet: bool) -> Iterator[Cluster | None]:
+        """The cluster that was asked for; None: this machine.
+
+        Raises
+        ------
+        UsageError : a cluster cannot reach a folder of this machine.
+        """
+        if not self.cluster and not self.workers:
+            yield None
+            return
+        if not lake.address:
+            raise UsageError(
+                "--cluster and --workers are for a lake at an address",
+                path=lake.folder,
+                hint="on this machine, -j sets the number of processes",
+            )
+        with dask_cluster(self.cluster, self.workers, quiet) as cluster:
+            yield cluster
+
+    def gather(self, lake: Lake, recipe: Recipe, cluster: Cluster | None, quiet: bool) -> Gathered:
         """The fleet's triangles; says how many flights were read for them."""
         from flysid.fleet.models.gather import gather
         from flysid.fleet.models.triangle_store import Folder
 
-        found = gather(lake, recipe, Folder(lake.folder), self.channels, self.rate_hz, self.jobs)
+        found = gather(lake, recipe, Folder(lake.folder), self.channels, self.rate_hz, self.jobs, cluster)
         say(f"{counted(found.read, 'flight')} read, {len(lake) - found.read:,} known", quiet)
         for flight, why in found.lost.items():
             say(f"{flight}: could not be read: {why}")
@@ -55,7 +82,7 @@ class FleetData:
 
 
 def fleet_data_options(function: F) -> F:
-    """Adds LAKE, --recipe, --channel, --grid and --jobs; the verb takes them as `data`."""
+    """Adds LAKE and the options of `FleetData`; the verb takes them as `data`."""
 
     @wraps(function)
     def verb(
@@ -65,11 +92,15 @@ def fleet_data_options(function: F) -> F:
         channels: tuple[str, ...],
         rate_hz: float | None,
         jobs: int,
+        cluster: str,
+        workers: int,
         **options: Any,
     ) -> Any:
-        return function(*args, data=FleetData(lake, recipe, channels, rate_hz, jobs or cores()), **options)
+        check_one_cluster(cluster, workers)
+        data = FleetData(lake, recipe, channels, rate_hz, jobs or cores(), cluster, workers)
+        return function(*args, data=data, **options)
 
-    decorated: Any = verb
+    decorated: Any = cluster_options(verb)
     for option in (
         click.option("--jobs", "-j", default=0, metavar="N", help="Processes; one per core when not given."),
         click.option(

@@ -14,6 +14,7 @@ from flysid.cli.output import aligned, check_target, say
 from flysid.showing import counted
 
 if TYPE_CHECKING:
+    from flysid.fleet.cluster import Cluster
     from flysid.fleet.models.group_models import FleetFit
     from flysid.ingest.lake.lake import Lake
 
@@ -69,23 +70,24 @@ def command(
     opened = open_lake(data.folder)
     asked = load_recipe(data.recipe)
     keys = tuple(key for key in by.replace(" ", "").split(",") if key)
-    with display.shown():
-        gathered = data.gather(opened, asked, quiet)
-        fitted = fit_groups(gathered, keys)
-    text = json.dumps(fitted.document(asked.name), indent=1, allow_nan=False) + "\n"
-    if output is not None:
-        with writing_to(output / MODELS):
-            output.mkdir(parents=True, exist_ok=True)
-            write_atomically(output / MODELS, text.encode())
-    click.echo(text if as_json else "\n".join(table(fitted)), nl=not as_json)
-    for name, why in fitted.skipped.items():
-        say(f"channel {name} skipped: {why}")
-    unfit = [group for group in fitted.groups if group.reason]
-    for group in unfit:
-        say(f"{name_of(group.key)}, {group.channel}: {group.reason}")
-    failed = 0
-    if ts and output is not None:
-        failed = run_vehicles(opened, data, output, models, effort, display, quiet)
+    with data.engine(opened, quiet) as cluster:
+        with display.shown():
+            gathered = data.gather(opened, asked, cluster, quiet)
+            fitted = fit_groups(gathered, keys)
+        text = json.dumps(fitted.document(asked.name), indent=1, allow_nan=False) + "\n"
+        if output is not None:
+            with writing_to(output / MODELS):
+                output.mkdir(parents=True, exist_ok=True)
+                write_atomically(output / MODELS, text.encode())
+        click.echo(text if as_json else "\n".join(table(fitted)), nl=not as_json)
+        for name, why in fitted.skipped.items():
+            say(f"channel {name} skipped: {why}")
+        unfit = [group for group in fitted.groups if group.reason]
+        for group in unfit:
+            say(f"{name_of(group.key)}, {group.channel}: {group.reason}")
+        failed = 0
+        if ts and output is not None:
+            failed = run_vehicles(opened, data, output, models, effort, cluster, display, quiet)
     return 3 if unfit or failed else 0
 
 
@@ -121,11 +123,12 @@ def run_vehicles(
     output: Path,
     models: str,
     effort: str,
+    cluster: Cluster | None,
     display: Display,
     quiet: bool,
 ) -> int:
     """A run folder for each vehicle; returns how many there could not be."""
-    from flysid.fleet.models.group_models import fit_vehicles, folder_of
+    from flysid.fleet.models.vehicle_runs import fit_vehicles, folder_of
     from flysid.ingest.lake.chosen_flights import vehicles
     from flysid.validate.run import FitSettings
 
@@ -133,7 +136,7 @@ def run_vehicles(
     settings = FitSettings(channels=data.channels, models=labels, effort=effort)
     named = [name for name in vehicles(lake) if name]
     with display.shown():
-        done = fit_vehicles(lake, data.recipe, output, settings, named, data.jobs)
+        done = fit_vehicles(lake, data.recipe, output, settings, named, data.jobs, cluster)
     failed = {name: why for name, why in done.items() if isinstance(why, str)}
     for name, why in failed.items():
         say(f"{name}: {why}")

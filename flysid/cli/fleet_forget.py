@@ -44,7 +44,7 @@ def command(lake: str, vehicle: str, yes: bool, quiet: bool, display: Display) -
         some = ", ".join(done.sources[:SHOWN]) + (", ..." if len(done.sources) > SHOWN else "")
         say(f"the logs are still there, and the next ingest would bring them back: {printable(some)}")
     say(
-        "out of reach: former versions that the bucket keeps, its backups and access logs, caches in "
-        "~/.cache/flysid of whoever read them, and models that were fitted to them",
+        "not removed: former versions that the bucket keeps, its backups and access logs, caches in "
+        "~/.cache/flysid of everyone who read them, and models that were fitted to them",
         quiet,
     )

@@ -77,7 +77,10 @@ def command(
             click.echo(f"{axis}, {vehicles} vehicles")
             click.echo("\n".join(f"  {line}" for line in aligned(campaign.table(axis))) + "\n")
         held = " and ".join(f"{v:.1f} m/s along {a}" for a, v in campaign.held_wind_m_s.items())
-        say(f"full tilt of the nominal vehicle holds {held}; beyond, no gains hold the place", quiet)
+        say(
+            f"full tilt of the nominal vehicle holds {held}; beyond that, no gains can hold the position",
+            quiet,
+        )
         for note in campaign.notes:
             say(note, quiet)
         say(SAFETY, quiet)

@@ -56,7 +56,7 @@ def command(
     Logs that are already ingested are skipped. Prints the id of each flight that was ingested. Exit code 3:
     something was lost or skipped; the output says what and where. A log that exceeds its limit of memory or
     time is skipped and named; the others are read. In folders and .zip archives, files that are not logs,
-    such as notes and pictures, are named and passed over.
+    such as notes and pictures, are named and ignored.
 
     With --format or --time-unit, logs that are already ingested are read again, as their data may change.
 

@@ -58,7 +58,7 @@ def compatibility_or_reason(path: Path, limits: Limits) -> Compatibility | str:
     except FlysidError as error:
         return error.advice
     except MemoryError:
-        return "needs more memory than there is"
+        return "not enough memory"
 
 
 def motions(paths: Sequence[Path], limits: Limits, bounds: Bounds, display: Display) -> Mapping[Path, Motion]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flysid.cli.display import Display
-from flysid.cli.lakeoptions import LakeOptions
+from flysid.cli.lakeoptions import LakeOptions, dask_cluster
 from flysid.cli.output import cores, duration, printable, say
 from flysid.errors import FlysidError, PlaceError, UsageError
 from flysid.showing import counted, first_of
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from flysid.ingest.lake.workers import Bounds
 
 SHOWN = 5
-LOOPBACK = re.compile(r"tcp://(127\.|localhost|\[::1\])")
 
 
 def ingest_to_lake(
@@ -114,12 +112,7 @@ def engine_for(options: LakeOptions, jobs: int, quiet: bool) -> Iterator[Engine]
 
         yield Threads(jobs or cores())
         return
-    from flysid.fleet.cluster import connected
-
-    with connected(options.cluster, options.workers) as cluster:
-        if options.cluster.startswith("tcp://") and not LOOPBACK.match(options.cluster):
-            say("this scheduler runs any code for whoever reaches it; tls:// with certificates is safer")
-        say(f"cluster of {counted(cluster.workers, 'worker')}; dashboard: {cluster.dashboard}", quiet)
+    with dask_cluster(options.cluster, options.workers, quiet) as cluster:
         yield cluster
 
 
@@ -152,10 +145,10 @@ def summarise(found: Sorted, outcomes: Sequence[Outcome], quiet: bool) -> None:
         say(f"{counted(found.quarantined, 'log')} in quarantine since before: --retry reads them", quiet)
     if found.passed_over:
         names = [name.rpartition("/")[2] for name in found.passed_over]
-        say(f"passed over, no logs by their names: {first_of(names, SHOWN)}", quiet)
+        say(f"ignored, not logs by their names: {first_of(names, SHOWN)}", quiet)
     lossy = sum(o.status == "ingested" and o.facts is not None and o.facts.lossy for o in outcomes)
     if lossy:
-        say(f"{counted(lossy, 'log')} lost something: 'flysid show LAKE FLIGHT' says what", quiet)
+        say(f"{counted(lossy, 'log')} lost something; details: flysid show LAKE FLIGHT", quiet)
     if many["waiting"]:
         reasons = Counter(outcome.reason for outcome in outcomes if outcome.status == "waiting")
         say(f"not done: {reasons.most_common(1)[0][0]}; run the same command again")

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import wraps
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from flysid.cli.output import say
 from flysid.errors import UsageError
+from flysid.showing import counted
+
+if TYPE_CHECKING:
+    from flysid.fleet.cluster import Cluster
 
 F = TypeVar("F", bound=Callable[..., Any])
+LOOPBACK = re.compile(r"tcp://(127\.|localhost|\[::1\])")
 _UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
 
@@ -42,12 +49,32 @@ class LakeOptions:
         return False
 
 
+@contextmanager
+def dask_cluster(address: str, workers: int, quiet: bool) -> Iterator[Cluster]:
+    """The cluster that --cluster or --workers asks for; says how many workers it has."""
+    from flysid.fleet.cluster import connected
+
+    with connected(address, workers) as cluster:
+        if address.startswith("tcp://") and not LOOPBACK.match(address):
+            say("this scheduler runs any code for whoever reaches it; tls:// with certificates is safer")
+        say(f"cluster of {counted(cluster.workers, 'worker')}; dashboard: {cluster.dashboard}", quiet)
+        yield cluster
+
+
+def check_one_cluster(address: str, workers: int) -> None:
+    """Raise UsageError where two clusters are asked for."""
+    if address and workers:
+        raise UsageError("--workers makes a cluster, --cluster names one", hint="leave out one of them")
+
+
 def check_pattern(pattern: str) -> None:
     """Raise UsageError where a text is no regular expression."""
     try:
         re.compile(pattern)
     except re.error as error:
-        raise UsageError(f"--vehicle-in is no regular expression: {error}", hint="v[0-9]+") from error
+        raise UsageError(
+            f"--vehicle-in is not a valid regular expression: {error}", hint="v[0-9]+"
+        ) from error
 
 
 def seconds(_ctx: click.Context, _param: click.Parameter, text: str | None) -> float | None:
@@ -100,8 +127,7 @@ def lake_options(function: F) -> F:
         retry: bool,
         **options: Any,
     ) -> Any:
-        if cluster and workers:
-            raise UsageError("--workers makes a cluster, --cluster names one", hint="leave out one of them")
+        check_one_cluster(cluster, workers)
         return function(*args, lake=LakeOptions(cluster, workers, batch, since, watch_s, retry), **options)
 
     decorated: Any = verb

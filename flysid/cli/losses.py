@@ -24,7 +24,7 @@ def report(results: Sequence[Result], quiet: bool) -> None:
         elif result.skipped:
             say(f"skipped: {result.path}: {result.reason}")
     new = [r.flight for r in results if r.flight and not r.unchanged]
-    counts = [f"{len(new)} ingested, {sum(flight.rows for flight in new):,} records"]
+    counts = [f"{counted(len(new), 'log')} ingested, {counted(sum(f.rows for f in new), 'record')}"]
     if unchanged := sum(r.unchanged for r in results):
         counts.append(f"{unchanged} unchanged")
     if skipped := sum(r.skipped for r in results):

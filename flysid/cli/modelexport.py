@@ -89,7 +89,7 @@ def find_model(wanted: Wanted) -> Found:
 
 def headline(models: dict[str, Fitted], baseline: str) -> str:
     """The model that the verdict speaks of; the linear baseline where no fuzzy one was fitted."""
-    from flysid.validate.compare import CONTENDERS
+    from flysid.validate.compare_models import CONTENDERS
 
     return next((label for label in CONTENDERS if label in models), baseline)
 
@@ -149,7 +149,7 @@ def write_lpv(wanted: Wanted, file: Path, *, force: bool) -> None:
 
     check_target(file, force)
     if file.suffix not in (".json", ".mat"):
-        raise UsageError(f"no form for {file.name!r}", hint="--lpv F.json or --lpv F.mat")
+        raise UsageError(f"unknown file type: {file.name!r}", hint="--lpv F.json or --lpv F.mat")
     lpv = to_lpv(find_model(wanted).model, wanted.rate_hz)
     with writing_to(file):
         write_atomically(file, lpv.to_mat() if file.suffix == ".mat" else lpv.to_json().encode())

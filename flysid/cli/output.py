@@ -43,14 +43,14 @@ def say(text: str, quiet: bool = False) -> None:
 
 
 def say_passed_over(files: Sequence[PassedOver], quiet: bool) -> None:
-    """One line about the files that are no logs: how many of each kind, and the first of them by name."""
+    """One line about the files that are not logs: how many of each kind, and the first of them by name."""
     if not files:
         return
     kinds: dict[str, list[str]] = {}
     for file in files:
         kinds.setdefault(file.kind, []).append(file.path.name)
     told = [f"{kind} ({len(names)}): {first_of(names, NAMES_SHOWN)}" for kind, names in kinds.items()]
-    say(f"passed over, {counted(len(files), 'file')} that are no logs: {'; '.join(told)}", quiet)
+    say(f"ignored {counted(len(files), 'file')} that are not logs: {'; '.join(told)}", quiet)
 
 
 def duration(seconds: float) -> str:
@@ -91,7 +91,7 @@ def chosen_form(flags: Mapping[str, bool]) -> str:
     asked = [name for name in FORMS if flags[name]]
     if len(asked) > 1:
         raise UsageError(
-            f"stdout has room for one form, not for {' and '.join(asked)}",
+            f"only one form can be printed, not {' and '.join(asked)}",
             hint="run it twice with different -o, or read report.json",
         )
     return asked[0] if asked else "table"
@@ -109,6 +109,6 @@ def finish(judgement: Judgement, condition: str | None, report: Path | None, qui
         say(f"check failed{where}: {condition}")
         for name, why in failed.items():
             if why:
-                say(f"{name}: {why}: what cannot be judged fails")
+                say(f"{name}: {why}: a channel that cannot be judged counts as failed")
         return CHECK_FAILED
     return 3 if judgement.unjudged else 0

@@ -179,13 +179,13 @@ def _of_run(folder: Path, channels: tuple[str, ...], data: Path | None) -> Begin
     lost = [f"{n}: {why}" for n, why in run.skipped.items() if not channels or n in channels]
     if not held:
         raise UsageError(
-            f"the run knows nothing: {'; '.join(lost) or 'not enough data for any channel'}",
+            f"the run has no model to plan from: {'; '.join(lost) or 'not enough data for any channel'}",
             path=folder,
             hint="fly what excites it: flysid plan --axis NAME=PEAK --band LOW HIGH -o plan",
         )
     known = {h.channel.name: tuple(known_of_channel(h)) for h in held}
     lost += [
-        f"{name}: its linear model integrates or carries no covariance; no gain to speak of"
+        f"{name}: its linear model integrates or has no covariance; its gain cannot be predicted"
         for name, found in known.items()
         if not found
     ]
@@ -223,7 +223,7 @@ def _files(
     from flysid.plan import autopilots
     from flysid.plan.briefing import recipe_for
 
-    files = {"plan.csv": (plan.csv(), "play it into the commands, row by row, and log them")}
+    files = {"plan.csv": (plan.csv(), "send it as commands, row by row, and log them")}
     if begun.recipe or outputs:
         text = begun.recipe or recipe_for(plan, outputs)
         files["recipe.toml"] = (text, "afterwards: flysid fit LOG -r recipe.toml -o run")

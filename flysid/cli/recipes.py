@@ -39,7 +39,7 @@ def command(name: str, source: Path | None, toml: bool) -> None:
     from flysid.ingest.align.recipe import load_recipe, recipe_text, shipped_recipes
 
     if name and source is not None:
-        raise UsageError("a recipe's name and --for exclude each other", hint="give one of them")
+        raise UsageError("a recipe's name and --for are mutually exclusive", hint="give one of them")
     if toml and not name:
         raise UsageError("--toml prints one recipe", hint="flysid recipes NAME --toml")
     if toml:

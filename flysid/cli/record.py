@@ -113,7 +113,7 @@ def run(recording: Recording, seconds: float | None, quiet: bool) -> None:
                 break
             if recording.parts.refusal and not refusal:
                 refusal = recording.parts.refusal
-                say(f"{refusal}: nothing is written any more; receiving goes on")
+                say(f"{refusal}: writing has stopped; receiving continues")
             for text in recording.receiver.warnings():
                 if text not in warned:
                     warned.add(text)
@@ -136,7 +136,7 @@ def finish(recording: Recording, quiet: bool) -> int:
     if dropped:
         say(f"this host dropped {counted(dropped, 'datagram')}: see {parts.paths[-1]}.json")
     if parts.refusal:
-        say(f"{parts.refusal}: {counted(parts.unwritten_frames, 'frame')} came and were not written")
+        say(f"{parts.refusal}: {counted(parts.unwritten_frames, 'frame')} were received but not written")
         return DISK_REFUSED
     return LOST_HERE if dropped else 0
 

@@ -14,7 +14,7 @@ import click
 from flysid.cli.display import Display, progress_options
 
 if TYPE_CHECKING:
-    from flysid.validate.reproduce import LoopResult
+    from flysid.validate.reproduction import LoopResult
 
 LABELS = {
     "static_ts_7": "static TS, 7 rules",
@@ -53,7 +53,7 @@ def command(paper: str, as_json: bool, figures: Path | None, quiet: bool, displa
     """
     from flysid.validate.paper import CANNOT_REPRODUCE
     from flysid.validate.paperfigures import require_matplotlib
-    from flysid.validate.reproduce import draw_figures, reproduce_ardrone_ts, to_document
+    from flysid.validate.reproduction import draw_figures, reproduce_ardrone_ts, to_document
 
     if figures is not None:
         require_matplotlib()

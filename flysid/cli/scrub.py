@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,7 @@ import click
 from flysid.cli.addresses import SOURCE
 from flysid.cli.output import printable, say
 from flysid.cli.source import format_option
+from flysid.errors import FormatError
 
 if TYPE_CHECKING:
     from flysid.ingest.formats.common.scrub_rules import Gps
@@ -42,7 +45,8 @@ def command(log: Path, output: Path, gps: Gps, format_: str, force: bool, as_jso
     from flysid.ingest.formats.common.scrub_rules import UNREADABLE
     from flysid.ingest.formats.scrubbing import KEPT, scrub_log
 
-    done = scrub_log(log, output, gps=gps, force=force, limits=Limits(format=format_))
+    work = partial(scrub_log, out=output, gps=gps, force=force, limits=Limits(format=format_))
+    done = apart(work, log)
     click.echo(as_json_text(done, output) if as_json else table(done))
     for note in done.notes:
         say(note, quiet)
@@ -51,10 +55,26 @@ def command(log: Path, output: Path, gps: Gps, format_: str, force: bool, as_jso
     return 3 if any(what == UNREADABLE for what, _ in done.removed) else 0
 
 
+def apart(work: Callable[[Path], Scrubbed], log: Path) -> Scrubbed:
+    """What `work` makes of a log in a process of its own: a log that is cut meanwhile ends the reader.
+
+    Raises
+    ------
+    FormatError : the process ended. Besides, what `work` raises.
+    """
+    from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
+
+    bounds = Bounds(memory_bytes=None, seconds=None)
+    ((_, outcome),) = run_bounded(work, [log], 1, bounds)
+    if isinstance(outcome, Lost):
+        raise FormatError(outcome.reason, path=log, hint="once it is no longer written, try again")
+    return outcome
+
+
 def table(done: Scrubbed) -> str:
     """What was removed: kind, number of fields, where."""
     if not done.removed:
-        return "nothing found that should not be shared"
+        return "found nothing to remove"
     rows = [(what, f"{n:,}", printable(where)) for (what, where), n in done.removed.items()]
     rows.insert(0, ("REMOVED", "COUNT", "WHERE"))
     first, second = (max(len(row[k]) for row in rows) for k in (0, 1))

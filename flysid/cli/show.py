@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display
 from flysid.cli.losses import losses
@@ -30,7 +31,7 @@ HEADINGS = ("COLUMN", "TYPE", "UNIT", "SCALE", "MIN", "MEAN", "MAX", "MISSING", 
 
 @click.command("show")
 @click.argument("source", type=SOURCE, metavar="LOG|DATA")
-@click.argument("names", nargs=-1, metavar="[FLIGHT] [STREAM]")
+@click.argument("names", nargs=-1, metavar="[FLIGHT] [STREAM]", shell_complete=complete.flights)
 @click.option("--json", "as_json", is_flag=True, help="Print the manifest (or the stream's entry) as JSON.")
 @click.option("-n", "--rows", default=5, show_default=True, help="Number of rows of the stream to print.")
 @click.option("--params", is_flag=True, help="Print the parameters at the end of the log.")
@@ -59,7 +60,9 @@ def command(
     from flysid.ingest.lake.chosen_flights import Selection, select
 
     if params + events + track > 1:
-        raise UsageError("--params, --events and --track are one at a time", hint="run it once for each")
+        raise UsageError(
+            "--params, --events and --track are mutually exclusive", hint="run the command once for each"
+        )
     with Display().shown(), opened_flights(source, told) as lake:
         flight, stream = _split(str(source), names, [facts.id for facts in lake.facts])
         [log] = select(lake, Selection(flights=(flight,))).logs

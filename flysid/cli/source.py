@@ -148,8 +148,10 @@ def _selecting(function: F, more: Sequence[Callable[[Any], Any]] = ()) -> F:
         from flysid.ingest.lake.chosen_flights import Selection
         from flysid.ingest.lake.stretches import Stretches
 
-        parts = Stretches(between, modes, mishaps)
-        return function(*args, selection=Selection(only_flights, exclude, vehicle, pool, parts), **options)
+        without = tuple(text for text in exclude if "@" in text or "#" in text)
+        whole = tuple(text for text in exclude if text not in without)
+        parts = Stretches(between, modes, mishaps, without)
+        return function(*args, selection=Selection(only_flights, whole, vehicle, pool, parts), **options)
 
     decorated: Any = verb
     for option in (*more, *_FLIGHTS):
@@ -174,9 +176,9 @@ _FLIGHTS = (
     click.option(
         "--exclude",
         multiple=True,
-        metavar="FLIGHT",
+        metavar="FLIGHT[@FROM..TO]",
         shell_complete=complete.flights,
-        help="Leave out this flight; may be repeated.",
+        help="Leave out this flight, or a part of it, e.g. 0042@12:30..14:00; may be repeated.",
     ),
     click.option(
         "--flight",
@@ -222,12 +224,17 @@ def opened(
     RecipeError : a field is not there.
     """
     if words.recipe and (words.inputs or words.outputs or words.dt is not None):
-        raise UsageError("--recipe says what --from, --to and --dt would", hint="leave out one or the other")
+        raise UsageError(
+            "--recipe and --from, --to or --dt are mutually exclusive", hint="leave out one or the other"
+        )
     if is_ingested(data):
         _refuse_reading_again(data, words)
+    from flysid.ingest.align.recipe import load_recipe
     from flysid.ingest.lake.chosen_flights import require_one_vehicle, select
     from flysid.ingest.lake.lake import open as open_lake
 
+    if words.recipe:
+        load_recipe(words.recipe)  # a name that is none is said before any log is read
     with TemporaryDirectory() as folder:
         target = place or Path(folder) / "data"
         recipe = Path(folder) / "quick.toml"
@@ -297,7 +304,7 @@ def _refuse_reading_again(data: Path, words: Words) -> None:
     """Raise UsageError where words say how to read what has been read."""
     if words.time_unit or words.format:
         raise UsageError(
-            "what is ingested has its format and times already",
+            "ingested data already have their format and times",
             path=data,
             hint="flysid ingest --format, or --time-unit, reads a log again",
         )
@@ -321,7 +328,7 @@ def _written(words: Words, lake: Lake) -> str:
 
     if not (words.inputs or words.outputs) and (served := lake.recipes()):
         raise UsageError(
-            "nothing says what to identify",
+            "neither a recipe nor fields are given",
             hint=f"--recipe {', or --recipe '.join(served)}; 'flysid ls DATA --suggest' says how well",
         )
     return quick_recipe(lake.logs, words.inputs, words.outputs, words.dt)

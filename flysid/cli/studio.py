@@ -62,19 +62,20 @@ def command(
     command, which it shows. Ctrl-C ends the server; a running fit continues, and the next studio finds it.
 
     With --live, a link is recorded (see 'flysid record') and drawn in real time. With --watch, the
-    predictions of a run's models are drawn beside it, with alarms (see 'flysid watch').
+    predictions of a run's models are drawn beside it, with alarms (see 'flysid watch'). This page is also
+    served where the studio's packages are not installed.
 
     \b
     flysid studio
     flysid studio data --port 8765 --no-open
     flysid studio --live udp:0.0.0.0:14550 --watch run
     """
-    if importlib.util.find_spec("starlette") is None or importlib.util.find_spec("uvicorn") is None:
+    is_installed = all(importlib.util.find_spec(name) is not None for name in ("starlette", "uvicorn"))
+    if not is_installed and not links:
         raise UsageError("the studio is not installed", hint='pip install "flysid[studio]"')
     if not links and (run is not None or output is not None):
         raise UsageError("--watch and -o belong to --live", hint="--live udp:0.0.0.0:14550")
     from flysid.studio.folders import open_workspace
-    from flysid.studio.serve import serve
 
     workspace = open_workspace(data, runs)
 
@@ -83,6 +84,8 @@ def command(
         say("Ctrl-C ends the server")
 
     if not links:
+        from flysid.studio.serve import serve
+
         serve(workspace, port, ready, show)
         return 0
     session = open_session(links, run, false_alarms, output or new_recording(workspace.folder / "recordings"))
@@ -92,7 +95,15 @@ def command(
     session.start()
     try:
         with suppress(KeyboardInterrupt):
-            serve(workspace, port, ready, show, session)
+            if is_installed:
+                from flysid.studio.serve import serve
+
+                serve(workspace, port, ready, show, session)
+            else:
+                from flysid.studio.live_server import serve_live
+
+                say("the studio is not installed: the live page alone")
+                serve_live(session, port, ready, show=show)
     finally:
         session.stop()
 

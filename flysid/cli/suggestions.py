@@ -21,7 +21,7 @@ WIDTH = 100
 LONGEST_NAME = 18
 COHERENCE = "COH.: coherence, the share of the output's power that a linear model of the input can explain"
 LOOP = "loop: the input answers the output too (a pilot or controller); see docs/recipes.md on closed loops"
-OPEN = "?: the data do not bound it"
+OPEN = "?: the data do not determine it"
 
 
 def print_suggestions(found: Sequence[Suggestion], flights: Sequence[str], data: str, every: bool) -> None:
@@ -66,18 +66,23 @@ def _folded(line: str) -> str:
 def unusable(
     found: Sequence[Suggestion], flights: Sequence[str], names: Mapping[str, str], *, told: bool = False
 ) -> list[str]:
-    """A line for every flight without a usable channel, with the reason; `told`: reasons stand above."""
+    """A line for every flight without a usable channel, with the reason, and what to try below.
+
+    `told`: reasons stand above.
+    """
     lines = []
+    remedies: dict[str, None] = {}
     for flight in flights:
         own = [s for s in found if s.flight == flight]
         if not own:
-            lines.append(f"{names[flight]}: no shipped recipe has its streams in this flight")
+            lines.append(f"{_short(names[flight])}: no shipped recipe has its streams in this flight")
         elif not told and not any(s.verdict in USABLE for s in own):
-            reasons = dict.fromkeys(f"{s.verdict}: {s.advice}" for s in own)
-            rest = len(reasons) - 1
-            more = f" (and {rest} more reason{'s' * (rest > 1)}: --all)" if rest else ""
-            lines.append(f"{names[flight]}: {next(iter(reasons))}{more}")
-    return lines
+            reasons = list(dict.fromkeys(f"{s.verdict}: {s.advice.partition(';')[0]}" for s in own))
+            remedies |= dict.fromkeys(s.advice.partition("; ")[2] for s in own)
+            more = f" ({len(reasons) - 1} more: --all)" if len(reasons) > 1 else ""
+            said = f"{_short(names[flight])}: {reasons[0]}"
+            lines.append(textwrap.shorten(said, WIDTH - len(more), placeholder=" …") + more)
+    return [*lines, *(f"try: {remedy}" for remedy in remedies if remedy)]
 
 
 def _next(found: Sequence[Suggestion], data: str) -> str:

@@ -164,7 +164,7 @@ def follow(
 ) -> None:
     """Watch a link until interrupted, or the time is over."""
     from flysid.cli.record import run as record
-    from flysid.live.following import Follower
+    from flysid.live.following import WATCH_NAP_S, Follower
     from flysid.live.links import open_link
     from flysid.live.receiving import Receiver, warm_up
     from flysid.live.recording import Recording, heartbeat_of
@@ -179,7 +179,8 @@ def follow(
         if output is not None:
             record(Recording([opened], output, heartbeat=heartbeat, listener=follower.listen), seconds, True)
         else:
-            receiver = Receiver([opened], follower.listen, None, heartbeat_of(None) if heartbeat else None)
+            beat = heartbeat_of(None) if heartbeat else None
+            receiver = Receiver([opened], follower.listen, heartbeat=beat, nap_s=WATCH_NAP_S)
             receive(receiver.run, seconds)
             receiver.close()
     finally:

@@ -162,6 +162,13 @@ class Design:
     old: Mapping[str, float] = field(default_factory=dict)
     new: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def caution(self) -> str:
+        """What everybody who reads the gains must know."""
+        if self.new:
+            return SAFETY
+        return f"No new.param: without the present gains (--old FILE) there is no way back. {SAFETY}"
+
     def to_dict(self) -> dict[str, Any]:
         """JSON types only."""
         return {

@@ -75,7 +75,7 @@ def design_run(run: Run, wish: Wish, data: str | Path | None = None) -> Design:
     ready: list[Ready] = []
     refused: dict[str, tuple[str, str]] = {}
     for item in held_out(wished_channels(run, wish), data):
-        tell("looking whether the flights identify the plant", channel=item.channel.name)
+        tell("checking that the flights identify the plant", channel=item.channel.name)
         try:
             ready.append(ready_channel(item, wish))
         except (DataError, UsageError) as error:
@@ -185,8 +185,8 @@ def _refuse_beyond(present: Gains, plants: PlantSet, bounds: Bounds) -> None:
     highest = bounds.crossover_rad_s / (2.0 * np.pi)
     if crossover > highest:
         raise DataError(
-            f"with the present gains the loop crosses at {crossover:.2f} Hz, and the flights tell nothing "
-            f"above {highest:.2f} Hz",
+            f"with the present gains the loop crosses at {crossover:.2f} Hz, and the flights have no "
+            f"information above {highest:.2f} Hz",
             hint=f"fly a sweep of the input up to {2.0 * crossover:.1f} Hz",
         )
 
@@ -230,7 +230,7 @@ def with_feedforward(gains: Gains, plants: PlantSet) -> Gains:
 
 def _axis(ready: Ready, laws: Mapping[str, Gains], bounds: Bounds, notes: tuple[str, ...]) -> Axis:
     train = ready.data.train
-    turned = ("the input is turned round: the output falls as it rises",) if ready.sign < 0.0 else ()
+    turned = ("the sign of the input is reversed: the output falls as it rises",) if ready.sign < 0.0 else ()
     return Axis(
         ready.data.name,
         train.inputs[0].name,

@@ -12,7 +12,7 @@ from flysid.errors import DataError
 from flysid.model.base import Fitted
 from flysid.model.capabilities import LinearModel
 from flysid.model.frequency.response import measure_response
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.run import HeldOut
 from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict

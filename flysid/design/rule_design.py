@@ -51,6 +51,10 @@ class RuleAxis:
             f"  the input stays inside its limit from errors of position up to {self.law.reach_m:.1f} m",
         ]
 
+    def table(self) -> list[tuple[str, ...]]:
+        """No rows: the gains of every rule and state stand in the file."""
+        return []
+
     def to_dict(self) -> dict[str, Any]:
         """JSON types only: u = - sum_r w_r(z) gains_r xi, z = scheduling xi."""
         p = self.law.plant
@@ -76,6 +80,11 @@ class RuleDesign:
     run: str
     axes: tuple[RuleAxis, ...]
     refused: Mapping[str, tuple[str, str]]
+
+    @property
+    def caution(self) -> str:
+        """What everybody who reads the gains must know."""
+        return f"{PROVED} {SAFETY}"
 
     def to_dict(self) -> dict[str, Any]:
         """JSON types only."""
@@ -118,7 +127,9 @@ def design_rules(run: Run, wish: Wish, data: str | Path | None = None) -> RuleDe
                 raise DataError("no good model of rules was fitted", hint="--method pid")
             plant = rule_plant(ready.data.models[label])
             if ready.sign < 0.0:
-                raise DataError("the output falls as the input rises", hint="turn the channel's input round")
+                raise DataError(
+                    "the output falls as the input rises", hint="reverse the sign of the channel's input"
+                )
             law = search_rule_gains(plant, ready.plants, ready.bounds, wish.limit)
         except (DataError, UsageError) as error:
             refused[item.channel.name] = (error.message, error.hint or "")

@@ -101,7 +101,7 @@ class Lpv:
 
         if len(self.A) > 1:
             raise UsageError(
-                f"{len(self.A)} systems are no linear one", hint="model.to_control() keeps the rules"
+                f"{len(self.A)} systems are not one linear system", hint="model.to_control() keeps the rules"
             )
         return control.ss(
             self.A[0],

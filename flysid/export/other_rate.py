@@ -28,7 +28,7 @@ def resampled(model: Fitted, rate_hz: float) -> Fitted:
         return model
     if not isinstance(model, FittedTF):
         raise UsageError(
-            f"a model of structure {model.structure!r} runs at {1.0 / model.dt_s:g} Hz and at no other rate",
+            f"a model of structure {model.structure!r} runs at {1.0 / model.dt_s:g} Hz only",
             hint="fit a transfer function in s ('flysid fit -m tf'), or leave out --rate",
         )
     dt_s = 1.0 / rate_hz

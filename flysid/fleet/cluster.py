@@ -1,8 +1,8 @@
-"""A Dask cluster as the engine of an ingest: one that runs somewhere, or processes on this machine.
+"""A Dask cluster for an ingest and for a fleet's models: one that runs somewhere, or processes here.
 
-A task is a batch of addresses and the settings; a result says what became of each log. Neither holds a secret
-nor a table: workers reach the store by their own credentials. Dask may do a task twice; what is committed is
-committed once.
+A task of an ingest is a batch of addresses and the settings; a result says what became of each log. Neither
+holds a secret nor a table: workers reach the store by their own credentials. Dask may do a task twice; what
+is committed is committed once.
 """
 
 from __future__ import annotations
@@ -11,19 +11,23 @@ import hashlib
 import importlib.util
 import multiprocessing
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
-from typing import Any
+from typing import Any, TypeVar
 
 from flysid.errors import FlysidError, PlaceError, UsageError
 from flysid.fleet.reading import Log, Outcome, Settings, ingest_batch
 from flysid.version import __version__
 
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 WINDOW = 10_000
 """Tasks in the scheduler at a time: it keeps about 8 kB of each."""
 RETRIES = 3
+KILLED = "its workers were killed"
 _CONFIG = {
     "distributed.worker.daemon": False,  # a worker starts the processes that read logs
     "distributed.scheduler.allowed-failures": 10,  # one worker's death makes all its tasks suspect
@@ -63,29 +67,48 @@ class Cluster:
         ------
         PlaceError : the scheduler is gone.
         """
+        for part, outcomes in self.each(partial(_ingested, self.do, settings), batches, _parts_of):
+            if outcomes is None:
+                yield part, [Outcome(log, "waiting", reason=KILLED) for log in part]
+            else:
+                yield part, outcomes
+
+    def each(
+        self, do: Callable[[Task], Result], tasks: Iterable[Task], parts_of: Callable[[Task], Sequence[str]]
+    ) -> Iterator[tuple[Task, Result | None]]:
+        """Each task with its result, as they finish; None where its workers were killed again and again.
+
+        Parameters
+        ----------
+        do : importable on the workers; what it raises is raised here.
+        parts_of : texts that tell a task from others, the first its kind; equal texts are one task.
+
+        Raises
+        ------
+        PlaceError : the scheduler is gone.
+        """
         from distributed import as_completed
         from distributed.client import FutureCancelledError
         from distributed.comm.core import CommClosedError
         from distributed.scheduler import KilledWorker
 
-        waiting = iter(batches)
-        parts: dict[str, tuple[Log, ...]] = {}
+        waiting = iter(tasks)
+        pending: dict[str, Task] = {}
 
-        def submitted(part: tuple[Log, ...]) -> Any:
-            future = self.client.submit(self.do, part, settings, key=_key(part), retries=RETRIES, pure=False)
-            parts[future.key] = part
+        def submitted(task: Task) -> Any:
+            future = self.client.submit(do, task, key=_key(*parts_of(task)), retries=RETRIES, pure=False)
+            pending[future.key] = task
             return future
 
-        running = as_completed([submitted(part) for part in islice(waiting, WINDOW)])
+        running = as_completed([submitted(task) for task in islice(waiting, WINDOW)])
         try:
             for future in running:
-                part = parts.pop(future.key)
-                try:
-                    outcomes = future.result()
-                except KilledWorker:
-                    outcomes = [Outcome(log, "waiting", reason="its workers were killed") for log in part]
+                task = pending.pop(future.key)
+                result: Result | None = None
+                with suppress(KilledWorker):
+                    result = future.result()
                 future.release()
-                yield part, outcomes
+                yield task, result
                 for more in islice(waiting, 1):
                     running.add(submitted(more))
         except (FutureCancelledError, CommClosedError) as error:
@@ -95,9 +118,18 @@ class Cluster:
             ) from error
 
 
-def _key(part: Sequence[Log]) -> str:
-    digest = hashlib.sha256("\0".join(log.digest for log in part).encode()).hexdigest()
-    return f"ingest-{digest[:24]}"
+def _ingested(
+    do: Callable[[Sequence[Log], Settings], list[Outcome]], settings: Settings, part: Sequence[Log]
+) -> list[Outcome]:
+    return do(part, settings)
+
+
+def _parts_of(part: Sequence[Log]) -> list[str]:
+    return ["ingest", *(log.digest for log in part)]
+
+
+def _key(kind: str, *parts: str) -> str:
+    return f"{kind}-{hashlib.sha256(chr(0).join(parts).encode()).hexdigest()[:24]}"
 
 
 @contextmanager

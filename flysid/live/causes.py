@@ -26,7 +26,7 @@ class Meaning:
 LIFT = Meaning(
     "effort",
     ("more mass", "less voltage", "worn or damaged propellers", "sinking air"),
-    ("less mass (a load was lost)", "the ground's cushion", "rising air"),
+    ("less mass (a load was lost)", "ground effect", "rising air"),
     shows_what_stays=True,
 )
 _TURNING = (
@@ -39,8 +39,8 @@ _SIDEWAYS = ("wind", "drag that changed (something hangs down or broke off)", "a
 SIDEWAYS = Meaning("horizontal speed", _SIDEWAYS, _SIDEWAYS)
 CLIMB = Meaning(
     "climb",
-    ("less mass in this moment", "rising air"),
-    ("more mass in this moment", "no thrust left", "sinking air"),
+    ("less mass at this moment", "rising air"),
+    ("more mass at this moment", "no thrust left", "sinking air"),
 )
 _TILT = (
     "a weaker actuator",
@@ -74,10 +74,17 @@ def likely(meaning: Meaning, shift: float) -> str:
     return f"{', '.join(causes[:-1])} or {causes[-1]}; this channel cannot tell which"
 
 
+def likely_of_effort(signal: Signal, output: Meaning, beyond: float) -> str:
+    """Causes of an input that stays above (`beyond` > 0) or below what was flown; "" if it is no effort."""
+    if not EFFORT.search(signal.name):
+        return ""
+    return likely(LIFT if output is CLIMB else output, beyond)
+
+
 def visibility(channel: str, output: Signal, inputs: Sequence[Signal]) -> str:
     """What faults a channel can show at all."""
     meaning = meaning_of(output, inputs)
     pair = f"{channel}: {output.name} <- {', '.join(s.name for s in inputs)}"
     if meaning.shows_what_stays:
-        return f"{pair}: shows faults that come and faults that stay"
-    return f"{pair}: shows faults when they come; what stays, the vehicle's own control hides"
+        return f"{pair}: shows faults as they occur and while they last"
+    return f"{pair}: shows faults as they occur; the vehicle's own control hides lasting ones"

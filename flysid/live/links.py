@@ -273,7 +273,7 @@ class SerialLink(StreamLink):
         if speed is None:
             known = sorted(int(name[1:]) for name in dir(termios) if re.fullmatch(r"B[1-9]\d+", name))
             raise UsageError(
-                f"no speed {self.target.number}", hint="one of " + ", ".join(map(str, known[-14:]))
+                f"not a speed: {self.target.number}", hint="one of " + ", ".join(map(str, known[-14:]))
             )
         handle = os.open(self.target.place, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:

@@ -49,12 +49,14 @@ class Receiver:
     sink : takes what has come, many times a second; must not wait.
     guard : judges signatures; None where there is no key.
     heartbeat : sent once a second on every link; None to send nothing at all, ever.
+    nap_s : between passes.
     """
 
     links: Sequence[Link]
     sink: Callable[[Piece], None]
     guard: Guard | None = None
     heartbeat: Callable[[], bytes] | None = None
+    nap_s: float = NAP_S
     ledger: Ledger = field(default_factory=Ledger)
     clock_steps: list[dict[str, float]] = field(default_factory=list)
     started_s: float = field(default_factory=time.time)
@@ -77,7 +79,7 @@ class Receiver:
                 stop.wait(LOOK_S)
             more = [self._take(self.links[key.data]) for key, _ in ready]
             if not any(more):
-                time.sleep(NAP_S)
+                time.sleep(self.nap_s)
         for link in self.links:
             while link.fileno() >= 0 and self._take(link):
                 continue

@@ -10,9 +10,10 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Segment
 from flysid.errors import DataError, UsageError
-from flysid.live.causes import likely, meaning_of, visibility
+from flysid.live.causes import likely, likely_of_effort, meaning_of, visibility
 from flysid.live.traces import Trace
 from flysid.model.base import Fitted
+from flysid.model.in_pieces import in_pieces
 from flysid.validate.detect import (
     DETECTORS,
     GLR_S,
@@ -22,7 +23,6 @@ from flysid.validate.detect import (
     Thresholds,
     calibrate,
     level_at_end,
-    one_step,
     run_at_end,
     run_samples,
 )
@@ -98,7 +98,6 @@ class ChannelWatch:
     known: FloatArray
     trace: Trace | None = None
     latest: dict[str, float] = field(default_factory=dict)
-    _outside: bool = False
 
     def __post_init__(self) -> None:
         longest = round(GLR_S / self.model.dt_s)
@@ -109,10 +108,12 @@ class ChannelWatch:
 
     def restart(self) -> None:
         """The next samples do not follow on those before."""
+        self._ahead = in_pieces(self.model)
         self._u = np.empty((0, len(self.model.inputs)))
         self._y = np.empty((0, len(self.model.outputs)))
         self._seen = 0
         self._clean = 0  # samples since an input was last outside
+        self._outside = False
         self._next_level = self._keep
         for output in self._outputs:
             output.sums.forget()
@@ -138,7 +139,7 @@ class ChannelWatch:
         """Events of the next samples; `time_s` is that of the first."""
         self._u = np.concatenate([self._u[-self._keep :], u])
         self._y = np.concatenate([self._y[-self._keep :], y])
-        errors = one_step(self.model, self._u, self._y)[-len(u) :]
+        errors = np.nan_to_num(y - self._ahead.feed(u, y))
         if self.trace is not None:
             self.trace.add(time_s, self.model.dt_s, y, y - errors)
         self._seen += len(u)
@@ -172,6 +173,9 @@ class ChannelWatch:
             f"{self.name} is outside what the model knows: {signal.name} {u[row, k]:.3g} {signal.unit}, "
             f"known {low:.3g} to {high:.3g}; not judged meanwhile"
         )
+        causes = likely_of_effort(signal, self._meanings[0], u[row, k] - high)
+        if causes:
+            text += f". Where it lasts, likely: {causes}"
         return [Event("outside", self.name, "", time_s + float(row) * self.model.dt_s, flight, text=text)]
 
     def _first_outside(self, u: FloatArray) -> int:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.errors import DataError
-from flysid.loops.blackbox import record_of, settings_of
+from flysid.errors import DataError, UsageError
+from flysid.loops.blackbox_loops import record_of, settings_of
 from flysid.loops.controller import (
     ARDUPILOT_AXES,
     AXES,
@@ -39,8 +39,8 @@ ALIKE = (
 )
 """Settings that flights judged together share, besides their gains."""
 CAUTION = (
-    "Calculated from what past flights did; nothing was tried on the vehicle. The margins hold for these "
-    "flights, below the limits of the motors. They are no advice to raise a gain."
+    "Calculated from what past flights did; nothing was tested on the vehicle. The margins hold for these "
+    "flights, below the limits of the motors. They are not a recommendation to raise a gain."
 )
 
 
@@ -73,20 +73,16 @@ class Judged:
         head = f"{self.axis}: {gains} ({whose})" if gains else f"{self.axis} ({whose})"
         if self.margins is None:
             return [head, f"  refused: {self.refused}", f"  try: {self.hint}"]
-        m = self.margins
-        grows = f"disturbances grow at most {m.ms.said('.2f')} times (Ms)"
-        noise = f"a deg/s of gyro noise moves the output by at most {m.noise.said('.2f')} of 1000"
-        margin = (
-            f"phase margin {m.phase_deg.said('.0f', ' deg')}, delay margin {m.delay_ms.said('.1f', ' ms')}"
-        )
-        return [
-            head,
-            f"  the loop's gain is one at {m.crossover_hz.said('.1f', ' Hz')}; {margin}",
-            f"  gain margin {m.gain_db.said('.1f', ' dB')}; {grows}",
-            f"  bandwidth from the sticks (-3 dB) {m.bandwidth_hz.said('.1f', ' Hz')}; {noise}",
-            f"  known from {m.band_hz[0]:.0f} to {m.band_hz[1]:.0f} Hz; the stated gains give the recorded "
-            f"output to {100.0 * self.miss:.0f} %",
+        low, high = self.margins.band_hz
+        crossing, peaks, answers = (_known(row) for row in _rows(self.margins))
+        checked = f"the rebuilt controller gives the recorded output to {100.0 * self.miss:.0f} %"
+        rows = [
+            "; ".join(crossing),
+            "; ".join(peaks + _unknown(self.margins)),
+            "; ".join(answers),
+            f"identified from {low:.0f} to {high:.0f} Hz; {checked}",
         ]
+        return [head, *(f"  {row}" for row in rows if row)]
 
     def to_dict(self) -> dict[str, Any]:
         """JSON types only."""
@@ -103,6 +99,37 @@ class Judged:
         }
         band = list(self.margins.band_hz)
         return told | {"controller_miss": self.miss, "band_hz": band, "figures": figures}
+
+
+def _rows(m: Margins) -> list[list[tuple[str, Figure, str, str]]]:
+    """Name, figure, format and unit of every figure, row by row."""
+    return [
+        [
+            ("crossover", m.crossover_hz, ".1f", " Hz"),
+            ("phase margin", m.phase_deg, ".0f", " deg"),
+            ("delay margin", m.delay_ms, ".1f", " ms"),
+        ],
+        [("gain margin", m.gain_db, ".1f", " dB"), ("peak sensitivity Ms", m.ms, ".2f", "")],
+        [
+            ("bandwidth (-3 dB)", m.bandwidth_hz, ".1f", " Hz"),
+            ("noise gain (thousandths of the output per deg/s)", m.noise, ".2f", ""),
+        ],
+    ]
+
+
+def _known(row: list[tuple[str, Figure, str, str]]) -> list[str]:
+    return [
+        f"{name} {figure.said(form, unit)}" for name, figure, form, unit in row if figure.value is not None
+    ]
+
+
+def _unknown(m: Margins) -> list[str]:
+    """The figures that are not determined, each reason once."""
+    by_reason: dict[str, list[str]] = {}
+    for name, figure, _, _ in (item for row in _rows(m) for item in row):
+        if figure.value is None:
+            by_reason.setdefault(figure.why, []).append(name)
+    return [f"not determined: {', '.join(names)} ({why})" for why, names in by_reason.items()]
 
 
 def _plain(figure: Figure) -> dict[str, Any]:
@@ -160,6 +187,11 @@ def _own(stated: Mapping[str, float], stem: str) -> tuple[tuple[str, float], ...
     return tuple(sorted((name, value) for name, value in stated.items() if name.startswith(stem)))
 
 
+def states_gains(log: Any) -> bool:
+    """Whether a log is of a family whose gains are read."""
+    return any(kind.mark in log.facts.streams for kind in KINDS)
+
+
 def _kind(log: Any) -> Kind:
     """The family of a log; the last, which names what is missing, where none fits."""
     return next((kind for kind in KINDS if kind.mark in log.facts.streams), KINDS[-1])
@@ -183,7 +215,7 @@ def judge(logs: Iterable[Any], axes: Iterable[str] = ("roll", "pitch")) -> list[
             try:
                 kind = _kind(log)
                 key: tuple[Any, ...] = (kind.mark, kind.alike(kind.settings(log), axis))
-            except DataError:
+            except (DataError, UsageError):
                 key = (log.name,)
             groups.setdefault(key, []).append(log)
         found += [_judge(group, axis) for group in groups.values()]
@@ -207,5 +239,7 @@ def _judge(logs: list[Any], axis: str) -> Judged:
         controller = each[0].as_flown(loop, low, high)
         miss = refuse_misfit(controller, loop, low, high)
         return Judged(axis, names, gains, "", "", miss, margins(loop, controller), loop, controller)
-    except DataError as error:
+    except (DataError, UsageError) as error:
         return Judged(axis, names, gains, error.message, error.hint)
+    except ValueError as error:
+        return Judged(axis, names, gains, f"the stated gains cannot be read: {error}", "log them again")

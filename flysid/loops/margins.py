@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.stats import t
+from scipy.special import stdtrit
 
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
@@ -15,7 +15,7 @@ from flysid.loops.stick_response import ComplexArray, Loop, plant
 
 TRUSTED = 0.4
 NEIGHBOURS = 7  # lines: one that the sticks happened to leave out ends no band
-LOWEST_HZ = 1.5  # three lines of a window of two seconds
+LOWEST_HZ = 1.5  # below, the window bends the plant by more than 4 %
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def trusted_band(loop: Loop) -> tuple[float, float]:
     first = int(np.argmax(known))
     if not known[first] or loop.f[first] > 2.0 * LOWEST_HZ:
         raise DataError(
-            "the sticks moved too little for the loop to be seen through its own disturbances",
+            "the stick inputs are too small against the disturbances",
             hint="fly quick stick movements on this axis, a minute of them, in calm air",
         )
     wrong = np.flatnonzero(~known[first:])
@@ -98,12 +98,13 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     one = _figures(f, centre, back, forward)
     if np.isnan(one[0]):
         raise DataError(
-            f"the loop's gain is not one between {low:.0f} and {high:.0f} Hz, where alone the plant is known",
+            f"the loop's gain is not one between {low:.0f} and {high:.0f} Hz, the band in which "
+            "the plant is known",
             hint="fly quicker stick movements: steps and flicks, on this axis",
         )
     every = np.array([_figures(f, g, back, forward) for g in draws])
     blocks = sum(len(b) for b in loop.blocks)
-    beyond = f"beyond {high:.0f} Hz, where the sticks say nothing"
+    beyond = f"above {high:.0f} Hz, which the sticks do not excite"
     named = [_figure(value, column, beyond, blocks) for value, column in zip(one, every.T, strict=True)]
     return Margins((low, high), *named)
 
@@ -111,13 +112,15 @@ def margins(loop: Loop, controller: Controller) -> Margins:
 def smoothed(f: FloatArray, centre: ComplexArray, draws: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """The plant (F,) and its draws (D, F) without their scatter from one frequency to the next.
 
-    ln G is a cubic in ln f, its phase with a delay beside, by least squares weighted with the draws' scatter:
-    a largest value, as Ms is, of a ragged curve would be too large.
+    ln G is a cubic in ln f, its phase with a delay beside, by least squares weighted with the draws'
+    scatter: a largest value, as Ms is, of a ragged curve would be too large. The weight of a line is that of
+    its neighbours: by its own scatter, lines would be preferred for their errors.
     """
     away = np.log(draws / centre)
-    weight = 1.0 / np.sqrt(np.maximum((np.abs(away) ** 2).mean(axis=0), 1e-8))
+    scatter = median_filter((np.abs(away) ** 2).mean(axis=0), NEIGHBOURS, mode="nearest")
+    weight = 1.0 / np.sqrt(np.maximum(scatter, 1e-8))
     x = np.log(f / np.sqrt(f[0] * f[-1]))
-    basis = np.stack([np.ones_like(x), x, x**2, x**3], axis=1)
+    basis = np.stack([x**power for power in range(4)], axis=1)
     size = _onto(basis, weight)
     turn = _onto(np.column_stack([basis, f]), weight)
     level = np.log(np.abs(centre))
@@ -176,7 +179,7 @@ def _figure(value: float, draws: FloatArray, beyond: str, blocks: int) -> Figure
     """
     if np.isnan(value) or not np.isfinite(draws).all():
         return Figure(None, why=beyond)
-    reach = float(t.ppf(0.975, blocks - 1) * draws.std() * np.sqrt(blocks / (blocks - 1)))
+    reach = float(stdtrit(blocks - 1, 0.975) * draws.std() * np.sqrt(blocks / (blocks - 1)))
     if value <= reach:
         return Figure(None, why="the flights scatter too much; fly longer, in calmer air")
     return Figure(value, value - reach, value + reach)

@@ -3,17 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.loops.judged import Judged
-from flysid.loops.stick_response import plant
+from flysid.loops.margins import smoothed
+from flysid.loops.stick_response import ComplexArray, plant
+
+LEVEL = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """The open loop of one axis inside its band, as its margins are computed from it.
+
+    Attributes
+    ----------
+    f : (F,) Hz.
+    loop : (F,) plant times controller.
+    radius : (F,) distance from `loop` within which 95 % of the resampled loops lie.
+    """
+
+    f: FloatArray
+    loop: ComplexArray
+    radius: FloatArray
+
+
+def curve_of(judged: Judged) -> Curve | None:
+    """The curve; None of an axis that was refused."""
+    if judged.loop is None or judged.controller is None or judged.margins is None:
+        return None
+    low, high = judged.margins.band_hz
+    at = (judged.loop.f >= low) & (judged.loop.f <= high)
+    f = judged.loop.f[at]
+    back = judged.controller.feedback(f)
+    centre, draws = smoothed(f, plant(judged.loop.mean)[at], plant(judged.loop.draws)[:, at])
+    away = np.abs((draws - centre) * back)
+    return Curve(f, centre * back, np.asarray(np.quantile(away, LEVEL, axis=0)))
 
 
 def draw_nyquist(judged: Sequence[Judged], path: Path) -> None:
-    """One curve per axis and set of gains, inside its band, with what resampling makes of it.
+    """One curve per axis and set of gains, inside its band, in its 95 % region.
 
     Raises
     ------
@@ -29,17 +63,14 @@ def draw_nyquist(judged: Sequence[Judged], path: Path) -> None:
     axes.plot(turn.real, turn.imag, color="0.8", linewidth=0.8)
     axes.plot((turn / 2.0 - 1.0).real, (turn / 2.0 - 1.0).imag, color="0.6", linewidth=0.8, linestyle="--")
     for j in judged:
-        if j.loop is None or j.controller is None or j.margins is None:
+        curve = curve_of(j)
+        if curve is None:
             continue
-        low, high = j.margins.band_hz
-        at = (j.loop.f >= low) & (j.loop.f <= high)
-        back = j.controller.feedback(j.loop.f[at])
-        curve = plant(j.loop.mean)[at] * back
-        (line,) = axes.plot(curve.real, curve.imag, label="\n".join(j.lines()[:1]), linewidth=1.5)
-        cloud = plant(j.loop.draws)[:50, at] * back
-        axes.plot(cloud.real.T, cloud.imag.T, color=line.get_color(), alpha=0.06, linewidth=0.8)
+        (line,) = axes.plot(curve.loop.real, curve.loop.imag, label=j.lines()[0], linewidth=1.5)
+        round_it = curve.loop[:, None] + curve.radius[:, None] * turn
+        axes.plot(round_it.real.T, round_it.imag.T, color=line.get_color(), alpha=0.15, linewidth=0.6)
     axes.plot([-1.0], [0.0], "k+", markersize=10)
     axes.set(xlim=(-3.0, 1.5), ylim=(-3.0, 1.5), xlabel="real", ylabel="imaginary", aspect="equal")
-    axes.set_title("Loop; dashed: Ms = 2")
+    axes.set_title("Open loop; discs: 95 % region; dashed: Ms = 2")
     axes.legend(fontsize=7, loc="lower right")
     figure.savefig(path)

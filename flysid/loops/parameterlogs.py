@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from flysid.dataset import FloatArray
-from flysid.errors import DataError
-from flysid.loops.blackbox import LARGEST_SHARE, even_pieces
+from flysid.errors import DataError, UsageError
+from flysid.loops.blackbox_loops import LARGEST_SHARE, even_pieces
 from flysid.loops.controller import AXES, THOUSANDTHS
 from flysid.loops.stick_response import Record
 
@@ -52,7 +52,7 @@ def parameters_of(log: Any, needed: Callable[[str], bool]) -> dict[str, float]:
         if found.setdefault(key, float(number)) != float(number):
             raise DataError(
                 f"{log.name}: {key} was changed from {found[key]:g} to {float(number):g} in flight",
-                hint="cut the flight there, or fly with gains that stay",
+                hint="fly without changing gains",
             )
     return found
 
@@ -133,7 +133,7 @@ def _column(log: Any, stream: str, name: str, place: int | None = None) -> tuple
     """(N,) times in s and values, of an array its `place`-th."""
     try:
         table = log.table(stream, ["time_ns", name])
-    except (KeyError, DataError) as error:
+    except (KeyError, DataError, UsageError) as error:
         raise DataError(
             f"{log.name} lacks {stream}.{name}", hint="log setpoint, output and rate of the rate loop, fast"
         ) from error
@@ -160,6 +160,6 @@ def _record(
     if limited > LARGEST_SHARE:
         raise DataError(
             f"{log.name}: the {axis} controller was at its limit for {100.0 * limited:.0f} % of the flight",
-            hint="fly it gentler: at a limit gains say nothing",
+            hint="fly more gently: in saturation the gains have no effect",
         )
     return Record(log.name, rate_hz, even_pieces(rate_hz, time, at, *loop, outside))

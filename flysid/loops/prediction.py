@@ -40,7 +40,7 @@ def predict(flights: Sequence[Loop], controller: Controller) -> Prediction:
     """
     if len(flights) < 3:
         raise DataError(
-            f"{len(flights)} flights do not tell how much the vehicle differs from one to the next",
+            f"{len(flights)} flights are too few to estimate the scatter between flights",
             hint="give three flights or more",
         )
     f = flights[0].f

@@ -128,7 +128,7 @@ def fmu_model(path: Path, like: Like, starts: Sequence[str] = ()) -> Simulated:
     began = (
         f"A free run starts from {about}, fitted to the measured window."
         if begins
-        else "It declares nothing that a run starts from: every free run starts as the FMU does."
+        else "It declares no initial states: every free run starts from the FMU's own."
     )
     return Simulated(
         dt_s=like.dt_s,

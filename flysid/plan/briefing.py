@@ -32,7 +32,7 @@ def axes_of_last_flight(data: Dataset) -> tuple[Axis, ...]:
     if still:
         raise UsageError(
             f"{', '.join(still)} did not move in flight {last}: no amplitude to go by",
-            hint=f"say it: --axis {still[0]}=PEAK",
+            hint=f"give one: --axis {still[0]}=PEAK",
         )
     return tuple(
         Axis(signal.name, float(width) / 2.0, signal.unit)
@@ -83,7 +83,7 @@ def briefing(plan: FlightPlan) -> list[str]:
         worst = max(plan.peak_factors)
         counts = ", ".join(str(len(own)) for own in plan.lines)
         apart = (
-            f"All axes at once, {counts} frequencies, none shared; axes correlate by {plan.correlation:.1g}"
+            f"All axes at once, {counts} frequencies, none shared; correlation of axes {plan.correlation:.1g}"
             if len(plan.axes) > 1
             else f"{counts} frequencies"
         )
@@ -92,7 +92,7 @@ def briefing(plan: FlightPlan) -> list[str]:
     else:
         lines.append(f"One axis after the other, {plan.seconds / len(plan.axes):.4g} s each.")
     if plan.kind == "doublets":
-        lines.append("Doublets tell of the middle of the band only; a multisine or chirp tells of all of it.")
+        lines.append("Doublets excite only the middle of the band; a multisine or chirp excites all of it.")
     return lines + _minding(plan)
 
 

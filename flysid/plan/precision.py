@@ -69,7 +69,9 @@ class Known:
         flown = _minutes(self.seconds)
         if not self.is_determined:
             spread = f"known to no better than {100 * self.share:.0f} %" if self.share < 10 else "not known"
-            return f"{size}: {spread} from {flown}. More of the same says little: fly a plan that excites it."
+            return (
+                f"{size}: {spread} from {flown}. More of the same helps little: fly a plan that excites it."
+            )
         later = f"{_minutes(more_s)} more of the same make it {_percent(self.share_after(more_s))}"
         if aim is None:
             return f"{size}: known to {_percent(self.share)} from {flown}; {later}."

@@ -26,15 +26,16 @@ import flysid
 from flysid.errors import FlysidError, UsageError, WriteError
 from flysid.studio import commands, forms
 from flysid.studio.folders import NotThere, Workspace, is_name
-from flysid.studio.guard import Bounds, Guard, Key
+from flysid.studio.guard import Bounds, Guard
 from flysid.studio.jobs import Job, Jobs
 from flysid.studio.live_stream import Live, seen_by, stream
+from flysid.studio.loopback import Key
 
 if TYPE_CHECKING:
     from flysid.studio.channels import Recipes
     from flysid.studio.flights import Flights
 
-ROOMS = ("flights", "uploads", "channels", "run_views", "explain")
+ROOMS = ("flights", "uploads", "quick_look", "channels", "run_views", "explain")
 """What is imported while the page opens, in this order."""
 FRAME_POLICY = "sandbox allow-scripts; frame-ancestors 'self'"
 SILENCE_S = 10.0  # an event stream says something at least this often
@@ -64,6 +65,9 @@ class Studio:
             for room, loaded in self._loaded.items():
                 importlib.import_module(f"flysid.studio.{room}")
                 loaded.set()
+            from flysid.studio.quick_look import begin_workers
+
+            begin_workers()
         finally:  # a request must not wait for a room that never comes: it says itself what is wrong
             for loaded in self._loaded.values():
                 loaded.set()
@@ -125,8 +129,14 @@ class Studio:
         query_of(request, forms.Nothing)
         name = request.path_params["name"]
         if request.method == "PUT":
-            return answer(self.recipes.write(name, await body_of(request, dict[str, Any])))
+            return answer(self.recipes.write(name, await body_of(request, forms.Draft)))
         return answer(self.recipes.read(name))
+
+    async def judge_recipe(self, request: Request) -> Response:
+        """A recipe as TOML and as a form, whichever of them was given; nothing is kept."""
+        from flysid.studio.channels import judged
+
+        return answer(judged(await body_of(request, forms.Draft)))
 
     async def upload(self, request: Request) -> Response:
         """Keep a log; the job that takes it in."""
@@ -139,7 +149,7 @@ class Studio:
         return answer({"job": told(job), "upload": path.parent.name, "name": path.name}, 202)
 
     async def quick_look(self, request: Request) -> Response:
-        from flysid.studio.uploads import quick_look
+        from flysid.studio.quick_look import quick_look
 
         query_of(request, forms.Nothing)
         name = request.path_params["upload"]
@@ -258,6 +268,19 @@ class Studio:
         query_of(request, forms.Nothing)
         return _page(page_of(self.workspace, request.path_params["run"]))
 
+    async def worst(self, request: Request) -> Response:
+        from flysid.studio.explain import worst_seconds
+
+        query_of(request, forms.Nothing)
+        return answer(await run_in_threadpool(worst_seconds, self.workspace, request.path_params["run"]))
+
+    async def report_file(self, request: Request) -> Response:
+        from flysid.studio.run_views import file_of
+
+        query_of(request, forms.Nothing)
+        path = file_of(self.workspace, request.path_params["run"], request.path_params["name"])
+        return FileResponse(path, filename=path.name)
+
     async def model(self, request: Request) -> Response:
         from flysid.studio.run_views import model_of
 
@@ -287,10 +310,11 @@ class Studio:
             ("GET", "series", "flights", self.series),
             ("GET", "align", "channels", self.align),
             ("GET", "recipes", "channels", self.list_recipes),
+            ("POST", "recipes", "channels", self.judge_recipe),
             ("GET", "recipes/{name}", "channels", self.recipe),
             ("PUT", "recipes/{name}", "channels", self.recipe),
             ("POST", "uploads", "uploads", self.upload),
-            ("GET", "uploads/{upload}", "uploads", self.quick_look),
+            ("GET", "uploads/{upload}", "quick_look", self.quick_look),
             ("POST", "fits", "channels", self.fit),
             ("POST", "validates", "run_views", self.validate),
             ("POST", "compares", "run_views", self.compare),
@@ -298,6 +322,8 @@ class Studio:
             ("GET", "runs", "run_views", self.list_runs),
             ("GET", "runs/{run}", "run_views", self.describe_run),
             ("GET", "runs/{run}/explanation", "explain", self.explanation),
+            ("GET", "runs/{run}/worst", "explain", self.worst),
+            ("GET", "runs/{run}/files/{name}", "run_views", self.report_file),
             ("GET", "runs/{run}/report.html", "run_views", self.run_page),
             ("GET", "runs/{run}/models/{channel:path}/{label}", "run_views", self.model),
         ]

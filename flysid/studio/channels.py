@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +15,14 @@ from flysid.dataset import Dataset
 from flysid.errors import RecipeError, StoreError, UsageError
 from flysid.files import slug, write_atomically
 from flysid.ingest.align.recipe import load_recipe, parse_recipe, recipe_text, shipped_recipes
-from flysid.ingest.lake.stretches import beginnings
+from flysid.ingest.lake.stretches import Stretches, beginnings, parse_part
 from flysid.manifest import FLIGHTS, read_manifest
 from flysid.studio.flights import boot_offsets_s, lake_of
 from flysid.studio.folders import NotThere, Workspace
-from flysid.studio.forms import Aligned
+from flysid.studio.forms import Aligned, Draft
 from flysid.validate.report.decimate import decimate, rounded
 
+INFINITE = ("inf", "-inf")
 POINTS = 1500  # of a signal: more than a page is wide
 
 
@@ -64,10 +68,10 @@ class Recipes:
     def read(self, name: str) -> dict[str, Any]:
         """A recipe as TOML and as the values of a form."""
         text, _ = recipe_text(self.place(name))
-        return {"name": name, "toml": text, "form": tomllib.loads(text)}
+        return {"name": name, "toml": text, "form": _as_form(tomllib.loads(text))}
 
-    def write(self, name: str, body: dict[str, Any]) -> dict[str, Any]:
-        """Keep a recipe of one's own, given as TOML or as the values of a form.
+    def write(self, name: str, draft: Draft) -> dict[str, Any]:
+        """Keep a recipe of one's own.
 
         Raises
         ------
@@ -77,41 +81,68 @@ class Recipes:
             raise UsageError(f"{name!r} cannot be a recipe's name", hint=slug(name))
         if name in shipped_recipes():
             raise UsageError(f"{name} is a shipped recipe", hint=f"{name}-mine")
-        text = str(body["toml"]) if "toml" in body else _as_toml(body.get("form"))
+        found = judged(draft, name)
         try:
-            document = tomllib.loads(text)
-        except (tomllib.TOMLDecodeError, RecursionError) as error:
-            raise RecipeError(f"not TOML: {error}", path=name) from error
-        parse_recipe(document, name)
-        try:
-            write_atomically(self._folder / f"{name}.toml", text.encode())
+            write_atomically(self._folder / f"{name}.toml", found["toml"].encode())
         except OSError as error:
             raise StoreError(f"the recipe cannot be kept: {error.strerror}", path=self._folder) from error
-        return {"name": name, "toml": text, "form": document}
+        return {"name": name, **found}
 
 
-def _as_toml(form: object) -> str:
-    if not isinstance(form, dict):
+def judged(draft: Draft, name: str = "recipe") -> dict[str, Any]:
+    """A recipe that is sound, as TOML and as the values of a form.
+
+    Raises
+    ------
+    UsageError : neither of them is given. RecipeError : not sound.
+    """
+    text = draft.toml if draft.toml is not None else _as_toml(draft.form)
+    try:
+        document = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise RecipeError(f"not TOML: {error}", path=name) from error
+    parse_recipe(document, name)
+    return {"toml": text, "form": _as_form(document)}
+
+
+def _as_toml(form: dict[str, Any] | None) -> str:
+    if form is None:
         raise UsageError("a recipe is given as 'toml' or as 'form'")
     try:
-        return tomli_w.dumps(form)
-    except (TypeError, ValueError) as error:
+        return tomli_w.dumps(_with(form, lambda value: float(value) if value in INFINITE else value))
+    except (TypeError, ValueError, RecursionError) as error:
         raise RecipeError(f"wrong value: {error}") from error
+
+
+def _as_form(document: dict[str, Any]) -> Any:
+    """With infinite numbers as words, which JSON has none for."""
+    return _with(document, lambda value: str(value) if value in (math.inf, -math.inf) else value)
+
+
+def _with(part: Any, change: Callable[[Any], Any]) -> Any:
+    """A document with every value in it changed."""
+    if isinstance(part, dict):
+        return {key: _with(value, change) for key, value in part.items()}
+    return [_with(value, change) for value in part] if isinstance(part, list) else change(part)
 
 
 def aligned(workspace: Workspace, recipes: Recipes, asked: Aligned) -> dict[str, Any]:
     """The segments of a channel in one flight, and their signals thinned to what a page can show.
 
-    `beginning_s` is the zero of the times that `--between` takes.
+    `boots` holds the number of each, the beginning from which the command line counts times, and the end.
 
     Raises
     ------
     NotThere : no such flight or recipe. RecipeError, DataError : the flight does not give the channel.
     """
     lake = lake_of(workspace.data, asked.f)
+    mine = tuple(part for part in asked.x if parse_part(part).flight == asked.f)
+    lake = replace(lake, stretches=Stretches(without=mine))
     found = lake.align(load_recipe(recipes.place(asked.r)), asked.ch)
-    offsets = boot_offsets_s(read_manifest(workspace.data / FLIGHTS / asked.f))
-    starts_s = [ns * 1e-9 + offsets.get(boot, 0.0) for boot, ns in beginnings(lake.logs[0]).items()]
+    manifest = read_manifest(workspace.data / FLIGHTS / asked.f)
+    offsets = boot_offsets_s(manifest)
+    ends_ns = {clock.boot: clock.last_ns for clock in manifest.clocks}
+    begins_ns = sorted(beginnings(lake.logs[0]).items())
     data = found.dataset
     return {
         "flight": asked.f,
@@ -122,7 +153,10 @@ def aligned(workspace: Workspace, recipes: Recipes, asked: Aligned) -> dict[str,
         "signals": [[s.name, s.unit] for s in (*data.inputs, *data.outputs)],
         "lines": found.report.lines(),
         "used_s": found.report.used_s,
-        "beginning_s": min(starts_s, default=0.0),
+        "boots": [
+            [boot, *(ns * 1e-9 + offsets.get(boot, 0.0) for ns in (begin_ns, ends_ns.get(boot, begin_ns)))]
+            for boot, begin_ns in begins_ns
+        ],
     }
 
 

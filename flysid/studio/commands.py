@@ -50,7 +50,9 @@ def fit(workspace: Workspace, recipes: Recipes, asked: Fit) -> tuple[list[str], 
     UsageError : neither a recipe nor fields. NotThere : no such recipe.
     """
     if not asked.recipe and not (asked.inputs and asked.outputs):
-        raise UsageError("nothing says what to identify", hint="choose a recipe, or an input and an output")
+        raise UsageError(
+            "neither a recipe nor fields are given", hint="choose a recipe, or an input and an output"
+        )
     words = ["fit", str(workspace.data)]
     words += ["--recipe", recipes.place(asked.recipe)] if asked.recipe else []
     for option, values in (
@@ -60,6 +62,7 @@ def fit(workspace: Workspace, recipes: Recipes, asked: Fit) -> tuple[list[str], 
         ("--flight", asked.flights),
         ("--exclude", asked.exclude),
         ("--mode", asked.modes_flown),
+        ("--holdout", asked.holdout),
     ):
         words += [word for value in values for word in (option, value)]
     for option, given in (
@@ -67,7 +70,6 @@ def fit(workspace: Workspace, recipes: Recipes, asked: Fit) -> tuple[list[str], 
         ("--models", asked.models),
         ("--rules", asked.rules),
         ("--effort", asked.effort),
-        ("--holdout", asked.holdout),
         ("--by", asked.by),
         ("--seed", asked.seed),
     ):
@@ -80,7 +82,8 @@ def fit(workspace: Workspace, recipes: Recipes, asked: Fit) -> tuple[list[str], 
 def validate(workspace: Workspace, asked: Validate) -> tuple[list[str], Path]:
     """The words that judge a run."""
     run = workspace.run(asked.run)
-    return ["validate", str(run)], run
+    more = ["--figures", asked.figures, "--force"] if asked.figures else []
+    return ["validate", str(run), *more], run
 
 
 def compare(workspace: Workspace, asked: Compare) -> tuple[list[str], Path]:

@@ -12,17 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from flysid.dataset import FloatArray, Segment
+from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import UsageError
+from flysid.manifest import FLIGHTS, read_manifest
 from flysid.model.base import Fitted
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.start import run_from_window, start_window
-from flysid.studio.folders import NotThere, Workspace
+from flysid.studio.flights import boot_offsets_s
+from flysid.studio.folders import NotThere, Workspace, is_name
 from flysid.studio.forms import Explained
-from flysid.validate.compare import CONTENDERS
+from flysid.validate.compare_models import CONTENDERS
 from flysid.validate.run import RUN_FILE, HeldOut, held_out, open_run
-from flysid.validate.trials import free_run, start_of
+from flysid.validate.trials import MIN_SCORED, free_run, start_of
 
 KEPT = 4  # runs whose held-out data stay in memory
 MOST_ROWS = 20_000  # of a segment in one answer
@@ -53,9 +55,9 @@ def explain(workspace: Workspace, run_id: str, asked: Explained) -> dict[str, An
         return _in_words(found, segment, asked.row)
     return {
         "flight": segment.flight,
+        "seen": seen_at(workspace, found.test, segment),
         "segments": [[s.flight, len(s) * found.test.dt_s] for s in found.test.segments],
         "dt_s": found.test.dt_s,
-        "t0_ns": str(segment.t0_ns),
         "first": first,
         "inputs": [[s.name, s.unit] for s in found.test.inputs],
         "outputs": [[s.name, s.unit] for s in found.test.outputs],
@@ -63,6 +65,50 @@ def explain(workspace: Workspace, run_id: str, asked: Explained) -> dict[str, An
         "y": segment.y.tolist(),
         "models": {name: _model(found.models[name], segment, first) for name in labels},
     }
+
+
+def worst_seconds(workspace: Workspace, run_id: str) -> dict[str, Any]:
+    """By channel: the held-out second in which the model that the verdict is about errs most.
+
+    Raises
+    ------
+    NotThere : no such run. UsageError, DataError : the data is gone or has changed.
+    """
+    folder = workspace.run(run_id)
+    channels = _held(folder, (folder / RUN_FILE).stat().st_mtime_ns)
+    return {name: _worst(workspace, found) for name, found in channels.items()}
+
+
+def _worst(workspace: Workspace, found: HeldOut) -> dict[str, Any]:
+    label = _shown(found)[-1]
+    model, dt_s = found.models[label], found.test.dt_s
+    width = max(1, round(1.0 / dt_s))
+    scale = np.maximum(np.std(np.concatenate([s.y for s in found.test.segments]), axis=0), 1e-12)
+    best = (-1.0, 0, 0)
+    for number, segment in enumerate(found.test.segments):
+        first = start_window(start_of({label: model}), len(segment), dt_s)
+        if len(segment) < first + MIN_SCORED:
+            continue
+        errors = np.mean(((free_run(model, segment, first) - segment.y[first:]) / scale) ** 2, axis=1)
+        sums = np.convolve(errors, np.ones(min(width, len(errors))), "valid")
+        row = int(np.argmax(sums))
+        best = max(best, (float(sums[row]), number, first + row + min(width, len(errors)) // 2))
+    _, number, row = best
+    segment = found.test.segments[number]
+    seen = seen_at(workspace, found.test, segment)
+    return {"model": label, "segment": number, "row": row, "second_s": row * dt_s, "seen": seen}
+
+
+def seen_at(workspace: Workspace, data: Dataset, segment: Segment) -> dict[str, Any] | None:
+    """The flight of a segment and the second at which it begins there; None where the flight is not here."""
+    flight, _, boot = segment.flight.partition("#")
+    folder = workspace.data / FLIGHTS / flight
+    if not is_name(flight) or not folder.is_dir():
+        return None
+    offsets = boot_offsets_s(read_manifest(folder))
+    start_s = segment.t0_ns * 1e-9 + offsets.get(int(boot) if boot else min(offsets, default=0), 0.0)
+    signals = [signal.name for signal in (*data.inputs, *data.outputs)]
+    return {"flight": flight, "begin_s": start_s, "signals": signals}
 
 
 @lru_cache(KEPT)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import struct
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,7 @@ from flysid.ingest.lake.lake import Lake
 from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.lake.timeline import happenings
 from flysid.ingest.lake.track import read_track
-from flysid.manifest import FLIGHTS, Column, Manifest, StreamEntry, read_manifest
+from flysid.manifest import FLIGHTS, MANIFEST_FILE, Column, Manifest, StreamEntry, read_manifest
 from flysid.studio.folders import NotThere, is_name
 from flysid.studio.forms import Window
 from flysid.studio.pyramid import Axis, Pyramid, View, hold, look, read_axis, read_pyramid
@@ -42,6 +44,8 @@ class Flights:
     def __init__(self, data: Path, cache: Path) -> None:
         self.data = data
         self._cache = cache
+        self._readers = ThreadPoolExecutor(os.cpu_count())
+        self._described = lru_cache(MAPPED)(self._describe)
         self._axis = lru_cache(MAPPED)(self._read_axis)
         self._pyramid = lru_cache(MAPPED)(self._read_pyramid)
         self._signal = lru_cache(MAPPED)(self._read_signal)
@@ -55,6 +59,10 @@ class Flights:
 
     def describe(self, flight: str) -> dict[str, Any]:
         """Facts, streams with fields, modes, messages and parameter changes of a flight."""
+        self.manifest(flight)
+        return self._described(flight, (self.data / FLIGHTS / flight / MANIFEST_FILE).stat().st_mtime_ns)
+
+    def _describe(self, flight: str, _stamp: int) -> dict[str, Any]:
         manifest = self.manifest(flight)
         lake = lake_of(self.data, flight)
         [log] = lake.logs
@@ -99,10 +107,13 @@ class Flights:
         manifest = self.manifest(window.f)
         start_s, end_s = _span(window, manifest)
         units = [self._unit(manifest, name) for name in window.s]
+        for stream in dict.fromkeys(name.rpartition(":")[0] for name in window.s):
+            if not stream.startswith(SIGNAL):
+                self._axis(manifest.id, stream)
+        curves = self._readers.map(partial(self._curve, manifest.id), window.s)
         head: list[dict[str, Any]] = []
         body: list[bytes] = []
-        for name, unit in zip(window.s, units, strict=True):
-            axis, pyramid = self._curve(manifest.id, name)
+        for name, unit, (axis, pyramid) in zip(window.s, units, curves, strict=True):
             view = look(axis, pyramid, start_s, end_s, window.w)
             base = _middle(view)
             body.append((view.time_s - start_s).astype("<f4").tobytes())

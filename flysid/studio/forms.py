@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, Literal
+
 import msgspec
 
 
@@ -35,11 +37,12 @@ class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Aligned(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One channel of one flight by one recipe."""
+    """One channel of one flight by one recipe; `x` are the parts of flights that are left out."""
 
     f: str
     r: str
     ch: str
+    x: tuple[str, ...] = ()
 
 
 class Explained(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -56,6 +59,13 @@ class Upload(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str
     format: str = ""
     time_unit: str = ""
+
+
+class Draft(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A recipe, as TOML or as the values of a form."""
+
+    toml: str | None = None
+    form: dict[str, Any] | None = None
 
 
 class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -77,7 +87,7 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     models: str = ""
     rules: str = ""
     effort: str = ""
-    holdout: float | None = None
+    holdout: tuple[str, ...] = ()
     by: str = ""
     seed: int | None = None
     name: str = ""
@@ -85,9 +95,10 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Validate(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The run to judge."""
+    """The run to judge; `figures` is the type of file in which they are drawn, too."""
 
     run: str
+    figures: Literal["", "pdf", "svg", "png"] = ""
     preview: bool = False
 
 

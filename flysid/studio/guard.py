@@ -7,51 +7,14 @@ was meant for (DNS rebinding), for the page it comes from (other sites), for the
 from __future__ import annotations
 
 import asyncio
-import hmac
-import secrets
-from dataclasses import dataclass, field
-from http.cookies import CookieError, SimpleCookie
+from dataclasses import dataclass
 from urllib.parse import parse_qs
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
-    "frame-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
-)
-HEADERS = {
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cache-Control": "no-store",
-}
-
-
-@dataclass(frozen=True)
-class Key:
-    """What a browser must know, and where it must have come from."""
-
-    port: int
-    token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
-
-    @property
-    def cookie(self) -> str:
-        """Named by the port: two studios do not log each other out."""
-        return f"flysid-{self.port}"
-
-    @property
-    def hosts(self) -> tuple[str, ...]:
-        return tuple(f"{name}:{self.port}" for name in ("127.0.0.1", "localhost", "[::1]"))
-
-    @property
-    def address(self) -> str:
-        return f"http://127.0.0.1:{self.port}/?token={self.token}"
-
-    def fits(self, offered: str) -> bool:
-        return hmac.compare_digest(offered.encode(), self.token.encode())
+from flysid.studio.loopback import HEADERS, POLICY, UNKNOWN, Key, refusal
 
 
 @dataclass(frozen=True)
@@ -89,20 +52,15 @@ class Guard:
             entered.set_cookie(self._key.cookie, self._key.token, httponly=True, samesite="strict")
             await entered(scope, receive, _with_headers(send))
             return
-        if not self._key.fits(_cookie(headers, self._key.cookie)):
-            words = "open the address that 'flysid studio' has printed: it carries the token\n"
-            await PlainTextResponse(words, 401)(scope, receive, _with_headers(send))
+        if not self._key.is_known(headers.get("cookie", "")):
+            await PlainTextResponse(UNKNOWN, 401)(scope, receive, _with_headers(send))
             return
         await self._app(scope, self._patient(receive), _with_headers(send))
 
     def _refusal(self, scope: Scope, headers: Headers) -> PlainTextResponse | None:
-        if headers.get("host", "") not in self._key.hosts:
-            return PlainTextResponse("this server answers on 127.0.0.1 and localhost only\n", 421)
-        origin = headers.get("origin")
-        if origin is not None and origin.removeprefix("http://") not in self._key.hosts:
-            return PlainTextResponse("requests of other sites are refused\n", 403)
-        if headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
-            return PlainTextResponse("requests of other sites are refused\n", 403)
+        refused = refusal(self._key, headers)
+        if refused is not None:
+            return PlainTextResponse(refused[1], refused[0])
         if scope["method"] not in ("GET", "HEAD"):
             return self._body_refusal(scope, headers)
         return None
@@ -133,14 +91,6 @@ class Guard:
             return message
 
         return bounded
-
-
-def _cookie(headers: Headers, name: str) -> str:
-    try:
-        found = SimpleCookie(headers.get("cookie", "")).get(name)
-    except CookieError:
-        return ""
-    return "" if found is None else found.value
 
 
 def _with_headers(send: Send) -> Send:

@@ -8,7 +8,6 @@ from collections.abc import AsyncIterator, Mapping
 from typing import Any, Protocol
 
 import msgspec
-from starlette.concurrency import run_in_threadpool
 
 EVERY_S = 0.1
 STATE_EVERY = 10  # of these steps the links and the file are told about once
@@ -25,18 +24,25 @@ class Live(Protocol):
 
 
 async def stream(live: Live, seen: Mapping[str, int], leaving: asyncio.Event) -> AsyncIterator[str]:
-    """Events until the browser goes: `state` once a second, `news` whenever there are any."""
+    """Events until the browser goes; see `told`."""
+    from starlette.concurrency import run_in_threadpool
+
     step = 0
     while not leaving.is_set():
-        if step % STATE_EVERY == 0:
-            state = await run_in_threadpool(live.state)
-            yield f"event: state\ndata: {_text(state)}\n\n"
-        news, known = live.news(seen)
-        if known != seen:
-            seen = known
-            yield f"id: {json.dumps(known)}\nevent: news\ndata: {_text(news)}\n\n"
+        text, seen = await run_in_threadpool(told, live, seen, step)
+        if text:
+            yield text
         step += 1
         await asyncio.sleep(EVERY_S)
+
+
+def told(live: Live, seen: Mapping[str, int], step: int) -> tuple[str, Mapping[str, int]]:
+    """The events of a step: `state` once a second, `news` if there are any; and what is seen then."""
+    text = f"event: state\ndata: {_text(live.state())}\n\n" if step % STATE_EVERY == 0 else ""
+    news, known = live.news(seen)
+    if known != seen:
+        text += f"id: {json.dumps(known)}\nevent: news\ndata: {_text(news)}\n\n"
+    return text, known
 
 
 def seen_by(header: str) -> dict[str, int]:

@@ -8,11 +8,13 @@ process and vanish with it.
 
 from __future__ import annotations
 
+import mmap
 import os
 import tempfile
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -90,13 +92,14 @@ def read_axis(folder: Path, entry: StreamEntry, offsets_s: Mapping[int, float], 
     row = 0
     before: int | None = None
     with path.open("wb") as file:
-        for table in _parts(folder, entry, []):
+        for table in _parts(folder, entry, [TIME, BOOT]):
             boots = int_values(table[BOOT])
             time_s = int_values(table[TIME]) * 1e-9
-            for boot in np.unique(boots):
-                time_s[boots == boot] += offsets_s.get(int(boot), 0.0)
-            time_s.tofile(file)
             changes = np.flatnonzero(np.diff(boots, prepend=boots[0] if before is None else before))
+            for start, stop in pairwise([0, *changes, len(boots)]):
+                if start < stop:
+                    time_s[start:stop] += offsets_s.get(int(boots[start]), 0.0)
+            time_s.tofile(file)
             boots_begin += (changes + row).tolist()
             before = int(boots[-1])
             row += len(boots)
@@ -129,7 +132,9 @@ def read_pyramid(folder: Path, entry: StreamEntry, field: str, place: Path) -> P
     with path.open("wb") as file:
         for table in _parts(folder, entry, [column]):
             scale = field_scale(table.schema.field(column))
-            (numbers_of(table[column].combine_chunks(), field) * scale).tofile(file)
+            for chunk in table[column].chunks:
+                numbers = numbers_of(chunk, field)
+                (numbers if scale == 1.0 else numbers * scale).tofile(file)
     return _pyramid_of(path)
 
 
@@ -148,6 +153,15 @@ def look(axis: Axis, pyramid: Pyramid, start_s: float, end_s: float, pixels: int
     The samples themselves, and one on either side, where there are at most two a pixel; else the lowest and
     the highest of every pixel, of those samples whose time lies in it.
     """
+    try:
+        return _looked_at(axis, pyramid, (start_s, end_s), pixels)
+    finally:
+        _release(axis.time_s)
+        _release(pyramid.levels[0])
+
+
+def _looked_at(axis: Axis, pyramid: Pyramid, window_s: tuple[float, float], pixels: int) -> View:
+    start_s, end_s = window_s
     first = int(np.searchsorted(axis.time_s, start_s, "left"))
     last = int(np.searchsorted(axis.time_s, end_s, "right"))
     if last - first <= 2 * pixels:
@@ -210,7 +224,7 @@ def _pauses(path: Path, time_s: FloatArray) -> IntArray:
     """Rows that follow a pause: a step of more than some periods, the period being the usual step."""
     if len(time_s) < 3:
         return np.zeros(0, dtype=np.int64)
-    some = np.unique(np.linspace(0, len(time_s) - 2, PERIODS_LOOKED_AT).astype(np.int64))
+    some = np.arange(0, len(time_s) - 1, max(1, len(time_s) // PERIODS_LOOKED_AT))
     longest_s = 2.0 * GAP_PERIODS * float(np.median(time_s[some + 1] - time_s[some]))
     found = [np.zeros(0, dtype=np.int64)]
     row = 0
@@ -232,15 +246,14 @@ def extremes_of_blocks(values: FloatArray) -> FloatArray:
 
 def _parts(folder: Path, entry: StreamEntry, columns: list[str]) -> Iterator[pa.Table]:
     """A stream's table in order of time, in parts where it is stored so."""
-    wanted = list(dict.fromkeys([TIME, BOOT, *columns]))
     if not entry.is_sorted:
-        yield read_entry(folder, entry, wanted)
+        yield read_entry(folder, entry, list(dict.fromkeys([TIME, BOOT, *columns])))
         return
     path = folder / entry.file
     try:
         file = pq.ParquetFile(path)
         for group in range(file.num_row_groups):
-            table = file.read_row_group(group, columns=wanted)
+            table = file.read_row_group(group, columns=columns)
             if table.num_rows:
                 yield table
     except (OSError, pa.ArrowException) as error:
@@ -261,6 +274,13 @@ def _map(path: Path) -> FloatArray:
     mapped = np.memmap(path, dtype=np.float64, mode="r")
     weakref.finalize(mapped, path.unlink, missing_ok=True)
     return mapped
+
+
+def _release(mapped: FloatArray) -> None:
+    """Take the touched pages of a mapped file off this process: the system keeps them where it has room."""
+    pages = mapped.base
+    if isinstance(pages, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        pages.madvise(mmap.MADV_DONTNEED)
 
 
 def _read_in_parts(path: Path) -> Iterator[FloatArray]:

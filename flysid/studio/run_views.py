@@ -42,6 +42,20 @@ def page_of(workspace: Workspace, run_id: str) -> Path:
     return path
 
 
+def file_of(workspace: Workspace, run_id: str, name: str) -> Path:
+    """A file of the run's report; raises NotThere."""
+    folder = workspace.run(run_id)
+    if name not in _files(folder):
+        raise NotThere(f"the report has no file {name!r}", path=folder, hint="validate it")
+    return folder / REPORT / name
+
+
+def _files(folder: Path) -> list[str]:
+    """What the report's folder holds."""
+    place = folder / REPORT
+    return sorted(path.name for path in place.iterdir() if path.is_file()) if place.is_dir() else []
+
+
 def model_of(workspace: Workspace, run_id: str, channel: str, label: str) -> bytes:
     """A model's file, as it is; raises NotThere."""
     folder = workspace.run(run_id)
@@ -64,6 +78,8 @@ def _listed(run_id: str, folder: Path) -> dict[str, Any]:
         "fitted_at": channels[0].fitted_at if channels else "",
         "settings": document.get("settings", {}),
         "judged": (folder / REPORT / PAGE).is_file(),
+        "files": _files(folder),
+        "models": {c["name"]: sorted(c["models"]) for c in document.get("channels", [])},
         "channels": [_channel(c, judged.get(c.channel, {}).get(FREE_RUN, {})) for c in channels],
     }
 

@@ -3,44 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import socket
 import threading
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import FrameType
 
 import uvicorn
 
-from flysid.errors import UsageError
 from flysid.studio.app import make_app
 from flysid.studio.folders import Workspace
-from flysid.studio.guard import Key
 from flysid.studio.live_stream import Live
-
-HOST = "127.0.0.1"
-
-
-@contextlib.contextmanager
-def bound(port: int) -> Iterator[socket.socket]:
-    """A socket on loopback; `port` 0 takes any that is free.
-
-    Raises
-    ------
-    UsageError : the port is in use, or not ours to take.
-    """
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listening:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listening.bind((HOST, port))
-        except (OSError, OverflowError) as error:
-            raise UsageError(
-                f"port {port} cannot be used: {error}", hint="leave out --port: a free one is taken"
-            ) from error
-        listening.listen(128)
-        yield listening
+from flysid.studio.loopback import Key, bound
 
 
 class Server(uvicorn.Server):

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.datasetfile import write_dataset
@@ -29,8 +28,7 @@ from flysid.ingest.align.report import AlignReport, FlightReport, SignalReport
 from flysid.ingest.align.resample import Series, Span
 from flysid.ingest.align.signals import FlightLog, Loaded, Log, find_source, load_signal, missing
 from flysid.ingest.align.vehicle import vehicle_of
-
-FloatArray = npt.NDArray[np.float64]
+from flysid.stretch import FloatArray
 
 MIN_SAMPLES = 20
 TOO_SLOW = 0.6  # of the grid's rate: a slower source is not resampled onto it
@@ -225,6 +223,7 @@ class _Job:
         reason = "; ".join(empty) or self._too_slow(loaded, dt_ns)
         if reason:
             return FlightReport(log.name, signals=reports, reason=reason), (), {}
+        several = len(set.union(*(set(found.boots) for found in loaded.values()))) > 1
         boots = sorted(set.intersection(*(set(found.boots) for found in loaded.values())))
         conditions = condition_spans(self.recipe.conditions_of(self.channel), log)
         if log.allowed is not None:
@@ -235,7 +234,7 @@ class _Job:
         )
         segments: list[Segment] = []
         for boot in boots:
-            name = log.name if len(boots) == 1 else f"{log.name}#{boot}"
+            name = f"{log.name}#{boot}" if several else log.name
             series = {n: boots_of[boot] for n, boots_of in tidied.items()}
             if all(len(s.t_ns) for s in series.values()):
                 part = _Boot(self, name, series, dt_ns, labels.get(boot, Labels()), vehicle_of(log.info))
@@ -323,22 +322,11 @@ class _Boot:
         return spans or []
 
     def _spans_of(self, name: str, series: Series) -> list[Span]:
-        spec = self.job.specs[name]
-        period = series.period_ns
-        if spec.max_gap_s is not None:
-            gap = min(spec.max_gap_s * 1e9, float(resample.FOREVER))
-        else:
-            gap = max(resample.GAP_PERIODS * period, 1.5 * self.dt_ns)
-        after = 1.0 if spec.hold == "linear" else min(period, gap)
-        return resample.spans_between_gaps(series.t_ns, gap, gap if spec.max_gap_s == float("inf") else after)
+        gap, after = pauses(self.job.specs[name], series.period_ns, self.dt_ns)
+        return resample.spans_between_gaps(series.t_ns, gap, after)
 
     def _ratio(self) -> int:
-        """How many times faster than the grid the fastest state is sampled; 1: no filter is needed."""
-        if not self.job.recipe.antialias:
-            return 1
-        states = [s for n, s in self.series.items() if self.job.specs[n].hold == "linear"]
-        fastest = min((s.period_ns for s in states), default=float(self.dt_ns))
-        return int(np.clip(self.dt_ns / fastest + 0.2, 1, MAX_RATIO))
+        return ratio_of(self.job.recipe, self.series, self.dt_ns)
 
     def _segment(self, span: Span, ratio: int) -> Segment | None:
         lead = self.series[self.job.outputs[0]].t_ns
@@ -348,10 +336,7 @@ class _Boot:
         coarse = resample.grid_in(span, self.dt_ns, resample.phase_ns(inside, self.dt_ns))
         if len(coarse) < 2:
             return None
-        grid = coarse
-        if ratio > 1:
-            steps = np.arange((len(coarse) - 1) * ratio + 1)
-            grid = coarse[0] + np.round(steps * (self.dt_ns / ratio)).astype(np.int64)
+        grid = coarse if ratio == 1 else fine_grid(int(coarse[0]), 0, len(coarse), self.dt_ns, ratio)
         columns = {n: resample.decimate(self._on(n, grid), ratio) for n in self.series}
         u = np.stack([columns[n] for n in self.job.inputs], axis=1)
         y = np.stack([columns[n] for n in self.job.outputs], axis=1)
@@ -385,6 +370,32 @@ class _Boot:
         return resample.hold(series, grid, resample.hold_tolerance_ns(series, grid))
 
 
+def pauses(spec: SignalSpec, period_ns: float, dt_ns: int) -> tuple[float, float]:
+    """The longest pause in a signal's source that is bridged, and for how long its last sample counts; ns."""
+    if spec.max_gap_s is not None:
+        gap = min(spec.max_gap_s * 1e9, float(resample.FOREVER))
+    else:
+        gap = max(resample.GAP_PERIODS * period_ns, 1.5 * dt_ns)
+    if spec.max_gap_s == float("inf"):
+        return gap, gap
+    return gap, 1.0 if spec.hold == "linear" else min(period_ns, gap)
+
+
+def ratio_of(recipe: Recipe, series: Mapping[str, Series], dt_ns: int) -> int:
+    """How many times faster than the grid the fastest state is sampled; 1: no filter is needed."""
+    if not recipe.antialias:
+        return 1
+    states = [s for name, s in series.items() if recipe.signals[name].hold == "linear"]
+    fastest = min((s.period_ns for s in states), default=float(dt_ns))
+    return int(np.clip(dt_ns / fastest + 0.2, 1, MAX_RATIO))
+
+
+def fine_grid(begin_ns: int, first: int, stop: int, dt_ns: int, ratio: int) -> resample.IntArray:
+    """Times from point `first` of a grid that begins at `begin_ns` to the last before `stop`, and between."""
+    steps = np.arange(first * ratio, (stop - 1) * ratio + 1)
+    return np.asarray(begin_ns + np.round(steps * (dt_ns / ratio)).astype(np.int64))
+
+
 def _period(found: Loaded) -> float:
     """Shortest of the boots' sample times, ns: a boot of two samples must not decide."""
     longest = max(found.boots.values(), key=lambda b: len(b.t_ns), default=None)
@@ -396,7 +407,7 @@ def _too_short(report: AlignReport, min_samples: int) -> DataError:
     if never and all(f.reason or not f.total_s or not f.short_segments for f in report.flights):
         return DataError(
             f"channel {report.channel!r}: {'; '.join(never)}",
-            hint="choose what was flown, or leave the condition out of a recipe of your own",
+            hint="choose flights that meet it, or remove the condition from a recipe of your own",
         )
     reasons = "; ".join(dict.fromkeys([*(f.reason for f in report.flights if f.reason), *never]))
     short = sum(f.short_segments for f in report.flights)

@@ -21,8 +21,8 @@ import numpy.typing as npt
 
 from flysid.errors import DataError
 from flysid.ingest.align.resample import Series, period_ns, smoothed
+from flysid.stretch import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 MIN_CORRELATION = 0.5

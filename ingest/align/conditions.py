@@ -18,9 +18,9 @@ from flysid.ingest.align.signals import Log, find_source, load_source
 from flysid.ingest.align.values import (
     MOST_VALUES,
     base_column,
-    column_values,
     is_one_of,
     names_of,
+    single_values,
     texts_of,
 )
 
@@ -72,13 +72,15 @@ def _spans(condition: Condition, log: Log) -> tuple[dict[int, list[Span]], str]:
     if condition.above is not None or condition.below is not None:
         loaded = load_source(source, stream, condition.unit, log)
         series = {b: resample.tidy(s.t_ns, s.x) for b, s in loaded.boots.items()}
-        spans = {b: _spans_true(s.t_ns, _in_bounds(s.x, condition), margin_ns) for b, s in series.items()}
+        spans = {
+            b: spans_true(*condition_truths(condition, s.t_ns, s.x, {}), margin_ns) for b, s in series.items()
+        }
         ranges = [x for s in series.values() if len(s.x) for x in (s.x.min(), s.x.max())]
         seen = f"{min(ranges):.3g} to {max(ranges):.3g} {condition.unit}".rstrip() if ranges else "empty"
         return spans, f": {stream}.{loaded.field} is {seen}"
     column = source.fields[0]
     table = log.table(stream, [TIME, BOOT, base_column(column, log.columns(stream))])
-    values = column_values(table, column)
+    values = single_values(table, column, f"condition {condition.name!r}")
     names = names_of(table, stream, column, log.info)
     boots = np.asarray(table[BOOT].to_numpy())
     t_ns = np.asarray(table[TIME].to_numpy())
@@ -97,15 +99,25 @@ def _held(
 ) -> list[Span]:
     """Spans of one boot in which a condition on values or events holds."""
     margin_ns = round(condition.margin_s * 1e9)
+    times, holds = condition_truths(condition, t_ns, values, names)
     if not (condition.set_by or condition.cleared_by):
-        return _spans_true(t_ns, _is_wanted(values, condition, names), margin_ns)
+        return spans_true(times, holds, margin_ns)
+    if len(times) == 0:  # nothing is known: nothing is cut
+        return [(ALWAYS, resample.FOREVER)]
+    return spans_true(np.append(ALWAYS, times), np.append(~holds[0], holds), margin_ns)
+
+
+def condition_truths(
+    condition: Condition, t_ns: IntArray, values: npt.NDArray[np.generic], names: Mapping[str, str]
+) -> tuple[IntArray, BoolArray]:
+    """Times at which a condition is told to hold or not to, and which; of events only those that say so."""
+    if condition.above is not None or condition.below is not None:
+        return t_ns, _in_bounds(values.astype(np.float64), condition)
+    if not (condition.set_by or condition.cleared_by):
+        return t_ns, _is_wanted(values, condition, names)
     begins = is_one_of(values, condition.set_by, names)
     told = begins | is_one_of(values, condition.cleared_by, names)
-    t_ns = t_ns[told]
-    holds = begins[told]
-    if len(t_ns) == 0:  # nothing is known: nothing is cut
-        return [(ALWAYS, resample.FOREVER)]
-    return _spans_true(np.append(ALWAYS, t_ns), np.append(~holds[0], holds), margin_ns)
+    return t_ns[told], begins[told]
 
 
 def _in_bounds(x: npt.NDArray[np.float64], condition: Condition) -> BoolArray:
@@ -128,7 +140,7 @@ def _wanted(condition: Condition) -> str:
     return f" ({', '.join(str(v) for v in condition.any_of or condition.set_by)})"
 
 
-def _spans_true(t_ns: IntArray, holds: BoolArray, margin_ns: int) -> list[Span]:
+def spans_true(t_ns: IntArray, holds: BoolArray, margin_ns: int) -> list[Span]:
     """Spans in which a held truth value is true; the last value counts for ever."""
     if len(t_ns) == 0:
         return []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,6 +46,13 @@ class Doubt:
         return f"{self.text}; {self.todo}" if self.todo else self.text
 
 
+def told(found: Sequence[Doubt]) -> Iterator[str]:
+    """What is said where a model is fitted: faults, and inputs of few values; a band is told by the page."""
+    for doubt in found:
+        if doubt.kind != "band":
+            yield f"{'remark' if doubt.kind in REMARKS else 'caution'}: {doubt}"
+
+
 def doubts(data: Dataset, spec: ChannelSpec) -> tuple[Doubt, ...]:
     """All reasons to doubt models of a dataset, worst first; `spec` tells how fast its dynamics are."""
     found = (
@@ -61,8 +68,8 @@ def _quiet(data: Dataset) -> Iterator[Doubt]:
         if moves.quiet:
             yield Doubt(
                 "quiet",
-                f"input {signal.name} moves by {moves.rms:.2g} {signal.unit} rms only, less than sensors of "
-                "its unit are noisy: no model can be identified",
+                f"input {signal.name} moves by {moves.rms:.2g} {signal.unit} rms only, less than the noise "
+                "of sensors of this unit: no model can be identified",
                 "fly steps, doublets or a sweep",
             )
 
@@ -72,7 +79,7 @@ def _slow(data: Dataset, spec: ChannelSpec) -> Iterator[Doubt]:
     if rate < 0.99 * spec.min_rate_hz:
         yield Doubt(
             "slow",
-            f"{rate:.3g} Hz shows the dynamics up to {rate / 2:.2g} Hz only, this channel needs "
+            f"{rate:.3g} Hz resolves dynamics up to {rate / 2:.2g} Hz only, this channel needs "
             f"{spec.min_rate_hz:.3g} Hz",
             spec.remedy or "log faster",
         )
@@ -98,7 +105,7 @@ def _unexplained(data: Dataset) -> Iterator[Doubt]:
         elif share < GOOD_COHERENCE:
             yield Doubt(
                 "unexplained",
-                f"only {share:.0%} of the power of {output.name} follows {name}",
+                f"only {100.0 * share:.0f} % of the power of {output.name} follows {name}",
                 "excite this axis alone, in calm air; or look for a missing input",
             )
         elif is_narrow(band):
@@ -127,8 +134,9 @@ def _holes(data: Dataset) -> Iterator[Doubt]:
             values = ", ".join(f"{v:.3g}" for v in levels)
             yield Doubt(
                 "holes",
-                f"input {signal.name} takes {len(levels)} values only ({values} {signal.unit}".rstrip() + ")",
-                "rules know nothing of what lies between them: fly more levels, or a sweep",
+                f"input {signal.name} takes {len(levels)} distinct values ({values} {signal.unit}".rstrip()
+                + ")",
+                "rules learn nothing between them: fly more levels, or a sweep",
             )
 
 
@@ -140,7 +148,7 @@ def _band(data: Dataset) -> Iterator[Doubt]:
             yield Doubt(
                 "band",
                 f"{output.name} follows {name} from {band[0]:.2g} to {band[1]:.2g} Hz",
-                "trust no model of these data outside",
+                "do not trust a model of these data outside this band",
             )
 
 

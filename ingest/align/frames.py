@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from flysid.stretch import FloatArray
 
 
 def unit_quaternion(q: npt.ArrayLike) -> FloatArray:

@@ -99,7 +99,7 @@ def quick_recipe(
     """
     if not inputs or not outputs:
         raise RecipeError(
-            "nothing says what to identify",
+            "neither a recipe nor fields are given",
             hint=f"--from FIELD --to FIELD, or --recipe; fields: {first_of(_fields(logs), SHOWN)}",
         )
     words = [*inputs, *outputs]

@@ -16,7 +16,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from flysid.stretch import FloatArray
+
 IntArray = npt.NDArray[np.int64]
 Span = tuple[int, int]  # half-open, ns
 

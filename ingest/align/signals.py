@@ -19,6 +19,7 @@ import pyarrow as pa
 
 from flysid.errors import RecipeError
 from flysid.flight import BOOT, ROW_NUMBER, TIME, Flight, field_scale, field_unit, matching_streams
+from flysid.flightwriter import int_values
 from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import SignalSpec, Source
 from flysid.ingest.align.transforms import TRANSFORMS
@@ -29,12 +30,15 @@ from flysid.ingest.align.values import (
     column_values,
     is_one_of,
     names_of,
+    single_values,
     texts_of,
 )
 from flysid.ingest.formats.common.units import factor, is_known
+from flysid.stretch import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+HEADING_PERIODS = 4
+"""A heading is not interpolated across a longer pause."""
 _VEHICLE = re.compile(r"^(\d+)\.(\d+)/")
 
 
@@ -172,7 +176,9 @@ def find_source(spec: Sequence[Source], log: Log) -> tuple[Source, str] | None:
 
 def missing(signal: str, spec: Sequence[Source], logs: Sequence[Log]) -> RecipeError:
     """The error that says which sources no log holds, and what is near."""
-    wanted = ", ".join(f"{s.stream}.{'/'.join(s.fields)}" for s in spec)
+    wanted = ", ".join(
+        f"{s.stream}.{'/'.join([*s.fields, *s.where, *([s.time] if s.time else [])])}" for s in spec
+    )
     streams = sorted({key for log in logs for key in log.rows})
     names = sorted({*streams, *(key.rpartition("/")[2] for key in streams)})
     near = [n for s in spec for n in difflib.get_close_matches(s.stream, names, n=2, cutoff=0.5)]
@@ -215,11 +221,11 @@ def load_source(source: Source, stream: str, unit: str, log: Log) -> Loaded:
             told = f"no row of {stream} has {column} = {wanted}: {column} is {logged}"
             return Loaded({}, stream, "/".join(source.fields), notes=(told,))
     table = _in_order(source, _rows_timed(source, rows))
-    boots = _integers(table[BOOT])
+    boots = int_values(table[BOOT])
     t_ns = _times(source, table) - round(source.lag_s * 1e9)
     columns = _matrix(source, table)
     transform = TRANSFORMS[source.transform]
-    gain, notes = _gain(source, stream, unit, table)
+    gain, notes = gain_of(source, stream, unit, table)
     if untimed := rows.num_rows - table.num_rows:
         notes += (f"{stream}: rows without a {source.time}, left out: {untimed:,}",)
     yaw = _yaw_at(source.yaw, log, boots, t_ns) if source.yaw is not None else np.empty(0)
@@ -275,9 +281,7 @@ def _rows_where(
     name: str, wanted: Value, table: pa.Table, stream: str, info: Mapping[str, str]
 ) -> tuple[pa.Table, str]:
     """The rows whose column has a value, which may be the name of a number; and what there is instead."""
-    values = column_values(table, name)
-    if values.ndim > 1:
-        raise RecipeError(f"'where' cannot compare the list {name!r}", hint=f"name one element: {name}[0]")
+    values = single_values(table, name, "'where'")
     names = names_of(table, stream, name, info)
     there = list(dict.fromkeys(texts_of(values, names)))
     listed = ", ".join(there[:MOST_VALUES]) + (", ..." if len(there) > MOST_VALUES else "")
@@ -291,7 +295,8 @@ def _matrix(source: Source, table: pa.Table) -> FloatArray:
         values = column_values(table, name)
         if values.dtype.kind not in "fiub":
             raise RecipeError(f"{source.stream}.{name} does not hold numbers")
-        parts.append(values.astype(np.float64).reshape(len(values), -1) * field_scale(_schema(table, name)))
+        columns = values.astype(np.float64) * field_scale(schema_of(table, name))
+        parts.append(columns if columns.ndim > 1 else columns[:, None])
     matrix = np.concatenate(parts, axis=1)
     counts = TRANSFORMS[source.transform].field_counts
     if matrix.shape[1] not in counts or (counts == (1, 4) and matrix.shape[1] != 4):
@@ -303,23 +308,24 @@ def _matrix(source: Source, table: pa.Table) -> FloatArray:
     return matrix
 
 
-def _schema(table: pa.Table, name: str) -> pa.Field:
+def schema_of(table: pa.Table, name: str) -> pa.Field:
+    """The column that holds `name`, which may be an element of a list."""
     return table.schema.field(base_column(name, table.column_names))
 
 
-def _gain(source: Source, stream: str, unit: str, table: pa.Table) -> tuple[float, tuple[str, ...]]:
+def gain_of(source: Source, stream: str, unit: str, table: pa.Table) -> tuple[float, tuple[str, ...]]:
     """Factor from the transform's result to `unit`, and notes about whose word the unit is."""
     transform = TRANSFORMS[source.transform]
     if transform.unit is not None:
         return factor(transform.unit, unit), ()
-    stated = field_unit(_schema(table, source.fields[0]))
+    stated = field_unit(schema_of(table, source.fields[0]))
     place = f"{stream}.{source.fields[0]}"
     notes: tuple[str, ...] = ()
     if stated and not is_known(stated):
         notes = (f"{place}: unit {stated!r} of the log is not known, taken as {source.unit or 'a number'}",)
         stated = ""
     elif stated and source.unit and factor(stated, source.unit) != 1.0:
-        notes = (f"{place}: the log says {stated}, the recipe {source.unit}; the log's word counts",)
+        notes = (f"{place}: the log says {stated}, the recipe {source.unit}; the log's unit is used",)
     actual = stated or source.unit
     if not actual and unit not in ("", "1"):
         raise RecipeError(
@@ -333,34 +339,37 @@ def _rows_timed(source: Source, table: pa.Table) -> pa.Table:
     """The rows that the source's own time column gives a time."""
     if not source.time:
         return table
-    told = np.isfinite(column_values(table, source.time).astype(np.float64))
+    told = np.isfinite(_stated_times(source, table))
     return table if told.all() else table.filter(pa.array(told))
 
 
 def _in_order(source: Source, table: pa.Table) -> pa.Table:
     """Rows by boot and time; rows of equal time keep their order."""
-    boots = _integers(table[BOOT])
+    boots = int_values(table[BOOT])
     times = _times(source, table)
     order = np.lexsort((times, boots))
     return table if (np.diff(order) == 1).all() else table.take(pa.array(order))
-
-
-def _integers(column: pa.ChunkedArray) -> IntArray:
-    return np.asarray(column.to_numpy(), dtype=np.int64)
 
 
 def _times(source: Source, table: pa.Table) -> IntArray:
     """(N,) ns: the stream's own time, or that of a column with a time unit (us where none is stated)."""
     if not source.time:
         return _by_rows(source, table)
-    values = column_values(table, source.time)
-    unit = field_unit(_schema(table, source.time)) or "us"
-    return np.round(values.astype(np.float64) * factor(unit, "ns")).astype(np.int64)
+    unit = field_unit(schema_of(table, source.time)) or "us"
+    return np.round(_stated_times(source, table) * factor(unit, "ns")).astype(np.int64)
+
+
+def _stated_times(source: Source, table: pa.Table) -> FloatArray:
+    """(N,) what the source's own time column says, NaN where it says nothing."""
+    values = single_values(table, source.time, "'time'")
+    if values.dtype.kind not in "fiu":
+        raise RecipeError(f"{source.stream}.{source.time} does not hold numbers, so no times")
+    return values.astype(np.float64)
 
 
 def _by_rows(source: Source, table: pa.Table) -> IntArray:
     """(N,) ns: the stream's own time; for a table without one, its rows at the recipe's period."""
-    times = _integers(table[TIME])
+    times = int_values(table[TIME])
     numbered = (table.schema.metadata or {}).get(b"time_source") == ROW_NUMBER.encode()
     if numbered and source.row_period_s is None:
         raise RecipeError("the table has no time column", hint="--dt SECONDS, or row_period_s in the recipe")
@@ -382,17 +391,22 @@ def _yaw_at(source: Source, log: Log, boots: IntArray, t_ns: IntArray) -> FloatA
 
 
 def _interpolated_angle(samples: Samples, t_ns: IntArray) -> FloatArray:
-    """(N,) an angle at other times; NaN outside its samples and inside pauses of more than 4 periods."""
+    """(N,) an angle at other times; NaN outside its samples and inside pauses."""
     finite = np.isfinite(samples.x)
     own = samples.t_ns[finite]
     if len(own) < 2:
         return np.full(len(t_ns), np.nan)
-    values = np.interp(
-        (t_ns - own[0]).astype(float), (own - own[0]).astype(float), np.unwrap(samples.x[finite])
-    )
-    after = np.clip(np.searchsorted(own, t_ns), 1, len(own) - 1)
     period = float(np.median(np.diff(own)))
     slack = period  # a heading older than one period still serves at the ends
     outside = (t_ns < own[0] - slack) | (t_ns > own[-1] + slack)
-    paused = (own[after] - own[after - 1] > 4 * period) & ~np.isin(t_ns, own)
-    return np.where(outside | paused, np.nan, values)
+    return np.where(outside, np.nan, angle_between(own, np.unwrap(samples.x[finite]), t_ns, period))
+
+
+def angle_between(own_ns: IntArray, x: FloatArray, t_ns: IntArray, period_ns: float) -> FloatArray:
+    """(n,) an angle between its samples (m,) without jumps, m >= 2; NaN inside pauses."""
+    values = np.interp((t_ns - own_ns[0]).astype(float), (own_ns - own_ns[0]).astype(float), x)
+    after = np.clip(np.searchsorted(own_ns, t_ns), 1, len(own_ns) - 1)
+    before = own_ns[after - 1]
+    is_sample = (own_ns[after] == t_ns) | (before == t_ns)
+    paused = (own_ns[after] - before > HEADING_PERIODS * period_ns) & ~is_sample
+    return np.where(paused, np.nan, values)

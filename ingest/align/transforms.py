@@ -13,11 +13,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from flysid.ingest.align import frames
+from flysid.stretch import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 Apply = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 

@@ -39,13 +39,35 @@ def column_values(table: pa.Table, name: str) -> npt.NDArray[np.generic]:
     if isinstance(column, pa.ChunkedArray):
         column = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
     if pa.types.is_fixed_size_list(column.type):
-        matrix = column.flatten().to_numpy(zero_copy_only=False).reshape(-1, column.type.list_size)
+        matrix = _matrix(column)
         if element is not None and element >= matrix.shape[1]:
             raise RecipeError(f"{name!r} has {matrix.shape[1]} elements, no [{element}]")
         return np.asarray(matrix if element is None else matrix[:, element])
     if pa.types.is_list(column.type):
         return _ragged(column, name, element)
+    if element is not None:
+        raise RecipeError(f"{name!r} holds no lists: it has no [{element}]", hint=f"name the column: {name}")
+    if pa.types.is_boolean(column.type):  # numbers, so that rows without a value are NaN
+        column = column.cast(pa.int8())
     return np.asarray(column.to_numpy(zero_copy_only=False))
+
+
+def single_values(table: pa.Table, name: str, use: str) -> npt.NDArray[np.generic]:
+    """(N,) raw values of a column with one value a row. Raises RecipeError where it holds lists."""
+    values = column_values(table, name)
+    if values.ndim > 1:
+        raise RecipeError(f"{use} cannot use the list {name!r}", hint=f"name one element: {name}[0]")
+    return values
+
+
+def _matrix(column: pa.Array) -> npt.NDArray[np.generic]:
+    """(N, k) the elements of lists of one length; NaN in rows without a list."""
+    flat = column.flatten().to_numpy(zero_copy_only=False).reshape(-1, column.type.list_size)
+    if not column.null_count:
+        return np.asarray(flat)
+    matrix = np.full((len(column), column.type.list_size), np.nan)
+    matrix[np.asarray(column.is_valid())] = flat
+    return matrix
 
 
 def _ragged(column: pa.Array, name: str, element: int | None) -> npt.NDArray[np.generic]:
@@ -60,7 +82,9 @@ def _ragged(column: pa.Array, name: str, element: int | None) -> npt.NDArray[np.
         return values
     if len(lengths) and (lengths != lengths[0]).any():
         raise RecipeError(f"{name!r} holds lists of different lengths", hint=f"name one element: {name}[0]")
-    return np.asarray(flat[starts[0] :].reshape(len(lengths), -1) if len(lengths) else flat.reshape(0, 1))
+    if not len(lengths):
+        return np.empty((0, 1))
+    return np.asarray(flat[starts[0] : starts[0] + lengths.sum()].reshape(len(lengths), -1))
 
 
 def names_of(table: pa.Table, stream: str, column: str, info: Mapping[str, str]) -> Mapping[str, str]:
@@ -72,8 +96,7 @@ def names_of(table: pa.Table, stream: str, column: str, info: Mapping[str, str])
 
 def texts_of(values: npt.NDArray[np.generic], names: Mapping[str, str]) -> list[str]:
     """Values as words, numbers where there is no word."""
-    numbers = values.astype(np.int8) if values.dtype.kind == "b" else values
-    return [names.get(str(v), str(v)) for v in numbers.tolist()]
+    return [names.get(str(v), str(v)) for v in values.tolist()]
 
 
 def is_one_of(

@@ -44,17 +44,17 @@ class DeadTime:
         """One sentence for people."""
         pair = f"dead time {self.input} -> {self.output}"
         if self.delay is None:
-            return f"{pair}: not handed over, {self.reason}"
+            return f"{pair}: not used, {self.reason}"
         low = 1e3 * self.delay.low_s
         high = 1e3 * self.delay.high_s
         found = f"{pair}: {1e3 * self.delay.delay_s:.0f} ms [{low:.0f}, {high:.0f}]"
         if self.reason:
-            return f"{found}, not handed over: {self.reason}"
+            return f"{found}, not used: {self.reason}"
         loop = ", in a closed loop" if self.delay.feedback else ""
-        floor = f", rules none below {self.least}" if self.least else ""
+        floor = f", and rules none below {self.least}" if self.least else ""
         if self.delay.nk < LATE:
-            return f"{found}{loop}: every model tries so short a delay by itself"
-        return f"{found}{loop}; the models try nk = {self.delay.nk} besides their own choices{floor}"
+            return f"{found}{loop}: within the delays that every model tries"
+        return f"{found}{loop}; the models also try nk = {self.delay.nk}{floor}"
 
     @property
     def least(self) -> int:

@@ -14,13 +14,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError
 from flysid.ingest.excitation.delay_fits import ARX_ORDERS, Piece, predictors, searched_free_runs
-
-FloatArray = npt.NDArray[np.float64]
+from flysid.stretch import FloatArray
 
 MAX_SAMPLES = 20_000  # of the longest segments; more does not sharpen an answer in whole samples
 STEP_S = 0.5  # the sign is that of the step response so long after the dead time

@@ -17,9 +17,10 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from flysid.dataset import FloatArray
+from flysid.filters import filtered
+
 Piece: TypeAlias = tuple[FloatArray, FloatArray]  # input and output of one segment, without their means
 
 ORDER = 2
@@ -37,9 +38,7 @@ class Fit:
 
     def sign(self, steps: int) -> int:
         """Sign of the step response after `steps` samples."""
-        from scipy.signal import lfilter
-
-        response = lfilter(self.zeros, self.poles, np.ones(steps + 2))
+        response = filtered(self.zeros, self.poles, np.ones(steps + 2))
         return -1 if response[-1] < 0 else 1
 
 
@@ -145,7 +144,6 @@ def _pole_pairs(last: int) -> list[FloatArray]:
 def _explained(pieces: Sequence[Piece], poles: FloatArray, last: int) -> FloatArray:
     """(last + 1,) squares of the output that two zeros and the starts explain, by the dead time."""
     from scipy.fft import irfft, next_fast_len, rfft
-    from scipy.signal import lfilter
 
     lags = last + ORDER
     by_starts = 0.0
@@ -154,15 +152,15 @@ def _explained(pieces: Sequence[Piece], poles: FloatArray, last: int) -> FloatAr
     neighbours = np.zeros(last + 1)
     for u, y in pieces:
         starts = _start_responses(poles, len(y) - lags)
-        filtered = lfilter([1.0], poles, u)
+        through = filtered(np.ones(1), poles, u)
         size = next_fast_len(len(u) + lags, real=True)
         late = np.concatenate([np.zeros((len(starts) + 1, lags)), [*starts, y[lags:]]], axis=1)
-        products = irfft(rfft(late, size) * np.conj(rfft(filtered, size)), size)[:, :lags]
+        products = irfft(rfft(late, size) * np.conj(rfft(through, size)), size)[:, :lags]
         start_y = starts @ y[lags:]
         share = _solved(starts @ starts.T, np.column_stack([products[:-1], start_y]))
         by_starts += float(start_y @ share[:, -1])
         with_output += products[-1] - start_y @ share[:, :-1]
-        by_own, by_neighbours = _band(filtered, lags, ORDER, lags).T
+        by_own, by_neighbours = _band(through, lags, ORDER, lags).T
         own += by_own - np.sum(products[:-1] * share[:, :-1], axis=0)
         neighbours += by_neighbours[:-1] - np.sum(products[:-1, :-1] * share[:, 1:-1], axis=0)
     size = np.sqrt(np.maximum(own, 1e-300))
@@ -195,15 +193,13 @@ def _refined(pieces: Sequence[Piece], nk: int, poles: FloatArray, first: int, sl
 
 def _projected(pieces: Sequence[Piece], nk: int, poles: FloatArray, first: int) -> tuple[Fit, FloatArray]:
     """The best zeros and starts for these poles, and the (2,) Gauss-Newton step of the poles."""
-    from scipy.signal import lfilter
-
     gram = np.zeros((ORDER, ORDER))
     right = np.zeros(ORDER)
     prepared = []
     for u, y in pieces:
         starts = _start_responses(poles, len(u) - first)
-        filtered = lfilter([1.0], poles, u)
-        late = [filtered[first - nk - i : len(u) - nk - i] for i in range(ORDER)]
+        through = filtered(np.ones(1), poles, u)
+        late = [through[first - nk - i : len(u) - nk - i] for i in range(ORDER)]
         rows = np.concatenate([starts, late])
         products = rows @ rows.T
         with_y = rows @ y[first:]
@@ -221,7 +217,7 @@ def _projected(pieces: Sequence[Piece], nk: int, poles: FloatArray, first: int) 
         model = np.concatenate([share[:, -1] - share[:, :-1] @ zeros, zeros]) @ rows
         left = y[first:] - model
         squares += float(left @ left)
-        by_pole = _late_rows(lfilter([-1.0], poles, model), 1)
+        by_pole = _late_rows(filtered(-np.ones(1), poles, model), 1)
         crossed = rows @ by_pole.T
         free = _solved(products[:s, :s], np.column_stack([crossed[:s], products[:s, s:]]))
         own = np.block([[by_pole @ by_pole.T, crossed[s:].T], [crossed[s:], products[s:, s:]]])
@@ -235,11 +231,9 @@ def _projected(pieces: Sequence[Piece], nk: int, poles: FloatArray, first: int) 
 
 def _start_responses(poles: FloatArray, samples: int) -> FloatArray:
     """(3, N) of norm 1: responses to the two initial states and to a constant input."""
-    from scipy.signal import lfilter
-
     impulse = np.zeros(samples)
     impulse[0] = 1.0
-    first = lfilter([1.0], poles, impulse)
+    first = filtered(np.ones(1), poles, impulse)
     rows = np.concatenate([_late_rows(first, 0), np.cumsum(first)[None]])
     return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
 

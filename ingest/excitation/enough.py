@@ -26,6 +26,6 @@ def too_short_alone(duration_s: float) -> str:
     if duration_s >= ALONE_S:
         return ""
     return (
-        f"{duration_s:.0f} s by themselves will hardly give a verdict: fly a minute of manoeuvres, or five "
+        f"{duration_s:.0f} s alone will hardly give a verdict: fly a minute of manoeuvres, or five "
         "such flights"
     )

@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import Dataset
-
-FloatArray = npt.NDArray[np.float64]
+from flysid.stretch import FloatArray
 
 GOOD_COHERENCE = 0.6
 QUIET = {

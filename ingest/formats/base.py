@@ -111,6 +111,14 @@ class Format:
         return max(0, count_zeros(view) - self.zeros)
 
 
+def sniff_magic(head: bytes, name: str, magic: bytes, suffix: str) -> float:
+    """1 for the magic; 0.5 for a file of the right suffix whose magic is damaged in up to two bytes."""
+    if head.startswith(magic):
+        return 1.0
+    same = sum(a == b for a, b in zip(head, magic, strict=False))
+    return 0.5 if same >= len(magic) - 2 and name.lower().endswith(suffix) else 0.0
+
+
 def count_zeros(view: memoryview) -> int:
     """How many zero bytes a log begins with: a file system leaves them where a write was lost."""
     for start in range(0, len(view), HEAD_BYTES):

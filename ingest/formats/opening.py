@@ -141,7 +141,7 @@ def _check(log: OpenLog, path: Path) -> None:
             hint="check that the download or copy finished",
         )
     if is_archive(log.view) or is_compressed(log.view):
-        raise FormatError("packed more often than is unpacked here", path=path, hint="unpack it first")
+        raise FormatError("compressed too many times over", path=path, hint="unpack it first")
     if bytes(log.view[TAR_MAGIC_AT : TAR_MAGIC_AT + len(TAR_MAGIC)]) == TAR_MAGIC:
         raise FormatError("a tar archive", path=path, hint="unpack it first: tar xf")
 

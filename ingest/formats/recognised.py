@@ -163,7 +163,7 @@ STRANGERS = (
         "the download gave a page instead of the log: log in, and download again",
         _text(rb"(<!doctype html|<html)\b"),
     ),
-    Stranger("a plan of waypoints", "it was not flown yet: give the log", _text(rb"QGC WPL \d+")),
+    Stranger("a plan of waypoints", "it is a plan, not a flight: give the log", _text(rb"QGC WPL \d+")),
     Stranger(
         "the metadata of a ROS 2 bag",
         "give the .db3 or .mcap file beside it",

@@ -16,6 +16,8 @@ from flysid.flight import Flight
 from flysid.ingest.formats.base import WHOLE_BATCH_BYTES, Format, Limits, collect
 from flysid.ingest.formats.opening import OpenLog, members_of, open_log, own_name
 from flysid.ingest.formats.recognised import stranger
+from flysid.mirror import log_at
+from flysid.place import Place, is_address
 
 ENTRY_POINTS = "flysid.formats"
 CERTAIN = 0.95
@@ -147,12 +149,15 @@ def confidence_of(head: bytes, name: str) -> float:
 
 
 def _most_likely(head: bytes, name: str) -> tuple[float, Format]:
+    """Confidence and format; of a head that no format knows, behind the zeros that it begins with."""
     lower = name.lower()
     scored = [
         (f.sniff(head, name) + (0.05 if lower.endswith(f.suffixes) else 0.0), f)
         for f in all_formats().values()
     ]
-    return max(scored, key=lambda pair: pair[0])
+    best = max(scored, key=lambda pair: pair[0])
+    rest = head.lstrip(b"\0")
+    return _most_likely(rest, name) if best[0] < PLAUSIBLE and 0 < len(rest) < len(head) else best
 
 
 def read(
@@ -166,8 +171,8 @@ def read(
 
     Parameters
     ----------
-    path : the log; also packed (.gz, .zst), or in a .zip archive: `flights.zip/one.tlog`, or the archive
-        itself where it holds one log.
+    path : the log, or its address in an object store (`s3://`, `gs://`, `az://`); also packed (.gz, .zst),
+        or in a .zip archive: `flights.zip/one.tlog`, or the archive itself where it holds one log.
     format : name of its format; found from its bytes when None.
     time_unit : of a table's times that state none: "s", "ms", "us" or "ns".
     limits : bounds for hostile input.
@@ -175,7 +180,7 @@ def read(
     Raises
     ------
     FormatError : not a log, empty or unreadable; a table whose times may be in several units.
-    UsageError : `format` or `time_unit` is not a name that flysid knows.
+    UsageError : `format` or `time_unit` is not a name that flysid knows; no log is at the address.
 
     Examples
     --------
@@ -185,9 +190,21 @@ def read(
     """
     limits = limits or Limits(batch_bytes=WHOLE_BATCH_BYTES)
     limits = replace(limits, time_unit=time_unit or limits.time_unit, format=format or limits.format)
-    with open_log(sole_log(Path(path)), limits) as log:
+    with open_log(sole_log(_file(path)), limits) as log:
         fmt = format_of(log, limits)
         return log.told(collect(log.view, log.name, fmt, limits))
+
+
+def _file(path: str | Path) -> Path:
+    """`path`, or a copy of the log that is at this address."""
+    if not is_address(path):
+        return Path(path)
+    found = log_at(Place(str(path)))
+    if found is None:
+        raise UsageError(
+            "no log is there", path=path, hint=f"for a folder of logs: flysid ingest {path} -o DATA"
+        )
+    return found
 
 
 def known_suffixes() -> tuple[str, ...]:

@@ -22,7 +22,6 @@ from flysid.ingest.formats.common.scrub_rules import (
     UNREADABLE,
     Column,
     Fix,
-    FloatArray,
     Gps,
     Place,
     Scrubber,
@@ -31,6 +30,7 @@ from flysid.ingest.formats.common.scrub_rules import (
 )
 from flysid.ingest.formats.opening import open_log, packed_as
 from flysid.ingest.formats.registry import all_formats, format_of, sole_log
+from flysid.stretch import FloatArray
 
 Function = Callable[[memoryview, Scrubber, Limits], Iterator[bytes]]
 OTHERS = ("ADSB", "AIS_", "TRANSPONDER", "TRAFFIC")  # where others were

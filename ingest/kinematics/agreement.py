@@ -16,16 +16,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import uniform_filter1d
-from scipy.optimize import nnls
-from scipy.signal.windows import tukey
 
 from flysid.dataset import FloatArray
 
 ComplexArray = npt.NDArray[np.complex128]
+Number = TypeVar("Number", np.float64, np.complex128)
 
 LONGEST_LAG_S = 0.5
 TAPER = 0.2
@@ -184,6 +183,8 @@ def late(values: FloatArray, steps: float) -> FloatArray:
 
 
 def _of_record(record: Record, highest_hz: float, lag_s: float) -> _Lines:
+    from scipy.signal.windows import tukey
+
     count = len(record.measured)
     taper = tukey(count, TAPER)
     taper = taper / np.sqrt(np.sum(taper**2))
@@ -197,7 +198,7 @@ def _of_record(record: Record, highest_hz: float, lag_s: float) -> _Lines:
     measured = spectrum(record.measured)
     implied = spectrum(late(record.implied, lag_s / record.dt_s))
     brought = (omega[low, None] ** 2 * record.noise + record.flat) / record.dt_s
-    power = uniform_filter1d(np.abs(implied) ** 2, NEIGHBOURS, axis=0)
+    power = _smoothed(np.abs(implied) ** 2)
     motion = np.clip(1.0 - brought / np.maximum(power, 1e-300), 0.0, 1.0) * _coherence(measured, implied)
     return _Lines(
         omega[low],
@@ -212,10 +213,17 @@ def _of_record(record: Record, highest_hz: float, lag_s: float) -> _Lines:
     )
 
 
+def _smoothed(values: npt.NDArray[Number]) -> npt.NDArray[Number]:
+    """(K, n) means over neighbouring frequencies."""
+    from scipy.ndimage import uniform_filter1d
+
+    return np.asarray(uniform_filter1d(values, NEIGHBOURS, axis=0))
+
+
 def _coherence(y: ComplexArray, x: ComplexArray) -> FloatArray:
     """(K, n) share of two spectra's power that is common to both, less what chance gives."""
-    cross = uniform_filter1d(y * x.conj(), NEIGHBOURS, axis=0)
-    powers = [uniform_filter1d(np.abs(s) ** 2, NEIGHBOURS, axis=0) for s in (x, y)]
+    cross = _smoothed(y * x.conj())
+    powers = [_smoothed(np.abs(s) ** 2) for s in (x, y)]
     seen = np.abs(cross) ** 2 / np.maximum(powers[0] * powers[1], 1e-300)
     return np.asarray(np.clip((NEIGHBOURS * seen - 1.0) / (NEIGHBOURS - 1.0), 0.0, 1.0))
 
@@ -261,6 +269,8 @@ def _noise(lines: _Lines, theta: FloatArray, axis: int) -> FloatArray:
     A sum of powers of frequency with weights that are not negative, by iterated least squares on the
     residual's periodogram, whose scatter is as large as itself.
     """
+    from scipy.optimize import nnls
+
     seen = np.abs(_residual(lines, theta, axis, _moved(lines, theta))) ** 2
     omega = np.maximum(lines.omega, 0.5 * lines.slowest)
     shapes = np.column_stack([(omega / omega.max()) ** power for power in NOISE_POWERS])

@@ -10,7 +10,7 @@ from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 from flysid.dataset import FloatArray
 from flysid.errors import FlysidError
@@ -91,7 +91,7 @@ class Parameter:
     @property
     def interval(self) -> tuple[float, float]:
         """95 %."""
-        half = float(norm.ppf(0.975)) * self.sd
+        half = float(ndtri(0.975)) * self.sd
         return self.value - half, self.value + half
 
     @property
@@ -103,7 +103,7 @@ class Parameter:
     def chance(self) -> float:
         """p-value of the nominal value, tolerance granted."""
         beyond = max(0.0, abs(self.value - self.nominal) - self.tolerance)
-        return float(2.0 * norm.sf(beyond / self.sd)) if self.sd > 0.0 else float(beyond == 0.0)
+        return float(2.0 * ndtr(-beyond / self.sd)) if self.sd > 0.0 else float(beyond == 0.0)
 
 
 @dataclass(frozen=True)

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.constants import g as GRAVITY
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import maximum_filter1d, median_filter
-from scipy.signal import welch
-from scipy.spatial.transform import Rotation
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from flysid.dataset import FloatArray
 from flysid.ingest.align import resample
 from flysid.ingest.align.resample import Series, Span
 from flysid.ingest.kinematics.agreement import Record
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Columns = Mapping[str, FloatArray]
 
@@ -66,6 +66,8 @@ def gridded(series: Mapping[str, Series], allowed: Sequence[Span] | None) -> lis
 
 def white_noise(series: Series) -> float:
     """Spectral density of a signal's white noise, per Hz on both sides: what its fastest tenth holds."""
+    from scipy.signal import welch
+
     seconds = (series.t_ns - series.t_ns[0]) * 1e-9
     period = resample.period_ns(series.t_ns) * 1e-9
     frequency, power = welch(
@@ -77,6 +79,8 @@ def white_noise(series: Series) -> float:
 
 
 def _sampled(series: Mapping[str, Series], span: Span, dt_ns: float) -> Columns:
+    from scipy.interpolate import CubicSpline
+
     steps = np.arange(0.0, float(span[1] - span[0] - 1), dt_ns)
     columns = {}
     for name, own in series.items():
@@ -94,11 +98,13 @@ def without_jumps(record: Record, source_s: float) -> list[Record]:
     A jump stands for one or two periods of the slowest source, `source_s`. It is what noise does in one of
     a thousand records, measured by the median of the difference, here and in the whole record.
     """
+    from scipy.ndimage import maximum_filter1d, median_filter
+
     off = record.measured - record.implied
     off = np.abs(off - np.median(off, axis=0))
     reach = max(1, round(source_s / record.dt_s))
     usual = np.maximum(median_filter(off, (7 * reach, 1)), np.median(off, axis=0))
-    limit = norm.isf(0.5 * RARE / off.size) / norm.isf(0.25)
+    limit = ndtri(0.5 * RARE / off.size) / ndtri(0.25)
     jumps = np.any(off > limit * usual, axis=1)
     free = ~maximum_filter1d(jumps, 4 * reach + 1)
     edges = np.flatnonzero(np.diff(free, prepend=False, append=False))
@@ -122,6 +128,8 @@ def slope(values: FloatArray, dt_s: float) -> FloatArray:
 
 def attitude(grid: Grid) -> Rotation:
     """N rotations from the body's axes to the world's."""
+    from scipy.spatial.transform import Rotation
+
     return Rotation.from_euler("ZYX", grid.stack("yaw", "pitch", "roll"))
 
 

@@ -29,7 +29,7 @@ from flysid.progress import part, tell
 from flysid.store import clean, create_data_folder, discard, locked, remove_empty, write_flight
 
 ONE_WORKER_BYTES = 12 << 20
-NO_MEMORY = "needs more memory than there is"
+NO_MEMORY = "not enough memory"
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from flysid.errors import UsageError
-from flysid.ingest.align.vehicle import vehicle_of
+from flysid.ingest.align.modes import COPTERS
+from flysid.ingest.align.vehicle import NAME, SERIALS, vehicle_of
+from flysid.ingest.lake.events import settings
 from flysid.ingest.lake.lake import Lake
-from flysid.ingest.lake.stretches import Stretches
+from flysid.ingest.lake.stretches import Stretches, parse_part
 
 SHOWN = 5  # names in a message
+OWN = (
+    "SYSID_THISMAV",
+    "MAV_SYS_ID",
+    "BRD_SERIAL_NUM",
+    "FRAME_CLASS",
+    "FRAME_TYPE",
+    "Q_FRAME_CLASS",
+    "CA_AIRFRAME",
+)
+"""Parameters that a vehicle keeps while it is that vehicle: its number and its frame."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +48,8 @@ class Selection:
     @property
     def options(self) -> list[str]:
         """As options of the command line."""
-        named = [("flight", self.flights), ("exclude", self.exclude), ("mode", self.stretches.modes)]
+        left_out = (*self.exclude, *self.stretches.without)
+        named = [("flight", self.flights), ("exclude", left_out), ("mode", self.stretches.modes)]
         found = [f"--{name} {shlex.quote(value)}" for name, values in named for value in values]
         found += [f"--vehicle {shlex.quote(self.vehicle)}"] if self.vehicle else []
         found += ["--pool"] if self.pool else []
@@ -58,8 +71,15 @@ def select(lake: Lake, selection: Selection) -> Lake:
         name = _vehicle_named(left, selection.vehicle)
         left = left.only([facts.id for facts in left.facts if vehicle_of(facts.info) == name])
     if not left.facts and lake.facts:
-        raise UsageError("no flight is left", path=lake.address or lake.folder, hint="exclude fewer")
-    return replace(left, stretches=selection.stretches)
+        raise UsageError("no flight matches", path=lake.address or lake.folder, hint="exclude fewer")
+    without = whole_ids(lake, selection.stretches.without)
+    return replace(left, stretches=replace(selection.stretches, without=without))
+
+
+def whole_ids(lake: Lake, parts: Sequence[str]) -> tuple[str, ...]:
+    """Parts of flights (`parse_part`) by the flights' whole ids; raises UsageError."""
+    read = [parse_part(text) for text in parts]
+    return tuple(str(replace(part, flight=lake.find(part.flight))) for part in read)
 
 
 def vehicles(lake: Lake) -> dict[str, list[str]]:
@@ -71,18 +91,48 @@ def vehicles(lake: Lake) -> dict[str, list[str]]:
 
 
 def require_one_vehicle(lake: Lake) -> None:
-    """Raise UsageError where flights are known to be of several vehicles: a model of all is none of any."""
+    """Raise UsageError where flights are known to be of several vehicles: a model of all is none of any.
+
+    Logs without a serial number are told apart by the kind of vehicle and by its parameters `OWN`.
+    """
     known = {name: ids for name, ids in vehicles(lake).items() if name}
-    if len(known) < 2:
-        return
-    told = "; ".join(f"{name}: {_counted(ids)}" for name, ids in list(known.items())[:SHOWN])
-    more = f"; and {len(known) - SHOWN} more" if len(known) > SHOWN else ""
-    example = shortest_end(max(known, key=lambda name: len(known[name])), list(known))
-    raise UsageError(
-        f"flights of {len(known)} vehicles: {told}{more}",
-        path=lake.address or lake.folder,
-        hint=f"--vehicle {example!r} for one of them, --pool to put them together",
-    )
+    if len(known) > 1:
+        told = "; ".join(f"{name}: {_counted(ids)}" for name, ids in list(known.items())[:SHOWN])
+        more = f"; and {len(known) - SHOWN} more" if len(known) > SHOWN else ""
+        example = shortest_end(max(known, key=lambda name: len(known[name])), list(known))
+        raise UsageError(
+            f"flights of {len(known)} vehicles: {told}{more}",
+            path=lake.address or lake.folder,
+            hint=f"--vehicle {example!r} for one of them, --pool to put them together",
+        )
+    for fact, stated in _stated(lake).items():
+        if len(stated) > 1:
+            told = "; ".join(f"{value}: {_counted(ids)}" for value, ids in list(stated.items())[:SHOWN])
+            raise UsageError(
+                f"flights of {len(stated)} vehicles, by {fact}: {told}",
+                path=lake.address or lake.folder,
+                hint="--flight or --exclude for those of one of them, --pool to put them together",
+            )
+
+
+def _stated(lake: Lake) -> dict[str, dict[str, list[str]]]:
+    """What flights without a serial number say of their vehicle: fact -> value -> ids of the flights."""
+    found: dict[str, dict[str, list[str]]] = {}
+    if len(lake.facts) < 2:
+        return found
+    for log in lake.logs:
+        info = log.facts.info
+        if any(info.get(key) for key in (NAME, *SERIALS)):
+            continue
+        said = {
+            s.name: f"{s.value:g}" for s in settings(log) if s.name in OWN and not isinstance(s.value, str)
+        }
+        kind = info.get("vehicle", "").lower()
+        if kind in COPTERS[1:]:  # a log on board says "copter" of every kind
+            said["kind"] = kind
+        for fact, value in said.items():
+            found.setdefault(fact, {}).setdefault(value, []).append(log.facts.id)
+    return found
 
 
 def _named(lake: Lake, names: Sequence[str]) -> list[str]:
@@ -101,7 +151,7 @@ def _vehicle_named(lake: Lake, part: str) -> str:
     raise UsageError(
         f"{part!r} names {len(found)} vehicles" if found else f"no vehicle {part!r} in these flights",
         path=lake.address or lake.folder,
-        hint="; ".join((found or names)[:SHOWN]) or "the logs do not say whose they are",
+        hint="; ".join((found or names)[:SHOWN]) or "the logs do not name their vehicle",
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from flysid.flight import BOOT, TIME, matching_streams
+from flysid.flightwriter import float_values, int_values
 from flysid.ingest.align.modes import mode_names
 from flysid.ingest.align.signals import Log, find_stream
 
@@ -66,13 +67,13 @@ def mode_changes(log: Log) -> list[Event]:
         if stream is None or column not in log.columns(stream):
             continue
         table = log.table(stream, [BOOT, TIME, column])
-        boots = table[BOOT].to_numpy()
-        values = table[column].to_numpy(zero_copy_only=False)
+        boots = int_values(table[BOOT])
+        values = float_values(table[column])
         names = mode_names(stream, column, log.info)
         starts = np.flatnonzero((np.diff(values, prepend=values[0]) != 0) | (np.diff(boots, prepend=-1) != 0))
-        times = table[TIME].to_numpy()
+        times = int_values(table[TIME])
         return [
-            Event(int(boots[i]), int(times[i]), "mode", names.get(int(values[i]), str(values[i])))
+            Event(int(boots[i]), int(times[i]), "mode", names.get(int(values[i]), str(int(values[i]))))
             for i in starts
         ]
     return []

@@ -4,7 +4,7 @@ What is named itself is tried. In a folder, and in a .zip archive, a file is
 
     tried        where its name ends as logs of a known format do, or its first bytes are those of a log,
                  whatever it is called. Tables in text go by their names alone: too many texts look like one.
-    passed over  where it is something else: a text, a picture, a document, an empty file, hidden. It is
+    ignored      where it is something else: a text, a picture, a document, an empty file, hidden. It is
                  named; nothing is lost.
     unread       where it may be a log and cannot be read: binary data that nothing knows, a packing that
                  is not unpacked here, a file that may not be opened, a link to a folder. It is named, and
@@ -210,7 +210,7 @@ class _Search:
         elif kind and kind != TEXT:
             self._pass(path, kind)
         elif packing := packing_of(head):
-            self._fail(path, f"is packed in a way that is not unpacked here ({packing}); unpack it first")
+            self._fail(path, f"uses a compression method that is not supported ({packing}); unpack it first")
         elif confidence_of(head, name) >= SURE:
             self.paths[path] = None
         elif kind:

@@ -79,7 +79,7 @@ def gridded_table(tables: Mapping[str, pa.Table], rate_hz: float) -> pa.Table:
         if name not in (SECONDS, BOOT) and is_number(table.schema.field(name).type)
     ]
     if not numbers:
-        raise UsageError("there is no number to bring onto a grid", hint="name other streams")
+        raise UsageError("no stream has a number to resample", hint="name other streams")
     dt_ns = round(1e9 / rate_hz)
     boots = sorted({int(boot) for table in tables.values() for boot in np.unique(_boots(table))})
     parts = [_gridded_boot(numbers, boot, dt_ns) for boot in boots]

@@ -155,7 +155,7 @@ def ask(place: Place, sql: str) -> pa.Table:
 def ask_table(table: Any, sql: str, where: str) -> pa.Table:
     """A question about a Delta table; see `ask`. Errors name `where` it is."""
     if not re.match(r"\s*(select|with)\b", sql, re.IGNORECASE):
-        raise UsageError("a question begins with SELECT or WITH", hint="select count(*) from flights")
+        raise UsageError("a query begins with SELECT or WITH", hint="select count(*) from flights")
     from deltalake import QueryBuilder
 
     try:
@@ -166,7 +166,7 @@ def ask_table(table: Any, sql: str, where: str) -> pa.Table:
     except Exception as error:  # DataFusion's own errors have no class in common
         told = str(error).splitlines()[0]
         raise UsageError(
-            f"the question is not understood: {told}", path=where, hint="columns: " + ", ".join(SCHEMA.names)
+            f"the query failed: {told}", path=where, hint="columns: " + ", ".join(SCHEMA.names)
         ) from error
 
 
@@ -247,7 +247,7 @@ def committing(place: Place, write: Callable[[], Answer]) -> Answer:
     raise PlaceError(
         f"the catalogue could not be written: {str(last).splitlines()[0]}",
         path=place.at(TABLE),
-        hint="other writers are at it; the flights are committed: run the same command again",
+        hint="other writers hold it; the flights are committed: run the same command again",
     )
 
 

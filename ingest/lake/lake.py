@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 import pyarrow as pa
 
@@ -22,7 +22,6 @@ from flysid.ingest.align.report import AlignReport
 from flysid.ingest.align.signals import find_source
 from flysid.ingest.align.vehicle import NAME
 from flysid.ingest.lake.stretches import Stretches
-from flysid.ingest.lake.suggest import Suggestion, suggest
 from flysid.manifest import (
     DATA_FILE,
     FLIGHTS,
@@ -36,10 +35,13 @@ from flysid.manifest import (
     named,
     read_manifest,
 )
-from flysid.mirror import address_of, folder_for, forget, mark
+from flysid.mirror import address_of, forget
 from flysid.place import Place, is_address
-from flysid.showing import Shown, Table
-from flysid.store import create_data_folder, read_entry, read_flight
+from flysid.showing import Shown, Table, counted
+from flysid.store import mirror_of, read_entry, read_flight
+
+if TYPE_CHECKING:
+    from flysid.ingest.lake.suggest import Suggestion
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +143,8 @@ class Lake(Shown):
             for f in self.facts
         ]
         seconds = sum(f.duration_s for f in self.facts)
-        title = f"{self.address or self.folder}: {len(rows):,} flights, {seconds / 60.0:,.0f} min"
+        minutes = f"{seconds / 60.0:,.{0 if seconds >= 600.0 else 1}f} min"
+        title = f"{self.address or self.folder}: {counted(len(rows), 'flight')}, {minutes}"
         return Table(title, ("flight", "format", "vehicle", "seconds", "records", "lost"), rows)
 
     def __iter__(self) -> Iterator[Manifest]:
@@ -228,6 +231,8 @@ class Lake(Shown):
 
     def suggest(self, recipes: Sequence[str | Recipe] | None = None) -> list[Suggestion]:
         """What each flight supports, how well, and what to log or fly next."""
+        from flysid.ingest.lake.suggest import suggest  # compiled filters: not for those who only look
+
         return suggest(self.logs, recipes)
 
     def channel(self, name: str, recipe: Recipe | str | Path | None = None) -> Dataset:
@@ -298,14 +303,18 @@ def _open_lake(place: Place, where: str) -> Lake:
         )
     check_lake(document, place.address)
     facts = facts_in(select(place, where))
-    folder = create_data_folder(folder_for(str(place)))
-    mark(folder, str(place))
+    return Lake(mirrored(str(place), facts), facts, address=str(place))
+
+
+def mirrored(address: str, facts: Sequence[FlightFacts]) -> Path:
+    """The mirror of a lake; what has been read of these flights is dropped where they have changed since."""
+    folder = mirror_of(address)
     known = {flight.id: flight.stamp for flight in facts}
     for name in folder_names(folder):
         manifest = folder / FLIGHTS / name / MANIFEST_FILE
         if name in known and manifest.is_file() and content_stamp(manifest.read_bytes()) != known[name]:
             forget(folder, name)
-    return Lake(folder, facts, address=str(place))
+    return folder
 
 
 def _as_recipe(recipe: Recipe | str | Path) -> Recipe:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from flysid.errors import UsageError
 from flysid.flight import BOOT, TIME
+from flysid.flightwriter import int_values
 from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.conditions import ALWAYS
 from flysid.ingest.align.resample import FOREVER, Span
@@ -30,14 +31,18 @@ class Stretches:
         end may be missing; "": all of it.
     modes : names of flight modes, e.g. ("LOITER",); empty: all.
     mishaps : keep what is a crash, a failsafe or a loss of control, and what follows it.
+    without : parts of single flights that are left out, as `parse_part` reads them, by whole ids.
     """
 
     between: str = ""
     modes: tuple[str, ...] = ()
     mishaps: bool = False
+    without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         parse_between(self.between)
+        for text in self.without:
+            parse_part(text)
 
     def allowed(self, log: Log) -> Allowed:
         """Where a log may be used."""
@@ -46,6 +51,9 @@ class Stretches:
             found = found.within(_between(log, *parse_between(self.between), self.between))
         if self.modes:
             found = found.within(_in_modes(log, self.modes))
+        for part in map(parse_part, self.without):
+            if part.flight == log.name:
+                found = found.within(_without(log, part))
         return found if self.mishaps else found.within(_without_mishaps(log))
 
     @property
@@ -54,7 +62,84 @@ class Stretches:
         said = [f"{self.between} of the flight"] if self.between else []
         said += [f"in {' or '.join(self.modes)}"] if self.modes else []
         said += ["crashes and failsafes kept"] if self.mishaps else []
+        said += [f"without {text}" for text in self.without]
         return ", ".join(said)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A flight, one boot of it, or a part of its time.
+
+    Attributes
+    ----------
+    flight : its id, or the unambiguous beginning of it.
+    boot : None: every one of the flight's.
+    between : as `Stretches.between`.
+    """
+
+    flight: str
+    boot: int | None = None
+    between: str = ""
+
+    def __str__(self) -> str:
+        boot = "" if self.boot is None else f"#{self.boot}"
+        return f"{self.flight}{boot}{'@' if self.between else ''}{self.between}"
+
+    def spans(self, begin_ns: Mapping[int, int]) -> dict[int, Span]:
+        """Boot -> the span of vehicle time that is meant, ns, from the boots' beginnings."""
+        low_s, high_s = parse_between(self.between)
+        return {
+            boot: (
+                start + round(low_s * 1e9) if low_s else ALWAYS,
+                FOREVER if high_s == float("inf") else start + round(high_s * 1e9),
+            )
+            for boot, start in begin_ns.items()
+            if self.boot in (None, boot)
+        }
+
+
+def parse_part(text: str) -> Part:
+    """ "0042", "0042#1" (its second boot), "0042@12:30..14:00".
+
+    Raises
+    ------
+    UsageError : none of these.
+    """
+    named, at, between = text.partition("@")
+    flight, mark, boot = named.partition("#")
+    if not flight or (at and not between) or (mark and not boot.isdecimal()):
+        raise UsageError(
+            f"{text!r} names no flight and no part of one", hint="FLIGHT, or FLIGHT@12:30..14:00"
+        )
+    parse_between(between)
+    return Part(flight, int(boot) if mark else None, between)
+
+
+def held_spans(logs: Iterable[Log], parts: Sequence[str]) -> dict[str, list[Span]]:
+    """What is held out, by the name that alignment gives a flight: spans of vehicle time, ns.
+
+    Parameters
+    ----------
+    parts : of flights, as `parse_part` reads them, by whole ids.
+
+    Raises
+    ------
+    UsageError : a flight is not among the logs, or has no such boot.
+    """
+    by_name = {log.name: log for log in logs}
+    found: dict[str, list[Span]] = {}
+    for part in map(parse_part, parts):
+        begin_ns = beginnings(by_name[part.flight]) if part.flight in by_name else {}
+        spans = part.spans(begin_ns)
+        if not spans:
+            raise UsageError(
+                f"{str(part)!r} cannot be held out: it is not among the chosen flights",
+                hint="flysid ls DATA",
+            )
+        for boot, span in spans.items():
+            for name in (part.flight, f"{part.flight}#{boot}"):
+                found.setdefault(name, []).append(span)
+    return found
 
 
 def parse_between(text: str) -> tuple[float, float]:
@@ -99,8 +184,8 @@ def beginnings(log: Log) -> dict[int, int]:
     if longest is None:
         return {}
     table = log.table(longest, [BOOT, TIME])
-    boots = np.asarray(table[BOOT].to_numpy())
-    times = np.asarray(table[TIME].to_numpy())
+    boots = int_values(table[BOOT])
+    times = int_values(table[TIME])
     return {int(boot): int(times[boots == boot].min()) for boot in np.unique(boots)}
 
 
@@ -110,6 +195,15 @@ def _between(log: Log, low_s: float, high_s: float, said: str) -> Allowed:
         end = FOREVER if high_s == float("inf") else start + round(high_s * 1e9)
         spans[boot] = [(start + round(low_s * 1e9), end)]
     return Allowed(spans, (f"only {said} of the flight, as asked",))
+
+
+def _without(log: Log, part: Part) -> Allowed:
+    spans = {boot: _cut([(ALWAYS, FOREVER)], span) for boot, span in part.spans(beginnings(log)).items()}
+    if not spans:
+        raise UsageError(
+            f"{str(part)!r} cannot be left out: the flight has no such boot", hint="flysid ls DATA"
+        )
+    return Allowed(spans, (f"left out, as asked: {part}",))
 
 
 def _in_modes(log: Log, modes: Sequence[str]) -> Allowed:

@@ -80,7 +80,7 @@ def suggest(logs: Iterable[Log], recipes: Sequence[str | Recipe] | None = None) 
         for recipe in chosen:
             for channel in recipe.channels:
                 if all(find_source(recipe.signals[s].sources, log) for s in recipe.signals_of(channel)):
-                    tell(f"looking at {recipe.name}, {channel}", log=log.name, share=i / len(known))
+                    tell(f"checking {recipe.name}, {channel}", log=log.name, share=i / len(known))
                     found += _suggest_channel(log, recipe, channel)
     return found
 
@@ -195,7 +195,7 @@ def _verdict(
     if band is None:
         return "weak", f"the output does not follow {name} at any frequency; {ALONE}"
     if coherence < GOOD_COHERENCE:
-        return "weak", f"only {coherence:.0%} of the output's power follows {name}; {ALONE}"
+        return "weak", f"only {100.0 * coherence:.0f} % of the output's power follows {name}; {ALONE}"
     if is_narrow(band):
         return "weak", f"the output follows {name} in a narrow band only; {ALONE}"
     return "good", too_short_alone(duration)

@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from flysid.errors import FlysidError
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Source, field_scale, field_unit
+from flysid.flightwriter import float_values, int_values
 from flysid.ingest.excitation.enough import MIN_DURATION_S, least_hz, too_short_alone
 from flysid.ingest.formats.base import Limits, source_of
 from flysid.ingest.formats.opening import open_log
@@ -67,7 +68,7 @@ ADVICE = {
     "dataflash_text": "set LOG_BITMASK bit 0 (fast attitude)",
     "tlog": "use the vehicle's own .bin log, or raise SR0_EXTRA1 and SR0_POSITION",
     "ulog": "set SDLOG_PROFILE bits 0 and 2 (default and high rate)",
-    "csv": "say what its columns are: flysid fit FILE --from FIELD --to FIELD -o RUN",
+    "csv": "name its columns: flysid fit FILE --from FIELD --to FIELD -o RUN",
     "navdata": "set general:navdata_demo FALSE and general:navdata_options to all",
 }
 
@@ -147,15 +148,15 @@ def survey_or_reason(path: Path, limits: Limits | None = None) -> Survey | str:
     except FlysidError as error:
         return error.advice
     except MemoryError:
-        return "needs more memory than there is"
+        return "not enough memory"
 
 
 def _count(count: StreamCount, table: pa.Table) -> None:
     if not table.num_rows:
         return
     count.rows += table.num_rows
-    times = table[TIME].to_numpy()
-    boots = table[BOOT].to_numpy()
+    times = int_values(table[TIME])
+    boots = int_values(table[BOOT])
     for boot in np.unique(boots).tolist():
         inside = times[boots == boot]
         n, first, last = count.spans.get(boot, (0, int(inside.min()), int(inside.max())))
@@ -166,7 +167,7 @@ def _count(count: StreamCount, table: pa.Table) -> None:
             continue
         column = table.schema.field(name)
         factor = field_scale(column) * RADIANS.get(field_unit(column) or _unit_of(column), np.pi / 180)
-        angles = table[name].to_numpy().astype(np.float64) * factor
+        angles = float_values(table[name]) * factor
         values = np.unwrap(angles[np.abs(angles) < SENSELESS_RAD])
         n, total, squares = count.angles.get(axis, (0, 0.0, 0.0))
         count.angles[axis] = (
@@ -189,10 +190,10 @@ def verdict(found: Survey) -> tuple[str, str]:
     velocity, velocity_rate = found.role("velocity")
     rates, rates_hz = found.role("rates")
     if share > 0.05:
-        return f"damaged: {share:.0%} of the bytes lost", "copy it from the vehicle again"
+        return f"damaged: {100.0 * share:.0f} % of the bytes lost", "copy it from the vehicle again"
     if found.source.format == "csv":
         return (
-            "a table: its columns say nothing of their meaning",
+            "a table: --from and --to name its columns",
             "flysid fit FILE --from FIELD --to FIELD -o RUN",
         )
     if not attitude and not velocity and not rates:

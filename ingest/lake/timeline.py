@@ -16,6 +16,7 @@ import pyarrow.compute as pc
 from flysid.dataset import FloatArray
 from flysid.errors import RecipeError, UsageError
 from flysid.flight import BOOT, RECEIVED, TIME, field_scale, field_unit
+from flysid.flightwriter import float_values
 from flysid.ingest.align.allowed import Allowed
 from flysid.ingest.align.recipe import Recipe
 from flysid.ingest.align.resample import GAP_PERIODS, period_ns
@@ -259,7 +260,7 @@ def _read_field(log: Log, stream: str, field: str) -> Curve:
 def numbers_of(column: pa.Array, field: str) -> FloatArray:
     element = _ELEMENT.match(field)
     picked = pc.list_element(column, int(element[2])) if element else column
-    return np.asarray(picked.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=np.float64)
+    return float_values(picked)
 
 
 def _boot_offsets(curves: Sequence[Boots]) -> dict[int, float]:

@@ -179,7 +179,7 @@ class _Worker(Generic[Task, Outcome]):
         if not self._is_ready:
             return ""
         if seconds is not None and time.monotonic() - self._since > seconds:
-            return f"took longer than {seconds:g} s, the bound of time for one log"
+            return f"took longer than {seconds:g} s, the time limit for one log"
         if memory is not None and anonymous_bytes(self._process.pid) > memory:
             return memory_reason(memory)
         return ""
@@ -215,7 +215,7 @@ class _Worker(Generic[Task, Outcome]):
 
 def memory_reason(memory_bytes: int) -> str:
     """Why a log was given up."""
-    return f"needs more memory than {memory_bytes / 1e9:.3g} GB, the bound for one log"
+    return f"needs more memory than {memory_bytes / 1e9:.3g} GB, the memory limit for one log"
 
 
 def ended_how(code: int | None) -> str:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.filters import filtered
 from flysid.model.detrend import Trend
 from flysid.model.frequency.rational import Coordinates, Hold, Rational
 from flysid.model.frequency.sampling import sampled
@@ -93,11 +94,9 @@ class ContinuousError:
 
     def _run(self, record: Record, a: FloatArray, b: list[FloatArray]) -> FloatArray:
         """Free run from rest, without the first samples."""
-        from scipy.signal import lfilter
-
         forced = np.zeros(len(record.y))
         for j, taps in enumerate(b):
-            forced += lfilter(taps, a, record.u[:, j])
+            forced += filtered(taps, a, record.u[:, j])
         return forced[self.skip :]
 
     def _nuisance(self, a: FloatArray, rows: int) -> FloatArray:

@@ -11,12 +11,13 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.polynomials import ComplexArray
+from flysid.showing import significant
 
 Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True)
-class Estimate:
+class TransferEstimate:
     """A figure and its standard error (NaN where unknown); prints with half the width of its interval."""
 
     value: float
@@ -28,8 +29,8 @@ class Estimate:
         return self.value - Z95 * self.error, self.value + Z95 * self.error
 
     def __str__(self) -> str:
-        spread = f" +- {Z95 * self.error:.2g}" if self.error > 0 else ""
-        return f"{self.value:.4g}{spread}"
+        spread = f" +- {significant(Z95 * self.error, 2)}" if self.error > 0 else ""
+        return f"{significant(self.value, 4)}{spread}"
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,9 @@ class ContinuousMode:
     constant (s, negative where unstable)."""
 
     pole: complex
-    frequency_rad_s: Estimate
-    damping: Estimate
-    time_constant_s: Estimate | None
+    frequency_rad_s: TransferEstimate
+    damping: TransferEstimate
+    time_constant_s: TransferEstimate | None
 
     def __str__(self) -> str:
         if self.pole.imag:
@@ -53,7 +54,7 @@ class ContinuousMode:
         if spread > abs(self.pole.real):
             return f"not determined ({self.pole.real:.2g} +- {spread:.2g} rad/s)"
         if self.pole.real > 0:
-            return f"unstable: doubles in {np.log(2) / self.pole.real:.3g} s"
+            return f"unstable: doubles in {significant(np.log(2) / self.pole.real)} s"
         return f"time constant {self.time_constant_s} s"
 
 
@@ -93,9 +94,9 @@ class ContinuousTransfer:
         return np.append(0.0, self.errors[len(self.numerator) : -1])
 
     @property
-    def dead_time(self) -> Estimate:
+    def dead_time(self) -> TransferEstimate:
         """Seconds."""
-        return Estimate(self.dead_time_s, float(self.errors[-1]))
+        return TransferEstimate(self.dead_time_s, float(self.errors[-1]))
 
     @property
     def poles(self) -> ComplexArray:
@@ -113,17 +114,17 @@ class ContinuousTransfer:
         return bool((self.poles.real < 0.0).all())
 
     @property
-    def gain(self) -> Estimate:
+    def gain(self) -> TransferEstimate:
         """Steady gain G(0); NaN where the model integrates."""
         top = float(self.numerator[-1])
         bottom = float(self.denominator[-1])
         if bottom == 0.0:
-            return Estimate(np.nan, np.nan)
+            return TransferEstimate(np.nan, np.nan)
         slope = np.zeros(len(self.covariance))
         slope[len(self.numerator) - 1] += 1.0 / bottom
         if len(self.denominator) > 1:
             slope[-2] -= top / bottom**2
-        return Estimate(top / bottom, self._spread(slope))
+        return TransferEstimate(top / bottom, self._spread(slope))
 
     def at(self, omega: FloatArray) -> ComplexArray:
         """(F,) response at omega, rad/s."""
@@ -156,15 +157,19 @@ class ContinuousTransfer:
             slope[m : m + n] = -(pole ** np.arange(n - 1, -1, -1)) / steep
         size = abs(pole)
         if size == 0.0:
-            return ContinuousMode(0j, Estimate(0.0, np.nan), Estimate(1.0, np.nan), None)
+            return ContinuousMode(0j, TransferEstimate(0.0, np.nan), TransferEstimate(1.0, np.nan), None)
         along = (pole.real * slope.real + pole.imag * slope.imag) / size
         damping = -pole.real / size
         turn = -slope.real / size + pole.real * along / size**2
-        real = Estimate(-1.0 / pole.real, self._spread(slope.real / pole.real**2)) if not pole.imag else None
+        real = (
+            TransferEstimate(-1.0 / pole.real, self._spread(slope.real / pole.real**2))
+            if not pole.imag
+            else None
+        )
         return ContinuousMode(
             complex(pole),
-            Estimate(size, self._spread(along)),
-            Estimate(damping, self._spread(turn) if pole.imag else 0.0),
+            TransferEstimate(size, self._spread(along)),
+            TransferEstimate(damping, self._spread(turn) if pole.imag else 0.0),
             real,
         )
 
@@ -238,7 +243,8 @@ class ContinuousTransfer:
 
 
 def _spread_text(value: float, error: float) -> str:
-    return f"{value:.4g} (+- {Z95 * error:.2g})" if error > 0 else f"{value:.4g}"
+    spread = f" (+- {significant(Z95 * error, 2)})" if error > 0 else ""
+    return f"{significant(value, 4)}{spread}"
 
 
 def _text(values: FloatArray, errors: FloatArray) -> str:

@@ -40,7 +40,7 @@ MARGIN = 1.5
 """A dead time may grow by this factor while it is refined."""
 
 
-class Settings(Protocol):
+class GuessSettings(Protocol):
     """What a start needs to know; `TF` is such settings."""
 
     @property
@@ -80,7 +80,7 @@ class Starts:
     why : the reason where there are none.
     """
 
-    settings: Settings
+    settings: GuessSettings
     parts: Parts
     candidates: tuple[Form, ...]
     measured: MeasuredResponse | None
@@ -88,7 +88,7 @@ class Starts:
     why: DataError | FitError | None
 
     @classmethod
-    def of(cls, settings: Settings, parts: Parts, joint: Dataset) -> Starts:
+    def of(cls, settings: GuessSettings, parts: Parts, joint: Dataset) -> Starts:
         """Measure, on all training data (`joint`: with the references), and fit all orders that the settings
         leave open."""
         n_u = len(parts.train.inputs)
@@ -153,7 +153,7 @@ class Starts:
         )
 
 
-def _bands(settings: Settings, n_u: int) -> list[tuple[float, float]] | None:
+def _bands(settings: GuessSettings, n_u: int) -> list[tuple[float, float]] | None:
     return None if settings.band is None else [settings.band] * n_u
 
 
@@ -161,7 +161,7 @@ def _bands(settings: Settings, n_u: int) -> list[tuple[float, float]] | None:
 class _Discrete:
     """Starts from discrete output-error models; the delays are looked for once."""
 
-    settings: Settings
+    settings: GuessSettings
     parts: Parts
     nk: tuple[int, ...] | None = None
 
@@ -211,7 +211,7 @@ def _cut(top: FloatArray, size: int) -> FloatArray:
 
 
 def _from_response(
-    settings: Settings,
+    settings: GuessSettings,
     parts: Parts,
     fits: Sequence[ResponseFit],
     discrete: tuple[Form, Rational] | None,
@@ -239,7 +239,7 @@ def _from_response(
     return kept, f"{words}, refined on the simulation error{_delay_words(kept)}"
 
 
-def _pruned(settings: Settings, parts: Parts, fit: OneTransfer) -> OneTransfer:
+def _pruned(settings: GuessSettings, parts: Parts, fit: OneTransfer) -> OneTransfer:
     """With fewer zeros as long as BIC on the simulation error agrees."""
     while settings.zeros == "auto" and max(fit.problem.coordinates.form.zeros, default=0) > 0:
         form = fit.problem.coordinates.form
@@ -263,7 +263,7 @@ def _bic(fit: OneTransfer) -> float:
     return float(n * np.log(max(fit.problem.cost(fit.theta), 1e-300) / n) + fit.count * np.log(n))
 
 
-def _problem(settings: Settings, parts: Parts, form: Form, rational: Rational) -> ContinuousError:
+def _problem(settings: GuessSettings, parts: Parts, form: Form, rational: Rational) -> ContinuousError:
     size = np.abs(np.roots(rational.denominator))
     omega_0 = float(np.exp(np.mean(np.log(np.maximum(size, 1e-3))))) if len(size) else 1.0
     dt_s = parts.train.dt_s
@@ -279,7 +279,7 @@ def _problem(settings: Settings, parts: Parts, form: Form, rational: Rational) -
     )
 
 
-def _refined(settings: Settings, parts: Parts, form: Form, rational: Rational) -> OneTransfer | None:
+def _refined(settings: GuessSettings, parts: Parts, form: Form, rational: Rational) -> OneTransfer | None:
     """From a start to the minimum; None where there is no way down or no segment is long enough."""
     problem = _problem(settings, parts, form, rational)
     theta = problem.coordinates.theta(rational)
@@ -306,7 +306,7 @@ def _refined(settings: Settings, parts: Parts, form: Form, rational: Rational) -
     return OneTransfer(problem, found.theta)
 
 
-def _unrefined(settings: Settings, parts: Parts, fit: ResponseFit) -> OneTransfer:
+def _unrefined(settings: GuessSettings, parts: Parts, fit: ResponseFit) -> OneTransfer:
     """The fit to the frequency response as it is, its covariance in the coordinates of the problem."""
     problem = _problem(settings, parts, fit.form, fit.rational)
     coordinates = problem.coordinates
@@ -332,7 +332,7 @@ def _best_offset(problem: ContinuousError, theta: FloatArray) -> float:
 
 
 def _from_output_error(
-    settings: Settings, parts: Parts, discrete: tuple[Form, Rational] | None
+    settings: GuessSettings, parts: Parts, discrete: tuple[Form, Rational] | None
 ) -> tuple[OneTransfer, str] | None:
     found = _refined(settings, parts, *discrete) if discrete else None
     if found is None:

@@ -64,7 +64,7 @@ class _Lines:
 
 
 @dataclass(frozen=True, eq=False)
-class _Point:
+class _LocalPoint:
     """One frequency: gains, their variances at a noise of 1 (complex), noise power, degrees of freedom,
     averages, how every line enters the gains (weights (n_u, M) on lines `where`), and the least coherence of
     the references with an input or the output (1 without references)."""
@@ -155,7 +155,7 @@ def _lowest(lines: Sequence[_Lines], n_u: int) -> float:
     return np.inf
 
 
-def _best_point(lines: Sequence[_Lines], omega: float, n_u: int) -> _Point | None:
+def _best_point(lines: Sequence[_Lines], omega: float, n_u: int) -> _LocalPoint | None:
     """The point of smallest random error among the band widths with lines enough."""
     widths = [w for w in WIDTHS if _free_lines(lines, omega * (1 - w), omega * (1 + w), n_u) >= FREEDOM]
     if not widths:
@@ -168,7 +168,7 @@ def _best_point(lines: Sequence[_Lines], omega: float, n_u: int) -> _Point | Non
     return min(best, key=lambda p: p.error) if best else None
 
 
-def _fitted(lines: Sequence[_Lines], place: tuple[float, float, int], n_u: int) -> _Point | None:
+def _fitted(lines: Sequence[_Lines], place: tuple[float, float, int], n_u: int) -> _LocalPoint | None:
     """Local least squares; None where the inputs have no power there.
 
     Parameters
@@ -201,7 +201,9 @@ def _fitted(lines: Sequence[_Lines], place: tuple[float, float, int], n_u: int) 
     )
 
 
-def _solved(phi: ComplexArray, driven: ComplexArray, rows: int, n_u: int, where: IntArray) -> _Point | None:
+def _solved(
+    phi: ComplexArray, driven: ComplexArray, rows: int, n_u: int, where: IntArray
+) -> _LocalPoint | None:
     """Gains at the band's middle: the first n_u unknowns, of every driven signal."""
     size = np.abs(phi[:, :n_u]) ** 2
     total = size.sum(axis=0)
@@ -228,7 +230,7 @@ def _solved(phi: ComplexArray, driven: ComplexArray, rows: int, n_u: int, where:
     noise = float(np.sum(np.abs(residual) ** 2)) / freedom
     weights = pseudo[:n_u]
     unit = np.asarray((np.abs(weights) ** 2).sum(axis=1), dtype=np.float64)
-    return _Point(theta[:n_u, 0], unit, noise, freedom, averages, weights, where)
+    return _LocalPoint(theta[:n_u, 0], unit, noise, freedom, averages, weights, where)
 
 
 def _quotient(
@@ -237,9 +239,9 @@ def _quotient(
     weights: ComplexArray,
     counts: tuple[int, float],
     where: IntArray,
-) -> _Point | None:
+) -> _LocalPoint | None:
     """The plant behind what references (rows of `through`) do to its inputs and, last, to its output."""
-    from scipy.stats import f as distribution
+    from scipy.special import fdtri
 
     freedom, averages = counts
     n_u = through.shape[1] - 1
@@ -259,14 +261,10 @@ def _quotient(
     told = brought / np.maximum(brought + noise, 1e-300)
     # Fieller (1954, J. Roy. Stat. Soc. B 16): a quotient's interval is the wider the less is known of its
     # denominator, and has no end where that may be 0
-    chance = (
-        noise[:n_u]
-        * float(distribution.ppf(0.95, 2, 2 * freedom))
-        / np.maximum(averages * brought[:n_u], 1e-300)
-    )
+    chance = noise[:n_u] * float(fdtri(2, 2 * freedom, 0.95)) / np.maximum(averages * brought[:n_u], 1e-300)
     if not chance.max() < 1.0:
         return None
-    return _Point(
+    return _LocalPoint(
         gain=gain,
         unit=np.asarray(np.diag(unit).real) / (1.0 - chance.max()),
         noise=float(np.sum(np.abs(left) ** 2)) / freedom,
@@ -278,7 +276,7 @@ def _quotient(
     )
 
 
-def _joined(omega: FloatArray, points: Sequence[_Point]) -> Spectral:
+def _joined(omega: FloatArray, points: Sequence[_LocalPoint]) -> Spectral:
     gain = np.stack([p.gain for p in points])
     unit = np.stack([p.unit for p in points])
     averages = np.array([p.averages for p in points])[:, None]
@@ -300,7 +298,7 @@ def _joined(omega: FloatArray, points: Sequence[_Point]) -> Spectral:
     )
 
 
-def _correlation(points: Sequence[_Point], source: int) -> FloatArray:
+def _correlation(points: Sequence[_LocalPoint], source: int) -> FloatArray:
     """(F, F) of the relative errors: common lines, with the phases of the gains taken out."""
     from scipy.sparse import csr_array
 

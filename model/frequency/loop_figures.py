@@ -114,7 +114,7 @@ def command_figures(measured: MeasuredResponse, source: int = 0) -> list[LoopFig
 
     The peak is above the gain at the band's low end, as its bandwidth is below: units cancel.
     """
-    curve = _Curve.of(measured, source)
+    curve = _LoopCurve.of(measured, source)
     if isinstance(curve, str):
         names = "bandwidth_rads", "peak_db", "bandwidth_phase_rads", "bandwidth_gain_rads", "phase_delay_ms"
         return [LoopFigure(name, None, why=curve) for name in names]
@@ -122,7 +122,7 @@ def command_figures(measured: MeasuredResponse, source: int = 0) -> list[LoopFig
 
 
 @dataclass(frozen=True, eq=False)
-class _Curve:
+class _LoopCurve:
     """Trusted points: x = ln omega, ln G (its phase continuous), standard errors, their correlation."""
 
     x: FloatArray
@@ -131,7 +131,7 @@ class _Curve:
     correlation: FloatArray
 
     @classmethod
-    def of(cls, measured: MeasuredResponse, source: int) -> _Curve | str:
+    def of(cls, measured: MeasuredResponse, source: int) -> _LoopCurve | str:
         """Or why there is none."""
         inside = np.flatnonzero(measured.trusted(source))
         if len(inside) < NEIGHBOURS:
@@ -179,7 +179,7 @@ def _interval(name: str, value: float, error: float, log: bool = False) -> LoopF
     return LoopFigure(name, float(value), float(value - Z95 * error), float(value + Z95 * error))
 
 
-def _root(curve: _Curve, start: float, part: Callable[[complex], float]) -> tuple[float, float, float]:
+def _root(curve: _LoopCurve, start: float, part: Callable[[complex], float]) -> tuple[float, float, float]:
     """(x, its error, error of the other part there) where a part of the parabola is 0."""
     x = start
     for _ in range(5):
@@ -202,19 +202,19 @@ def _imag(value: complex) -> float:
     return float(np.imag(value))
 
 
-def _shifted(curve: _Curve, by: complex) -> _Curve:
+def _shifted(curve: _LoopCurve, by: complex) -> _LoopCurve:
     return replace(curve, log=curve.log - by)
 
 
 def _crossing(loop: MeasuredResponse) -> list[LoopFigure]:
     names = ("crossover_rads", "phase_margin_deg")
-    curve = _Curve.of(loop, 0)
+    curve = _LoopCurve.of(loop, 0)
     if isinstance(curve, str):
         return [LoopFigure(n, None, why=curve) for n in names]
     found = curve.crossings(curve.smooth().real)
     if not found:
         where = "above" if curve.smooth().real[0] > 0 else "below"
-        why = f"the loop's gain stays {where} 1 wherever it can be trusted"
+        why = f"the loop's gain stays {where} 1 in the whole trusted band"
         return [LoopFigure(n, None, why=why) for n in names]
     x, error, own = _root(curve, found[-1], _real)
     values, _ = curve.parabola(x)
@@ -226,15 +226,13 @@ def _crossing(loop: MeasuredResponse) -> list[LoopFigure]:
 
 def _gain_margin(loop: MeasuredResponse) -> LoopFigure:
     name = "gain_margin_db"
-    curve = _Curve.of(loop, 0)
+    curve = _LoopCurve.of(loop, 0)
     if isinstance(curve, str):
         return LoopFigure(name, None, why=curve)
     shifted = _shifted(curve, -1j * np.pi)
     found = shifted.crossings(shifted.smooth().imag)
     if not found:
-        return LoopFigure(
-            name, None, why="the loop's phase does not pass -180 degrees where it can be trusted"
-        )
+        return LoopFigure(name, None, why="the loop's phase does not pass -180 degrees in the trusted band")
     x, error, own = _root(shifted, found[0], _imag)
     values, _ = shifted.parabola(x)
     return _interval(name, -DB * values[0].real, DB * float(np.hypot(own, values[1].real * error)))
@@ -243,7 +241,7 @@ def _gain_margin(loop: MeasuredResponse) -> LoopFigure:
 def _sensitivity(loop: MeasuredResponse) -> list[LoopFigure]:
     """Ms, disturbance-rejection bandwidth and peak from S = 1 / (1 + L)."""
     names = ("sensitivity_peak_db", "disturbance_rejection_bandwidth_rads")
-    curve = _Curve.of(loop, 0)
+    curve = _LoopCurve.of(loop, 0)
     if isinstance(curve, str):
         return [LoopFigure(n, None, why=curve) for n in names]
     value = np.exp(curve.log)
@@ -257,24 +255,24 @@ def _sensitivity(loop: MeasuredResponse) -> list[LoopFigure]:
     peak = replace(_peak(of_s), name=names[0])
     crossings = _shifted(of_s, -HALF_POWER).crossings(_shifted(of_s, -HALF_POWER).smooth().real)
     if not crossings:
-        why = "|S| does not pass -3 dB where it can be trusted"
+        why = "|S| does not pass -3 dB in the trusted band"
         return [peak, LoopFigure(names[1], None, why=why)]
     x, error, _ = _root(_shifted(of_s, -HALF_POWER), crossings[0], _real)
     return [peak, _interval(names[1], x, error, log=True)]
 
 
-def _peak(curve: _Curve) -> LoopFigure:
+def _peak(curve: _LoopCurve) -> LoopFigure:
     name = "peak_db"
     level = curve.smooth().real
     top = int(np.argmax(level))
     if top in (0, len(level) - 1):
-        return LoopFigure(name, None, why="its highest point lies at the edge of what can be trusted")
+        return LoopFigure(name, None, why="its peak lies at the edge of the trusted band")
     values, spread = curve.parabola(float(curve.x[top]))
     apex = values[0].real - values[1].real ** 2 / min(2.0 * values[2].real, -1e-9)
     return _interval(name, DB * float(apex), DB * float(np.sqrt(spread[0, 0])))
 
 
-def _low_end(curve: _Curve) -> tuple[float, float] | None:
+def _low_end(curve: _LoopCurve) -> tuple[float, float] | None:
     """ln |G| at the band's low end and its error; None where it is not flat there."""
     values, spread = curve.parabola(float(curve.x[0]))
     if abs(values[1].real) > 0.5:
@@ -282,7 +280,7 @@ def _low_end(curve: _Curve) -> tuple[float, float] | None:
     return values[0].real, float(np.sqrt(spread[0, 0]))
 
 
-def _resonance(curve: _Curve) -> LoopFigure:
+def _resonance(curve: _LoopCurve) -> LoopFigure:
     """The peak above the gain at the band's low end."""
     low = _low_end(curve)
     if low is None:
@@ -294,7 +292,7 @@ def _resonance(curve: _Curve) -> LoopFigure:
     return _interval(found.name, found.value, float(np.hypot(own, DB * low[1])))
 
 
-def _half_power(curve: _Curve) -> LoopFigure:
+def _half_power(curve: _LoopCurve) -> LoopFigure:
     """-3 dB below the gain at the band's low end, which must be flat there."""
     name = "bandwidth_rads"
     low = _low_end(curve)
@@ -304,12 +302,12 @@ def _half_power(curve: _Curve) -> LoopFigure:
     shifted = _shifted(curve, low[0] - HALF_POWER)
     found = shifted.crossings(shifted.smooth().real)
     if not found:
-        return LoopFigure(name, None, why="the gain does not fall by 3 dB where it can be trusted")
+        return LoopFigure(name, None, why="the gain does not fall by 3 dB in the trusted band")
     x, error, own = _root(shifted, found[0], _real)
     return _interval(name, x, error * float(np.hypot(1.0, start / max(own, 1e-12))), log=True)
 
 
-def _handling(curve: _Curve) -> list[LoopFigure]:
+def _handling(curve: _LoopCurve) -> list[LoopFigure]:
     """ADS-33: bandwidth by phase, bandwidth by gain, phase delay."""
     names = ("bandwidth_phase_rads", "bandwidth_gain_rads", "phase_delay_ms")
     figures: list[LoopFigure] = []
@@ -319,11 +317,13 @@ def _handling(curve: _Curve) -> list[LoopFigure]:
         x, error, _ = _root(at_135, found[0], _imag)
         figures.append(_interval(names[0], x, error, log=True))
     else:
-        figures.append(LoopFigure(names[0], None, why="the phase does not pass -135 degrees where trusted"))
+        figures.append(
+            LoopFigure(names[0], None, why="the phase does not pass -135 degrees in the trusted band")
+        )
     at_180 = _shifted(curve, -1j * np.pi)
     turned = at_180.crossings(at_180.smooth().imag)
     if not turned:
-        why = "the phase does not pass -180 degrees where trusted"
+        why = "the phase does not pass -180 degrees in the trusted band"
         return [*figures, *(LoopFigure(n, None, why=why) for n in names[1:])]
     x180, error180, own180 = _root(at_180, turned[0], _imag)
     level = curve.parabola(x180)[0]
@@ -335,10 +335,10 @@ def _handling(curve: _Curve) -> list[LoopFigure]:
         wider = error * float(np.hypot(1.0, there / max(own, 1e-12)))
         figures.append(_interval(names[1], x, wider, log=True))
     else:
-        figures.append(LoopFigure(names[1], None, why="the gain is not 6 dB higher where trusted"))
+        figures.append(LoopFigure(names[1], None, why="the gain is not 6 dB higher in the trusted band"))
     twice = x180 + np.log(2.0)
     if twice > curve.x[-1]:
-        why = "twice the frequency of -180 degrees lies beyond what can be trusted"
+        why = "twice the frequency of -180 degrees lies outside the trusted band"
         return [*figures, LoopFigure(names[2], None, why=why)]
     values, spread = curve.parabola(twice)
     omega = np.exp(x180)

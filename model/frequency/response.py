@@ -78,9 +78,9 @@ class MeasuredResponse:
 
     def half_width(self, level: float = 0.95) -> FloatArray:
         """(F, n_u) half width of the interval on ln |G| and on the phase in rad (Student's t)."""
-        from scipy.stats import t
+        from scipy.special import stdtrit
 
-        return np.asarray(t.ppf(0.5 + level / 2.0, self.freedom)[:, None] * self.error)
+        return np.asarray(stdtrit(self.freedom, 0.5 + level / 2.0)[:, None] * self.error)
 
     def gain_interval_db(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
         """(lower, upper), (F, n_u) each."""

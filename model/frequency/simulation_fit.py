@@ -305,7 +305,9 @@ def _problem(
     how: tuple[Weighting, Hold, Sequence[tuple[float, float]] | None],
 ) -> _Problem:
     weighting, hold, bands = how
-    picked = [_picked(measured, j, None if bands is None else bands[j]) for j in range(len(measured.inputs))]
+    picked = [
+        picked_points(measured, j, None if bands is None else bands[j]) for j in range(len(measured.inputs))
+    ]
     source = np.concatenate([np.full(len(p), j) for j, p in enumerate(picked)])
     where = np.concatenate(picked)
     omega = measured.omega[where]
@@ -337,7 +339,7 @@ def _problem(
     )
 
 
-def _picked(
+def picked_points(
     measured: MeasuredResponse, source: int, band: tuple[float, float] | None
 ) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Indices of the points of one input to fit."""
@@ -365,7 +367,7 @@ def _finished(problem: _Problem, theta: FloatArray, n_u: int) -> ResponseFit:
     errors = np.concatenate([residual[:m] / problem.weight[:, 0], residual[m:] / problem.weight[:, 1]])
     chi2, points = problem.chi2(errors)
     covariance = _sandwich(problem, jacobian) * np.outer(coordinates.units, coordinates.units)
-    covariance = covariance * _inflation(chi2, points - len(theta))
+    covariance = covariance * inflation(chi2, points - len(theta))
     rational = coordinates.rational(theta)
     n = problem.form.poles
     falling = covariance[np.ix_(coordinates.falling, coordinates.falling)]
@@ -381,12 +383,12 @@ def _finished(problem: _Problem, theta: FloatArray, n_u: int) -> ResponseFit:
     )
 
 
-def _inflation(chi2: float, freedom: float) -> float:
+def inflation(chi2: float, freedom: float) -> float:
     """Where the form misses the points by more than chance (5 %), its parameters are as unsure as that says
     (Birge, 1932, Physical Review 40)."""
-    from scipy.stats import chi2 as distribution
+    from scipy.special import chdtri
 
-    return max(1.0, chi2 / float(distribution.ppf(0.95, max(freedom, 1.0))))
+    return max(1.0, chi2 / float(chdtri(max(freedom, 1.0), 0.05)))
 
 
 def _sandwich(problem: _Problem, jacobian: FloatArray) -> FloatArray:

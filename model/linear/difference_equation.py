@@ -19,6 +19,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
+from flysid.filters import filtered
 from flysid.model.arguments import as_columns
 from flysid.model.base import Rule, write_document
 from flysid.model.capabilities import Coefficient, FrequencyResponse
@@ -110,8 +111,8 @@ class FittedLinear(FreeRuns):
         dy = y0[:n] - self.y_origin
         if len(u) <= n:
             return np.array(y0[: len(u)])
-        tail = self._after(du, dy) if self.starts is None else self._estimated(du, dy, self.starts)
-        tail = saturated(tail + self.y_origin, self.output_limits)
+        first, state = self.begin(du, dy)
+        tail = saturated(self.system.run(du[first:], state)[n - first :] + self.y_origin, self.output_limits)
         return np.concatenate([y0[:n], tail])
 
     def unlimited(self) -> FittedLinear:
@@ -284,13 +285,11 @@ class FittedLinear(FreeRuns):
         """(N, n_y) e of A y = drive + C e, zero in the first n_init rows; None where C = 1."""
         if self.ma is None:
             return None
-        from scipy.signal import lfilter
-
         right = y - drive
         for lag in range(1, len(a)):
             right[lag:] += y[:-lag] @ a[lag].T
         right[: self.n_init] = 0.0
-        return np.stack([lfilter([1.0], self.ma[:, i], right[:, i]) for i in range(y.shape[1])], axis=1)
+        return np.stack([filtered(np.ones(1), self.ma[:, i], right[:, i]) for i in range(y.shape[1])], axis=1)
 
     def _moved(self, step: FloatArray) -> FittedLinear:
         """The model with a step added to its estimated parameters."""
@@ -308,18 +307,15 @@ class FittedLinear(FreeRuns):
         past_y = np.tile(-self.y_origin, (depth, 1))
         return self.system.run(u - self.u_origin, self.system.state(past_u, past_y)) + self.y_origin
 
-    def _after(self, du: FloatArray, dy: FloatArray) -> FloatArray:
-        n = self.n_init
-        return self.system.run(du[n:], self.system.state(du[:n], dy))
-
-    def _estimated(self, du: FloatArray, dy: FloatArray, starts: FloatArray) -> FloatArray:
+    def begin(self, du: FloatArray, dy: FloatArray) -> tuple[int, FloatArray]:
+        """Where a free run along deviations du, dy begins, and the state (L, n_y) it has there."""
         n = self.n_init
         system = self.system
-        drive = system.drive(du)
+        if self.starts is None:
+            return n, system.state(du[:n], dy[:n])
         zero = np.zeros((system.depth, len(self.outputs)))
-        miss = dy - system.respond(drive[:n], zero)
-        state = np.einsum("oln,no->lo", starts, miss)
-        return system.respond(drive, state)[n:]
+        miss = dy[:n] - system.run(du[:n], zero)
+        return 0, np.einsum("oln,no->lo", self.starts, miss)
 
 
 def from_dict(document: Mapping[str, Any]) -> FittedLinear:

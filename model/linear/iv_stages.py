@@ -298,7 +298,7 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     values = np.linalg.svd(scaled, compute_uv=False)
     if values[-1] < SINGULAR * values[0]:
         raise FitError(
-            "the instruments say nothing about some coefficient: the regression is singular",
+            "the instruments do not determine every coefficient: the regression is singular",
             hint="lower the orders, take a longer sample time, or bring data with more excitation",
         )
     lifted = right / (rows if right.ndim == 1 else rows[:, None])

@@ -10,7 +10,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.model.gram import LeastSquares, Triangle, lagged_gram, lagged_triangle, residuals_of, solve
-from flysid.model.regressors import Lags, Transform
+from flysid.model.regressors import Lags, RegressorTransform
 from flysid.model.stream import Source, blocks_of, windows
 
 ROUNDING = 1e-31
@@ -78,7 +78,7 @@ class Grid:
         return fit + self.n_y * len(columns) * float(np.log(rows))
 
 
-def grid_triangle(data: Source, lags: Lags, transform: Transform | None = None) -> Triangle:
+def grid_triangle(data: Source, lags: Lags, transform: RegressorTransform | None = None) -> Triangle:
     """The triangle of [Phi Y 1] for the lags of a Grid, from memory or from disk.
 
     Raises
@@ -89,7 +89,7 @@ def grid_triangle(data: Source, lags: Lags, transform: Transform | None = None) 
     return lagged_triangle(blocks_of(data, origin), lags.depth, scale, _columns(lags), len(lags.y))
 
 
-def grid_gram(data: Source, lags: Lags, transform: Transform | None = None) -> FloatArray:
+def grid_gram(data: Source, lags: Lags, transform: RegressorTransform | None = None) -> FloatArray:
     """The Gram of [Phi Y 1]; see `grid_triangle`.
 
     Raises
@@ -109,7 +109,7 @@ def grid_gram(data: Source, lags: Lags, transform: Transform | None = None) -> F
     return found
 
 
-def _units(lags: Lags, transform: Transform | None) -> tuple[FloatArray, FloatArray]:
+def _units(lags: Lags, transform: RegressorTransform | None) -> tuple[FloatArray, FloatArray]:
     if transform is None:
         return np.zeros(len(lags.y) + len(lags.u)), np.ones(len(lags.y) + len(lags.u))
     return (

@@ -30,6 +30,7 @@ from flysid.model.linear.initial_state import start_gains
 from flysid.model.noise import coloured_covariance, noise_model
 from flysid.model.polynomials import free_basis, monic_basis
 from flysid.model.selection import LEVEL, block_errors, simplest
+from flysid.model.shared import digest, once
 from flysid.model.simulation_error import (
     Orders,
     OutputError,
@@ -95,6 +96,7 @@ def fit_output(problem: OutputError) -> OneOutput:
     return OneOutput(problem, found.theta, found.cost)
 
 
+@once(lambda data, output, probe: (digest(data), output, probe))
 def find_delays(data: Dataset, output: int, probe: Orders) -> tuple[int, ...]:
     """Delay per input, one input at a time, by the simulation error of the start.
 

@@ -19,7 +19,8 @@ from typing import Literal
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.compiled_filters import differences, filtered, is_stable
+from flysid.filters import filtered
+from flysid.model.compiled_filters import differences, is_stable
 from flysid.model.noise import burg
 from flysid.model.polynomials import stabilised
 from flysid.model.refine import Refinement, levenberg_marquardt

@@ -9,6 +9,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
+from flysid.filters import filtered
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import Parts, records
 from flysid.model.linear.difference_equation import FittedLinear
@@ -93,9 +94,7 @@ def _fit(kind: Kind, parts: Parts, output: int, start: OneOutput, noise: tuple[i
         )
     errors = replace(start.problem, records=problem.records).errors(start.theta)
     if kind == "armax":
-        from scipy.signal import lfilter
-
-        errors = [lfilter(start.transfer.a, [1.0], e)[problem.orders.na :] for e in errors]
+        errors = [filtered(start.transfer.a, np.ones(1), e)[problem.orders.na :] for e in errors]
     c, d = innovations_start(errors, *noise)
     theta = np.concatenate([start.theta, c[1:], d[1:]])
     best = problem.refine(theta)

@@ -62,7 +62,7 @@ def check_inputs(n_u: int) -> None:
     """Raise UsageError where there is no input."""
     if n_u == 0:
         raise UsageError(
-            "the dataset has no input: there is nothing that a model could answer",
+            "the dataset has no input",
             hint="name an input in the recipe",
         )
 

@@ -78,6 +78,7 @@ def _sum(terms: list[tuple[float, str]], constant: float) -> str:
     return text
 
 
+CANCELS = 0.1  # of a pole's distance from one, which is that of its gain
 EQUATIONS = {
     "arx": "A(q) y = B(q) u + c + e",
     "armax": "A(q) y = B(q) u + c + C(q) e",
@@ -101,13 +102,23 @@ def describe(model: LinearText) -> str:
     lines += _polynomials(model)
     modes = modes_of(model.poles, model.dt_s)
     if modes:
-        lines.append("poles: " + "; ".join(str(m) for m in modes))
+        lines.append("poles: " + "; ".join(f"{m}{_seen(model, m.pole)}" for m in modes))
     lines.append("steady gain: " + "; ".join(gains_text(model, _gain_errors(model))))
     if (model.standard_errors > 0).any():
         lines.append("(+- is half the width of a 95 % interval)")
     lines += [f"{name}: {value:.4g}" for name, value in model.scores.items()]
     lines += [f"- {note}" for note in model.notes]
     return "\n".join(lines)
+
+
+def _seen(model: LinearText, pole: complex) -> str:
+    """A word on a pole of a model of one output beside which every input has a zero: answers hardly show it.
+
+    Its time constant is no more than what the data did not tell from none.
+    """
+    numerators = [b for b in map(np.trim_zeros, model.system.b[:, 0].T) if len(b)]
+    near = [(np.abs(np.roots(b) - pole) < CANCELS * abs(1.0 - pole)).any() for b in numerators]
+    return " (a zero nearly cancels it)" if len(model.outputs) == 1 and near and all(near) else ""
 
 
 class WithGain(Protocol):

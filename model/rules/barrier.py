@@ -62,14 +62,19 @@ def _followed(
 ) -> FloatArray:
     """Where the central path is left: the gap is known closely enough, or what was found is enough."""
     rows = sum(len(F0) for F0, _ in blocks)
+    stacks = _stacked(blocks)
     steps = 0
     while steps < _STEPS:
         for _ in range(_NEWTON):
-            g, H = _slopes(blocks, x, weight * cost)
+            try:
+                whitened = [_whitened(stack, x) for stack in stacks]
+            except np.linalg.LinAlgError:  # at the edge, but for rounding
+                return x
+            g, H = _slopes(whitened, weight * cost)
             step: FloatArray = np.asarray(np.linalg.lstsq(H, -g, rcond=1e-14)[0], dtype=np.float64)
             gain = float(-g @ step)
             steps = steps + 1
-            size = _size(blocks, x, step, weight * cost, gain) if gain > _CENTRED else 0.0
+            size = _size(whitened, step, weight * float(cost @ step), gain) if gain > _CENTRED else 0.0
             if size == 0.0:
                 break
             x = x + size * step
@@ -81,39 +86,41 @@ def _followed(
     return x
 
 
-def _slopes(blocks: Sequence[Block], x: FloatArray, cost: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _stacked(blocks: Sequence[Block]) -> list[Block]:
+    """F0 (b, m, m) and F (b, k, m, m) of the blocks of a size: one call for all of them."""
+    sizes = dict.fromkeys(len(F0) for F0, _ in blocks)
+    alike = [[block for block in blocks if len(block[0]) == size] for size in sizes]
+    return [(np.stack([F0 for F0, _ in some]), np.stack([F for _, F in some])) for some in alike]
+
+
+def _whitened(stack: Block, x: FloatArray) -> FloatArray:
+    """(b, k, m, m) of blocks whose value at x is L L': inverse(L) F inverse(L)'."""
+    inverse = np.linalg.inv(np.linalg.cholesky(stack[0] + np.einsum("k,bkij->bij", x, stack[1])))[:, None]
+    return np.asarray(inverse @ stack[1] @ inverse.transpose(0, 1, 3, 2))
+
+
+def _slopes(whitened: Sequence[FloatArray], cost: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Gradient and Hessian of the barrier."""
     g = np.array(cost)
-    H = np.zeros((len(x), len(x)))
-    for F0, F in blocks:
-        inverse = np.linalg.inv(np.linalg.cholesky(value_at((F0, F), x)))
-        G = inverse @ F @ inverse.T
-        g -= np.einsum("kii->k", G)
-        rows = G.reshape(len(x), -1)
+    H = np.zeros((len(g), len(g)))
+    for G in whitened:
+        g -= np.einsum("bkii->k", G)
+        rows = G.transpose(1, 0, 2, 3).reshape(len(g), -1)
         H += rows @ rows.T
     return g, H
 
 
-def _size(blocks: Sequence[Block], x: FloatArray, step: FloatArray, cost: FloatArray, gain: float) -> float:
-    """How much of a Newton step lowers the barrier; 0 where nothing does."""
-    now = _barrier(blocks, x, cost)
+def _size(whitened: Sequence[FloatArray], step: FloatArray, slope: float, gain: float) -> float:
+    """How much of a Newton step, along which the cost has this slope, lowers the barrier; 0: none of it."""
+    values = [np.linalg.eigvalsh(np.einsum("k,bkij->bij", step, G)).ravel() for G in whitened]
+    growth = np.concatenate(values)  # of the determinants: the product of 1 + size * growth
     size = 1.0
     while size > 1e-10:
-        if _barrier(blocks, x + size * step, cost) <= now - 1e-4 * size * gain:
+        left = 1.0 + size * growth
+        if left.min() > 0.0 and size * slope - float(np.log(left).sum()) <= -1e-4 * size * gain:
             return size
         size *= 0.5
     return 0.0
-
-
-def _barrier(blocks: Sequence[Block], x: FloatArray, cost: FloatArray) -> float:
-    value = float(cost @ x)
-    for block in blocks:
-        try:
-            L = np.linalg.cholesky(value_at(block, x))
-        except np.linalg.LinAlgError:
-            return float("inf")
-        value -= 2.0 * float(np.log(L.diagonal()).sum())
-    return value
 
 
 def value_at(block: Block, x: FloatArray) -> FloatArray:

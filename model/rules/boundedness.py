@@ -28,7 +28,6 @@ _RARELY = 0.02  # of the samples
 _MOST_AWAY = 0.2  # of the samples: models that were any good on fresh data stayed below a tenth
 _ROUNDING = 1e-5  # of a pole at one that stands twice
 _RUN_STEPS = (3000, 30_000)  # at least, and at most; between them as long as the training runs together
-_APART = 0.25  # of what was seen, in the end of a run; starts at its ends are half of it from the middle
 
 
 def is_bounded(stage: Stage) -> bool:
@@ -105,7 +104,13 @@ def _rules_settle(stage: Stage) -> bool:
 
 
 def is_contracting(
-    runs: Sequence[FloatArray], seen: FloatArray, depth: int, lags: Lags, par: Parameters
+    runs: Sequence[FloatArray],
+    seen: FloatArray,
+    depth: int,
+    lags: Lags,
+    par: Parameters,
+    *,
+    apart: float = 0.25,
 ) -> bool:
     """Whether runs from the ends of what was seen come together under the training inputs, shuffled.
 
@@ -114,6 +119,7 @@ def is_contracting(
     runs : (N, n + n_u) normalised training runs; of them only the inputs matter.
     seen : (2, n) smallest and largest simulated quantities: outputs, or states.
     depth : first row that is simulated.
+    apart : of what was seen, in the end of a run; starts at its ends are half of it from the middle.
     """
     n = seen.shape[1]
     steps = int(np.clip(sum(len(W) for W in runs), *_RUN_STEPS))
@@ -124,7 +130,7 @@ def is_contracting(
     reference = _run(W, middle, depth, lags, par)[last:]
     for start in _starts(seen, middle):
         gap = np.abs(_run(W, start, depth, lags, par)[last:] - reference) / reach
-        if not (gap > _APART).any(axis=1).mean() < _RARELY:
+        if not (gap > apart).any(axis=1).mean() < _RARELY:
             return False
     return True
 

@@ -1,7 +1,9 @@
 """Rules over lagged outputs, or over hidden states: which of these the data ask for.
 
-The model over lags comes first: its rules speak of measured signals only. Hidden states are tried where the
-free run of the first leaves an error that its own past foretells, as a state does that the lags do not show.
+The model over lags comes first: its rules speak of measured signals only. Hidden states are tried where rules
+over lags were kept, or a second one lowers the training error clearly, as it does wherever something bends,
+and where the free run of the first leaves an error that its own past foretells, as a state does that lags do
+not show.
 They are taken only if they do clearly better on held-out parts, both refitted on the rest each time, and
 better on the training data.
 """
@@ -17,12 +19,13 @@ from flysid.errors import DataError, FitError, UsageError
 from flysid.model.base import Fitted
 from flysid.model.noise import noise_model
 from flysid.model.rules import learning
-from flysid.model.rules.fitted import FittedTS, finished
+from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.judging import hold_out
+from flysid.model.rules.operating_points import described
 from flysid.model.rules.regressor_layout import scaling
-from flysid.model.rules.search_context import Settings
 from flysid.model.rules.search_record import Learned, LinearSide
-from flysid.model.rules.structure_choice import Advantage, advantage, block_errors, compared
+from flysid.model.rules.search_settings import RuleSettings
+from flysid.model.rules.structure_choice import CLEARLY, Advantage, advantage, block_errors, compared
 from flysid.model.start import start_window
 
 _FORETOLD = 0.5  # share of the free run's error that its own past must explain
@@ -43,7 +46,7 @@ class Searched:
 
     def again(self, data: Dataset) -> FittedTS:
         """Refined from where it is on a part of the data."""
-        return finished(self.known.again(data, _STEPS), data, (), intervals=False)
+        return self.known.again(data, _STEPS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,66 +68,50 @@ class Contest:
     linear: Fitted | None = None
 
     @property
-    def lagged(self) -> FittedTS:
-        """The model over lags."""
-        return self.lags.model
-
-    @property
-    def hidden(self) -> FittedTS | None:
-        """The model over hidden states."""
-        return None if self.states is None else self.states.model
-
-    @property
     def taken(self) -> Searched:
         """The search whose rules are the better ones."""
-        return self.states if self.states is not None and self.clear else self.lags
+        wins = self.advantage.clear and self.fits
+        return self.states if self.states is not None and wins else self.lags
 
-    @property
-    def clear(self) -> bool:
-        """The hidden states win."""
-        return self.hidden is not None and self.advantage.clear and self.fits
-
-    @property
-    def winner(self) -> Fitted:
+    def winner(self, train: Dataset) -> Fitted:
         """The model to take, with a note on why."""
-        if self.linear is not None:
-            return self.linear
-        return self.of_rules
+        return self.described(train) if self.linear is None else self.linear
+
+    def described(self, train: Dataset) -> FittedTS:
+        """The better of the two kinds, and what it does at operating points unless one rule is linear."""
+        known = self.taken.known
+        return self.of_rules if known.linear else described(self.of_rules, train, known.neighbour)
 
     @property
     def of_rules(self) -> FittedTS:
         """The better of the two kinds, with a note on why."""
-        if self.hidden is None:
-            return self.lagged
+        model = self.taken.model
+        if self.states is None:
+            return model
         times = np.exp(0.5 * self.advantage.gain)
         ratio = f"{times:.2f} times the free-run error of rules over lags on held-out parts"
-        if not self.clear:
+        if self.taken is self.lags:
             but = "but more in training" if self.advantage.clear else "not clearly less"
             note = f"A hidden state was tried and not taken: {ratio}, {but}."
-            return replace(self.lagged, notes=(*self.lagged.notes, note))
+            return replace(model, notes=(*model.notes, note))
         note = f"A hidden state explains what lagged outputs do not: {ratio}."
-        return replace(self.hidden, notes=(note, *self.hidden.notes))
+        return replace(model, notes=(note, *model.notes))
 
 
 def contest(
-    settings: Settings, train: Dataset, validation: Dataset | None, linear_side: LinearSide
+    settings: RuleSettings, train: Dataset, validation: Dataset | None, linear_side: LinearSide
 ) -> Contest:
     """Both kinds, the second where the first hints at it."""
     known = learning.over_lags(settings, train, validation, linear_side)
-    lagged = finished(
-        known.stage, train, known.notes, intervals=known.linear is None, neighbour=known.neighbour
-    )
-    lags = Searched(known, lagged)
-    if not (settings.search.hidden_states and hints_at_hidden_state(lagged, train)):
+    lags = Searched(known, known.model(train, intervals=False))
+    straight = known.stage.rules == 1 and known.fit > -CLEARLY
+    if straight or not (settings.search.hidden_states and hints_at_hidden_state(lags.model, train)):
         return Contest(lags)
     try:
         learned = learning.over_states(settings, train, validation)
         if learned.stage.rules == 1 == known.stage.rules:
             return Contest(lags)
-        found = finished(
-            learned.stage, train, learned.notes, intervals=learned.intervals, neighbour=learned.neighbour
-        )
-        states = Searched(learned, found)
+        states = Searched(learned, learned.model(train, intervals=False))
         judgement = _judged(lags, states, train, validation)
     except (DataError, FitError, UsageError, np.linalg.LinAlgError):  # e.g. antecedents that it does not have
         return Contest(lags)

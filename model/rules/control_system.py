@@ -8,7 +8,6 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.kernel import free_run
-from flysid.model.rules.local_models import StateSpace, linearise
 from flysid.model.rules.rule_model import RuleModel, refuse_other_models
 
 
@@ -58,11 +57,3 @@ def to_nonlinear_system(model: RuleModel) -> Any:
         dt=model.dt_s,
         name="takagi_sugeno",
     )
-
-
-def to_state_space(model: RuleModel, u: FloatArray, y: FloatArray) -> Any:
-    """The linearisation at constant inputs u and outputs y as a `control.StateSpace` (small deviations)."""
-    import control
-
-    local: StateSpace = linearise(model, u, y)
-    return control.ss(local.A, local.B, local.C, local.D, model.dt_s)

@@ -1,30 +1,27 @@
-"""The simulation error of rules over all runs and its normal equations; the descent on it.
+"""The simulation error of rules over all runs, its normal equations, and Levenberg-Marquardt on it.
 
-What is summed is told in `flysid.model.rules.free_run_error`.
+What is summed is told in `flysid.model.rules.free_run_error`. What is summed over rows is compiled, what over
+unknowns is not.
 """
 
 from __future__ import annotations
 
-import math
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.model.rules.bordered_step import Normal, damped_step
+from flysid.errors import FitError
+from flysid.model.bordered import Bordered
+from flysid.model.refine import levenberg_marquardt
 from flysid.model.rules.kernel import IntArray, Lags, Parameters, compiled, sweep
 
 HOLD = 3.0  # weight on memberships, relative to the ridge on consequents
-# widths in ranges of the antecedent: sets that words can name
-_NARROWEST = 0.02
-_WIDEST = 3.0
-_MOST_LOG_WIDTH = 30.0
-_FIRST_DAMPING = 1e-3
-_LARGEST_DAMPING = 1e16
-_SMALLEST_DAMPING = 1e-24
-_SMALLEST_RELAXATION = 0.1
-_NO_NORMAL = Normal(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros((0, 0, 0)), np.zeros(0))
+SETS = (0.02, 3.0)
+"""Widths in ranges of the antecedent: sets that words can name."""
+Normal = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Corner (C, C), border (S, C, q), blocks (S, q, q) of a Gauss-Newton matrix, and half the gradient."""
 
 
 class Fixed(NamedTuple):
@@ -146,10 +143,7 @@ def clear(ring, H, g):  # type: ignore[no-untyped-def]
 
 
 class Cost:
-    """Mean squared simulation error, ridge, unlikely starts and stress at vectors of unknowns.
-
-    Arrays to work in are made once. What is summed over rows is compiled, what over unknowns is not.
-    """
+    """Mean squared simulation error, ridge, unlikely starts and stress at vectors of unknowns."""
 
     def __init__(self, lags: Lags, par: Parameters, fixed: Fixed, size: Sizes) -> None:
         rules, self.n, _ = par.theta.shape
@@ -167,44 +161,49 @@ class Cost:
         deepest = max(1, past.max(initial=1), seen.max(initial=1))
         width = (fixed.chosen[-1] + 1 if fixed.chosen.size else 0) + q
         span = np.maximum(fixed.z_known[1] - fixed.z_known[0], 1e-12)
-        self.widths = (_NARROWEST * span, _WIDEST * span)
+        self.widths = (SETS[0] * span, SETS[1] * span)
         self.weighed = bool(fixed.weight.any())
         self.X = fixed.W.copy()
         self.S = fixed.stress.copy()
         self.work = (np.zeros((deepest, self.n, width)), np.zeros((width, width)), np.zeros(width))
         self.plain = (np.zeros((1, self.n, 0)), np.zeros((0, 0)), np.zeros(0))
 
-    def zero(self) -> Normal:
-        """Normal equations to be written into."""
-        free = self.fixed.chosen.size
-        q = self.size.moving * self.n
-        blocks = np.zeros((self.runs, q, q))
-        return Normal(
-            np.zeros((free, free)), np.zeros((self.runs, free, q)), blocks, np.zeros(free + self.runs * q)
-        )
+    def at(self, p: FloatArray) -> float:
+        """The cost at p."""
+        return self._summed(p, self.plain, self._zero(0), derive=False)
 
-    def at(self, p: FloatArray, normal: Normal | None = None) -> float:
-        """The cost at p; into `normal` its Gauss-Newton matrix (lower triangles) and half gradient."""
+    def normal(self, p: FloatArray) -> tuple[float, Bordered, FloatArray]:
+        """The cost at p, its Gauss-Newton matrix and half its gradient, over what moves."""
+        normal = self._zero(self.fixed.chosen.size)
+        cost = self._summed(p, self.work, normal, derive=True)
+        corner, border, blocks, slope = normal
+        return cost, Bordered(np.tril(corner) + np.tril(corner, -1).T, border, blocks), slope
+
+    def _zero(self, free: int) -> Normal:
+        """Normal equations to be summed into."""
+        q = self.size.moving * self.n
+        runs = self.runs
+        slope = np.zeros(free + runs * q)
+        return np.zeros((free, free)), np.zeros((runs, free, q)), np.zeros((runs, q, q)), slope
+
+    def _summed(
+        self, p: FloatArray, work: tuple[FloatArray, FloatArray, FloatArray], normal: Normal, *, derive: bool
+    ) -> float:
         fixed = self.fixed
-        size = self.size
-        work = self.plain if normal is None else self.work
-        into = _NO_NORMAL if normal is None else normal
-        if normal is not None:
-            normal.corner[:] = 0.0
-            normal.slope[:] = 0.0
         self._expand(p)
         starts = np.ascontiguousarray(p[self.unknowns :].reshape(self.runs, -1))
-        basis = fixed.basis
-        chosen = fixed.chosen
-        runs = (fixed.W, fixed.edges, size, self.X)
+        runs = (fixed.W, fixed.edges, self.size, self.X)
         ring, H, g = work
-        cost = float(_over_runs(starts, self.lags, self.par, basis, chosen, runs, ring, H, g, into))
+        cost = float(
+            _over_runs(starts, self.lags, self.par, fixed.basis, fixed.chosen, runs, ring, H, g, normal)
+        )
+        into = normal if derive else None
         if self.weighed:
-            cost += self._unlikely(starts, normal)
-        if size.ridge > 0.0 and self.shape[0] > 1:
-            cost += self._departure(p, normal)
+            cost += self._unlikely(starts, into)
+        if self.size.ridge > 0.0 and self.shape[0] > 1:
+            cost += self._departure(p, into)
         if len(self.S):
-            cost += self._strayed(normal)
+            cost += self._strayed(into)
         return cost
 
     def _expand(self, p: FloatArray) -> None:
@@ -220,16 +219,15 @@ class Cost:
             narrow, wide = self.widths
             centre, width = p[begin : self.unknowns].reshape(2, *par.centre.shape)
             np.minimum(np.maximum(centre, low), high, out=par.centre)
-            np.exp(np.minimum(width, _MOST_LOG_WIDTH), out=par.width)
-            np.minimum(np.maximum(par.width, narrow), wide, out=par.width)
+            np.clip(np.exp(np.minimum(width, np.log(wide) + 1.0)), narrow, wide, out=par.width)
 
     def _unlikely(self, starts: FloatArray, normal: Normal | None) -> float:
         """What the runs' starts add."""
         away = starts - self.fixed.likely
         pull = away @ self.fixed.weight
         if normal is not None:
-            normal.slope[self.fixed.chosen.size :] += pull.ravel()
-            normal.blocks[:] += self.fixed.weight
+            normal[3][self.fixed.chosen.size :] += pull.ravel()
+            normal[2][:] += self.fixed.weight
         return float((pull * away).sum())
 
     def _departure(self, p: FloatArray, normal: Normal | None) -> float:
@@ -246,8 +244,8 @@ class Cost:
             pulls = np.concatenate([(HOLD / fixed.width).ravel(), np.full(grown.size, HOLD)])
             held = pulls * np.concatenate([moved.ravel(), grown.ravel()])
             free = fixed.chosen.size
-            normal.slope[:free] += ridge * np.concatenate([pulled.ravel(), held])[fixed.chosen]
-            normal.corner[:] += ridge * self._metric
+            normal[3][:free] += ridge * np.concatenate([pulled.ravel(), held])[fixed.chosen]
+            normal[0][:] += ridge * self._metric
         return ridge * float((pulled * away).sum() + (moved * moved).sum() + (grown * grown).sum())
 
     @cached_property
@@ -275,69 +273,31 @@ class Cost:
             clear(ring, H, g)
             sweep(self.S, nowhere, rows, self.lags, self.par, basis, q, ring, kept, H, g)
             chosen = self.fixed.chosen
-            normal.slope[: chosen.size] += g[chosen] / len(self.S)
-            normal.corner[:] += H[np.ix_(chosen, chosen)] / len(self.S)
+            normal[3][: chosen.size] += g[chosen] / len(self.S)
+            normal[0][:] += H[np.ix_(chosen, chosen)] / len(self.S)
         return square / len(self.S)
 
 
-def descend(
-    p: FloatArray, lags: Lags, par: Parameters, fixed: Fixed, size: Sizes, iterations: int, tolerance: float
-) -> tuple[float, Normal]:
-    """Levenberg-Marquardt from p, which moves in place; the cost in the end, and its `Normal` there.
+def descended(cost: Cost, p: FloatArray, iterations: int, tolerance: float) -> tuple[float, FloatArray]:
+    """Levenberg-Marquardt from p: the cost, and the unknowns there; NaN, and p, where the start diverges.
 
-    The method is that of `flysid.model.refine`. A trial point is simulated first, and differentiated only
-    where its cost is lower. The cost is not a number where the start of the search diverges. With 0
-    iterations p stays where it is; with fewer, nothing is differentiated, either. The loop is not compiled:
-    that would compile all that it calls once more (docs/measured/search.md).
+    A trial point is simulated first, and differentiated only where its cost is lower.
     """
-    model = Cost(lags, par, fixed, size)
-    normal = model.zero()
-    if iterations < 0:
-        return model.at(p), normal
-    cost = model.at(p, normal)
-    if not (normal.is_finite() and math.isfinite(cost)) or iterations == 0:
-        return (cost if iterations == 0 else math.nan), normal
-    other = model.zero()
-    place = np.concatenate([fixed.chosen, np.arange(model.unknowns, p.size)])
-    step = np.empty(place.size)
-    scale = np.sqrt(normal.diagonal())
-    scale = np.maximum(scale, 1e-8 * (scale.max(initial=0.0) or 1.0))
-    damping = _FIRST_DAMPING
-    growth = 2.0
-    tries = 0
-    while tries < iterations:
-        if cost == 0.0 or np.abs(normal.slope / scale).max(initial=0.0) <= 1e-14 * math.sqrt(cost):
-            break
-        tries += 1
-        better = False
-        value = 0.0
-        short = 0.0
-        long = 0.0
-        solved = damped_step(normal, scale, damping, step)
-        if solved:
-            trial = p.copy()
-            trial[place] += step
-            short = float(((scale * step) ** 2).sum())
-            long = float(((scale * p[place]) ** 2).sum())
-            value = model.at(trial)
-            if value < cost:
-                value = model.at(trial, other)
-                better = value < cost and other.is_finite()
-        if not better:
-            damping = damping * growth
-            growth = growth * 2.0
-            if damping > _LARGEST_DAMPING or (solved and math.sqrt(short) <= 1e-15 * math.sqrt(long)):
-                break
-            tries -= growth <= 2.0**8  # the first rejections in a row cost no iteration
-            continue
-        predicted = damping * short - float(step @ normal.slope)
-        gain = (cost - value) / predicted if predicted > 0.0 else 1.0
-        damping = max(damping * max(_SMALLEST_RELAXATION, 1.0 - (2.0 * gain - 1.0) ** 3), _SMALLEST_DAMPING)
-        growth = 2.0
-        settled = cost - value <= tolerance * cost or math.sqrt(short) <= tolerance * math.sqrt(long)
-        normal, other, cost = other, normal, value
-        p[:] = trial
-        scale = np.maximum(scale, np.sqrt(normal.diagonal()))
-        if settled:
-            break
-    return cost, normal
+    place = np.concatenate([cost.fixed.chosen, np.arange(cost.unknowns, p.size)])
+
+    def whole(theta: FloatArray) -> FloatArray:
+        found = p.copy()
+        found[place] = theta
+        return found
+
+    try:
+        end = levenberg_marquardt(
+            lambda theta: cost.normal(whole(theta)),
+            p[place],
+            cost=lambda theta: cost.at(whole(theta)),
+            max_iterations=iterations,
+            tolerance=tolerance,
+        )
+    except FitError:
+        return float("nan"), p
+    return end.cost, whole(end.theta)

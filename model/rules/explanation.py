@@ -15,6 +15,8 @@ from flysid.model.rules.kernel import firing
 from flysid.model.rules.rule_model import RuleModel, refuse_other_models
 from flysid.model.rules.vocabulary import number
 
+CAUTION = "Caution:"
+"""How a model's note begins that whoever uses the model must know."""
 _ROUNDING = 1e-9  # of the range: its ends are inside
 
 
@@ -47,6 +49,7 @@ class Explanation:
         memberships stay as they are there.
     voices : rules by share, loudest first.
     output : (n_y,) their weighted mean, the prediction.
+    cautions : the model's notes on what it must not be used for.
     """
 
     row: int
@@ -54,6 +57,7 @@ class Explanation:
     outside: tuple[str, ...]
     voices: tuple[Voice, ...]
     output: tuple[float, ...]
+    cautions: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """In words."""
@@ -63,10 +67,11 @@ class Explanation:
             if voice.share >= 0.005:
                 says = ", ".join(number(v) for v in voice.output)
                 lines.append(
-                    f"  {voice.label} spoke with {100 * voice.share:.0f} % ({voice.condition}): {says}"
+                    f"  {voice.label} has weight {100 * voice.share:.0f} % ({voice.condition}): {says}"
                 )
         lines.append("  together: " + ", ".join(number(v) for v in self.output))
         lines += [f"  {name} is outside the range seen in training" for name in self.outside]
+        lines += [f"  {caution}" for caution in self.cautions]
         return "\n".join(lines)
 
 
@@ -77,13 +82,15 @@ class Started(Protocol):
     def n_init(self) -> int: ...
 
 
-class Explained(Started, Protocol):
+class ExplainedModel(Started, Protocol):
     """A model of rules, as far as it is explained alike over lags and over states."""
 
     @property
     def antecedents(self) -> tuple[str, ...]: ...
     @property
     def trained_range(self) -> FloatArray: ...
+    @property
+    def notes(self) -> tuple[str, ...]: ...
     def rules(self) -> tuple[Rule, ...]: ...
 
 
@@ -114,7 +121,7 @@ def refuse_row(model: Started, row: int, samples: int) -> None:
 
 
 def taken_apart(
-    model: Explained, row: int, z: FloatArray, said: tuple[FloatArray, FloatArray], output: FloatArray
+    model: ExplainedModel, row: int, z: FloatArray, said: tuple[FloatArray, FloatArray], output: FloatArray
 ) -> Explanation:
     """One step in words and numbers.
 
@@ -136,6 +143,7 @@ def taken_apart(
             for r in np.argsort(-shares, kind="stable")
         ),
         tuple(float(v) for v in output),
+        tuple(note for note in model.notes if note.startswith(CAUTION)),
     )
 
 
@@ -159,7 +167,7 @@ def outside_share(model: RuleModel, u: FloatArray, y: FloatArray) -> float:
     return float(is_outside(model, z).any(axis=1).mean()) if z.size else 0.0
 
 
-def is_outside(model: Explained, z: FloatArray) -> npt.NDArray[np.bool_]:
+def is_outside(model: ExplainedModel, z: FloatArray) -> npt.NDArray[np.bool_]:
     """(N, n_z) which antecedents z (N, n_z) lie outside the range seen in training."""
     low, high = model.trained_range
     rounding = _ROUNDING * (high - low)

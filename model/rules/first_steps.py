@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
-from flysid.dataset import Dataset
+from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError
 from flysid.model.linear.settings import check_hint
 from flysid.model.rules.families import Family, tolerant
@@ -14,9 +13,11 @@ from flysid.model.rules.judging import INTEGRATES, Candidate, hold_out
 from flysid.model.rules.lag_orders import check, named_antecedents, order_choices
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.saturation import in_words, saturation_limits
-from flysid.model.rules.search_context import SPARE_ROWS, SearchContext, Settings
+from flysid.model.rules.search_context import SPARE_ROWS, SearchContext
 from flysid.model.rules.search_record import Search
+from flysid.model.rules.search_settings import RuleSettings
 from flysid.model.rules.state_systems import System, linear_systems, system_stage
+from flysid.model.rules.structure_choice import CLEARLY
 from flysid.model.selection import parts_to_choose_on
 from flysid.split import MIN_FLIGHTS
 
@@ -24,15 +25,12 @@ _HIGHEST_LINEAR = 12  # samples of lags that the linear side may choose on short
 _DEEPEST_DELAY = 40  # and on long ones, delay included
 _SHARE = 20  # a segment must be so many times longer than what the linear side looks back
 _STATE_RULE_GAIN = 0.1  # of the mean square: what a rule over hidden states must win
-_STATE_PROMISE = 0.3  # in logarithms of the mean square
 _LEVEL = 1.02  # times the least error: as good, if it has fewer states
-_MOST_STATES = 8  # of a system that rules are grown from
 
 
-def lag_starts(settings: Settings, train: Dataset, validation: Dataset | None) -> Search:
+def lag_starts(settings: RuleSettings, train: Dataset, validation: Dataset | None) -> Search:
     """The data split, and linear models of several orders."""
     check(settings)
-    settings.search.check()
     check_hint(settings.nk_hint, len(train.inputs))
     check_hint(settings.nk_least, len(train.inputs), "nk_least")
     choices = order_choices(settings, len(train.inputs))
@@ -40,11 +38,41 @@ def lag_starts(settings: Settings, train: Dataset, validation: Dataset | None) -
     deepest = _deepest(settings, train) if len(choices) > 1 else 0
     least = max(deepest, *(o.depth for o in choices), *(max(a.lag, a.minus) for a in named), 0) + SPARE_ROWS
     long = len(train) >= settings.search.short
-    fit_part, check_part, own = _parts(train, validation, least, whole=long)
-    shift, scale = scaling(fit_part)
-    small = own and settings.rules == "auto" and settings.refine and not long
-    folds = tuple(hold_out(train, least, fold) for fold in range(1, settings.search.folds)) if small else ()
-    gain = settings.search.short_rule_gain if small else settings.search.rule_gain
+    context, own = _context(settings, (train, validation), least, whole=long)
+    starts, notes = context.linear(choices)
+    if not any(s.linear.stable for s in starts):
+        context = replace(context, must_be_bounded=False)
+        starts = [_unstressed(tolerant(s)) for s in starts]
+        notes.append(f"{INTEGRATES} Boundedness was not asked for.")
+    if context.folds:
+        notes.append("Little data: parts of it were held out in turn to choose the number of rules.")
+    plain = context.completed(starts[0])
+    return Search.begun(context, (train, validation), own, plain, starts, notes)
+
+
+def _context(
+    settings: RuleSettings,
+    data: tuple[Dataset, Dataset | None],
+    least: int,
+    scaled: tuple[FloatArray, FloatArray] | None = None,
+    *,
+    whole: bool = False,
+) -> tuple[SearchContext, bool]:
+    """The data split for segments of at least so many rows; whether the judging part is of the training data.
+
+    Parameters
+    ----------
+    scaled : shift and scale; None: of the fitting part.
+    whole : the judging part is whole flights, where there are enough.
+    """
+    train = data[0]
+    fit_part, check_part, own = _parts(*data, least, whole=whole)
+    s = settings.search
+    small = own and settings.rules == "auto" and settings.refine and len(train) < s.short
+    folds = tuple(hold_out(train, least, fold) for fold in range(1, s.folds)) if small else ()
+    gain = s.short_rule_gain if small else s.rule_gain
+    ridges = s.ridges if settings.ridge == "auto" else (settings.ridge,)
+    shift, scale = scaled or scaling(fit_part)
     context = SearchContext(
         settings,
         fit_part,
@@ -55,36 +83,9 @@ def lag_starts(settings: Settings, train: Dataset, validation: Dataset | None) -
         folds=folds,
         gain=gain,
         promise=gain,
-        ridges=_ridges(settings),
+        ridges=ridges,
     )
-    starts, notes = context.linear(choices)
-    if not any(s.linear.stable for s in starts):
-        context = replace(context, must_be_bounded=False)
-        starts = [_unstressed(tolerant(s)) for s in starts]
-        notes.append(f"{INTEGRATES} Boundedness was not asked for.")
-    if folds:
-        notes.append("Little data: parts of it were held out in turn to choose the number of rules.")
-    return _begun(context, train, validation, own, starts[0], starts, notes)
-
-
-def _begun(
-    context: SearchContext,
-    train: Dataset,
-    validation: Dataset | None,
-    own: bool,
-    plain: Family,
-    starts: Sequence[Family],
-    notes: Sequence[str],
-) -> Search:
-    one = plain.linear
-    return Search(
-        context, train, validation, own, plain, tuple(starts), plain, one, one.stage, notes=tuple(notes)
-    )
-
-
-def _ridges(settings: Settings, first: int = 0) -> tuple[float, ...]:
-    ladder = settings.search.ridges
-    return (ladder[first:] or ladder) if settings.ridge == "auto" else (settings.ridge,)
+    return context, own
 
 
 def _unstressed(family: Family) -> Family:
@@ -94,7 +95,7 @@ def _unstressed(family: Family) -> Family:
     return replace(family, folds=tuple(tuple(map(freed, fold)) for fold in family.folds))
 
 
-def _deepest(settings: Settings, train: Dataset) -> int:
+def _deepest(settings: RuleSettings, train: Dataset) -> int:
     """Samples that the linear side's models may look back."""
     longest = max((len(s) for s in train.segments), default=0)
     return min(_DEEPEST_DELAY if len(train) > settings.search.short else _HIGHEST_LINEAR, longest // _SHARE)
@@ -125,29 +126,17 @@ def _whole_flights(train: Dataset, least: int) -> tuple[Dataset, Dataset]:
     return hold_out(train, least)
 
 
-def state_starts(settings: Settings, train: Dataset, validation: Dataset | None) -> Search:
+def state_starts(settings: RuleSettings, train: Dataset, validation: Dataset | None) -> Search:
     """Linear systems, and the data split as they need it."""
     check(settings)
-    settings.search.check()
     scaled = scaling(train)
     systems = linear_systems(settings, train, validation, scaled)
     depth = max(lag for s in systems for own in s.real.input_lags for lag in own)
     least = depth + 2 * max(len(s.real.A) for s in systems) + SPARE_ROWS
-    fit_part, check_part, own = _parts(train, validation, least)
     ends = saturation_limits(train)
-    small = own and settings.rules == "auto" and len(train) < settings.search.short
-    folds = tuple(hold_out(train, least, fold) for fold in range(1, settings.search.folds)) if small else ()
-    context = SearchContext(
-        settings,
-        fit_part,
-        check_part,
-        *scaled,
-        least,
-        folds=folds,
-        gain=_STATE_RULE_GAIN,
-        promise=_STATE_PROMISE,
-        ridges=_ridges(settings, 1),
-    )
+    context, own = _context(settings, (train, validation), least, scaled)
+    ridges = context.ridges[1:] or context.ridges
+    context = replace(context, gain=_STATE_RULE_GAIN, promise=CLEARLY, ridges=ridges)
 
     def judged(system: System) -> Family:
         stages = [system_stage(system, fit, least, scaled, ends) for fit, _ in context.parts]
@@ -159,8 +148,8 @@ def state_starts(settings: Settings, train: Dataset, validation: Dataset | None)
     families = sorted(map(judged, systems), key=lambda f: tolerant(f).rmse[0])
     near = [f for f in families if tolerant(f).rmse[0] <= _LEVEL * tolerant(families[0]).rmse[0]]
     plain = tolerant(min(near, key=lambda f: f.linear.stage.layout.n))
-    starts = [f for f in families if f.linear.stage.layout.n <= _MOST_STATES]
-    starts = starts[: settings.search.linear_systems]
+    most = 2 * settings.search.highest_order
+    starts = [f for f in families if f.linear.stage.layout.n <= most][: settings.search.linear_systems]
     tried = "; ".join(dict.fromkeys(s.title for s in systems))
     notes = [f"Tried, in several coordinates: {tried}."] if len(systems) > 1 else []
-    return _begun(context, train, validation, own, plain, starts, [*notes, *in_words(ends, train)])
+    return Search.begun(context, (train, validation), own, plain, starts, [*notes, *in_words(ends, train)])

@@ -16,14 +16,14 @@ from flysid.model.rules.explanation import Explanation
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.integrity import check, refuse
 from flysid.model.rules.kernel import Parameters
-from flysid.model.rules.local_models import Certificate, StateSpace
+from flysid.model.rules.local_models import LocalStateSpace, StabilityCertificate
 from flysid.model.rules.operating_points import described
 from flysid.model.rules.realisation import Prior
 from flysid.model.rules.regressor_layout import REACH, Antecedent, Layout, Orders
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.rule_uncertainty import Uncertainty
 from flysid.model.rules.run_start import LikelyStart, MeasuredStart, RunStart
-from flysid.model.rules.simplify import Simplification
+from flysid.model.rules.simplify import PricedEdit
 
 
 class FittedTS(RuleModel):
@@ -37,7 +37,7 @@ class FittedTS(RuleModel):
         """Share of samples, 0 to 1, in which an antecedent lies outside the range seen in training."""
         return explanation.outside_share(self, u, y)
 
-    def linearise(self, at: Mapping[str, float]) -> StateSpace:
+    def linearise(self, at: Mapping[str, float]) -> LocalStateSpace:
         """The local linear model while every signal stands at a value; see `local_models.linearise`.
 
         Hidden states stand where they rest beside the others.
@@ -56,15 +56,15 @@ class FittedTS(RuleModel):
         values = values_at([s.name for s in (*self.outputs, *self.inputs)], means, at)
         return local_models.linearise(self, values[layout.n_y :], values[: layout.n_y])
 
-    def polytope(self) -> tuple[StateSpace, ...]:
+    def polytope(self) -> tuple[LocalStateSpace, ...]:
         """The rules as local state spaces over one common state."""
         return local_models.polytope(self)
 
-    def certificate(self) -> Certificate:
+    def certificate(self) -> StabilityCertificate:
         """What can be proved about the stability of any blend of the rules."""
         return local_models.certificate(self)
 
-    def simplifications(self, train: Dataset) -> list[Simplification]:
+    def simplifications(self, train: Dataset) -> list[PricedEdit]:
         """What could be said more simply, cheapest first; of rules over lags."""
         return simplify.simplifications(self, train)
 
@@ -88,7 +88,7 @@ def values_at(names: list[str], means: FloatArray, at: Mapping[str, float]) -> F
         if name not in names:
             raise UsageError(f"the model has no signal {name!r}", hint=f"one of {', '.join(names)}")
         if not isinstance(value, int | float | np.number) or not np.isfinite(value):
-            raise UsageError(f"{name}={value!r} is no place to linearise at", hint="give a finite number")
+            raise UsageError(f"{name}={value!r} is not an operating point", hint="give a finite number")
     return np.array([at.get(name, mean) for name, mean in zip(names, means, strict=True)], dtype=float)
 
 

@@ -23,13 +23,11 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.bordered import Bordered
-from flysid.model.rules.bordered_step import Normal
-from flysid.model.rules.descent import Fixed, Sizes, descend
+from flysid.model.rules.descent import SETS, Cost, Fixed, Sizes, descended
 from flysid.model.rules.kernel import IntArray, Parameters, free_run, sweep
 from flysid.model.rules.regressor_layout import Layout
 
 _DRIFT = 1e-5  # on the hidden states' scale and origin, which no output shows
-_CHUNK = 1024  # rows of sensitivities that are handed out at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +69,11 @@ class Body:
         )
 
     def within(self, z_range: FloatArray) -> Body:
-        """Centres within the data, widths between 1/50 and 3 of its range: sets that words can name."""
+        """Centres within the data, widths within `SETS` of its range."""
         low, high = z_range
         span = np.maximum(high - low, 1e-12)
-        centre = np.clip(self.centre, low, high)
-        width = np.clip(self.width, 0.02 * span, 3.0 * span)
-        return replace(self, centre=centre, width=width)
+        width = np.clip(self.width, SETS[0] * span, SETS[1] * span)
+        return replace(self, centre=np.clip(self.centre, low, high), width=width)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,39 +240,32 @@ class Stage:
             total += float((gap * gap).sum())
         return total / self.problem.samples
 
-    def priced(self) -> Stage:
-        """The same stage with the cost of where it is: mean squared error in variances, ridge, stress."""
-        return replace(self, cost=self.descent(self.unknowns, -1)[0])
-
-    def normal(self, chosen: IntArray | None = None) -> tuple[float, Bordered, FloatArray]:
-        """Cost, its Gauss-Newton matrix H and half its gradient g, so that a full step is -H^-1 g.
+    def cost_of(self, chosen: IntArray | None = None) -> Cost:
+        """The cost by the unknowns; the ridge holds memberships where they are in this stage.
 
         Parameters
         ----------
         chosen : indices of the numbers of the body that move beside the starts; all free ones where None.
         """
-        cost, found = self.descent(self.unknowns, 0, chosen=chosen)
-        corner = np.tril(found.corner) + np.tril(found.corner, -1).T
-        return cost, Bordered(corner, found.border, found.blocks), found.slope
+        problem = self.problem
+        fixed = problem.fixed(self.body, self.body.free if chosen is None else chosen)
+        return Cost(problem.layout.lags, problem.parameters(self.body), fixed, problem.sizes)
+
+    def priced(self) -> Stage:
+        """The same stage with the cost of where it is: mean squared error in variances, ridge, stress."""
+        return replace(self, cost=self.cost_of().at(self.unknowns))
+
+    def normal(self) -> tuple[float, Bordered, FloatArray]:
+        """Cost, its Gauss-Newton matrix H and half its gradient g, so that a full step is -H^-1 g."""
+        return self.cost_of().normal(self.unknowns)
 
     def descended(self, iterations: int, tolerance: float, chosen: IntArray | None = None) -> Stage:
         """The stage after Levenberg-Marquardt on the simulation error.
 
-        Itself, its cost infinite, where it diverges from the start. `chosen` as in `normal`.
+        Itself, its cost infinite, where it diverges from the start. `chosen` as in `cost_of`.
         """
-        p = self.unknowns
-        cost, _ = self.descent(p, iterations, tolerance, chosen)
+        cost, p = descended(self.cost_of(chosen), self.unknowns, iterations, tolerance)
         return self.at(p, cost) if np.isfinite(cost) else replace(self, cost=np.inf)
-
-    def descent(
-        self, p: FloatArray, iterations: int, tolerance: float = 0.0, chosen: IntArray | None = None
-    ) -> tuple[float, Normal]:
-        """`kernel.descend` from p, which moves; the ridge holds memberships where they are in this stage."""
-        problem = self.problem
-        par = self.problem.parameters(self.body)
-        fixed = problem.fixed(self.body, self.body.free if chosen is None else chosen)
-        cost, found = descend(p, problem.layout.lags, par, fixed, problem.sizes, iterations, tolerance)
-        return float(cost), found
 
 
 def widened(limits: FloatArray, times: float) -> FloatArray:
@@ -299,16 +289,19 @@ def started_run(layout: Layout, W: FloatArray, start: FloatArray, par: Parameter
     return run
 
 
-def swept(problem: Problem, body: Body, run: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
+def swept(
+    problem: Problem, body: Body, run: FloatArray, *, chunk: int = 1024
+) -> Iterator[tuple[slice, FloatArray]]:
     """Rows of a free run and their sensitivities (rows, n_y, P) to the body, in pieces of bounded memory.
 
     Parameters
     ----------
     run : W, whose first `depth` rows are the start, which hangs on nothing; the others are computed in place.
+    chunk : rows of sensitivities that are handed out at a time.
     """
     ring = _ring(problem.layout, body.size)
-    for begin in range(problem.layout.depth, len(run), _CHUNK):
-        rows = slice(begin, min(begin + _CHUNK, len(run)))
+    for begin in range(problem.layout.depth, len(run), chunk):
+        rows = slice(begin, min(begin + chunk, len(run)))
         yield rows, _sensitivities(problem, body, run, rows, ring)
 
 

@@ -179,8 +179,7 @@ class Training:
     Attributes
     ----------
     ridge : of the mean square error: 0.01 is as if one more sample in a hundred said that rules are equal.
-    tries : insertions that are tried out over hidden states, the most promising ones; over lags it is the
-        best along every antecedent, and one more.
+    tries : insertions that are tried out, the most promising ones.
     iterations, tolerance : Levenberg-Marquardt steps of the last refinement, and when it has converged.
     """
 
@@ -286,15 +285,14 @@ def thinned(stage: Stage, samples: int) -> Stage:
 def one_rule_more(stage: Stage, antecedents: Sequence[Antecedent], how: Training) -> Grown | None:
     """The best insertion, refined fully; None where no region has samples.
 
-    What a Gauss-Newton step promises ranks insertions along one antecedent well, and compares antecedents
-    over lags badly: so some are tried out, on few rows, by a few steps of refinement.
+    What a Gauss-Newton step promises ranks insertions well, but for the first few: these are tried out on few
+    rows, by a few steps of refinement.
     """
     stage = with_ridge(stage, how.ridge * stage.mean_square())
     few = thinned(stage, _FEW)
     options = insertions(few, antecedents)
-    order = _worth_trying(
-        [o[0].antecedent for o in options], [expected_cost(o[1]) for o in options], how.tries
-    )
+    promised = [expected_cost(grown) for _, grown in options]
+    order = [i for i in np.argsort(promised, kind="stable") if np.isfinite(promised[i])][: how.tries]
     trials = [(options[i][0], refine(options[i][1], max(6, how.iterations // 3), 1e-5)) for i in order]
     if not trials:
         return None
@@ -303,15 +301,6 @@ def one_rule_more(stage: Stage, antecedents: Sequence[Antecedent], how: Training
     if few is not stage:
         best = settled(on_runs_of(best, stage), how)
     return Grown(where, best)
-
-
-def _worth_trying(kinds: Sequence[Antecedent], costs: Sequence[float], tries: int) -> list[int]:
-    """Indices of the lowest costs; with `tries` 0 of the lowest along every antecedent, and one more."""
-    order = [int(i) for i in np.argsort(costs, kind="stable") if np.isfinite(costs[i])]
-    if tries:
-        return order[:tries]
-    firsts = [i for at, i in enumerate(order) if kinds[i] not in {kinds[j] for j in order[:at]}]
-    return firsts + [i for i in order if i not in firsts][:1]
 
 
 def settled(stage: Stage, how: Training) -> Stage:

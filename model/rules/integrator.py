@@ -20,7 +20,6 @@ from flysid.model.rules.growth import embedded_start, first_basis, linear_stage,
 
 _ROUNDING = 1e-12
 _REAL = 1e-9  # imaginary part of a pole that is real
-_DEARER = 1.5  # times the mean square error that keeping the integrator may cost in training
 
 
 def holds_integrator(theta: FloatArray, lags: int) -> bool:
@@ -57,7 +56,9 @@ def looks_integrating(stage: Stage) -> bool:
     return slowest_pole(stage) > 1.0 - 1.0 / longest
 
 
-def with_integrator(stage: Stage, iterations: int, known: Sequence[Stage] = ()) -> tuple[Stage, ...]:
+def with_integrator(
+    stage: Stage, iterations: int, known: Sequence[Stage] = (), *, dearer: float = 1.5
+) -> tuple[Stage, ...]:
     """The linear stage with its pole at one, refined; without it as well where it may be a slow lag.
 
     A pole outside the unit circle is offered only where one on it explains the record badly.
@@ -65,6 +66,7 @@ def with_integrator(stage: Stage, iterations: int, known: Sequence[Stage] = ()) 
     Parameters
     ----------
     known : stages of lower orders that hold an integrator: further starts.
+    dearer : times the mean square error that keeping the integrator may cost in training.
     """
     problem = integrating(stage.problem)
     theta = stage.problem.parameters(stage.body).theta[0].copy()
@@ -73,7 +75,7 @@ def with_integrator(stage: Stage, iterations: int, known: Sequence[Stage] = ()) 
     near = unrefined(replace(problem, offset=theta), still)
     nested = (embedded_start(lower, problem) for lower in reversed(known) if lower.problem.integrates)
     held = linear_stage(problem, iterations, (*next(filter(None, nested), ()), near))
-    outside = slowest_pole(stage) > 1.0 and held.cost <= _DEARER * stage.cost
+    outside = slowest_pole(stage) > 1.0 and held.cost <= dearer * stage.cost
     return (held,) if outside else (held, stage)
 
 

@@ -18,7 +18,7 @@ from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.free_run_error import Stage, started_run
 from flysid.model.rules.kernel import Parameters, free_run
-from flysid.model.rules.linear_starts import LinearModel
+from flysid.model.rules.linear_starts import LinearStart
 from flysid.model.rules.realisation import initial_states
 from flysid.model.rules.regressor_layout import windows
 from flysid.model.rules.rule_poles import unheld
@@ -27,8 +27,8 @@ from flysid.model.selection import block_means
 from flysid.model.start import MAX_SHARE, estimate_start
 
 INTEGRATES = (
-    "The process integrates: its free run keeps its start, and inputs that do not average out drive it to "
-    "the output limits."
+    "The process integrates: its free run keeps the initial condition, and an input with a non-zero "
+    "mean drives it to the output limits."
 )
 """What users are told of a model that does not come back."""
 EXACT = 1e-10
@@ -174,7 +174,7 @@ class Candidate:
     stage: Stage
     errors: FloatArray
     stable: bool = True
-    linear: LinearModel | None = None
+    linear: LinearStart | None = None
     moved: bool = True
     windows: FloatArray = field(default_factory=lambda: np.zeros(0))
 

@@ -11,13 +11,14 @@ from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.arguments import is_count
 from flysid.model.rules.regressor_layout import Antecedent, Orders, check_they_move, parse_antecedents
-from flysid.model.rules.search_context import Settings
+from flysid.model.rules.search_settings import RuleSettings
 
 _LATE = 2  # samples of delay from which a dead time is tried as such
 
 
-def check(settings: Settings) -> None:
+def check(settings: RuleSettings) -> None:
     """Raise UsageError for settings that cannot be."""
+    settings.search.check()
     for name in ("rules", "states", "na"):
         value = getattr(settings, name)
         low = 1 if name == "rules" else 0
@@ -48,7 +49,7 @@ def _per_input(value: int | Sequence[int], inputs: int, name: str) -> tuple[int,
     return numbers
 
 
-def order_choices(settings: Settings, inputs: int) -> list[Orders]:
+def order_choices(settings: RuleSettings, inputs: int) -> list[Orders]:
     """Orders to try, simplest first: n outputs and n + 1 inputs from the present one on.
 
     n goes from 1 to `search.highest_order`; behind a dead time that the log shows there is no present one.
@@ -73,7 +74,7 @@ def order_choices(settings: Settings, inputs: int) -> list[Orders]:
     return sorted([*choices, *_delayed(settings, choices)], key=lambda o: (o.na, sum(o.nb)))
 
 
-def _delayed(settings: Settings, choices: Sequence[Orders]) -> list[Orders]:
+def _delayed(settings: RuleSettings, choices: Sequence[Orders]) -> list[Orders]:
     """The choices behind the dead times that the log shows, where no choice bridges those by itself."""
     hint = tuple(settings.nk_hint)
     if settings.nk != "auto" or max(hint, default=0) < _LATE:
@@ -89,7 +90,7 @@ def _delayed(settings: Settings, choices: Sequence[Orders]) -> list[Orders]:
 
 
 def named_antecedents(
-    settings: Settings, choices: Sequence[Orders], train: Dataset
+    settings: RuleSettings, choices: Sequence[Orders], train: Dataset
 ) -> tuple[Antecedent, ...]:
     """The antecedents asked for, at the lags that they have with any of these orders."""
     if settings.antecedents == "auto":

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from flysid.dataset import Dataset
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.judging import INTEGRATES
@@ -67,8 +66,8 @@ def refit_lags(found: Search) -> Search:
     if stage.problem.integrates and context.must_be_bounded:
         notes.append(INTEGRATES)
     method = (
-        "Consequents and memberships were refined on the simulation error with exact sensitivities; models "
-        "were offered only if they came back from bounded random inputs."
+        "Consequents and memberships were refined on the simulation error with exact sensitivities; only "
+        "models that stayed bounded under random inputs were considered."
     )
     return replace(found, stage=stage, verdict=(*found.verdict, method)).said(*notes)
 
@@ -81,22 +80,13 @@ def refit_states(found: Search) -> Search:
     assert system is not None
     ends = saturation_limits(found.train)
 
-    def on(data: Dataset) -> Stage:
-        return system_stage(system, data, context.least, (context.shift, context.scale), ends)
-
-    def single(data: Dataset) -> tuple[Stage, str]:
-        return in_coordinates(on(data), "" if len(system.real.A) <= _READABLE else "plain")
-
-    def again(data: Dataset) -> Stage:
-        return single(data)[0]
-
-    made = again if found.at == 0 and system.again is not None else None
+    start = system_stage(system, found.train, context.least, (context.shift, context.scale), ends)
     if found.at == 0:
-        stage, words = single(found.train)
+        stage, words = in_coordinates(start, "" if len(system.real.A) <= _READABLE else "plain")
         drifts = not is_bounded(stage)
     else:
         words = family.words
-        start, _ = in_coordinates(on(found.train), family.coordinates)
+        start, _ = in_coordinates(start, family.coordinates)
         drifts = not is_bounded(start)
         stage = ordered(_on_everything(found, start, family.ridge, drifts=drifts))
     hidden = f" Hidden states: {words}, in units of their spread in training." if stage.layout.hidden else ""
@@ -104,8 +94,8 @@ def refit_states(found: Search) -> Search:
     if drifts:
         notes.append(INTEGRATES)
     if stage.rules <= found.at:
-        notes.append(f"{stage.rules} rules came back from bounded random inputs.")
-    return replace(found, stage=stage, made=made, notes=tuple(notes))
+        notes.append(f"{stage.rules} rules stayed bounded under random inputs.")
+    return replace(found, stage=stage, notes=tuple(notes))
 
 
 def _on_everything(found: Search, start: Stage, ridge: float, *, drifts: bool) -> Stage:

@@ -19,8 +19,8 @@ from flysid.model.rules.first_steps import lag_starts, state_starts
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.last_steps import refit_lags, refit_states, take_linear_side
 from flysid.model.rules.search import search
-from flysid.model.rules.search_context import Settings
 from flysid.model.rules.search_record import Learned, LinearSide, Search
+from flysid.model.rules.search_settings import RuleSettings
 from flysid.model.rules.stages import ordered
 
 SWEEP = "Validation free-run error by number of rules"
@@ -28,7 +28,7 @@ SWEEP = "Validation free-run error by number of rules"
 
 
 def over_lags(
-    settings: Settings, train: Dataset, validation: Dataset | None, linear_side: LinearSide | None = None
+    settings: RuleSettings, train: Dataset, validation: Dataset | None, linear_side: LinearSide | None = None
 ) -> Learned:
     """Rules over lags: choose orders, then rules, by the validation free run.
 
@@ -49,7 +49,7 @@ def over_lags(
     return found.learned
 
 
-def over_states(settings: Settings, train: Dataset, validation: Dataset | None) -> Learned:
+def over_states(settings: RuleSettings, train: Dataset, validation: Dataset | None) -> Learned:
     """Rules over hidden states: choose states and coordinates, then rules; raises as `over_lags`."""
     found = state_starts(settings, train, validation)
     for step in (grow, select, refit_states):
@@ -68,10 +68,10 @@ def grow(found: Search) -> Search:
         looked_at = context.antecedents(linear.stage.layout)[:2]
         stages = [clustered_stage(linear.stage, looked_at, r) for r in range(2, context.most_rules + 1)]
         return replace(found, best=Family(((linear, *(context.judge(s) for s in stages)),)))
-    best = search(context, found.plain, found.starts)
-    if asked != "auto" and best.stages < asked:
+    grown = search(context, found.plain, found.starts)
+    if asked != "auto" and grown.best.stages < asked:
         raise _too_many(asked, found.plain.linear.stage)
-    return replace(found, best=best)
+    return replace(found, best=grown.best, fit=grown.fit)
 
 
 def _too_many(rules: int, stage: Stage) -> DataError:
@@ -93,14 +93,14 @@ def select(found: Search) -> Search:
     )
     if not models[at].stable and not models[at].stage.layout.hidden:  # those may come back with fewer rules
         raise FitError(
-            "no stable model was found: none came back from bounded random inputs",
+            "no stable model was found: under bounded random inputs every candidate left its limits",
             hint="give more data, lower orders, or fewer rules",
         )
     chosen = replace(found, at=at, chosen=models[at], stage=ordered(models[at].stage))
     away = ", ".join(str(m.stage.rules) for m in models if not m.stable)
     if away:
         chosen = chosen.said(
-            f"Did not come back from bounded random inputs, and were not offered: {away} rules."
+            f"Left out, because their output left its limits under bounded random inputs: {away} rules."
         )
     orders = models[at].stage.layout.orders
     if not chosen.stage.layout.hidden and orders != models[0].stage.layout.orders:

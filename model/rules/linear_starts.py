@@ -9,16 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import FlysidError
+from flysid.model.armax import ARMAX
 from flysid.model.arx import ARX
-from flysid.model.base import Fitted
+from flysid.model.base import Estimator, Fitted
+from flysid.model.bj import BJ
 from flysid.model.freerun import Difference
 from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.oe import OE
 from flysid.model.rules.free_run_error import Body, Problem, Stage
 from flysid.model.rules.growth import unrefined
 from flysid.model.rules.regressor_layout import Layout, Orders
@@ -26,27 +28,11 @@ from flysid.model.rules.rule_model import RuleModel
 from flysid.model.statespace import StateSpace
 from flysid.model.subspace.fitted_model import FittedStateSpace
 
-
-class Asked(Protocol):
-    """Orders, as `TS` has them."""
-
-    @property
-    def na(self) -> int | Literal["auto"]: ...
-    @property
-    def nb(self) -> int | Sequence[int] | Literal["auto"]: ...
-    @property
-    def nk(self) -> int | Sequence[int] | Literal["auto"]: ...
-    @property
-    def nk_hint(self) -> Sequence[int]: ...
-    @property
-    def nk_least(self) -> Sequence[int]: ...
-
-
 _MOST_STATES = 10  # as difference equations, higher orders lose their poles to rounding
 
 
 @dataclass(frozen=True, eq=False)
-class LinearModel:
+class LinearStart:
     """A linear difference equation in physical units, around its origins, and how it is fitted again.
 
     Attributes
@@ -60,19 +46,19 @@ class LinearModel:
     system: Difference
     u_origin: FloatArray
     y_origin: FloatArray
-    again: ARX | StateSpace
+    again: Estimator
 
     @property
     def refined(self) -> bool:
         """It was refined on the simulation error, as one rule is."""
         return isinstance(self.again, ARX) and bool(self.again.refine)
 
-    def refitted(self, data: Dataset) -> LinearModel | None:
+    def refitted(self, data: Dataset) -> LinearStart | None:
         """The same orders on other data; None where they cannot be fitted."""
         return _fitted(self.name, self.again, data, None)
 
 
-def linear_models(train: Dataset, validation: Dataset, nk_hint: Sequence[int] = ()) -> list[LinearModel]:
+def linear_models(train: Dataset, validation: Dataset, nk_hint: Sequence[int] = ()) -> list[LinearStart]:
     """What the linear side finds on `train` by itself, each structure once; fewer where one cannot."""
     settings: dict[str, ARX | StateSpace] = {
         "ARX": ARX(nk_hint=nk_hint),
@@ -82,38 +68,36 @@ def linear_models(train: Dataset, validation: Dataset, nk_hint: Sequence[int] = 
     return [model for model in found if model is not None]
 
 
-def _fitted(
-    name: str, settings: ARX | StateSpace, train: Dataset, validation: Dataset | None
-) -> LinearModel | None:
+def _fitted(name: str, settings: Estimator, train: Dataset, validation: Dataset | None) -> LinearStart | None:
     try:
         fitted = settings.fit(train, validation)
     except FlysidError:
         return None
+    assert isinstance(fitted, FittedLinear | FittedStateSpace)
+    again = same_orders(fitted)
     if isinstance(fitted, FittedLinear):
-        orders = _orders(fitted.system)
-        again: ARX | StateSpace = _arx_again(fitted)
-        return LinearModel(name, orders, fitted.system, fitted.u_origin, fitted.y_origin, again)
+        return LinearStart(
+            name, orders_of(fitted.system), fitted.system, fitted.u_origin, fitted.y_origin, again
+        )
     if fitted.order > _MOST_STATES:
         return None
     system = as_difference(fitted)
-    again = StateSpace(order=fitted.order, refine=False, nk=1)
-    return LinearModel(name, _orders(system), system, fitted.u_origin, fitted.y_origin, again)
+    return LinearStart(name, orders_of(system), system, fitted.u_origin, fitted.y_origin, again)
 
 
-def _arx_again(fitted: FittedLinear) -> ARX:
-    """ARX of the same orders and delays, refined where this one is."""
-    orders = _orders(fitted.system)
-    return ARX(na=orders.na, nb=orders.nb, nk=orders.nk, refine=fitted.noise is not None)
+def same_orders(model: FittedLinear | FittedStateSpace) -> Estimator:
+    """Settings that fit a linear model again with the orders and delays it has, refined where it is."""
+    if isinstance(model, FittedStateSpace):
+        late = tuple(k + 1 for k in model.delays) or 1
+        return StateSpace(order=model.order, refine=model.noise is not None, nk=late)
+    orders = orders_of(model.system)
+    if model.structure == "arx":
+        return ARX(na=orders.na, nb=orders.nb, nk=orders.nk, refine=model.noise is not None)
+    kinds: dict[str, type[OE | ARMAX | BJ]] = {"oe": OE, "armax": ARMAX, "bj": BJ}
+    return kinds[model.structure](na=orders.na, nb=orders.nb, nk=orders.nk)
 
 
-def refitted(model: Fitted) -> ARX | None:
-    """What fits a model of ARX again with its orders, as rules are refitted with theirs; None for others."""
-    if isinstance(model, FittedLinear) and model.structure == "arx" and len(model.outputs) == 1:
-        return _arx_again(model)
-    return None
-
-
-def _orders(system: Difference) -> Orders:
+def orders_of(system: Difference) -> Orders:
     lags = [np.flatnonzero(np.abs(system.b[:, :, j]).max(axis=1) > 0) for j in range(system.b.shape[2])]
     nk = tuple(int(at[0]) if len(at) else 0 for at in lags)
     nb = tuple(int(at[-1] - at[0]) + 1 if len(at) else 0 for at in lags)
@@ -143,7 +127,7 @@ def as_difference(model: FittedStateSpace) -> Difference:
     return Difference(a[:, None, None] * np.eye(n_y), late, b[:, :, -1].sum(axis=0) + a.sum() * r.level)
 
 
-def as_linear(model: Fitted) -> LinearModel | None:
+def as_linear(model: Fitted) -> LinearStart | None:
     """A fitted linear model as a difference equation; None where its order is too high for one."""
     if isinstance(model, FittedLinear):
         system = model.system
@@ -152,10 +136,10 @@ def as_linear(model: Fitted) -> LinearModel | None:
     elif isinstance(model, RuleModel) and model.structure == "ts" and len(model.parameters.theta) == 1:
         system = _equation(model)
         still = np.zeros(len(model.inputs)), np.zeros(len(model.outputs))
-        return LinearModel(model.structure, _orders(system), system, *still, ARX())
+        return LinearStart(model.structure, orders_of(system), system, *still, ARX())
     else:
         return None
-    return LinearModel(model.structure, _orders(system), system, model.u_origin, model.y_origin, ARX())
+    return LinearStart(model.structure, orders_of(system), system, model.u_origin, model.y_origin, ARX())
 
 
 def _equation(model: RuleModel) -> Difference:
@@ -165,7 +149,7 @@ def _equation(model: RuleModel) -> Difference:
     return Difference(np.concatenate([here, -a]), b, c)
 
 
-def as_stage(found: LinearModel, problem: Problem) -> Stage:
+def as_stage(found: LinearStart, problem: Problem) -> Stage:
     """A linear model as a stage of a problem with the same orders."""
     still = np.zeros((1, problem.z_range.shape[1]))
     body = Body(np.zeros((1, problem.layout.n_y, len(problem.basis))), still, np.ones_like(still))
@@ -179,7 +163,7 @@ def arx_start(problem: Problem, data: Dataset) -> tuple[Stage, ...]:
     return () if found is None else (as_stage(found, problem),)
 
 
-def consequents(found: LinearModel, layout: Layout) -> FloatArray:
+def consequents(found: LinearStart, layout: Layout) -> FloatArray:
     """(n_y, n_x) the linear model's equation over `layout`'s regressors, in its normalised units."""
     a = found.system.a
     b = found.system.b

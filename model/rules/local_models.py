@@ -2,10 +2,10 @@
 
 A TS model is a polytopic (LPV) system: its one-step map is a convex combination of the rules' affine maps,
 weighted by the firing strengths. A common quadratic Lyapunov function of all rules (Tanaka and Sugeno 1992)
-proves that outputs stay bounded under bounded inputs whatever fires, and that a run forgets its start under
-any one sequence of firing strengths. Where conditions speak of outputs, two runs on the same inputs fire
-differently: that these come together too is asked of runs (`flysid.model.rules.contraction`). Its absence
-proves nothing.
+proves that outputs stay bounded under bounded inputs for any blend of rules, and that a run forgets its start
+under any one sequence of firing strengths. Where conditions speak of outputs, two runs on the same inputs
+fire differently: that these come together too is asked of runs (`flysid.model.rules.boundedness`). Its
+absence proves nothing.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from flysid.model.rules.steady_map import SteadyMap
 
 
 @dataclass(frozen=True, eq=False)
-class StateSpace:
+class LocalStateSpace:
     """s(k+1) = A s(k) + B u(k) + f,  y(k) = C s(k) + D u(k) + g, physical units.
 
     s holds past outputs and hidden states x(k-1), ..., x(k-n), then past inputs u(k-1), ..., u(k-m); A, B and
@@ -39,7 +39,7 @@ class StateSpace:
     dt_s: float
 
 
-def polytope(model: RuleModel) -> tuple[StateSpace, ...]:
+def polytope(model: RuleModel) -> tuple[LocalStateSpace, ...]:
     """The rules as local state spaces over one common state, ready for parallel distributed compensation.
 
     Raises
@@ -50,7 +50,7 @@ def polytope(model: RuleModel) -> tuple[StateSpace, ...]:
     return tuple(_companion(model, rule) for rule in model.recursions())
 
 
-def _companion(model: RuleModel, recursion: Recursion) -> StateSpace:
+def _companion(model: RuleModel, recursion: Recursion) -> LocalStateSpace:
     A, B, c = recursion
     na, n, _ = A.shape
     past_inputs = len(B) - 1
@@ -70,10 +70,10 @@ def _companion(model: RuleModel, recursion: Recursion) -> StateSpace:
     if past_inputs:
         drive[own : own + n_u] = np.eye(n_u)
         step[own + n_u :, own : size - n_u] = np.eye(size - n_u - own)
-    return StateSpace(step, drive, newest[:n_y], B[0, :n_y].copy(), offset, c[:n_y].copy(), model.dt_s)
+    return LocalStateSpace(step, drive, newest[:n_y], B[0, :n_y].copy(), offset, c[:n_y].copy(), model.dt_s)
 
 
-def linearise(model: RuleModel, u: FloatArray, y: FloatArray | None = None) -> StateSpace:
+def linearise(model: RuleModel, u: FloatArray, y: FloatArray | None = None) -> LocalStateSpace:
     """The model's derivative at constant inputs u (n_u,), memberships included.
 
     Where outputs y (n_y,) are given, hidden states stand where they rest beside them; otherwise everything
@@ -101,8 +101,8 @@ def linearise(model: RuleModel, u: FloatArray, y: FloatArray | None = None) -> S
     found = steady.resting(model.free, w, range(len(held), n))
     if found is None:
         raise UsageError(
-            "the states come to no rest at this operating point",
-            hint="choose one inside the training range; a process that integrates rests at no input but one",
+            "the model has no equilibrium at this operating point",
+            hint="choose one inside the training range; an integrating process rests at one input only",
         )
     tangent = steady.tangent(model.free, found)
     _refuse_limit(tangent.value, model.free.limits, model)
@@ -136,13 +136,13 @@ def _refuse_limit(x: FloatArray, limits: FloatArray, model: RuleModel) -> None:
         if not low + rounding < value < high - rounding:
             at = np.clip(value, low, high) * model.layout.scale[i] + model.layout.shift[i]
             raise UsageError(
-                f"the model is at its limit there, {at:.4g}: nothing moves it, and it has no linear model",
+                f"the model is saturated there, at {at:.4g}, and has no linear model",
                 hint="choose a place inside the training range",
             )
 
 
 @dataclass(frozen=True, eq=False)
-class Certificate:
+class StabilityCertificate:
     """What could be proved about stability.
 
     Attributes
@@ -159,7 +159,7 @@ class Certificate:
     reason: str
 
 
-def certificate(model: RuleModel) -> Certificate:
+def certificate(model: RuleModel) -> StabilityCertificate:
     """A P > 0 with A_r' P A_r - P < 0 for every rule's dynamics of outputs and states, where one is found.
 
     Raises
@@ -170,15 +170,15 @@ def certificate(model: RuleModel) -> Certificate:
     return certificate_of([companion(A) for A, _, _ in model.recursions()])
 
 
-def certificate_of(rules: list[FloatArray]) -> Certificate:
+def certificate_of(rules: list[FloatArray]) -> StabilityCertificate:
     """A P > 0 with A_r' P A_r - P < 0 for the (n, n) matrices of all rules; see `lyapunov`."""
     n = len(rules[0])
     if n == 0:
-        return Certificate(True, np.zeros((0, 0)), 0.0, "The model has no memory of its outputs.")
+        return StabilityCertificate(True, np.zeros((0, 0)), 0.0, "The model has no memory of its outputs.")
     radii = [float(np.abs(np.linalg.eigvals(A)).max()) for A in rules]
     if max(radii) >= 1.0:
         worst = int(np.argmax(radii))
-        return Certificate(
+        return StabilityCertificate(
             False,
             np.zeros((n, n)),
             max(radii),
@@ -188,11 +188,11 @@ def certificate_of(rules: list[FloatArray]) -> Certificate:
     found = common_lyapunov(rules)
     if found is None:
         reason = "Every rule is stable, but no common quadratic Lyapunov function was found."
-        return Certificate(False, np.zeros((n, n)), 1.0, reason)
+        return StabilityCertificate(False, np.zeros((n, n)), 1.0, reason)
     P, decay = found
     shown = np.ceil(decay * 1e5) / 1e5
     reason = (
-        f"A common quadratic Lyapunov function proves it: the state's length falls to {shown:.5f} of itself "
-        "or less per step, whatever fires; bounded inputs leave the outputs bounded."
+        f"A common quadratic Lyapunov function proves it: the norm of the state falls to {shown:.5f} of "
+        "itself or less per step, for any blend of rules; bounded inputs give bounded outputs."
     )
-    return Certificate(True, P, decay, reason)
+    return StabilityCertificate(True, P, decay, reason)

@@ -22,16 +22,16 @@ from flysid.model.rules.barrier import slackless, symmetric_basis, value_at
 from flysid.model.threads import on_one_thread
 
 MOST_STATES = 16
-_BISECTIONS = 6  # of the decay
 
 
 @on_one_thread
-def common_lyapunov(rules: Sequence[FloatArray]) -> tuple[FloatArray, float] | None:
+def common_lyapunov(rules: Sequence[FloatArray], *, bisections: int = 6) -> tuple[FloatArray, float] | None:
     """(n, n) P > 0 and the worst factor by which sqrt(x'Px) shrinks per step; None where none was found.
 
     Parameters
     ----------
     rules : (n, n) matrices whose poles all lie inside the unit circle.
+    bisections : of the decay.
     """
     if len(rules[0]) > MOST_STATES:
         return None
@@ -41,7 +41,7 @@ def common_lyapunov(rules: Sequence[FloatArray]) -> tuple[FloatArray, float] | N
     if best is None:
         return None
     low = max(float(np.abs(np.linalg.eigvals(A)).max()) for A in rules)
-    for _ in range(_BISECTIONS):
+    for _ in range(bisections):
         middle = 0.5 * (low + best[1])
         found = _verified(_feasible(balanced, middle), balanced)
         if found is None or found[1] >= best[1]:

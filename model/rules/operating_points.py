@@ -3,8 +3,9 @@
 Numbers are of tangents (`flysid.model.rules.steady_map`) at places spread over what was flown. Their errors
 are to first order, the place solved anew for every step: noise alone. Too few rules bend a tangent, which no
 covariance shows; what the model with one rule more says there is added, or where growth ended with one
-fewer. Where the errors still depend on what is simulated, noise is not all there is, and its share is widened
-(`flysid.model.rules.lack_of_fit`).
+fewer. Nor does it show that a condition on an input switches all its lags at once: a time is as unsure as
+these are apart. Where the errors still depend on what is simulated, noise is not all there is, and its share
+is widened (`flysid.model.rules.lack_of_fit`).
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _FLOOR = 0.03  # of a figure: what orders and sampling cost that no model nearby
 _LOST = 10.0  # of a logarithm: an error beyond which there is nothing to say, and numbers overflow
 
 
-class Spread(Protocol):
+class NumberSpread(Protocol):
     """The distribution of a model's numbers."""
 
     @property
@@ -64,7 +65,7 @@ def described(model: M, train: Dataset, neighbour: Stage | None = None) -> M:
     With intervals where it stands at a minimum of the simulation error and another one is known beside it:
     noise alone is half of what such numbers are off by.
     """
-    sure: Spread | None = None
+    sure: NumberSpread | None = None
     if neighbour is not None:
         with contextlib.suppress(DataError, np.linalg.LinAlgError), np.errstate(all="ignore"):
             found = uncertainty(model, train)
@@ -86,7 +87,7 @@ class Place:
 
 
 def operating_points(
-    numbers: Numbers, train: Dataset, sure: Spread | None = None, neighbour: Numbers | None = None
+    numbers: Numbers, train: Dataset, sure: NumberSpread | None = None, neighbour: Numbers | None = None
 ) -> tuple[OperatingPoint, ...]:
     """For every output: places over what was flown; none where the model comes to no rest (it integrates).
 
@@ -109,7 +110,7 @@ class _Asked:
 
     numbers: Numbers
     train: Dataset
-    sure: Spread | None
+    sure: NumberSpread | None
     neighbour: Numbers | None
     output: int
 
@@ -256,7 +257,8 @@ def _errors(asked: _Asked, place: Place, moved: int, figures: FloatArray) -> Flo
     centre = sure.centre()
     square = np.full(figures.shape, _FLOOR**2)
     root = root_of(sure.covariance)
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):  # an answer at once takes no time at all
+        square[1] += (_switched(asked.numbers) / figures[1]) ** 2
         for direction in root.T[np.abs(root).max(axis=0) > 0.0]:
             ends = [
                 _figures(steady, sure.parameters_at(centre + way * direction), place, asked.output, moved)
@@ -266,6 +268,22 @@ def _errors(asked: _Asked, place: Place, moved: int, figures: FloatArray) -> Flo
                 return np.full(figures.shape, np.nan)
             square += ((ends[0] - ends[1]) / (2.0 * _STEP * figures)) ** 2
         return np.asarray(np.sqrt(square + _of_neighbour(asked, place, moved, figures) ** 2))
+
+
+def _switched(numbers: Numbers) -> FloatArray:
+    """(n_u,) samples from the first to the last lag of every input that conditions speak of; else 0.
+
+    Such a condition switches the weights of all these lags at once, with one of them, so that how an answer
+    is spread over them hangs on the condition. Steady gains do not.
+    """
+    lags = numbers.layout.lags
+    n = numbers.parameters.theta.shape[1]
+    apart = np.zeros(len(numbers.layout.scale) - n)
+    for j in range(len(apart)):
+        own = lags.lag[lags.column == n + j]
+        if len(own) and n + j in lags.z_column:
+            apart[j] = np.ptp(own)
+    return apart
 
 
 def _of_neighbour(asked: _Asked, place: Place, moved: int, figures: FloatArray) -> FloatArray:

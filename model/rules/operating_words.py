@@ -113,7 +113,7 @@ def _answer(group: Sequence[OperatingPoint], j: int, output: Signal, given: Sign
         text += f"; 63 % of that is reached after {_figure(reached, sure, 's')}"
     dead = min(float(p.dead_s[j]) for p in group)
     if dead > 0.0:
-        text += f", nothing before {number(dead)} s"
+        text += f", including a dead time of {number(dead)} s"
     over, wrong = (max(float(getattr(p, name)[j]) for p in group) for name in ("overshoot", "wrong_way"))
     if over > _OVERSHOOT:
         text += f"; it overshoots by {100 * over:.0f} %"
@@ -128,7 +128,7 @@ def _figure(values: Sequence[float], sure: FloatArray, unit: str) -> str:
     if not np.isfinite(sure).all():
         return middle
     if (np.log(sure[:, 1] / sure[:, 0]) > _HARDLY).any():
-        return f"{middle} (hardly known)"
+        return f"{middle} (poorly determined)"
     return f"{middle} ({number(float(sure.min()))} to {number(float(sure.max()))})"
 
 
@@ -140,10 +140,10 @@ def _variation(own: Sequence[OperatingPoint]) -> str:
             "response time": np.ptp([np.log(p.reached_s) for p in own], axis=0).max(),
         }
     if any((p.gain * q.gain < 0.0).any() for p, q in pairwise(own)):
-        return "Over this range the gain changes its sign: no one linear model is right everywhere."
+        return "The gain changes its sign over this range, so a single linear model cannot describe it."
     name = max(spans, key=lambda key: np.nan_to_num(spans[key], posinf=0.0))
     times = number(float(np.exp(spans[name])))
-    return f"Over this range the {name} varies {times}-fold: no one linear model is right everywhere."
+    return f"Over this range the {name} varies {times}-fold, so a single linear model cannot describe it."
 
 
 def at_loudest(point: OperatingPoint, signals: Signals) -> str:

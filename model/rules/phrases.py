@@ -13,7 +13,7 @@ from flysid.model.rules.memberships import Partition
 from flysid.model.rules.operating_words import Signals, answers_alike, at_loudest, sentences
 from flysid.model.rules.vocabulary import Axis, number
 
-ELSEWHERE = "always, most where no other rule does"
+ELSEWHERE = "always, strongest where no other rule applies"
 _INTEGRATES = "integrates"
 # spreads of an input: a hair, and farther than it ever went
 _LEAST_PUSH = 0.05
@@ -135,7 +135,7 @@ def in_words(
         lines.append(f"  {rule.label}. {then} {rule.conclusion}{means}")
     if any(_nearly_integrates(rule) and not rule.here for rule in rules):
         lines.append(
-            "  * nearly integrates: gain and time constant hang on the last digits of the lags' weights"
+            "  * nearly integrates: gain and time constant depend on the last digits of the coefficients"
         )
     return "\n".join([*lines, *(f"  - {note}" for note in notes)])
 
@@ -163,11 +163,11 @@ def meaning(
 
 def _where_loudest(rule: Rule, signals: Signals, others: Sequence[Rule]) -> list[str]:
     if not rule.here:
-        return ["nowhere the strongest at rest"]
+        return ["never the strongest in equilibrium"]
     like = next((other for other in others if answers_like(rule, other)), None)
     if like is not None:
-        return [f"answers like {like.label}"]
-    return [f"loudest {at_loudest(point, signals)}" for point in rule.here]
+        return [f"same response as {like.label}"]
+    return [f"strongest {at_loudest(point, signals)}" for point in rule.here]
 
 
 def answers_like(rule: Rule, other: Rule) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.linear.difference_equation import FittedLinear
-from flysid.model.rules.descent import Fixed, Sizes, descend
+from flysid.model.rules.descent import Cost, Fixed, Sizes, descended
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.regressor_layout import Layout
 
@@ -31,7 +31,7 @@ _CLOSED = 60  # rows that suffice to start a run while fitting
 
 
 @dataclass(frozen=True, eq=False)
-class Realisation:
+class StateRealisation:
     """x(k) = A x(k-1) + sum_lag B[lag] u(k-lag) + c, y = the first n_y states; in normalised units.
 
     `words` says what the hidden states are.
@@ -43,7 +43,7 @@ class Realisation:
     input_lags: tuple[tuple[int, ...], ...]
     words: str = "as the difference equation has them"
 
-    def transformed(self, T: FloatArray, shift: FloatArray, words: str = "") -> Realisation:
+    def transformed(self, T: FloatArray, shift: FloatArray, words: str = "") -> StateRealisation:
         """The same system in the states T x - shift; T and shift must keep the outputs."""
         back = np.linalg.inv(T)
         A = T @ self.A @ back
@@ -56,7 +56,7 @@ class Realisation:
         )
 
     @classmethod
-    def of(cls, layout: Layout, theta: FloatArray) -> Realisation:
+    def of(cls, layout: Layout, theta: FloatArray) -> StateRealisation:
         """The system that a consequent (n, n_x), in the order of `layout.regressors`, stands for."""
         n = layout.n
         n_u = len(layout.inputs)
@@ -86,7 +86,7 @@ class Realisation:
         return np.stack(columns, axis=1)
 
 
-def realised(fitted: FittedLinear, shift: FloatArray, scale: FloatArray) -> Realisation:
+def realised(fitted: FittedLinear, shift: FloatArray, scale: FloatArray) -> StateRealisation:
     """A difference equation in states (observer form), normalised by (n_y + n_u,) shift and scale.
 
     Delays common to all outputs become the inputs' lags. What is deeper than the order is dropped: the
@@ -112,7 +112,7 @@ def realised(fitted: FittedLinear, shift: FloatArray, scale: FloatArray) -> Real
             B[max(delay, 1)][(lag - 1) * n_y : lag * n_y, j] = taps[lag]
         if delay == 0:
             B[0][:n_y, j] = taps[0]
-    return Realisation(A, B, c, lags)
+    return StateRealisation(A, B, c, lags)
 
 
 def _first_lag(taps: FloatArray) -> int:
@@ -120,7 +120,7 @@ def _first_lag(taps: FloatArray) -> int:
     return int(moving[0]) if len(moving) else 1
 
 
-def coordinates(plain: Realisation, n_y: int) -> dict[str, Realisation]:
+def coordinates(plain: StateRealisation, n_y: int) -> dict[str, StateRealisation]:
     """The same system with its hidden states chosen in different ways, most readable first, by name."""
     n = len(plain.A)
     if n == n_y:
@@ -137,7 +137,7 @@ def coordinates(plain: Realisation, n_y: int) -> dict[str, Realisation]:
         choices.append((f"mode {i + 1}", rows, "a mode of its own that drives the outputs"))
     if n - n_y >= 2 and len(modes) >= n - n_y:
         choices.append(("modes", np.stack(modes[: n - n_y]), "modes of their own that drive the outputs"))
-    found: dict[str, Realisation] = {}
+    found: dict[str, StateRealisation] = {}
     for name, rows, words in choices:
         size = np.linalg.norm(rows, axis=1, keepdims=True)
         T = np.vstack([C, rows / np.where(size > 0, size, 1.0)])
@@ -246,8 +246,8 @@ def _likely(
     )
     sizes = Sizes(layout.depth, 1, layout.n_y, samples, 0.0)
     p = np.concatenate([np.zeros(par.theta.size + 2 * par.centre.size), guess])
-    cost, _ = descend(p, layout.lags, par, fixed, sizes, _STEPS, _SETTLED)
-    return (float(cost) if np.isfinite(cost) else np.inf), p[-layout.n :].copy()
+    cost, p = descended(Cost(layout.lags, par, fixed, sizes), p, _STEPS, _SETTLED)
+    return (cost if np.isfinite(cost) else np.inf), p[-layout.n :].copy()
 
 
 def _measured(mean: FloatArray, y: FloatArray) -> FloatArray:

@@ -27,7 +27,6 @@ from flysid.model.rules.free_run_error import widened
 from flysid.model.rules.kernel import Parameters, firing, free_run, predict
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.phrases import condition_in_words, equation, in_words, push_in_words
-from flysid.model.rules.physical import physical_consequents, physical_partition
 from flysid.model.rules.regressor_layout import Layout
 from flysid.model.rules.rule_poles import companion
 from flysid.model.rules.run_start import RunStart
@@ -316,12 +315,22 @@ class RuleModel(FreeRuns):
 
         n counts the outputs; the states, outputs first, where there are hidden ones.
         """
-        return physical_consequents(self.layout, self.parameters)
+        layout = self.layout
+        n = layout.n
+        theta = self.parameters.theta * layout.scale[:n][None, :, None]
+        columns = np.array([c for c, _ in layout.regressors[:-1]])
+        gains = theta[:, :, :-1] / layout.scale[columns]
+        offset = theta[:, :, -1] + layout.shift[:n] - gains @ layout.shift[columns]
+        return np.concatenate([gains, offset[:, :, None]], axis=2)
 
     @cached_property
     def partition(self) -> Partition:
         """Memberships in physical units."""
-        return physical_partition(self.layout, self.parameters)
+        p = self.parameters
+        shift, scale = self.layout.antecedent_scaling()
+        width = p.width * scale
+        low, high = p.z_range * scale + shift
+        return Partition(p.centre * scale + shift, width, width, low, high)
 
     @property
     def centres(self) -> FloatArray:

@@ -180,7 +180,7 @@ def uncertainty(model: RuleModel, train: Dataset) -> Uncertainty:
         )
     runs = _shortened([model.seen(s.u, s.y) for s in train.segments if len(s) >= model.n_init + 2])
     if sum(len(W) - layout.depth for W in runs) * layout.n_y <= model.n_parameters:
-        raise DataError("fewer samples than numbers in the model: nothing can be said about its uncertainty")
+        raise DataError("fewer samples than parameters: the model's uncertainty cannot be estimated")
     problem, body = as_problem(layout, model.parameters, runs)
     starts = best_started(problem, body).initial
     found = [_sensitivities(problem, body, W, x) for W, x in zip(runs, starts, strict=True)]

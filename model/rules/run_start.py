@@ -38,43 +38,6 @@ class Running(Protocol):
     def outputs_of(self, W: FloatArray) -> FloatArray: ...
 
 
-class RunStart(Protocol):
-    """How a model of rules is started.
-
-    Attributes
-    ----------
-    structure : what model files call a model that starts so.
-    samples : measured ones that start a simulation.
-    rest : rows of zeros before a run from rest.
-    """
-
-    structure: ClassVar[str]
-
-    @property
-    def samples(self) -> int: ...
-    @property
-    def rest(self) -> int: ...
-    def write(self, model: Running, W: FloatArray, known: int) -> None:
-        """Put the start into W (N, n + n_u), of which the outputs of `known` rows are measured."""
-        ...
-
-    def free(self, model: Running) -> Parameters:
-        """The parameters that a free run is computed with."""
-        ...
-
-    def followed(self, model: Running, u: FloatArray, y: FloatArray) -> FloatArray:
-        """(N, n_y) free run on inputs (N, n_u) from the start that suits the first outputs (M, n_y) best."""
-        ...
-
-    def soon(self, model: Running, u: FloatArray, y: FloatArray, k: int) -> FloatArray:
-        """(N, n_y) predictions k steps ahead before much has been measured; NaN where there is none yet."""
-        ...
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON types only."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class MeasuredStart:
     """The first outputs as measured, and what is known of their error.
@@ -82,7 +45,8 @@ class MeasuredStart:
     Attributes
     ----------
     gain : (samples n_y, samples (n_y + n_u) + 1) correction, see `judging.initial_state_gain`.
-    samples : as many as the rules look back.
+    samples : measured ones that start a simulation, as many as the rules look back.
+    structure : what model files call a model that starts so.
     """
 
     gain: FloatArray
@@ -91,11 +55,14 @@ class MeasuredStart:
 
     @property
     def rest(self) -> int:
-        """As many as the rules look back."""
+        """Rows of zeros before a run from rest."""
         return self.samples
 
     def write(self, model: Running, W: FloatArray, known: int) -> None:
-        """Correct the first outputs; at rest (`known` 0) and in a record that ends with them they stand."""
+        """Put the start into W (N, n + n_u), of which the outputs of `known` rows are measured: corrected.
+
+        At rest (`known` 0) and in a record that ends with them they stand.
+        """
         d = self.samples
         if d <= known and d < len(W):
             n_y = model.layout.n_y
@@ -103,15 +70,15 @@ class MeasuredStart:
             W[:d, :n_y] += (self.gain @ window).reshape(d, n_y)
 
     def free(self, model: Running) -> Parameters:
-        """One stable rule is cut off at the limits afterwards."""
+        """The parameters of a free run: one stable rule is cut off at the limits afterwards."""
         return unheld(model.layout.lags, model.parameters)
 
     def followed(self, model: Running, u: FloatArray, y: FloatArray) -> FloatArray:
-        """From the estimated first outputs."""
+        """(N, n_y) free run from the start that suits the first outputs y (M, n_y) best."""
         return model.simulate(u, estimate_start(model, u[: len(y)], y))
 
     def soon(self, model: Running, u: FloatArray, y: FloatArray, k: int) -> FloatArray:
-        """From lags as they were measured."""
+        """(N, n_y) predictions k steps ahead from lags as measured; NaN where there is none yet."""
         layout = model.layout
         return layout.outputs_of(predict(layout.stack(u, y), layout.depth, k, layout.lags, model.parameters))
 
@@ -176,3 +143,6 @@ class LikelyStart:
             },
             "n_init": self.samples,
         }
+
+
+RunStart = MeasuredStart | LikelyStart

@@ -32,7 +32,7 @@ def in_words(ends: FloatArray, train: Dataset) -> list[str]:
     """A sentence about every end."""
     return [
         f"{signal.name} {word} {ends[side, i]:.4g} {signal.unit}".rstrip()
-        + ", where it came to a stop repeatedly: taken as an end of its travel."
+        + ", where it stopped repeatedly: taken as a saturation limit."
         for side, word in enumerate(("never falls below", "never exceeds"))
         for i, signal in enumerate(train.outputs)
         if np.isfinite(ends[side, i])

@@ -40,26 +40,42 @@ class Screened:
     ----------
     change : of the mean square in logarithms: of the fit to the start's own, and of the validation to the
         best start's, on average.
+    fits : mean squares in training, of the start and of the two rules.
     """
 
     family: Family
     runs_away: bool
     score: float
     change: float
+    fits: tuple[float, float]
 
 
-def search(context: SearchContext, plain: Family, starts: Sequence[Family]) -> Family:
+@dataclass(frozen=True, eq=False)
+class Grown:
+    """The best family over all starts.
+
+    Attributes
+    ----------
+    fit : change of the least training mean square, on the first part and in logarithms, by a second rule.
+    """
+
+    best: Family
+    fit: float = -np.inf
+
+
+def search(context: SearchContext, plain: Family, starts: Sequence[Family]) -> Grown:
     """The best family over all starts; `plain`, the best single rule, where none is worth growing."""
     error = {id(s): tolerant(s).rmse[0] for s in starts}
     limit = _HOPELESS * max(min(error.values()), EXACT)
     able = [s for s in starts if context.room(s.linear.stage) and error[id(s)] <= limit]
     tell("1 rule", share=0.0, validation=float(plain.rmse[0]))
     if context.most_rules == 1 or not able:
-        return plain
+        return Grown(plain)
     screened = _screened(context, able)
+    fit = _change(*(min(s.fits[rules] for s in screened) for rules in (1, 0)))
     if context.auto and min(s.change for s in screened) > -context.promise:
-        return plain
-    kept = [s.family for s in screened[: context.settings.search.lanes]]
+        return Grown(plain, fit)
+    kept = [context.completed(s.family) for s in screened[: context.settings.search.lanes]]
     tried: list[Family] = []
     for ridge in context.ridges:
         tried += [grown(context, s, ridge, at / len(kept)) for at, s in enumerate(kept)]
@@ -67,7 +83,7 @@ def search(context: SearchContext, plain: Family, starts: Sequence[Family]) -> F
         ran_away = any(not m.stable for fold in best.folds for m in fold)
         if not ran_away or context.error(best) < plain.rmse[0]:
             break
-    return best
+    return Grown(best, fit)
 
 
 def _screened(context: SearchContext, starts: Sequence[Family]) -> list[Screened]:
@@ -81,13 +97,13 @@ def _screened(context: SearchContext, starts: Sequence[Family]) -> list[Screened
             better = one_rule_more(stage, context.antecedents(stage.layout), _SCREEN)
             found = better.stage if better else stage
             judged = context.judge(found)
-            fit = _change(found.mean_square(), first.mean_square())
             tried.append(
                 Screened(
                     replace(start, coordinates=name, words=words),
                     start.linear.stable and not judged.stable,
                     float(np.log(np.maximum((judged.mean, found.mean_square()), EXACT)).sum()),
-                    0.5 * (_change(judged.mean, known) + fit),
+                    0.5 * (_change(judged.mean, known) + _change(found.mean_square(), first.mean_square())),
+                    (first.mean_square(), found.mean_square()),
                 )
             )
     return sorted(tried, key=lambda s: (s.runs_away, s.score))
@@ -121,7 +137,9 @@ def grown(context: SearchContext, start: Family, ridge: float, done: float = 0.0
         new = [replace(m, stable=True) if drifts else m for m in new]
         family = replace(family, folds=tuple((*f, m) for f, m in zip(family.folds, new, strict=True)))
         share = done + (1.0 - done) * (family.stages - 1) / context.most_rules
-        tell(f"{family.stages} rules", share=share, validation=float(family.rmse[-1]))
+        bounded = all(m.stable for m in new)
+        said = f"{family.stages} rules" if bounded else f"{family.stages} rules, not bounded"
+        tell(said, share=share, validation=float(family.rmse[-1]) if bounded else None)
     return family
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
 
 import numpy as np
 
@@ -15,10 +14,10 @@ from flysid.model.rules.free_run_error import Problem, Stage
 from flysid.model.rules.growth import embedded_start, first_basis, linear_stage, rebased, unrefined
 from flysid.model.rules.integrator import looks_integrating, with_integrator
 from flysid.model.rules.judging import EXACT, Candidate, judged
-from flysid.model.rules.linear_starts import LinearModel, arx_start, as_stage, linear_models
+from flysid.model.rules.linear_starts import LinearStart, arx_start, as_stage, linear_models
 from flysid.model.rules.refit import refit
 from flysid.model.rules.regressor_layout import Antecedent, Layout, Orders, parse_antecedent, runs_of
-from flysid.model.rules.search_settings import NORMAL, SearchSettings
+from flysid.model.rules.search_settings import NORMAL, RuleSettings
 from flysid.model.rules.stages import refine
 from flysid.model.selection import simplest
 from flysid.model.shared import digest, once
@@ -36,37 +35,6 @@ _STRESS_SEED = 1  # not the one that models are asked with in the end
 _ROWS_PER_NUMBER = 4
 
 
-class Settings(Protocol):
-    """What `learn` needs to know; `TS` is one."""
-
-    @property
-    def rules(self) -> int | Literal["auto"]: ...
-    @property
-    def na(self) -> int | Literal["auto"]: ...
-    @property
-    def nb(self) -> int | Sequence[int] | Literal["auto"]: ...
-    @property
-    def nk(self) -> int | Sequence[int] | Literal["auto"]: ...
-    @property
-    def antecedents(self) -> Sequence[str] | Literal["auto"]: ...
-    @property
-    def refine(self) -> bool: ...
-    @property
-    def most_rules(self) -> int: ...
-    @property
-    def iterations(self) -> int: ...
-    @property
-    def nk_hint(self) -> Sequence[int]: ...
-    @property
-    def nk_least(self) -> Sequence[int]: ...
-    @property
-    def search(self) -> SearchSettings: ...
-    @property
-    def states(self) -> int | Literal["auto"]: ...
-    @property
-    def ridge(self) -> float | Literal["auto"]: ...
-
-
 @dataclass(frozen=True, eq=False)
 class SearchContext:
     """Data and settings that all stages of one fit share.
@@ -79,7 +47,7 @@ class SearchContext:
     ridges : weights on the difference of rules, see `Training`; the first for every start.
     """
 
-    settings: Settings
+    settings: RuleSettings
     fit_part: Dataset
     check_part: Dataset
     shift: FloatArray
@@ -182,16 +150,14 @@ class SearchContext:
             notes = [f"A linear model simulates held-out parts as well without past values of {names}."]
         candidates += self._linear_side(len(choices))
         candidates.sort(key=lambda c: c.stage.body.size)
-        everywhere = self._on_every_part(candidates)
-        judged_all = [_together(models) for models in everywhere]
-        at = _simplest(judged_all)
+        at = _simplest(candidates)
         orders = candidates[at].stage.problem.layout.orders
         how = (
             "as given" if len(choices) == 1 else "the simplest within one standard error of the best, and 5 %"
         )
         notes = [f"Orders {orders}: {how} (validation free run of the linear model).", *notes]
         others = [i for i, c in enumerate(candidates) if i != at and c.stable == candidates[at].stable]
-        return [Family(tuple((model,) for model in everywhere[i])) for i in (at, *others)], notes
+        return [Family(((candidates[i],),)) for i in (at, *others)], notes
 
     @once(key)
     def _of_orders(self, choices: tuple[Orders, ...]) -> tuple[Candidate, ...]:
@@ -223,7 +189,7 @@ class SearchContext:
             return ()
         best = min(candidates, key=lambda c: (not c.stable, c.mean))
         orders = best.stage.problem.layout.orders
-        whole = _together(self._on_every_part([best])[0])
+        whole = self._on_every_part(best)
         alone = {j: self._left_out(orders, (j,)) for j, lags in enumerate(orders.nb) if lags}
         needless: tuple[int, ...] = ()
         for j in sorted(alone, key=lambda j: alone[j].mean):
@@ -237,7 +203,7 @@ class SearchContext:
         return tuple(sorted(needless))
 
     def _left_out(self, orders: Orders, inputs: Sequence[int]) -> Candidate:
-        return _together(self._on_every_part(self._of_orders((_without(orders, inputs),)))[0])
+        return self._on_every_part(self._of_orders((_without(orders, inputs),))[0])
 
     @once(key)
     def _linear_side(self, choices: int) -> Sequence[Candidate]:
@@ -253,22 +219,29 @@ class SearchContext:
         late = all(k >= floor or not b for k, floor, b in zip(orders.nk, least, orders.nb, strict=True))
         return late and orders.depth + SPARE_ROWS <= self.least
 
-    def _on_every_part(self, candidates: Sequence[Candidate]) -> list[tuple[Candidate, ...]]:
-        """The candidates beside themselves on the parts that other folds hold out, refitted without them.
+    def completed(self, start: Family) -> Family:
+        """A linear start beside itself on the parts that other folds hold out, refitted without them.
 
-        One quarter of little data says too little to choose orders by.
+        One quarter of little data says too little to choose the number of rules by.
         """
-        found = [[c] for c in candidates]
-        for fit_part, check_part in self.folds:
-            for known in found:
-                layout = known[0].stage.layout
-                again = refit(known[0], fit_part, runs_of(layout, fit_part.segments, self.least), _STEPS)
-                runs = runs_of(layout, check_part.segments, self.least)
-                one = judged(again, runs, self.least - SPARE_ROWS, must_be_bounded=False)
-                known.append(replace(one, stable=known[0].stable))
-        return [tuple(models) for models in found]
+        if len(start.folds) == len(self.parts):
+            return start
+        models = [start.linear, *(self._refitted(start.linear, *parts) for parts in self.folds)]
+        return replace(start, folds=tuple((model,) for model in models))
 
-    def _both(self, model: LinearModel) -> list[Candidate]:
+    def _refitted(self, known: Candidate, fit_part: Dataset, check_part: Dataset) -> Candidate:
+        layout = known.stage.layout
+        again = refit(known, fit_part, runs_of(layout, fit_part.segments, self.least), _STEPS)
+        runs = runs_of(layout, check_part.segments, self.least)
+        one = judged(again, runs, self.least - SPARE_ROWS, must_be_bounded=False)
+        return replace(one, stable=known.stable)
+
+    def _on_every_part(self, known: Candidate) -> Candidate:
+        """The candidate with its errors on every part."""
+        folds = self.completed(Family(((known,),))).folds
+        return replace(known, errors=np.concatenate([m.errors for (m,) in folds]))
+
+    def _both(self, model: LinearStart) -> list[Candidate]:
         plain = as_stage(model, self.problem(model.orders))
         settled = self._settled(refine(rebased(plain), self.settings.iterations, 1e-6))
         kept = [] if any(s.problem.integrates for s in settled) else [self.judge(self.ready(rebased(plain)))]
@@ -297,11 +270,6 @@ def _simplest(candidates: Sequence[Candidate]) -> int:
     fits = [i for i in stable if candidates[i] is best or candidates[i].stage.cost <= most]
     errors = [np.maximum(candidates[i].errors, EXACT) for i in fits]
     return fits[simplest(errors, _ORDER_LOSS, _ORDER_GAIN)]
-
-
-def _together(models: Sequence[Candidate]) -> Candidate:
-    """A candidate with its errors on every part."""
-    return replace(models[0], errors=np.concatenate([m.errors for m in models]))
 
 
 def found_antecedents(layout: Layout) -> tuple[Antecedent, ...]:

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.model.base import Fitted
 from flysid.model.rules.families import Family
+from flysid.model.rules.fitted import FittedTS, finished
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.judging import Candidate
-from flysid.model.rules.linear_starts import Asked
 from flysid.model.rules.refit import on_all_runs
 from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.search_context import SPARE_ROWS, SearchContext
+from flysid.model.rules.search_settings import RuleSettings
 
-LinearSide = Callable[[Asked, Dataset, Dataset | None], tuple[str, Fitted] | None]
+LinearSide = Callable[[RuleSettings, Dataset, Dataset | None], tuple[str, Fitted] | None]
 """What the linear side chooses for settings and data, and its name; None where it has nothing."""
 
 
@@ -28,7 +31,7 @@ class Learned:
     least : rows that a segment of a part must have.
     neighbour : one with a rule more, or fewer where growth ended.
     linear : the linear model that one rule is, where it is one.
-    made : makes a single rule over states from other data, where it is at no minimum of the simulation error.
+    fit : change of the training mean square by a second rule, in logarithms.
     """
 
     stage: Stage
@@ -36,18 +39,16 @@ class Learned:
     least: int
     neighbour: Stage | None = None
     linear: Fitted | None = None
-    made: Callable[[Dataset], Stage] | None = None
+    fit: float = -np.inf
 
-    @property
-    def intervals(self) -> bool:
-        """The stage stands at a minimum of the simulation error, which intervals presume."""
-        return self.made is None
+    def model(self, train: Dataset, *, intervals: bool = True) -> FittedTS:
+        """The fitted model; with `intervals` it says what it does at operating points, and how surely."""
+        return finished(self.stage, train, self.notes, intervals=intervals, neighbour=self.neighbour)
 
-    def again(self, data: Dataset, iterations: int) -> Stage:
-        """The stage refined from where it is on a part of the data, or made from it as it was."""
-        if self.made is not None:
-            return self.made(data)
-        return on_all_runs(self.stage, runs_of(self.stage.layout, data.segments, self.least), iterations)
+    def again(self, data: Dataset, iterations: int) -> FittedTS:
+        """The model refined from where it is on a part of the data."""
+        runs = runs_of(self.stage.layout, data.segments, self.least)
+        return finished(on_all_runs(self.stage, runs, iterations), data, (), intervals=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +64,7 @@ class Search:
     chosen : the model that is to be offered, as grown on the first part; `at` + 1 is its number of rules.
     stage : the same on all the data.
     notes, verdict : reasons, in words; those on the number of rules.
+    fit : change of the training mean square by a second rule, in logarithms.
     """
 
     context: SearchContext
@@ -78,7 +80,21 @@ class Search:
     notes: tuple[str, ...] = ()
     verdict: tuple[str, ...] = ()
     linear: Fitted | None = None
-    made: Callable[[Dataset], Stage] | None = None
+    fit: float = -np.inf
+
+    @classmethod
+    def begun(
+        cls,
+        context: SearchContext,
+        data: tuple[Dataset, Dataset | None],
+        own: bool,
+        plain: Family,
+        starts: Sequence[Family],
+        notes: Sequence[str],
+    ) -> Search:
+        """Before anything is grown: the best single rule is what is offered."""
+        one = plain.linear
+        return cls(context, *data, own, plain, tuple(starts), plain, one, one.stage, notes=tuple(notes))
 
     @property
     def models(self) -> list[Candidate]:
@@ -95,4 +111,5 @@ class Search:
         near = [*self.models[self.at + 1 :], *self.models[max(self.at - 1, 0) : self.at]]
         neighbour = next((m.stage for m in near if m.stable), None)
         least = self.context.least if self.stage.layout.hidden else self.stage.layout.depth + SPARE_ROWS
-        return Learned(self.stage, (*self.notes, *self.verdict), least, neighbour, self.linear, self.made)
+        said = (*self.notes, *self.verdict)
+        return Learned(self.stage, said, least, neighbour, self.linear, self.fit)

@@ -1,15 +1,14 @@
-"""How the search for rules weighs and how long it looks: one record, which `TS(search=...)` takes."""
+"""What is asked of a search for rules, and how it weighs and how long it looks (`TS(search=...)`)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from flysid.errors import UsageError
 from flysid.model.arguments import is_count
 
-Effort = Literal["quick", "normal", "thorough"]
 _QUARTERS = 4
 
 
@@ -51,7 +50,7 @@ class SearchSettings:
     ridges: tuple[float, ...] = (0.01, 0.1, 1.0)
 
     @classmethod
-    def of(cls, effort: Effort) -> SearchSettings:
+    def of(cls, effort: str) -> SearchSettings:
         """The settings of an effort.
 
         "quick" looks at one part, one lane and lags only; "thorough" at more lanes, orders and systems.
@@ -88,3 +87,23 @@ EFFORTS: Mapping[str, SearchSettings] = {
     "thorough": _MORE,
 }
 """Settings by effort, as `flysid fit --effort` takes them."""
+
+
+@dataclass(frozen=True)
+class RuleSettings:
+    """What is asked of a search for rules; `flysid.TS` says what each means."""
+
+    rules: int | Literal["auto"] = "auto"
+    na: int | Literal["auto"] = "auto"
+    nb: int | Sequence[int] | Literal["auto"] = "auto"
+    nk: int | Sequence[int] | Literal["auto"] = "auto"
+    antecedents: Sequence[str] | Literal["auto"] = "auto"
+    refine: bool = True
+    most_rules: int = 5
+    iterations: int = 30
+    nk_hint: Sequence[int] = ()
+    nk_least: Sequence[int] = ()
+    stable: bool = False
+    search: SearchSettings = NORMAL
+    states: int | Literal["auto"] = 0
+    ridge: float | Literal["auto"] = "auto"

@@ -24,11 +24,10 @@ from flysid.model.rules.stages import ordered, refine, with_ridge
 from flysid.model.threads import on_one_thread
 
 _TRIED = 3  # of all edits, ranked by what they cost before refinement
-_RIDGE = 1e-3  # of the cost: refinement must not wander off along overlapping rules
 
 
 @dataclass(frozen=True, eq=False)
-class Simplification:
+class PricedEdit:
     """One edit of a model and its price.
 
     Attributes
@@ -57,8 +56,13 @@ class Simplification:
 
 @on_one_thread
 def simplifications(
-    model: RuleModel, train: Dataset, validation: Dataset | None = None, *, iterations: int = 15
-) -> list[Simplification]:
+    model: RuleModel,
+    train: Dataset,
+    validation: Dataset | None = None,
+    *,
+    iterations: int = 15,
+    ridge: float = 1e-3,
+) -> list[PricedEdit]:
     """What could be said more simply, cheapest first; an unstable edit is not offered.
 
     Parameters
@@ -66,6 +70,7 @@ def simplifications(
     train : data on which an edited model is refined.
     validation : data on which it is priced; `train` where None, which makes edits look dear.
     iterations : Levenberg-Marquardt steps after an edit.
+    ridge : of the cost: refinement must not wander off along overlapping rules.
 
     Raises
     ------
@@ -85,17 +90,17 @@ def simplifications(
     tried.sort(key=lambda edit: edit[1].cost)
     found = []
     for what, stage in tried[:_TRIED]:
-        refined = refine(with_ridge(stage, _RIDGE * stage.cost), iterations, 1e-5)
+        refined = refine(with_ridge(stage, ridge * stage.cost), iterations, 1e-5)
         if np.isfinite(refined.cost) and is_bounded(refined):
             told = replace(model, notes=(*model.notes, f"Simplified by hand: {what}."))
             edited = described(at_stage(told, ordered(refined), train), train)
-            found.append(Simplification(what, edited, before, free_run_rmse(edited, judge)))
+            found.append(PricedEdit(what, edited, before, free_run_rmse(edited, judge)))
     return sorted(found, key=lambda s: s.loss_pct)
 
 
 def simplify(
     model: RuleModel, train: Dataset, validation: Dataset | None = None, *, most_loss_pct: float = 2.0
-) -> tuple[RuleModel, tuple[Simplification, ...]]:
+) -> tuple[RuleModel, tuple[PricedEdit, ...]]:
     """The simplest model that the free run allows, and every step to it.
 
     Steps are taken while the RMSE stays within `most_loss_pct` of the first model's on every output.
@@ -106,7 +111,7 @@ def simplify(
     DataError : no segment is long enough to simulate.
     """
     refuse_other_models(model, hidden=False)
-    steps: list[Simplification] = []
+    steps: list[PricedEdit] = []
     first: FloatArray | None = None
     while len(model.parameters.theta) > 1:
         offers = simplifications(model, train, validation)

@@ -1,10 +1,10 @@
 """Rules made stable on request: by themselves, or with a certificate that any blend of them is.
 
 A rule may have a pole outside the unit circle where the others keep the blend in its range; a controller that
-is designed rule by rule, or a proof that holds whatever fires, cannot use such a rule. Made stable, it is
-drawn towards the mean of all rules, weighted by support, only as far as is needed. Its poles are held there,
-and what is left of the model (what inputs and the constant weigh, memberships) is refined on the simulation
-error again.
+is designed rule by rule, or a proof that holds for any blend of rules, cannot use such a rule. Made stable,
+it is drawn towards the mean of all rules, weighted by support, only as far as is needed. Its poles are held
+there, and what is left of the model (what inputs and the constant weigh, memberships) is refined on the
+simulation error again.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _told(model: FittedTS, found: FittedTS, train: Dataset, *, certified: bool) 
     before, after = (max(rule.pole_radius for rule in m.rules()) for m in (model, found))
     old, new = (free_run_rmse(m, train) for m in (model, found))
     steps = from_to(old, new, model.outputs)
-    how = "Made stable, provably whatever fires" if certified else "Made stable"
+    how = "Made stable, provably for any blend of rules" if certified else "Made stable"
     return (
         f"{how}: the largest pole radius of a rule was {before:.5f} and is {after:.5f}; the rest was refined "
         f"again, free run on the training data {steps}."
@@ -116,7 +116,8 @@ def _drawn(
     mean = np.tensordot(share / share.sum(), theta, axes=1)
     if not holds(mean[None]):
         raise FitError(
-            f"the mean of all rules has poles beyond {largest:g} itself: nothing is there to draw them to",
+            f"the mean of all rules has poles beyond {largest:g} itself, so there is no stable model to "
+            "move the rules towards",
             hint="fit fewer rules, lower orders, or a linear model with stable=True",
         )
     alone = np.stack(

@@ -1,14 +1,11 @@
 """Linear systems that rules are grown from: the best state space, and output-error models of few states.
 
-A system is a realisation whose first states are the outputs. The best state space comes as it is: where its
-own validation preferred the subspace estimate to a refined one, it stays unrefined here, too.
+A system is a realisation whose first states are the outputs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,15 +18,16 @@ from flysid.model.rules.realisation import (
     PLAIN,
     PLAIN_WORDS,
     Prior,
-    Realisation,
+    StateRealisation,
     coordinates,
     initial_states,
     realised,
     uncorrelated,
 )
 from flysid.model.rules.regressor_layout import Layout, Orders, runs_of
+from flysid.model.rules.search_settings import RuleSettings
 from flysid.model.rules.stages import refine
-from flysid.model.statespace import StateSpace, with_choices_made
+from flysid.model.statespace import StateSpace
 from flysid.model.subspace.fitted_model import FittedStateSpace
 
 _SHOWN = 1e-6  # directions of the outputs weaker than this, relative to the strongest, count as none
@@ -38,19 +36,7 @@ _MOST_OE = 4  # and the order of the best state space, up to this
 _HIDDEN_LIMIT = 12.0  # spreads that a hidden state may reach
 _FLOOR = 1e-3  # of the metric's diagonal, added to it: directions that the linear model does not feel
 _START_ROWS = 400  # of a run from which a linear start takes its initial state
-_LINEAR_STEPS = 20  # of a linear system's refinement
 _OVERFLOW = 1e9  # spreads: a state beyond has run away
-
-
-class Settings(Protocol):
-    """What the choice of systems needs to know; `TSStateSpace` is one."""
-
-    @property
-    def states(self) -> int | Literal["auto"]: ...
-    @property
-    def nk(self) -> int | Sequence[int] | Literal["auto"]: ...
-    @property
-    def nk_hint(self) -> Sequence[int]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,28 +47,14 @@ class System:
     ----------
     real : fitted to all training data, outputs first, normalised.
     title : what it is.
-    again : settings that fit it to a part of the data by themselves; None where a refinement of `real` does.
     """
 
-    real: Realisation
+    real: StateRealisation
     title: str
-    again: StateSpace | None = None
-    scaled: tuple[FloatArray, FloatArray] = field(default=(np.zeros(0), np.zeros(0)))
-
-    def on(self, data: Dataset) -> Realisation:
-        """The realisation to begin with on a part of the data."""
-        if self.again is None:
-            return self.real
-        try:
-            with np.errstate(all="ignore"):  # a part may hold too little; then the whole must do
-                model = self.again.fit(data)
-        except (DataError, FitError):
-            return self.real
-        return realised_states(model, *self.scaled) if _stands(model) else self.real
 
 
 def linear_systems(
-    settings: Settings,
+    settings: RuleSettings,
     train: Dataset,
     validation: Dataset | None,
     scaled: tuple[FloatArray, FloatArray],
@@ -117,7 +89,7 @@ def linear_systems(
 
 
 def best_state_space(
-    settings: Settings,
+    settings: RuleSettings,
     train: Dataset,
     validation: Dataset | None,
     scaled: tuple[FloatArray, FloatArray],
@@ -126,16 +98,12 @@ def best_state_space(
     asked = StateSpace(nk=settings.nk, nk_hint=tuple(settings.nk_hint))
     try:
         with np.errstate(all="ignore"):
-            fixed = with_choices_made(asked, train, validation)
-            model = fixed.fit(train, validation)
+            model = asked.fit(train, validation)
     except (DataError, FitError):
         return None
     if not _stands(model):
         return None
-    refined = model.noise is not None
-    title = f"the best linear state space ({model.order} states{'' if refined else ', by subspace alone'})"
-    again = None if refined else replace(fixed, refine=False)
-    return System(realised_states(model, *scaled), title, again, scaled)
+    return System(realised_states(model, *scaled), f"the best linear state space ({model.order} states)")
 
 
 def _stands(model: FittedStateSpace) -> bool:
@@ -143,14 +111,14 @@ def _stands(model: FittedStateSpace) -> bool:
     return bool(np.abs(model.poles).max(initial=0.0) <= 1.0 + 1e-9)
 
 
-def _orders(settings: Settings, best: System | None, n_y: int) -> list[int]:
+def _orders(settings: RuleSettings, best: System | None, n_y: int) -> list[int]:
     if settings.states != "auto":
         return [max(1, -(-settings.states // n_y))]
     known = min(_MOST_OE, -(-len(best.real.A) // n_y)) if best else 2
     return sorted({*_OE_STATES, max(known, 2)} if n_y == 1 else {2, max(known, 1)})
 
 
-def _delays_to_try(settings: Settings, best: System | None, n_u: int) -> list[tuple[int, ...]]:
+def _delays_to_try(settings: RuleSettings, best: System | None, n_u: int) -> list[tuple[int, ...]]:
     if settings.nk != "auto":
         return [(settings.nk,) * n_u if isinstance(settings.nk, int) else tuple(settings.nk)]
     delays = {(1,) * n_u}
@@ -168,7 +136,7 @@ def _output_error(train: Dataset, order: int, nk: tuple[int, ...]) -> FittedLine
         return None
 
 
-def realised_states(model: FittedStateSpace, shift: FloatArray, scale: FloatArray) -> Realisation:
+def realised_states(model: FittedStateSpace, shift: FloatArray, scale: FloatArray) -> StateRealisation:
     """A state space in coordinates that begin with its outputs, normalised by shift and scale (n_y + n_u,).
 
     The other states are uncorrelated with the outputs and of spread one. With x = w(k) the states there,
@@ -204,21 +172,28 @@ def realised_states(model: FittedStateSpace, shift: FloatArray, scale: FloatArra
         taps[k + 1][:, j] = B[:, j]
         if direct:
             taps[k][:, j] += E[:, j]
-    return Realisation(A, taps, c, lags, PLAIN_WORDS)
+    return StateRealisation(A, taps, c, lags, PLAIN_WORDS)
 
 
 def system_stage(
-    system: System, data: Dataset, least: int, scaled: tuple[FloatArray, FloatArray], ends: FloatArray
+    system: System,
+    data: Dataset,
+    least: int,
+    scaled: tuple[FloatArray, FloatArray],
+    ends: FloatArray,
+    *,
+    linear_steps: int = 20,
 ) -> Stage:
-    """One rule: the system as it is, or refined on the data where that is what it stands for.
+    """One rule: the system refined on the data.
 
     Parameters
     ----------
     least : rows that a segment must have.
     scaled : shift and scale (n_y + n_u,).
     ends : (2, n_y) outputs at which the plant itself saturates, physical.
+    linear_steps : of a linear system's refinement.
     """
-    real = system.on(data)
+    real = system.real
     shift, scale = scaled
     n_y = len(data.outputs)
     hidden = len(real.A) - n_y
@@ -233,22 +208,21 @@ def system_stage(
         0.0,
     )
     runs = runs_of(layout, data.segments, least)
-    steps = 0 if system.again else _LINEAR_STEPS
-    return linear_stage(layout, runs, real, (ends - shift[:n_y]) / scale[:n_y], steps, whiten=True)
+    return linear_stage(layout, runs, real, (ends - shift[:n_y]) / scale[:n_y], linear_steps, whiten=True)
 
 
 def coordinate_names(stage: Stage) -> tuple[str, ...]:
     """The choices of hidden states for a single rule, most readable first; one where none are hidden."""
     if not stage.layout.hidden:
         return (PLAIN,)
-    return tuple(coordinates(Realisation.of(stage.layout, stage.body.a[0]), stage.layout.n_y))
+    return tuple(coordinates(StateRealisation.of(stage.layout, stage.body.a[0]), stage.layout.n_y))
 
 
 def in_coordinates(stage: Stage, name: str) -> tuple[Stage, str]:
     """A single rule in other coordinates, and what its hidden states are then."""
     if name == PLAIN:
         return stage, PLAIN_WORDS
-    choices = coordinates(Realisation.of(stage.layout, stage.body.a[0]), stage.layout.n_y)
+    choices = coordinates(StateRealisation.of(stage.layout, stage.body.a[0]), stage.layout.n_y)
     real = choices.get(name, next(iter(choices.values())))
     ends = stage.problem.limits[:, : stage.layout.n_y]
     layout = replace(stage.layout, antecedents=())
@@ -258,7 +232,7 @@ def in_coordinates(stage: Stage, name: str) -> tuple[Stage, str]:
 def linear_stage(
     layout: Layout,
     runs: tuple[FloatArray, ...],
-    real: Realisation,
+    real: StateRealisation,
     ends: FloatArray,
     iterations: int,
     *,
@@ -305,7 +279,7 @@ def linear_stage(
     return replace(stage, problem=replace(stage.problem, metric=metric))
 
 
-def _linear(problem: Problem, real: Realisation, prior: Prior) -> Stage:
+def _linear(problem: Problem, real: StateRealisation, prior: Prior) -> Stage:
     """One rule from a realisation, every run started from its most likely state."""
     still = np.zeros((1, 0))
     body = Body(real.consequent(problem.layout)[None], still, still)

@@ -7,7 +7,8 @@ blocks of one record are no independent voices, which their correlation says.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -18,14 +19,15 @@ from flysid.errors import DataError, FitError
 from flysid.model.rules.judging import blocks
 from flysid.model.start import estimate_start, start_window
 
-_CLEARLY = 0.3  # in logarithms of the mean square: about 14 % of the error
+CLEARLY = 0.3
+"""In logarithms of the mean square, about 14 % of the error: what another kind of rules must win."""
 _SURE = 1.645  # standard errors
 _SHARE = 0.7  # of the parts, or of a single part's blocks, that must see the advantage
 _PERSISTENT = 0.8  # the most correlation from block to block that is reckoned with
 _LEAST = 1e-12  # mean squares, in variances of the outputs, that count as none
 
 
-class Runs(Protocol):
+class FreeRunning(Protocol):
     """What is asked of a fitted model here."""
 
     @property
@@ -37,7 +39,7 @@ class Runs(Protocol):
     def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray: ...
 
 
-Refit = Callable[[Dataset], Runs]
+Refit = Callable[[Dataset], FreeRunning]
 """The model refitted on a part of the data."""
 
 
@@ -58,20 +60,22 @@ class Advantage:
 
     @property
     def clear(self) -> bool:
-        """It exceeds its spread and `_CLEARLY`, and is seen nearly everywhere."""
-        return self.gain < -max(_SURE * self.error, _CLEARLY) and self.share >= _SHARE
+        """It exceeds its spread and `CLEARLY`, and is seen nearly everywhere."""
+        return self.gain < -max(_SURE * self.error, CLEARLY) and self.share >= _SHARE
+
+
+def refitted(
+    first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset]]
+) -> Iterator[tuple[tuple[FreeRunning, FreeRunning], Dataset]]:
+    """Both models of every fold, and its judging part, as far as a part holds enough for both."""
+    for fit, check in parts:
+        with suppress(DataError, FitError):
+            yield (first(fit), second(fit)), check
 
 
 def compared(first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset]]) -> Advantage:
     """The second over the first on the judging part of every fold."""
-    pairs = []
-    for fit, check in parts:
-        try:
-            models = first(fit), second(fit)
-        except (DataError, FitError):  # a part may hold too little
-            continue
-        pairs.append(block_errors(models, check))
-    return advantage(pairs)
+    return advantage([block_errors(*pair) for pair in refitted(first, second, parts)])
 
 
 def unproven(first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset]]) -> str:
@@ -81,11 +85,7 @@ def unproven(first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset
     runs to its output limits on none of them that the first gets through.
     """
     pairs = []
-    for fit, check in parts:
-        try:
-            models = first(fit), second(fit)
-        except (DataError, FitError):  # a part may hold too little
-            continue
+    for models, check in refitted(first, second, parts):
         if _lost(models[1], check) and not _lost(models[0], check):
             return "on a held-out part of the training data their free run went to its limits"
         pairs.append(block_errors(models, check))
@@ -99,7 +99,7 @@ def unproven(first: Refit, second: Refit, parts: Sequence[tuple[Dataset, Dataset
     )
 
 
-def _lost(model: Runs, data: Dataset) -> bool:
+def _lost(model: FreeRunning, data: Dataset) -> bool:
     """The free run is at the model's limits, and farther off than all that was measured spans.
 
     A limit may be an end of travel, which vehicle and model reach together.
@@ -117,7 +117,7 @@ def _lost(model: Runs, data: Dataset) -> bool:
     return False
 
 
-def block_errors(models: tuple[Runs, Runs], data: Dataset) -> tuple[FloatArray, FloatArray]:
+def block_errors(models: tuple[FreeRunning, FreeRunning], data: Dataset) -> tuple[FloatArray, FloatArray]:
     """Mean squared free-run errors of two models over the same blocks, in variances of the outputs."""
     scale = np.vstack([s.y for s in data.segments]).std(axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)

@@ -286,17 +286,20 @@ def _run(stage: Stage, i: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _one_step_ahead(model: FittedTS, data: Dataset, forgetting: float, trust: float) -> FloatArray:
-    """(R, n_y, n_x) consequents after recursive least squares on lags as they were measured."""
+    """(R, n_y, n_x) consequents where recursive least squares on lags as measured ends: in one solve."""
     layout = model.layout
     par = model.parameters
     rules, n_y, n_x = par.theta.shape
-    theta = par.theta.transpose(0, 2, 1).reshape(rules * n_x, n_y).copy()
+    theta = par.theta.transpose(0, 2, 1).reshape(rules * n_x, n_y)
     parts = [_design(layout, par, s.u, s.y) for s in data.segments if len(s) > model.n_init]
     power = np.mean([np.einsum("nm,nm->m", X, X) / len(X) for X, _ in parts], axis=0)
-    P = np.diag(1.0 / (trust * np.maximum(power, 1e-3 * power.max())))
-    for X, Y in parts:
-        theta, P = _follow(theta, P, X, Y, forgetting)
-    return np.ascontiguousarray(theta.reshape(rules, n_x, n_y).transpose(0, 2, 1))
+    X, Y = (np.vstack(pieces) for pieces in zip(*parts, strict=True))
+    known = np.sqrt(forgetting ** len(X) * trust * np.maximum(power, 1e-3 * power.max()))
+    root = np.sqrt(forgetting ** np.arange(len(X))[::-1])[:, None]
+    rows = np.vstack([root * X, np.diag(known)])
+    gaps = np.vstack([root * (Y - X @ theta), np.zeros_like(theta)])
+    moved = theta + np.linalg.lstsq(rows, gaps, rcond=1e-12)[0]
+    return np.ascontiguousarray(moved.reshape(rules, n_x, n_y).transpose(0, 2, 1))
 
 
 def _design(layout: Layout, par: Parameters, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -305,16 +308,3 @@ def _design(layout: Layout, par: Parameters, u: FloatArray, y: FloatArray) -> tu
     d = layout.depth
     phi = firing(W, d, layout.lags, par)[d:]
     return weighted(phi, layout.regressor_values(W)), W[d:, : layout.n_y]
-
-
-def _follow(
-    theta: FloatArray, P: FloatArray, X: FloatArray, Y: FloatArray, forgetting: float
-) -> tuple[FloatArray, FloatArray]:
-    """Recursive least squares over the rows of X and Y."""
-    for x, y in zip(X, Y, strict=True):
-        Px = P @ x
-        gain = Px / (forgetting + float(x @ Px))
-        theta = theta + np.outer(gain, y - x @ theta)
-        P = (P - np.outer(gain, Px)) / forgetting
-        P = 0.5 * (P + P.T)
-    return theta, P

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
+from flysid.showing import significant
 
 _SCALES: Mapping[int, tuple[str, ...]] = {
     1: ("",),
@@ -87,9 +87,7 @@ Name = tuple[str, str]  # direction, size
 
 def number(value: float) -> str:
     """Three significant digits, plain where that is short."""
-    if value == 0 or not np.isfinite(value):
-        return "0" if value == 0 else str(value)
-    return f"{value:.3g}" if 1e-3 <= abs(value) < 1e4 else f"{value:.2e}"
+    return significant(value)
 
 
 def tongue_of(axis: Axis) -> Vocabulary | None:

@@ -100,18 +100,18 @@ class FittedStateSpace(FreeRuns):
         n = self.n_init
         du = as_columns(u, len(self.inputs), "u") - self.u_origin
         if y0 is None:
-            du = self._late(du, -self.u_origin)
+            du = self.late(du, -self.u_origin)
             rest = resting_state(system, -self.u_origin, -self.y_origin)
-            return self._limited(output_of(system, free_states(system, du, rest), du))
+            return self.limited(output_of(system, free_states(system, du, rest), du))
         y0 = as_columns(y0, len(self.outputs), "y0")
         if len(y0) < min(n, len(du)):
             raise UsageError(f"a simulation starts from {n} measured outputs, not {len(y0)}")
         if len(du) <= n:
             return np.array(y0[: len(du)])
-        du = self._late(du)
+        du = self.late(du)
         start = filtered_states(system, du[:n], y0[:n] - self.y_origin, self.gains)[-1]
         run = output_of(system, free_states(system, du[n:], start), du[n:])
-        return np.concatenate([y0[:n], self._limited(run)])
+        return np.concatenate([y0[:n], self.limited(run)])
 
     def predict(self, u: FloatArray, y: FloatArray, k: int = 1) -> FloatArray:
         """(N, n_y) prediction from outputs at least k steps old; the first n_init + k - 1 rows are NaN.
@@ -163,7 +163,7 @@ class FittedStateSpace(FreeRuns):
         ------
         UsageError : shapes do not fit.
         """
-        du = self._late(as_columns(u, len(self.inputs), "u") - self.u_origin)
+        du = self.late(as_columns(u, len(self.inputs), "u") - self.u_origin)
         dy = as_columns(y, len(self.outputs), "y") - self.y_origin
         found: FloatArray = filtered_states(self.realisation, du, dy, self.gains)[:-1]
         return found
@@ -230,7 +230,7 @@ class FittedStateSpace(FreeRuns):
         if self.noise is not None:
             return output_error_ahead(self.simulate(u, y[: self.n_init]), y, self.noise, k)
         system = self.realisation
-        du = self._late(u - self.u_origin)
+        du = self.late(u - self.u_origin)
         states = filtered_states(system, du, y - self.y_origin, self.gains)[:-1]
         return ahead(system, states, du, k) + self.y_origin
 
@@ -265,7 +265,7 @@ class FittedStateSpace(FreeRuns):
         names = ", ".join(s.name for s in self.outputs)
         return f"{names}: {self.order} states ({modes}), steady gain {'; '.join(self._gains())}"
 
-    def _late(self, du: FloatArray, before: FloatArray | None = None) -> FloatArray:
+    def late(self, du: FloatArray, before: FloatArray | None = None) -> FloatArray:
         """The inputs as they enter; what came before the first sample is `before`, the mean when None."""
         out = np.array(du)
         for j, late in enumerate(self.delays):
@@ -273,7 +273,8 @@ class FittedStateSpace(FreeRuns):
             out[:late, j] = 0.0 if before is None else before[j]
         return out
 
-    def _limited(self, y: FloatArray) -> FloatArray:
+    def limited(self, y: FloatArray) -> FloatArray:
+        """Outputs of deviations from the means, inside the output limits."""
         return saturated(y + self.y_origin, self.output_limits)
 
     # -- storage -----------------------------------------------------------------------------------------

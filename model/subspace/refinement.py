@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import FloatArray, Segment
+from flysid.filters import filtered
 from flysid.model.noise import noise_model, noise_models
 from flysid.model.refine import NormalEquations, Refinement, levenberg_marquardt
 from flysid.model.regressors import CHUNK_ROWS
@@ -133,8 +134,6 @@ class SimulationError:
 
         The sandwich of `noise.coloured_covariance`, outputs taken as independent of each other.
         """
-        from scipy.signal import lfilter
-
         system = self.system(theta)
         p = len(theta)
         errors = [e for e, _ in self.runs(theta)]
@@ -152,7 +151,7 @@ class SimulationError:
             jacobian = whole[:, :, :p].reshape(-1, p)
             jacobian = (jacobian - basis @ (basis.T @ jacobian)).reshape(len(part), -1, p)
             for o, (d, variance) in enumerate(models):
-                backwards = lfilter([1.0], d, jacobian[::-1, o], axis=0)
+                backwards = filtered(np.ones(1), d, jacobian[::-1, o])
                 plain += jacobian[:, o].T @ jacobian[:, o]
                 coloured += variance * backwards.T @ backwards
             rows += len(part)

@@ -83,6 +83,7 @@ def test_a_mistake_is_one_clear_message_and_leaves_nothing(
     assert not list((tmp_path / "data").glob("flights/*"))
 
 
+@pytest.mark.usefixtures("arx_alone")
 def test_from_synth_to_verdict_on_one_channel(tmp_path: Path) -> None:
     made = call("synth", "-o", "logs", "--duration", "20", "--format", "mcap", "-q", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
@@ -99,6 +100,8 @@ def test_from_synth_to_verdict_on_one_channel(tmp_path: Path) -> None:
             "lateral",
             "--rules",
             "2",
+            "--effort",
+            "quick",
             "--no-rotate",
             "-o",
             "run",

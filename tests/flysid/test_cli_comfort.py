@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
@@ -53,13 +54,18 @@ def settings(folder: Path, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
 
 
-def holdout(folder: Path, *words: str, env: dict[str, str] | None = None) -> float:
+def holdout(folder: Path, *words: str, env: dict[str, str] | None = None) -> Any:
     """The share that a fit would hold out."""
-    found: list[float] = []
+    return option("holdout", folder, *words, env=env).share
+
+
+def option(name: str, folder: Path, *words: str, env: dict[str, str] | None = None) -> Any:
+    """An option as a fit would get it."""
+    found: list[Any] = []
     command = root.get_command(click.Context(root), "fit")
     assert command is not None
     known = command.callback
-    command.callback = lambda **options: found.append(options["holdout"])
+    command.callback = lambda **options: found.append(options[name])
     try:
         CliRunner().invoke(root, ["fit", str(folder), "-o", "run", *words], env=env, catch_exceptions=False)
     finally:
@@ -75,6 +81,29 @@ def test_the_line_wins_over_the_environment_over_the_file(
     assert holdout(tmp_path) == 0.25
     assert holdout(tmp_path, env={"FLYSID_FIT_HOLDOUT": "0.4"}) == 0.4
     assert holdout(tmp_path, "--holdout", "0.5", env={"FLYSID_FIT_HOLDOUT": "0.4"}) == 0.5
+
+
+def test_options_that_may_be_repeated_take_a_word_or_a_list(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert option("channels", tmp_path, env={"FLYSID_FIT_CHANNEL": "roll pitch"}) == ("roll", "pitch")
+    settings(tmp_path, '[fit]\nchannel = "roll"\n', monkeypatch)
+    assert option("channels", tmp_path) == ("roll",)
+    settings(tmp_path, '[fit]\nchannel = ["roll", "pitch"]\n', monkeypatch)
+    assert option("channels", tmp_path) == ("roll", "pitch")
+
+
+def test_flights_and_their_parts_are_held_out_by_name(tmp_path: Path) -> None:
+    words = ("--holdout", "0042", "--holdout", "7@1:00..2:00")
+    assert option("holdout", tmp_path, *words).parts == ("0042", "7@1:00..2:00")
+    for wrong in (("--holdout", "0.9"), ("--holdout", "0.3", "--holdout", "0042")):
+        assert CliRunner().invoke(root, ["fit", str(tmp_path), "-o", "run", *wrong]).exit_code == 2
+
+
+def test_a_variable_that_names_no_option_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="FLYSID_FIT_HOLDOT is set") as caught:
+        holdout(tmp_path, env={"FLYSID_FIT_HOLDOT": "0.4"})
+    assert caught.value.hint == "did you mean 'holdout'?"
 
 
 @pytest.mark.parametrize(
@@ -116,6 +145,17 @@ def test_tab_offers_recipes_models_flights_and_channels(tmp_path: Path) -> None:
     (tmp_path / "flights/hover-1").mkdir(parents=True)
     (tmp_path / "flights/.incoming-x").mkdir()
     assert offered("flights", "h", data=str(tmp_path)) == ["hover-1"]
+    for words in (f"ls {tmp_path} --flight h", f"show {tmp_path} h"):
+        line = {"COMP_WORDS": f"flysid {words}", "COMP_CWORD": str(len(words.split()))}
+        told = CliRunner().invoke(root, prog_name="flysid", env=line | {"_FLYSID_COMPLETE": "bash_complete"})
+        assert told.output == "plain,hover-1\n"
+
+
+def test_a_recipe_that_is_none_is_named_before_a_log_is_read(tmp_path: Path) -> None:
+    log = Path(__file__).parents[2] / "sample_logs" / "01-steps-seed2.tlog"
+    done = call("fit", log, "-r", "px4-rate", "-o", "run", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: no recipe 'px4-rate'")
 
 
 def test_a_recipe_that_does_not_fit_names_those_that_do(tmp_path: Path) -> None:

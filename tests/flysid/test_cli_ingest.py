@@ -45,7 +45,7 @@ def test_ids_go_to_stdout_and_words_to_stderr(tmp_path: Path, logs: Path) -> Non
     first = flysid("ingest", logs, "-o", tmp_path / "data")
     assert code(first) == 0
     assert [line.rpartition("-")[0] for line in first.stdout.splitlines()] == ["one", "two"]
-    assert "2 ingested" in first.stderr
+    assert "2 logs ingested" in first.stderr
     again = flysid("ingest", logs, "-o", tmp_path / "data")
     assert (code(again), again.stdout) == (0, "")
     assert "2 unchanged" in again.stderr

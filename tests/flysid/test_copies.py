@@ -156,6 +156,9 @@ MOVED: dict[str, Recorder] = {
     "a third of a sample later": lambda u, y: (u[:-1], (2 * y[:-1] + y[1:]) / 3),
     "half a sample later, inputs too": lambda u, y: ((u[:-1] + u[1:]) / 2, (y[:-1] + y[1:]) / 2),
     "the end of it": lambda u, y: (u[len(u) // 4 :], y[len(u) // 4 :]),
+    "from another zero": lambda u, y: (u + 0.01, y + 0.05 * np.std(y)),
+    "two hundredths larger": lambda u, y: (u, 1.02 * y),
+    "smoothed": lambda u, y: (u, lfilter([0.5], [1.0, -0.5], y, axis=0)),
 }
 
 
@@ -177,6 +180,18 @@ def test_a_copy_of_a_short_flight_is_found(case: str, rows: int) -> None:
             assert {found.held_out, found.training} == {"a", "b"}
 
 
+@pytest.mark.parametrize("rows", [70, 100, 150])
+def test_a_third_of_a_short_flight_is_found_half_a_sample_later(rows: int) -> None:
+    for seed in range(12):
+        flight = short(seed, rows)
+        u, y = (x[rows // 3 : 2 * rows // 3] for x in flight)
+        others = [Segment(*short(seed + k, rows), flight=str(k)) for k in (50, 70, 90)]
+        copy = Segment(u[:-1], (y[:-1] + y[1:]) / 2, flight="b")
+        found = find_copy([Segment(*flight, flight="a"), *others], [copy], DT_S)
+        assert found is not None
+        assert found.training == "a"
+
+
 @pytest.mark.parametrize("rows", [24, 40, 90, 150, 400])
 @pytest.mark.parametrize("step", [1e-6, 0.3])
 def test_short_flights_that_are_only_alike_are_no_copies(rows: int, step: float) -> None:
@@ -188,3 +203,13 @@ def test_short_flights_that_are_only_alike_are_no_copies(rows: int, step: float)
             for name, (u, y) in zip("abc", (first, again, short(seed + 50, rows)), strict=True)
         )
         assert find_copy([a], [b, c], DT_S) is None
+
+
+def test_sines_of_other_sizes_are_no_copies() -> None:
+    rng = np.random.default_rng(5)
+    flights = []
+    for name, size in zip("abc", (1.0, 1.5, 1.25), strict=True):
+        u = size * np.sin(0.2 * np.arange(100) + size)
+        y = lfilter([0.0, 0.1], [1.0, -0.9], u) + 0.003 * rng.normal(size=100)
+        flights.append(Segment(u[:, None], y[:, None], flight=name))
+    assert find_copy(flights[:2], flights[2:], DT_S) is None

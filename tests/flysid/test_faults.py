@@ -53,11 +53,20 @@ def test_no_room_is_named_and_nothing_partial_shows(
     assert outcome.raised >= refused
 
 
+@pytest.fixture(scope="module")
+def lake(tmp_path_factory: pytest.TempPathFactory) -> Lake:
+    """Four short flights, to be read only."""
+    return open_lake(small_data(tmp_path_factory.mktemp("small")))
+
+
 @pytest.mark.usefixtures("arx_alone")
-def test_one_and_two_workers_fit_and_judge_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_and_two_workers_fit_and_judge_alike(
+    lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(fitting, "_run", fit_beside_arx)
-    lake = open_lake(small_data(tmp_path))
-    settings = FitSettings(channels=("vertical", "lateral"), rules=1, rotate=False)
+    settings = FitSettings(
+        channels=("vertical", "lateral"), models=("ts",), rules=1, effort="quick", rotate=False
+    )
     found = []
     for jobs in (1, 2):
         run = fit_run(lake, "ardrone-synthetic", tmp_path / f"run{jobs}", settings, jobs=jobs)
@@ -100,7 +109,7 @@ class Greedy:
 @pytest.mark.parametrize("on_disk", [False, True])
 @pytest.mark.parametrize("models", ["all", "one"])
 def test_no_memory_costs_a_model_or_a_channel_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, models: str, on_disk: bool
+    lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, models: str, on_disk: bool
 ) -> None:
     greedy = Greedy(("vertical",))
     modest = Greedy(())
@@ -108,7 +117,7 @@ def test_no_memory_costs_a_model_or_a_channel_only(
     for name in ("fitting.linear_rivals", "fitting.estimators", "fitdisk.streaming_estimators"):
         monkeypatch.setattr(f"flysid.validate.{name}", lambda *_: known)
     settings = FitSettings(channels=("vertical", "lateral"), memory_mb=0.0 if on_disk else 64.0)
-    run = fit_run(open_lake(small_data(tmp_path)), "ardrone-synthetic", tmp_path / "run", settings)
+    run = fit_run(lake, "ardrone-synthetic", tmp_path / "run", settings)
     fitted = {channel.name: channel for channel in run.channels}
     assert fitted["lateral"].failed == {}
     assert fitted["lateral"].on_disk == on_disk
@@ -123,8 +132,9 @@ def test_no_memory_costs_a_model_or_a_channel_only(
     assert "--memory" in why
 
 
-def test_no_memory_to_align_costs_that_channel_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lake = open_lake(small_data(tmp_path))
+def test_no_memory_to_align_costs_that_channel_only(
+    lake: Lake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     align = type(lake).align
 
     def greedy(self: Lake, recipe: Any, channel: str) -> Any:

@@ -12,8 +12,9 @@ import flysid
 from flysid.errors import UsageError
 from flysid.flight import Flight, Source
 from flysid.ingest.lake.lake import Lake
+from flysid.manifest import Manifest, StreamEntry
 from flysid.model.plots import bode
-from flysid.showing import MOST_LINES, Table, as_html, as_text
+from flysid.showing import MOST_LINES, Table, as_html, as_text, significant
 from tests.ingest.align.test_align import T50, table
 from tests.validate.test_first_screen import facts
 
@@ -47,6 +48,14 @@ def both(thing: object) -> str:
     return text
 
 
+def test_numbers_have_no_exponent_where_they_are_short() -> None:
+    assert [significant(v) for v in (0.0, 1.0, 1048.0, 999_960.0, 0.00034, -23.04, 2.5e7, 3.3e-5)] == [
+        "0", "1", "1050", "1e+06", "0.00034", "-23", "2.5e+07", "3.3e-05",
+    ]  # fmt: skip
+    assert significant(283.0, 2) == "280"
+    assert significant(float("inf")) == "inf"
+
+
 def test_a_table_fits_and_counts_what_is_left_out() -> None:
     rows = [(f"<{i}>", "x" * 99) for i in range(1000)]
     lines = as_text(Table("many\nof them", ("a", "b"), rows)).splitlines()
@@ -74,6 +83,16 @@ def test_a_flight_names_its_longest_streams() -> None:
     lines = both(flight).splitlines()
     assert lines[0].startswith("f.tlog: tlog, ")
     assert lines[2].split()[0] == "B"
+
+
+def test_an_ingested_flight_names_its_longest_streams_too() -> None:
+    streams = tuple(
+        StreamEntry(f"s{i}", f"s{i}.parquet", rows=i, columns=(), rate_hz=i / 2.0) for i in range(30)
+    )
+    lines = both(Manifest("f-1", Source("f.tlog", "tlog", 1, "0" * 64), streams)).splitlines()
+    assert lines[0] == "f-1: tlog, 435 records in 30 streams, 0.0 s"
+    assert lines[2].split() == ["s29", "29", "14.5"]
+    assert lines[-1] == "... and 13 more"
 
 
 def test_a_dataset_names_its_signals_and_flights(data: flysid.Dataset) -> None:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import DataError, StoreError, UsageError
-from flysid.split import Split, plan_folds, plan_split
+from flysid.split import Split, plan_folds, plan_held, plan_split
 
 DT = 0.02
 
@@ -165,3 +165,31 @@ def test_folds_hold_out_every_flight_once() -> None:
     twin = replace(whole.segments[0], flight="twin")
     with pytest.raises(DataError, match="repeats training flight"):
         plan_folds(whole.with_segments([*whole.segments, twin]), 8)
+
+
+def test_what_is_named_is_held_out_with_a_guard_around_it() -> None:
+    whole = data(flight("a", 2000), flight("b", 1000, seed=1))
+    split = plan_held(whole, {"a": [(10 * 10**9, 20 * 10**9)]})
+    train, test = split.apply(whole)
+    assert (split.by, split.guard_s) == ("time", 1.0)
+    assert stamps(test) == {("a", k) for k in range(500, 1000)}
+    near = {k for name, k in stamps(train) if name == "a"}
+    assert near == set(range(450)) | set(range(1050, 2000))
+    assert {k for name, k in stamps(train) if name == "b"} == set(range(1000))
+    assert split.holdout == pytest.approx(500 / 3000)
+    assert Split.from_dict(split.to_dict()) == split
+
+
+def test_whole_flights_that_are_named_are_held_out_by_flight() -> None:
+    whole = data(flight("a"), flight("b", seed=1))
+    split = plan_held(whole, {"b": [(-(10**18), 10**18)]})
+    train, test = split.apply(whole)
+    assert (split.by, split.guard_s, train.flights, test.flights) == ("flight", 0.0, ("a",), ("b",))
+
+
+def test_holding_out_nothing_or_all_is_refused() -> None:
+    whole = data(flight("a"))
+    with pytest.raises(DataError, match="in what is to be held out"):
+        plan_held(whole, {"b": [(0, 10**18)]})
+    with pytest.raises(DataError, match="to train on"):
+        plan_held(whole, {"a": [(-(10**18), 10**18)]})

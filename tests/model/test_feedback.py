@@ -10,7 +10,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.feedback import feedback
 from flysid.model.oe import OE
 from flysid.validate.cautions import cautions
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.diagnostics import diagnose
 from tests.fakes import FirstOrder
 from tests.model.linear.test_frequency_response import DT_S, A, B, chirp, steps

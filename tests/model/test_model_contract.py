@@ -134,8 +134,9 @@ def test_a_stored_model_gives_the_same_bits(name: str, tmp_path: Path) -> None:
 
 
 @every_model
-@pytest.mark.parametrize(("a", "b"), [(1000.0, 1e-3), (-2.0, 50.0)])
-def test_other_units_scale_the_predictions(name: str, a: float, b: float) -> None:
+def test_other_units_scale_the_predictions(name: str) -> None:
+    a = -1000.0
+    b = 0.001
     build, dataset = EXAMPLES[name]
     model = fitted(name)
     other = build(scaled(dataset, a, b))

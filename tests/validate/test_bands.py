@@ -11,7 +11,7 @@ from flysid.model.start import estimate_start
 from flysid.model.statespace import StateSpace
 from flysid.model.ts import TS
 from flysid.validate.bands import curves, free_run_band
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.document import to_json
 from flysid.validate.parameters import intervals

@@ -15,7 +15,7 @@ from flysid.model.mean import Mean
 from flysid.model.one_rule import linear_rivals
 from flysid.model.persistence import Persistence
 from flysid.validate.cautions import cautions
-from flysid.validate.compare import across_channels, compare
+from flysid.validate.compare_models import across_channels, compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.report import ReportContext, render
 from flysid.validate.tables import to_csv, to_markdown

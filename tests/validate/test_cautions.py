@@ -10,7 +10,7 @@ from flysid.dataset import Dataset, Segment
 from flysid.ingest.align.doubts import Doubt
 from flysid.validate.caution_data import WEIGHTS
 from flysid.validate.cautions import MOST, cautions
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.verdict import Verdict
 from flysid.validate.words import verdict_words

@@ -12,7 +12,7 @@ from flysid.model.arx import ARX
 from flysid.model.ts import TS
 from flysid.validate.cautions import cautions
 from flysid.validate.checks import check
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.conditioning import conditions
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.parameters import intervals

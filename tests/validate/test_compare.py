@@ -13,7 +13,7 @@ from flysid.dataset import Dataset, Segment, Signal
 from flysid.errors import DataError, UsageError
 from flysid.model.start import estimate_start
 from flysid.validate.cautions import cautions
-from flysid.validate.compare import Comparison, across_channels, compare
+from flysid.validate.compare_models import Comparison, across_channels, compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.document import to_json
 from flysid.validate.report import ReportContext, render

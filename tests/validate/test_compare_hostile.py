@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import DataError
 from flysid.model.start import start_window
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.document import to_json
 from flysid.validate.report import ReportContext, render

@@ -84,7 +84,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run]:
         write_atomically(root / f"{recording.name}{WRITERS['mcap'][0]}", WRITERS["mcap"][1](recording))
     list(ingest_logs(find_logs([root]), root / "data"))
     lake = open_lake(root / "data")
-    chosen = FitSettings(channels=(CHANNEL,), rules=1, rotate=False)
+    chosen = FitSettings(channels=(CHANNEL,), rules=1, effort="quick", rotate=False)
     with linear_side("arx", "oe"):
         a = fit_run(lake, "ardrone-synthetic", root / "r7", replace(chosen, seed=7))
         b = fit_run(lake, "ardrone-synthetic", root / "r13", replace(chosen, seed=13))
@@ -114,6 +114,8 @@ def test_the_page_of_two_runs_says_how_to_make_both_again(runs: tuple[Run, Run])
     context = judge_runs(RunSource(a), RunSource(b), label="arx").context
     assert context.command.endswith("-o RUN_B && flysid compare RUN_A RUN_B --model arx")
     assert "--seed 7 --rules 1" in context.command.split("RUN_A")[0]
+    compared = {f for c in context.comparisons.values() for f in c.test.flights}
+    assert {facts.id for facts in context.flights} == compared  # its first screen names the logs
     told = context.provenance
     assert told[f"{CHANNEL}: split (run A)"].endswith("held out, seed 7")
     assert told[f"{CHANNEL}: split (run B)"].endswith("held out, seed 13")

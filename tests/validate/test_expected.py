@@ -11,7 +11,7 @@ import pytest
 from flysid.dataset import Dataset
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
-from flysid.validate.compare import compare, sides_of, with_references
+from flysid.validate.compare_models import compare, sides_of, with_references
 from flysid.validate.document import to_json
 from flysid.validate.expected import expected_document
 from tests.fakes import FirstOrder, fields_of, flown

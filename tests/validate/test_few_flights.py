@@ -15,7 +15,7 @@ def test_equal_models_are_called_better_or_worse_about_as_rarely_as_it_says(coun
     """Blocks of time instead of flights called 35, 17 and 15 % of them so, with 2, 3 and 4 flights."""
     rng = np.random.default_rng(count)
     said = [equal_verdict(count, 400, rng) for _ in range(25)]
-    assert sum(p.verdict in ("better", "worse") for p in said) <= 5
+    assert sum(p.verdict in ("better", "worse") for p in said) <= 4
     assert {p.scope for p in said} == {Scope.ANOTHER}
 
 

@@ -11,11 +11,11 @@ import pytest
 from flysid.catalogue import FlightFacts
 from flysid.dataset import Dataset, Segment
 from flysid.manifest import Stamp
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.masthead import dates, masthead
+from flysid.validate.report.most_telling import answer, most_telling
 from flysid.validate.report.page import render
-from flysid.validate.report.telling import answer, most_telling
 from flysid.validate.segmentnames import BEGIN, segment_names
 from tests.fakes import FirstOrder, flown
 
@@ -50,11 +50,11 @@ def test_the_masthead_says_what_the_logs_say() -> None:
         "copter",
         "4.0, 4.1",
         "1 Jan 1970 to 5 Jan 1970",
-        "8 min in all",
+        "8 min in total",
         "50 Hz",
     ]
     alone = replace_info(facts(0))
-    assert masthead([alone], [25.0]) == ["1 log: log-0.bin", "90 s in all", "25 Hz"]
+    assert masthead([alone], [25.0]) == ["1 log: log-0.bin", "90 s in total", "25 Hz"]
     assert masthead([], [25.0]) == []
     assert dates([3 * DAY_NS, 3 * DAY_NS + 5]) == "4 Jan 1970"
 

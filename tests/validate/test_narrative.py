@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.report import ReportContext, narrative, render
 from flysid.validate.words import number
 from tests.fakes import flown

@@ -12,7 +12,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
 from flysid.model.line import Line
 from flysid.validate.cautions import cautions
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.diagnostics import diagnose
 from flysid.validate.document import to_json
 from flysid.validate.nearness import UNUSUAL, nearness

@@ -11,7 +11,7 @@ import pytest
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import StoreError, UsageError
 from flysid.model.arx import ARX
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.paperfigures import write_figures
 from flysid.validate.report import ReportContext
 from tests.fakes import FirstOrder, flown

@@ -10,7 +10,7 @@ from flysid.model.base import Fitted
 from flysid.model.mean import Mean
 from flysid.model.multirotor import Multirotor
 from flysid.model.rotorcraft.rotor_axis import NAMES, free_run
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.words import physics_words
 
 

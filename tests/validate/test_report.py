@@ -14,20 +14,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import flysid
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import StoreError
+from flysid.loops.judged import judge
+from flysid.loops.nyquist import curve_of
 from flysid.model.base import Rule
-from flysid.validate.bands import Curve
-from flysid.validate.compare import compare
+from flysid.validate.bands import BandCurve
+from flysid.validate.compare_models import compare
 from flysid.validate.report import ReportContext, Sweep, render, write_report
 from flysid.validate.report.decimate import decimate, rounded
 from flysid.validate.report.figures import bode, sweep_figure
+from flysid.validate.report.gainpanels import nyquist
 from flysid.validate.report.overlay import Role
 from flysid.validate.report.rulefigures import antecedent_range, membership_figures
-from flysid.validate.report.svg import log_ticks, ticks
+from flysid.validate.report.svg import HALF, log_ticks, ticks
 from flysid.validate.shown import ShownComparison
 from flysid.validate.words import number
 from tests.fakes import FirstOrder, flown
+from tests.flysid.loops.test_loops import log_of
 
 ARX = FirstOrder(a=0.9, b=0.07)
 TS = FirstOrder(a=0.9, b=0.1, structure="ts", labels=("R1", "R2", "R3"))
@@ -338,7 +343,7 @@ def test_rules_of_two_fuzzy_models_are_told_apart() -> None:
     assert "B:TS R1" in page.words
     assert "A:TS R2" in page.words
     hz = np.geomspace(0.1, 1.0, 5)
-    two_rules = [Curve((1.0 / (1.0 + 1j * hz)).astype(np.complex128), None)] * 2
+    two_rules = [BandCurve((1.0 / (1.0 + 1j * hz)).astype(np.complex128), None)] * 2
     pair = {Role("a:ts", "arx", shown=True): two_rules, Role("b:ts", "ts", shown=True): two_rules}
     drawn = bode(None, pair, hz, "m/s", "both")
     assert drawn.count('"rule r1 dashed"') == drawn.count('"rule r1"') == 2  # gain and phase
@@ -391,3 +396,44 @@ def test_ticks_are_round_and_inside() -> None:
     assert ticks(-1.0, 1.0, 4) == [-1.0, -0.5, 0.0, 0.5, 1.0]
     assert log_ticks(0.09, 11.0)[:3] == [pytest.approx(0.1), pytest.approx(0.2), pytest.approx(0.5)]
     assert ticks(1.0, 1.0, 4) == []
+
+
+def test_two_models_that_are_one_share_its_bands_and_show_where_it_errs() -> None:
+    """As where the search for rules takes the linear model, parameter for parameter."""
+    train = flown(ARX, [300] * 2, noise=0.05)
+    model = flysid.ARX(na=1, nb=1, nk=1).fit(train)
+    test = flown(ARX, [300] * 4, noise=0.05, seed=3)
+    late = replace(test.segments[2], y=test.segments[2].y + np.linspace(0.0, 2.0, 300)[:, None] ** 4)
+    test = test.with_segments((*test.segments[:2], late, test.segments[3]))
+    page = render(ReportContext.of({"x": compare([model, model], test, train=train)}))
+    assert "; ARX-2 is the same model" in page
+    assert 'class="sure arx"' in page
+    assert 'class="sure ts"' not in page
+    (data,) = json.loads(re.search(r'id="data">(.*?)</script>', page, re.S)[1])  # type: ignore[index]
+    assert [[band[0] for band in segment["bands"]] for segment in data["segments"]] == [["arx"]] * 4
+    where = re.search(r"<figcaption>([^<]*)</figcaption></figure>\n<p class=\"change\"", page)
+    assert where is not None
+    assert where[1] == data["segments"][2]["label"].replace("\u2212", "-")
+
+
+def test_the_logged_gains_have_a_section_with_their_margins_and_a_nyquist_plot() -> None:
+    known, refused = (
+        judge([log_of(40.0, header)], ["roll"])[0] for header in (None, {"rollPID": "92,45,25"})
+    )
+    page = render(replace(context(), loops=[known, refused]))
+    text = " ".join(Page(page).text)
+    assert "What your gains mean" in text
+    assert known.lines()[1].strip()[1:] in text
+    assert "Refused: the stated gains do not give what the log recorded" in text
+    assert page.count('aria-label="Nyquist plot of the roll loop"') == 1
+    assert "What your gains mean" not in rendered()
+
+
+def test_a_nyquist_plot_keeps_inside_its_axes() -> None:
+    curve = curve_of(judge([log_of(40.0)], ["roll"])[0])
+    assert curve is not None
+    assert abs(curve.loop[0]) > 3.0  # below the picture
+    drawn = nyquist(curve, "loop")
+    xs = [float(x) for x in re.findall(r"[ML](-?[\d.]+) ", drawn)]
+    assert min(xs) >= 0.0
+    assert max(xs) <= HALF

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from flysid.validate.compare import across_channels, compare
+from flysid.validate.compare_models import across_channels, compare
 from flysid.validate.report import ReportContext, Sweep, write_report
 from tests.browser import needs_browser, opened
 from tests.fakes import FirstOrder, flown

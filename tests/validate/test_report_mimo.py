@@ -10,7 +10,7 @@ import pytest
 from flysid.dataset import Dataset
 from flysid.model.arx import ARX
 from flysid.model.start import start_window
-from flysid.validate.compare import Comparison, across_channels, compare
+from flysid.validate.compare_models import Comparison, across_channels, compare
 from flysid.validate.condition import matching_channels
 from flysid.validate.document import to_json
 from flysid.validate.report import ReportContext, render

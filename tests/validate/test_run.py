@@ -31,9 +31,10 @@ from flysid.model.oe import OE
 from flysid.model.ts import TS
 from flysid.split import Split
 from flysid.validate import fitting, judge
-from flysid.validate.compare import compare, sides_of
+from flysid.validate.compare_models import compare, sides_of
 from flysid.validate.comparison import Comparison, Entry
 from flysid.validate.expected import expected_of_run
+from flysid.validate.fitone import nothing_done
 from flysid.validate.fitting import fit_run
 from flysid.validate.judge import Judgement, judge_run, write_judgement
 from flysid.validate.report import render
@@ -47,7 +48,7 @@ CHANNEL = "longitudinal"
 
 @pytest.fixture(scope="module", autouse=True)
 def two_candidates() -> Iterator[None]:
-    """ARX and OE alone compete for the baseline here, to save time; tests/flysid/test_cli.py has them all."""
+    """ARX and OE alone compete for the baseline here; a run of tests/flysid/studio has them all."""
     with linear_side("arx", "oe"):
         yield
 
@@ -65,7 +66,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def run(data: Path) -> Run:
-    settings = FitSettings(channels=(CHANNEL,), rules=2, rotate=False)
+    settings = FitSettings(channels=(CHANNEL,), rules=2, effort="quick", rotate=False)
     return fit_run(open_lake(data), "ardrone-synthetic", data.parent / "run", settings)
 
 
@@ -182,14 +183,14 @@ def test_other_forms_of_the_judgement_tell_the_same_numbers(judgement: Judgement
     assert json.loads(judgement.text("json")) == judgement.document
     assert f"| arx | {number(rmse)} m/s |" in judgement.text("markdown")
     grave = [c.text for c in judgement.cautions if c.level in ("danger", "warning")]
-    assert [line for line in judgement.table.splitlines() if line.startswith("beware: ")] == [
-        f"beware: {c.text} Try: {c.todo}" for c in judgement.cautions if c.text in grave
+    assert [line for line in judgement.table.splitlines() if line.startswith("caution: ")] == [
+        f"caution: {c.text} Try: {c.todo}" for c in judgement.cautions if c.text in grave
     ]
     assert all(text in judgement.text("markdown").replace("\\", "") for text in grave)
     held = judgement.comparisons[CHANNEL]
     still = replace(held.test, segments=tuple(replace(s, u=0.0 * s.u) for s in held.test.segments))
     quiet = replace(judgement, comparisons={CHANNEL: compare(held.fitted, still, baseline=held.baseline)})
-    assert "beware: No input of" in quiet.table
+    assert "caution: No input of" in quiet.table
     with pytest.raises(UsageError, match="no form 'docx'"):
         judgement.text("docx")
 
@@ -297,7 +298,7 @@ def test_every_model_has_its_rules_in_words_beside_it(run: Run) -> None:
         rf"one more deg of theta_in adds {known} to v_x; 63 % of that is reached after {level} s \({level} to"
     )
     assert re.match(rf"  \* (From|Near) v_x = .*, {answer}", words.splitlines()[1])
-    assert re.search(rf"\n  R\d\. If .*\[loudest near v_x = {level} m/s, where {answer}", words)
+    assert re.search(rf"\n  R\d\. If .*\[strongest near v_x = {level} m/s, where {answer}", words)
 
 
 def test_two_fits_give_the_same_files(data: Path, run: Run, tmp_path: Path) -> None:
@@ -418,3 +419,14 @@ def test_every_label_makes_an_estimator_that_knows_what_was_asked_for() -> None:
     assert ensemble.of == TS(rules=2, antecedents=("v_x(k-1)",), nk_hint=(4,))
     free = fitting.estimators(FitSettings(models=("anfis",)), "arx", ())["anfis"]
     assert free == ANFIS()
+
+
+def test_of_channels_that_fail_alike_the_reason_and_the_advice_are_said_once() -> None:
+    why = "condition 'armed' never holds Try: choose what was flown"
+    error = nothing_done(
+        "r", "fitted", {"roll": f"channel 'roll': {why}", "pitch": f"channel 'pitch': {why}", "yaw": "no"}
+    )
+    assert error.message == (
+        "no channel of recipe 'r' could be fitted: roll, pitch: condition 'armed' never holds; yaw: no"
+    )
+    assert error.hint == "choose what was flown"

@@ -10,7 +10,7 @@ import pytest
 
 from flysid.dataset import Signal
 from flysid.validate.caution import Caution
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.shown import ShownComparison
 from flysid.validate.tables import to_csv, to_html, to_markdown
 from flysid.validate.words import change_words, interval_words, percent, percentage

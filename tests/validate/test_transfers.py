@@ -131,7 +131,7 @@ def test_a_closed_loop_is_trusted_through_its_reference_only(tmp_path: Path) -> 
     rows = np.column_stack([np.arange(len(segment)) * data.dt_s, segment.u, segment.y])
     log = tmp_path / "loop.csv"
     np.savetxt(log, rows, delimiter=",", header="time_s,u,chirp,rate", comments="", fmt="%.9g")
-    order = ["tf", str(log), "--from", "u", "--to", "rate", "--json", "-q"]
+    order = ["tf", str(log), "--from", "u", "--to", "rate", "--poles", "2", "--zeros", "0", "--json", "-q"]
     plain = call(*order, cwd=tmp_path)
     assert plain.returncode == 0, plain.stderr
     direct = json.loads(plain.stdout)["channels"][0]

@@ -23,7 +23,7 @@ S = TypeVar("S")
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckFinding:
     """One model's answer to one check; `good` is None where there is no right and wrong."""
 
     words: str
@@ -36,7 +36,7 @@ class CheckRow:
 
     label: str
     hint: str
-    findings: tuple[Finding, ...]
+    findings: tuple[CheckFinding, ...]
 
 
 def check_rows(c: Comparison, d: Diagnosis, j: int) -> tuple[CheckRow, ...]:
@@ -46,7 +46,7 @@ def check_rows(c: Comparison, d: Diagnosis, j: int) -> tuple[CheckRow, ...]:
         CheckRow("Poles", "largest modulus over the rules; below 1: stable", _each(names, _poles, d)),
         CheckRow(
             "Any blend of the rules",
-            "a common quadratic Lyapunov function proves stability whatever fires",
+            "a common quadratic Lyapunov function proves stability for any blend of rules",
             _each(names, _blend, d),
         ),
         CheckRow("Free run, held out", "reached the output limits", _each(names, _diverged, c)),
@@ -71,58 +71,60 @@ def check_rows(c: Comparison, d: Diagnosis, j: int) -> tuple[CheckRow, ...]:
     return tuple(row for row in rows if row.findings)
 
 
-def _each(names: Sequence[str], find: Callable[[str, S], Finding], source: S) -> tuple[Finding, ...]:
+def _each(
+    names: Sequence[str], find: Callable[[str, S], CheckFinding], source: S
+) -> tuple[CheckFinding, ...]:
     return tuple(find(name, source) for name in names)
 
 
-def _poles(name: str, d: Diagnosis) -> Finding:
+def _poles(name: str, d: Diagnosis) -> CheckFinding:
     radius = d.pole_radius.get(name)
     if radius is None:
-        return Finding("–")
-    return Finding(f"{radius:.4f}", radius <= 1.0 + 1e-6)
+        return CheckFinding("–")
+    return CheckFinding(f"{radius:.4f}", radius <= 1.0 + 1e-6)
 
 
-def _blend(name: str, d: Diagnosis) -> Finding:
+def _blend(name: str, d: Diagnosis) -> CheckFinding:
     checks = d.checks.get(name)
     if checks is None or not checks.certificate:
-        return Finding("one rule: see its poles")
-    return Finding(one_line(checks.certificate), True if checks.proved else None)
+        return CheckFinding("one rule: see its poles")
+    return CheckFinding(one_line(checks.certificate), True if checks.proved else None)
 
 
-def _diverged(name: str, c: Comparison) -> Finding:
+def _diverged(name: str, c: Comparison) -> CheckFinding:
     if FREE_RUN not in c.horizons:
-        return Finding("–")
+        return CheckFinding("–")
     score = c.entry(horizon=FREE_RUN).models[name]
     if not score.diverged:
-        return Finding(f"in none of {len(score.segments)} segments", True)
+        return CheckFinding(f"in none of {len(score.segments)} segments", True)
     said = ", ".join(f"{one_line(c.segments[s.segment])} at {s.diverged_s:.1f} s" for s in score.diverged[:5])
-    return Finding(f"in {len(score.diverged)} of {len(score.segments)}: {said}", False)
+    return CheckFinding(f"in {len(score.diverged)} of {len(score.segments)}: {said}", False)
 
 
-def _long_run(checks: Checks) -> Finding:
+def _long_run(checks: Checks) -> CheckFinding:
     r = checks.robustness
     if r.limits_s is not None:
-        return Finding(f"reaches its output limits at t = {r.limits_s:.1f} s", False)
+        return CheckFinding(f"reaches its output limits at t = {r.limits_s:.1f} s", False)
     beyond = f", {100 * r.outside:.1f} % outside the training range" if r.outside >= 5e-4 else ""
-    return Finding(f"bounded for {r.long_s:.0f} s{beyond}", True)
+    return CheckFinding(f"bounded for {r.long_s:.0f} s{beyond}", True)
 
 
-def _forgets(checks: Checks) -> Finding:
+def _forgets(checks: Checks) -> CheckFinding:
     r = checks.robustness
     if r.forget_s is None:
-        return Finding(f"not within {r.forget_most_s:.3g} s", None)
-    return Finding(f"after {number(r.forget_s)} s" if r.forget_s else "at once", True)
+        return CheckFinding(f"not within {r.forget_most_s:.3g} s", None)
+    return CheckFinding(f"after {number(r.forget_s)} s" if r.forget_s else "at once", True)
 
 
-def _condition(checks: Checks) -> Finding:
+def _condition(checks: Checks) -> CheckFinding:
     found = checks.conditions
     if not found:
-        return Finding("not known")
+        return CheckFinding("not known")
     if len(found) == 1:
         words = _plain(found[0])
     else:
         words = ", ".join(f"R{i + 1} {_plain(v)}" for i, v in enumerate(found))
-    return Finding(words, max(found) < COLLINEAR)
+    return CheckFinding(words, max(found) < COLLINEAR)
 
 
 def _plain(value: float) -> str:
@@ -132,17 +134,19 @@ def _plain(value: float) -> str:
 def _rule_rows(names: Sequence[str], d: Diagnosis) -> Iterator[CheckRow]:
     if not any(n in d.rule_use for n in names):
         return
-    alone = Finding("one rule")
+    alone = CheckFinding("one rule")
     yield CheckRow(
         "Rule overlap",
         "0: one rule at a time; 1 − 1/R: all alike",
-        tuple(Finding(f"{d.rule_use[n].overlap:.2f}") if n in d.rule_use else alone for n in names),
+        tuple(CheckFinding(f"{d.rule_use[n].overlap:.2f}") if n in d.rule_use else alone for n in names),
     )
     yield CheckRow(
         "Strongest rule, held out",
         "share of samples",
         tuple(
-            Finding(", ".join(f"R{i + 1} {100 * v:.0f} %" for i, v in enumerate(d.rule_use[n].strongest)))
+            CheckFinding(
+                ", ".join(f"R{i + 1} {100 * v:.0f} %" for i, v in enumerate(d.rule_use[n].strongest))
+            )
             if n in d.rule_use
             else alone
             for n in names
@@ -164,21 +168,25 @@ def _data_rows(c: Comparison, d: Diagnosis, j: int) -> Iterator[CheckRow]:
                 f"{one_line(signal.name)}: more than one half up to {number(s.explained_to_hz)} Hz, "
                 f"largest {s.largest:.2f}"
             )
-    yield CheckRow("Coherence", "share of the output that an input explains", (Finding("; ".join(said)),))
+    yield CheckRow(
+        "Coherence", "share of the output that an input explains", (CheckFinding("; ".join(said)),)
+    )
     if d.outside:
         shares = ", ".join(f"{one_line(o.signal.name)} {100 * o.share:.1f} %" for o in d.outside)
         good = max(o.share for o in d.outside) <= 0.01
-        yield CheckRow("Outside the training range", "share of held-out samples", (Finding(shares, good),))
+        yield CheckRow(
+            "Outside the training range", "share of held-out samples", (CheckFinding(shares, good),)
+        )
     if d.near is not None:
-        near = f"{100 * d.near.far:.1f} % in holes inside the range; median {d.near.typical:.2g} spreads"
-        usual = f"99 % of training samples keep {d.near.usual:.2g}"
+        near = f"{100 * d.near.far:.1f} % in holes inside the range; median distance {d.near.typical:.2g}"
+        usual = f"in standard deviations; for 99 % of the training samples at most {d.near.usual:.2g}"
         good = d.near.far <= UNUSUAL
-        yield CheckRow("Distance to the nearest training sample", usual, (Finding(near, good),))
+        yield CheckRow("Distance to the nearest training sample", usual, (CheckFinding(near, good),))
     moves = ", ".join(
         f"{one_line(s.name)} {100 * v:.0f} %" for s, v in zip(c.test.inputs, d.changes, strict=True)
     )
     yield CheckRow(
-        "Input changes", "share of held-out samples that differ from the one before", (Finding(moves),)
+        "Input changes", "share of held-out samples that differ from the one before", (CheckFinding(moves),)
     )
 
 

@@ -10,6 +10,7 @@ from functools import cached_property
 from flysid.catalogue import FlightFacts
 from flysid.dataset import Dataset
 from flysid.ingest.align.doubts import Doubt
+from flysid.loops.judged import Judged
 from flysid.progress import tell
 from flysid.validate.comparison import Comparison
 from flysid.validate.diagnostics import Diagnosis, diagnose
@@ -82,6 +83,7 @@ class ReportContext:
     doubts : reasons in the training data not to trust any model, by channel name.
     skipped : channels that are not on the page, with the reason.
     flights : what the catalogue knows of the run's flights.
+    loops : what the gains that the flights' logs state mean; empty where none is known.
     """
 
     comparisons: Mapping[str, Comparison]
@@ -94,6 +96,7 @@ class ReportContext:
     doubts: Mapping[str, Sequence[Doubt]] = field(default_factory=dict)
     skipped: Mapping[str, str] = field(default_factory=dict)
     flights: Sequence[FlightFacts] = ()
+    loops: Sequence[Judged] = ()
 
     @cached_property
     def diagnoses(self) -> dict[str, Diagnosis]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from flysid.dataset import FloatArray
 from flysid.model.polynomials import ComplexArray
-from flysid.validate.bands import Curve
+from flysid.validate.bands import BandCurve
 from flysid.validate.comparison import Pair
 from flysid.validate.report.context import Sweep
 from flysid.validate.report.overlay import Role
@@ -34,7 +34,7 @@ from flysid.validate.report.svg import (
     ticks,
     whiskers,
 )
-from flysid.validate.residuals import Spectrum
+from flysid.validate.residuals import ResidualSpectrum
 from flysid.validate.words import interval_words
 
 TRUSTED = 0.6
@@ -70,8 +70,8 @@ def interval_bar(
 
 
 def bode(
-    empirical: Spectrum | None,
-    models: Mapping[Role, Sequence[Curve]],
+    empirical: ResidualSpectrum | None,
+    models: Mapping[Role, Sequence[BandCurve]],
     hz: FloatArray,
     unit: str,
     label: str,
@@ -100,12 +100,17 @@ def bode(
     parts.append(frame(bottom, "coherence", "frequency, Hz", y_count=1))
     if measured is not None:
         parts += _empirical(measured, gain, phase, bottom)
+    banded: list[ComplexArray] = []  # two models of one response, of which one took the other's parameters
     for role, own in models.items():
         drawn: list[Markup] = []
         for i, curve in enumerate(own):
             stem = role.css if len(own) == 1 else f"r{i % 8 + 1}"
             rule = f"rule {stem} dashed" if role.css == "arx" else f"rule {stem}"  # the baseline is dashed
             style = role.css if len(own) == 1 else rule if role.shown else f"{rule} other"
+            if any(np.allclose(curve.response, other, atol=0.0) for other in banded):
+                curve = replace(curve, band=None)
+            elif curve.band is not None:
+                banded.append(curve.response)
             drawn += _curve(curve, hz, (gain, phase), stem, style)
         parts.append(owned(role.model, drawn, shown=role.shown))
     return picture(HALF, 424, parts, label)
@@ -119,7 +124,7 @@ def _degrees(response: ComplexArray) -> FloatArray:
     return np.asarray(np.unwrap(np.angle(response)) * 180 / np.pi)
 
 
-def _curve(curve: Curve, hz: FloatArray, axes: tuple[Axes, Axes], stem: str, style: str) -> list[Markup]:
+def _curve(curve: BandCurve, hz: FloatArray, axes: tuple[Axes, Axes], stem: str, style: str) -> list[Markup]:
     """Gain and phase of one rule over its band; every third point of a band is enough."""
     gain, phase = axes
     degrees = _degrees(curve.response)
@@ -156,7 +161,7 @@ class _Measured:
     trusted: npt.NDArray[np.bool_]
 
     @classmethod
-    def of(cls, s: Spectrum, hz: FloatArray, phases: Sequence[FloatArray]) -> _Measured:
+    def of(cls, s: ResidualSpectrum, hz: FloatArray, phases: Sequence[FloatArray]) -> _Measured:
         """Within the range of `hz`; the phase on the turn that is nearest to the models'."""
         keep = np.flatnonzero((s.hz >= hz[0]) & (s.hz <= hz[-1]))
         keep = keep[_apart(np.log(s.hz[keep] / hz[0]) / np.log(hz[-1] / hz[0]))]

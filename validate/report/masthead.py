@@ -26,7 +26,7 @@ def masthead(flights: Sequence[FlightFacts], rates_hz: Sequence[float]) -> list[
         vehicle,
         _all(flights, FIRMWARE),
         dates([f.start_utc_ns for f in flights if f.start_utc_ns is not None]),
-        f"{duration(sum(f.duration_s for f in flights))} in all",
+        f"{duration(sum(f.duration_s for f in flights))} in total",
         " and ".join(f"{r:.4g}" for r in rates_hz) + " Hz",
     ]
     return [fact for fact in facts if fact]

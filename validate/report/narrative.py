@@ -24,8 +24,8 @@ NAMES = {
     "ts": "fuzzy model",
     "ts_lags": "fuzzy model over lags",
     "ts_ss": "fuzzy state-space model",
-    "one_rule": "linear model of one rule",
-    "one_rule_ss": "linear state-space model of one rule",
+    "linear_lags": "linear model over lags",
+    "linear_ss": "linear state-space model",
     "anfis": "ANFIS model",
     "ensemble": "ensemble of fuzzy models",
     "static-ts": "static fuzzy model",
@@ -37,6 +37,7 @@ NAMES = {
     "statespace": "state-space model",
     "line": "straight line",
     "multirotor": "physical model",
+    "structured": "structured model",
 }
 SYMBOLS = {Verdict.BETTER: "▲", Verdict.WORSE: "▼", Verdict.SAME: "=", Verdict.NOT_ENOUGH: "?"}
 CSS = {
@@ -323,9 +324,9 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
         words += ", corrected for several channels (Holm)." if len(pairs) > 1 else "."
     if any(p.basis.rotated for _, p in pairs):
         words += (
-            " The models shown and saved are those of the split; the verdict is of models fitted alike to "
+            " The models shown and saved are those of the split. The verdict is of models that were fitted, "
+            "in the same way, to the other flights."
         )
-        words += " the other flights."
     return f"{words} {start_words(comparisons)}"
 
 
@@ -351,8 +352,8 @@ def start_words(comparisons: Mapping[str, Comparison]) -> str:
     """How free runs start."""
     longest = max(c.start_s for c in comparisons.values())
     return (
-        f"Every model's starting state is estimated from the same measured window, up to {longest:.2g} s "
-        "long, which no score counts."
+        "The initial condition of every model is estimated from the same measured window of up to "
+        f"{longest:.2g} s, which is not scored."
     )
 
 

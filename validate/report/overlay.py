@@ -16,7 +16,7 @@ from flysid.validate.report.channel_data import Source
 from flysid.validate.report.decimate import decimate, rounded
 from flysid.validate.report.rulefigures import firing_along, strongest_runs
 from flysid.validate.report.svg import Axes, area, box, frame, line, picture, span
-from flysid.validate.trials import FREE_RUN, Trial
+from flysid.validate.trials import FREE_RUN, StructureTrial
 from flysid.validate.words import number, one_line
 
 WIDE = 960.0
@@ -61,7 +61,7 @@ def strips(source: Source, output: int, signal: int) -> list[Strip]:
     return [_strip(source, i, (output, signal), n < MOST_BANDED) for n, i in enumerate(chosen)]
 
 
-def worth_drawing(comparison: Comparison, trials: Sequence[Trial], output: int) -> list[int]:
+def worth_drawing(comparison: Comparison, trials: Sequence[StructureTrial], output: int) -> list[int]:
     """Places of at most 60 trials: the 20 of the largest error of a model drawn, the others evenly spread."""
     if len(trials) <= MOST_SEGMENTS:
         return list(range(len(trials)))
@@ -107,7 +107,7 @@ def _strip(source: Source, at: int, place: tuple[int, int], banded: bool) -> Str
     )
 
 
-def _others(source: Source, trial: Trial, output: int) -> list[FloatArray]:
+def _others(source: Source, trial: StructureTrial, output: int) -> list[FloatArray]:
     """(M,) of each of `extras` along a trial."""
     runs = [trial.yh[name][:, output] for name in picked(source.comparison)]
     k = steps_ahead(source)
@@ -125,17 +125,23 @@ def _others(source: Source, trial: Trial, output: int) -> list[FloatArray]:
 
 
 def _bands(
-    source: Source, trial: Trial, output: int, times: FloatArray
+    source: Source, trial: StructureTrial, output: int, times: FloatArray
 ) -> Iterator[tuple[str, FloatArray, FloatArray]]:
-    """Of every model drawn that offers one and did not diverge, at every fourth of `times`."""
+    """Of every model drawn that offers one and did not diverge, at every fourth of `times`.
+
+    Models of one free run, as a contender that took the baseline's parameters, share the first one's.
+    """
+    banded: list[FloatArray] = []
     segment = source.comparison.test.segments[trial.segment]
     rows = np.rint(times[::THIN] / source.comparison.dt_s).astype(np.int64) - trial.first
     for name, css in drawn(source.comparison):
-        if name in trial.diverged_s:
+        run = trial.yh[name][:, output]
+        if name in trial.diverged_s or any(np.allclose(run, other, atol=0.0) for other in banded):
             continue
         model = source.comparison.fitted[name]
         band = free_run_band(model, segment, trial.first, source.sure(name))
         if band is not None:
+            banded.append(run)
             yield css, band[0][rows, output], band[1][rows, output]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from flysid.loops.judged import CAUTION
 from flysid.validate.cautions import cautions
 from flysid.validate.comparison import Comparison, ModelInfo, Pair
 from flysid.validate.diagnostics import Diagnosis
@@ -15,11 +16,12 @@ from flysid.validate.report import narrative
 from flysid.validate.report.channel_data import Source
 from flysid.validate.report.context import ReportContext
 from flysid.validate.report.figures import interval_bar
+from flysid.validate.report.gainpanels import loop_panels
 from flysid.validate.report.html import environment, load_asset, script_json, security_policy, write_page
 from flysid.validate.report.masthead import masthead
+from flysid.validate.report.most_telling import answer, telling
 from flysid.validate.report.overlay import MOST_SEGMENTS, picked
 from flysid.validate.report.sections import Section, sections
-from flysid.validate.report.telling import answer, telling
 from flysid.validate.terminal import standing
 from flysid.validate.words import (
     change_words,
@@ -75,6 +77,8 @@ def render(context: ReportContext) -> str:
             rows=_rows(comparisons),
             models=_models(context),
             sections=parts,
+            loops=loop_panels(context.loops),
+            loops_caution=CAUTION,
             command=one_line(context.command),
             provenance=_provenance(context),
             version=__version__,
@@ -144,6 +148,7 @@ def _cards(comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagno
                     "horizon": "RMSE in " + horizon_words(entry.horizon, c.dt_s),
                     "telling": shown,
                     "where": where,
+                    "nonlinear": _nonlinear(diagnoses[channel], j),
                     "answer": answer(c, (j, diagnoses[channel].outputs[j].main_input)),
                     "bar": interval_bar(pair, reach, narrative.css(pair), scale=True),
                     "interval": interval_words(pair),
@@ -151,10 +156,22 @@ def _cards(comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagno
                     "rmse": (base.rmse, model.rmse),
                     "fit": (base.fit_pct, model.fit_pct),
                     "unit": one_line(entry.output.unit),
-                    "size": " · ".join(map(_size, sizes)),
+                    "size": _sizes(*sizes, same=pair.ci95 == (0.0, 0.0)),
                 }
             )
     return cards
+
+
+def _nonlinear(diagnosis: Diagnosis, output: int) -> str:
+    """How nonlinear the training flights are, whatever model is fitted to them."""
+    return one_line(diagnosis.nonlinear[output].words) if diagnosis.nonlinear else ""
+
+
+def _sizes(base: ModelInfo, model: ModelInfo, *, same: bool) -> str:
+    """Of both; `same`: the search for rules took the baseline, parameter for parameter."""
+    if same:
+        return f"{_size(base)}; {one_line(model.name).upper()} is the same model"
+    return f"{_size(base)} · {_size(model)}"
 
 
 def _size(info: ModelInfo) -> str:

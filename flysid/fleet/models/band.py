@@ -69,7 +69,7 @@ def band_of(spectra: ComplexArray, omega: FloatArray, source: int, target: int, 
     if not runs:
         best = float(coherence[LEAST_CYCLES:].max(initial=0.0))
         raise DataError(
-            f"channel {channel!r}: nowhere do output and input cohere by {LEAST_COHERENCE:g}; "
+            f"channel {channel!r}: the coherence of output and input reaches {LEAST_COHERENCE:g} nowhere; "
             f"{best:.2f} at best",
             hint="fly more manoeuvres on this axis, or choose another channel",
         )

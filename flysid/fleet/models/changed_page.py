@@ -64,7 +64,7 @@ def render(compared: Comparison, command: str, links: Mapping[str, str] | None =
             command=one_line(command),
             provenance=[
                 ("recipe", compared.recipe.name),
-                ("false discoveries", f"{compared.rate:.0%} of the flagged at most"),
+                ("false discoveries", f"{100.0 * compared.rate:.0f} % of the flagged at most"),
                 ("tests", str(sum(len(j.tests) for j in compared.channels))),
                 ("versions", f"flysid {__version__}"),
             ],
@@ -79,7 +79,7 @@ def headline(compared: Comparison) -> tuple[str, str]:
     many = len(compared.names)
     title = f"{len(changed)} of {many} vehicles {'has' if len(changed) == 1 else 'have'} changed"
     if not changed:
-        title = "No vehicle has changed, as far as these flights tell"
+        title = "These flights show no change in any vehicle"
     more = " more" if changed else ""
     one = len(unlike) == 1
     lead = f"{len(unlike)}{more} {'differs' if one else 'differ'} from the fleet." if unlike else ""
@@ -93,7 +93,7 @@ def _basis(compared: Comparison) -> str:
     return (
         f"Compares {when}, and every vehicle with the others, by gain and phase where output and input are "
         "coherent. Wind and trim are taken from each flight, and what all vehicles have in common from the "
-        f"change. Of the flagged, {compared.rate:.0%} may be false."
+        f"change. Of the flagged, {100.0 * compared.rate:.0f} % may be false."
     )
 
 
@@ -103,7 +103,7 @@ def _masthead(compared: Comparison) -> list[str]:
     facts = [
         f"{len(compared.names)} vehicles",
         f"{len(flights)} flights",
-        f"{duration(sum(f.duration_s for f in flights))} in all",
+        f"{duration(sum(f.duration_s for f in flights))} in total",
         dates([f.start_utc_ns for f in flights if f.start_utc_ns is not None]),
         f"firmware {first_of(firmwares, SHOWN)}" if firmwares else "",
     ]

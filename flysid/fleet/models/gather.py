@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,10 +17,13 @@ from flysid.fleet.models.triangles import Triangle, triangle_of
 from flysid.ingest.align.align import align, segments_of
 from flysid.ingest.align.recipe import Recipe
 from flysid.ingest.align.vehicle import vehicle_of
-from flysid.ingest.lake.lake import Lake, StoredLog
+from flysid.ingest.lake.lake import Lake, StoredLog, mirrored
 from flysid.ingest.lake.workers import Bounds, Lost, run_bounded
 from flysid.model.threads import on_one_thread
 from flysid.progress import tell
+
+if TYPE_CHECKING:
+    from flysid.fleet.cluster import Cluster
 
 PILOTS = 16
 """Flights from which a channel's grid is chosen."""
@@ -48,11 +52,17 @@ class Gathered:
 
 @dataclass(frozen=True)
 class Batch:
-    """Flights to be read at once, with the grids of the channels."""
+    """Flights to be read at once, with the grids of the channels.
+
+    Attributes
+    ----------
+    address : of the lake, from where a process on another machine reads them; "": they lie in their folder.
+    """
 
     logs: tuple[StoredLog, ...]
     recipe: Recipe
     samplings: Mapping[str, Sampling]
+    address: str
 
 
 def gather(
@@ -62,6 +72,7 @@ def gather(
     channels: Sequence[str] = (),
     rate_hz: float | None = None,
     workers: int = 1,
+    cluster: Cluster | None = None,
 ) -> Gathered:
     """The triangles of all flights; those that are kept already are not read.
 
@@ -71,6 +82,7 @@ def gather(
     channels : of the recipe; empty: all.
     rate_hz : of the grid; None: from where output and input are coherent.
     workers : processes at a time; 1: in this one.
+    cluster : reads flights instead of this machine's processes; the lake must have an address.
 
     Raises
     ------
@@ -91,8 +103,11 @@ def gather(
         log for log in lake.logs if any((log.name, log.facts.sha256, c) not in known for c in samplings)
     ]
     lost: dict[str, str] = {}
-    tasks = [Batch(tuple(missing[i : i + BATCH]), recipe, samplings) for i in range(0, len(missing), BATCH)]
-    for done, (batch, rows) in enumerate(_work(tasks, workers), start=1):
+    tasks = [
+        Batch(tuple(missing[i : i + BATCH]), recipe, samplings, lake.address)
+        for i in range(0, len(missing), BATCH)
+    ]
+    for done, (batch, rows) in enumerate(_work(tasks, workers, cluster), start=1):
         if isinstance(rows, Lost):
             lost |= {log.name: rows.reason for log in batch.logs}
             continue
@@ -103,12 +118,28 @@ def gather(
     return Gathered(samplings, parts, skipped, len(missing) - len(lost), lost)
 
 
-def _work(tasks: Sequence[Batch], workers: int) -> Iterator[tuple[Batch, list[Row] | Lost]]:
+def _work(
+    tasks: Sequence[Batch], workers: int, cluster: Cluster | None
+) -> Iterator[tuple[Batch, list[Row] | Lost]]:
+    if cluster is not None:
+        for task, rows in cluster.each(rows_elsewhere, tasks, _parts_of):
+            yield task, Lost("the processes that read it were killed", 0) if rows is None else rows
+        return
     if workers <= 1 or len(tasks) == 1:
         for task in tasks:
             yield task, rows_of(task)
         return
     yield from run_bounded(rows_of, tasks, workers, Bounds(seconds=None))
+
+
+def _parts_of(batch: Batch) -> list[str]:
+    return ["triangles", repr(batch.recipe), repr(batch.samplings), *(log.facts.sha256 for log in batch.logs)]
+
+
+def rows_elsewhere(batch: Batch) -> list[Row]:
+    """The rows of a batch on a machine that has the lake's address alone."""
+    folder = mirrored(batch.address, [log.facts for log in batch.logs])
+    return rows_of(replace(batch, logs=tuple(replace(log, folder=folder) for log in batch.logs)))
 
 
 @on_one_thread

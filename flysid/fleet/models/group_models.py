@@ -1,34 +1,25 @@
-"""Models of groups of flights: linear ones from the triangles, and runs of one vehicle each.
+"""Linear models of groups of flights, from their triangles.
 
-A linear model of any group (a vehicle, a firmware, both) needs the triangles alone. Takagi-Sugeno models do
-not come from sums over flights; they are the same runs as `flysid fit --vehicle V` makes, one after another.
+A linear model of any group (a vehicle, a firmware, both) needs the triangles alone.
 """
 
 from __future__ import annotations
 
-import hashlib
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
-from flysid.errors import DataError, FlysidError, UsageError
+from flysid.errors import DataError, UsageError
 from flysid.fleet.models.band import band_of
 from flysid.fleet.models.common_grid import Sampling
 from flysid.fleet.models.differences import Part
 from flysid.fleet.models.gather import Gathered
 from flysid.fleet.models.groups import GroupModel, Response, fit_group, response_of
 from flysid.fleet.models.scatter import Scatter, pooled
-from flysid.ingest.lake.chosen_flights import Selection, select
-from flysid.ingest.lake.lake import Lake
 from flysid.model.threads import on_one_thread
-from flysid.progress import part
-from flysid.validate.fitting import fit_run
-from flysid.validate.run import FitSettings, Run
 
 FORMAT = "flysid-fleet-fit"
 FORMAT_VERSION = 1
@@ -206,33 +197,3 @@ def _group(
         return Group(key, channel, flights, (), None, error.message)
     response = response_of(models[0], sampling, omega) if len(omega) else None
     return Group(key, channel, flights, models, response)
-
-
-def fit_vehicles(
-    lake: Lake, recipe: str, output: Path, settings: FitSettings, vehicles: Sequence[str], jobs: int
-) -> dict[str, Run | str]:
-    """A run for each vehicle, as `flysid fit --vehicle` makes it, or why there is none.
-
-    Parameters
-    ----------
-    output : a folder per vehicle is made in it (`folder_of`); those that are there already are replaced.
-    settings : of every run; its selection is replaced by the vehicle's.
-    """
-    done: dict[str, Run | str] = {}
-    for i, vehicle in enumerate(vehicles):
-        selection = Selection(vehicle=vehicle)
-        with part(i / len(vehicles), (i + 1) / len(vehicles)):
-            try:
-                own = replace(settings, selection=selection)
-                done[vehicle] = fit_run(
-                    select(lake, selection), recipe, output / folder_of(vehicle), own, jobs=jobs
-                )
-            except FlysidError as error:
-                done[vehicle] = error.message
-    return done
-
-
-def folder_of(vehicle: str) -> str:
-    """The folder of a vehicle's run: its name, with a digest where a folder cannot have all of it."""
-    plain = re.sub(r"[^A-Za-z0-9._-]+", "-", vehicle).strip("-.") or "no-name"
-    return plain if plain == vehicle else f"{plain}-{hashlib.sha256(vehicle.encode()).hexdigest()[:6]}"

@@ -5,15 +5,16 @@ import { colour, el, go, guarded, plain, swatch } from "./page.js";
 
 const COLOURS = ["c1", "c0"];
 
-export async function explain(run) {
+// `worst`: by channel, the second that is shown first.
+export async function explain(run, worst) {
   const box = el("details", { class: "explain" }, el("summary", {}, "Explain a second, move the input"));
   const body = el("div", {});
   box.append(body);
-  box.addEventListener("toggle", guarded(async () => { if (box.open && !body.childElementCount) { await fill(body, run); } }));
+  box.addEventListener("toggle", guarded(async () => { if (box.open && !body.childElementCount) { await fill(body, run, worst); } }));
   return box;
 }
 
-async function fill(body, run) {
+async function fill(body, run, worst) {
   const names = [...new Set(run.channels.map((c) => c.channel.split("/")[0]))];
   const channel = el("select", { "aria-label": "Channel" }, names.map((name) => el("option", {}, name)));
   const segment = el("select", { "aria-label": "Held-out segment" });
@@ -23,14 +24,17 @@ async function fill(body, run) {
     const data = await get("runs/" + run.id + "/explanation", { ch: channel.value, segment: k });
     segment.replaceChildren(...data.segments.map(([flight, seconds], i) =>
       el("option", { value: String(i), selected: i === k }, flight + ", " + plain(+seconds.toPrecision(3)) + " s")));
-    show(view, run, channel.value, k, data);
+    const here = worst[channel.value] && worst[channel.value].segment === k ? worst[channel.value].row : data.first;
+    const shown = here < data.y.length ? Math.max(0, here - data.first) : 0; // of a long segment the beginning is shown
+    show(view, run, channel.value, k, data, shown);
   });
-  channel.addEventListener("change", () => load(0));
+  const first = () => (worst[channel.value] ? worst[channel.value].segment : 0);
+  channel.addEventListener("change", () => load(first()));
   segment.addEventListener("change", () => load(+segment.value));
-  await load(0);
+  await load(first());
 }
 
-function show(view, run, channel, segment, data) {
+function show(view, run, channel, segment, data, worst) {
   const { first, dt_s, models } = data, labels = Object.keys(models), n_y = data.outputs.length;
   const t = data.y.slice(first).map((_, k) => (first + k) * dt_s);
   const u = data.u.map((row) => row.slice());
@@ -47,7 +51,6 @@ function show(view, run, channel, segment, data) {
   const [input, unit] = data.inputs[0], [output, unit_y] = data.outputs[0];
   const top = el("div", { class: "plot", tabindex: 0, role: "img", "aria-label": output + ": measured and models" });
   const low = el("div", { class: "plot", role: "img", "aria-label": input + ": as flown and as moved" });
-  const worst = worstSecond(data, labels[labels.length - 1]);
   const at = el("input", { type: "number", step: "any", min: t[0], max: t[t.length - 1], "aria-label": "Second to explain", value: t[worst].toFixed(2) });
   const add = el("input", { type: "number", step: "any", value: "0", "aria-label": "Added to the input" });
   const from = el("input", { type: "number", step: "any", value: t[0].toFixed(2), "aria-label": "from, seconds" });
@@ -127,24 +130,14 @@ function show(view, run, channel, segment, data) {
     });
   }
 
-  function toFlight() { // worst second, or the one chosen, back in the log
-    const id = data.flight.split("#")[0];
-    get("flights/" + encodeURIComponent(id)).then((flight) => {
-      const clock = flight.clocks[Math.max(0, +(data.flight.split("#")[1] || 0))] || flight.clocks[0];
-      const second = Number(BigInt(data.t0_ns) - BigInt(clock[1])) * 1e-9 + clock[2] + +at.value;
-      go("flights", { f: id, t: [Math.max(0, second - 5), second + 5].join("~"), c: second + "~" });
-    });
+  function toFlight() { // the chosen second, back in the log
+    if (data.seen) { go("flights", secondOf(run, data.seen, +at.value)); } else { changed.textContent = " the flight is not in this studio"; }
   }
   tell(t[worst]);
 }
 
-function worstSecond(data, label) { // row, after the start, of the second with the largest squared error
-  const errors = data.models[label].yh.map((row, k) => (row[0] - data.y[data.first + k][0]) ** 2);
-  const width = Math.max(1, Math.round(1 / data.dt_s));
-  let sum = 0, best = -1, at = 0;
-  errors.forEach((x, k) => {
-    sum += x - (k >= width ? errors[k - width] : 0);
-    if (sum > best) { best = sum; at = Math.max(0, k - Math.floor(width / 2)); }
-  });
-  return at;
+// The address of a second of a flight, `x` seconds after what was seen of it begins: its signals, ten seconds, the cursor.
+export function secondOf(run, seen, x) {
+  const at = seen.begin_s + x;
+  return { f: seen.flight, p: run.recipe ? seen.signals.map((name) => "@" + run.recipe + ":" + name).join(";") : "", t: [Math.max(0, at - 5), at + 5].join("~"), c: at + "~" };
 }

@@ -1,7 +1,8 @@
 // Flights: drop a log, find a flight, drag its fields to plots.
-import { follow, get, send } from "./api.js";
+import { Refused, follow, get, send } from "./api.js";
 import { clock, date, el, go, guarded, keep, plain, size } from "./page.js";
 import { Plots, shown } from "./plots.js";
+import { knownFields, takesField } from "./fields.js";
 
 const MOST_FIELDS = 300; // listed at once; the search narrows them
 
@@ -20,29 +21,34 @@ export async function showFlights(main, query) {
   const search = el("input", { type: "search", placeholder: "Find a field: roll, gyro, ... ( / )", "aria-label": "Find a field" });
   const tree = el("div", { class: "tree", tabindex: -1 });
   const ends = { from: el("input", { type: "text", placeholder: "drag or type" }), to: el("input", { type: "text", placeholder: "drag or type" }) };
-  for (const field of Object.values(ends)) {
-    field.addEventListener("dragover", (event) => { if (event.dataTransfer.types.includes("text/x-field")) { event.preventDefault(); } });
-    field.addEventListener("drop", (event) => {
-      const name = event.dataTransfer.getData("text/x-field");
-      if (name && !name.startsWith("@")) { event.preventDefault(); field.value = shown(name); }
-    });
-  }
+  for (const field of Object.values(ends)) { takesField(field, () => {}); field.setAttribute("list", "known-fields"); }
   const identify = el("form", {}, el("label", {}, "Identify, from", ends.from), el("label", {}, "to", ends.to), el("button", {}, "Fit these"));
   identify.addEventListener("submit", (event) => {
     event.preventDefault();
     go("channels", { from: ends.from.value, to: ends.to.value, f: flight ? flight.id : "" });
   });
-  side.append(drop, el("label", {}, "Flight", find), select, facts, search, tree, identify);
+  const known = el("div", {});
+  side.append(drop, el("label", {}, "Flight", find), select, facts, search, tree, identify, known);
 
   const map = el("details", { class: "map" }, el("summary", {}, "Where it flew"));
   const events = el("details", {}, el("summary", {}, "Modes, messages and parameter changes"));
   const pairs = el("div", { class: "tools" });
   const plots = new Plots(el("div", {}), () => remember());
-  work.append(pairs, plots.parent, map, events, el("p", { class: "foot" },
+  const title = el("h1", {}, "Drop a log");
+  const welcome = el("p", {}, "Anywhere on this page: PX4 .ulg, ArduPilot .bin, MAVLink .tlog, ROS bags, MCAP, Betaflight, Crazyflie, AR.Drone, tables. It stays on this machine.");
+  const foot = el("p", { class: "foot" },
     ...[["/", "find"], ["Enter", "add to a plot"], ["Shift Enter", "to the last plot"], ["\u2190 \u2192", "move"], ["+ \u2212", "zoom"], ["0", "all"],
       [", .", "first cursor"], ["< >", "second cursor"], ["x", "remove plot"]].flatMap(([k, what]) => [el("kbd", {}, k), " " + what + "  "]),
-    "Drag on a plot zooms, a click sets the first cursor, Shift-click the second, double-click shows all."));
+    "Drag on a plot zooms, a click sets the first cursor, Shift-click the second, double-click shows all.");
+  work.append(title, welcome, pairs, plots.parent, map, events, foot);
   let flight = null;
+  const parts = [search, tree, identify, select, find.parentElement, pairs, plots.parent, map, events, foot];
+  const reveal = () => { // what needs a flight, where there is one
+    parts.forEach((part) => { part.hidden = !flight; });
+    welcome.hidden = Boolean(flight);
+    if (flight) { title.textContent = flight.log; }
+  };
+  reveal();
 
   function remember() {
     if (!flight) { return; }
@@ -63,12 +69,13 @@ export async function showFlights(main, query) {
       select.append(el("option", { value: one.id, selected: one.id === wanted }, one.log + " \u00b7 " + about.filter(Boolean).join(" \u00b7 ")));
     });
     if (found.count > found.flights.length) { select.append(el("option", { disabled: true }, "and " + (found.count - found.flights.length) + " more: search")); }
-    if (!found.count) { facts.textContent = find.value ? "No flight has these words." : "No flights yet: drop a log above."; }
+    if (!found.count) { facts.textContent = find.value ? "No flight has these words." : "No flights yet."; }
     return found;
   });
 
   const open = guarded(async (id, fields, view, marks) => {
     flight = await get("flights/" + encodeURIComponent(id));
+    reveal();
     facts.textContent = [
       flight.format, size(flight.size_bytes), flight.rows.toLocaleString("en") + " records", clock(flight.duration_s),
       date(flight.start_utc_ns) && date(flight.start_utc_ns) + " UTC", flight.info.vehicle || flight.info.autopilot, flight.info.firmware,
@@ -77,6 +84,7 @@ export async function showFlights(main, query) {
     listFields();
     listPairs();
     listEvents();
+    known.replaceChildren(...knownFields(flight));
     map.open = false;
     drawMap(null);
     plots.open(flight, fields || firstPair(), view, marks);
@@ -160,7 +168,7 @@ export async function showFlights(main, query) {
   const take = guarded(async (dropped) => {
     for (const file of dropped) {
       arriving.textContent = file.name + ": sending " + size(file.size);
-      const sent = await send("POST", "uploads", file, { name: file.name });
+      const sent = await upload(file);
       const line = el("p", {}, file.name + ": reading");
       arriving.replaceChildren(line);
       get("uploads/" + sent.upload).then((look) => {
@@ -211,14 +219,23 @@ export async function showFlights(main, query) {
   document.addEventListener("keydown", slash);
   stops.push(() => document.removeEventListener("keydown", slash));
 
-  const found = await list(query.get("f"));
-  const id = query.get("f") || (found && found.flights.length ? found.flights[0].id : "");
-  if (id) {
-    const numbers = (text) => (text ? text.split("~").map((x) => (x === "" ? null : +x)) : null);
-    const fields = query.getAll("p").map((names) => names.split(";"));
-    await open(id, fields.length ? fields : null, numbers(query.get("t")), numbers(query.get("c")));
+  const numbers = (text) => (text ? text.split("~").map((x) => (x === "" ? null : +x)) : null);
+  const fields = query.getAll("p").map((names) => names.split(";"));
+  const show = (id) => open(id, fields.length ? fields : null, numbers(query.get("t")), numbers(query.get("c")));
+  const listing = list(query.get("f"));
+  if (query.get("f")) { await Promise.all([listing, show(query.get("f"))]); } else {
+    const found = await listing;
+    if (found && found.flights.length) { await show(found.flights[0].id); }
   }
   return () => stops.forEach((stop) => stop());
+}
+
+async function upload(file) {
+  try { return await send("POST", "uploads", file, { name: file.name }); } catch (error) {
+    if (!(error instanceof TypeError)) { throw error; }
+    await get("about"); // raises where it is the server that is gone
+    throw new Refused({ message: file.name + " could not be read to its end: it was changed or removed meanwhile", hint: "drop it again when it is complete" });
+  }
 }
 
 async function fetchLog(job) {

@@ -1,19 +1,21 @@
 // The shell: which page the address names, and what all pages share.
 import { get } from "./api.js";
 import { address, complain, guarded } from "./page.js";
-import { showFlights } from "./flights.js";
-import { showChannels } from "./channels.js";
-import { showRuns } from "./runs.js";
-import { showJobs } from "./jobs.js";
-import { showLive } from "./live.js";
 
-const PAGES = { flights: showFlights, channels: showChannels, runs: showRuns, jobs: showJobs, live: showLive };
+const PAGES = { // each is fetched when it is first shown
+  flights: async () => (await import("./flights.js")).showFlights,
+  channels: async () => (await import("./channels.js")).showChannels,
+  runs: async () => (await import("./runs.js")).showRuns,
+  jobs: async () => (await import("./jobs.js")).showJobs,
+  live: async () => (await import("./live.js")).showLive,
+};
 const main = document.getElementById("main");
-let leave = null;
+let leave = null, turns = 0;
 
 const turn = guarded(async () => {
-  const { page, query } = address();
-  const show = PAGES[page] || showFlights;
+  const { page, query } = address(), number = ++turns;
+  const show = await (PAGES[page] || PAGES.flights)();
+  if (number !== turns) { return; } // another page was asked for since
   complain(null);
   if (leave) { leave(); leave = null; }
   document.querySelectorAll("nav a").forEach((link) => {

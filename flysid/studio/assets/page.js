@@ -9,7 +9,7 @@ export function el(tag, attributes, ...children) {
     else if (name in made && name !== "list" && typeof value !== "string") { made[name] = value; }
     else { made.setAttribute(name, value); }
   }
-  for (const child of children.flat()) {
+  for (const child of children.flat(Infinity)) {
     if (child !== null && child !== undefined && child !== false) { made.append(child); }
   }
   return made;

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.blackbox import kernel, recovery
 from flysid.ingest.formats.blackbox.encodings import ByteArray, IntArray
 from flysid.ingest.formats.blackbox.header import MIN_PADDING, PADDING, START
@@ -213,8 +214,8 @@ _STREAMS = ("main", "slow", "gps", "home", "event")
 
 
 def _tables(count: IntArray, batch_bytes: int) -> kernel.Tables:
-    """Empty tables for the rows of one block."""
-    rows = max(FEWEST_ROWS, batch_bytes // (4 * max(1, int(count[kernel.INTRA]))))
+    """Empty tables for the rows of one block; the system clears them, so larger ones save nothing."""
+    rows = max(FEWEST_ROWS, min(batch_bytes, Limits.batch_bytes) // (4 * max(1, int(count[kernel.INTRA]))))
     tables: dict[str, npt.NDArray[Any]] = {}
     for name, kind in (
         ("main", kernel.INTRA),

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.ingest.formats.blackbox.header import Header
+from flysid.stretch import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 STICK = 500.0
 FULL_RATE = 200.0
 STEEP_FROM = 2.0

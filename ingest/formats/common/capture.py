@@ -66,7 +66,7 @@ def payloads(view: memoryview, tally: Tally) -> Iterator[Payload]:
     read = pcapng.packets if pcapng.is_pcapng(head) else pcap.packets
     pending = _Fragments()
     for packet in read(view, tally):
-        found = _payload(packet, bytes(view[packet.start : packet.stop]), pending)
+        found = _payload(packet, bytes(view[packet.start : packet.stop]), pending, tally)
         if found is not None:
             yield found
 
@@ -121,15 +121,26 @@ class _Fragments:
             store.pop(key, None)
 
 
-def _payload(packet: Packet, frame: bytes, pending: _Fragments) -> Payload | None:
+def _is_sound(head: bytes, size: int) -> bool:
+    """Whether an IPv4 header is whole and its checksum holds; 0 where the network card fills it in."""
+    if size < 20 or len(head) < size:
+        return False
+    words = struct.unpack(f">{size // 2}H", head)
+    return bool(words[5] == 0 or sum(words) % 0xFFFF == 0)
+
+
+def _payload(packet: Packet, frame: bytes, pending: _Fragments, tally: Tally) -> Payload | None:
     start = _ip_start(frame, packet.link)
     if start < 0 or len(frame) < start + 20 or frame[start] >> 4 != 4:
+        return None
+    head = 4 * (frame[start] & 15)
+    if not _is_sound(frame[start : start + head], head):
+        tally.undecode("packets", 1, "the checksum of the IP header is wrong")
         return None
     protocol = frame[start + 9]
     place = (packet.at, packet.time_ns)
     if protocol not in (UDP, TCP):
         return None
-    head = 4 * (frame[start] & 15)
     total = int.from_bytes(frame[start + 2 : start + 4], "big") or len(frame) - start  # 0: cut by the card
     flags = int.from_bytes(frame[start + 6 : start + 8], "big")
     body = frame[start + head : start + total]

@@ -21,7 +21,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from flysid.stretch import FloatArray
+
 BoolArray = npt.NDArray[np.bool_]
 Gps = Literal["shift", "remove"]
 

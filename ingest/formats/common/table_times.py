@@ -15,8 +15,7 @@ import numpy.typing as npt
 from flysid.errors import FormatError, UsageError
 from flysid.flight import ClockMap
 from flysid.ingest.formats.common.clock import IntArray, UtcFit, back_steps
-
-FloatArray = npt.NDArray[np.float64]
+from flysid.stretch import FloatArray
 
 TIME_UNITS_NS: Mapping[str, int] = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 UNIX_NS = 10**18  # a time beyond 2001 counts from 1970

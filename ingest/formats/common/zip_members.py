@@ -135,7 +135,7 @@ def _fault(method: int, flags: int) -> str:
         return "is encrypted; unpack it first"
     if method not in (STORED, DEFLATED, ZSTANDARD):
         named = zipfile.compressor_names.get(method, f"method {method}")  # type: ignore[attr-defined]
-        return f"is packed in a way that is not read here ({named}); unpack it first"
+        return f"uses a compression method that is not supported ({named}); unpack it first"
     return ""
 
 

@@ -5,7 +5,8 @@
     0.00,1.5,0.012
 
 The separator is the one of comma, semicolon and tab that splits most lines alike. The first such line is the
-header unless it holds numbers only; units stand in brackets, or in a line of their own below the header.
+header unless it holds numbers where the lines below do; units stand in brackets, or in a line of their own
+below the header.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from functools import lru_cache
 import numpy as np
 
 from flysid.ingest.formats.common.table_columns import named_and_measured, once_each, time_unit_of
-from flysid.ingest.formats.common.table_times import FloatArray
 from flysid.ingest.formats.common.units import factor, is_known
+from flysid.stretch import FloatArray
 
 SEPARATORS = (b",", b";", b"\t")
 ZONE = r"(Z|[+-]\d\d:?\d\d)"
@@ -137,10 +138,16 @@ def _lines(head: bytes) -> tuple[list[tuple[int, str]], int]:
         text = line.decode("utf-8", "replace").strip("\r")
         if text.strip() and text[0] not in "#%":
             size += len(raw) + 1
-            if text.replace("\t", "").isprintable():
+            if is_printable(line):
                 found.append((at, text))
         at += len(raw) + 1
     return found, size
+
+
+def is_printable(line: bytes) -> bool:
+    """Whether a line can be a header or a row: no control characters, and no erased flash in front."""
+    text = line.decode("utf-8", "replace").strip("\r")
+    return text.replace("\t", "").isprintable() and not line.startswith(b"\xff")
 
 
 def _commonest(lines: Sequence[tuple[int, str]], separator: bytes) -> tuple[int, int]:
@@ -174,7 +181,9 @@ def _header(
     """(name, unit) of every column, the rows below, and where the first row or the header begins."""
     first = table[0][1]
     rows = [row for _, row in table]
-    if all(_NUMBER.match(c) or c in MISSING or _DECIMAL_COMMA.match(c) or _STAMP.match(c) for c in first):
+    below = rows[2:] or rows[1:]  # a second line may hold units
+    told = [i for i, cells in enumerate(zip(*below, strict=True)) if all(map(_is_value, cells))]
+    if all(_is_value(first[i]) for i in told or range(len(first))):
         return [(f"c{i + 1}", "") for i in range(len(first))], rows, table[0][0]
     named = [named_and_measured(cell, i) for i, cell in enumerate(first)]
     names = once_each([name for name, _ in named])
@@ -183,6 +192,11 @@ def _header(
         units = [cell.strip("[]()") or unit for cell, unit in zip(rows[1], units, strict=True)]
         return list(zip(names, units, strict=True)), rows[2:], table[2][0]
     return list(zip(names, units, strict=True)), rows[1:], table[1][0] if len(table) > 1 else table[0][0]
+
+
+def _is_value(cell: str) -> bool:
+    """Whether a cell holds a number, a date, or nothing."""
+    return bool(_NUMBER.match(cell) or cell in MISSING or _DECIMAL_COMMA.match(cell) or _STAMP.match(cell))
 
 
 def _has_decimal_commas(rows: Sequence[Sequence[str]]) -> bool:

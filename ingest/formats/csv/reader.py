@@ -34,7 +34,15 @@ from flysid.ingest.formats.csv.cells import (
     stamps,
     stated_times,
 )
-from flysid.ingest.formats.csv.layouts import MISSING, Column, Layout, cells_of, layout_of, numbers_in
+from flysid.ingest.formats.csv.layouts import (
+    MISSING,
+    Column,
+    Layout,
+    cells_of,
+    is_printable,
+    layout_of,
+    numbers_in,
+)
 
 STREAM = "table"
 MAX_LINE_BYTES = 1 << 20
@@ -120,13 +128,10 @@ def _preamble(reader: _Reader, before: bytes) -> None:
     cells = len(reader.layout.columns)
     for raw in before.splitlines(keepends=True):
         line = raw.removeprefix(b"\xef\xbb\xbf").strip()
-        is_plain = (
-            line.decode("utf-8", "replace").replace("\t", "").isprintable()
-        )  # else not read as a header
         extra = line.count(reader.layout.separator) - (cells - 1)
         quotes = line.count(b'"')
         is_row = quotes % 2 == 0 and (extra == 0 or (extra > 0 and quotes > 0))
-        if line and not (is_plain and (is_row or line[:1] in b"#%")):
+        if line and not (is_printable(line) and (is_row or line[:1] in b"#%")):
             reader.tally.skip(at, at + len(raw), "a line above the table")
         at += len(raw)
 

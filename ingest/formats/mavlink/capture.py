@@ -7,6 +7,7 @@ packet in which it ends. The same message sent to two receivers is there twice, 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
@@ -66,6 +67,9 @@ class Capture:
     crc_extra: npt.NDArray[np.int16]
     tally: Tally = field(default_factory=Tally)
     _flows: set[bytes] = field(default_factory=set)
+    _passed: Counter[bytes] = field(
+        default_factory=Counter
+    )  # datagrams of flows that may prove to be MAVLink
     _streams: dict[bytes, _Stream] = field(default_factory=dict)
     _places: list[tuple[IntArray, IntArray]] = field(default_factory=list)
     _base: int = 0
@@ -94,10 +98,16 @@ class Capture:
         is_whole = whole_frames(found.content) == len(found.content)
         if is_whole and (found.flow in self._flows or is_checked(found.content, 0, self.crc_extra)):
             self._flows.add(found.flow)
+            self._count(self._passed.pop(found.flow, 0))
             return found.content
         if found.flow in self._flows:
-            self.tally.undecode("datagrams", 1, "not whole MAVLink frames")
+            self._count(1)
+        else:
+            self._passed[found.flow] += 1
         return b""
+
+    def _count(self, datagrams: int) -> None:
+        self.tally.undecode("datagrams", datagrams, "not whole MAVLink frames")
 
     def _of_tcp(self, found: Payload) -> bytes:
         """The frames that end in this segment. What was sent before is passed over; a gap ends what waits."""

@@ -112,23 +112,6 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     return _summary(reader)
 
 
-class Pieces:
-    """Tables of a tlog's records that come piece by piece; clocks are followed from piece to piece."""
-
-    def __init__(self, dialect: str = DEFAULT) -> None:
-        self._reader = _Reader(load_dialect(dialect), make_scanner(dialect, STAMP_BYTES, 0))
-
-    @property
-    def info(self) -> Mapping[str, str]:
-        """Facts about the vehicle, as far as they have come."""
-        return _info(self._reader)
-
-    def read(self, records: bytes) -> list[StreamPart]:
-        """The tables of whole records."""
-        frames, _ = self._reader.scanner.scan(as_array(memoryview(records)), 0, len(records))
-        return list(_parts(self._reader, frames))
-
-
 def _read_capture(view: memoryview, name: str, limits: Limits) -> Parts:
     """Parts of the MAVLink that a capture holds."""
     capture = Capture(load_dialect().crc_extra)
@@ -142,7 +125,7 @@ def _read_capture(view: memoryview, name: str, limits: Limits) -> Parts:
         raise FormatError(
             "no MAVLink in the capture",
             path=name,
-            hint="UDP and TCP over IPv4 are looked into, where nothing encrypts them",
+            hint="unencrypted UDP and TCP over IPv4 are read",
         )
     summary = _summary(reader)
     return replace(summary, damage=capture.located(summary.damage))
@@ -317,15 +300,25 @@ def _field_values(matrix: ByteMatrix, layout: Layout, name: str) -> IntArray:
 
 
 def _note_vehicle(reader: _Reader, source: Source, matrix: ByteMatrix, layout: Layout) -> None:
-    autopilots = _field_values(matrix, layout, "autopilot")
-    real = autopilots[autopilots != AUTOPILOT_INVALID]
-    if not len(real):
-        return
-    reader.time.vehicles.add(source[0])
-    if "autopilot" not in reader.info:
-        kinds = _field_values(matrix, layout, "type")[autopilots != AUTOPILOT_INVALID]
-        reader.info["autopilot"] = _short(reader.dialect.enum_name("MAV_AUTOPILOT", int(real[0])))
-        reader.info["vehicle"] = _short(reader.dialect.enum_name("MAV_TYPE", int(kinds[0])))
+    autopilots, kinds = (_field_values(matrix, layout, name) for name in ("autopilot", "type"))
+    facts = vehicle_facts(reader.dialect, autopilots, kinds)
+    if facts:
+        reader.time.vehicles.add(source[0])
+        reader.info = {**facts, **reader.info}
+
+
+def vehicle_facts(
+    dialect: Dialect, autopilots: npt.NDArray[np.integer], kinds: npt.NDArray[np.integer]
+) -> dict[str, str]:
+    """What heartbeats tell of a vehicle; nothing where none of them (n,) is an autopilot's."""
+    real = autopilots != AUTOPILOT_INVALID
+    if not real.any():
+        return {}
+    first = int(np.argmax(real))
+    return {
+        "autopilot": _short(dialect.enum_name("MAV_AUTOPILOT", int(autopilots[first]))),
+        "vehicle": _short(dialect.enum_name("MAV_TYPE", int(kinds[first]))),
+    }
 
 
 def _note_firmware(reader: _Reader, matrix: ByteMatrix, layout: Layout) -> None:

@@ -11,6 +11,7 @@ skipped alone. Where a record does not hold together, the next one that does is 
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
+from functools import cached_property
 
 import numpy as np
 
@@ -92,7 +93,7 @@ class McapReader:
         at = 0
         while at < self._limit:
             self.place = at
-            end = record_end(self.view, at, self._limit)
+            end = self._record_end(at)
             if end < 0:
                 at = yield from self._recover(at)
                 continue
@@ -112,6 +113,35 @@ class McapReader:
         if self._seen < self._stated and not self._tally.freeze().lossy:
             self._tally.undecode("(messages counted in the summary only)", self._stated - self._seen)
 
+    def _record_end(self, at: int) -> int:
+        """`record_end`, which believes any length in a file that its checksums prove intact."""
+        end = record_end(self.view, at, self._limit)
+        return end if end >= 0 or not self._is_intact else record_end(self.view, at, self._limit, intact=True)
+
+    @cached_property
+    def _is_intact(self) -> bool:
+        """Whether the checksums of the data and of the summary are stated and right."""
+        footer = self._footer()
+        if footer < 0:
+            return False
+        (start,) = U64.unpack_from(self.view, footer + HEAD_BYTES)
+        (crc,) = U32.unpack_from(self.view, footer + HEAD_BYTES + 16)
+        data_end = (start or footer) - len(_DATA_END_HEAD) - 4
+        if not len(MAGIC) <= data_end < footer:
+            return False
+        head = self.view[data_end : data_end + len(_DATA_END_HEAD)]
+        (data_crc,) = U32.unpack_from(self.view, data_end + HEAD_BYTES)
+        is_right = not start or (crc and crc32(self.view[start : footer + HEAD_BYTES + 16]) == crc)
+        return bool(
+            head == _DATA_END_HEAD and is_right and data_crc and crc32(self.view[:data_end]) == data_crc
+        )
+
+    def _footer(self) -> int:
+        """Where the footer lies that the file ends with; -1 without one."""
+        at = self._limit - len(MAGIC) - HEAD_BYTES - 20
+        is_footer = at >= len(MAGIC) and self.view[at] == FOOTER
+        return at if is_footer and record_end(self.view, at, self._limit) == self._limit - len(MAGIC) else -1
+
     def _counted(self, steps: Steps) -> Steps:
         while True:
             try:
@@ -123,12 +153,8 @@ class McapReader:
 
     def _read_summary(self) -> None:
         """Definitions repeated behind the data, where the footer and its checksum can be believed."""
-        at = self._limit - len(MAGIC) - HEAD_BYTES - 20
-        if (
-            at < len(MAGIC)
-            or record_end(self.view, at, self._limit) != self._limit - len(MAGIC)
-            or self.view[at] != FOOTER
-        ):
+        at = self._footer()
+        if at < 0:
             return
         (start,) = U64.unpack_from(self.view, at + HEAD_BYTES)
         (crc,) = U32.unpack_from(self.view, at + HEAD_BYTES + 16)
@@ -151,7 +177,7 @@ class McapReader:
             place = tail.rfind(_DATA_END_HEAD, 0, place)
 
     def _define_all(self, start: int, stop: int, checked: bool) -> None:
-        while (end := record_end(self.view, start, stop)) > 0:
+        while (end := record_end(self.view, start, stop, intact=checked)) > 0:
             op = self.view[start]
             body = start + HEAD_BYTES
             if op in (SCHEMA, CHANNEL):
@@ -205,7 +231,7 @@ class McapReader:
         try:
             data = self._expand(head)
         except ChunkError as error:
-            followed = after == self._limit or record_end(self.view, after, self._limit) > 0
+            followed = after == self._limit or self._record_end(after) > 0
             resume = after if followed else self._next(at + 1)
             self._tally.skip(at, min(end, resume), str(error))
             if not followed:
@@ -232,7 +258,7 @@ class McapReader:
         """Offsets from all message indexes that follow at `at`, and where they end."""
         parts = []
         while at < self._limit and self.view[at] == MESSAGE_INDEX:
-            end = record_end(self.view, at, self._limit)
+            end = self._record_end(at)
             if end < 0:
                 break
             self._last = at
@@ -247,7 +273,7 @@ class McapReader:
         if found.stop == 0:
             return (yield from self._lone(at))
         resume = at + found.stop
-        if resume < self._limit and record_end(self.view, resume, self._limit) < 0:
+        if resume < self._limit and self._record_end(resume) < 0:
             found, resume = self._doubt_last(found, at)
         yield bind(piece[: found.stop], found, self.registry)
         return resume

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flysid.errors import FormatError
-from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release
+from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release, sniff_magic
 from flysid.ingest.formats.common.gather import Bytes
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.mcap.chunks import Block
@@ -105,8 +105,5 @@ def _decode(batch: _Batch, registry: Registry, topics: Topics, tally: Tally) -> 
 
 
 def sniff(head: bytes, name: str) -> float:
-    """1 for the magic; 0.5 for a file called .mcap whose magic is damaged in up to two bytes."""
-    if head.startswith(MAGIC):
-        return 1.0
-    same = sum(a == b for a, b in zip(head, MAGIC, strict=False))
-    return 0.5 if same >= len(MAGIC) - 2 and name.lower().endswith(".mcap") else 0.0
+    """As `sniff_magic`."""
+    return sniff_magic(head, name, MAGIC, ".mcap")

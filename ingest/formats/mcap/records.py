@@ -17,7 +17,7 @@ record, or the end of the file, follows it. Attachments are stepped over.
 
 Later versions may put fields behind these, which readers step over (never in messages, footer and data end).
 So bytes behind the known fields are no damage where a record follows them, unless one follows the known
-fields already: then the length is wrong.
+fields already: then the length is wrong, or the checksums of the file must prove that it is not.
 Source: the MCAP specification, version 0.
 """
 
@@ -156,15 +156,16 @@ def message_offsets(view: memoryview, body: int) -> Index:
     return offsets
 
 
-def record_end(view: memoryview, at: int, limit: int) -> int:
+def record_end(view: memoryview, at: int, limit: int, *, intact: bool = False) -> int:
     """Where the record at `at` ends if its parts fit its length and it ends by `limit`; else -1.
 
-    The magic counts as a record: it opens and closes a file, and files may be concatenated.
+    The magic counts as a record: it opens and closes a file, and files may be concatenated. Where a checksum
+    proves the bytes `intact`, all that stands behind the known fields belongs to the record.
     """
     if view[at : at + len(MAGIC)] == MAGIC:
         return at + len(MAGIC)
     known, end = _extent(view, at, limit)
-    if known == end or (_follows(view, end, limit) and not _holds_records(view, known, end)):
+    if known == end or (_follows(view, end, limit) and (intact or not _holds_records(view, known, end))):
         return end
     return -1
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +15,8 @@ import pyarrow.compute as pc
 from flysid.flight import BOOT, TIME
 from flysid.ingest.formats.common.arrow_arrays import free_name
 from flysid.ingest.formats.common.table_columns import named_and_measured, time_unit_of
-from flysid.ingest.formats.common.table_times import TIME_UNITS_NS, FloatArray
+from flysid.ingest.formats.common.table_times import TIME_UNITS_NS
+from flysid.stretch import FloatArray
 
 UNNAMED = "__index_level_"  # what pandas calls an index without a name
 UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
@@ -91,11 +93,24 @@ def _leaves(fields: Sequence[pa.Field], above: tuple[str, ...]) -> list[tuple[tu
 def _metadata(field: pa.Field, named: str) -> dict[bytes, bytes] | None:
     """What the file says of a column; its name tells the unit where nothing else does."""
     told = field.metadata or {}
-    kept = {key: told[key] for key in KEPT_KEYS if key in told}
+    kept = {key: told[key] for key in KEPT_KEYS if key in told and _is_ours(key, told[key])}
     unit = next((told[key] for key in UNIT_KEYS if told.get(key)), named.encode())
     if pa.types.is_timestamp(field.type) or pa.types.is_duration(field.type):
         unit = b"ns"
     return {**({b"unit": unit} if unit else {}), **kept} or None
+
+
+def _is_ours(key: bytes, value: bytes) -> bool:
+    """Whether a column's fact is told as flysid tells it; other programs use the same words for theirs."""
+    try:
+        if key == b"scale":
+            return math.isfinite(float(value)) and float(value) != 0.0
+        if key == b"enum":
+            names = json.loads(value)
+            return all(isinstance(name, str) and str(int(number)) == number for number, name in names.items())
+    except (ValueError, AttributeError, RecursionError):
+        return False
+    return True
 
 
 def plain_type(kind: pa.DataType) -> pa.DataType | None:

@@ -20,13 +20,7 @@ from flysid.flight import BOOT, ROW_NUMBER, TIME
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
 from flysid.ingest.formats.common.arrow_arrays import numeric
 from flysid.ingest.formats.common.clock import BoolArray, IntArray, is_outlier
-from flysid.ingest.formats.common.table_times import (
-    TIME_UNITS_NS,
-    FloatArray,
-    TableClock,
-    time_unit,
-    to_ns,
-)
+from flysid.ingest.formats.common.table_times import TIME_UNITS_NS, TableClock, time_unit, to_ns
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.parquet.columns import (
     DATES,
@@ -38,6 +32,7 @@ from flysid.ingest.formats.parquet.columns import (
     rises,
     time_candidates,
 )
+from flysid.stretch import FloatArray
 from flysid.tabular import FORMAT as DATASET
 from flysid.tabular import META
 

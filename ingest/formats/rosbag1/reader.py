@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterator
 
 from flysid.errors import FormatError
-from flysid.ingest.formats.base import Limits, Parts, Summary, release
+from flysid.ingest.formats.base import Limits, Parts, Summary, release, sniff_magic
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.messages.channel import Channel, Schema
 from flysid.ingest.formats.messages.topics import Message, Topics, queued
@@ -101,8 +101,5 @@ def _messages(view: memoryview, reader: BagReader, tally: Tally) -> Iterator[Mes
 
 
 def sniff(head: bytes, name: str) -> float:
-    """1 for the magic; 0.5 for a file called .bag whose magic is damaged in up to two bytes."""
-    if head.startswith(MAGIC):
-        return 1.0
-    same = sum(a == b for a, b in zip(head, MAGIC, strict=False))
-    return 0.5 if same >= len(MAGIC) - 2 and name.lower().endswith(".bag") else 0.0
+    """As `sniff_magic`."""
+    return sniff_magic(head, name, MAGIC, ".bag")

@@ -28,7 +28,7 @@ from flysid.ingest.formats.ulog.layouts import (
     flatten,
     parse_format,
 )
-from flysid.ingest.formats.ulog.records import DATA, FILE_HEAD_BYTES, MAGIC, DataRun, Framer
+from flysid.ingest.formats.ulog.records import DATA, FILE_HEAD_BYTES, MAGIC, PARAMETER, DataRun, Framer
 from flysid.ingest.formats.ulog.texts import Words
 
 MAX_SUBSCRIPTIONS = 5000
@@ -125,8 +125,10 @@ class UlogReader:
     def _keyed(self, at: int) -> int:
         """Take in a run of information and parameters; returns where to go on, 0 without any."""
         end = 0
-        for kind, body, end in self._framer.keyed_run(at):
-            self._take(kind, self.view[body:end])
+        origin = self._origin
+        for kind, body, end, key in self._framer.keyed_run(at):
+            if kind != PARAMETER or not self.words.add_keyed(key, self.view[body:end], self._now_ns, origin):
+                self._take(kind, self.view[body:end])
         return end
 
     def _other(self, at: int, head: tuple[int, int, int]) -> int:
@@ -195,8 +197,12 @@ class UlogReader:
         self._count(self.words.add_multiple(body, self._now_ns), "information")
 
     def _add_parameter(self, body: memoryview) -> None:
-        origin = 1 if self._subscriptions or self._lost else 0
-        self._count(self.words.add_parameter(body, self._now_ns, origin), "parameters")
+        self._count(self.words.add_parameter(body, self._now_ns, self._origin), "parameters")
+
+    @property
+    def _origin(self) -> int:
+        """Of a parameter, as in ORIGINS: initial before the first subscription, changed from there on."""
+        return 1 if self._subscriptions or self._lost else 0
 
     def _add_default(self, body: memoryview) -> None:
         self._count(self.words.add_default(body, self._now_ns), "parameters")

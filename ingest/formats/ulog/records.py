@@ -33,7 +33,7 @@ MAX_TEXT = 300
 MAX_UNKNOWN = 4
 MAX_KEYS = 1 << 13
 ANY_SIZE = -1
-FLAGS, FORMAT_TYPE, ADDED, LOGGED, TAGGED, SYNC_TYPE, DATA = b"BFALCSD"
+FLAGS, FORMAT_TYPE, ADDED, LOGGED, TAGGED, SYNC_TYPE, DATA, PARAMETER = b"BFALCSDP"
 _KEY = re.compile(rb"[a-z0-9_]+(\[\d+\])? [\x21-\x7e]+")
 _SIZED = re.compile(rb"(\w+?)(?:\[(\d{1,5})\])? ")
 _TEXT_AT = {LOGGED: 9, TAGGED: 11}
@@ -130,8 +130,8 @@ class Framer:
             return True
         return False
 
-    def keyed_run(self, at: int) -> list[tuple[int, int, int]]:
-        """Heads of the records of a key and its value from `at` on that are exact and followed by one more.
+    def keyed_run(self, at: int) -> list[tuple[int, int, int, bytes]]:
+        """Heads and keys of the records of a key and its value from `at` on: exact, and followed by one more.
 
         A log begins with some thousand of these.
         """
@@ -147,9 +147,10 @@ class Framer:
             value = end - key - 1 - width
             if width < 3 or value < 1:
                 break
-            if _value_size(bytes(self.view[key + 1 : key + 1 + width])) not in (ANY_SIZE, value):
+            named = bytes(self.view[key + 1 : key + 1 + width])
+            if _value_size(named) not in (ANY_SIZE, value):
                 break
-            found.append((kind, body, end))
+            found.append((kind, body, end, named))
             at = end
         return found[:-1]
 

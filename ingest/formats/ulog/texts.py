@@ -95,6 +95,15 @@ class Words:
         self._parameters.append((time_ns, named.name, float(named.value), named.kind, origin))
         return True
 
+    def add_keyed(self, key: bytes, body: memoryview, time_ns: int, origin: int) -> bool:
+        """A parameter whose key and length are known to be sound; False where its value is no number."""
+        kind, name, layout = _parse_key(key)
+        if layout is None:
+            return False
+        value = float(layout.unpack_from(body, 1 + len(key))[0])
+        self._parameters.append((time_ns, name, value, kind, origin))
+        return True
+
     def add_default(self, body: memoryview, time_ns: int) -> bool:
         """A parameter's default: bit 0 the system's, bit 1 the current setup's."""
         if not len(body):

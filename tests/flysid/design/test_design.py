@@ -285,7 +285,7 @@ def test_a_model_without_an_interval_alone_is_refused() -> None:
 
 def test_a_present_loop_faster_than_the_flights_is_refused() -> None:
     wish = Wish(old={"position": 30.0, "velocity": 400.0}, limit=LIMIT)
-    with pytest.raises(DataError, match="tell nothing above") as refused:
+    with pytest.raises(DataError, match="have no information above") as refused:
         _designed([ready_channel(good(), wish)], wish)
     assert "sweep" in str(refused.value.hint)
 

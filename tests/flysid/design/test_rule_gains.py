@@ -129,3 +129,13 @@ def test_the_printed_numbers_alone_hold_the_proof(
     told = body["axes"][0]
     assert proves(told["a"], told["b"], told["gains"], told["metric"], told["decay"])
     assert len(told["states"]) == len(told["metric"])
+    printed = call("design", "run", "--method", "pdc", "--limit", "12", cwd=tmp_path)
+    assert "x: gains for 2 rules of 'ts' over 5 measured states, proved" in printed.stdout
+    assert rule_design.PROVED in printed.stderr
+
+
+def test_what_only_a_pid_knows_is_refused_for_rules(tmp_path: Path) -> None:
+    for words in (["--old", "mine.param"], ["--for", "px4"], ["--feed-forward"]):
+        done = call("design", "run", "--method", "pdc", "--limit", "12", *words, cwd=tmp_path)
+        assert done.returncode == 2
+        assert "are for the gains of a PID" in done.stderr

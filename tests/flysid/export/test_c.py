@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import shutil
 import subprocess
 from dataclasses import replace
@@ -25,17 +24,11 @@ from flysid.model.oe import OE
 from flysid.model.static_ts import StaticTS
 from flysid.model.transfer_function import FittedTF
 from tests.flysid.export.compiled import WARNINGS, gcc, needs_gcc, run_in_c, write_c
-from tests.model_examples import EXAMPLES
+from tests.model_examples import EXAMPLES, fitted
 
 REFUSED = ("ensemble", "multirotor")  # neither is a recursion with constant coefficients
 EXPORTED = [name for name in EXAMPLES if not name.startswith(REFUSED)]
 OF_RULES = [name for name in EXPORTED if name.startswith("ts")]
-
-
-@functools.cache
-def example(name: str) -> Fitted:
-    fit, data = EXAMPLES[name]
-    return fit(data)
 
 
 def inputs(model: Fitted, rows: int, seed: int = 0) -> FloatArray:
@@ -45,7 +38,7 @@ def inputs(model: Fitted, rows: int, seed: int = 0) -> FloatArray:
 
 def linear(a: list[float], b: list[float], *, dt_s: float = 0.02, limit: float = 1e6) -> FittedLinear:
     """A known difference equation of one input and output."""
-    template = example("arx")
+    template = fitted("arx")
     assert isinstance(template, FittedLinear)
     system = Difference(np.array(a)[:, None, None], np.array(b)[:, None, None], np.zeros(1))
     still = np.zeros(1)
@@ -60,7 +53,7 @@ def linear(a: list[float], b: list[float], *, dt_s: float = 0.02, limit: float =
 def test_rules_in_c_without_optimisation_equal_the_free_run_to_the_last_bit(
     name: str, tmp_path: Path
 ) -> None:
-    model = example(name)
+    model = fitted(name)
     u = inputs(model, 20_000)
     assert np.array_equal(run_in_c(program_of(model), u, tmp_path, ("-O0",)), model.simulate(u))
 
@@ -70,7 +63,7 @@ def test_rules_in_c_without_optimisation_equal_the_free_run_to_the_last_bit(
 def test_every_structure_in_c_equals_its_program_exactly_and_the_model_closely(
     name: str, tmp_path: Path
 ) -> None:
-    model = example(name)
+    model = fitted(name)
     program = program_of(model)
     u = inputs(model, 4_000)
     found = run_in_c(program, u, tmp_path / "double")
@@ -89,7 +82,7 @@ def test_every_structure_in_c_equals_its_program_exactly_and_the_model_closely(
 def test_the_self_test_passes_and_fails_where_one_number_is_wrong(
     name: str, single: bool, tmp_path: Path
 ) -> None:
-    folder = write_c(program_of(example(name)), tmp_path, single=single)
+    folder = write_c(program_of(fitted(name)), tmp_path, single=single)
     source = folder / "plant.c"
     check = folder / "check"
     arguments = (*WARNINGS, "-O2", "-o", check, source, folder / "check.c", "-lm")
@@ -105,7 +98,7 @@ def test_the_self_test_passes_and_fails_where_one_number_is_wrong(
 @needs_gcc
 @pytest.mark.parametrize("name", ["ts", "ts_ss", "oe", "statespace, late input", "fir"])
 def test_a_run_goes_on_from_the_memory_of_another(name: str, tmp_path: Path) -> None:
-    model = example(name)
+    model = fitted(name)
     program = program_of(model)
     u = inputs(model, 1_000)
     _, memory = run(program, u[:400])
@@ -115,14 +108,14 @@ def test_a_run_goes_on_from_the_memory_of_another(name: str, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("name", ["ts", "ts_ss", "oe"])
 def test_c_is_the_same_each_time(name: str) -> None:
-    program = program_of(example(name))
+    program = program_of(fitted(name))
     assert c_files(program, "plant") == c_files(program, "plant")
 
 
 @needs_gcc
 @pytest.mark.parametrize("name", ["ts", "oe", "static ts"])
 def test_the_code_asks_for_nothing_but_exp_and_keeps_nothing(name: str, tmp_path: Path) -> None:
-    folder = write_c(program_of(example(name)), tmp_path)
+    folder = write_c(program_of(fitted(name)), tmp_path)
     gcc(*WARNINGS, "-O2", "-c", "-o", folder / "plant.o", folder / "plant.c")
     listed = subprocess.run(["nm", folder / "plant.o"], capture_output=True, text=True, check=True).stdout
     kinds = [line.split()[-2:] for line in listed.splitlines()]
@@ -134,7 +127,7 @@ def test_the_code_asks_for_nothing_but_exp_and_keeps_nothing(name: str, tmp_path
 @pytest.mark.parametrize("name", ["ts", "oe", "static ts, two inputs and outputs"])
 def test_cppcheck_finds_no_required_misra_rule_broken(name: str, tmp_path: Path) -> None:
     """8.7 (a function that only one file uses) is advisory, and what an interface is."""
-    folder = write_c(program_of(example(name)), tmp_path)
+    folder = write_c(program_of(fitted(name)), tmp_path)
     options = ["--addon=misra", "--std=c99", "--enable=style", "--suppress=missingIncludeSystem"]
     done = subprocess.run(
         ["cppcheck", *options, "--suppress=misra-c2012-8.7", "--error-exitcode=1", folder / "plant.c"],
@@ -148,7 +141,7 @@ def test_cppcheck_finds_no_required_misra_rule_broken(name: str, tmp_path: Path)
 @needs_gcc
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="cmake is not installed")
 def test_cmake_builds_it_and_runs_its_self_test(tmp_path: Path) -> None:
-    folder = write_c(program_of(example("ts")), tmp_path)
+    folder = write_c(program_of(fitted("ts")), tmp_path)
     commands: list[list[str | Path]] = [
         ["cmake", "-S", folder, "-B", tmp_path / "build"],
         ["cmake", "--build", tmp_path / "build"],
@@ -196,7 +189,7 @@ def test_fast_sampling_of_order_four_survives_float32_in_balanced_states() -> No
 
 
 def test_a_transfer_function_runs_at_another_rate() -> None:
-    model = example("tf, two inputs and outputs")
+    model = fitted("tf, two inputs and outputs")
     assert isinstance(model, FittedTF)
     fast = program_of(model, 4.0 / model.dt_s)
     u = np.repeat(inputs(model, 400), 1, axis=0)
@@ -207,10 +200,10 @@ def test_a_transfer_function_runs_at_another_rate() -> None:
 
 
 def test_another_rate_is_for_transfer_functions() -> None:
-    with pytest.raises(UsageError, match="no other rate"):
-        program_of(example("arx"), 10.0)
+    with pytest.raises(UsageError, match="runs at 50 Hz only"):
+        program_of(fitted("arx"), 10.0)
     with pytest.raises(UsageError, match="rate of nan"):
-        program_of(example("tf"), float("nan"))
+        program_of(fitted("tf"), float("nan"))
 
 
 # -- refusals --------------------------------------------------------------------------------------------
@@ -219,7 +212,7 @@ def test_another_rate_is_for_transfer_functions() -> None:
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_has_no_recursion_to_write_is_refused_with_what_to_do(name: str) -> None:
     with pytest.raises(UsageError, match="cannot be exported"):
-        program_of(example(name))
+        program_of(fitted(name))
 
 
 def _in_lags(model: FittedLinear) -> object:

@@ -13,8 +13,7 @@ from flysid.export.matlab import matlab_files
 from flysid.export.programs import program_of
 from flysid.model.rules.memberships import Conjunction, Shape
 from flysid.model.static_ts import StaticTS
-from tests.flysid.export.test_c import example
-from tests.model_examples import data
+from tests.model_examples import data, fitted
 
 MF = re.compile(r"MF\d+='R\d+':'(\w+)',\[(.*)\]")
 
@@ -91,6 +90,6 @@ def test_inside_the_ranges_it_is_the_model(shape: Shape, conjunction: Conjunctio
 
 
 def test_only_static_rules_have_one() -> None:
-    assert "plant.fis" in matlab_files(example("static ts"), program_of(example("static ts")), "plant")
-    assert "remembers" in why_no_fis(program_of(example("ts")))
-    assert "linear" in why_no_fis(program_of(example("oe")))
+    assert "plant.fis" in matlab_files(fitted("static ts"), program_of(fitted("static ts")), "plant")
+    assert "remembers" in why_no_fis(program_of(fitted("ts")))
+    assert "linear" in why_no_fis(program_of(fitted("oe")))

@@ -13,7 +13,8 @@ from flysid.export.fmu import PLATFORMS, FMIVersion, fmu_bytes
 from flysid.export.programs import program_of
 from flysid.export.reference import run
 from tests.flysid.export.compiled import gcc, needs_gcc
-from tests.flysid.export.test_c import example, inputs
+from tests.flysid.export.test_c import inputs
+from tests.model_examples import fitted
 
 fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
 pytestmark = needs_gcc
@@ -55,14 +56,14 @@ def test_an_fmu_is_valid_small_and_equals_the_program_exactly_from_rest_and_afte
 ) -> None:
     from fmpy.validation import validate_fmu
 
-    program = program_of(example(name))
+    program = program_of(fitted(name))
     path = tmp_path / "plant.fmu"
     path.write_bytes(fmu_bytes(program, "plant", version=version))
     assert path.read_bytes() == fmu_bytes(program, "plant", version=version)
     assert path.stat().st_size < 100_000
     assert validate_fmu(str(path)) == []
     simulator = slave(path, tmp_path / "unpacked")
-    u = inputs(example(name), 300)
+    u = inputs(fitted(name), 300)
     expected = run(program, u)[0]
 
     def runs(rows: range) -> np.ndarray:
@@ -83,10 +84,10 @@ def test_an_fmu_is_valid_small_and_equals_the_program_exactly_from_rest_and_afte
 
 
 def test_simulate_fmu_reads_an_output_one_sample_late_as_fmi_says(tmp_path: Path) -> None:
-    program = program_of(example("ts"))
+    program = program_of(fitted("ts"))
     path = tmp_path / "plant.fmu"
     path.write_bytes(fmu_bytes(program, "plant"))
-    u = inputs(example("ts"), 200)
+    u = inputs(fitted("ts"), 200)
     h = program.dt_s
     given = np.array([(k * h, u[k, 0]) for k in range(len(u))], dtype=[("time", "f8"), ("u", "f8")])
     given.dtype.names = ("time", program.inputs[0].name)
@@ -100,10 +101,10 @@ def test_simulate_fmu_reads_an_output_one_sample_late_as_fmi_says(tmp_path: Path
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("name", ["ts", "oe", "statespace, late input"])
 def test_a_run_starts_from_any_past_that_is_set(name: str, version: FMIVersion, tmp_path: Path) -> None:
-    program = program_of(example(name))
+    program = program_of(fitted(name))
     path = tmp_path / "plant.fmu"
     path.write_bytes(fmu_bytes(program, "plant", version=version))
-    u = inputs(example(name), 200)
+    u = inputs(fitted(name), 200)
     memory = run(program, u[:80])[1]
     simulator = slave(path, tmp_path / "unpacked")
     places = list(range(2, 2 + len(memory)))
@@ -118,7 +119,7 @@ def test_a_run_starts_from_any_past_that_is_set(name: str, version: FMIVersion, 
 @pytest.mark.parametrize("version", [2, 3])
 def test_it_builds_from_its_own_sources(version: FMIVersion, tmp_path: Path) -> None:
     path = tmp_path / "plant.fmu"
-    path.write_bytes(fmu_bytes(program_of(example("ts")), "plant", version=version))
+    path.write_bytes(fmu_bytes(program_of(fitted("ts")), "plant", version=version))
     with zipfile.ZipFile(path) as archive:
         archive.extractall(tmp_path)
     sources = tmp_path / "sources"
@@ -138,7 +139,7 @@ def test_it_builds_from_its_own_sources(version: FMIVersion, tmp_path: Path) -> 
 
 def test_without_a_binary_only_the_sources_are_inside(tmp_path: Path) -> None:
     path = tmp_path / "plant.fmu"
-    path.write_bytes(fmu_bytes(program_of(example("ts")), "plant", binary=False))
+    path.write_bytes(fmu_bytes(program_of(fitted("ts")), "plant", binary=False))
     with zipfile.ZipFile(path) as archive:
         assert not [name for name in archive.namelist() if name.startswith("binaries")]
         assert "sources/fmi2.c" in archive.namelist()

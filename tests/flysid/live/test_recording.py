@@ -47,7 +47,7 @@ def recording(target: Path, *links: str, **settings: Any) -> Iterator[Recording]
 
 
 def wait_for(count: int, made: Recording) -> None:
-    until = time.monotonic() + 10.0
+    until = time.monotonic() + 60.0
     while made.receiver.ledger.senders["frames"].sum() < count and time.monotonic() < until:
         time.sleep(0.01)
 
@@ -90,16 +90,17 @@ def test_times_are_the_kernels(tmp_path: Path) -> None:
     time.sleep(0.2)  # the first user of time stamps switches them on, a moment later
     came = []
     for frame in POOL[:3]:
-        came.append(time.time())
+        before = time.time()
         send(port, frame)
         time.sleep(0.3)
+        came.append((before, time.time()))  # a busy kernel stamps late; the reader comes a second later
     made = Recording([link], tmp_path / "late.tlog")
     made.start()
     wait_for(3, made)
     made.stop()
     reader = mavutil.mavlink_connection(str(tmp_path / "late.tlog"))
-    for expected in came:
-        assert abs(reader.recv_msg()._timestamp - expected) < 0.1
+    for before, after in came:
+        assert before - 0.01 < reader.recv_msg()._timestamp < after + 0.01
     reader.close()
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -16,12 +17,13 @@ import pytest
 
 from flysid.dataset import FloatArray, Segment, Signal
 from flysid.ingest.align.recipe import load_recipe
-from flysid.live.causes import likely, meaning_of, visibility
+from flysid.live.causes import likely, likely_of_effort, meaning_of, visibility
 from flysid.live.following import Follower
 from flysid.live.spool import Piece, whole_records
 from flysid.live.watching import ChannelWatch, known_inputs
 from flysid.validate.detect import Thresholds, calibrate
-from tests.flysid.live.flown import FAULT_S, ROOT, flysid, play
+from tests.command import ROOT, call, shell
+from tests.flysid.live.flown import FAULT_S, play
 from tests.link_trials import free_port
 from tests.validate.test_detect import MODEL, flown
 
@@ -69,9 +71,20 @@ def test_an_alarm_ends_where_the_fault_does() -> None:
 def test_an_input_outside_the_flights_is_said_and_is_no_alarm() -> None:
     segment = flown(60, 60)
     wild = Segment(segment.u * 100.0, segment.y)  # the output does not answer: surely no nominal flight
-    events = made().run(wild)
+    watch = made()
+    events = watch.run(wild)
     assert {e.kind for e in events} == {"outside"}
+    assert watch.run(wild) == events  # the next flight is told of, too
     assert "outside what the model knows: u" in events[0].text
+    assert "likely" not in events[0].text  # a command beyond the range is the pilot's
+
+
+def test_an_effort_outside_the_flights_has_likely_causes() -> None:
+    model = replace(MODEL, inputs=(Signal("yaw_torque", "mN m"),), outputs=(Signal("r", "deg/s"),))
+    limits, known = calibrated()
+    segment = flown(60, 60)
+    events = ChannelWatch("yaw", model, limits, known).run(Segment(segment.u * 100.0, segment.y))
+    assert "likely: a motor or propeller" in events[0].text
 
 
 def test_pieces_find_what_the_whole_finds() -> None:
@@ -111,27 +124,31 @@ def test_words_name_causes_and_what_cannot_be_seen() -> None:
     assert more.endswith("cannot tell which")
     assert "less mass" in likely(meaning_of(EFFORT, ()), -0.2)
     assert "hides" in visibility("vertical", Signal("v_z", "m/s"), (Signal("vz_in", "m/s"),))
-    assert "stay" in visibility("thrust", EFFORT, (Signal("vz_in", "m/s"),))
+    turning = meaning_of(Signal("r", "deg/s"), (Signal("yaw_torque"),))
+    assert "a motor or propeller" in likely_of_effort(Signal("yaw_torque"), turning, 3.0)
+    assert likely_of_effort(Signal("thrust"), meaning_of(Signal("v_z", "m/s"), ()), 3.0) == more
+    assert likely_of_effort(Signal("theta_in", "deg"), turning, 3.0) == ""
+    assert "while they last" in visibility("thrust", EFFORT, (Signal("vz_in", "m/s"),))
 
 
 # ------------------------------------------------------------------------------------- the whole way
 
 
 def test_a_log_that_is_as_it_was(place: Path) -> None:
-    done = flysid("watch", place / "run", place / "good.tlog", "--fail")
+    done = call("watch", "run", "good.tlog", "--fail", cwd=place)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "v_x <- theta_in: shows faults when they come" in done.stderr
+    assert "v_x <- theta_in: shows faults as they occur" in done.stderr
 
 
 def test_a_log_with_a_fault_says_when_and_what(place: Path) -> None:
     hook = place / "hook.json"
-    words = ("watch", place / "run", place / "bad.tlog", "--fail", "--json")
-    done = flysid(*words, "--exec", f"sh -c 'cat >> {hook}'")
+    words = ("watch", "run", "bad.tlog", "--fail", "--json")
+    done = shell(*words, "--exec", f"sh -c 'cat >> {hook}'", cwd=place)
     assert done.returncode == 6, done.stdout + done.stderr
     alarms = [e for e in map(json.loads, done.stdout.splitlines()) if e["kind"] == "alarm"]
     assert alarms[0]["output"] == "v_x"
     assert 12.0 + FAULT_S <= alarms[0]["time_s"] < 12.0 + FAULT_S + 3.0  # 12 s before the first sample
-    until = time.monotonic() + 5.0
+    until = time.monotonic() + 60.0
     while (not hook.exists() or "alarm" not in hook.read_text()) and time.monotonic() < until:
         time.sleep(0.05)
     assert json.loads(hook.read_text().splitlines()[0])["channel"] == "longitudinal"
@@ -165,7 +182,7 @@ def test_a_link_is_watched_and_recorded(place: Path) -> None:
 
 
 def test_a_channel_that_does_not_exist_is_named(place: Path) -> None:
-    done = flysid("watch", place / "run", place / "good.tlog", "--channel", "lateral")
+    done = call("watch", "run", "good.tlog", "--channel", "lateral", cwd=place)
     assert done.returncode == 2
     assert "no channel 'lateral'" in done.stderr
 

@@ -62,67 +62,6 @@ def test_gusts_that_come_back_through_an_angle_loop_bend_no_margin() -> None:
     assert blind.phase_deg.value < true - 10.0
 
 
-def _changed_in_flight() -> Log:
-    log = px4_log(30.0, 1, vehicle=VEHICLE)
-    table = log.tables["parameters"]
-    table["name"].append("MC_ROLLRATE_P")
-    table["value"].append(0.2)
-    table["origin"].append("changed")
-    return log
-
-
-def _without(log: Log, stream: str) -> Log:
-    del log.tables[stream]
-    return log
-
-
-def _older() -> Log:
-    log = ardupilot_log(30.0, 1, vehicle=VEHICLE)
-    table = log.tables["PARM"]
-    table["Name"] = [n.replace("FLTD", "FILT") for n in table["Name"]]
-    return log
-
-
-REFUSED: dict[str, tuple[Callable[[], Log], str]] = {
-    "changed in flight": (_changed_in_flight, "was changed from 0.15 to 0.2"),
-    "other gains": (lambda: px4_log(60.0, 1, {"MC_ROLLRATE_P": 0.3}, vehicle=VEHICLE), "do not give what"),
-    "older firmware": (_older, "does not state ATC_RAT_RLL_FLTD"),
-    "slope feed-forward": (
-        lambda: ardupilot_log(30.0, 1, {"ATC_RAT_RLL_D_FF": 0.1}, vehicle=VEHICLE),
-        "D_FF is not known",
-    ),
-    "logged slowly": (lambda: ardupilot_log(60.0, 1, vehicle=VEHICLE, rate_hz=10.0), "at 10 Hz: too slow"),
-    "no parameters": (
-        lambda: _without(px4_log(30.0, 1, vehicle=VEHICLE), "parameters"),
-        "states no parameters",
-    ),
-    "no output": (
-        lambda: _without(px4_log(30.0, 1, vehicle=VEHICLE), "vehicle_torque_setpoint"),
-        "lacks actuator_controls_0",
-    ),
-    "no angle setpoint": (
-        lambda: _without(px4_log(30.0, 1, vehicle=VEHICLE), "vehicle_attitude_setpoint"),
-        "lacks vehicle_attitude_setpoint",
-    ),
-    "quiet sticks": (lambda: px4_log(60.0, 1, vehicle=VEHICLE, stick=0.5), "sticks|known between"),
-    "motors at their limit": (
-        lambda: px4_log(60.0, 1, vehicle=VEHICLE, stick=3000.0),
-        "at its limit",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", list(REFUSED))
-def test_what_cannot_be_known_is_refused_with_what_to_do(case: str) -> None:
-    import re
-
-    made, words = REFUSED[case]
-    found = judge([made()], ["roll"])[0]
-    assert found.margins is None
-    assert re.search(words, found.refused), found.refused
-    assert found.hint
-
-
 def test_flights_of_other_gains_are_judged_apart() -> None:
     logs: list[Any] = [px4_log(30.0, s, vehicle=VEHICLE) for s in (1, 2)]
     logs.append(px4_log(30.0, 3, {"MC_ROLLRATE_I": 0.3}, vehicle=VEHICLE))

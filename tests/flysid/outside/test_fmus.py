@@ -15,7 +15,8 @@ from flysid.export.programs import program_of
 from flysid.outside.bring import bring
 from flysid.outside.like import Like
 from tests.flysid.export.compiled import needs_gcc
-from tests.flysid.export.test_c import example, inputs
+from tests.flysid.export.test_c import inputs
+from tests.model_examples import fitted
 
 pytest.importorskip("fmpy", reason="FMPy is not installed")
 pytestmark = needs_gcc
@@ -24,12 +25,12 @@ pytestmark = needs_gcc
 @pytest.fixture(params=[2, 3])
 def fmu(tmp_path: Path, request: pytest.FixtureRequest) -> str:
     path = tmp_path / "plant.fmu"
-    path.write_bytes(fmu_bytes(program_of(example("ts")), "plant", version=request.param))
+    path.write_bytes(fmu_bytes(program_of(fitted("ts")), "plant", version=request.param))
     return str(path)
 
 
 def test_an_fmu_of_a_model_runs_as_the_model_does(fmu: str) -> None:
-    truth = example("ts")
+    truth = fitted("ts")
     model = bring(fmu, Like.of(truth))
     u = inputs(truth, 200)
     assert np.array_equal(model.simulate(u), truth.simulate(u))
@@ -40,7 +41,7 @@ def test_an_fmu_of_a_model_runs_as_the_model_does(fmu: str) -> None:
 
 
 def test_other_signals_sample_times_and_files_are_refused(fmu: str, tmp_path: Path) -> None:
-    like = Like.of(example("ts"))
+    like = Like.of(fitted("ts"))
     with pytest.raises(UsageError, match="the FMU steps by"):
         bring(fmu, replace(like, dt_s=0.3 * like.dt_s))
     with pytest.raises(UsageError, match="no real variable mass"):
@@ -49,6 +50,6 @@ def test_other_signals_sample_times_and_files_are_refused(fmu: str, tmp_path: Pa
     with pytest.raises(UsageError, match="not an FMU"):
         bring(str(tmp_path / "no.fmu"), like)
     bare = tmp_path / "bare.fmu"
-    bare.write_bytes(fmu_bytes(program_of(example("ts")), "plant", binary=False))
+    bare.write_bytes(fmu_bytes(program_of(fitted("ts")), "plant", binary=False))
     with pytest.raises(UsageError, match="no binary for"):
         bring(str(bare), like)

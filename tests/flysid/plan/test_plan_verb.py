@@ -20,6 +20,7 @@ from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.validate.fitting import fit_run
 from flysid.validate.run import FitSettings, Run
+from tests.contest import linear_side
 
 
 def plan(*words: Any) -> tuple[int, str]:
@@ -40,10 +41,11 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "data"
 
 
-@pytest.fixture
-def run(data: Path, tmp_path: Path, arx_alone: None) -> Run:  # noqa: ARG001
+@pytest.fixture(scope="module")
+def run(data: Path) -> Run:
     settings = FitSettings(channels=("longitudinal",), models=("arx",), rotate=False)
-    return fit_run(open_lake(data), "ardrone-synthetic", tmp_path / "run", settings)
+    with linear_side("arx"):
+        return fit_run(open_lake(data), "ardrone-synthetic", data.parent / "run", settings)
 
 
 def test_of_nothing_but_axes_and_a_band(tmp_path: Path) -> None:

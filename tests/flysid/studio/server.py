@@ -63,7 +63,7 @@ class Server:
         self, method: str, path: str, body: bytes | None = None, headers: Mapping[str, str] | None = None
     ) -> Answer:
         """One request with exactly these headers (and Host, unless given)."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=600)
         try:
             connection.request(method, path, body, dict(headers or {}))
             answer = connection.getresponse()
@@ -93,10 +93,10 @@ class Server:
 
 
 @contextmanager
-def studio(data: Path, *more: str) -> Iterator[Server]:
+def studio(data: Path, *more: str, module: str = "flysid") -> Iterator[Server]:
     """Start `flysid studio` on a free port; end it as Ctrl-C does."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "flysid", "studio", str(data), "--no-open", *more],
+        [sys.executable, "-m", module, "studio", str(data), "--no-open", *more],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -106,7 +106,7 @@ def studio(data: Path, *more: str) -> Iterator[Server]:
         address = process.stdout.readline().strip()
         if not address:
             raise AssertionError(process.communicate()[1])
-        until = time.monotonic() + 10
+        until = time.monotonic() + 60
         while True:
             try:
                 yield Server(data, address, process)
@@ -117,4 +117,4 @@ def studio(data: Path, *more: str) -> Iterator[Server]:
                 time.sleep(0.05)
     finally:
         process.terminate()
-        process.communicate(timeout=20)
+        process.communicate(timeout=60)

@@ -126,7 +126,7 @@ def test_where_and_conditions_take_elements_of_lists() -> None:
     condition = {"name": "on", "sources": [{"stream": "STATE", "field": "flags[0]"}], "any_of": [1]}
     assert [len(s) for s in dataset(logs, recipe(conditions=[condition]), "c").segments] == [250]
     whole = {**source, "where": {"flags": 1}}
-    with pytest.raises(RecipeError, match="cannot compare the list 'flags'"):
+    with pytest.raises(RecipeError, match="cannot use the list 'flags'"):
         dataset(logs, recipe(y={"sources": [whole]}), "c")
 
 
@@ -184,7 +184,7 @@ def test_a_missing_unit_is_refused_and_a_disagreeing_one_is_noted() -> None:
         dataset([log], recipe(y=y), "c")
     assert "unit =" in caught.value.hint
     notes = [n for s in align([log], recipe(), "c").report.flights[0].signals for n in s.notes]
-    assert any("the log's word counts" in n for n in notes)
+    assert any("the log's unit is used" in n for n in notes)
 
 
 def test_the_grid_takes_the_slower_rate_and_faster_states_are_filtered() -> None:

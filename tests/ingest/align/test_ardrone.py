@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -12,10 +11,10 @@ from flysid.flight import Flight
 from flysid.ingest.align.align import align
 from flysid.ingest.align.signals import FlightLog
 from flysid.ingest.lake.suggest import suggest
+from flysid.stretch import FloatArray
 from tests.samplelogs.ardrone import bag, read_flight
 
 SHARED = Path(__file__).parents[3] / ".." / "shared" / "logs"
-FloatArray = npt.NDArray[np.float64]
 START = 1.6e9  # seconds, UTC
 
 

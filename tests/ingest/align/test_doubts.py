@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from flysid.dataset import Dataset, Segment, Signal
-from flysid.ingest.align.doubts import Doubt, doubts
+from flysid.ingest.align.doubts import Doubt, doubts, told
 from flysid.ingest.align.recipe import ChannelSpec
 from flysid.validate.cautions import cautions
 from flysid.validate.document import to_json
@@ -42,16 +42,21 @@ def test_good_data_have_a_band_and_no_fault() -> None:
     ("of", "kind", "words"),
     [
         (data(1e-6 * U), "quiet", "e-06 deg rms only"),
-        (data(dt_s=0.1), "slow", "10 Hz shows the dynamics up to 5 Hz only, this channel needs 20 Hz"),
+        (data(dt_s=0.1), "slow", "10 Hz resolves dynamics up to 5 Hz only, this channel needs 20 Hz"),
         (data(y=RNG.normal(size=len(U))), "unexplained", "y does not follow u at any frequency"),
-        (data(U[:2500], Y[:2500]), "short", "50 s by themselves will hardly give a verdict"),
-        (data(np.sign(U), Y), "holes", "input u takes 2 values only (-1, 1 deg)"),
+        (data(U[:2500], Y[:2500]), "short", "50 s alone will hardly give a verdict"),
+        (data(np.sign(U), Y), "holes", "input u takes 2 distinct values (-1, 1 deg)"),
         (oscillation(), "narrow", "less than an octave"),
         (data(vehicles=("b", "a", "b")), "pooled", "flights of 2 vehicles are pooled (a, b)"),
     ],
 )
 def test_each_fault_is_named_with_its_remedy(of: Dataset, kind: str, words: str) -> None:
     assert [words in d.text and d.todo != "" for d in doubts(of, SPEC) if d.kind == kind] == [True]
+
+
+def test_a_fit_says_that_an_input_has_holes_and_leaves_bands_to_the_page() -> None:
+    (said,) = told(doubts(data(np.sign(U), Y), SPEC))
+    assert said.startswith("remark: input u takes 2 distinct values (-1, 1 deg); rules learn nothing between")
 
 
 def test_several_short_flights_are_no_short_flight() -> None:

@@ -9,10 +9,12 @@ from flysid.ingest.excitation.dead_time import dead_times, delays_to_try, least_
 from flysid.model.arx import ARX
 from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.ts import TS
+from tests.contest import linear_side
 
 DT = 0.02
 RNG = np.random.default_rng(1)
 U = np.repeat(RNG.normal(size=80), 25)
+QUICK = replace(EFFORTS["quick"], highest_order=2)  # the loop's own
 
 
 def late(samples: int, noise: float = 0.05, u: np.ndarray = U) -> Dataset:
@@ -29,13 +31,13 @@ def test_a_dead_time_is_handed_over_in_samples_and_words() -> None:
     (found,) = dead_times(late(7))
     assert found.delay is not None
     assert delays_to_try([found], 1) in [(7,), (8,), (9,)]
-    assert f"the models try nk = {found.delay.nk}" in found.words
+    assert f"the models also try nk = {found.delay.nk}" in found.words
 
 
 def test_nothing_is_handed_over_where_the_data_do_not_tell() -> None:
     (found,) = dead_times(late(7, u=U + 1e-9, noise=30.0))
     assert delays_to_try([found], 1) == ()
-    assert "not handed over" in found.words
+    assert "not used" in found.words
     noise = late(0)
     many = Dataset(DT, noise.inputs * 3, noise.outputs, (Segment(np.stack([U] * 3, 1), U),))
     assert dead_times(many) == ()
@@ -45,12 +47,11 @@ def test_nothing_is_handed_over_where_the_data_do_not_tell() -> None:
 
 @pytest.mark.usefixtures("arx_alone")
 def test_ts_on_a_short_record_bridges_a_dead_time_handed_over_or_found_by_the_linear_side() -> None:
-    quick = replace(EFFORTS["quick"], highest_order=2)  # the loop's own
     train = late(7)
     test = late(7, noise=0.0)
     s = test.segments[0]
     for hint in (delays_to_try(dead_times(train), 1), ()):
-        model = TS(rules=1, nk_hint=hint, search=quick).fit(train)
+        model = TS(rules=1, nk_hint=hint, search=QUICK).fit(train)
         assert model.layout.orders.nk[0] in (7, 8, 9)
         error = model.simulate(s.u, s.y[: model.n_init])[50:] - s.y[50:]
         assert np.std(error) < 0.1 * np.std(s.y[50:])
@@ -64,9 +65,11 @@ def test_a_dead_time_that_is_certain_is_a_floor_for_rules() -> None:
     (floor,) = least_delays([found], 1)
     assert 5 <= floor <= 7
     assert f"rules none below {floor}" in found.words
-    model = TS(rules=1, nk_least=(floor,)).fit(train)
+    model = TS(rules=1, nk_least=(floor,), search=QUICK).fit(train)
     assert model.layout.orders.nk[0] >= floor
-    assert TS(rules=1, nk=2, nk_least=(floor,)).fit(train).layout.orders.nk == (2,)  # asked for
+    with linear_side("arx"):
+        asked = TS(rules=1, nk=2, nk_least=(floor,), search=QUICK).fit(train)
+    assert asked.layout.orders.nk == (2,)
 
 
 def test_a_delay_beyond_the_range_of_the_search_is_tried_where_it_is_handed_over() -> None:

@@ -141,6 +141,32 @@ def test_damage_in_a_capture_is_counted_in_bytes_of_the_file() -> None:
     assert read(hole).rows >= 57
 
 
+def test_a_damaged_datagram_ahead_of_all_sound_ones_is_counted() -> None:
+    packets = over_udp(flying(sender(), 20))
+    blob = bytearray(pcap(packets))
+    at = blob.index(b"\xfd")  # of the first frame: as yet, nothing says that this flow is MAVLink
+    blob[at + 12] ^= 1
+    flight = read(bytes(blob))
+    assert flight.rows < 20
+    assert flight.damage.undecoded == {"datagrams": 1}
+
+
+@pytest.mark.parametrize("byte", [1, 3, 6, 7, 9, 13, 17])
+def test_a_damaged_ip_header_is_counted(byte: int) -> None:
+    def summed(frame: bytes) -> bytes:
+        total = sum(struct.unpack(">10H", frame[14:34])) % 0xFFFF
+        return frame[:24] + struct.pack(">H", 0xFFFF - total) + frame[26:]
+
+    packets = [(time_ns, summed(data)) for time_ns, data in over_udp(flying(sender(), 20))]
+    assert not read(pcap(packets)).damage.lossy
+    time_ns, data = packets[6]
+    broken = bytearray(data)
+    broken[14 + byte] ^= 4
+    flight = read(pcap([*packets[:6], (time_ns, bytes(broken)), *packets[7:]]))
+    assert flight.rows == 18
+    assert flight.damage.undecoded == {"packets": 1}
+
+
 def test_two_systems_on_two_flows_are_told_apart() -> None:
     one = sender()
     two = sender(2)

@@ -312,5 +312,21 @@ def test_damage_above_the_second_row_is_counted(damage: tuple[int, bytes]) -> No
         for b in (blob, blob[:at] + raw + blob[at + len(raw) :])
     )
     assert not whole.damage.lossy
-    assert flight.rows < whole.rows
+    assert flight.rows <= whole.rows
     assert flight.damage.lossy
+
+
+def test_a_table_without_a_header_keeps_its_first_row_where_a_column_holds_words() -> None:
+    flight = read("".join(f"{k / 10},{k % 3},HOVER\n" for k in range(60)))
+    assert flight["table"].column_names[2:] == ["c1", "c2", "c3"]
+    assert flight.rows == 60
+
+
+@pytest.mark.parametrize("ahead", [b"\xff" * 3, b"\xff" * 700, b"\x01\x02"])
+def test_a_header_behind_rubbish_is_counted_and_no_row_becomes_one(ahead: bytes) -> None:
+    from tests.samplelogs import csv as sample
+
+    blob = sample.build()
+    flight = collect(memoryview(ahead + blob), "a.csv", all_formats()["csv"], Limits())
+    assert flight.damage.bytes_skipped == len(ahead) + blob.index(b"\n") + 1
+    assert flight.rows == 150

@@ -73,7 +73,7 @@ def test_it_is_recognised_by_its_bytes_alone(name: str) -> None:
 
 
 @each_format
-@pytest.mark.parametrize("size", [17, 300_000])
+@pytest.mark.parametrize("size", [9, 17, 300_000])
 def test_zeros_ahead_of_a_log_are_damage_and_hide_nothing(name: str, size: int, tmp_path: Path) -> None:
     path = tmp_path / "log"
     path.write_bytes(bytes(size) + sample(name))

@@ -70,6 +70,21 @@ def test_zeros_up_to_a_multiple_of_four_are_padding(body: bytes) -> None:
     assert_undecoded(read_cdr(fields, HEAD + body + bytes(-len(body) % 4 + 4)), 1)
 
 
+def test_room_for_empty_sequences_hides_no_other_definition() -> None:
+    """The message has one more number in the middle: where `xs` is empty, 4 bytes too many look like room."""
+    empty = [HEAD + struct.pack("<Iff", 0, k, 0.5) for k in range(3)]
+    full = [HEAD + struct.pack("<Ixxxxdff", 1, 1.5, k, 0.5) for k in range(4)]
+    assert_undecoded(read_cdr("float64[] xs\nfloat32 a\n", *empty, *full), 7)
+    flight = read_cdr("float64[] xs\nfloat32 z\nfloat32 a\n", *empty, *full)
+    assert flight["/t"]["z"].to_pylist() == [0, 1, 2, 0, 1, 2, 3]
+    assert not flight.damage.lossy
+
+
+def test_a_text_that_ends_without_a_nul_keeps_its_last_letter() -> None:
+    payloads = [HEAD + struct.pack("<I", len(text)) + text for text in (b"abcd", b"abc\0", b"\0", b"")]
+    assert read_cdr("string s\n", *payloads)["/t"]["s"].to_pylist() == ["abcd", "abc", "", ""]
+
+
 def estimated(kind: Type, value: Any, at: int) -> int:
     """Where a value ends by the sizes that `rmw_serialize` of rmw_fastrtps and rmw_zenoh asks a buffer for.
 

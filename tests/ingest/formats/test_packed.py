@@ -120,7 +120,7 @@ def test_a_log_may_be_packed_twice_and_no_more(tmp_path: Path) -> None:
         "b.gz": gzip.compress(gzip.compress(LOG)),
         "c.zst": zst(zipped({"one.tlog": LOG})),
     }.items():
-        with pytest.raises(FormatError, match="packed more often"):
+        with pytest.raises(FormatError, match="compressed too many times"):
             flysid.read(put(tmp_path / name, blob))
 
 

@@ -22,8 +22,10 @@ import pytest
 import zstandard
 
 import flysid
-from flysid.errors import UsageError
+from flysid.cli.scrub import apart
+from flysid.errors import FormatError, UsageError
 from flysid.flight import Flight, field_scale
+from flysid.ingest.formats.base import map_file
 from flysid.ingest.formats.common.scrub_rules import (
     Column,
     Fix,
@@ -427,3 +429,17 @@ def test_names_of_positions_and_parameters() -> None:
     assert all(map(is_private_parameter, private))
     public = ["SERIAL1_BAUD", "ATC_RAT_RLL_P", "MAV_SYS_ID", "SERIAL_PASS1", "MPC_XY_P", "WPNAV_SPEED"]
     assert not any(map(is_private_parameter, public))
+
+
+def cut_while_it_is_read(path: Path) -> Scrubbed:
+    """What a recorder or a copy does that begins anew: the log's end is gone, and then looked at."""
+    with map_file(path) as view:
+        os.truncate(path, 0)
+        return Scrubbed(str(view[-1]), {}, ())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a mapped file cannot be cut there")
+def test_a_log_that_is_cut_while_it_is_scrubbed_is_named(tmp_path: Path) -> None:
+    (tmp_path / "log.tlog").write_bytes(tlog.build())
+    with pytest.raises(FormatError, match="cut short meanwhile"):
+        apart(cut_while_it_is_read, tmp_path / "log.tlog")

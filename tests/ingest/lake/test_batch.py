@@ -180,11 +180,11 @@ def test_a_killed_ingest_goes_on_where_it_was(tmp_path: Path) -> None:
     assert len(whole.stdout.splitlines()) == 8
     data = tmp_path / "data"
     child = subprocess.Popen([*command, str(data)], cwd=ROOT, stdout=subprocess.DEVNULL)
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 60
     while time.monotonic() < deadline and not list((data / "flights").glob("[!.]*")):
         time.sleep(0.005)
     child.send_signal(signal.SIGKILL)
-    child.wait(10)
+    child.wait()
     assert all(m.rows for m in store.list_flights(data))
     subprocess.run([*command, str(data)], cwd=ROOT, capture_output=True, check=True)
     assert tree_hash(data) == tree_hash(tmp_path / "whole")
@@ -198,7 +198,7 @@ from flysid.ingest.lake.batch import hash_one
 path = Path(sys.argv[1])
 with path.open("wb") as file:
     file.write(b"log")
-    file.truncate(1 << 30)
+    file.truncate(1 << 34)
 found = []
 hashing = threading.Thread(target=lambda: found.append(hash_one(path, Limits())))
 hashing.start()
@@ -215,7 +215,7 @@ def test_a_log_that_is_cut_while_it_is_hashed_ends_no_process(tmp_path: Path) ->
     command = [sys.executable, "-c", CUT, str(tmp_path / "a.tlog")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert 0 < int(done.stdout) < 1 << 30
+    assert 0 < int(done.stdout) < 1 << 34
 
 
 def test_of_copies_the_first_is_read_however_many_workers_there_are(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 from click.testing import CliRunner
 
@@ -12,9 +13,10 @@ from flysid.cli import root
 from flysid.errors import UsageError
 from flysid.flight import Source
 from flysid.ingest.align.vehicle import vehicle_of
-from flysid.ingest.formats.base import Parts, Summary
+from flysid.ingest.formats.base import Parts, StreamPart, Summary
 from flysid.ingest.lake.chosen_flights import Selection, require_one_vehicle, select, vehicles
 from flysid.ingest.lake.lake import Lake
+from flysid.ingest.lake.stretches import Stretches
 from flysid.store import create_data_folder, write_flight
 from tests.ingest.lake.test_lake import attitudes
 
@@ -60,6 +62,15 @@ def numbers(lake: Lake) -> list[int]:
     return [int(facts.id.removeprefix("flight")[0]) for facts in lake.facts]
 
 
+def test_a_part_that_is_left_out_is_kept_by_the_whole_id_of_its_flight(mixed: Path) -> None:
+    lake = select(flysid.open(mixed), Selection(stretches=Stretches(without=("flight2@0:01..0:02",))))
+    [part] = lake.stretches.without
+    assert part == f"{lake.find('flight2')}@0:01..0:02"
+    assert Selection(stretches=lake.stretches).options == [f"--exclude {part}"]
+    with pytest.raises(UsageError):
+        select(lake, Selection(stretches=Stretches(without=("nobody@0:01..0:02",))))
+
+
 def test_flights_are_chosen_and_left_out(mixed: Path) -> None:
     lake = flysid.open(mixed)
     assert [f.id[:7] for f in select(lake, Selection(("flight2", "flight0"))).facts] == ["flight0", "flight2"]
@@ -81,7 +92,7 @@ def test_flights_are_chosen_and_left_out(mixed: Path) -> None:
     [
         (Selection(("flight9",)), "no flight 'flight9'"),
         (Selection(("flight",)), "names 4 flights"),
-        (Selection(("flight0",), ("flight0",)), "no flight is left"),
+        (Selection(("flight0",), ("flight0",)), "no flight matches"),
         (Selection(vehicle="px4"), "'px4' names 2 vehicles"),
         (Selection(vehicle="heli"), "no vehicle 'heli'"),
     ],
@@ -111,3 +122,43 @@ def test_a_transfer_function_is_of_one_vehicle_unless_asked(mixed: Path) -> None
     assert "3 flights" not in str(tf("--vehicle", SERIALS[0]))
     assert "2 flights" in str(tf("--vehicle", SERIALS[0]))
     assert "4 flights" in str(tf("--pool"))
+
+
+def stated_folder(tmp_path: Path, settings: list[dict[str, float]]) -> Path:
+    """Flights of boards without a serial number, and the parameters that they state."""
+    data = create_data_folder(tmp_path / "stated")
+    for i, own in enumerate(settings):
+        write_flight(data, Source(f"flight{i}.tlog", "tlog", 1, f"{i}" * 64), stating(i, own))
+    return data
+
+
+def stating(seed: int, values: dict[str, float]) -> Parts:
+    yield from attitudes(seed)
+    table = pa.table(
+        {
+            "time_ns": pa.array(range(len(values)), pa.int64()),
+            "boot": pa.array([0] * len(values), pa.int32()),
+            "param_id": pa.array(list(values), pa.string()),
+            "param_value": pa.array(list(values.values()), pa.float64()),
+        }
+    )
+    yield StreamPart("1.1/PARAM_VALUE", table)
+    return Summary(info={"autopilot": "ardupilotmega", "vehicle": "quadrotor"})
+
+
+@pytest.mark.parametrize("fact", ["FRAME_CLASS", "SYSID_THISMAV"])
+def test_vehicles_without_serial_numbers_are_told_apart_by_their_frame(tmp_path: Path, fact: str) -> None:
+    """Three airframes of one autopilot were pooled without a word."""
+    data = stated_folder(tmp_path, [{fact: 1.0, "ATC_RAT_RLL_P": 0.1}, {fact: 1.0}, {fact: 2.0}, {}])
+    lake = flysid.open(data)
+    with pytest.raises(UsageError, match=f"flights of 2 vehicles, by {fact}: 1: 2 flights; 2: 1 flight"):
+        require_one_vehicle(lake)
+    require_one_vehicle(select(lake, Selection(exclude=("flight2",))))
+
+
+def test_a_quadrotor_and_a_hexarotor_are_two(tmp_path: Path) -> None:
+    kinds = ("quadrotor", "hexarotor", "copter")
+    data = folder_of(tmp_path, [{"autopilot": "ardupilotmega", "vehicle": kind} for kind in kinds])
+    with pytest.raises(UsageError, match="flights of 2 vehicles, by kind: quadrotor"):
+        require_one_vehicle(flysid.open(data))
+    require_one_vehicle(select(flysid.open(data), Selection(exclude=("flight1",))))

@@ -8,10 +8,11 @@ import pytest
 
 from flysid.errors import UsageError
 from flysid.flight import BOOT, TIME, Flight, Source
+from flysid.ingest.align.conditions import ALWAYS
 from flysid.ingest.align.resample import FOREVER
 from flysid.ingest.align.signals import FlightLog
 from flysid.ingest.lake.mishaps import Mishap, mishaps
-from flysid.ingest.lake.stretches import Stretches, parse_between
+from flysid.ingest.lake.stretches import Part, Stretches, held_spans, parse_between, parse_part
 
 S = 10**9
 START = 100 * S
@@ -55,6 +56,38 @@ def test_between_counts_from_the_beginning_of_the_flight() -> None:
     found = Stretches(between="0:10..0:20").allowed(log())
     assert found.spans == {0: [(START + 10 * S, START + 20 * S)]}
     assert found.notes == ("only 0:10..0:20 of the flight, as asked",)
+
+
+def test_a_part_of_one_flight_is_left_out_of_that_flight_alone() -> None:
+    found = Stretches(without=("f@0:10..0:20", "f@0:50..")).allowed(log())
+    assert found.spans == {0: [(ALWAYS, START + 10 * S), (START + 20 * S, START + 50 * S)]}
+    assert "0:10..0:20" in found.notes[0]
+    assert Stretches(without=("other@0:10..0:20",)).allowed(log()).spans == {}
+    with pytest.raises(UsageError, match="no such boot"):
+        Stretches(without=("f#1@0:10..0:20",)).allowed(log())
+
+
+def test_what_is_held_out_is_named_by_flight_and_time() -> None:
+    assert held_spans([log()], ["f@0:10..0:20", "f@0:50.."])["f"] == [
+        (START + 10 * S, START + 20 * S),
+        (START + 50 * S, FOREVER),
+    ]
+    assert held_spans([log()], ["f"])["f"] == [(ALWAYS, FOREVER)]
+    for absent in ("g", "f#1"):
+        with pytest.raises(UsageError, match="not among the chosen"):
+            held_spans([log()], [absent])
+
+
+@pytest.mark.parametrize("text", ["0042", "0042#1", "0042@12:30..14:00", "0042#1@..5"])
+def test_parts_of_flights_are_read_and_written(text: str) -> None:
+    assert str(parse_part(text)) == text
+    assert parse_part("0042#1@..5") == Part("0042", 1, "..5")
+
+
+@pytest.mark.parametrize("text", ["", "@1..2", "0042@", "0042#@1..2", "0042#x", "0042@2..1", "0042@noon.."])
+def test_what_names_no_part_is_refused_at_once(text: str) -> None:
+    with pytest.raises(UsageError):
+        Stretches(without=(text,))
 
 
 def test_a_mode_lasts_until_the_next_and_one_never_flown_is_named() -> None:

@@ -165,7 +165,7 @@ def test_doctor_and_suggestions_go_by_one_rule(seconds: int, rate_hz: int) -> No
     assert found.verdict == {"ok": "good"}.get(words, words.partition(":")[0])
     if seconds == 50:
         assert advice == found.advice
-        assert "50 s by themselves will hardly give a verdict" in advice
+        assert "50 s alone will hardly give a verdict" in advice
 
 
 def test_the_rule_is_what_shipped_recipes_ask_for() -> None:

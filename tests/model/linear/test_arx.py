@@ -194,3 +194,15 @@ def test_collinear_inputs_still_predict() -> None:
     one = model.predict(segment.u, segment.y)
     other = alone.predict(segment.u[:, :1], segment.y)
     assert one[2:] == pytest.approx(other[2:], abs=1e-8)
+
+
+@pytest.mark.parametrize(("zero", "said"), [(0.9905, True), (0.95, False)])
+def test_a_pole_that_a_zero_nearly_cancels_is_told_as_such(zero: float, said: bool) -> None:
+    """Its time constant was printed as the plant's slowest: 14 s of a plant that settles within one."""
+    u = np.random.default_rng(5).normal(size=3000)
+    y = lfilter([0.0, 0.1, -0.1 * zero], np.convolve([1.0, -0.9], [1.0, -0.99]), u)
+    model = ARX(na=2, nb=2, nk=1, refine=False).fit(Dataset.from_arrays([u], [y], 0.01))
+    (line,) = [line for line in str(model).splitlines() if line.startswith("poles: ")]
+    slow, fast = sorted(line.removeprefix("poles: ").split("; "), key=lambda mode: "0.995" not in mode)
+    assert ("nearly cancels" in slow) == said
+    assert "nearly cancels" not in fast

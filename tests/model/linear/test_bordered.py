@@ -63,15 +63,16 @@ def test_gradient_and_matrix_hold_ridge_first_outputs_and_stress() -> None:
     stage = replace(grown, problem=problem)
     rng = np.random.default_rng(2)
     point = stage.unknowns + 1e-3 * rng.normal(size=len(stage.unknowns))
-    cost, (_, _, blocks, g) = stage.descent(point, 0)
-    assert abs(cost - stage.descent(point, -1)[0]) < 1e-12
+    cost, found, g = stage.cost_of().normal(point)
+    assert abs(cost - stage.cost_of().at(point)) < 1e-12
     calm = replace(stage, problem=replace(problem, stress=None))
-    assert cost > calm.descent(point, -1)[0] + 1e-6
-    assert len(blocks) == 2
+    assert cost > calm.cost_of().at(point) + 1e-6
+    assert len(found.blocks) == 2
+    at = stage.cost_of().at
     for column in range(len(point)):
         shift = np.zeros(len(point))
         shift[column] = 1e-6
-        slope = (stage.descent(point + shift, -1)[0] - stage.descent(point - shift, -1)[0]) / 2e-6
+        slope = (at(point + shift) - at(point - shift)) / 2e-6
         assert abs(slope / 2 - g[column]) < 1e-5 * max(1.0, np.abs(g).max()), column
 
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from flysid.dataset import FloatArray
-from flysid.model.compiled_filters import differences, filtered, free_responses, is_stable
+from flysid.filters import filtered
+from flysid.model.compiled_filters import differences, free_responses, is_stable
 
 
 def signal(seed: int, rows: int = 200) -> FloatArray:

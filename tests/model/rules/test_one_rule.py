@@ -14,19 +14,20 @@ from flysid.model.arx import ARX
 from flysid.model.base import Fitted
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear_choice import best_linear, choose_baseline, free_run_errors, linear_estimators
-from flysid.model.one_rule import OneRule, linear_choice, linear_rivals
+from flysid.model.one_rule import OneRule, linear_choice, linear_rivals, same_orders
 from flysid.model.rules import search_context
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import linear_stage
-from flysid.model.rules.linear_starts import as_linear
-from flysid.model.rules.search_settings import EFFORTS
+from flysid.model.rules.linear_starts import as_linear, orders_of
+from flysid.model.rules.search_settings import EFFORTS, NORMAL
 from flysid.model.selection import parts_to_choose_on
 from flysid.model.shared import sharing
 from flysid.model.statespace import StateSpace
+from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.ts import TS
 from flysid.model.ts_best import LINEAR_ENOUGH, BestTS
-from flysid.validate.compare import compare
+from flysid.validate.compare_models import compare
 from flysid.validate.report.narrative import heads, subtitle, title
 
 DT = 0.05
@@ -44,8 +45,10 @@ def lag(seed: int, samples: int = 400, late: int = 2) -> Dataset:
 
 def test_where_rules_do_not_pay_the_baseline_comes_back() -> None:
     train = lag(0)
-    found = BestTS(search=EFFORTS["quick"]).fit(train)
-    choice, linear = best_linear(train, None, linear_rivals())
+    quick = EFFORTS["quick"]
+    with sharing():
+        found = BestTS(search=quick).fit(train)
+        choice, linear = best_linear(train, None, linear_rivals(search=quick))
     assert found.structure == choice.label == linear.structure
     assert isinstance(found, FittedLinear)
     assert isinstance(linear, FittedLinear)
@@ -129,7 +132,8 @@ def test_a_fit_is_done_once_within_a_scope_and_forgotten_after() -> None:
 
 def test_models_of_one_rule_compete_for_the_baseline() -> None:
     choice = choose_baseline(lag(7), linear_rivals())
-    assert {"one_rule", "one_rule_ss"} <= choice.rmse.keys()
+    assert {"linear_lags", "linear_ss"} <= choice.rmse.keys()
+    assert "linear_ss" not in linear_rivals(search=EFFORTS["quick"])
 
 
 @pytest.mark.skipif(not accuracy_data.FOLDER.is_dir(), reason="no public sets here")
@@ -139,7 +143,7 @@ def test_where_one_rule_finds_the_better_orders_it_is_the_baseline() -> None:
         choice, model = best_linear(case.train, None, linear_rivals())
         _, before = best_linear(case.train, None, linear_estimators())
     errors = free_run_errors({"after": model, "before": before}, case.tests["test"])
-    assert choice.label == "one_rule"
+    assert choice.label == "linear_lags"
     assert errors["after"].mean() < 0.7 * errors["before"].mean()
 
 
@@ -158,12 +162,33 @@ def test_one_rule_is_its_equation_over_lags() -> None:
 
 def test_a_baseline_of_one_rule_is_a_linear_one() -> None:
     train = lag(9)
-    models: dict[str, Fitted] = {"arx": ARX(na=1, nb=1, nk=1).fit(train), "one_rule": OneRule().fit(train)}
+    models: dict[str, Fitted] = {"arx": ARX(na=1, nb=1, nk=1).fit(train), "linear_lags": OneRule().fit(train)}
     models["ts"] = TS(rules=2, na=1, nb=1, nk=2).fit(train)
-    compared = compare(models, lag(10), baseline="one_rule", horizons=["free_run"])
+    compared = compare(models, lag(10), baseline="linear_lags", horizons=["free_run"])
     assert set(compared.entry().rivals) == {"arx"}
 
 
 def test_a_model_of_one_rule_that_was_asked_for_claims_no_search() -> None:
     found = BestTS(rules=1, search=EFFORTS["quick"]).fit(lag(1))
     assert found.notes[0] == f"{LINEAR_ENOUGH}one rule was asked for, and that is one."
+
+
+@pytest.mark.parametrize("label", ["arx", "oe", "armax", "bj", "statespace", "linear_lags", "linear_ss"])
+def test_a_linear_model_is_fitted_again_with_its_orders(label: str) -> None:
+    train = lag(3)
+    model = linear_rivals()[label].fit(train)
+    settings = same_orders(model, NORMAL)
+    assert settings is not None
+    again = settings.fit(train.with_segments([s.slice(0, 300, DT) for s in train.segments]))
+    assert again.structure == model.structure
+    if isinstance(model, FittedStateSpace):
+        assert isinstance(again, FittedStateSpace)
+        assert (again.order, again.delays) == (model.order, model.delays)
+    elif isinstance(model, FittedTS):
+        assert isinstance(again, FittedTS)
+        assert again.layout.n == model.layout.n
+        assert model.layout.hidden or again.layout.orders == model.layout.orders
+    else:
+        assert isinstance(model, FittedLinear)
+        assert isinstance(again, FittedLinear)
+        assert orders_of(again.system) == orders_of(model.system)

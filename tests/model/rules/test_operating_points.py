@@ -12,9 +12,10 @@ from scipy.signal import cont2discrete, lfilter
 from bench.hidden_plants import PLANTS, Plant
 from bench.rule_words import own_answer, truth
 from bench.ts_intervals import experiment, known_model
-from flysid.dataset import Dataset, FloatArray
+from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.operating_points import Numbers, described, operating_points
+from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.ts import TS
 
 DRAG = PLANTS["vehicle with drag and a lagging actuator"]
@@ -57,11 +58,11 @@ def test_sentences_lead_from_slow_to_fast_and_equal_words_are_said_once(
     said = str(model).splitlines()
     sentences = [line for line in said if line.startswith("  * ")]
     assert "one unit more of u adds" in sentences[0]
-    assert "no one linear model is right everywhere" in sentences[-1]
+    assert "a single linear model cannot describe it" in sentences[-1]
     gains = [float(v) for v in re.findall(r"adds (\S+) ", "\n".join(sentences))]
     assert gains == sorted(gains, reverse=True)
     assert len(gains) == 3  # to the left and to the right alike
-    assert any("answers like R1" in line for line in said)
+    assert any("same response as R1" in line for line in said)
     assert sum(" y(k) = " in line for line in said) == len(model.rules())
 
 
@@ -71,7 +72,7 @@ def test_rules_that_differ_by_a_push_only_say_so() -> None:
     wide = replace(truth_of, parameters=truth_of.parameters._replace(theta=theta))
     model = described(wide, experiment(wide, 1))
     told = str(model)
-    assert "answers like R1" in told
+    assert "same response as R1" in told
     less, more = (float(v) for v in re.findall(r"its constant acts like (\S+) (?:less|more) u", told))
     weights = model.rules()[0].support, model.rules()[1].support
     assert weights[0] * less == pytest.approx(weights[1] * more, rel=0.01)
@@ -95,7 +96,7 @@ def test_one_rule_is_said_once_with_its_dead_time(delay: int) -> None:
     (sentence,) = [line for line in str(model).splitlines() if line.startswith("  * ")]
     point = model.operating_points[0]
     assert point.dead_s[0] == pytest.approx(0.05 * delay)
-    assert ("nothing before 0.15 s" in sentence) == (delay == 3)
+    assert ("dead time of 0.15 s" in sentence) == (delay == 3)
     assert point.reached_s[0] == pytest.approx(reached, rel=0.03)
     assert "(" not in sentence  # no other model was grown: noise alone is no interval
     sure = operating_points(Numbers(model.layout, model.parameters), data, model.uncertainty(data))[0]
@@ -139,6 +140,41 @@ def test_a_larger_model_that_says_otherwise_widens_the_intervals(flown: tuple[Fi
 
 def _width(interval: FloatArray) -> float:
     return float(np.log(interval[1, 0] / interval[0, 0]))
+
+
+def test_a_condition_on_an_input_without_lags_of_its_own() -> None:
+    """The second input only chooses between the rules, as an airspeed may."""
+    rng = np.random.default_rng(0)
+    n = 1500
+    u = np.repeat(rng.normal(size=n // 10), 10)
+    v = np.repeat(rng.uniform(-1.0, 1.0, size=n // 50), 50)
+    y = np.zeros(n)
+    for k in range(1, n):
+        y[k] = 0.8 * y[k - 1] + (0.2 + 0.15 * v[k - 1]) * u[k - 1]
+    y += 0.01 * rng.normal(size=n)
+    data = Dataset.from_arrays(np.column_stack([u, v]), y, 0.05, inputs=[Signal("u"), Signal("v")])
+    model = TS(na=1, nb=[1, 0], nk=[1, 1], antecedents=["v"], rules=2, most_rules=2).fit(data)
+    assert model.operating_points
+    for point in model.operating_points:
+        low, high = point.reached_interval_s[:, 0]
+        assert 0.0 < low < 0.05 / -np.log(0.8) < high < 0.3
+
+
+def test_a_condition_on_an_input_leaves_times_as_unsure_as_its_lags_are_apart() -> None:
+    """It switches both lags of the input at once: at saturation the answer comes 1.4 samples too late."""
+    plant = PLANTS["Hammerstein"]
+    data, _ = plant.dataset((0, 1), 500, 0.03)
+    model = TS(na=2, nb=2, nk=1, antecedents=["u"], rules=2, most_rules=2).fit(data)
+    numbers = Numbers(model.layout, model.parameters)
+    points = operating_points(numbers, data, uncertainty(model, data))
+    assert len(points) > 3
+    for point in points:
+        gain, reached = truth(plant, float(point.outputs[0]), (-5.0, 5.0))
+        for true, (low, high) in (
+            (gain, point.gain_interval[:, 0]),
+            (reached, point.reached_interval_s[:, 0]),
+        ):
+            assert low < true < high < 1.6 * low
 
 
 def test_truth_of_the_bench_is_what_the_plant_simulates() -> None:

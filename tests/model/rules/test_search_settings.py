@@ -44,7 +44,7 @@ def test_settings_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
 
 def test_an_unknown_effort_names_the_known_ones() -> None:
     with pytest.raises(UsageError) as raised:
-        SearchSettings.of("hasty")  # type: ignore[arg-type]
+        SearchSettings.of("hasty")
     assert all(effort in raised.value.hint for effort in EFFORTS)
 
 
@@ -64,12 +64,12 @@ def test_what_is_set_is_done() -> None:
 def test_a_quick_search_leaves_hidden_states_out() -> None:
     data = PLANTS["hysteresis"].dataset((1,), 400, 0.02)[0]
     quick = replace(EFFORTS["quick"], highest_order=2)
-    assert contest(BestTS(rules=2, search=quick), data).hidden is None
+    assert contest(BestTS(rules=2, search=quick), data).states is None
     tried = contest(BestTS(rules=2, search=replace(quick, hidden_states=True)), data)
-    assert tried.hidden is not None
+    assert tried.states is not None
 
 
-@pytest.mark.parametrize("label", ["ts", "ts_lags", "ts_ss"])
+@pytest.mark.parametrize("label", ["ts", "ts_lags", "ts_ss", "linear_lags"])
 def test_the_effort_of_a_run_reaches_every_model_of_rules(label: str) -> None:
     for effort, wanted in EFFORTS.items():
         found: Any = estimators(FitSettings(models=(label,), effort=effort))[label]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.model.base import Fitted
 from flysid.model.oe import OE
+from flysid.model.rules import learning
 from flysid.model.rules.contest import hints_at_hidden_state
 from flysid.model.rules.control_system import next_step, to_nonlinear_system
 from flysid.model.rules.fitted import FittedTS, from_dict
@@ -26,6 +28,8 @@ from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.rule_uncertainty import Uncertainty, uncertainty
 from flysid.model.rules.saturation import saturation_limits
 from flysid.model.rules.search_context import SearchContext
+from flysid.model.rules.search_record import Learned
+from flysid.model.rules.search_settings import RuleSettings
 from flysid.model.rules.state_systems import linear_systems, realised_states, system_stage
 from flysid.model.rules.structure_choice import Advantage, advantage
 from flysid.model.statespace import StateSpace
@@ -101,10 +105,11 @@ def test_sensitivities_are_exact() -> None:
     assert more is not None
     grown = more.stage
     p = grown.unknowns + 1e-3 * np.random.default_rng(0).standard_normal(len(grown.unknowns))
-    g = grown.descent(p, 0)[1].slope
+    cost = grown.cost_of()
+    g = cost.normal(p)[2]
     for j in range(len(p)):
         e = 1e-6 * np.eye(len(p))[j]
-        slope = (grown.descent(p + e, -1)[0] - grown.descent(p - e, -1)[0]) / 2e-6
+        slope = (cost.at(p + e) - cost.at(p - e)) / 2e-6
         assert 2.0 * g[j] == pytest.approx(slope, rel=1e-4, abs=1e-8)
 
 
@@ -332,7 +337,7 @@ def test_an_explanation_adds_up() -> None:
     together = sum(v.share * v.output[0] for v in told.voices)
     assert told.output[0] == pytest.approx(together, abs=1e-9)
     assert told.antecedents["y(k-1)"] == pytest.approx(segment.y[99, 0])
-    assert "spoke with" in str(told)
+    assert "has weight" in str(told)
     with pytest.raises(UsageError, match="cannot be explained"):
         model.explain(segment.u, segment.y, len(segment))
 
@@ -368,9 +373,9 @@ def test_a_linearisation_predicts_small_steps() -> None:
     assert pytest.approx(named.A) == beside.A
     with pytest.raises(UsageError, match="z"):
         model.linearise({"z": 1.0})
-    with pytest.raises(UsageError, match="no place to linearise"):
+    with pytest.raises(UsageError, match="is not an operating point"):
         model.linearise({"y": float("nan")})
-    with pytest.raises(UsageError, match="at its limit"):
+    with pytest.raises(UsageError, match="saturated there"):
         model.linearise({"y": 2.0 * float(model.output_limits[1, 0])})
     with pytest.raises(UsageError, match="shape"):
         linearise(model, np.zeros(2))
@@ -413,7 +418,7 @@ def test_operating_points_go_into_files() -> None:
 
 def test_a_dead_time_that_the_log_shows_is_tried() -> None:
     """nk_hint reaches the linear starts."""
-    settings = TSStateSpace(states=2, nk_hint=(4,))
+    settings = TS(states=2, nk_hint=(4,))
     found = linear_systems(settings, vehicle(), None, scaling(vehicle()))
     assert {system.real.input_lags for system in found} == {((1,),), ((4,),)}
 
@@ -424,12 +429,39 @@ def test_the_contest_takes_the_hidden_state_of_two_tanks() -> None:
     tanks, _ = TANKS.dataset((33,), 1024, 0.02)
     test, truth = TANKS.dataset((1033,), 1024, 0.02)
     found = contest(BestTS(most_rules=2), tanks)
-    assert found.clear
+    assert found.taken is found.states
     assert found.advantage.share == 1.0
-    assert "A hidden state explains" in found.winner.notes[0]
-    assert found.hidden is not None
-    assert free_run_gap(found.hidden, test, truth) < 0.1
-    assert replace(found, fits=False).winner.notes[-1].endswith("but more in training.")
+    winner = found.winner(tanks)
+    assert isinstance(winner, FittedTS)
+    assert "A hidden state explains" in winner.notes[0]
+    assert winner.operating_points
+    assert found.states is not None
+    assert free_run_gap(found.states.model, test, truth) < 0.1
+    assert replace(found, fits=False).winner(tanks).notes[-1].endswith("but more in training.")
+
+
+@pytest.mark.usefixtures("arx_alone")
+def test_where_nothing_bends_no_hidden_state_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gusts that last foretell the free run's error, as a hidden state would; rules fit them no closer."""
+    rng = np.random.default_rng(5)
+    u = np.repeat(rng.uniform(-1.0, 1.0, 80), 15)
+    y = np.zeros(1200)
+    gust = np.zeros(1200)
+    for k in range(1, 1200):
+        gust[k] = 0.9 * gust[k - 1] + 0.002 * rng.normal()
+        y[k] = 0.9 * y[k - 1] + 0.1 * u[k - 1] + 0.1 * gust[k]
+    train = Dataset.from_arrays(u, y, 0.05)
+    tried: list[RuleSettings] = []
+    search = learning.over_states
+
+    def over_states(settings: RuleSettings, *data: Any) -> Learned:
+        tried.append(settings)
+        return search(settings, *data)
+
+    monkeypatch.setattr(learning, "over_states", over_states)
+    found = contest(BestTS(), train)
+    assert hints_at_hidden_state(found.lags.model, train)
+    assert not tried
 
 
 def test_operating_points_are_what_the_free_run_does() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from scipy.signal import cont2discrete, lfilter
 from bench.ts_intervals import coverage, experiment, known_model, refitted, steps
 from flysid.dataset import Dataset
 from flysid.errors import DataError, UsageError
+from flysid.model.rules import rule_uncertainty
 from flysid.model.rules.fitted import FittedTS
+from flysid.model.rules.free_run_error import swept
 from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.ts import TS
 
@@ -63,7 +66,7 @@ def test_the_band_is_what_small_steps_of_the_numbers_do(
     assert np.abs((high - low) / 2 - 1.96 * spread).max() < 0.12 * spread.max()
     assert np.abs(high + low - 2 * run).max() < 1e-12
     assert (high > low)[model.n_init + 1 :].all()
-    monkeypatch.setattr("flysid.model.rules.free_run_error._CHUNK", 7)
+    monkeypatch.setattr(rule_uncertainty, "swept", partial(swept, chunk=7))
     again = sure.simulation_band(u, y0)
     assert np.allclose(again, (low, high), rtol=1e-12, atol=0)
     short = sure.simulation_band(u[: model.n_init], None if y0 is None else y0)

@@ -330,5 +330,7 @@
     clearTimeout(waiting);
     waiting = setTimeout(resize, 120);
   });
-  root.dataset.ready = "yes";
+  requestAnimationFrame(function () { // the first screen is painted: now lay out what is below it
+    setTimeout(function () { root.dataset.ready = "yes"; }, 0);
+  });
 })();

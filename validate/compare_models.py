@@ -23,7 +23,7 @@ from flysid.validate.metrics import pooled, resolution_of, scores
 from flysid.validate.shown import ShownComparison
 from flysid.validate.trials import (
     FREE_RUN,
-    Trial,
+    StructureTrial,
     check_models,
     horizon_name,
     run_trials,
@@ -271,7 +271,7 @@ class Turn:
     test: Dataset
 
 
-Judged = tuple[Sequence[Trial], Dataset]
+Judged = tuple[Sequence[StructureTrial], Dataset]
 """Free runs or predictions, and the data that they are of."""
 
 
@@ -328,7 +328,7 @@ def _panel(parts: Sequence[Judged], j: int) -> _Panel:
     )
 
 
-def _model_score(trials: Sequence[Trial], flights: Sequence[str], name: str, j: int) -> ModelScore:
+def _model_score(trials: Sequence[StructureTrial], flights: Sequence[str], name: str, j: int) -> ModelScore:
     segments = tuple(
         SegmentScore(t.segment, flight, scores(t.y[:, j], t.yh[name][:, j]), t.diverged_s.get(name))
         for t, flight in zip(trials, flights, strict=True)

@@ -16,7 +16,7 @@ from flysid.ingest.synth.plants import LOOPS as PLANT_LOOPS
 from flysid.ingest.synth.plants import paper_experiment
 from flysid.model.base import Estimator, Fitted
 from flysid.progress import part, tell
-from flysid.validate.compare import Comparison, compare
+from flysid.validate.compare_models import Comparison, compare
 from flysid.validate.metrics import scores
 from flysid.validate.paper import LOOPS, PaperLoop
 

@@ -17,7 +17,7 @@ from flysid.validate.report.overlay import drawn
 from flysid.validate.report.svg import Axes, line, picture, segment, span, text, tick_text, ticks
 from flysid.validate.responses import LASTING, step_from
 from flysid.validate.segmentnames import begin_s, clock, segment_names
-from flysid.validate.trials import Trial
+from flysid.validate.trials import StructureTrial
 from flysid.validate.words import one_line
 
 SECONDS = 10.0
@@ -31,37 +31,40 @@ LONGEST = 20_000
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class ToldMoment:
     """Rows `first` to `last` of a trial."""
 
-    trial: Trial
+    trial: StructureTrial
     first: int
     last: int
 
 
-def most_telling(comparison: Comparison, trials: Sequence[Trial], output: int) -> Moment:
+def most_telling(comparison: Comparison, trials: Sequence[StructureTrial], output: int) -> ToldMoment:
     """The ten seconds over which the free runs of the models drawn lie farthest apart, in the mean square.
 
-    Of one model: where it errs most.
+    Of one model, or two of the same free run: where it errs most.
     """
     rows = max(2, round(SECONDS / comparison.dt_s))
     names = [name for name, _ in drawn(comparison)]
+    differ = len(names) > 1 and not all(
+        np.allclose(t.yh[names[0]][:, output], t.yh[names[1]][:, output], atol=0.0) for t in trials
+    )
     best = -1.0
-    found = Moment(trials[0], 0, min(rows, len(trials[0].y)))
+    found = ToldMoment(trials[0], 0, min(rows, len(trials[0].y)))
     for trial in trials:
         runs = [trial.yh[name][:, output] for name in names]
-        apart = np.nan_to_num((runs[0] - (runs[1] if len(runs) > 1 else trial.y[:, output])) ** 2)
+        apart = np.nan_to_num((runs[0] - (runs[1] if differ else trial.y[:, output])) ** 2)
         sums = np.concatenate([[0.0], np.cumsum(apart)])
         length = min(rows, len(apart))
         means = (sums[length:] - sums[:-length]) / length
         at = int(np.argmax(means))
         if means[at] > best:
             best = float(means[at])
-            found = Moment(trial, at, at + length)
+            found = ToldMoment(trial, at, at + length)
     return found
 
 
-def telling(comparison: Comparison, trials: Sequence[Trial], output: int) -> tuple[Markup, str]:
+def telling(comparison: Comparison, trials: Sequence[StructureTrial], output: int) -> tuple[Markup, str]:
     """The picture, and the flight and time that it shows."""
     found = most_telling(comparison, trials, output)
     rows = slice(found.first, found.last)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import FloatArray
-from flysid.errors import DataError
+from flysid.errors import DataError, UsageError
 from flysid.loops.controller import AXES
 from flysid.loops.stick_response import Record
 
@@ -48,7 +48,7 @@ def record_of(log: Any, axis: str, settings: Mapping[str, str]) -> tuple[Record,
     try:
         main = log.table("main", columns)
         asked = log.table("setpoint", ["time_ns", setpoint])
-    except (KeyError, DataError) as error:
+    except (KeyError, DataError, UsageError) as error:
         raise DataError(
             f"{log.name} lacks a field of the {axis} loop: {error}",
             hint="log PID terms, sticks and gyro (Betaflight before 4.0)",
@@ -61,7 +61,7 @@ def record_of(log: Any, axis: str, settings: Mapping[str, str]) -> tuple[Record,
     if share > LARGEST_SHARE:
         raise DataError(
             f"{log.name}: the {axis} controller was at its limit for {100.0 * share:.0f} % of the flight",
-            hint="fly it gentler: at a limit gains say nothing",
+            hint="fly more gently: in saturation the gains have no effect",
         )
     r = np.asarray(asked[setpoint], dtype=np.float64)
     at = np.asarray(asked["time_ns"], dtype=np.float64) * 1e-9

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import importlib.util
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from flysid.cli.reproduce import loop_text
-from flysid.dataset import FloatArray
+from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
 from flysid.model.base import Fitted
+from flysid.model.rules.search_settings import EFFORTS
 from flysid.model.static_ts import StaticTS
 from flysid.model.ts import TS
-from flysid.validate.compare import compare
+from flysid.validate import reproduction
+from flysid.validate.compare_models import compare
 from flysid.validate.paper import CANNOT_REPRODUCE, LOOPS, PaperLoop
-from flysid.validate.reproduce import LoopResult, draw_figures, experiment, from_rest, to_document
+from flysid.validate.reproduction import LoopResult, draw_figures, from_rest, to_document
 from tests.contest import linear_side
 
 NAMES = [loop.name for loop in LOOPS]
+experiment = cache(reproduction.experiment)
 STATIC_CEILING = {"longitudinal": 0.0256, "lateral": 0.1225, "vertical": 0.0690}  # m/s
 
 
@@ -27,9 +31,17 @@ def loop_named(name: str) -> PaperLoop:
     return LOOPS[NAMES.index(name)]
 
 
+@cache
+def quarter(name: str, signal: str, noise: float = 0.0) -> tuple[Dataset, FloatArray]:
+    """100 s of the paper's 400: enough for dynamic rules."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reproduction, "DURATION_S", reproduction.DURATION_S / 4.0)
+        return reproduction.experiment(loop_named(name), signal, noise)
+
+
 @pytest.fixture(scope="module", params=NAMES)
 def dynamic(request: pytest.FixtureRequest) -> tuple[str, Fitted]:
-    train, _ = experiment(loop_named(request.param), "training")
+    train, _ = quarter(request.param, "training")
     with linear_side("arx"):
         return request.param, TS(rules=3).fit(train)
 
@@ -49,7 +61,7 @@ def test_the_static_model_reaches_the_floor_of_memoryless_maps(name: str, rules:
 
 def test_three_dynamic_rules_follow_a_noise_free_loop(dynamic: tuple[str, Fitted]) -> None:
     name, model = dynamic
-    test, truth = experiment(loop_named(name), "validation")
+    test, truth = quarter(name, "validation")
     found = from_rest(model, test)
     assert len(model.rules()) == 3
     assert found["rmse"] is not None
@@ -60,8 +72,8 @@ def test_on_a_linear_loop_no_verdict_calls_the_rules_better(
     dynamic: tuple[str, Fitted], tmp_path: Path
 ) -> None:
     name, model = dynamic
-    train, _ = experiment(loop_named(name), "training")
-    test, _ = experiment(loop_named(name), "validation")
+    train, _ = quarter(name, "training")
+    test, _ = quarter(name, "validation")
     arx = ARX().fit(train)
     comparison = compare({"arx": arx, "dynamic_ts_3": model}, test)
     assert {str(p.verdict) for e in comparison.entries for p in e.pairs.values()} <= {"same", "worse"}
@@ -76,7 +88,7 @@ def test_on_a_linear_loop_no_verdict_calls_the_rules_better(
         noisy_rmse={"arx_one_step": 0.1, "arx": 0.01, "dynamic_ts_3": 0.02},
     )
     assert to_document([result])["loops"][name]["verdict"] == result.verdict
-    if importlib.util.find_spec("matplotlib"):
+    if name == "lateral" and importlib.util.find_spec("matplotlib"):
         [drawn] = draw_figures([result], tmp_path)
         assert drawn.name == f"figure-4-{name}.pdf"
         assert drawn.read_bytes().startswith(b"%PDF")
@@ -93,13 +105,15 @@ def test_on_a_linear_loop_no_verdict_calls_the_rules_better(
 
 def test_with_measurement_noise_free_runs_stay_near_the_truth() -> None:
     name = "lateral"
-    train, _ = experiment(loop_named(name), "training", 0.02)
-    test, truth = experiment(loop_named(name), "validation", 0.02)
+    train, _ = quarter(name, "training", 0.02)
+    test, truth = quarter(name, "validation", 0.02)
 
     def off(simulated: FloatArray) -> float:
         return float(np.sqrt(np.mean((simulated[:, 0] - truth) ** 2)))
 
-    for model in (ARX().fit(train), TS(rules=3).fit(train)):
+    with linear_side("arx"):
+        rules = TS(rules=3, search=EFFORTS["quick"]).fit(train)
+    for model in (ARX().fit(train), rules):
         assert off(model.simulate(test.segments[0].u)) < 0.01
 
 

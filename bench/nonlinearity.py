@@ -1,0 +1,94 @@
+"""`python -m bench.nonlinearity [PLANTS] [SEED]`: how nonlinear is it, asked where the answer is known.
+
+Linear and nonlinear plants of `bench.verdict_fairness` (four flights of 25 s): how often a linear plant is
+called nonlinear, how often a nonlinear one is found, and the share found beside the true one. Then the
+simulated vehicle of docs/vehicle.md, noise of 0.02 m/s, all axes moved at once and one alone: the share
+beside the error that the best linear model leaves on the same flights without noise.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+import numpy as np
+
+import flysid
+from bench.vehicle import PERIOD_S, STARTED, flight
+from bench.verdict_fairness import TRAIN, Plant, flights, linear_plant, nonlinear_plant
+from flysid.dataset import Dataset, FloatArray
+from flysid.ingest.synth.plants import LOOPS
+from flysid.model.base import Fitted
+from flysid.model.nonlinearity import Nonlinearity, nonlinearity
+
+PERFECT = 0.8
+"""Error of a perfect model of a nonlinear plant, over that of the best linear one."""
+NOISE_M_S = 0.02
+SHARES = (0.25, 0.5, 1.0)
+FLOWN = ((0, 11), (1, 12), (1, 13), (2, 14))
+
+
+def asked(data: Dataset) -> tuple[Fitted, Nonlinearity]:
+    """The output-error model of training data, and the answer."""
+    model = flysid.OE().fit(data)
+    return model, nonlinearity(model, data)[0]
+
+
+def left(model: Fitted, data: Dataset) -> float:
+    """What the free run leaves, over the output's standard deviation."""
+    errors = [
+        (model.simulate(s.u, s.y[: model.n_init]) - s.y)[max(STARTED, model.n_init) :] for s in data.segments
+    ]
+    return float(np.concatenate(errors).std() / np.concatenate([s.y for s in data.segments]).std())
+
+
+def plants(draw: Callable[[np.random.Generator], Plant], count: int, seed: int) -> None:
+    """How often something is found, and the true share over the one that is stated."""
+    found = 0
+    ratios = []
+    for k in range(count):
+        rng = np.random.default_rng([seed, k])
+        plant = draw(rng)
+        model, answer = asked(data := flights(plant, TRAIN, rng, "a"))
+        found += answer.found
+        if answer.found and plant.name != "linear":
+            ratios.append(left(model, data) * np.sqrt(1.0 - PERFECT**2) / answer.share)
+    kind = "linear" if plant.name == "linear" else "nonlinear"
+    print(f"{count} {kind} plants: found on {found} ({100 * found / count:.1f} %)")
+    if ratios:
+        low, middle, high = np.quantile(ratios, [0.05, 0.5, 0.95])
+        print(f"true share over stated: median {middle:.2f}, 5 to 95 % {low:.2f} to {high:.2f}")
+
+
+def vehicle(axis_alone: bool) -> None:
+    """A row for each loop and size of the commands."""
+    moved = "one axis" if axis_alone else "all axes"
+    print(f"\n| {moved} | commands | true | stated at least |\n|---|---|---|---|")
+    for column, (loop, plant) in enumerate(LOOPS.items()):
+        for share in SHARES:
+            flown = [flight(share, c, s, column if axis_alone else None) for c, s in FLOWN]
+            us = [u[:, column] for u, _ in flown]
+            ys: list[FloatArray] = [y[plant.output] for _, y in flown]
+            rng = np.random.default_rng(1)
+            noisy = [y + NOISE_M_S * rng.standard_normal(len(y)) for y in ys]
+            model, answer = asked(Dataset.from_arrays(us, noisy, PERIOD_S))
+            true = left(model, Dataset.from_arrays(us, ys, PERIOD_S))
+            said = (
+                f"{100 * answer.share:.1f} %"
+                if answer.found
+                else f"none, below {100 * answer.smallest:.1f} %"
+            )
+            print(f"| {loop} | {100 * share:g} % | {100 * true:.1f} % | {said} |", flush=True)
+
+
+def main() -> None:
+    """Print everything."""
+    count, seed = ([int(a) for a in sys.argv[1:]] + [200, 700][len(sys.argv) - 1 :])[:2]
+    plants(linear_plant, count, seed)
+    plants(nonlinear_plant, count, seed + 1)
+    for alone in (False, True):
+        vehicle(alone)
+
+
+if __name__ == "__main__":
+    main()

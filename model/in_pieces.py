@@ -1,0 +1,280 @@
+"""One-step predictions of a record that comes in pieces, equal to `predict(u, y, 1)` along the whole of it.
+
+A watch is fed a few samples many times a second. What `predict` computes from the record's beginning on (a
+free run, filtered errors) is carried on here instead. A structure that is not known here is predicted from
+its latest seconds again and again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numba import njit
+
+from flysid.dataset import FloatArray
+from flysid.model.base import Fitted
+from flysid.model.ensemble import FittedEnsemble
+from flysid.model.freerun import saturated
+from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.rules.kernel import free_run
+from flysid.model.rules.rule_model import RuleModel
+from flysid.model.rules.run_start import LikelyStart
+from flysid.model.start import estimate_start, full_window
+from flysid.model.static_ts import FittedStaticTS
+from flysid.model.subspace.fitted_model import FittedStateSpace
+from flysid.model.subspace.kalman import filtered_states, free_states, output_of
+
+REMEMBERED_S = 10.0  # of a structure that is not known here
+
+
+class InPieces(Protocol):
+    """Predictions of a record from its first sample on."""
+
+    def feed(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(n, n_y) predictions of the next samples u (n, n_u), y (n, n_y); NaN where there is none."""
+        ...
+
+
+FreeRun = Callable[[FloatArray], FloatArray]
+"""A free run that goes on: (n, n_y) outputs for the next inputs (n, n_u)."""
+
+
+def in_pieces(model: Fitted) -> InPieces:
+    """What predicts a record that comes in pieces.
+
+    Examples
+    --------
+    >>> ahead = in_pieces(model)  # doctest: +SKIP
+    >>> ahead.feed(u[:10], y[:10]); ahead.feed(u[10:], y[10:])  # doctest: +SKIP
+    """
+    if isinstance(model, FittedEnsemble):
+        return _Averaged(model)
+    if isinstance(model, RuleModel) and (model.noise is not None or isinstance(model.start, LikelyStart)):
+        measured = model.n_init if model.noise is None else full_window(model.n_init, model.dt_s)
+        return _OutputError(model, measured, model.noise, None, lambda u, y: _rules(model, u, y, measured))
+    if isinstance(model, FittedStateSpace) and model.noise is not None:
+        return _OutputError(model, model.n_init, model.noise, None, lambda u, y: _states(model, u, y))
+    if isinstance(model, FittedLinear) and model.noise is not None:
+        return _OutputError(model, model.n_init, model.noise, model.ma, lambda u, y: _difference(model, u, y))
+    has_short_memory = isinstance(model, FittedStaticTS | RuleModel) or (
+        isinstance(model, FittedLinear) and model.ma is None
+    )
+    return _Again(model, model.n_init if has_short_memory else round(REMEMBERED_S / model.dt_s))
+
+
+class _Again:
+    """Predicts from the latest samples again."""
+
+    def __init__(self, model: Fitted, samples: int) -> None:
+        self._model = model
+        self._samples = max(1, model.n_init, samples)
+        self._u = np.empty((0, len(model.inputs)))
+        self._y = np.empty((0, len(model.outputs)))
+
+    def feed(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        kept_u = np.concatenate([self._u, u])
+        kept_y = np.concatenate([self._y, y])
+        self._u = kept_u[-self._samples :]
+        self._y = kept_y[-self._samples :]
+        return self._model.predict(kept_u, kept_y, 1)[len(kept_u) - len(u) :]
+
+
+class _Averaged:
+    """The mean of an ensemble's members."""
+
+    def __init__(self, model: FittedEnsemble) -> None:
+        self._members = [in_pieces(member) for member in model.members]
+        self._blank = model.n_init
+
+    def feed(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        mean = np.mean([member.feed(u, y) for member in self._members], axis=0)
+        mean[: self._blank] = np.nan
+        self._blank = max(0, self._blank - len(u))
+        return np.asarray(mean)
+
+
+class _OutputError:
+    """A free run, and what the noise model foresees of its error.
+
+    Parameters
+    ----------
+    measured : samples that the free run is started from; until more have come, `predict` is asked.
+    noise, ma : (p + 1, n_y) and (q + 1, n_y) monic, or None.
+    begun : the free run from the first samples on: its outputs along them, and what carries it on.
+    """
+
+    def __init__(
+        self,
+        model: Fitted,
+        measured: int,
+        noise: FloatArray | None,
+        ma: FloatArray | None,
+        begun: Callable[[FloatArray, FloatArray], tuple[FloatArray, FreeRun]],
+    ) -> None:
+        self._model = model
+        self._measured = measured
+        self._begun = begun
+        self._u = np.empty((0, len(model.inputs)))
+        self._y = np.empty((0, len(model.outputs)))
+        self._run: FreeRun | None = None
+        self._foreseen = None if noise is None else _Foreseen(noise, ma, model.n_init)
+
+    def feed(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        if self._run is not None:
+            free = self._run(u)
+            return free if self._foreseen is None else np.asarray(free + self._foreseen.feed(y - free))
+        self._u = np.concatenate([self._u, u])
+        self._y = np.concatenate([self._y, y])
+        predicted = self._model.predict(self._u, self._y, 1)[len(self._u) - len(u) :]
+        if len(self._u) > self._measured:
+            free, self._run = self._begun(self._u, self._y)
+            if self._foreseen is not None:
+                self._foreseen.feed(self._y - free)
+        return predicted
+
+
+class _Foreseen:
+    """The next error of a free run, by its autoregression and, where there is one, its moving average."""
+
+    def __init__(self, noise: FloatArray, ma: FloatArray | None, blank: int) -> None:
+        n_y = noise.shape[1]
+        self._noise = np.ascontiguousarray(noise)
+        self._ma = np.ones((1, n_y)) if ma is None else np.ascontiguousarray(ma)
+        self._blank = blank  # rows whose innovation is taken as zero
+        self._errors = np.zeros((len(noise) - 1, n_y))
+        self._innovations = np.zeros((len(self._ma) - 1, n_y))
+
+    def feed(self, errors: FloatArray) -> FloatArray:
+        """(n, n_y) foreseen, of the next errors (n, n_y)."""
+        found: FloatArray = _foresee(
+            errors, self._noise, self._ma, self._errors, self._innovations, self._blank
+        )
+        self._blank = max(0, self._blank - len(errors))
+        return found
+
+
+@njit(cache=True)
+def _foresee(  # type: ignore[no-untyped-def]
+    errors, noise, ma, past_errors, past_innovations, blank
+):
+    """`_Foreseen.feed`; the past (latest first) is written anew."""
+    found = np.zeros_like(errors)
+    p = len(past_errors)
+    q = len(past_innovations)
+    for j in range(errors.shape[1]):
+        for k in range(len(errors)):
+            value = 0.0
+            for lag in range(p):
+                value -= noise[lag + 1, j] * past_errors[lag, j]
+            for lag in range(q):
+                value += ma[lag + 1, j] * past_innovations[lag, j]
+            found[k, j] = value
+            for lag in range(p - 1, 0, -1):
+                past_errors[lag, j] = past_errors[lag - 1, j]
+            for lag in range(q - 1, 0, -1):
+                past_innovations[lag, j] = past_innovations[lag - 1, j]
+            if p:
+                past_errors[0, j] = errors[k, j]
+            if q:
+                past_innovations[0, j] = 0.0 if k < blank else errors[k, j] - value
+    return found
+
+
+def _difference(model: FittedLinear, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FreeRun]:
+    """The free run of a difference equation."""
+    system = model.system
+    n = model.n_init
+    before = len(system.b) - 1
+    du = u - model.u_origin
+    first, state = model.begin(du, y[:n] - model.y_origin)
+    past = np.zeros((before, du.shape[1]))
+    a = np.zeros((system.depth + 1, *system.a.shape[1:]))
+    a[: len(system.a)] = system.a
+
+    def run_on(more: FloatArray) -> FloatArray:
+        out = _respond(a, system.b, system.c, more, past, state)
+        return saturated(out + model.y_origin, model.output_limits)
+
+    def go_on(more: FloatArray) -> FloatArray:
+        return run_on(more - model.u_origin)
+
+    free = np.concatenate([y[:n], run_on(du[first:])[n - first :]])
+    return free, go_on
+
+
+@njit(cache=True)
+def _respond(a, b, c, u, past, z):  # type: ignore[no-untyped-def]
+    """(n, n_y) free run of a difference equation; past inputs (oldest first) and state are written anew."""
+    n_y = len(c)
+    before = len(past)
+    out = np.empty((len(u), n_y))
+    for k in range(len(u)):
+        for i in range(n_y):
+            value = c[i]
+            for lag in range(len(b)):
+                for j in range(u.shape[1]):
+                    value += b[lag, i, j] * (u[k - lag, j] if lag <= k else past[before + k - lag, j])
+            out[k, i] = value + z[0, i] if len(z) else value
+        for lag in range(1, len(z) + 1):
+            for i in range(n_y):
+                value = z[lag, i] if lag < len(z) else 0.0
+                for j in range(n_y):
+                    value -= a[lag, i, j] * out[k, j]
+                z[lag - 1, i] = value
+    for k in range(before):
+        at = len(u) + k - before
+        for j in range(u.shape[1]):
+            past[k, j] = u[at, j] if at >= 0 else past[k + len(u), j]
+    return out
+
+
+def _states(model: FittedStateSpace, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FreeRun]:
+    """The free run of a state-space model."""
+    system = model.realisation
+    n = model.n_init
+    longest = max(model.delays, default=0)
+    du = u - model.u_origin
+    late = model.late(du)
+    start = filtered_states(system, late[:n], y[:n] - model.y_origin, model.gains)[-1]
+    state = _next_state(model, free_states(system, late[n:], start)[-1], late[-1])
+    past = np.concatenate([np.zeros((longest, du.shape[1])), du])[len(du) :]
+
+    def go_on(more: FloatArray) -> FloatArray:
+        nonlocal state, past
+        every = np.concatenate([past, more - model.u_origin])
+        entered = model.late(every)[longest:]
+        past = every[len(every) - longest :]
+        states = free_states(system, entered, state)
+        state = _next_state(model, states[-1], entered[-1])
+        return model.limited(output_of(system, states, entered))
+
+    return model.simulate(u, y[:n]), go_on
+
+
+def _next_state(model: FittedStateSpace, state: FloatArray, du: FloatArray) -> FloatArray:
+    """The state after one more sample."""
+    following: FloatArray = free_states(model.realisation, np.stack([du, du]), state)[1]
+    return following
+
+
+def _rules(model: RuleModel, u: FloatArray, y: FloatArray, measured: int) -> tuple[FloatArray, FreeRun]:
+    """The free run of rules."""
+    layout = model.layout
+    depth = layout.depth
+    given = y[:measured]
+    if not isinstance(model.start, LikelyStart):
+        given = estimate_start(model, u[:measured], given)
+    run = model.run(u, given)
+    tail = run[-depth:] if depth else run[:0]
+
+    def go_on(more: FloatArray) -> FloatArray:
+        nonlocal tail
+        W = np.concatenate([tail, layout.stack(more, np.empty((0, layout.n_y)))])
+        free_run(W, depth, layout.lags, model.free)
+        tail = W[len(W) - depth :]
+        found: FloatArray = model.outputs_of(W[depth:])
+        return found
+
+    return model.outputs_of(run), go_on

@@ -1,0 +1,1 @@
+"""Structured state space: named derivatives and delays, fitted to all measured responses together."""
