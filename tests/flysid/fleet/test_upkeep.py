@@ -46,7 +46,7 @@ def rows_in(place: Place, addresses: list[str]) -> pa.Table:
 
 
 def text_of(content: bytes) -> str:
-    """All that an object says. Parquet is unpacked: compressed bytes hide words, and show some by chance."""
+    """All that an object says. Parquet is unpacked: compressed bytes hide words."""
     if not content.startswith(b"PAR1"):
         return content.decode()
     file = pq.ParquetFile(pa.BufferReader(content))
@@ -121,18 +121,19 @@ def test_a_table_that_is_gone_is_named(bucket: str) -> None:
 
 
 def test_a_vehicle_that_is_forgotten_is_nowhere_in_the_lake(bucket: str) -> None:
+    # Not v001: parquet cuts a long maximum short and raises its last letter, which makes v001 of v000.
     place = lake_of(bucket, 4)
-    Place(bucket).put("in/v001/copy.csv", table(1))
+    Place(bucket).put("in/v000/copy.csv", table(0))
     brought_up(bucket)
     compact(place)
-    gone = [f for f in flysid.open(str(place)).facts if f.info["vehicle_name"] == "v001"]
+    gone = [f for f in flysid.open(str(place)).facts if f.info["vehicle_name"] == "v000"]
     assert len(gone) == 2
-    assert any("v001" in text_of(place.read(found.key)) for found in place.list("catalog"))
-    done = run("fleet", "forget", str(place), "--vehicle", "v001", "--yes")
+    assert any("v000" in text_of(place.read(found.key)) for found in place.list("catalog"))
+    done = run("fleet", "forget", str(place), "--vehicle", "v000", "--yes")
     assert done.exception is None or done.exit_code == 0, done.output
     assert "would bring them back" in done.stderr
     assert "former versions that the bucket keeps" in done.stderr
-    words = [word for f in gone for word in (f.sha256, f.id, f.sha256[:16], "v001")]
+    words = [word for f in gone for word in (f.sha256, f.id, f.sha256[:16], "v000")]
     for found in place.list():
         content = found.key + text_of(place.read(found.key))
         assert not any(word in content for word in words), found.key
@@ -140,4 +141,4 @@ def test_a_vehicle_that_is_forgotten_is_nowhere_in_the_lake(bucket: str) -> None
     assert state.is_whole, state
     assert len(state.flights) == 2
     assert rows_in(place, files_of(place, "table")).num_rows == 120
-    assert isinstance(run("fleet", "forget", str(place), "--vehicle", "v001", "--yes").exception, UsageError)
+    assert isinstance(run("fleet", "forget", str(place), "--vehicle", "v000", "--yes").exception, UsageError)
