@@ -57,9 +57,23 @@ class Page:
         return str(until(lambda: self.js("return document.querySelector('[data-drawn]')?.dataset.drawn")))
 
     def settled(self) -> str:
-        """The window that is drawn, when it is the one in the address."""
-        time.sleep(0.3)
-        return self.drawn()
+        """The window that is drawn, once it is the one in the address and both stay."""
+        script = """return [new URLSearchParams(location.hash.split("?")[1]).get("t"),
+            document.querySelector("[data-drawn]")?.dataset.drawn]"""
+
+        def same() -> str:
+            address, drawn = self.js(script)
+            if not address or not drawn:
+                return ""
+            ends = zip(address.split("~"), drawn.split("~"), strict=True)
+            return str(drawn) if all(abs(float(a) - float(b)) < 1e-5 for a, b in ends) else ""
+
+        def lasting() -> str:
+            drawn = same()
+            time.sleep(0.3)
+            return drawn if drawn == same() else ""
+
+        return str(until(lasting))
 
     def keys(self, *keys: str) -> None:
         from selenium.webdriver.common.action_chains import ActionChains
