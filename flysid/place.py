@@ -14,7 +14,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import cached_property
@@ -224,7 +224,17 @@ class Place:
         names = list(keys)
         with self._asking(names[0] if names else ""):
             for start in range(0, len(names), 1000):
-                obstore.delete(self._store, names[start : start + 1000])
+                part = names[start : start + 1000]
+                try:
+                    obstore.delete(self._store, part)
+                except FileNotFoundError:  # S3 does not mind; others stop at the first that is gone
+                    list(_at_once(self._delete_if_there, part))
+
+    def _delete_if_there(self, key: str) -> None:
+        import obstore
+
+        with suppress(FileNotFoundError), self._asking(key):
+            obstore.delete(self._store, key)
 
     def require_conditions(self, key: str, content: bytes) -> None:
         """Ask the store whether it keeps what `create` promises, with an object that belongs there.
@@ -303,13 +313,14 @@ def _code(error: Exception) -> str:
 
 
 def _no_bucket(where: str) -> UsageError:
-    return UsageError(
-        "no such bucket", path=where, hint="make it first, or check the name and AWS_ENDPOINT_URL"
-    )
+    return UsageError("no such bucket", path=where, hint="make it first, or check the name and the endpoint")
 
 
 def _found(meta: Any) -> Found:
-    return Found(str(meta["path"]), int(meta["size"]), str(meta["e_tag"] or ""), meta["last_modified"])
+    etag = str(meta["e_tag"] or "")
+    if etag and not etag.endswith('"'):
+        etag = f'"{etag}"'  # Azure leaves the marks out where it lists, not where it is asked for one object
+    return Found(str(meta["path"]), int(meta["size"]), etag, meta["last_modified"])
 
 
 def _at_once(do: Callable[[Any], Any], tasks: Iterable[Any]) -> Iterator[Any]:

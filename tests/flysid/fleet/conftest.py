@@ -1,4 +1,4 @@
-"""A real S3 server for a session, and a folder of a bucket for a test."""
+"""Real servers of S3 and of Azure for a session, and a folder of a bucket for a test."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from itertools import count
 
 import pytest
 
+from tests.azureserver import CONTAINER, AzureServer, azurite
 from tests.s3server import S3Server, seaweedfs
 
 _numbers = count()
@@ -34,3 +35,29 @@ def bucket(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> str:
     for name, value in s3_server.environment.items():
         monkeypatch.setenv(name, value)
     return f"s3://tests/{next(_numbers)}"  # one bucket: the server keeps room for each
+
+
+@pytest.fixture(scope="session")
+def azure_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AzureServer]:
+    """Azurite on loopback."""
+    server = azurite(tmp_path_factory.mktemp("azurite"))
+    if server is None:
+        pytest.skip("Azurite is not installed: npm install --prefix .venv azurite")
+    server.start()
+    yield server
+    server.kill()
+
+
+@pytest.fixture
+def container(azure_server: AzureServer, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The address of an empty folder on Azure, with the environment that reaches it."""
+    for name, value in azure_server.environment.items():
+        monkeypatch.setenv(name, value)
+    return f"az://{CONTAINER}/{next(_numbers)}"
+
+
+@pytest.fixture(params=["bucket", "container"])
+def store(request: pytest.FixtureRequest) -> str:
+    """An empty folder of each kind of store that can be had."""
+    address: str = request.getfixturevalue(request.param)
+    return address

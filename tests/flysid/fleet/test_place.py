@@ -27,8 +27,8 @@ def test_credentials_in_an_address_are_refused_and_not_repeated(address: str) ->
     assert "abc" not in str(caught.value)
 
 
-def test_objects_are_written_read_listed_and_removed(bucket: str, tmp_path: Path) -> None:
-    place = Place(f"{bucket}/some/where")
+def test_objects_are_written_read_listed_and_removed(store: str, tmp_path: Path) -> None:
+    place = Place(f"{store}/some/where")
     big = tmp_path / "big"
     big.write_bytes(bytes(range(256)) * (6 << 12))  # above a part's size
     place.put_many([("a/one", big)])
@@ -38,21 +38,22 @@ def test_objects_are_written_read_listed_and_removed(bucket: str, tmp_path: Path
     place.fetch("a/one", tmp_path / "back")
     assert (tmp_path / "back").read_bytes() == big.read_bytes()
     assert dict(place.read_many(["b/two", "gone"])) == {"b/two": b"2", "gone": None}
-    place.delete(["a/one", "b/two"])
+    assert [place.head(found.key) for found in place.list()] == list(place.list())
+    place.delete(["gone", "a/one", "b/two"])
     assert list(place.list()) == []
     assert place.head("b/two") is None
 
 
-def test_of_many_who_create_one_key_one_succeeds(bucket: str) -> None:
-    place = Place(bucket)
+def test_of_many_who_create_one_key_one_succeeds(store: str) -> None:
+    place = Place(store)
     with ThreadPoolExecutor(16) as pool:
         for key in range(2):
             won = pool.map(lambda n, key=key: place.create(f"race/{key}", str(n).encode()), range(16))
             assert sum(won) == 1
 
 
-def test_an_object_is_replaced_only_by_who_has_seen_it(bucket: str) -> None:
-    place = Place(bucket)
+def test_an_object_is_replaced_only_by_who_has_seen_it(store: str) -> None:
+    place = Place(store)
     place.put("counter", b"0")
     _, etag = place.read_tagged("counter")
     assert place.replace("counter", b"1", etag)
@@ -60,10 +61,10 @@ def test_an_object_is_replaced_only_by_who_has_seen_it(bucket: str) -> None:
     assert place.read("counter") == b"1"
 
 
-def test_a_store_that_keeps_its_promise_passes_each_time(bucket: str) -> None:
+def test_a_store_that_keeps_its_promise_passes_each_time(store: str) -> None:
     for _ in range(3):
-        Place(bucket).require_conditions("flysid-data.json", b"{}")
-    assert Place(bucket).read("flysid-data.json") == b"{}"
+        Place(store).require_conditions("flysid-data.json", b"{}")
+    assert Place(store).read("flysid-data.json") == b"{}"
 
 
 def test_a_store_that_ignores_conditions_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,6 +101,24 @@ def test_a_wrong_secret_a_missing_bucket_and_no_credentials_are_named(
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
     with pytest.raises(UsageError, match="no credentials"):
         Place(bucket).read("there")
+
+
+def test_azure_names_a_wrong_secret_a_missing_container_no_credentials_and_no_answer(
+    container: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(UsageError, match="no such bucket"):
+        list(Place("az://absent-container").list())
+    monkeypatch.setenv("AZURE_STORAGE_ACCOUNT_KEY", "d3Jvbmc=")
+    with pytest.raises(UsageError, match="the store refuses: AuthorizationFailure") as caught:
+        Place(container).read("there")
+    assert "AZURE_STORAGE_ACCOUNT_KEY" in caught.value.hint
+    monkeypatch.setenv("AZURITE_BLOB_STORAGE_URL", f"http://127.0.0.1:{free_port()}")
+    with pytest.raises(PlaceError, match="no connection"):
+        Place(container).read("there")
+    for name in ("AZURE_STORAGE_ACCOUNT_KEY", "AZURE_STORAGE_USE_EMULATOR"):
+        monkeypatch.delenv(name)
+    with pytest.raises(UsageError, match="no credentials"):
+        Place(container).read("there")
 
 
 def test_a_store_that_is_down_is_worth_another_try(bucket: str, monkeypatch: pytest.MonkeyPatch) -> None:

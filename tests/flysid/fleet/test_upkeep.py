@@ -120,11 +120,11 @@ def test_a_table_that_is_gone_is_named(bucket: str) -> None:
         compact(place)
 
 
-def test_a_vehicle_that_is_forgotten_is_nowhere_in_the_lake(bucket: str) -> None:
+def test_a_vehicle_that_is_forgotten_is_nowhere_in_the_lake(store: str) -> None:
     # Not v001: parquet cuts a long maximum short and raises its last letter, which makes v001 of v000.
-    place = lake_of(bucket, 4)
-    Place(bucket).put("in/v000/copy.csv", table(0))
-    brought_up(bucket)
+    place = lake_of(store, 4)
+    Place(store).put("in/v000/copy.csv", table(0))
+    brought_up(store)
     compact(place)
     gone = [f for f in flysid.open(str(place)).facts if f.info["vehicle_name"] == "v000"]
     assert len(gone) == 2
