@@ -21,6 +21,10 @@ class Theirs:
     def uncertainty(self, train: Dataset) -> Any:
         return self.inner.uncertainty(train)
 
+    @property
+    def operating_points(self) -> Any:
+        return self.inner.operating_points
+
     def certificate(self) -> Any:
         return self.inner.certificate()
 
