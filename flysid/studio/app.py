@@ -76,7 +76,7 @@ class Studio:
     def flights(self) -> Flights:
         from flysid.studio.flights import Flights
 
-        return Flights(self.workspace.data, self._cache)
+        return Flights(self.workspace, self._cache)
 
     @cached_property
     def recipes(self) -> Recipes:

@@ -19,11 +19,11 @@ from flysid.model.base import Fitted
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.start import run_from_window, start_window
-from flysid.studio.flights import boot_offsets_s
-from flysid.studio.folders import NotThere, Workspace, is_name
+from flysid.studio.flights import RUN, SIGNAL, boot_offsets_s
+from flysid.studio.folders import NotThere, Workspace, is_name, short_id
 from flysid.studio.forms import Explained
 from flysid.validate.compare_models import CONTENDERS
-from flysid.validate.run import RUN_FILE, HeldOut, held_out, open_run
+from flysid.validate.run import RECIPE_FILE, RUN_FILE, HeldOut, held_out, open_run
 from flysid.validate.trials import MIN_SCORED, free_run, start_of
 
 KEPT = 4  # runs whose held-out data stay in memory
@@ -55,7 +55,7 @@ def explain(workspace: Workspace, run_id: str, asked: Explained) -> dict[str, An
         return _in_words(found, segment, asked.row)
     return {
         "flight": segment.flight,
-        "seen": seen_at(workspace, found.test, segment),
+        "seen": seen_at(workspace, folder, found.test, segment),
         "segments": [[s.flight, len(s) * found.test.dt_s] for s in found.test.segments],
         "dt_s": found.test.dt_s,
         "first": first,
@@ -76,10 +76,10 @@ def worst_seconds(workspace: Workspace, run_id: str) -> dict[str, Any]:
     """
     folder = workspace.run(run_id)
     channels = _held(folder, (folder / RUN_FILE).stat().st_mtime_ns)
-    return {name: _worst(workspace, found) for name, found in channels.items()}
+    return {name: _worst(workspace, folder, found) for name, found in channels.items()}
 
 
-def _worst(workspace: Workspace, found: HeldOut) -> dict[str, Any]:
+def _worst(workspace: Workspace, folder: Path, found: HeldOut) -> dict[str, Any]:
     label = _shown(found)[-1]
     model, dt_s = found.models[label], found.test.dt_s
     width = max(1, round(1.0 / dt_s))
@@ -95,19 +95,21 @@ def _worst(workspace: Workspace, found: HeldOut) -> dict[str, Any]:
         best = max(best, (float(sums[row]), number, first + row + min(width, len(errors)) // 2))
     _, number, row = best
     segment = found.test.segments[number]
-    seen = seen_at(workspace, found.test, segment)
+    seen = seen_at(workspace, folder, found.test, segment)
     return {"model": label, "segment": number, "row": row, "second_s": row * dt_s, "seen": seen}
 
 
-def seen_at(workspace: Workspace, data: Dataset, segment: Segment) -> dict[str, Any] | None:
-    """The flight of a segment and the second at which it begins there; None where the flight is not here."""
+def seen_at(workspace: Workspace, run: Path, data: Dataset, segment: Segment) -> dict[str, Any] | None:
+    """The flight of a segment, the second at which it begins there, and the signals; None if not here."""
     flight, _, boot = segment.flight.partition("#")
-    folder = workspace.data / FLIGHTS / flight
-    if not is_name(flight) or not folder.is_dir():
+    place = workspace.data / FLIGHTS / flight
+    if not is_name(flight) or not place.is_dir():
         return None
-    offsets = boot_offsets_s(read_manifest(folder))
+    offsets = boot_offsets_s(read_manifest(place))
     start_s = segment.t0_ns * 1e-9 + offsets.get(int(boot) if boot else min(offsets, default=0), 0.0)
-    signals = [signal.name for signal in (*data.inputs, *data.outputs)]
+    has_recipe = (run / RECIPE_FILE).is_file()
+    recipe = f"{SIGNAL}{RUN}{short_id(run)}"
+    signals = [f"{recipe}:{s.name}" for s in (*data.inputs, *data.outputs)] if has_recipe else []
     return {"flight": flight, "begin_s": start_s, "signals": signals}
 
 

@@ -24,11 +24,12 @@ from flysid.ingest.lake.lake import open as open_lake
 from flysid.ingest.lake.timeline import happenings
 from flysid.ingest.lake.track import read_track
 from flysid.manifest import FLIGHTS, MANIFEST_FILE, Column, Manifest, StreamEntry, read_manifest
-from flysid.studio.folders import NotThere, is_name
+from flysid.studio.folders import NotThere, Workspace, is_name
 from flysid.studio.forms import Window
 from flysid.studio.pyramid import Axis, Pyramid, View, hold, look, read_axis, read_pyramid
 
 SIGNAL = "@"  # "@recipe:signal" is a recipe's signal, as "stream:field" is a field
+RUN = "run/"  # "@run/ID:signal" is one of the recipe that a run was fitted by
 MAPPED = 256  # fields kept ready: more than a person looks at
 _NUMBER = re.compile(r"^(u?int\d+|halffloat|float|double|bool)$")
 _ARRAY = re.compile(r"^fixed_size_list<\w+: (\w+)(?: not null)?>\[(\d+)\]$")
@@ -39,11 +40,12 @@ PIXELS = (16, 8192)
 
 
 class Flights:
-    """Reads from one ingested folder; `cache` is a folder for mapped fields, gone after this process."""
+    """Reads from a studio's ingested folder; `cache` is for mapped fields, gone after this process."""
 
-    def __init__(self, data: Path, cache: Path) -> None:
-        self.data = data
+    def __init__(self, workspace: Workspace, cache: Path) -> None:
+        self.data = workspace.data
         self._cache = cache
+        self._recipe_of_run = lru_cache(MAPPED)(workspace.recipe_of_run)
         self._readers = ThreadPoolExecutor(os.cpu_count())
         self._described = lru_cache(MAPPED)(self._describe)
         self._axis = lru_cache(MAPPED)(self._read_axis)
@@ -135,8 +137,8 @@ class Flights:
     def _unit(self, manifest: Manifest, name: str) -> str:
         """The unit of what a name stands for; raises UsageError where it stands for nothing."""
         stream, _, field = name.rpartition(":")
-        if stream.startswith(SIGNAL) and stream.removeprefix(SIGNAL) in shipped_recipes():
-            signals = load_recipe(stream.removeprefix(SIGNAL)).signals
+        if stream.startswith(SIGNAL):
+            signals = load_recipe(self._recipe(stream)[0]).signals
             units = {name: spec.unit for name, spec in signals.items()}
         else:
             entry = manifest.stream(stream)
@@ -148,10 +150,20 @@ class Flights:
     def _curve(self, flight: str, name: str) -> tuple[Axis, Pyramid]:
         stream, _, field = name.rpartition(":")
         if stream.startswith(SIGNAL):
-            return self._signal(flight, stream.removeprefix(SIGNAL), field)
+            return self._signal(flight, *self._recipe(stream), field)
         return self._axis(flight, stream), self._pyramid(flight, stream, field)
 
-    def _read_signal(self, flight: str, recipe: str, signal: str) -> tuple[Axis, Pyramid]:
+    def _recipe(self, stream: str) -> tuple[str, int]:
+        """What `load_recipe` takes for "@NAME" or "@run/ID", and when that was written; raises NotThere."""
+        name = stream.removeprefix(SIGNAL)
+        if name in shipped_recipes():
+            return name, 0
+        if not name.startswith(RUN):
+            raise NotThere(f"no recipe {name!r}")
+        path = self._recipe_of_run(name.removeprefix(RUN))
+        return str(path), path.stat().st_mtime_ns
+
+    def _read_signal(self, flight: str, recipe: str, _stamp: int, signal: str) -> tuple[Axis, Pyramid]:
         found = load_signal(signal, load_recipe(recipe).signals[signal], lake_of(self.data, flight).logs[0])
         offsets = boot_offsets_s(self.manifest(flight))
         boots = [

@@ -66,6 +66,15 @@ class Workspace:
             raise NotThere(f"no run {run_id!r}", path=self.folder)
         return found
 
+    def recipe_of_run(self, run_id: str) -> Path:
+        """The recipe that a run was fitted by, as it was; raises NotThere."""
+        from flysid.validate.run import RECIPE_FILE
+
+        path = self.run(run_id) / RECIPE_FILE
+        if not path.is_file():
+            raise NotThere("the run has no recipe", path=path.parent)
+        return path
+
 
 _NAME = re.compile(r"(?!\.{1,2}$)[A-Za-z0-9._-]{1,160}")
 

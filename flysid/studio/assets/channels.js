@@ -1,46 +1,49 @@
 // Channels: what the flights can identify, the aligned signals, what of them is fitted.
 import { follow, get } from "./api.js";
-import { el, guarded, keep, plain } from "./page.js";
+import { advice, el, guarded, plain } from "./page.js";
 import { FitPanel } from "./fit.js";
 import { knownFields } from "./fields.js";
-import { Parts, segments } from "./strip.js";
+import { Parts, segments, stripOf } from "./strip.js";
 
 const CLASS = { good: "good", weak: "weak" };
 const MOST_COLUMNS = 16;
 const LOOKED_AT = 6; // flights whose suggestions are asked for without a click
+const MOST_STRIPS = 12;
 
-export async function showChannels(main, query) {
+export async function showChannels(main, query, stay) {
   const [{ flights, count }, { recipes }] = await Promise.all([get("flights", { most: 100 }), get("recipes")]);
-  const page = new Channels(main, query, flights, count, recipes);
+  const page = new Channels(main, query, flights, count, recipes, stay);
   await page.begin(query);
-  return () => page.stops.forEach((stop) => stop());
 }
 
 class Channels {
-  constructor(main, query, flights, count, recipes) {
-    Object.assign(this, { flights, count, stops: [], open: null });
+  constructor(main, query, flights, count, recipes, stay) {
+    Object.assign(this, { flights, count, stay, open: null });
     this.ticked = new Set(); // "flight|recipe|channel"
     this.found = new Map(); // flight -> what was found
+    this.aligned = new Map(); // what was asked -> the promise of an aligned channel
     this.parts = new Parts(query.getAll("x"), query.getAll("h"), () => this.partsChanged());
     this.fit = new FitPanel({
-      recipes, query, parts: this.parts, stops: this.stops,
+      recipes, query, parts: this.parts, stay,
       chosen: () => [...this.ticked].map((id) => id.split("|")),
       all: (ids) => ids.length === flights.length && count <= flights.length,
       picked: (recipe) => { this.untick(recipe); this.draw(); },
+      changed: () => { this.aligned.clear(); this.stripped = ""; this.draw(); },
     });
     this.matrix = el("div", { class: "scroll" });
-    this.cell = el("section", {});
+    this.strips = el("section", { class: "strips", "aria-label": "Segments of the ticked flights" });
+    this.cell = el("section", { class: "opened" });
     this.work = el("div", { class: "work" }, el("h1", {}, "What these flights can identify"),
       count ? el("p", { class: "hint" }, "A tick puts a channel of a flight into the fit. A cell shows its signals, and what of them is used.")
         : el("p", {}, "No flights yet. ", el("a", { href: "#/flights" }, "Drop a log"), " first."),
-      this.matrix, this.cell, this.fit.editor.box);
+      this.matrix, this.strips, this.cell, this.fit.editor.box);
     main.append(this.work, this.fit.box);
   }
 
   async begin(query) {
     const described = this.flights.length ? get("flights/" + encodeURIComponent(this.flights[0].id)).then((flight) => this.work.append(...knownFields(flight))) : null;
     const looked = this.flights.slice(0, LOOKED_AT);
-    await Promise.all([described, ...looked.map((flight) => this.look(flight))]);
+    await Promise.all([described, this.fit.resume(), ...looked.map((flight) => this.look(flight))]);
     looked.filter((flight) => this.found.get(flight.id)?.state === "done").forEach((flight) => this.preselect(flight.id));
     this.draw();
     this.fit.told();
@@ -57,7 +60,7 @@ class Channels {
     this.found.set(flight.id, answer);
     this.draw();
     if (answer.state === "done" || !answer.job) { return; }
-    this.stops.push(follow(answer.job, guarded(async (kind) => {
+    this.stay.push(follow(answer.job, guarded(async (kind) => {
       if (kind !== "ended") { return; }
       this.found.set(flight.id, await get(path));
       this.preselect(flight.id);
@@ -95,6 +98,35 @@ class Channels {
     }));
     this.matrix.replaceChildren(el("table", { class: "matrix" }, el("thead", {}, head), el("tbody", {}, this.flights.map((flight) => this.row(flight, keys)))));
     if (focused) { this.matrix.querySelector('[data-cell="' + CSS.escape(focused) + '"]')?.focus(); }
+    this.drawStrips();
+  }
+
+  align(flight, recipe, channel) { // asked for once, as long as the same parts of the flight are left out
+    const query = { f: flight, r: recipe, ch: channel, x: this.parts.of("out", flight) }, key = JSON.stringify(query);
+    if (!this.aligned.has(key)) {
+      this.aligned.set(key, get("align", query));
+      this.aligned.get(key).catch(() => this.aligned.delete(key));
+    }
+    return this.aligned.get(key);
+  }
+
+  async drawStrips() { // of every ticked flight, by its first ticked channel
+    const first = new Map([...this.ticked].reverse().map((id) => [id.split("|")[0], id])), ticked = this.flights.filter((one) => first.has(one.id));
+    const wanted = ticked.slice(0, MOST_STRIPS), more = ticked.length - wanted.length;
+    const state = JSON.stringify([wanted.map((one) => first.get(one.id)), this.parts.out, this.parts.held]);
+    if (state === this.stripped) { return; }
+    this.stripped = state;
+    const rows = await Promise.all(wanted.map((one) => this.stripRow(one, first.get(one.id))));
+    if (state !== this.stripped) { return; } // other ticks or parts since
+    this.strips.replaceChildren(...rows.flat(), more ? el("p", { class: "hint" }, "and " + more + " more: open a cell") : "");
+  }
+
+  async stripRow(flight, id) {
+    const [, recipe, channel] = id.split("|");
+    try {
+      const data = await this.align(flight.id, recipe, channel);
+      return [el("p", { class: "hint" }, flight.log + ", " + channel + ": " + plain(+data.used_s.toPrecision(3)) + " s used"), stripOf(data, this.parts)];
+    } catch (error) { return [el("p", { class: "hint" }, flight.log + ", " + channel + ": " + advice(error))]; }
   }
 
   row(flight, keys) {
@@ -129,13 +161,13 @@ class Channels {
   }
 
   remember() {
-    keep("channels", { r: this.fit.recipe, sel: this.open && this.open.id, x: this.parts.out, h: this.parts.held, from: this.fit.fields.from.value, to: this.fit.fields.to.value });
+    this.stay.keep("channels", { r: this.fit.recipe, sel: this.open && this.open.id, x: this.parts.out, h: this.parts.held, from: this.fit.fields.from.value, to: this.fit.fields.to.value });
   }
 
   partsChanged() {
     this.remember();
     this.fit.told();
-    if (this.open) { this.show(this.open.flight, this.open.s); }
+    if (this.open) { this.show(this.open.flight, this.open.s); } else { this.drawStrips(); }
   }
 
   async show(flight, s) {
@@ -147,10 +179,10 @@ class Channels {
     s.notes.forEach((note) => head.push(el("p", { class: "hint" }, note)));
     if (!this.cell.childElementCount) { this.cell.replaceChildren(el("p", { class: "hint", role: "status" }, "aligning")); }
     try {
-      const data = await get("align", { f: flight.id, r: s.recipe, ch: s.channel, x: this.parts.out });
+      const data = await this.align(flight.id, s.recipe, s.channel);
       if (open !== this.open) { return; } // another was asked for since
       const lines = el("details", {}, el("summary", {}, "How it was aligned"), el("pre", { tabindex: 0 }, data.lines.join("\n")));
       this.cell.replaceChildren(...head, segments(data, this.parts, Math.max(240, this.work.clientWidth - 48)), lines);
-    } catch (error) { this.cell.replaceChildren(...head, el("p", { role: "status" }, error.message + (error.hint ? ". Try: " + error.hint : ""))); }
+    } catch (error) { this.cell.replaceChildren(...head, el("p", { role: "status" }, advice(error))); }
   }
 }

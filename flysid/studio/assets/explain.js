@@ -131,13 +131,13 @@ function show(view, run, channel, segment, data, worst) {
   }
 
   function toFlight() { // the chosen second, back in the log
-    if (data.seen) { go("flights", secondOf(run, data.seen, +at.value)); } else { changed.textContent = " the flight is not in this studio"; }
+    if (data.seen) { go("flights", secondOf(data.seen, +at.value)); } else { changed.textContent = " the flight is not in this studio"; }
   }
   tell(t[worst]);
 }
 
 // The address of a second of a flight, `x` seconds after what was seen of it begins: its signals, ten seconds, the cursor.
-export function secondOf(run, seen, x) {
+export function secondOf(seen, x) {
   const at = seen.begin_s + x;
-  return { f: seen.flight, p: run.recipe ? seen.signals.map((name) => "@" + run.recipe + ":" + name).join(";") : "", t: [Math.max(0, at - 5), at + 5].join("~"), c: at + "~" };
+  return { f: seen.flight, p: seen.signals.join(";"), t: [Math.max(0, at - 5), at + 5].join("~"), c: at + "~" };
 }

@@ -1,6 +1,6 @@
 // The fit: recipe or two fields, models, what is held out; the command that it will be, the job that it becomes.
 import { get, send } from "./api.js";
-import { copyable, el, go, guarded } from "./page.js";
+import { advice, copyable, el, go, guarded } from "./page.js";
 import { watch } from "./jobs.js";
 import { recipeEditor } from "./recipe.js";
 import { takesField } from "./fields.js";
@@ -8,10 +8,11 @@ import { takesField } from "./fields.js";
 const MODELS = ["line", "static_ts", "ts", "ts_ss", "statespace", "tf", "fir", "armax"];
 const USUAL = "line,static_ts,ts";
 
-// The panel. `chosen()` gives [flight, recipe, channel] of every tick; `all` says whether these flights are every one there is.
+// The panel. `chosen()` gives [flight, recipe, channel] of every tick; `all` says whether these flights are every one there is;
+// `picked` is told a recipe that was chosen, `changed` that a recipe has been kept.
 export class FitPanel {
-  constructor({ recipes, query, parts, chosen, all, picked, stops }) {
-    Object.assign(this, { recipes, parts, chosen, all, stops, asked: 0 });
+  constructor({ recipes, query, parts, chosen, all, picked, changed, stay }) {
+    Object.assign(this, { recipes, parts, chosen, all, changed, stay, asked: 0 });
     this.flight = query.get("f") || "";
     this.fields = this.makeFields(query);
     this.models = el("fieldset", { class: "models" }, el("legend", {}, "Models besides ARX, OE and the references"), MODELS.map((name) =>
@@ -73,6 +74,7 @@ export class FitPanel {
       this.fields.recipe.append(el("option", { value: name }, name + " (own)"));
     }
     this.fields.recipe.value = name;
+    this.changed();
     this.told();
   }
 
@@ -108,18 +110,29 @@ export class FitPanel {
     try {
       const answer = await send("POST", "fits", this.body(true));
       if (number === this.asked) { say(copyable(answer.command + "\n" + answer.then), true); }
-    } catch (error) { if (number === this.asked) { say(el("p", { class: "hint" }, error.message + (error.hint ? ". Try: " + error.hint : "")), false); } }
+    } catch (error) { if (number === this.asked) { say(el("p", { class: "hint" }, advice(error)), false); } }
   }
 
   async run() {
-    const fitting = await send("POST", "fits", this.body(false));
-    this.running.replaceChildren(watch(fitting, guarded(async (ended) => {
-      if (ended.state !== "done") { return; }
-      const { jobs } = await get("jobs"); // the job that judges begins by itself
-      const judging = jobs.find((job) => job.words[0] === "validate" && job.about.run === fitting.about.run && job.made >= fitting.made);
-      if (judging) { this.running.append(watch(judging, () => this.see(), this.stops)); } else { this.see(); }
-    }), this.stops));
+    this.running.replaceChildren(this.fitting(await send("POST", "fits", this.body(false))));
   }
+
+  async resume() { // what another page, or this one before a reload, has begun
+    const { jobs } = await get("jobs");
+    const going = (word) => jobs.filter((job) => job.words[0] === word && (job.state === "queued" || job.state === "running")).reverse();
+    this.running.append(...going("fit").map((job) => this.fitting(job)), ...going("validate").map((job) => this.judging(job)));
+  }
+
+  fitting(fit) { // its box; behind it, when it is done, that of the job that judges, which begins by itself
+    return watch(fit, guarded(async (ended) => {
+      if (ended.state !== "done") { return; }
+      const { jobs } = await get("jobs");
+      const judging = jobs.find((job) => job.words[0] === "validate" && job.about.run === fit.about.run && job.made >= fit.made);
+      if (judging) { this.running.append(this.judging(judging)); } else { this.see(); }
+    }), this.stay);
+  }
+
+  judging(job) { return watch(job, () => this.see(), this.stay); }
 
   see() {
     const button = el("button", { class: "main", onclick: () => go("runs", { pick: "newest" }) }, "See the verdict");

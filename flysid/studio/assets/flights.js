@@ -1,13 +1,12 @@
 // Flights: drop a log, find a flight, drag its fields to plots.
 import { Refused, follow, get, send } from "./api.js";
-import { clock, date, el, go, guarded, keep, plain, size } from "./page.js";
+import { clock, date, el, go, guarded, plain, size } from "./page.js";
 import { Plots, shown } from "./plots.js";
 import { knownFields, takesField } from "./fields.js";
 
 const MOST_FIELDS = 300; // listed at once; the search narrows them
 
-export async function showFlights(main, query) {
-  const stops = [];
+export async function showFlights(main, query, stay) {
   const work = el("div", { class: "work" });
   const side = el("div", { class: "side" });
   main.append(side, work);
@@ -53,7 +52,7 @@ export async function showFlights(main, query) {
   function remember() {
     if (!flight) { return; }
     const whole = plots.view[0] === 0 && plots.view[1] === plots.end;
-    keep("flights", {
+    stay.keep("flights", {
       f: flight.id,
       p: plots.fields.map((names) => names.join(";")),
       t: whole ? "" : plots.view.join("~"),
@@ -177,7 +176,7 @@ export async function showFlights(main, query) {
           line.textContent = file.name + ": " + look.format + ", " + Object.keys(look.streams).length + " streams (" + rates.join(", ") + ", ...); reading the rest";
         }
       }, () => {});
-      await new Promise((resolve) => stops.push(follow(sent.job.id, guarded(async (kind, job) => {
+      await new Promise((resolve) => stay.push(follow(sent.job.id, guarded(async (kind, job) => {
         if (kind !== "ended") { return; }
         const ended = await get("jobs/" + job.id);
         const id = ended.out.trim().split("\n").filter(Boolean).pop();
@@ -209,15 +208,15 @@ export async function showFlights(main, query) {
   search.addEventListener("input", () => flight && listFields());
   tree.addEventListener("keydown", (event) => {
     const way = { ArrowDown: 1, ArrowUp: -1 }[event.key];
-    const stops_ = [...tree.querySelectorAll("summary,details[open] li button")];
-    const at = stops_.indexOf(document.activeElement);
-    if (way && at >= 0 && stops_[at + way]) { event.preventDefault(); stops_[at + way].focus(); }
+    const stops = [...tree.querySelectorAll("summary,details[open] li button")];
+    const at = stops.indexOf(document.activeElement);
+    if (way && at >= 0 && stops[at + way]) { event.preventDefault(); stops[at + way].focus(); }
   });
   const slash = (event) => {
     if (event.key === "/" && !/^(INPUT|TEXTAREA|SELECT)$/.test(document.activeElement.tagName)) { event.preventDefault(); search.focus(); }
   };
   document.addEventListener("keydown", slash);
-  stops.push(() => document.removeEventListener("keydown", slash));
+  stay.push(() => document.removeEventListener("keydown", slash));
 
   const numbers = (text) => (text ? text.split("~").map((x) => (x === "" ? null : +x)) : null);
   const fields = query.getAll("p").map((names) => names.split(";"));
@@ -227,7 +226,6 @@ export async function showFlights(main, query) {
     const found = await listing;
     if (found && found.flights.length) { await show(found.flights[0].id); }
   }
-  return () => stops.forEach((stop) => stop());
 }
 
 async function upload(file) {

@@ -1,9 +1,9 @@
 // Jobs: every one is a command of the shell; its lines, its progress, cancel.
 import { follow, get, send } from "./api.js";
-import { copyable, el, guarded, keep, plain } from "./page.js";
+import { copyable, el, guarded, plain } from "./page.js";
 
 // A box that follows one job until it has ended; `ended` is told the job.
-export function watch(job, ended, stops) {
+export function watch(job, ended, stay) {
   const bar = el("progress", { "aria-label": "Progress" });
   const state = el("p", { role: "status" }, job.state);
   const models = el("div", {});
@@ -11,7 +11,7 @@ export function watch(job, ended, stops) {
   const cancel = el("button", { onclick: guarded(async () => { await send("DELETE", "jobs/" + job.id); }) }, "Cancel");
   const box = el("section", { class: "job" }, bar, state, models, cancel, el("details", {}, el("summary", {}, "What it says"), log));
   const rows = new Map();
-  stops.push(follow(job.id, (kind, told) => {
+  stay.push(follow(job.id, (kind, told) => {
     if (kind === "line") {
       const step = progress(told);
       if (!step) { log.append(told + "\n"); state.textContent = told; return; }
@@ -41,8 +41,7 @@ function progress(line) { // a line of --progress json, or null
   try { return JSON.parse(line); } catch { return null; }
 }
 
-export async function showJobs(main, query) {
-  const stops = [];
+export async function showJobs(main, query, stay) {
   const work = el("div", { class: "work" });
   main.append(work);
   const { jobs } = await get("jobs");
@@ -55,8 +54,8 @@ export async function showJobs(main, query) {
       el("summary", {}, job.state + " \u00b7 " + new Date(job.made * 1000).toLocaleString() + " \u00b7 " + job.words[0]), body);
     const fill = guarded(async () => {
       if (body.childElementCount || !box.open) { return; }
-      keep("jobs", { j: job.id });
-      body.append(copyable(job.command), watch(job, () => {}, stops));
+      stay.keep("jobs", { j: job.id });
+      body.append(copyable(job.command), watch(job, () => {}, stay));
       const whole = await get("jobs/" + job.id);
       if (whole.out) { body.append(el("h2", {}, "Printed"), el("pre", { tabindex: 0 }, whole.out.slice(0, 20000))); }
     });
@@ -64,5 +63,4 @@ export async function showJobs(main, query) {
     if (box.open) { fill(); }
     work.append(box);
   }
-  return () => stops.forEach((stop) => stop());
 }

@@ -5,7 +5,7 @@ import { axes } from "./plots.js";
 
 const KEPT_S = 600, LEAST_S = 2;
 
-export async function showLive(main) {
+export async function showLive(main, _query, stay) {
   const about = await get("live");
   const view = { span: 30, end: null, newest: 0 }; // `end` null: the newest samples are followed
   const state = el("div", { class: "scroll" }), warnings = el("ul", { class: "hint" }), file = el("p", { role: "status" });
@@ -74,7 +74,7 @@ export async function showLive(main) {
   }
   changed();
   main.live = { charts, view };
-  return () => { source.close(); charts.forEach((chart) => chart.close()); };
+  stay.push(() => { source.close(); charts.forEach((chart) => chart.close()); });
 }
 
 const row = (cells) => el("tr", {}, cells.map((text) => el("td", {}, text)));

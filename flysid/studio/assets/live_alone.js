@@ -1,9 +1,9 @@
 // The live page by itself, where the studio is not installed.
-import { guarded } from "./page.js";
+import { Stay, address, guarded } from "./page.js";
 import { showLive } from "./live.js";
 
 const main = document.getElementById("main");
 guarded(async () => {
-  await showLive(main);
+  await showLive(main, address().query, new Stay());
   main.dataset.ready = "live";
 })();

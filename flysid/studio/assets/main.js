@@ -1,6 +1,6 @@
 // The shell: which page the address names, and what all pages share.
 import { get } from "./api.js";
-import { address, complain, guarded } from "./page.js";
+import { Stay, address, complain } from "./page.js";
 
 const PAGES = { // each is fetched when it is first shown
   flights: async () => (await import("./flights.js")).showFlights,
@@ -9,24 +9,30 @@ const PAGES = { // each is fetched when it is first shown
   jobs: async () => (await import("./jobs.js")).showJobs,
   live: async () => (await import("./live.js")).showLive,
 };
-const main = document.getElementById("main");
-let leave = null, turns = 0;
+let stay = new Stay();
 
-const turn = guarded(async () => {
-  const { page, query } = address(), number = ++turns;
-  const show = await (PAGES[page] || PAGES.flights)();
-  if (number !== turns) { return; } // another page was asked for since
+async function turn() { // a page that was left while it loads ends in an element that nobody sees
+  const { page, query } = address(), own = new Stay();
+  stay.end();
+  stay = own;
+  try {
+    const show = await (PAGES[page] || PAGES.flights)();
+    if (!own.isOver) { await enter(page, show, query, own); }
+  } catch (error) { if (!own.isOver) { complain(error); } }
+}
+
+async function enter(page, show, query, own) {
   complain(null);
-  if (leave) { leave(); leave = null; }
   document.querySelectorAll("nav a").forEach((link) => {
     if (link.dataset.page === page) { link.setAttribute("aria-current", "page"); } else { link.removeAttribute("aria-current"); }
   });
   document.title = page[0].toUpperCase() + page.slice(1) + " \u2013 flysid studio";
+  const before = document.getElementById("main"), main = before.cloneNode(false);
   delete main.dataset.ready;
-  main.textContent = "";
-  leave = (await show(main, query)) || null;
+  before.replaceWith(main);
+  await show(main, query, own);
   main.dataset.ready = page;
-});
+}
 
 window.addEventListener("hashchange", turn);
 get("about").then((about) => {

@@ -49,7 +49,7 @@ export function address() {
   return { page: path || "flights", query: new URLSearchParams(query || "") };
 }
 
-export function keep(page, query) {
+function write(page, query) {
   const words = new URLSearchParams();
   for (const [name, value] of Object.entries(query)) {
     for (const one of Array.isArray(value) ? value : [value]) {
@@ -60,8 +60,26 @@ export function keep(page, query) {
 }
 
 export function go(page, query) {
-  keep(page, query);
+  write(page, query);
   window.dispatchEvent(new HashChangeEvent("hashchange"));
+}
+
+// What a page has begun and must end with it. What it begins after it was left ends at once, and writes no address.
+export class Stay {
+  constructor() { Object.assign(this, { stops: [], isOver: false }); }
+
+  push(stop) { if (this.isOver) { stop(); } else { this.stops.push(stop); } }
+
+  keep(page, query) { if (!this.isOver) { write(page, query); } }
+
+  end() {
+    this.isOver = true;
+    this.stops.forEach((stop) => stop());
+  }
+}
+
+export function advice(error) { // what is wrong and what to do
+  return error.message + (error.where ? " (" + error.where + ")" : "") + (error.hint ? ". Try: " + error.hint : "");
 }
 
 export function complain(error) {
@@ -72,9 +90,7 @@ export function complain(error) {
   if (!error) { return; }
   if (!(error instanceof Refused) && !(error instanceof TypeError)) { console.error(error); }
   const gone = error instanceof TypeError && /fetch/i.test(error.message);
-  box.append(gone ? "The server does not answer. Start it again: flysid studio." : error.message);
-  if (error.where) { box.append(" (" + error.where + ")"); }
-  if (error.hint) { box.append(" Try: " + error.hint); }
+  box.append(gone ? "The server does not answer. Start it again: flysid studio." : advice(error));
   box.append(" ", el("button", { onclick: () => complain(null) }, "Close"));
 }
 

@@ -1,6 +1,6 @@
 // A recipe as a form and as TOML: what is changed in one shows in the other; the server judges both.
 import { get, send } from "./api.js";
-import { el, guarded } from "./page.js";
+import { advice, el, guarded } from "./page.js";
 
 // Returns { box, load(name) }; `kept` is told the name under which a recipe was kept, `own` says whether a name is one's own.
 export function recipeEditor(own, kept) {
@@ -19,7 +19,7 @@ export function recipeEditor(own, kept) {
       const found = await send("POST", "recipes", body);
       said.textContent = "";
       return found;
-    } catch (error) { said.textContent = error.message + (error.hint ? ". Try: " + error.hint : ""); return null; }
+    } catch (error) { said.textContent = advice(error); return null; }
   }
   const toForm = async () => { const found = await judged({ toml: text.value }); if (found) { fill(found.form); save.disabled = false; } };
   const toText = async (document) => { // what the form holds is kept only where the TOML says it, too

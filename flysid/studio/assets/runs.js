@@ -1,20 +1,19 @@
 // Runs: verdicts with scope and interval, two runs compared, the run's own page, its files.
 import { address as path, get, send } from "./api.js";
-import { copyable, el, guarded, keep, plain } from "./page.js";
+import { advice, copyable, el, guarded, plain } from "./page.js";
 import { explain, secondOf } from "./explain.js";
 import { watch } from "./jobs.js";
 
-export async function showRuns(main, query) {
-  const page = new Runs(main, query, await get("runs"));
+export async function showRuns(main, query, stay) {
+  const page = new Runs(main, query, await get("runs"), stay);
   page.draw();
   const run = page.runs.find((one) => one.id === page.open);
   if (run) { await page.show(run); }
-  return () => page.stops.forEach((stop) => stop());
 }
 
 class Runs {
-  constructor(main, query, { runs, damaged }) {
-    Object.assign(this, { runs, stops: [] });
+  constructor(main, query, { runs, damaged }, stay) {
+    Object.assign(this, { runs, stay });
     this.picked = new Set(query.getAll("pick").filter((id) => id !== "newest"));
     this.open = query.get("run") || (query.get("pick") === "newest" && runs.length ? runs[0].id : "");
     this.filter = el("input", { type: "search", "aria-label": "Find runs", placeholder: "recipe, channel, verdict, folder", value: query.get("q") || "", oninput: () => this.changed() });
@@ -28,7 +27,7 @@ class Runs {
   }
 
   changed() {
-    keep("runs", { q: this.filter.value, d: this.differ.checked ? "1" : "", pick: [...this.picked], run: this.open });
+    this.stay.keep("runs", { q: this.filter.value, d: this.differ.checked ? "1" : "", pick: [...this.picked], run: this.open });
     this.draw();
   }
 
@@ -86,16 +85,16 @@ class Runs {
       el("iframe", { title: "Report of " + run.name, sandbox: "allow-scripts allow-downloads", src: path("runs/" + run.id + "/report.html") }));
     try {
       const seconds = await get("runs/" + run.id + "/worst");
-      worst.replaceChildren(...worstLines(run, seconds));
+      worst.replaceChildren(...worstLines(seconds));
       explained.append(await explain(run, seconds));
-    } catch (error) { worst.textContent = error.message + (error.hint ? ". Try: " + error.hint : ""); }
+    } catch (error) { worst.textContent = advice(error); }
   }
 
   async offerVerdict(run) {
     const told = await send("POST", "validates", { run: run.id, preview: true });
     const begin = el("button", { class: "main", onclick: guarded(async () => {
       const job = await send("POST", "validates", { run: run.id });
-      begin.replaceWith(watch(job, guarded(() => this.again()), this.stops));
+      begin.replaceWith(watch(job, guarded(() => this.again()), this.stay));
     }) }, "Validate");
     this.below.append(copyable(told.command), begin);
   }
@@ -103,7 +102,7 @@ class Runs {
   async drawn(run, figures) { // the report again, with figures as files
     const asked = { run: run.id, figures };
     const told = await send("POST", "validates", { ...asked, preview: true }), job = await send("POST", "validates", asked);
-    this.below.querySelector(".exports").append(copyable(told.command), watch(job, guarded(() => this.again()), this.stops));
+    this.below.querySelector(".exports").append(copyable(told.command), watch(job, guarded(() => this.again()), this.stay));
   }
 
   async again() {
@@ -119,7 +118,7 @@ class Runs {
       if (ended.state === "done") {
         this.below.append(el("iframe", { title: "Comparison", sandbox: "allow-scripts allow-downloads", src: path("comparisons/" + a + "-" + b + "/report.html") }));
       }
-    }, this.stops));
+    }, this.stay));
   }
 }
 
@@ -135,11 +134,11 @@ function settingsOf(run) { // name -> value of all that is set, as flat words
   return found;
 }
 
-function worstLines(run, seconds) { // one link a channel, back to the flight
+function worstLines(seconds) { // one link a channel, back to the flight
   return Object.entries(seconds).map(([channel, one]) => {
     const words = "Worst second of " + channel + " (" + one.model + ")";
     if (!one.seen) { return el("span", {}, words + ": " + plain(+one.second_s.toFixed(1)) + " s of its segment. "); }
-    const link = secondOf(run, one.seen, one.second_s);
+    const link = secondOf(one.seen, one.second_s);
     const query = new URLSearchParams(Object.entries(link).filter(([, value]) => value)).toString();
     return el("span", {}, words + ": ", el("a", { href: "#/flights?" + query }, plain(+(one.seen.begin_s + one.second_s).toFixed(1)) + " s of " + one.seen.flight), " ");
   });

@@ -39,6 +39,8 @@ export class Parts {
     this.changed();
   }
 
+  of(kind, flight) { return this[kind].filter((part) => part.split(/[#@]/)[0] === flight); }
+
   spans(kind, flight, boots) { return this[kind].map((part) => spanOf(part, flight, boots)).filter(Boolean); }
 
   list() { // as buttons that take a part back
@@ -48,12 +50,22 @@ export class Parts {
   }
 }
 
-// The strip and the plots of an aligned channel (`data`); `parts` is told what the mouse or the fields mark.
-export function segments(data, parts, width) {
+function marking(data, parts) { // the seconds shown, what of them is marked, and what marks more
   const { flight, boots } = data;
   const range = [boots[0][1], Math.max(boots[boots.length - 1][2], boots[0][1] + 1e-3)];
   const mark = (kind, from, to) => { const part = partOf(flight, boots, Math.min(from, to), Math.max(from, to)); if (part) { parts.add(kind, part); } };
-  const marked = { out: parts.spans("out", flight, boots), held: parts.spans("held", flight, boots) };
+  return { range, mark, marked: { out: parts.spans("out", flight, boots), held: parts.spans("held", flight, boots) } };
+}
+
+// The strip of an aligned channel (`data`) by itself; `parts` is told what the mouse marks.
+export function stripOf(data, parts) {
+  const { range, marked, mark } = marking(data, parts);
+  return strip(data, range, marked, mark);
+}
+
+// The strip and the plots of an aligned channel; `parts` is told what the mouse or the fields mark.
+export function segments(data, parts, width) {
+  const { range, marked, mark } = marking(data, parts);
   const box = el("section", { "aria-label": "Segments" }, legend(data), strip(data, range, marked, mark), fields(range, mark));
   data.signals.forEach((_, i) => signal(box, data, i, { range, marked, mark, width }));
   return box;

@@ -107,6 +107,32 @@ def test_nothing_sticks_out(page: Page, where: str, width: int) -> None:
     page.darken(False)
 
 
+def test_a_page_that_is_left_while_it_loads_leaves_nothing(page: Page, server: Server) -> None:
+    """No event stream stays open, no drop is taken twice, the address and the screen are the next page's."""
+    page.drawn()
+    jobs = server.get("jobs").json["jobs"]
+    flight = server.get("flights").json["flights"][0]["id"]
+    job = server.wait(server.get(f"flights/{flight}/suggestions").json.get("job") or jobs[0]["id"])
+    page.js(
+        "window.opened = []; const Real = EventSource;"
+        "EventSource = class extends Real { constructor(...a) { super(...a); opened.push(this); }"
+        " addEventListener() {} };"  # it is never told that the job has ended
+        "const real = fetch; window.asked = 0;"
+        "window.go = new Promise(done => { window.free = done; });"
+        "fetch = async (...a) => { if (/jobs/.test(a[0])) { asked++; await go; } return real(...a); };"
+    )
+    page.js("location.hash = arguments[0]", f"#/jobs?j={job['id']}")
+    until(lambda: page.js("return asked"))
+    page.js("location.hash = '#/runs'")
+    page.ready("runs")
+    page.js("free()")
+    until(lambda: page.js("return opened.length"))
+    assert page.js("return opened.every(x => x.readyState === EventSource.CLOSED)")
+    assert page.js("return location.hash") == "#/runs"
+    assert page.find("h1").text == "Runs"
+    assert len(page.all("main .work")) == 1
+
+
 def test_a_dropped_log_is_plotted(browser: Any, tmp_path: Path) -> None:
     browser.set_window_size(1280, 1000)
     log = tmp_path / "a flight <b>.tlog"

@@ -20,7 +20,7 @@ def page(browser: Any, server: Server) -> Iterator[Page]:
     found = Page(browser, server)
     found.go("#/channels?r=ardrone-synthetic")
     until(lambda: found.all("td.cell.good button"), 60)[0].click()
-    until(lambda: found.all(".strip"), 60)
+    until(lambda: found.all(".opened .strip"), 60)
     yield found
     assert not found.wrong()
 
@@ -31,10 +31,10 @@ def command(page: Page) -> str:
 
 def test_a_drag_leaves_out_and_with_shift_holds_out(page: Page) -> None:
     """On the strip and on a plot; the signals go, the command says it, the address brings it back."""
-    before = page.all(".strip .used")
-    page.drag(page.find(".strip"), 0.3, 60)
-    until(lambda: page.all(".strip .out"))
-    assert len(page.all(".strip .used")) == len(before) + 1
+    before = page.all(".opened .strip .used")
+    page.drag(page.find(".opened .strip"), 0.3, 60)
+    until(lambda: page.all(".opened .strip .out"))
+    assert len(page.all(".opened .strip .used")) == len(before) + 1
     page.drag(page.all(".uplot .u-over")[1], 0.7, 120, shift=True)
     until(lambda: "--holdout" in command(page))
     assert command(page).count("--exclude") == 1
@@ -42,13 +42,13 @@ def test_a_drag_leaves_out_and_with_shift_holds_out(page: Page) -> None:
     assert "@0:" in command(page)
     told = command(page)
     page.go(page.js("return location.hash"))
-    until(lambda: page.all(".strip .held"), 60)
+    until(lambda: page.all(".opened .strip .held"), 60)
     assert until(lambda: command(page)) == told
     assert not page.barriers()
     for _ in range(2):
         page.find(".part").click()
     until(lambda: "--exclude" not in command(page) and "--holdout" not in command(page))
-    until(lambda: len(page.all(".strip .used")) == len(before))
+    until(lambda: len(page.all(".opened .strip .used")) == len(before))
 
 
 def test_a_part_is_left_out_by_its_seconds(page: Page) -> None:
@@ -56,8 +56,22 @@ def test_a_part_is_left_out_by_its_seconds(page: Page) -> None:
     for field, seconds in zip(fields, ("3", "6"), strict=True):
         page.js("arguments[0].value = arguments[1]", field, seconds)
     page.all(".strip + .tools button")[0].click()
-    until(lambda: page.all(".strip .out"))
+    until(lambda: page.all(".opened .strip .out"))
     assert "--exclude" in until(lambda: command(page))
+
+
+def test_every_ticked_flight_has_a_strip(page: Page) -> None:
+    """What is dragged over on one is left out of that flight alone."""
+    strips = until(lambda: [s for s in [page.all(".strips .strip")] if len(s) == 2])[0]
+    page.drag(strips[1], 0.3, 60)
+    until(lambda: len(page.all(".strips .strip .out")) == 1)
+    [part] = page.js("return new URLSearchParams(location.hash.split('?')[1]).getAll('x')")
+    log = page.all(".matrix tbody th")[1].text
+    assert part.startswith(log.rpartition(".")[0])
+    ticks = f"[data-cell^='tick {part.partition('@')[0]}|']:checked"
+    while boxes := page.all(ticks):  # the table is drawn anew with every tick
+        boxes[0].click()
+    until(lambda: len(page.all(".strips .strip")) == 1)
 
 
 def test_a_recipe_is_changed_as_a_form_and_as_toml(page: Page) -> None:

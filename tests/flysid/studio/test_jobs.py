@@ -12,10 +12,12 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from flysid.studio.jobs import group_exists
 from tests.flysid.studio.server import FIT, Server, studio
+from tests.flysid.studio.test_flights import decoded
 
 
 @pytest.fixture
@@ -140,7 +142,8 @@ def test_a_run_links_its_worst_second_and_gives_its_files(judged: Server) -> Non
     sums = [sum(errors[k : k + width]) for k in range(len(errors) - width + 1)]
     assert worst["row"] == told["first"] + sums.index(max(sums)) + width // 2
     assert worst["seen"]["flight"] == worst["seen"]["flight"].partition("#")[0]
-    assert worst["seen"]["signals"] == ["vz_in", "v_z"]
+    signals = [f"@run/{run['id']}:{name}" for name in ("vz_in", "v_z")]
+    assert worst["seen"]["signals"] == signals
     flight = judged.get("flights/" + worst["seen"]["flight"]).json
     assert 0.0 <= worst["seen"]["begin_s"] + worst["second_s"] <= flight["duration_s"]
     for name in run["files"]:
@@ -148,6 +151,31 @@ def test_a_run_links_its_worst_second_and_gives_its_files(judged: Server) -> Non
         assert kept.headers["content-disposition"].startswith("attachment")
     for name in ("..%2Frun.json", "run.json", "%2e%2e"):
         assert judged.get(f"runs/{run['id']}/files/{name}").status == 404
+
+
+def test_the_signals_of_a_run_are_those_of_its_own_recipe(judged: Server) -> None:
+    """Not of the shipped one that has the same name."""
+    [run] = judged.get("runs").json["runs"]
+    runs = judged.data.with_name(f"{judged.data.name}.studio") / "runs"
+    own = Path(shutil.copytree(run["folder"], runs / "own"))
+    try:
+        shipped = (own / "recipe.toml").read_text("utf-8")
+        changed = shipped.replace('"vz_in", unit = "m/s" }', '"vz_in", unit = "m/s", scale = 2.0 }')
+        changed = changed.replace('"vz", unit = "m/s", scale = -1.0', '"vz", unit = "m/s", scale = -2.0')
+        (own / "recipe.toml").write_text(changed, "utf-8")
+        [copy] = [r["id"] for r in judged.get("runs").json["runs"] if r["name"] == "own"]
+        flight = judged.get("flights").json["flights"][0]["id"]
+        asked = {
+            "f": flight,
+            "s": ["@ardrone-synthetic:vz_in", f"@run/{run['id']}:vz_in", f"@run/{copy}:vz_in"],
+        }
+        _, [(_, one), (_, same), (_, twice)] = decoded(judged.get("series", asked).body)
+        assert np.array_equal(one, same, equal_nan=True)
+        assert twice == pytest.approx(2.0 * one, nan_ok=True)
+        for wrong in ("@run/nothing:vz_in", f"@run/{copy}:nothing"):
+            assert judged.get("series", {"f": flight, "s": [wrong]}).status in (400, 404)
+    finally:
+        shutil.rmtree(own)
 
 
 def test_a_run_of_a_newer_version_is_named_and_costs_no_other(judged: Server) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +26,8 @@ def test_from_a_log_to_a_verdict_by_keys_alone(browser: Any, tmp_path: Path) -> 
         until(lambda: page.all(".uplot"), 120)
         choose(page)
         leave_out_a_stretch(page)
-        for _ in range(2):
-            fit(page)
+        for is_closed in (True, False):
+            fit(page, is_closed)
         page.keys("\ue007")  # the button has the focus: see the verdict
         until(lambda: page.all("iframe"), 60)
         assert "flight" in page.find("tbody").text
@@ -62,8 +64,11 @@ def leave_out_a_stretch(page: Page) -> None:
     assert not page.barriers()
 
 
-def fit(page: Page) -> None:
-    """With the quickest models; the verdict is offered when it is there."""
+def fit(page: Page, is_closed: bool) -> None:
+    """With the quickest models; the verdict is offered when it is there.
+
+    `is_closed`: the page is closed in the middle of it, and opened again.
+    """
     for name in ("static_ts", "ts"):
         if page.js("return document.querySelector(arguments[0]).checked", f"[value={name}]"):
             page.tab_to(f"[value={name}]")
@@ -71,6 +76,15 @@ def fit(page: Page) -> None:
     page.tab_to(".right > button.main")
     page.keys("\ue007")
     until(lambda: page.all(".job progress"))
+    if is_closed:
+        running = until(lambda: [j for j in page.server.get("jobs").json["jobs"] if j["state"] == "running"])[
+            0
+        ]
+        os.killpg(running["pid"], signal.SIGSTOP)  # else it might be through before the page is back
+        page.go(page.js("return location.hash"))
+        until(lambda: page.all(".job progress"))
+        assert page.server.get(f"jobs/{running['id']}").json["state"] == "running"
+        os.killpg(running["pid"], signal.SIGCONT)
     until(lambda: page.js("return document.activeElement.textContent") == "See the verdict", 300)
 
 
