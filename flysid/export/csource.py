@@ -53,7 +53,6 @@ def rendered(template: str, program: Program, name: str, words: Mapping[str, Any
 
 
 def _values(program: Program, name: str, single: float | None) -> dict[str, Any]:
-    lags = program.lags
     m = program.memberships
     n = program.n
     n_y = len(program.outputs)
@@ -102,7 +101,9 @@ def _values(program: Program, name: str, single: float | None) -> dict[str, Any]
         "y_scale": program.scale[:n_y],
         "y_low": program.output_limits[0],
         "y_high": program.output_limits[1],
-        "x_at": _cells(program, lags.column, lags.lag),
+        "x_at": program.regressors[:, 0],
+        "x_by": program.regressors[:, 1],
+        "products": len(program.products) > 0,
         "theta": theta,
         "limits_low": program.limits[0],
         "limits_high": program.limits[1],
@@ -141,6 +142,7 @@ def asked(program: Program) -> list[tuple[int, int]]:
     lags = program.lags
     pairs = [*zip(lags.column, lags.lag, strict=True), *zip(lags.z_column, lags.z_lag, strict=True)]
     pairs += [(c, lag) for c, lag in zip(lags.z_column, lags.z_minus, strict=True) if lag >= 0]
+    pairs += [(c, lag) for c, lag in program.products.reshape(-1, 2)]
     return [(int(c), int(lag)) for c, lag in pairs]
 
 

@@ -17,14 +17,13 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.export.from_rules import hidden_names
-from flysid.export.program import Program
+from flysid.export.program import BOUND, Program
 from flysid.model.freerun import Difference
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.rules.kernel import Lags
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.subspace.kalman import resting_state
 
-_BOUND = 1e30  # of a state: far beyond any output's limits, finite in float32
 _NEGLIGIBLE = 1e-11  # of the largest Hankel singular value: what rounding leaves of a state that is not there
 _GONE = 1e-30  # of a power of a matrix: it adds nothing more
 _MARGIN = 0.001  # by which an unstable matrix is drawn inside the unit circle to be balanced
@@ -219,7 +218,7 @@ def _linear(
         lags=Lags(np.array(columns, dtype=np.int64), np.array(delays, dtype=np.int64), none, none, none),
         theta=theta[None],
         memberships=None,
-        limits=np.stack([np.full(n, -_BOUND), np.full(n, _BOUND)]),
+        limits=np.stack([np.full(n, -BOUND), np.full(n, BOUND)]),
         shift=np.concatenate([model.y_origin, np.zeros(inner), model.u_origin]),
         scale=np.ones(n + n_u),
         output_limits=model.output_limits,
@@ -236,6 +235,7 @@ _KINDS = {
     "fir": "Finite impulse response",
     "tf": "Transfer function, sampled",
     "statespace": "State-space model",
+    "structured": "Structured state space",
     "line": "Straight line",
     "mean": "Mean",
     "persistence": "Last value",

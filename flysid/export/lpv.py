@@ -184,6 +184,11 @@ def to_lpv(model: Fitted, rate_hz: float | None = None) -> Lpv:
 
 def lpv_of(program: Program) -> Lpv:
     """The same of a program, without the limits of hidden quantities, far outside of what a model does."""
+    if len(program.products):
+        raise UsageError(
+            "the thrust curve makes products of motor speeds, and no affine system has those",
+            hint="export C, an FMU or MATLAB code",
+        )
     n_u = len(program.inputs)
     n_y = len(program.outputs)
     size = len(program.memory)

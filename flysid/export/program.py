@@ -2,7 +2,7 @@
 
 All structures come down to one form, that of `flysid.model.rules.kernel`. Simulated quantities s (the n_y
 outputs first, then states) and inputs u stand in normalised units; with regressors w(k), each one of them at
-a lag or the constant 1, and firing strengths phi_r of antecedents z(k),
+a lag, the constant 1, or the product of two of them, and firing strengths phi_r of antecedents z(k),
 
     s(k) = sum_r phi_r(z(k)) theta_r w(k),        y(k) = scale s(k) + shift, inside the output limits
 
@@ -14,15 +14,18 @@ This is the only module that looks inside fitted models; C, FMU and MATLAB text 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from flysid.dataset import FloatArray, Signal
 from flysid.model.rules.kernel import Lags
 
+BOUND = 1e30
+"""Of a state: far beyond any output's limits, finite in float32."""
 Shape = Literal["gaussian", "triangle", "trapezoid"]
 Conjunction = Literal["product", "minimum"]
 
@@ -60,13 +63,14 @@ class Program:
     title : what the model is, for people.
     states : (n,) names and units of the simulated quantities, the outputs first.
     lags : regressors and antecedents; columns count simulated quantities first, then inputs.
-    theta : (R, n, n_x) consequents.
+    theta : (R, n, n_x) consequents; the last columns belong to the products.
     memberships : None for one rule.
     limits : (2, n) simulated quantities are held inside.
     shift, scale : (n + n_u,) of simulated quantities and inputs; physical = normalised * scale + shift.
     output_limits : (2, n_y), physical.
     rest : (n + n_u, deepest lag) normalised values before the first sample, column [:, lag - 1]: where all
         inputs and outputs were zero.
+    products : (P, 2, 2) column and lag of both factors of every product.
     """
 
     title: str
@@ -82,6 +86,7 @@ class Program:
     scale: FloatArray
     output_limits: FloatArray
     rest: FloatArray
+    products: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2, 2), dtype=np.int64))
 
     @property
     def n(self) -> int:
@@ -98,7 +103,8 @@ class Program:
         """The deepest lag of every column; 0 where only the present value, or none, is asked for."""
         depths = [0] * len(self.signals)
         lags = self.lags
-        for column, lag in zip(lags.column, lags.lag, strict=True):
+        factors = self.products.reshape(-1, 2)
+        for column, lag in (*zip(lags.column, lags.lag, strict=True), *factors):
             if column >= 0:
                 depths[column] = max(depths[column], int(lag))
         for column, lag, minus in zip(lags.z_column, lags.z_lag, lags.z_minus, strict=True):
@@ -126,6 +132,14 @@ class Program:
     def cell(self, column: int, lag: int) -> int:
         """Where a column's value of `lag` samples ago stands; column -1 is the constant."""
         return 0 if column < 0 else self.newest[column] + lag - (column < self.n)
+
+    @cached_property
+    def regressors(self) -> npt.NDArray[np.int64]:
+        """(n_x, 2) cells of both factors of every regressor; the constant is the second of a single one."""
+        lags = self.lags
+        single = [(self.cell(int(c), int(lag)), 0) for c, lag in zip(lags.column, lags.lag, strict=True)]
+        pairs = [tuple(self.cell(int(c), int(lag)) for c, lag in pair) for pair in self.products]
+        return np.array([*single, *pairs], dtype=np.int64).reshape(-1, 2)
 
     @cached_property
     def memory(self) -> tuple[tuple[int, int], ...]:

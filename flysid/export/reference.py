@@ -21,6 +21,7 @@ class _Tables(NamedTuple):
     """The numbers of a program as compiled code takes them, all floats of one precision."""
 
     at: npt.NDArray[np.int64]
+    by: npt.NDArray[np.int64]
     z_at: npt.NDArray[np.int64]
     z_minus: npt.NDArray[np.int64]
     newest: npt.NDArray[np.int64]
@@ -78,7 +79,7 @@ def _tables(program: Program, kind: type) -> _Tables:
         return np.array(found, dtype=np.int64)
 
     return _Tables(
-        places(lags.column, lags.lag),
+        *np.ascontiguousarray(program.regressors.T),
         places(lags.z_column, lags.z_lag),
         places(lags.z_column, lags.z_minus),
         np.array(program.newest, dtype=np.int64),
@@ -169,7 +170,7 @@ def _run(u, y, v, t, shape, least):  # type: ignore[no-untyped-def]
             for r in range(n_rules):
                 part = zero
                 for m in range(n_x):
-                    part += t.theta[r, i, m] * v[t.at[m]]
+                    part += t.theta[r, i, m] * (v[t.at[m]] * v[t.by[m]])
                 value += part if n_rules == 1 else (phi[r] / total) * part
             after[i] = _limited(value, t.limits[0, i], t.limits[1, i])
         for i in range(n_y):

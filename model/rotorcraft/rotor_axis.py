@@ -55,8 +55,8 @@ def _moved(n, n_lag, n_delay, target, h, grows, lag, sums):  # type: ignore[no-u
 def run(x, y, theta, dt, integrates, resting, out, slopes):  # type: ignore[no-untyped-def]
     """out (N, 3) = predictions, their trims, and torque since the row before; slopes (N, P) = derivatives.
 
-    Empty `slopes` (0, P) leave the derivatives out. Row 0 is y[0]. Motors begin at the first command, or at
-    rest.
+    Empty `slopes` (0, P) leave the derivatives out. Row 0 is y[0]. Motors begin at the first command, which
+    held before, or at rest after no command.
     """
     rows, count = x.shape
     known = theta.size if len(slopes) else 0
@@ -80,7 +80,9 @@ def run(x, y, theta, dt, integrates, resting, out, slopes):  # type: ignore[no-u
     n_lag = np.zeros(count)
     n_delay = np.zeros(count)
     sums = np.empty((2, 3))
+    earlier = np.zeros(count)  # the command before the first row
     if not resting:
+        earlier[:] = x[0]
         n[:] = x[0]
     dg = np.zeros(theta.size)
     g = 0.0
@@ -109,8 +111,8 @@ def run(x, y, theta, dt, integrates, resting, out, slopes):  # type: ignore[no-u
             e = y[k] - rate
         dg[:] = 0.0
         g = 0.0
-        now = x[max(k - whole, 0)]
-        then = x[max(k - whole - 1, 0)]
+        now = x[k - whole] if k >= whole else earlier
+        then = x[k - whole - 1] if k > whole else earlier
         for i in range(count):
             sums[:] = 0.0
             a, b, c = _moved(n[i], n_lag[i], n_delay[i], then[i], past, 1.0, lag, sums)
@@ -174,7 +176,7 @@ def steps_ahead(
     """(N,) k steps ahead; the first k rows mean nothing."""
     out = np.empty((len(x), 3))
     run(x, y, theta, dt, integrates, False, out, np.empty((0, len(theta))))
-    fade, reach = _row(theta, dt)
+    fade, reach = what_a_row_keeps(theta, dt)
     trim = out[: len(x) - k + 1, 1]
     ahead = out[: len(x) - k + 1, 0]
     for step in range(1, k):
@@ -194,18 +196,17 @@ def free_run(
     return out[:, 0]
 
 
-def _row(theta: FloatArray, dt: float) -> tuple[float, float]:
+def what_a_row_keeps(theta: FloatArray, dt: float) -> tuple[float, float]:
     """What is left of a rate after a row, and what a torque adds in one."""
     damping = float(theta[DAMPING])
-    fade = math.exp(-damping * dt)
-    return fade, (1.0 - fade) / damping if damping * dt > 1e-8 else dt
+    return math.exp(-damping * dt), -math.expm1(-damping * dt) / damping if damping > 0.0 else dt
 
 
 def forgets(theta: FloatArray, dt: float, integrates: bool) -> bool:
     """Whether the one-step predictor forgets its start, or holds it where nothing corrects the trim."""
     if not integrates:
         return bool(abs(1.0 - theta[HOLD]) <= 1.0)
-    fade, reach = _row(theta, dt)
+    fade, reach = what_a_row_keeps(theta, dt)
     wandering = theta[DRIFT] / dt
     closed = np.array([[fade * (1.0 - theta[HOLD]) - reach * wandering, reach], [-wandering, 1.0]])
     return bool(np.abs(np.linalg.eigvals(closed)).max() < 1.0 + (0.0 if wandering else 1e-9))

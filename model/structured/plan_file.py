@@ -251,6 +251,10 @@ class _Terms:
             if start is not None and before not in (None, start):
                 raise self._error(f"{name!r} starts at {before:g} and at {start:g}", "one name, one start")
             self.starts[name] = start if before is None else before
+        if table == "delay" and factor < 0.0:
+            raise self._error(
+                f"{where}: {factor:g} times a delay is below 0 s", "tie it with a factor above 0"
+            )
         place = Place(table, *at, factor)
         self.places.setdefault(name, []).append((place, self._unit(table, *names)))
         return 0.0

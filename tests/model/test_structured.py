@@ -230,6 +230,10 @@ def test_through_a_reference_the_plant_in_a_loop_is_found() -> None:
         (('states = ["w", "q"]', 'states = ["w", "q"]\ntitle = "x"'), "no entry 'title'"),
         (("[F.w]", "[H.climb]\nw = 1\n[F.w]"), "no output is called 'climb'"),
         (('{ name = "late", start = 0.02 }', "-0.1"), "a delay is at least 0 s"),
+        (
+            ('{ name = "late", start = 0.02 }', '{ tied = "M_e", factor = -1 }'),
+            "-1 times a delay",
+        ),
         (("[F.w]", "[F.w"), "not TOML"),
         (("[F.w]", '[units]\nx = "m"\n[F.w]'), "[units]: no state is called 'x'"),
     ],

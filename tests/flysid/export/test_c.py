@@ -20,13 +20,15 @@ from flysid.export.single import loss_in_float32, refuse_poles
 from flysid.model.base import Fitted
 from flysid.model.freerun import Difference
 from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.multirotor import FittedMultirotor, Kind, Multirotor
 from flysid.model.oe import OE
+from flysid.model.rotorcraft.rotor_axis import CURVE, DAMPING, DELAY, LAG
 from flysid.model.static_ts import StaticTS
 from flysid.model.transfer_function import FittedTF
 from tests.flysid.export.compiled import WARNINGS, gcc, needs_gcc, run_in_c, write_c
 from tests.model_examples import EXAMPLES, fitted
 
-REFUSED = ("ensemble", "multirotor")  # neither is a recursion with constant coefficients
+REFUSED = ("ensemble",)  # no recursion with constant coefficients
 EXPORTED = [name for name in EXAMPLES if not name.startswith(REFUSED)]
 OF_RULES = [name for name in EXPORTED if name.startswith("ts")]
 
@@ -34,6 +36,22 @@ OF_RULES = [name for name in EXPORTED if name.startswith("ts")]
 def inputs(model: Fitted, rows: int, seed: int = 0) -> FloatArray:
     rng = np.random.default_rng(seed)
     return np.repeat(rng.uniform(-1.3, 1.7, (rows // 5, len(model.inputs))), 5, axis=0)
+
+
+def curved(kind: Kind, delay_rows: float = 1.3) -> FittedMultirotor:
+    """A physical model of two motors and two outputs whose thrust is bent."""
+    data = EXAMPLES["multirotor, accelerations"][1]
+    lifted = replace(data, segments=tuple(replace(s, u=s.u - s.u.min(axis=0)) for s in data.segments))
+    model = Multirotor(kind=kind, curve=True).fit(lifted)
+    axes = []
+    for axis in model.axes:
+        theta = axis.theta.copy()
+        theta[[LAG, DELAY, CURVE]] = 2.0 * model.dt_s, delay_rows * model.dt_s, 0.6
+        if kind == "rate":
+            theta[DAMPING] = 0.1 / model.dt_s
+        axes.append(replace(axis, theta=theta))
+    far = np.array([[-1e6], [1e6]]) * np.ones(2)
+    return replace(model, axes=tuple(axes), output_limits=far)
 
 
 def linear(a: list[float], b: list[float], *, dt_s: float = 0.02, limit: float = 1e6) -> FittedLinear:
@@ -150,6 +168,26 @@ def test_cmake_builds_it_and_runs_its_self_test(tmp_path: Path) -> None:
     for command in commands:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
+
+
+@needs_gcc
+@pytest.mark.parametrize("kind", ["rate", "acceleration"])
+@pytest.mark.parametrize("delay_rows", [0.0, 0.4, 1.0, 2.7])
+def test_a_thrust_curve_in_c_is_the_free_run(kind: Kind, delay_rows: float, tmp_path: Path) -> None:
+    model = curved(kind, delay_rows)
+    program = program_of(model)
+    assert len(program.products)
+    u = np.abs(inputs(model, 2_000))
+    found = run_in_c(program, u, tmp_path / "double")
+    assert np.array_equal(found, run(program, u)[0])
+    free = model.simulate(u)
+    np.testing.assert_allclose(found, free, rtol=0.0, atol=1e-12 * np.abs(free).max())
+    told = run(program, u, single=True)[0]
+    single = run_in_c(program, u, tmp_path / "single", single=True)
+    assert (np.abs(single - told).max(axis=0) <= 1e-5 * np.abs(told).max(axis=0)).all()
+    _, memory = run(program, u[:400])
+    later = run_in_c(program, u[400:], tmp_path / "later", memory=memory)
+    np.testing.assert_allclose(later, free[400:], rtol=0.0, atol=1e-11 * np.abs(free).max())
 
 
 # -- linear models ---------------------------------------------------------------------------------------

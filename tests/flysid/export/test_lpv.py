@@ -18,7 +18,7 @@ from flysid.export.lpv import Lpv, from_dict, to_lpv
 from flysid.export.programs import program_of
 from flysid.export.reference import run
 from flysid.model.linear.difference_equation import FittedLinear
-from tests.flysid.export.test_c import EXPORTED, inputs
+from tests.flysid.export.test_c import EXPORTED, curved, inputs
 from tests.model_examples import fitted
 
 
@@ -52,6 +52,11 @@ def test_weights_sum_to_one_and_far_outside_too() -> None:
         w = lpv.weights(size * np.ones(len(lpv.P)))
         assert w.sum() == pytest.approx(1.0)
         assert (w >= 0.0).all()
+
+
+def test_a_thrust_curve_is_no_affine_system() -> None:
+    with pytest.raises(UsageError, match="products of motor speeds"):
+        to_lpv(curved("rate"))
 
 
 def test_several_systems_are_no_linear_one() -> None:

@@ -13,17 +13,18 @@ from scipy.io import loadmat, savemat
 from flysid.export.matlab import matlab_files
 from flysid.export.programs import program_of
 from flysid.export.reference import run
-from tests.flysid.export.test_c import inputs
+from tests.flysid.export.test_c import curved, inputs
 from tests.model_examples import fitted
 
 
 @pytest.mark.skipif(shutil.which("octave") is None, reason="Octave is not installed")
 def test_octave_equals_the_model_from_rest_and_from_a_memory(tmp_path: Path) -> None:
     names = ["ts", "ts_ss", "oe", "fir", "static ts, two inputs and outputs", "statespace, late input", "tf"]
+    models = {name: fitted(name) for name in (*names, "structured", "multirotor")}
+    models["multirotor with a thrust curve"] = curved("rate")
     given = {}
     script = ["load('in.mat');"]
-    for i, name in enumerate(names):
-        model = fitted(name)
+    for i, model in enumerate(models.values()):
         for file, text in matlab_files(model, program_of(model), f"m{i}").items():
             (tmp_path / file).write_text(text)
         u = inputs(model, 300)
@@ -39,8 +40,8 @@ def test_octave_equals_the_model_from_rest_and_from_a_memory(tmp_path: Path) -> 
     )
     assert done.returncode == 0, done.stderr
     found = loadmat(tmp_path / "out.mat")
-    for i, name in enumerate(names):
-        expected = run(program_of(fitted(name)), given[f"u{i}"])[0]
+    for i, (name, model) in enumerate(models.items()):
+        expected = run(program_of(model), given[f"u{i}"])[0]
         for key in (f"y{i}", f"z{i}"):
             np.testing.assert_allclose(found[key], expected, rtol=0.0, atol=1e-12, err_msg=name)
 
