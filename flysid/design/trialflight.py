@@ -16,6 +16,7 @@ from numba import njit
 from flysid.dataset import FloatArray
 from flysid.design.law import ComplexArray, Gains, keeping
 from flysid.design.rule_plants import RuleLaw, blended, packed_rules
+from flysid.design.self_tuning import Tuner, packed_tuners, tuned_gains
 from flysid.errors import UsageError
 from flysid.ingest.synth.dryden import Wind, wind_field
 from flysid.ingest.synth.inner_loop import Axis
@@ -138,12 +139,14 @@ def fly_trial(
     laws: tuple[Gains, Gains],
     doubtful: Doubtful,
     rules: tuple[RuleLaw | None, RuleLaw | None] = (None, None),
+    tuners: tuple[Tuner | None, Tuner | None] = (None, None),
 ) -> dict[str, Flown]:
     """Fly the course under the laws of x and y; the same noise and wind whatever the laws.
 
     Parameters
     ----------
     rules : of an axis that gains of rules fly instead of its law.
+    tuners : of an axis, what sets its law's gains of position and velocity in flight.
     """
     rng = np.random.default_rng(trial.seed)
     place, speed = course()
@@ -162,6 +165,7 @@ def fly_trial(
         limit,
         round(trial.vehicle.delay_s / STEP_S),
         trial.vehicle.physics().packed(),
+        packed_tuners(tuners),
         *packed_rules(rules),
     )
     away = place - states[:, :2] * np.array([1.0, -1.0])
@@ -192,7 +196,7 @@ def _judged(away: FloatArray, u: FloatArray, limit: float, step_s: tuple[float, 
 
 
 @njit(cache=True)
-def _fly(x, place, speed, noise, air, laws, keep, limit, late, f, counts, numbers, sets):  # type: ignore[no-untyped-def]
+def _fly(x, place, speed, noise, air, laws, keep, limit, late, f, tuners, counts, numbers, sets):  # type: ignore[no-untyped-def]
     """(N, 26) states and (N, 2) inputs in deg; the link holds every command and is `late` ms late."""
     hold = round(PERIOD_S / STEP_S)
     whole = late // hold
@@ -233,6 +237,9 @@ def _fly(x, place, speed, noise, air, laws, keep, limit, late, f, counts, number
                     xi[speeds + sent + 1] += PERIOD_S * away
                 continue
             position, velocity, integral, derivative, _, _, on_error, feedforward = laws[axis]
+            if tuners[axis, 0] > 0.0:
+                spring, velocity = tuned_gains(place[k, axis] - p, -v, tuners[axis])
+                position = spring / velocity
             asked = speed[k, axis] if feedforward != 0.0 else 0.0
             error = position * (place[k, axis] - p) + asked - v
             if k:
