@@ -79,7 +79,8 @@ def _tables(program: Program, kind: type) -> _Tables:
         return np.array(found, dtype=np.int64)
 
     return _Tables(
-        *np.ascontiguousarray(program.regressors.T),
+        program.regressors[:, 0].copy(),
+        program.regressors[:, 1].copy(),
         places(lags.z_column, lags.z_lag),
         places(lags.z_column, lags.z_minus),
         np.array(program.newest, dtype=np.int64),
