@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import hashlib
 import importlib
 import json
+import sys
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 from functools import cached_property
@@ -19,8 +21,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, Response, StreamingResponse
-from starlette.routing import Mount, Route
-from starlette.staticfiles import StaticFiles
+from starlette.routing import Route
 
 import flysid
 from flysid.errors import FlysidError, UsageError, WriteError
@@ -30,6 +31,7 @@ from flysid.studio.guard import Bounds, Guard
 from flysid.studio.jobs import Job, Jobs
 from flysid.studio.live_stream import Live, seen_by, stream
 from flysid.studio.loopback import Key
+from flysid.studio.warm import Warm
 
 if TYPE_CHECKING:
     from flysid.studio.channels import Recipes
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
 ROOMS = ("flights", "uploads", "quick_look", "channels", "run_views", "explain")
 """What is imported while the page opens, in this order."""
 FRAME_POLICY = "sandbox allow-scripts; frame-ancestors 'self'"
+UPLOT = ("uPlot.iife.min.js", "uPlot.min.css")  # of the report, which the studio uses too
 SILENCE_S = 10.0  # an event stream says something at least this often
 Handler = Callable[[Request], Awaitable[Response]]
 Form = TypeVar("Form")
@@ -68,6 +71,8 @@ class Studio:
             from flysid.studio.quick_look import begin_workers
 
             begin_workers()
+            if sys.platform == "linux":
+                self.jobs.warm = Warm()
         finally:  # a request must not wait for a room that never comes: it says itself what is wrong
             for loaded in self._loaded.values():
                 loaded.set()
@@ -300,7 +305,7 @@ class Studio:
 
         return waiting
 
-    def routes(self) -> list[Route | Mount]:
+    def routes(self) -> list[Route]:
         """All routes; reads are GET, what makes or changes something is POST, PUT or DELETE."""
         table = [
             ("GET", "flights", "flights", self.list_flights),
@@ -327,7 +332,6 @@ class Studio:
             ("GET", "runs/{run}/report.html", "run_views", self.run_page),
             ("GET", "runs/{run}/models/{channel:path}/{label}", "run_views", self.model),
         ]
-        assets = StaticFiles(directory=str(resources.files("flysid.studio") / "assets"), html=True)
         return [
             *(
                 Route(f"/api/1/{path}", self._after_loading(room, handler), methods=[method])
@@ -339,8 +343,7 @@ class Studio:
             Route("/api/1/jobs/{job}/events", self.job_events, methods=["GET"]),
             Route("/api/1/live", self.describe_live, methods=["GET"]),
             Route("/api/1/live/events", self.live_events, methods=["GET"]),
-            Route("/shared/{name}", shared_asset, methods=["GET"]),
-            Mount("/", assets),
+            *asset_routes(),
         ]
 
 
@@ -371,6 +374,8 @@ def make_app(
         task = asyncio.create_task(studio.jobs.work())
         yield
         task.cancel()
+        if studio.jobs.warm is not None:
+            studio.jobs.warm.close()
 
     app = Starlette(
         routes=studio.routes(),
@@ -416,13 +421,26 @@ def told(job: Job) -> dict[str, Any]:
     return {**msgspec.to_builtins(job), "command": job.command}
 
 
-async def shared_asset(request: Request) -> Response:
-    """Assets of the report that the studio uses too: uPlot."""
-    name = request.path_params["name"]
-    if name not in ("uPlot.iife.min.js", "uPlot.min.css"):
-        raise HTTPException(404)
-    folder = resources.files("flysid.validate.report") / "assets"
-    return FileResponse(str(folder / name))
+def asset_routes() -> list[Route]:
+    """The page, and its assets at an address that changes with them: a browser keeps what it has."""
+    own = Path(str(resources.files("flysid.studio") / "assets"))
+    uplot = Path(str(resources.files("flysid.validate.report") / "assets"))
+    found = {
+        path.name: path for path in [*own.iterdir(), *(uplot / name for name in UPLOT)] if path.is_file()
+    }
+    digest = hashlib.sha256(b"".join(found[name].read_bytes() for name in sorted(found))).hexdigest()[:16]
+    page = found["index.html"].read_text("utf-8").replace('="/', f'="/{digest}/').encode()
+
+    async def index(_: Request) -> Response:
+        return Response(page, media_type="text/html")
+
+    async def asset(request: Request) -> Response:
+        path = found.get(request.path_params["name"])
+        if path is None:
+            raise HTTPException(404)
+        return FileResponse(path, headers={"Cache-Control": "private, max-age=31536000, immutable"})
+
+    return [Route("/", index, methods=["GET"]), Route(f"/{digest}/{{name}}", asset, methods=["GET"])]
 
 
 def _page(path: Path) -> Response:

@@ -27,6 +27,7 @@ from flysid.errors import StoreError
 from flysid.files import write_atomically
 from flysid.studio.folders import NotThere
 from flysid.studio.runner import NOTE
+from flysid.studio.warm import Warm
 
 State = Literal["queued", "running", "done", "failed", "cancelled", "interrupted"]
 Lane = Literal["read", "fit"]
@@ -73,7 +74,14 @@ class Job(msgspec.Struct, frozen=True):
 
 
 class Jobs:
-    """The jobs of a studio. `work` must run for as long as the server does."""
+    """The jobs of a studio. `work` must run for as long as the server does.
+
+    Attributes
+    ----------
+    warm : begins those that read logs sooner; None where each begins from nothing.
+    """
+
+    warm: Warm | None = None
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -161,19 +169,12 @@ class Jobs:
             return
         job = min(waiting, key=lambda j: j.made)
         folder = self._folder / job.id
-        with (folder / "log").open("wb") as log, (folder / "out").open("wb") as out:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "flysid.studio.runner", str(folder.absolute())],
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=log,
-                start_new_session=True,
-            )
-        self._processes[job.id] = process
-        born = _born(process.pid)
-        self._note(
-            msgspec.structs.replace(job, state="running", began=time.time(), pid=process.pid, born=born)
-        )
+        pid = self.warm.begin(folder) if self.warm is not None and lane == "read" else 0
+        if not pid:
+            process = _process_of(folder)
+            self._processes[job.id] = process
+            pid = process.pid
+        self._note(msgspec.structs.replace(job, state="running", began=time.time(), pid=pid, born=_born(pid)))
 
     def _follow(self, job: Job) -> None:
         process = self._processes.get(job.id)
@@ -192,6 +193,18 @@ class Jobs:
         with suppress(OSError):  # the disk is full: the job goes on, and is known as long as this server is
             write_atomically(self._folder / job.id / "job.json", msgspec.json.encode(job))
         return job
+
+
+def _process_of(folder: Path) -> subprocess.Popen[bytes]:
+    """A job, begun in a process group of its own."""
+    with (folder / "log").open("wb") as log, (folder / "out").open("wb") as out:
+        return subprocess.Popen(
+            [sys.executable, "-m", "flysid.studio.runner", str(folder.absolute())],
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=log,
+            start_new_session=True,
+        )
 
 
 def _noted_code(folder: Path) -> int | None:

@@ -17,10 +17,18 @@ NOTE = "ended.json"
 
 def main(folder: Path) -> None:
     """Run the command line with the job's words; write the exit code when it has ended."""
-    words = json.loads((folder / "job.json").read_text("utf-8"))["words"]
-    command = [sys.executable, "-m", "flysid", *words, "--progress", "json"]
-    ended = subprocess.run(command, stdin=subprocess.DEVNULL, check=False)
-    write_atomically(folder / NOTE, json.dumps({"code": ended.returncode}).encode())
+    command = [sys.executable, "-m", "flysid", *words_of(folder)]
+    note(folder, subprocess.run(command, stdin=subprocess.DEVNULL, check=False).returncode)
+
+
+def words_of(folder: Path) -> list[str]:
+    """The words of the command, after `flysid`."""
+    return [*json.loads((folder / "job.json").read_text("utf-8"))["words"], "--progress", "json"]
+
+
+def note(folder: Path, code: int) -> None:
+    """Note the exit code of a command that has ended."""
+    write_atomically(folder / NOTE, json.dumps({"code": code}).encode())
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from collections.abc import Callable, Generator, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import ForkServerContext, SpawnContext
+from multiprocessing.context import ForkContext, ForkServerContext, SpawnContext
 from multiprocessing.process import BaseProcess
 from typing import Any, Generic, TypeVar
 
@@ -102,10 +102,15 @@ def run_bounded(
             worker.end()
 
 
-def _context(function: Callable[[Any], Any]) -> ForkServerContext | SpawnContext:
-    """Workers come from a process that has imported what they need; elsewhere each imports for itself."""
+def _context(function: Callable[[Any], Any]) -> ForkServerContext | ForkContext | SpawnContext:
+    """Workers come from a process that has imported what they need; elsewhere each imports for itself.
+
+    They are forked from this one where the program has said so.
+    """
     if sys.platform != "linux":
         return multiprocessing.get_context("spawn")
+    if multiprocessing.get_start_method(allow_none=True) == "fork":
+        return multiprocessing.get_context("fork")
     context = multiprocessing.get_context("forkserver")
     home: str = getattr(function, "func", function).__module__
     context.set_forkserver_preload([_NEEDED_BY_ALL, home])

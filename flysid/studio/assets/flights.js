@@ -75,6 +75,8 @@ export async function showFlights(main, query, stay) {
   const open = guarded(async (id, fields, view, marks) => {
     flight = await get("flights/" + encodeURIComponent(id));
     reveal();
+    map.open = false;
+    plots.open(flight, fields || firstPair(), view, marks); // what is beside the curves is made while they come
     facts.textContent = [
       flight.format, size(flight.size_bytes), flight.rows.toLocaleString("en") + " records", clock(flight.duration_s),
       date(flight.start_utc_ns) && date(flight.start_utc_ns) + " UTC", flight.info.vehicle || flight.info.autopilot, flight.info.firmware,
@@ -84,9 +86,7 @@ export async function showFlights(main, query, stay) {
     listPairs();
     listEvents();
     known.replaceChildren(...knownFields(flight));
-    map.open = false;
     drawMap(null);
-    plots.open(flight, fields || firstPair(), view, marks);
     remember();
   });
 
@@ -221,6 +221,7 @@ export async function showFlights(main, query, stay) {
   const numbers = (text) => (text ? text.split("~").map((x) => (x === "" ? null : +x)) : null);
   const fields = query.getAll("p").map((names) => names.split(";"));
   const show = (id) => open(id, fields.length ? fields : null, numbers(query.get("t")), numbers(query.get("c")));
+  if (query.get("f") && fields.length) { plots.expect(query.get("f"), fields, numbers(query.get("t"))); }
   const listing = list(query.get("f"));
   if (query.get("f")) { await Promise.all([listing, show(query.get("f"))]); } else {
     const found = await listing;

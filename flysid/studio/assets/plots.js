@@ -20,8 +20,24 @@ export class Plots {
     this.request = null;
     this.number = 0;
     this.drawn = 0;
+    this.early = new Map(); // query -> answer on its way
     new ResizeObserver(() => this.resize()).observe(parent);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.panels.forEach((p) => p.plot && p.plot.redraw(false)));
+  }
+
+  expect(id, fields, view) { // the first curves, asked for before the flight is known
+    this.queries(id, fields.flat(), view || [null, null]).forEach((query) => {
+      const answer = series(query);
+      answer.catch(() => {}); // it is looked at where it is used
+      this.early.set(JSON.stringify(query), answer);
+    });
+  }
+
+  queries(id, fields, [from, to]) { // sixteen fields at a time; null from and to: the whole flight
+    const names = [...new Set(fields)], parts = [];
+    const pixels = Math.min(4096, Math.max(200, Math.round((this.width() - 64) * Math.min(2, devicePixelRatio || 1))));
+    for (let i = 0; i < names.length; i += 16) { parts.push({ f: id, s: names.slice(i, i + 16), t0: from, t1: to, w: pixels }); }
+    return parts;
   }
 
   open(flight, fields, view, marks) {
@@ -189,13 +205,11 @@ export class Plots {
     if (!this.flight || !this.panels.length) { return; }
     this.request = new AbortController();
     const { signal } = this.request, number = ++this.number, view = this.view;
-    const names = [...new Set(this.panels.flatMap((panel) => panel.names))];
-    const pixels = Math.min(4096, Math.max(200, Math.round((this.width() - 64) * Math.min(2, devicePixelRatio || 1))));
-    const loaded = new Map();
+    const isWhole = view[0] === 0 && view[1] === this.end, early = this.early, loaded = new Map();
+    this.early = new Map();
     try {
-      for (let i = 0; i < names.length; i += 16) {
-        const query = { f: this.flight.id, s: names.slice(i, i + 16), t0: view[0], t1: view[1], w: pixels };
-        (await series(query, signal)).series.forEach((one) => loaded.set(one.name, one));
+      for (const query of this.queries(this.flight.id, this.panels.flatMap((panel) => panel.names), isWhole ? [null, null] : view)) {
+        (await (early.get(JSON.stringify(query)) || series(query, signal))).series.forEach((one) => loaded.set(one.name, one));
       }
     } catch (error) { complain(error); return; }
     if (number !== this.number) { return; } // a newer window has been asked for

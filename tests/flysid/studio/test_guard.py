@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import socket
 import time
 
@@ -125,14 +126,19 @@ def test_oversized_and_unmeasured_bodies(server: Server) -> None:
 
 
 def test_every_answer_forbids_what_it_does_not_need(server: Server) -> None:
-    for path in ("/", "/main.js", "/api/1/flights", "/api/1/nothing"):
-        headers = server.raw("GET", path, headers=with_cookie(server)).headers
+    page = server.raw("GET", "/", headers=with_cookie(server)).body.decode()
+    [script] = re.findall(r'src="(/[0-9a-f]{16}/main.js)"', page)
+    for path in ("/", script, "/api/1/flights", "/api/1/nothing"):
+        answer = server.raw("GET", path, headers=with_cookie(server))
+        assert answer.status == (404 if "nothing" in path else 200)
+        headers = answer.headers
         policy = headers["content-security-policy"]
         assert "default-src 'none'" in policy
         assert "frame-ancestors 'none'" in policy
         assert "unsafe" not in policy
         assert headers["x-content-type-options"] == "nosniff"
-        assert headers["cache-control"] == "no-store"
+        kept = "private, max-age=31536000, immutable"  # assets: another version has another address
+        assert headers["cache-control"] == (kept if path == script else "no-store")
         assert headers["referrer-policy"] == "no-referrer"
 
 

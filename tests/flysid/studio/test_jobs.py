@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from flysid.studio.jobs import group_exists
-from tests.flysid.studio.server import FIT, Server, studio
+from flysid.studio.warm import Warm
+from tests.flysid.studio.server import FIT, SAMPLES, Server, studio
 from tests.flysid.studio.test_flights import decoded
 
 
@@ -87,6 +88,43 @@ def test_a_server_that_is_killed_leaves_its_jobs_to_the_next(own: Path) -> None:
             assert time.monotonic() < until
             time.sleep(0.05)
         assert second.send("DELETE", f"jobs/{waiting['id']}").json["state"] == "cancelled"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere each job begins from nothing")
+def test_a_job_that_reads_is_forked_from_a_process_that_has_all(tmp_path: Path) -> None:
+    """It writes what the command writes, in a group of its own; what forks it may end before it does."""
+    warm = Warm()
+    folder = reading(tmp_path, "01-multisine-seed1.tlog")
+    while not (pid := warm.begin(folder)):  # it is still importing
+        time.sleep(0.05)
+    os.killpg(pid, signal.SIGSTOP)
+    warm.close()
+    assert group_exists(pid)
+    os.killpg(pid, signal.SIGCONT)
+    until = time.monotonic() + 120
+    while not (folder / "ended.json").is_file():
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    assert json.loads((folder / "ended.json").read_text()) == {"code": 0}
+    assert (folder / "out").read_text().startswith("01-multisine-seed1-")
+    assert "reading" in (folder / "log").read_text()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere each job begins from nothing")
+def test_a_job_begins_where_there_is_nothing_to_fork_it(tmp_path: Path) -> None:
+    warm = Warm()
+    os.killpg(warm.pid, signal.SIGKILL)
+    assert warm.begin(reading(tmp_path, "01-multisine-seed1.tlog")) == 0
+    warm.close()
+
+
+def reading(place: Path, name: str) -> Path:
+    """The folder of a job that reads a sample log."""
+    folder = place / "job"
+    folder.mkdir()
+    words = ["ingest", str(SAMPLES / name), "-o", str(place / "data"), "--jobs", "1"]
+    (folder / "job.json").write_text(json.dumps({"words": words}), "utf-8")
+    return folder
 
 
 def test_a_run_is_listed_with_its_verdict_its_page_and_its_models(judged: Server) -> None:
