@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from flysid import copies
+from flysid.alike import same_noise, same_output
 from flysid.copies import find_copy
 from flysid.dataset import Dataset, FloatArray, Segment, Signal
 from flysid.errors import DataError
 from flysid.ingest.align.resample import Series, decimate, hold, linear
+from flysid.likely_copies import likely_copies
 
 BASE_S = 0.01
 DT_S = 0.04
@@ -213,3 +216,59 @@ def test_sines_of_other_sizes_are_no_copies() -> None:
         y = lfilter([0.0, 0.1], [1.0, -0.9], u) + 0.003 * rng.normal(size=100)
         flights.append(Segment(u[:, None], y[:, None], flight=name))
     assert find_copy(flights[:2], flights[2:], DT_S) is None
+
+
+def odd_flights(seed: int) -> list[Segment]:
+    """Flights of few plans and many lengths, as all the recorders above leave them, some with gaps."""
+    rng = np.random.default_rng(seed)
+    found: list[Segment] = []
+    for k in range(8):
+        rows = int(rng.choice([24, 40, 90, 150, 400, 3000]))
+        u, y = short(
+            int(rng.integers(3)), rows, weather=int(rng.integers(2)), noise=rng.choice([0.002, 0.05])
+        )
+        u, y = [as_it_is, *MOVED.values()][rng.integers(8)](u, y)
+        y = coarse(y, rng.choice([0.3, 1.0])) if rng.random() < 0.3 else y
+        y = np.where(np.arange(len(y))[:, None] // (rows // 3) == 1, y[0], y) if rng.random() < 0.3 else y
+        y = y * rng.choice([1e-6, 1e-150, 1.05, 1.0, 1.0, 1.0]) + rng.choice([0.0, 0.0, 1e6])
+        middle = len(y) // 2
+        later = round((middle + int(rng.integers(200))) * DT_S * 1e9)
+        found += [Segment(u[:middle], y[:middle], flight=str(k))]
+        found += [Segment(u[middle:], y[middle:], flight=str(k), t0_ns=later)]
+    return found
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_copy_is_lost_before_it_is_judged(seed: int) -> None:
+    every = odd_flights(seed)
+    theta = copies._linear_model(every)
+    known, held = (list(copies._on_grids(part, theta, DT_S).values()) for part in (every[:8], every[8:]))
+    judged = {
+        (i, k)
+        for i, mine in enumerate(held)
+        for k, theirs in enumerate(known)
+        if same_noise(theirs, mine) or same_output(theirs, mine)
+    }
+    assert judged <= set(likely_copies(known, held))
+
+
+def test_one_copy_among_a_hundred_flights_is_found_and_no_other_is_proposed() -> None:
+    flights = [Segment(*short(seed, 60 + seed % 90), flight=str(seed)) for seed in range(120)]
+    long = Segment(*short(1000, 8_000), flight="long")
+    copy = Segment(long.u[5000:5100], (long.y[5000:5100] + long.y[5001:5101]) / 2, flight="copy")
+    assert find_copy([*flights[::2], long], flights[1::2], DT_S) is None
+    for known, held in (([*flights[::2], long], [copy]), ([*flights[::2], copy], [long])):
+        theta = copies._linear_model([*known, *held])
+        grids = [list(copies._on_grids(part, theta, DT_S).values()) for part in (known, held)]
+        assert set(likely_copies(*grids)) <= {(0, len(known) - 1)}
+    found = find_copy([*flights[::2], long], [*flights[1::2], copy], DT_S)
+    assert found is not None
+    assert (found.held_out, found.training) == ("copy", "long")
+
+
+def test_outputs_in_units_far_apart_are_no_copies() -> None:
+    u, y = short(1, 100)
+    other, again = short(2, 100)
+    for known, held in ((1e6, 1e-150), (1e-150, 1e6)):
+        train, test = Segment(u, known * y, flight="a"), Segment(other, held * again, flight="b")
+        assert find_copy([train], [test], DT_S) is None
