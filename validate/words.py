@@ -156,22 +156,28 @@ def horizon_words(horizon: str, dt_s: float) -> str:
     return f"{steps} step{'s' if steps > 1 else ''} ({steps * dt_s:.3g} s)"
 
 
-def physics_words(comparison: Comparison) -> list[str]:
-    """Whether a physical model is enough, for every output and every such model that was compared."""
+def physics_words(comparison: Comparison, only: str | None = None) -> list[str]:
+    """Whether a physical model is enough, for every output and every such model that was compared.
+
+    Parameters
+    ----------
+    only : of this output alone, which is then not named.
+    """
     said = []
     for entry in comparison.entries:
-        if entry.horizon != comparison.head:
+        if entry.horizon != comparison.head or only not in (None, entry.output.name):
             continue
         for name, info in comparison.models.items():
             pair = entry.pairs.get(name)
             if pair is None or not info.physical:
                 continue
-            output = one_line(entry.output.name)
             against = f"{verdict_words(pair)}, against {one_line(pair.baseline).upper()}"
             if pair.verdict is Verdict.NOT_ENOUGH:
-                said.append(f"{output}: these flights do not show whether a physical model is enough.")
+                words = "these flights do not show whether a physical model is enough."
             elif pair.verdict is Verdict.WORSE:
-                said.append(f"{output}: a physical model is not enough ({against}).")
+                words = f"a physical model is not enough ({against})."
             else:
-                said.append(f"{output}: a physical model is enough ({against}).")
+                words = f"a physical model is enough ({against})."
+            whole = f"{words[0].upper()}{words[1:]}"
+            said.append(f"{one_line(entry.output.name)}: {words}" if only is None else whole)
     return said

@@ -11,6 +11,8 @@ from flysid.model.mean import Mean
 from flysid.model.multirotor import Multirotor
 from flysid.model.rotorcraft.rotor_axis import NAMES, free_run
 from flysid.validate.compare_models import compare
+from flysid.validate.report.context import ReportContext
+from flysid.validate.report.page import render
 from flysid.validate.words import physics_words
 
 
@@ -35,9 +37,12 @@ def test_the_comparison_says_that_physics_is_enough_where_it_is() -> None:
         "arx": ARX(na=2, nb=2, nk=1).fit(train),
         "multirotor": Multirotor().fit(train),
     }
-    (said,) = physics_words(compare(models, rates(2), train=train))
+    compared = compare(models, rates(2), train=train)
+    (said,) = physics_words(compared)
     assert said.startswith("p: a physical model is enough (MULTIROTOR better")
     assert said.endswith("against ARX).")
+    page = render(ReportContext({"roll": compared}, train={"roll": train}))
+    assert '<p class="small">A physical model is enough (MULTIROTOR better' in page
 
 
 def test_and_that_it_is_not_where_it_is_not() -> None:

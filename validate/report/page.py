@@ -28,6 +28,7 @@ from flysid.validate.words import (
     horizon_words,
     interval_words,
     one_line,
+    physics_words,
 )
 from flysid.version import __version__
 
@@ -149,6 +150,7 @@ def _cards(comparisons: Mapping[str, Comparison], diagnoses: Mapping[str, Diagno
                     "telling": shown,
                     "where": where,
                     "nonlinear": _nonlinear(diagnoses[channel], j),
+                    "physics": " ".join(physics_words(c, output)),
                     "answer": answer(c, (j, diagnoses[channel].outputs[j].main_input)),
                     "bar": interval_bar(pair, reach, narrative.css(pair), scale=True),
                     "interval": interval_words(pair),
