@@ -66,21 +66,10 @@ class Flown:
         back = np.exp(-2j * np.pi * f * STEP_S)
         unit = np.pi / 180.0 * 1000.0
         slope = (1.0 - back) / STEP_S
-        if self.firmware == "px4":
-            g = {name: unit * value for name, value in PX4.items()}
-            w = 2.0 * np.pi * 30.0
-            part = 0.25 * STEP_S
-            turn = 1.0 - part * np.sqrt(2.0) * w
-            once = np.array([[1.0 - part * part * w * w, part * turn], [-part * w * w, turn]])
-            push = np.array([part * part * w * w, part * w * w])
-            every = np.linalg.matrix_power(once, 4)
-            pushed = sum(np.linalg.matrix_power(once, k) @ push for k in range(4))
-            filtered = np.array([np.linalg.solve(np.eye(2) - b * every, pushed)[0] for b in back])
-        else:
-            g = {name: unit * value for name, value in ARDUPILOT.items()}
-            keep = np.exp(-2.0 * np.pi * ARDUPILOT["FLTD"] * STEP_S)
-            filtered = (1.0 - keep) / (1.0 - keep * back)
-        return np.asarray(g["P"] + g["I"] * STEP_S / (1.0 - back) + g["D"] * slope * filtered)
+        g, cut = (PX4, 30.0) if self.firmware == "px4" else (ARDUPILOT, ARDUPILOT["FLTD"])
+        keep = np.exp(-2.0 * np.pi * cut * STEP_S)
+        filtered = (1.0 - keep) / (1.0 - keep * back)
+        return np.asarray(unit * (g["P"] + g["I"] * STEP_S / (1.0 - back) + g["D"] * slope * filtered))
 
 
 def autopilot_flight(firmware: str, continuous: bool) -> Callable[[int, float], Found]:

@@ -43,13 +43,18 @@ def command(
     Reads the gains from the log (Betaflight 3.1 to 3.5, PX4 1.12 on, ArduCopter 4.0 on), measures the plant
     from the response to the sticks, and computes the loop. If the flights do not determine a figure, or the
     stated gains do not reproduce the recorded output, it says so, and what to fly (exit code 3: nothing is
-    known of any axis). It proposes no gains.
+    known of any axis). It proposes no gains. Of a run's folder its flights count; a run whose verdict is "not
+    enough data" is refused.
     """
     from flysid.ingest.lake.chosen_flights import Selection, select
     from flysid.loops.judged import CAUTION, judge
+    from flysid.validate.run import RUN_FILE
 
     if plot is not None:
         check_target(plot, force)
+    if (source / RUN_FILE).is_file():
+        source, own = _of_run(source)
+        flights = flights or own
     with Display().shown(), opened_flights(source, told) as lake:
         found = judge(select(lake, Selection(flights=flights)).logs, axes or ("roll", "pitch"))
     known = [j for j in found if j.margins is not None]
@@ -64,3 +69,27 @@ def command(
         draw_nyquist(known, plot)
         say(f"Nyquist plot: {plot}")
     return 0 if known else 3
+
+
+def _of_run(folder: Path) -> tuple[Path, tuple[str, ...]]:
+    """The data of a run, and its flights.
+
+    Raises
+    ------
+    DataError : the run's report says of no channel more than "not enough data".
+    """
+    from flysid.errors import DataError
+    from flysid.validate.history import run_channels
+    from flysid.validate.run import open_run
+    from flysid.validate.verdict import Verdict
+
+    run = open_run(folder)
+    verdicts = {channel.channel: channel.verdict for channel in run_channels(folder)}
+    if all(verdict == Verdict.NOT_ENOUGH for verdict in verdicts.values()):
+        lost = ", ".join(verdicts) or "; ".join(f"{name}: {why}" for name, why in run.skipped.items())
+        raise DataError(
+            f"the run's verdict is {str(Verdict.NOT_ENOUGH)!r} ({lost}): no plant is known",
+            path=folder,
+            hint=f"the flight to fly next: flysid plan {folder}; without the run: flysid gains {run.data}",
+        )
+    return Path(run.data), tuple(run.flights)

@@ -27,8 +27,9 @@ def settings_of(log: Any) -> dict[str, str]:
     """
     if "parameters" not in log.facts.streams or "main" not in log.facts.streams:
         raise DataError(
-            f"{log.name} is no blackbox log with its header",
-            hint="gains are read from the headers of Betaflight's blackbox logs",
+            f"{log.name} records no rate loop: it has neither vehicle_rates_setpoint (PX4) nor RATE "
+            "(ArduPilot) nor a blackbox header (Betaflight)",
+            hint="take the log that the vehicle wrote itself: .ulg, .bin with RATE, or blackbox",
         )
     table = log.table("parameters", ["name", "text"]).to_pydict()
     return dict(zip(table["name"], table["text"], strict=True))

@@ -11,10 +11,11 @@ one weight that explains the log best stands for it.
 PX4 (RateControl, 1.12 on) and ArduPilot (AC_PID, 4.0 on) count in rad/s and in shares of the output, here
 in deg/s and thousandths:
 
-    PX4:        K (P (r - y) + I integral of (r - y) - D (F y)') + FF r,     F of second order
+    PX4:        K (P (r - y) + I integral of (r - y) - D (F y)') + FF r,     F of first order
     ArduPilot:  P e + I integral of e + D (F e)' + FF (T r),                 e = E (T r - y)
 
-with filters T, E, F of first order on target, error and derivative. `refuse_misfit` compares all of it
+with filters T, E, F of first order on target, error and derivative. PX4's F was of second order before 1.13
+(pull request 18364). `refuse_misfit` compares all of it
 with the log.
 """
 
@@ -36,6 +37,9 @@ D_SCALE = 0.000529
 AXES = {"roll": "rollPID", "pitch": "pitchPID", "yaw": "yawPID"}
 LARGEST_MISS = 0.15
 THOUSANDTHS = 1000.0
+RELEASE = "ver_sw_release"
+FIRST_ORDER_SINCE = 0x010D0000
+"""PX4's release in a ULog, and 1.13, since which its derivative goes through a first-order filter."""
 ARDUPILOT_AXES = {"roll": "RLL", "pitch": "PIT", "yaw": "YAW"}
 
 
@@ -153,7 +157,7 @@ def betaflight(settings: Mapping[str, str], axis: str, throttle: FloatArray) -> 
 
 
 def px4(stated: Mapping[str, float], axis: str) -> Controller:
-    """The rate controller of PX4, from parameters.
+    """The rate controller of PX4, from parameters and the release where the log names it.
 
     Raises
     ------
@@ -169,9 +173,14 @@ def px4(stated: Mapping[str, float], axis: str) -> Controller:
         unit * k * i,
         unit * k * d,
         0.0,
-        ((2, cut),),
+        ((px4_order(stated), cut),),
         forward=unit * stated.get(stem + "FF", 0.0),
     )
+
+
+def px4_order(stated: Mapping[str, float]) -> int:
+    """Of the filter of PX4's derivative."""
+    return 1 if stated.get(RELEASE, FIRST_ORDER_SINCE) >= FIRST_ORDER_SINCE else 2
 
 
 def ardupilot(stated: Mapping[str, float], axis: str) -> Controller:

@@ -19,6 +19,7 @@ from flysid.loops.controller import (
     ardupilot,
     betaflight,
     px4,
+    px4_order,
     refuse_misfit,
 )
 from flysid.loops.margins import Figure, Margins, margins, trusted_band
@@ -164,7 +165,11 @@ KINDS = (
         px4_parameters,
         lambda log, axis, _: (px4_record(log, axis), NO_THROTTLE),
         lambda stated, axis, _: px4(stated, axis),
-        lambda stated, axis: _own(stated, f"MC_{axis.upper()}RATE_"),
+        lambda stated, axis: (
+            *_own(stated, f"MC_{axis.upper()}RATE_"),
+            *_own(stated, "IMU_DGYRO_CUTOFF"),
+            px4_order(stated),
+        ),
     ),
     Kind(
         "RATE",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
@@ -15,7 +16,8 @@ from flysid.loops.stick_response import ComplexArray, Loop, plant
 
 TRUSTED = 0.4
 NEIGHBOURS = 7  # lines: one that the sticks happened to leave out ends no band
-LOWEST_HZ = 1.5  # below, the window bends the plant by more than 4 %
+POWERS = 5  # of ln f, from 0 on: four of them bend the crossover of a plant with a lag by a standard error
+LOWEST_HZ = 1.5  # below, the window bends the plant by more than 4 %, before that is taken off
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     f = loop.f[at]
     back = controller.feedback(f)
     forward = controller.reference(f)
-    centre, draws = smoothed(f, plant(loop.mean)[at], plant(loop.draws)[:, at])
+    centre, draws = smoothed(loop, at)
     one = _figures(f, centre, back, forward)
     if np.isnan(one[0]):
         raise DataError(
@@ -109,30 +111,69 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     return Margins((low, high), *named)
 
 
-def smoothed(f: FloatArray, centre: ComplexArray, draws: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """The plant (F,) and its draws (D, F) without their scatter from one frequency to the next.
+def smoothed(loop: Loop, at: npt.NDArray[np.bool_]) -> tuple[ComplexArray, ComplexArray]:
+    """The plant (F,) at these lines and its draws (D, F), without scatter from line to line and without bend.
 
-    ln G is a cubic in ln f, its phase with a delay beside, by least squares weighted with the draws'
+    ln G is of fourth degree in ln f, its phase with a delay beside, by least squares weighted with the draws'
     scatter: a largest value, as Ms is, of a ragged curve would be too large. The weight of a line is that of
     its neighbours: by its own scatter, lines would be preferred for their errors.
+
+    A Hann window of T seconds averages spectra over frequency with the variance 1 / (3 T^2), so that the
+    quotient of S_ry = G S_ru and S_ru comes out as G (1 + (G'' / G + 2 G' / G S_ru' / S_ru) / (6 T^2)). That
+    is taken off; derivatives are those of the smooth curves.
     """
-    away = np.log(draws / centre)
+    f = loop.f[at]
+    centre = plant(loop.mean)[at]
+    away = np.log(plant(loop.draws)[:, at] / centre)
     scatter = median_filter((np.abs(away) ** 2).mean(axis=0), NEIGHBOURS, mode="nearest")
-    weight = 1.0 / np.sqrt(np.maximum(scatter, 1e-8))
-    x = np.log(f / np.sqrt(f[0] * f[-1]))
-    basis = np.stack([x**power for power in range(4)], axis=1)
-    size = _onto(basis, weight)
-    turn = _onto(np.column_stack([basis, f]), weight)
-    level = np.log(np.abs(centre))
-    phase = np.unwrap(np.angle(centre))
-    middle = np.exp(size @ level + 1j * (turn @ phase))
-    return middle, middle * np.exp(away.real @ size.T + 1j * (away.imag @ turn.T))
+    curves = _Curves.at(f, 1.0 / np.sqrt(np.maximum(scatter, 1e-8)))
+    level, slope, turn = curves.of(centre)
+    _, sent, _ = curves.of(loop.mean[0, 1][at])
+    window_s = 1.0 / (loop.f[1] - loop.f[0])
+    bend = (turn + slope**2 + 2.0 * slope * sent) / (6.0 * window_s**2)
+    middle = np.exp(level) / (1.0 + bend)
+    return middle, middle * np.exp(curves.through(away))
 
 
-def _onto(basis: FloatArray, weight: FloatArray) -> FloatArray:
-    """(F, F) that takes values to their weighted fit."""
-    found: FloatArray = basis @ np.linalg.pinv(basis * weight[:, None]) * weight
-    return found
+@dataclass(frozen=True, eq=False)
+class _Curves:
+    """Fits of ln G by powers of ln f, and of its phase by those and f.
+
+    Attributes
+    ----------
+    basis : (3, F, POWERS + 1) the functions, f the last, and their first and second derivatives by f.
+    size, turn : (POWERS, F), (POWERS + 1, F) that take ln |G| and the phase to coefficients.
+    """
+
+    basis: FloatArray
+    size: FloatArray
+    turn: FloatArray
+
+    @classmethod
+    def at(cls, f: FloatArray, weight: FloatArray) -> _Curves:
+        x = np.log(f / np.sqrt(f[0] * f[-1]))[:, None]
+        n = np.arange(POWERS)
+        by_x = n * x ** np.maximum(n - 1, 0)
+        twice = n * (n - 1) * x ** np.maximum(n - 2, 0)
+        g = f[:, None]
+        rows = [
+            np.column_stack(pair)
+            for pair in ((x**n, f), (by_x / g, np.ones_like(f)), ((twice - by_x) / g**2, np.zeros_like(f)))
+        ]
+        weighted = rows[0] * weight[:, None]
+        return cls(
+            np.array(rows), np.linalg.pinv(weighted[:, :POWERS]) * weight, np.linalg.pinv(weighted) * weight
+        )
+
+    def of(self, values: ComplexArray) -> ComplexArray:
+        """(3, F) the fit of ln values and its first and second derivatives."""
+        size = self.basis[:, :, :POWERS] @ (self.size @ np.log(np.abs(values)))
+        return np.asarray(size + 1j * (self.basis @ (self.turn @ np.unwrap(np.angle(values)))))
+
+    def through(self, away: ComplexArray) -> ComplexArray:
+        """(D, F) the fits of logarithms."""
+        size = self.basis[0, :, :POWERS] @ self.size
+        return np.asarray(away.real @ size.T + 1j * (away.imag @ (self.basis[0] @ self.turn).T))
 
 
 def _figures(f: FloatArray, g: ComplexArray, back: ComplexArray, forward: ComplexArray) -> list[float]:

@@ -12,7 +12,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.loops.judged import Judged
 from flysid.loops.margins import smoothed
-from flysid.loops.stick_response import ComplexArray, plant
+from flysid.loops.stick_response import ComplexArray
 
 LEVEL = 0.95
 
@@ -41,7 +41,7 @@ def curve_of(judged: Judged) -> Curve | None:
     at = (judged.loop.f >= low) & (judged.loop.f <= high)
     f = judged.loop.f[at]
     back = judged.controller.feedback(f)
-    centre, draws = smoothed(f, plant(judged.loop.mean)[at], plant(judged.loop.draws)[:, at])
+    centre, draws = smoothed(judged.loop, at)
     away = np.abs((draws - centre) * back)
     return Curve(f, centre * back, np.asarray(np.quantile(away, LEVEL, axis=0)))
 

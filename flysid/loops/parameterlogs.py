@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from flysid.dataset import FloatArray
 from flysid.errors import DataError, UsageError
 from flysid.loops.blackbox_loops import LARGEST_SHARE, even_pieces
-from flysid.loops.controller import AXES, THOUSANDTHS
+from flysid.loops.controller import AXES, RELEASE, THOUSANDTHS
 from flysid.loops.stick_response import Record
 
 LEAST_HZ = 40.0
@@ -58,8 +58,12 @@ def parameters_of(log: Any, needed: Callable[[str], bool]) -> dict[str, float]:
 
 
 def px4_parameters(log: Any) -> dict[str, float]:
-    """Those of PX4's rate controllers."""
-    return parameters_of(log, lambda name: name == "IMU_DGYRO_CUTOFF" or ("RATE_" in name and "MC_" in name))
+    """Those of PX4's rate controllers, and the number of the release."""
+    wanted = parameters_of(
+        log, lambda name: name == "IMU_DGYRO_CUTOFF" or ("RATE_" in name and "MC_" in name)
+    )
+    release = str(log.facts.info.get(RELEASE, ""))
+    return wanted | ({RELEASE: float(release)} if release.isdecimal() else {})
 
 
 def ardupilot_parameters(log: Any) -> dict[str, float]:

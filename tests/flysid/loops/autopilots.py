@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,10 +26,11 @@ class Log:
 
     name: str
     tables: dict[str, dict[str, Any]]
+    info: dict[str, str] = field(default_factory=dict)
 
     @property
     def facts(self) -> Any:
-        return SimpleNamespace(streams=dict.fromkeys(self.tables, 1))
+        return SimpleNamespace(streams=dict.fromkeys(self.tables, 1), info=self.info)
 
     def columns(self, stream: str) -> list[str]:
         return list(self.tables[stream])
@@ -144,27 +145,21 @@ def _fly(sticks, d, noise, law, numbers, delay):  # type: ignore[no-untyped-def]
     slope = 0.0
     old = 0.0
     w = 2.0 * np.pi * cut
-    x1 = 0.0
-    x2 = 0.0
+    keep = np.exp(-w * h)
     for k in range(n):
         seen = rate + noise[k]
         asked = outer * (sticks[k] - angle) if outer > 0.0 else sticks[k]
         if on_error > 0.0:
             target += (asked - target) * (1.0 - np.exp(-2.0 * np.pi * target_hz * h))
             error = target - seen
-            slope += ((error - old) / h - slope) * (1.0 - np.exp(-w * h))
-            old = error
-            out = slope
+            turning = error
         else:
             error = asked - seen
-            raw = (seen - old) / h  # second order: x1 the filtered slope, x2 its rate
-            old = seen
-            for _ in range(4):
-                x2 += 0.25 * h * (w * w * (raw - x1) - 1.4142135623730951 * w * x2)
-                x1 += 0.25 * h * x2
-            out = -x1
+            turning = -seen
+        slope = keep * slope + (1.0 - keep) * (turning - old) / h
+        old = turning
         total += i * h * error
-        u[k] = p * error + total + kd * out
+        u[k] = p * error + total + kd * slope
         r[k] = asked
         y[k] = seen
         acting = u[k - delay] if k >= delay else 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,12 @@ import pytest
 from click.testing import CliRunner
 
 from flysid.cli.gains import command
+from flysid.errors import DataError
 from flysid.loops.controller import Controller, ardupilot, px4
 from flysid.loops.judged import judge
+from flysid.loops.parameterlogs import px4_parameters
+from flysid.validate import history, run
+from flysid.validate.run import RUN_FILE
 from tests.flysid.loops.autopilots import ARDUPILOT, PX4, Log, ardupilot_log, px4_log
 from tests.flysid.loops.simulated import Vehicle, truth
 
@@ -82,3 +87,25 @@ def test_real_logs_are_judged_or_refused(log: str, words: str) -> None:
     done = CliRunner().invoke(command, [str(LOGS / log), "--axis", "roll"], standalone_mode=False)
     assert done.exception is None
     assert words in done.stdout
+
+
+def test_the_filter_of_px4s_derivative_depends_on_the_release() -> None:
+    stated = {f"MC_ROLLRATE_{k}": v for k, v in PX4.items()} | {"IMU_DGYRO_CUTOFF": 30.0}
+    assert px4(stated, "roll").filters == ((1, 30.0),)
+    log = px4_log(40.0)
+    log.info["ver_sw_release"] = str(0x010F0080)
+    assert px4(px4_parameters(log), "roll").filters == ((1, 30.0),)
+    log.info["ver_sw_release"] = str(0x010C03FF)
+    assert px4(px4_parameters(log), "roll").filters == ((2, 30.0),)
+
+
+def test_a_run_without_a_verdict_is_refused_with_the_flight_to_fly_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / RUN_FILE).write_text("{}")
+    told = SimpleNamespace(channel="roll", verdict="not enough data")
+    monkeypatch.setattr(history, "run_channels", lambda _: [told])
+    monkeypatch.setattr(run, "open_run", lambda _: SimpleNamespace(data="data", flights=(), skipped={}))
+    with pytest.raises(DataError, match=r"'not enough data' \(roll\)") as caught:
+        CliRunner().invoke(command, [str(tmp_path)], catch_exceptions=False)
+    assert f"flysid plan {tmp_path}" in caught.value.hint

@@ -77,7 +77,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "Betaflight 4": (lambda: log_of(40.0, {"Firmware revision": "Betaflight 4.4.0 (x) Y"}), "not known here"),
     "another firmware": (lambda: log_of(40.0, {"Firmware revision": "INAV 7.0.0 (x) Y"}), "not known here"),
     "unnamed firmware": (lambda: log_of(40.0, {"Firmware revision": ""}), "unnamed firmware"),
-    "no header": (lambda: without(log_of(40.0), "parameters"), "no blackbox log with its header"),
+    "no header": (lambda: without(log_of(40.0), "parameters"), "records no rate loop"),
     "gains missing": (lambda: log_of(40.0, {"rollPID": ""}), "does not state rollPID"),
     "filter missing": (lambda: log_of(40.0, {"dterm_lowpass_hz": ""}), "not state dterm_lowpass_hz"),
     "no parameters": (lambda: without(px4(), "parameters"), "states no parameters"),
