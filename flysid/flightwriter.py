@@ -105,20 +105,20 @@ class FlightWriter:
         return max(streams, key=lambda s: s.waiting_bytes)
 
     def _flush(self, stream: _Stream) -> None:
-        table = pa.concat_tables(stream.waiting) if stream.waiting else stream.schema.empty_table()
         if stream.writer is None:
             with writing_to(stream.path):
                 stream.writer = _parquet_writer(stream.path, stream.schema, stream.waiting_bytes)
             self._open += 1
+        if not stream.waiting:
+            return
+        table, boots, times = _ordered(pa.concat_tables(stream.waiting))
         self._waiting -= stream.waiting_bytes
         stream.waiting = []
         stream.waiting_bytes = 0
-        table, boots, times = _ordered(table)
         stream.rows += table.num_rows
-        if table.num_rows:
-            _note_times(stream, boots, times)
-            with writing_to(stream.path):
-                stream.writer.write_table(table, row_group_size=ROWS_PER_GROUP)
+        _note_times(stream, boots, times)
+        with writing_to(stream.path):
+            stream.writer.write_table(table, row_group_size=ROWS_PER_GROUP)
 
     def _close(self, stream: _Stream) -> None:
         if stream.writer is not None:
@@ -160,7 +160,7 @@ def _merge(stream: _Stream) -> None:
     file = pq.ParquetFile(stream.path, memory_map=False)
     later = list(accumulate(reversed([*stream.starts[1:], _END]), min))[::-1]
     temporary = stream.path.with_suffix(".sorting")
-    waiting = stream.schema.empty_table()
+    waiting = pa.Table.from_batches([], stream.schema)  # Schema.empty_table() imports pandas
     with writing_to(stream.path), _parquet_writer(temporary, stream.schema, SORT_BYTES) as writer:
         for group, earliest in enumerate(later):
             waiting = in_order(pa.concat_tables([waiting, file.read_row_group(group)]))

@@ -162,7 +162,9 @@ def killed(folder: Path, count: int, rate: int, goes_on: Callable[[], bool] = la
         port = free_port()
         with outcome.trial(), recorder(folder / f"k{k}.tlog", [f"udp:127.0.0.1:{port}"]) as record:
             sending = sender(port, rate, 60.0)
-            time.sleep(1.0 + chance.uniform(0.0, 2.0))
+            while not record.target.stat().st_size and sending.poll() is None:
+                time.sleep(0.02)
+            time.sleep(chance.uniform(0.0, 2.0))
             killed_at = time.time()
             record.process.kill()
             record.process.wait()

@@ -123,7 +123,7 @@ class Decoder:
 
     def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
         """A table without rows: what came is not kept."""
-        return self._by_name[stream].schema().empty_table().select(list(columns))
+        return pa.Table.from_batches([], self._by_name[stream].schema()).select(list(columns))
 
     def newest_ns(self, stream: str) -> int:
         """The latest time that the stream's vehicle has stated."""

@@ -87,7 +87,7 @@ class Follower:
         try:
             pieces = self._grids[watch.name].take(rows)
         except (RecipeError, DataError):
-            return  # its streams have not come yet: silent
+            return  # the grid says so while the channel is silent
         for piece in pieces:
             if not piece.follows:
                 watch.restart()
@@ -103,7 +103,20 @@ class Follower:
             return
         self._silent ^= {name}
         at = self._newest_ns[name] * 1e-9
-        text = (
-            "does not arrive: its streams are missing, or a condition does not hold" if silent else "arrives"
-        )
+        text = f"does not arrive: {self.lack(name)}" if silent else "arrives"
         self.tell(Event("silent" if silent else "heard", name, "", at, text=f"{name} {text}"))
+
+    def lack(self, name: str) -> str:
+        """Why a channel's samples do not come."""
+        return self._grids[name].lack
+
+    def states(self) -> dict[str, str]:
+        """Of every channel: "judged", or why it is not."""
+        return {watch.name: self._state(watch) for watch in self.watches}
+
+    def _state(self, watch: ChannelWatch) -> str:
+        if watch.name in self._silent:
+            return f"does not arrive: {self.lack(watch.name)}"
+        if not self._newest_ns[watch.name]:
+            return "waiting for samples"
+        return "outside what the model knows" if watch.is_outside else "judged"

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import FloatArray
-from flysid.errors import RecipeError
+from flysid.errors import DataError, RecipeError
 from flysid.ingest.align import resample
 from flysid.ingest.align.align import fine_grid, pauses, ratio_of
 from flysid.ingest.align.conditions import ALWAYS, condition_truths, spans_true
@@ -73,6 +73,7 @@ class _RunningCondition:
     def __init__(self, condition: Condition, log: Decoder) -> None:
         found = find_source(condition.sources, log)
         assert found is not None
+        self.found = found
         self._source, self.stream = found
         self.condition = condition
         self.tail = Tail()
@@ -130,7 +131,23 @@ class RunningGrid:
         self._log = log
         self._streams = 0
         self._boot = 0
+        self._absent = list(self._names)
+        self._fault = ""
         self._forget()
+
+    @property
+    def lack(self) -> str:
+        """Why no samples are given out, in words."""
+        if self._fault:
+            return self._fault
+        if self._absent:
+            sources = self._recipe.signals[self._absent[0]].sources
+            streams = " or ".join(dict.fromkeys(source.stream for source in sources))
+            return f"no stream for {self._absent[0]} has come ({streams})"
+        for condition in self._conditions:
+            if not len(condition.tail) or not condition.tail.x[-1]:
+                return f"{condition.condition.name} does not hold"
+        return "its streams have stopped"
 
     def _forget(self) -> None:
         self._signals: dict[str, RunningSignal] = {}
@@ -145,6 +162,16 @@ class RunningGrid:
         ------
         RecipeError : a signal cannot be read as the recipe says; nothing is given out.
         """
+        try:
+            given = self._taken(rows)
+        except (RecipeError, DataError) as error:
+            self._fault = error.advice
+            raise
+        if given:
+            self._fault = ""
+        return given
+
+    def _taken(self, rows: Mapping[str, Sequence[Rows]]) -> list[GridPiece]:
         given: list[GridPiece] = []
         boots = sorted({part.boot for parts in rows.values() for part in parts})
         for boot in boots:
@@ -168,12 +195,15 @@ class RunningGrid:
         if len(self._log.rows) == self._streams:
             return
         self._streams = len(self._log.rows)
+        self._fault = ""
         specs = {name: self._recipe.signals[name] for name in self._names}
         found = {name: find_source(spec.sources, self._log) for name, spec in specs.items()}
-        if any(one is None for one in found.values()):
+        self._absent = [name for name, one in found.items() if one is None]
+        if self._absent:
             return
-        if {name: s.found for name, s in self._signals.items()} != found:
-            self._forget()
+        is_other = {name: s.found for name, s in self._signals.items()} != found
+        if is_other or any(c.found != find_source(c.condition.sources, self._log) for c in self._conditions):
+            self._forget()  # a stream has come that the recipe prefers
             self._signals = {name: RunningSignal(spec, self._log) for name, spec in specs.items()}
         known = {c.condition.name for c in self._conditions}
         for condition in self._wanted:

@@ -24,6 +24,7 @@ LOOK_S = 0.2
 TEND_S = 1.0
 PEERS = 256  # of one link; a flood from made-up addresses shares one more
 HOST_STEP_S = 0.5
+SILENT_S = 5.0  # a link from which nothing comes for so long is said to be silent
 
 
 @dataclass
@@ -62,6 +63,7 @@ class Receiver:
     started_s: float = field(default_factory=time.time)
     _peers: dict[tuple[int, bytes], Peer] = field(default_factory=dict)
     _handles: dict[int, int] = field(default_factory=dict)
+    _heard: dict[int, tuple[float, float]] = field(default_factory=dict)
     _offset_s: float = field(default_factory=lambda: time.time() - time.monotonic())
 
     def __post_init__(self) -> None:
@@ -125,6 +127,8 @@ class Receiver:
         """Receive once on a link; whether more may wait."""
         arrivals, more = link.receive()
         number = self.links.index(link)
+        if arrivals:
+            self._heard[number] = time.monotonic(), time.time()
         for arrival in arrivals:
             peer = self._peer(number, link, arrival.peer)
             peer.datagrams += len(arrival.ends)
@@ -183,6 +187,7 @@ class Receiver:
                 {
                     "link": link.target.text,
                     "state": link.state,
+                    "silent_s": self._silent_s(number),
                     "buffer_bytes": link.buffer,
                     "dropped_by_host": link.dropped() if link.fileno() >= 0 else None,
                     "peers": [_peer_facts(peer, senders, refused) for peer in peers],
@@ -198,13 +203,26 @@ class Receiver:
             "warnings": self.warnings(),
         }
 
+    def _silent_s(self, number: int) -> float | None:
+        """Seconds since something came on a link; None where nothing has."""
+        heard = self._heard.get(number)
+        return None if heard is None else round(time.monotonic() - heard[0], 1)
+
     def warnings(self) -> list[str]:
-        """What a person should know: small buffers, links that are down, two vehicles with one number."""
+        """What a person should know: links that are down or silent, clocks that were set, and the like."""
         said = [text for text in map(buffer_advice, self.links) if text]
         said += [f"{link.target.text}: {link.state}" for link in self.links if link.state != "open"]
-        return said + doubled_systems(
-            self.ledger.senders[1:], {p.number: p.name for p in self._peers.values()}
-        )
+        for number, link in enumerate(self.links):
+            silent_s = self._silent_s(number)
+            if silent_s is not None and silent_s > SILENT_S:
+                since = time.strftime("%H:%M:%S", time.localtime(self._heard[number][1]))
+                said.append(f"{link.target.text}: silent since {since}")
+        names = {p.number: p.name for p in list(self._peers.values())}
+        senders = self.ledger.senders[1:]
+        said += [
+            f"the clock of this host was set by {step['step_s']:+.3g} s" for step in list(self.clock_steps)
+        ]
+        return said + stepped_clocks(senders) + doubled_systems(senders, names)
 
 
 def warm_up() -> None:
@@ -217,6 +235,17 @@ def warm_up() -> None:
     gather(np.zeros((1, 17), np.uint8), sizes, np.zeros((1, 1), np.uint8), np.empty(17, np.uint8))
     Framer(True).cut(Arrival(b"", frame, sizes, sizes))
     Ledger().enter(0, frame, np.array([0]), sizes, sizes)
+
+
+def stepped_clocks(senders: Any) -> list[str]:
+    """Vehicles that were started anew, or whose clock jumped."""
+    said = []
+    for row in senders:
+        for count, what in ((row["boots"], "was started anew"), (row["clock_steps"], "set its clock")):
+            if count:
+                times = "" if count == 1 else f", {count} times"
+                said.append(f"system {row['system']}.{row['component']} {what}{times}")
+    return said
 
 
 def doubled_systems(senders: Any, names: dict[int, str]) -> list[str]:

@@ -31,6 +31,7 @@ class Recording:
     guard : judges signatures; None where there is no key.
     heartbeat : send a ground station's heartbeat once a second, for vehicles that need one.
     listener : is given every piece as well, e.g. to watch what is recorded; must not wait.
+    watched : the state of every channel that is watched meanwhile, for the sidecar.
 
     Raises
     ------
@@ -48,6 +49,7 @@ class Recording:
     guard: Guard | None = None
     heartbeat: bool = False
     listener: Callable[[Piece], None] | None = None
+    watched: Callable[[], dict[str, str]] = dict
     spool: Spool = field(default_factory=Spool)
 
     def __post_init__(self) -> None:
@@ -85,7 +87,7 @@ class Recording:
     def facts(self) -> dict[str, Any]:
         """What has come, and how the writing goes."""
         queue = {"peak_bytes": self.spool.peak_bytes, "dropped_frames": self.spool.dropped_frames}
-        return {"queue": queue, **self.receiver.facts()}
+        return {"queue": queue, "channels": self.watched(), **self.receiver.facts()}
 
     def _put(self, piece: Piece) -> None:
         self.spool.put(piece)

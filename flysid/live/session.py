@@ -36,14 +36,16 @@ class Session:
         self._events: list[Event] = []
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
+        self._follower: Follower | None = None
         for watch in watches:
             rows = round(KEPT_S / watch.model.dt_s)
             watch.trace = Trace(len(watch.model.outputs), rows, 2 * round(LEVEL_EVERY_S / watch.model.dt_s))
         if recipe is not None:
-            follower = Follower(watches, recipe, self._events.append)
-            recording.listener = follower.listen
+            self._follower = Follower(watches, recipe, self._events.append)
+            recording.listener = self._follower.listen
+            recording.watched = self._follower.states
             self._thread = threading.Thread(
-                target=follower.run, args=(self._stop,), name="watch", daemon=True
+                target=self._follower.run, args=(self._stop,), name="watch", daemon=True
             )
 
     def start(self) -> None:

@@ -121,6 +121,11 @@ class ChannelWatch:
             output.alarmed = False
 
     @property
+    def is_outside(self) -> bool:
+        """Whether an input is outside what the model knows, so that nothing is judged."""
+        return self._outside
+
+    @property
     def visibility(self) -> list[str]:
         """What this channel can show, a line for each output."""
         return [visibility(self.name, o, self.model.inputs) for o in self.model.outputs]

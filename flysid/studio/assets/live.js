@@ -3,7 +3,7 @@ import { address, get } from "./api.js";
 import { clock, colour, complain, el, plain, size, swatch } from "./page.js";
 import { axes } from "./plots.js";
 
-const KEPT_S = 600, LEAST_S = 2;
+const KEPT_S = 600, LEAST_S = 2, SILENT_S = 5;
 
 export async function showLive(main, _query, stay) {
   const about = await get("live");
@@ -64,12 +64,16 @@ export async function showLive(main, _query, stay) {
     const rows = now.links.flatMap((link) => {
       const dropped = link.dropped_by_host === null ? "not known" : link.dropped_by_host.toLocaleString();
       const senders = link.peers.flatMap((peer) => peer.systems.map((one) => [peer, one]));
-      if (!senders.length) { return [row([link.link, link.state, "nothing has come", "", "", "", dropped])]; }
-      return senders.map(([peer, one]) => row([link.link, link.state, peer.peer + ", system " + one.system + "." + one.component,
+      const garbage = link.peers.reduce((sum, peer) => sum + peer.bytes_that_are_no_frame, 0);
+      const how = [link.state, link.silent_s > SILENT_S && "silent for " + clock(link.silent_s), garbage && garbage.toLocaleString() + " bytes that are no frame"]
+        .filter(Boolean).join(", ");
+      if (!senders.length) { return [row([link.link, how, garbage ? "no frame has come" : "nothing has come", "", "", "", dropped])]; }
+      return senders.map(([peer, one]) => row([link.link, how, peer.peer + ", system " + one.system + "." + one.component,
         one.frames.toLocaleString(), one.lost_by_sequence.toLocaleString(), one.lost_in_silence_about.toLocaleString(), dropped]));
     });
     const head = ["Link", "State", "Sender", "Frames", "Lost by sequence", "Lost in silence, about", "Dropped by this host"];
     state.replaceChildren(el("table", {}, el("thead", {}, el("tr", {}, head.map((text) => el("th", { scope: "col" }, text)))), el("tbody", {}, rows)));
+    charts.forEach((chart) => chart.say(now.channels[chart.channel.name]));
     warnings.replaceChildren(...now.warnings.map((text) => el("li", {}, text)));
   }
   changed();
@@ -83,9 +87,10 @@ class Chart { // one output of a channel
   constructor(channel, output, j, view, changed) {
     Object.assign(this, { channel, output, j, view, changed });
     this.nearest = el("span", { class: "value" });
+    this.state = el("span", { class: "hint", role: "status" });
     this.chart = el("div", { class: "chart", tabindex: 0, role: "img", "aria-label": output.name + ": measured, expected, free run" });
     this.box = el("section", { class: "plot" }, el("div", { class: "head" }, el("b", {}, output.name + (output.unit ? ", " + output.unit : "")),
-      el("span", { class: "hint" }, "from " + channel.inputs.join(", ")), this.nearest), this.chart);
+      el("span", { class: "hint" }, "from " + channel.inputs.join(", ")), this.nearest, this.state), this.chart);
     this.newest = -Infinity;
     this.marks = [];
     this.forget(0);
@@ -114,6 +119,11 @@ class Chart { // one output of a channel
     const ratio = news.nearest[this.output.name];
     if (ratio !== undefined) { this.nearest.textContent = "at " + Math.round(100 * ratio) + " % of the alarm"; }
     this.nearest.classList.toggle("alarm", ratio > 1);
+  }
+
+  say(state) { // what is judged needs no word
+    this.state.textContent = state === "judged" ? "" : state;
+    this.nearest.hidden = state !== "judged";
   }
 
   alarm(event) {

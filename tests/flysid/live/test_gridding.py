@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,6 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 
 import flysid
 from flysid.dataset import FloatArray, Segment
+from flysid.errors import RecipeError
 from flysid.ingest.align import align, resample
 from flysid.ingest.align.recipe import Recipe, parse_recipe
 from flysid.live.decoding import Decoder
@@ -251,3 +253,44 @@ def test_whatever_comes_is_survived(seed: int, size: int, kind: str) -> None:
         for before, after in itertools.pairwise(pieces):
             if after.follows:
                 assert after.t0_ns == before.t0_ns + len(before.u) * 20_000_000
+
+
+def test_a_condition_is_read_from_the_source_that_the_recipe_prefers() -> None:
+    """Though another one has come first."""
+    [armed] = RECIPE.conditions
+    first = [{"stream": "SYS_STATUS", "field": "load"}, {"stream": "HEARTBEAT", "field": "base_mode"}]
+    document = msgspec.to_builtins(RECIPE)
+    document["conditions"] = [{"name": "armed", "has_bits": 128, "sources": first, "margin_s": 0.0}]
+    decoder = Decoder(asked_of(recipe := parse_recipe(document, "running")))
+    grid = RunningGrid(recipe, "forward", 0.02, decoder)
+    records = log(3)
+    link = ardupilotmega.MAVLink(None, srcSystem=1, srcComponent=1)
+    status = bytes(link.sys_status_encode(0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0).pack(link))  # not armed
+    half = len(records) // 2
+    before = grid.take(decoder.read(b"".join(records[:half])))
+    assert sum(len(piece.u) for piece in before) > 100
+    stamp = records[half][:8]
+    after = grid.take(decoder.read(b"".join([stamp + status, *records[half:]])))
+    assert not after
+    assert grid.lack == "armed does not hold"
+    assert armed.name == "armed"
+
+
+def test_a_channel_says_why_it_gives_nothing() -> None:
+    """Streams that have not come, a recipe that a link cannot serve; the latter as long as it lasts."""
+    records = log(3)
+    decoder = Decoder(asked_of(RECIPE))
+    grid = RunningGrid(RECIPE, "forward", 0.02, decoder)
+    assert grid.lack == "no stream for tilt has come (ATTITUDE_TARGET)"
+    document = msgspec.to_builtins(RECIPE)
+    document["signals"]["tilt"]["sources"][0]["row_period_s"] = 0.02
+    decoder = Decoder(asked_of(recipe := parse_recipe(document, "running")))
+    grid = RunningGrid(recipe, "forward", 0.02, decoder)
+    told = []
+    for at in range(0, len(records), 50):
+        try:
+            assert not grid.take(decoder.read(b"".join(records[at : at + 50])))
+        except RecipeError as error:
+            told.append(error)
+    assert told
+    assert "a link tells the time" in grid.lack

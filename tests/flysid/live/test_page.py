@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 import socket
 import struct
 import threading
@@ -12,7 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import common
 
+from flysid.cli.studio import open_session
 from flysid.live.links import open_link
 from flysid.live.recording import Recording
 from flysid.live.session import Session
@@ -21,9 +24,10 @@ from flysid.live.traces import Trace
 from flysid.studio.live_server import _Server
 from flysid.studio.loopback import Key, bound
 from tests.browser import needs_browser
+from tests.command import call
 from tests.flysid.live.flown import FAULT_S, play
 from tests.flysid.studio.page import Page, until
-from tests.flysid.studio.server import studio
+from tests.flysid.studio.server import Server, studio
 from tests.link_trials import free_port
 
 SPEED = 8.0
@@ -133,3 +137,84 @@ def test_a_vehicle_is_seen_beside_its_model_and_recorded(
     state = json.loads(target.with_name("flight.tlog.json").read_text())
     assert state["state"] == "closed"
     assert state["frames"] > 1000
+
+
+@needs_browser
+def test_what_goes_wrong_on_a_link_is_a_state_on_the_page_and_in_the_sidecar(
+    place: Path, tmp_path: Path, browser: Any
+) -> None:
+    """Nothing, garbage, ten systems without the streams of the model, clocks that step, silence."""
+    port = free_port()
+    target = tmp_path / "flight.tlog"
+    session = open_session((f"udp:127.0.0.1:{port}",), place / "run", 0.1, target)
+    sent = 0
+    garbage = random.Random(4).randbytes(1_200).replace(b"\xfd", b"\x00").replace(b"\xfe", b"\x00")
+    with bound(0) as listening, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+
+        def send(*frames: bytes) -> None:
+            for frame in frames:
+                out.sendto(frame, ("127.0.0.1", port))
+
+        page = Page(browser, served(listening, session, tmp_path))
+        session.start()
+        said = lambda words: until(lambda: words in page.find("main").text)  # noqa: E731
+        said("nothing has come")
+        for _ in range(200):
+            send(garbage)
+        said("bytes that are no frame")
+        vehicles = [common.MAVLink(None, srcSystem=k + 1, srcComponent=1) for k in range(10)]
+        for _ in range(3):
+            send(*[stepped(one, one.heartbeat_encode(2, 3, 0, 0, 4)) for one in vehicles])
+            sent += 10
+        until(lambda: len(page.all("tbody tr")) == 10)
+        said("no stream for theta_in has come")
+        for boot_ms in (10_000, 70_000, 500):  # a minute on, and from the beginning
+            send(stepped(vehicles[0], vehicles[0].system_time_encode(0, boot_ms)))
+            sent += 1
+        said("system 1.1 set its clock")
+        said("system 1.1 was started anew")
+        session.recording.receiver._offset_s -= 30.0  # as if the host's clock had been set
+        said("the clock of this host was set by +30 s")
+        said("silent for")
+        assert not [e for e in browser.get_log("browser") if e["level"] == "SEVERE"]
+    session.stop()
+    content = target.read_bytes()
+    assert whole_records(content, len(content)) == (len(content), sent)
+    kept = json.loads(target.with_name("flight.tlog.json").read_text())
+    [link] = kept["links"]
+    assert link["silent_s"] > 5.0
+    assert sum(peer["bytes_that_are_no_frame"] for peer in link["peers"]) == 200 * len(garbage)
+    assert len(link["peers"][0]["systems"]) == 10
+    first = link["peers"][0]["systems"][0]
+    assert (first["clock_steps"], first["boots"]) == (1, 1)
+    assert [step["step_s"] for step in kept["host_clock_steps"]] == [30.0]
+    assert "no stream for theta_in has come" in kept["channels"]["longitudinal"]
+    assert any("silent since" in text for text in kept["warnings"])
+
+
+def stepped(link: Any, message: Any) -> bytes:
+    """A frame; the next has the next number."""
+    frame = bytes(message.pack(link))
+    link.seq = (link.seq + 1) % 256
+    return frame
+
+
+def served(listening: socket.socket, session: Session, place: Path) -> Server:
+    """The live page by itself, in a thread that ends with the socket."""
+    key = Key(listening.getsockname()[1])
+    server = _Server(key, session)
+    server.socket.close()
+    server.socket = listening
+    threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True).start()
+    return Server(place, f"{key.address}#/live", None)  # type: ignore[arg-type]
+
+
+def test_a_port_in_use_is_told_before_anything_begins(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        link = f"udp:127.0.0.1:{other.getsockname()[1]}"
+        ended = call("studio", "data", "--no-open", "--live", link, cwd=tmp_path)
+    assert ended.returncode == 2
+    assert link in ended.stderr
+    assert "in use" in ended.stderr
+    assert not list(tmp_path.glob("data.studio/recordings/*"))
