@@ -8,6 +8,7 @@ the vehicle's own counter second, arrival times last.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,7 @@ BoolArray = npt.NDArray[np.bool_]
 SECOND_NS = 1_000_000_000
 BACK_STEP_NS = 1 * SECOND_NS
 JUMP_NS = 3600 * SECOND_NS
+LEAP_NS = 10 * SECOND_NS
 SIDE = 3
 KNOTS_PER_FIT = 4000
 MAX_KNOTS = 1 << 16
@@ -165,6 +167,26 @@ def leaps(time_ns: IntArray, arrival_ns: IntArray, least_ns: int) -> IntArray:
     return np.flatnonzero(steps - explained > least_ns) + 1
 
 
+def settings(time_ns: IntArray, utc_ns: IntArray) -> IntArray:
+    """Indices i before which somebody set the clock that says the UTC: it leaps, either way, and stays there.
+
+    The rate is that between pairs a twentieth of the record apart, of which a leap bends one in twenty.
+    """
+    steps = np.diff(utc_ns)
+    if not (np.abs(steps) > LEAP_NS).any():
+        return np.empty(0, np.int64)
+    apart = max(1, len(time_ns) // 20)
+    run = (time_ns[apart:] - time_ns[:-apart]).astype(np.float64)
+    rise = (utc_ns[apart:] - utc_ns[:-apart])[run > 0]
+    rate = max(float(np.median(rise / run[run > 0])), 0.0) if len(rise) else 1.0
+    left = (utc_ns - utc_ns[0]) - rate * (time_ns - time_ns[0])
+    found = np.flatnonzero(np.abs(np.diff(left)) > LEAP_NS) + 1
+    stays = [
+        abs(np.median(left[i : i + SIDE]) - np.median(left[max(i - SIDE, 0) : i])) > LEAP_NS for i in found
+    ]
+    return found[np.array(stays, dtype=np.bool_)]
+
+
 def interpolate(at: IntArray, knots: IntArray, values: IntArray, slope: float) -> IntArray:
     """Values at `at` by straight lines between knots (rising), and with `slope` beyond them.
 
@@ -184,7 +206,8 @@ class UtcFit:
     """Collects pairs (vehicle time, UTC) of each boot and fits one straight line per boot.
 
     The slope is the median of the slopes between points half a record apart, the offset the median
-    residual (Theil 1950, Sen 1968, on n/2 pairs): half of the pairs may be wrong.
+    residual (Theil 1950, Sen 1968, on n/2 pairs): half of the pairs may be wrong. Where the UTC was set anew
+    within a boot, the longest part alone is taken, as no line fits two.
     """
 
     first_ns: dict[int, int] = field(default_factory=dict)
@@ -192,6 +215,7 @@ class UtcFit:
     _pairs: dict[int, list[tuple[IntArray, IntArray]]] = field(default_factory=dict)
     _held: dict[int, int] = field(default_factory=dict)  # pairs of each boot
     _fitted: dict[int, tuple[int, float, int]] = field(default_factory=dict)  # until more pairs come
+    _set: dict[int, tuple[int, ...]] = field(default_factory=dict)  # by how much the UTC was set, as fitted
 
     def add(self, boot: int, vehicle_ns: IntArray, utc_ns: IntArray | None = None) -> None:
         """More pairs of a boot, in order; `utc_ns` None where nothing anchors them."""
@@ -224,6 +248,11 @@ class UtcFit:
         fitted = self._fit(boot)
         return fitted[1] if fitted else 1.0
 
+    def set_by(self, boot: int) -> tuple[int, ...]:
+        """Nanoseconds by which the UTC leapt each time that it was set within a boot."""
+        self._fit(boot)
+        return self._set.get(boot, ())
+
     def clocks(self) -> tuple[ClockMap, ...]:
         """One map per boot, in order."""
         maps = []
@@ -238,7 +267,11 @@ class UtcFit:
             return None
         if boot not in self._fitted:
             vehicle, utc = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
-            self._fitted[boot] = fit_line(vehicle, utc)
+            at = settings(vehicle, utc)
+            self._set[boot] = tuple(int(step) for step in np.diff(utc)[at - 1] - np.diff(vehicle)[at - 1])
+            edges = [0, *at.tolist(), len(utc)]
+            start, stop = max(pairwise(edges), key=lambda edge: edge[1] - edge[0])
+            self._fitted[boot] = fit_line(vehicle[start:stop], utc[start:stop])
         return self._fitted[boot]
 
 

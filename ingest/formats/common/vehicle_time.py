@@ -22,6 +22,7 @@ from itertools import pairwise
 import numpy as np
 
 from flysid.ingest.formats.common.clock import (
+    LEAP_NS,
     SECOND_NS,
     SIDE,
     BoolArray,
@@ -42,7 +43,6 @@ NO_TIME = -(1 << 63)
 LONG_PERIOD_NS = 86400 * SECOND_NS
 UNIX_NS = 10**18  # 2001: a clock that counts from boot does not get there
 AGREES_NS = 5 * SECOND_NS
-OUTLIER_NS = 10 * SECOND_NS
 AUTOPILOT_COMPONENT = 1
 Source = tuple[int, int, int]
 
@@ -204,7 +204,7 @@ class VehicleTime:
             self.sources[stream.source] = stream.field if agrees else "arrival-mapped"
         if self.sources[stream.source] != stream.field:
             return placed_ns
-        wrong = apart > OUTLIER_NS
+        wrong = apart > LEAP_NS
         count = int((wrong & is_set).sum())
         if count:
             self.outliers[stream.source] = self.outliers.get(stream.source, 0) + count
@@ -264,7 +264,7 @@ class VehicleTime:
         """The streams without times that are absurd among those of all of them."""
         rows, times = self._in_order(streams)
         before = state.tail[1]
-        wrong = out_of_place(np.concatenate([before, times]), OUTLIER_NS)[len(before) :] | (times >= UNIX_NS)
+        wrong = out_of_place(np.concatenate([before, times]), LEAP_NS)[len(before) :] | (times >= UNIX_NS)
         if not wrong.any():
             return streams
         bad = np.zeros(len(self._arrival), dtype=np.bool_)
@@ -279,7 +279,7 @@ class VehicleTime:
             return []
         arrival = np.concatenate([state.tail[0], self._arrival[rows]])
         joined = np.concatenate([state.tail[1], times])
-        found = leaps(joined, arrival, OUTLIER_NS) - len(state.tail[0])
+        found = leaps(joined, arrival, LEAP_NS) - len(state.tail[0])
         steps = np.diff(joined)
         for at in found.tolist():
             boot = state.boot + int(np.searchsorted(splits, rows[at])) + 1

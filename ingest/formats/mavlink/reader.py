@@ -397,9 +397,18 @@ def _clocks(reader: _Reader) -> tuple[ClockMap, ...]:
 def _info(reader: _Reader) -> Mapping[str, str]:
     stamps = reader.stamps or ("arrival" if reader.scanner.stamp else "none")
     main = "" if reader.time.main is None else str(reader.time.main)
-    note = {}
+    notes = []
     if found := reader.time.leapt.get(reader.time.main or 0):
         sizes = ", ".join(f"{ns / SECOND_NS:,.1f} s before boot {boot}" for boot, ns in sorted(found.items()))
-        note = {"clock_note": f"the vehicle's clock leapt ahead of the arrivals by {sizes}; cut there"}
+        notes.append(f"the vehicle's clock leapt ahead of the arrivals by {sizes}; cut there")
+    fit = reader.time.fit()
+    for boot in sorted(fit.first_ns):
+        if times := fit.set_by(boot):
+            more = f", and {len(times) - 1} times more" if len(times) > 1 else ""
+            notes.append(
+                f"the station's clock was set by {times[0] / SECOND_NS:+,.1f} s in boot {boot}{more}; "
+                "its UTC is that of the longest part"
+            )
+    note = {"clock_note": "; ".join(notes)} if notes else {}
     about = {"dialect": reader.dialect.name, "timestamps": stamps, "clock_system": main}
     return {**about, **note, **reader.info}
