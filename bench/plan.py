@@ -6,6 +6,7 @@ phases clipped flat (`ingest/synth`), for several bands.
 a plant of three inputs and outputs that couple by a tenth, ARX of its order.
 `python -m bench.plan widths [runs] [first seed]`: widths predicted from 60 s for 240 s, beside those after;
 ARX of the plant's order.
+`python -m bench.plan rules [runs] [first seed]`: the same of every rule of a TS model, from 75 s for 300 s.
 """
 
 from __future__ import annotations
@@ -16,9 +17,12 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import lfilter
 
+from bench.ts_intervals import DT_S, known_model, steps
 from flysid.dataset import Dataset, FloatArray
 from flysid.ingest.synth.manoeuvres import random_phase_multisine
 from flysid.model.arx import ARX
+from flysid.model.rules.fitted import FittedTS
+from flysid.model.ts import TS
 from flysid.plan.flightplan import Axis, make_plan
 from flysid.plan.multisines import largest_correlation, relative_peak_factor
 from flysid.plan.precision import Known, known_of_model
@@ -115,14 +119,37 @@ def widths_of(seed: int, settings: ARX) -> tuple[float, float, float]:
 
 def widths(runs: int, first: int) -> None:
     """Predicted over real widths."""
-    table = np.array([widths_of(seed, ARX(na=2, nb=2, nk=1)) for seed in range(first, first + runs)])
+    told(np.array([widths_of(seed, ARX(na=2, nb=2, nk=1)) for seed in range(first, first + runs)]))
+
+
+def told(table: FloatArray) -> None:
+    """Print (N, 3) shares known, predicted and that came."""
     ratio = table[:, 1] / table[:, 2]
     near = 100 * np.mean(np.abs(ratio - 1.0) <= 0.3)
     print(
         f"known to {100 * np.median(table[:, 0]):.2g} %, predicted {100 * np.median(table[:, 1]):.2g}, came "
-        f"{100 * np.median(table[:, 2]):.2g}; predicted within 30 % of what came in {near:.0f} % of {runs} "
-        f"(ratio {ratio.min():.2f} to {ratio.max():.2f})"
+        f"{100 * np.median(table[:, 2]):.2g}; predicted within 30 % of what came in {near:.0f} % of "
+        f"{len(table)} (ratio {ratio.min():.2f} to {ratio.max():.2f})"
     )
+
+
+def widths_of_rules(seed: int, truth: FittedTS) -> list[tuple[float, float, float]]:
+    """As `widths_of`, of both rules' gains; noise coloured by a pole at 0.8."""
+    u = steps(500 + seed, 6000)
+    white = 0.03 * np.random.default_rng(seed).standard_normal(len(u))
+    y = truth.simulate(u, np.zeros((truth.n_init, 1))) + lfilter([1.0], [1.0, -0.8], white)[:, None]
+    found = []
+    for rows in (1500, 6000):
+        data = Dataset.from_arrays(u[:rows], y[:rows], DT_S)
+        model = TS(rules=2, na=1, nb=1, nk=1, antecedents=("u(k-1)",)).fit(data)
+        found.append(list(known_of_model(model, rows * DT_S, train=data)))
+    return [(a.share, a.share_after(4500 * DT_S), b.share) for a, b in zip(*found, strict=True)]
+
+
+def rules(runs: int, first: int) -> None:
+    """Predicted over real widths."""
+    truth = known_model()
+    told(np.array([row for seed in range(first, first + runs) for row in widths_of_rules(seed, truth)]))
 
 
 if __name__ == "__main__":
@@ -132,5 +159,7 @@ if __name__ == "__main__":
         signals()
     elif kind == "axes":
         axes(count, seed_0)
+    elif kind == "rules":
+        rules(count, seed_0)
     else:
         widths(count, seed_0)

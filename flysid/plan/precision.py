@@ -12,12 +12,14 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from flysid.dataset import Dataset, Signal
+from flysid.errors import FlysidError
 from flysid.model.base import Fitted
-from flysid.model.capabilities import LinearModel
+from flysid.model.capabilities import HasIntervals, LinearModel
 from flysid.model.polynomials import Z95
 from flysid.model.transfer_function import FittedTF
 from flysid.validate.run import HeldOut, Run, held_out
@@ -91,19 +93,22 @@ def known_of_run(run: Run, data: str | Path | None = None) -> list[Known]:
 
 
 def known_of_channel(held: HeldOut) -> Iterator[Known]:
-    """What the baseline knows, and the transfer functions where they were fitted."""
+    """What the baseline knows, and transfer functions and rules where they were fitted."""
     seconds = _seconds(held.train) + _seconds(held.test)
-    labels = dict.fromkeys(label for label in (held.channel.baseline, "tf") if label in held.models)
+    labels = dict.fromkeys(label for label in (held.channel.baseline, "tf", "ts") if label in held.models)
     for label in labels:
-        yield from known_of_model(held.models[label], seconds, held.channel.name, label)
+        yield from known_of_model(held.models[label], seconds, held.channel.name, label, held.train)
 
 
-def known_of_model(model: Fitted, seconds: float, channel: str = "", label: str = "") -> Iterator[Known]:
-    """Figures of a linear model that come with an interval.
+def known_of_model(
+    model: Fitted, seconds: float, channel: str = "", label: str = "", train: Dataset | None = None
+) -> Iterator[Known]:
+    """Figures of a linear model, or of every rule, that come with an interval.
 
     Parameters
     ----------
     seconds : of the flights that it was fitted on.
+    train : those flights, for a model of rules.
     """
     if isinstance(model, FittedTF):
         for transfer in model.transfers:
@@ -117,6 +122,24 @@ def known_of_model(model: Fitted, seconds: float, channel: str = "", label: str 
                 yield Known(channel, label, f"dead time of {pair}", transfer.dead_time_s, "s", half, seconds)
     elif isinstance(model, LinearModel):
         yield from _gains(model, seconds, channel, label)
+    elif isinstance(model, HasIntervals) and train is not None:
+        yield from _gains_of_rules(model, train, seconds, channel, label)
+
+
+def _gains_of_rules(model: Any, train: Dataset, seconds: float, channel: str, label: str) -> Iterator[Known]:
+    """Steady gains of every rule; more of the same is as often where the rule speaks."""
+    try:
+        low, high = model.uncertainty(train).gain_interval
+    except (FlysidError, np.linalg.LinAlgError):
+        return
+    for r, rule in enumerate(model.rules()):
+        for i, output in enumerate(model.outputs):
+            for j, source in enumerate(model.inputs):
+                value = float(rule.dc_gain[i, j])
+                half = 0.5 * float(high[r, i, j] - low[r, i, j])
+                if math.isfinite(value) and math.isfinite(half) and value:
+                    what = f"gain of {source.name} to {output.name} of {rule.label}, {rule.condition},"
+                    yield Known(channel, label, what, value, _ratio(output, source), half, seconds)
 
 
 def _gains(model: LinearModel, seconds: float, channel: str, label: str) -> Iterator[Known]:

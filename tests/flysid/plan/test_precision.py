@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from bench.plan import BANDS, axes, signals, widths_of
+from bench.plan import BANDS, axes, signals, widths_of, widths_of_rules
+from bench.ts_intervals import known_model
 from flysid.dataset import Dataset
 from flysid.model.arx import ARX
 from flysid.model.transfer_function import TF
@@ -40,6 +41,13 @@ def test_a_figure_that_is_not_known_is_not_carried_further() -> None:
 def test_predicted_widths_come_true() -> None:
     for seed in range(5):
         _, predicted, came = widths_of(seed, ARX(na=2, nb=2, nk=1))
+        assert predicted == pytest.approx(came, rel=0.3)
+
+
+def test_predicted_widths_of_rules_come_true() -> None:
+    both = widths_of_rules(1000, known_model())
+    assert len(both) == 2
+    for _, predicted, came in both:
         assert predicted == pytest.approx(came, rel=0.3)
 
 
