@@ -21,6 +21,7 @@ _HOME = {
     "StructuredStateSpace": "flysid.model.structured.structured_state_space",
     "TF": "flysid.model.transfer_function",
     "Multirotor": "flysid.model.multirotor",
+    "PolyNARX": "flysid.model.polynarx",
     "Line": "flysid.model.line",
     "Mean": "flysid.model.mean",
     "Persistence": "flysid.model.persistence",
@@ -67,6 +68,7 @@ __all__ = [  # noqa: RUF022
     "StructuredStateSpace",
     "TF",
     "Multirotor",
+    "PolyNARX",
     "Line",
     "Mean",
     "Persistence",
@@ -130,6 +132,7 @@ if TYPE_CHECKING:
     from flysid.model.multirotor import Multirotor
     from flysid.model.oe import OE
     from flysid.model.persistence import Persistence
+    from flysid.model.polynarx import PolyNARX
     from flysid.model.rules.consequents import refit_consequents
     from flysid.model.rules.search_settings import SearchSettings
     from flysid.model.rules.stabilise import with_stable_rules

@@ -208,6 +208,7 @@ STRUCTURES: Mapping[str, Structure] = {
         Structure("ts", "flysid.model.rules.fitted:from_dict", "rules"),
         Structure("ts_ss", "flysid.model.rules.fitted:from_dict", "rules"),
         Structure("multirotor", "flysid.model.multirotor:from_dict", "physics"),
+        Structure("polynarx", "flysid.model.narx.fitted_polynomial:from_dict"),
         Structure("ensemble", "flysid.model.ensemble:from_dict"),
     )
 }

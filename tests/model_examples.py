@@ -24,6 +24,7 @@ from flysid.model.mean import Mean
 from flysid.model.multirotor import Multirotor
 from flysid.model.oe import OE
 from flysid.model.persistence import Persistence
+from flysid.model.polynarx import PolyNARX
 from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.statespace import StateSpace
 from flysid.model.static_ts import StaticTS
@@ -110,6 +111,11 @@ EXAMPLES: dict[str, tuple[Builder, Dataset]] = {
     "structured, two inputs and outputs": (StructuredStateSpace(hold="first").fit, data(2, 2)),
     "multirotor": (Multirotor().fit, data()),
     "multirotor, accelerations": (Multirotor(kind="acceleration").fit, data(2, 2)),
+    "polynarx": (PolyNARX(na=2, nb=2, nk=1, most_terms=2).fit, data()),
+    "polynarx, two inputs and outputs": (
+        PolyNARX(na=2, nb=1, nk=1, most_terms=1).fit,
+        data(2, 2, samples=200),
+    ),
     "arx, static": (ARX(na=0, nb=1, nk=0, refine=False).fit, data()),
 }
 

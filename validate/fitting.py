@@ -82,6 +82,7 @@ def estimators(
     from flysid.model.mean import Mean
     from flysid.model.multirotor import Multirotor
     from flysid.model.persistence import Persistence
+    from flysid.model.polynarx import PolyNARX
     from flysid.model.static_ts import StaticTS
     from flysid.model.structured.structured_state_space import StructuredStateSpace
     from flysid.model.transfer_function import TF
@@ -104,6 +105,7 @@ def estimators(
         "tf": TF(nk_hint=nk_hint),
         "multirotor": Multirotor(),
         "structured": StructuredStateSpace(_structure_file(settings)),
+        "polynarx": PolyNARX(nk_hint=nk_hint),
         "static_ts": StaticTS(seed=settings.seed),
         "ts": BestTS(**late),
         "ts_lags": TS(**late),

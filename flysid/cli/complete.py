@@ -8,7 +8,7 @@ import click
 
 MODELS = (
     "anfis", "armax", "arx", "bj", "ensemble", "fir", "iv", "line", "linear_lags", "linear_ss", "mean",
-    "multirotor", "oe", "persistence", "statespace", "static_ts", "structured", "tf", "ts",
+    "multirotor", "oe", "persistence", "polynarx", "statespace", "static_ts", "structured", "tf", "ts",
     "ts_lags", "ts_ss",
 )  # fmt: skip
 """Labels that `flysid fit --models` knows."""

@@ -38,6 +38,7 @@ NAMES = {
     "line": "straight line",
     "multirotor": "physical model",
     "structured": "structured model",
+    "polynarx": "polynomial NARX model",
 }
 SYMBOLS = {Verdict.BETTER: "▲", Verdict.WORSE: "▼", Verdict.SAME: "=", Verdict.NOT_ENOUGH: "?"}
 CSS = {

@@ -1,0 +1,129 @@
+"""Polynomial NARX: an output as a sum of terms that can be named, found by the free run.
+
+    y(k) = sum_t theta_t phi_t,    phi_t a product of past outputs, inputs, their changes, magnitudes, signs
+
+(Leontaritis & Billings, 1985, Int. J. Control 41). The search starts from linear models and adds one term at
+a time, by what the free run gains (Piroddi & Spinelli, 2003, Int. J. Control 76); all coefficients are then
+refined on the simulation error. `narx/term_search` tells how, `notes` what was added and why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from flysid.dataset import Dataset
+from flysid.errors import DataError, FitError, UsageError
+from flysid.model.arguments import is_count
+from flysid.model.arx import ARX
+from flysid.model.linear.data import Parts
+from flysid.model.linear.difference_equation import FittedLinear
+from flysid.model.linear.settings import Auto
+from flysid.model.narx.fitted_polynomial import FittedPolyNARX, Units
+from flysid.model.narx.polynomial_terms import depth_of
+from flysid.model.narx.term_search import Candidate, TermSearch, finished, grown, linear_terms, pruned
+from flysid.model.selection import clearly_better
+from flysid.model.shared import fit_key, once
+from flysid.model.threads import on_one_thread
+
+LAGS = 2
+"""Of the smallest plant that has a speed of its own: a mass, a spring and a damper."""
+
+
+@dataclass(frozen=True)
+class PolyNARX:
+    """Settings of a polynomial NARX model.
+
+    Parameters
+    ----------
+    na, nb, nk : orders and delays of the linear model that terms are added to, as of `ARX`. Where all are
+        "auto", the search starts from what `ARX` chooses, and from two lags with delays of their own and with
+        none, and takes the one whose polynomial is clearly better on held-out blocks.
+    most_terms : nonlinear terms at most.
+    nk_hint : delays that "auto" tries besides its own, one per input.
+
+    Source: Leontaritis & Billings (1985); Piroddi & Spinelli (2003), selection by the simulation error.
+
+    Examples
+    --------
+    >>> model = flysid.PolyNARX(na=1, nb=1, nk=1).fit(train)  # train: see `flysid.Dataset`
+    >>> model.structure
+    'polynarx'
+    """
+
+    na: int | Auto = "auto"
+    nb: int | Sequence[int] | Auto = "auto"
+    nk: int | Sequence[int] | Auto = "auto"
+    most_terms: int = 10
+    nk_hint: Sequence[int] = ()
+
+    @on_one_thread
+    @once(fit_key)
+    def fit(self, train: Dataset, validation: Dataset | None = None) -> FittedPolyNARX:
+        """Start from linear models, add terms, leave out those that say nothing, refine.
+
+        Raises
+        ------
+        UsageError : settings that cannot be. DataError : no or too few samples, a signal that never changes.
+        FitError : no linear model to start from.
+        """
+        if not is_count(self.most_terms, 0):
+            raise UsageError(f"most_terms is {self.most_terms!r}", hint="a whole number of at least 0")
+        linear = list(self._linear(train, validation))
+        parts = Parts.of(train, validation)
+        units = Units.of(train)
+        starts = dict(linear_terms(model, units) for model in linear)
+        depth = max(map(depth_of, starts))
+        searches = [TermSearch(parts, units, terms, theta, depth) for terms, theta in starts.items()]
+        found = [found for search in searches if (found := self._searched(search)) is not None]
+        if not found:
+            first = searches[0]
+            note = "The free run of the linear model leaves its limits: no term was looked for."
+            return replace(first.model(first.start, first.theta), notes=(note,))
+        best = found[0]
+        for other in found[1:]:
+            if clearly_better(other.chosen.errors, best.chosen.errors):
+                best = other
+        return best.finished()
+
+    def _linear(self, train: Dataset, validation: Dataset | None) -> Iterator[FittedLinear]:
+        """What terms are added to."""
+        settings: dict[str, Any] = {"na": self.na, "nb": self.nb, "nk": self.nk, "nk_hint": self.nk_hint}
+        yield ARX(**settings).fit(train, validation)
+        if (self.na, self.nb, self.nk) == ("auto", "auto", "auto"):
+            for nk in ("auto", 1):
+                try:
+                    yield ARX(**{**settings, "na": LAGS, "nb": LAGS, "nk": nk}).fit(train, validation)
+                except (DataError, FitError):
+                    continue
+
+    def _searched(self, search: TermSearch) -> _Found | None:
+        notes: list[str] = []
+        first = search.first()
+        if first is None:
+            return None
+        notes.append(f"Linear start of {len(first.terms)} terms: held-out free-run RMSE {first.rmse}.")
+        chosen = pruned(search, grown(search, first, self.most_terms, notes), notes)
+        return _Found(search, first, chosen, tuple(notes))
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Where a search began, where it ended, and the way."""
+
+    search: TermSearch
+    first: Candidate
+    chosen: Candidate
+    notes: tuple[str, ...]
+
+    def finished(self) -> FittedPolyNARX:
+        """The terms on all of the training data; the linear start's, should these follow it better."""
+        plain, limit = finished(self.search, self.first)
+        model, error = finished(self.search, self.chosen)
+        if np.isfinite(error) and error <= limit:
+            return replace(model, notes=(*self.notes, *model.meanings()))
+        note = "The linear start follows all of the training data better: its terms were kept."
+        return replace(plain, notes=(*self.notes, note))
