@@ -24,7 +24,15 @@ from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.settings import Auto
 from flysid.model.narx.fitted_polynomial import FittedPolyNARX, Units
 from flysid.model.narx.polynomial_terms import depth_of
-from flysid.model.narx.term_search import Candidate, TermSearch, finished, grown, linear_terms, pruned
+from flysid.model.narx.term_search import (
+    Candidate,
+    TermSearch,
+    finished,
+    grown,
+    linear_terms,
+    pruned,
+    unchanged,
+)
 from flysid.model.selection import clearly_better
 from flysid.model.shared import fit_key, once
 from flysid.model.threads import on_one_thread
@@ -41,7 +49,8 @@ class PolyNARX:
     ----------
     na, nb, nk : orders and delays of the linear model that terms are added to, as of `ARX`. Where all are
         "auto", the search starts from what `ARX` chooses, and from two lags with delays of their own and with
-        none, and takes the one whose polynomial is clearly better on held-out blocks.
+        none, and takes the one whose polynomial is clearly better on held-out blocks. Where no term helps,
+        the first of these linear models is returned.
     most_terms : nonlinear terms at most.
     nk_hint : delays that "auto" tries besides its own, one per input.
 
@@ -79,15 +88,22 @@ class PolyNARX:
         depth = max(map(depth_of, starts))
         searches = [TermSearch(parts, units, terms, theta, depth) for terms, theta in starts.items()]
         found = [found for search in searches if (found := self._searched(search)) is not None]
+        linear, limit = unchanged(searches[0])
         if not found:
-            first = searches[0]
             note = "The free run of the linear model leaves its limits: no term was looked for."
-            return replace(first.model(first.start, first.theta), notes=(note,))
+            return replace(linear, notes=(note,))
         best = found[0]
         for other in found[1:]:
             if clearly_better(other.chosen.errors, best.chosen.errors):
                 best = other
-        return best.finished()
+        if all(term.is_linear for term in best.chosen.terms):
+            note = "No nonlinear term lowers the held-out error clearly: this is the linear model."
+            return replace(linear, notes=(*best.notes, note))
+        model, error = finished(best.search, best.chosen)
+        if np.isfinite(error) and error <= limit:
+            return replace(model, notes=(*best.notes, *model.meanings()))
+        note = "The linear model follows all of the training data better: it was kept."
+        return replace(linear, notes=(*best.notes, note))
 
     def _linear(self, train: Dataset, validation: Dataset | None) -> Iterator[FittedLinear]:
         """What terms are added to."""
@@ -107,23 +123,13 @@ class PolyNARX:
             return None
         notes.append(f"Linear start of {len(first.terms)} terms: held-out free-run RMSE {first.rmse}.")
         chosen = pruned(search, grown(search, first, self.most_terms, notes), notes)
-        return _Found(search, first, chosen, tuple(notes))
+        return _Found(search, chosen, tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Where a search began, where it ended, and the way."""
+    """Where a search ended, and the way."""
 
     search: TermSearch
-    first: Candidate
     chosen: Candidate
     notes: tuple[str, ...]
-
-    def finished(self) -> FittedPolyNARX:
-        """The terms on all of the training data; the linear start's, should these follow it better."""
-        plain, limit = finished(self.search, self.first)
-        model, error = finished(self.search, self.chosen)
-        if np.isfinite(error) and error <= limit:
-            return replace(model, notes=(*self.notes, *model.meanings()))
-        note = "The linear start follows all of the training data better: its terms were kept."
-        return replace(plain, notes=(*self.notes, note))

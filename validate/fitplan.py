@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from flysid import progress
 
 CHOICE = "choice of the baseline"
-COSTS = {CHOICE: 8.0, "ts": 10.0, "ts_lags": 10.0, "ts_ss": 10.0, "ensemble": 50.0}
+COSTS = {CHOICE: 8.0, "ts": 10.0, "ts_lags": 10.0, "ts_ss": 10.0, "polynarx": 2.0, "ensemble": 50.0}
 COSTS |= dict.fromkeys(("mean", "persistence", "line", "static_ts"), 0.0)
 """Of fits in the demo, in those of an ARX model; 1 where nothing is said. They only time the progress bar."""
 

@@ -55,7 +55,7 @@ from flysid.validate.run import (
 
 BESIDE = ("arx", "oe")
 """Linear models that every run holds, whichever is the baseline."""
-USUAL = ("line", "static_ts", "ts")
+USUAL = ("line", "polynarx", "static_ts", "ts")
 FROM_DISK = " from disk: it has more samples than may be in memory (--memory)"
 
 
@@ -65,7 +65,7 @@ def estimators(
     nk_hint: tuple[int, ...] = (),
     nk_least: tuple[int, ...] = (),
 ) -> dict[str, Estimator]:
-    """The models of a run, by label: references, linear ones, the paper's static TS, dynamic TS.
+    """The models of a run, by label: references, linear ones, polynomial NARX, static TS, dynamic TS.
 
     `nk_hint`: delays per input that the training data speak for, tried besides the models' own choices;
     `nk_least`: delays that rules do not go below, as the training data show no answer before.

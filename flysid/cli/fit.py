@@ -80,9 +80,9 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     metavar="A,B",
     shell_complete=complete.models,
     help="Models besides the references, ARX, OE and the baseline: anfis, armax, bj, ensemble (of ts_lags), "
-    "fir, iv, line, statespace, static_ts, structured[:FILE] (docs/structured.md), tf, ts (ts_lags, or ts_ss "
+    "fir, iv, line, polynarx, statespace, static_ts, structured[:FILE] (docs/structured.md), tf, ts (ts_lags, or ts_ss "
     "where a hidden state explains more).  "
-    "[default: line,static_ts,ts]",
+    "[default: line,polynarx,static_ts,ts]",
 )
 @click.option(
     "--rules", default="auto", callback=_rules, show_default=True, help="Number of rules of the TS model."

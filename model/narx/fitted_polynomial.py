@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -126,10 +126,6 @@ class FittedPolyNARX(FreeRuns):
     def signals(self) -> tuple[Signal, ...]:
         """Outputs, then inputs, as the terms' columns count them."""
         return (*self.outputs, *self.inputs)
-
-    def with_covariance(self, covariance: FloatArray) -> FittedPolyNARX:
-        """The same model, its numbers so unsure."""
-        return replace(self, covariance=covariance)
 
     # -- the laws ----------------------------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ kept where the linear model does not reach them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,7 +27,7 @@ from flysid.model.narx.free_run_kernel import free_run
 from flysid.model.narx.polynomial_terms import Factor, Term, candidates, depth_of, table_of, term_name
 from flysid.model.narx.simulation_fit import SimulationError
 from flysid.model.rules.boundedness import probe_run
-from flysid.model.selection import block_means, clearly_better
+from flysid.model.selection import block_means, clearly_better, standard_error
 from flysid.model.start import estimate_start, run_from_window, start_window
 from flysid.progress import tell
 from flysid.showing import significant
@@ -219,6 +219,7 @@ def grown(search: TermSearch, first: Candidate, most: int, notes: list[str]) -> 
     Of two terms that only help together, the first does not: up to `AHEAD` are added before it has to show.
     """
     best = now = first
+    judged = 0
     everything = list(candidates(search.base, search.units.n_y))
     for number in range(most):
         further = [term for term in everything if term not in now.terms]
@@ -227,15 +228,27 @@ def grown(search: TermSearch, first: Candidate, most: int, notes: list[str]) -> 
         if found is None:
             break
         now = found
-        if clearly_better(now.errors, best.errors):
+        judged += len(tried)
+        if _is_worth_it(now.errors, best.errors, judged):
             added = " and ".join(name_of(search, t) for t in now.terms[len(best.terms) :])
             notes.append(f"Added {added}: held-out free-run RMSE {best.rmse} to {now.rmse}.")
             best = now
+            judged = 0
         elif len(now.terms) - len(best.terms) == AHEAD:
             break
         error = float(np.sqrt(best.errors.mean()))
         tell("term added", model="polynarx", validation=error, share=(number + 1) / most)
     return best
+
+
+def _is_worth_it(new: FloatArray, old: FloatArray, tried: int) -> bool:
+    """The best of those tried is clearly better, beyond what the best of so many is by luck.
+
+    The largest of n normal deviates is seldom above sqrt(2 log n) standard errors (Donoho & Johnstone 1994).
+    """
+    gap = old - new
+    luck = np.sqrt(2.0 * np.log(max(tried, 2))) * standard_error(gap)
+    return clearly_better(new, old) and bool(gap.mean() > luck)
 
 
 def name_of(search: TermSearch, term: Term) -> str:
@@ -292,23 +305,36 @@ def _without_term(search: TermSearch, now: Candidate, place: int) -> Candidate |
 
 
 def finished(search: TermSearch, chosen: Candidate) -> tuple[FittedPolyNARX, float]:
-    """The model refined on all of the training data, and its mean squared error there, normalised.
+    """The terms refined on all of the training data, and their squared error there, normalised.
 
-    The error is infinite where the model is held at a limit, or more than the linear one under the probe.
+    The error is infinite where a free run is held at a limit, under the probe too.
     """
-    train = search.parts.train
-    problem = search.problem(train, chosen.terms)
     count = len(chosen.terms)
-    begins = [search.begun(train, chosen.terms, p[:count]) for p in chosen.unknowns]
-    begin = min(begins, key=problem.cost)
-    p, cost = problem.descend(begin, _LAST_ITERATIONS)
-    model = search.model(chosen.terms, p[:count])
+    problem = search.problem(search.parts.train, chosen.terms)
+    begins = [search.begun(search.parts.train, chosen.terms, p[:count]) for p in chosen.unknowns]
+    p, cost = problem.descend(min(begins, key=problem.cost), _LAST_ITERATIONS)
     if not np.isfinite(cost) or not search.is_calm(chosen.terms, p[:count]):
-        return model, np.inf
+        return search.model(chosen.terms, p[:count]), np.inf
+    return _with_intervals(search, problem, chosen.terms, p), cost
+
+
+def unchanged(search: TermSearch) -> tuple[FittedPolyNARX, float]:
+    """The linear model that the search began with, as terms; error as of `finished`."""
+    problem = search.problem(search.parts.train, search.start)
+    p = search.begun(search.parts.train, search.start, search.theta)
+    cost = problem.cost(p)
+    if not np.isfinite(cost):
+        return search.model(search.start, search.theta), np.inf
+    return _with_intervals(search, problem, search.start, p), cost
+
+
+def _with_intervals(
+    search: TermSearch, problem: SimulationError, terms: tuple[Term, ...], p: FloatArray
+) -> FittedPolyNARX:
+    """A model of terms; errors count as alike over as long as an output remembers itself."""
+    train = search.parts.train
     block = max(round(guard_s(train) / train.dt_s), 1)
-    covariance = problem.covariance(p, block)
-    rows = sum(len(W) - search.depth for W in problem.runs)
-    return model.with_covariance(covariance), cost / rows
+    return replace(search.model(terms, p[: len(terms)]), covariance=problem.covariance(p, block))
 
 
 def linear_terms(model: FittedLinear, units: Units) -> tuple[tuple[Term, ...], FloatArray]:

@@ -97,7 +97,7 @@ def test_two_runs_are_compared_like_with_like(runs: tuple[Run, Run]) -> None:
     c = judgement.comparisons[CHANNEL]
     assert (c.baseline, c.contender) == ("a:ts", "b:ts")
     assert c.verdict[c.test.outputs[0].name].verdict == "same"
-    both = {f"{r}:{m}" for r in "ab" for m in ("line", "arx", "oe", "static_ts", "ts")}
+    both = {f"{r}:{m}" for r in "ab" for m in ("line", "arx", "oe", "polynarx", "static_ts", "ts")}
     assert set(c.models) >= {"mean", "persistence"} | both
     assert judge_runs(a, a, label="arx").comparisons[CHANNEL].contender == "b:arx"
     with pytest.raises(UsageError, match="model 'bj'"):

@@ -5,8 +5,8 @@ import { watch } from "./jobs.js";
 import { recipeEditor } from "./recipe.js";
 import { takesField } from "./fields.js";
 
-const MODELS = ["line", "static_ts", "ts", "ts_ss", "statespace", "tf", "fir", "armax"];
-const USUAL = "line,static_ts,ts";
+const MODELS = ["line", "polynarx", "static_ts", "ts", "ts_ss", "statespace", "tf", "fir", "armax"];
+const USUAL = "line,polynarx,static_ts,ts";
 
 // The panel. `chosen()` gives [flight, recipe, channel] of every tick; `all` says whether these flights are every one there is;
 // `picked` is told a recipe that was chosen, `changed` that a recipe has been kept.
