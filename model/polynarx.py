@@ -96,14 +96,17 @@ class PolyNARX:
         for other in found[1:]:
             if clearly_better(other.chosen.errors, best.chosen.errors):
                 best = other
-        if all(term.is_linear for term in best.chosen.terms):
-            note = "No nonlinear term lowers the held-out error clearly: this is the linear model."
-            return replace(linear, notes=(*best.notes, note))
-        model, error = finished(best.search, best.chosen)
-        if np.isfinite(error) and error <= limit:
-            return replace(model, notes=(*best.notes, *model.meanings()))
-        note = "The linear model follows all of the training data better: it was kept."
-        return replace(linear, notes=(*best.notes, note))
+        others = sorted((f for f in found if f is not best), key=lambda f: float(f.chosen.errors.mean()))
+        for one in (best, *others):
+            if all(term.is_linear for term in one.chosen.terms):
+                break
+            model, error = finished(one.search, one.chosen)
+            if np.isfinite(error) and error <= limit:
+                return replace(model, notes=(*one.notes, *model.meanings()))
+        note = (
+            "No nonlinear term that is clearly better there follows all of the training data better than the "
+        )
+        return replace(linear, notes=(*best.notes, f"{note}linear model: it was kept."))
 
     def _linear(self, train: Dataset, validation: Dataset | None) -> Iterator[FittedLinear]:
         """What terms are added to."""

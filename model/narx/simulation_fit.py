@@ -131,12 +131,19 @@ class SimulationError:
         )
         return found.theta, found.cost
 
-    def curvature(self, p: FloatArray) -> FloatArray:
-        """(T, T) Gauss-Newton matrix of the coefficients, the starts following them."""
+    def inverse_curvature(self, p: FloatArray) -> FloatArray:
+        """(T, T) inverse of the Gauss-Newton matrix of the coefficients, the starts following them.
+
+        Scaled first: a change from sample to sample is a small number beside the signal's own.
+        """
         _, matrix, _ = self.normal_equations(p)
         border = matrix.border
         inner = np.linalg.solve(matrix.blocks, border.transpose(0, 2, 1))
-        return np.asarray(matrix.corner - np.einsum("spq,sqr->pr", border, inner))
+        curvature = matrix.corner - np.einsum("spq,sqr->pr", border, inner)
+        size = np.sqrt(np.maximum(np.diag(curvature), np.finfo(float).tiny))
+        return np.asarray(
+            np.linalg.pinv(curvature / np.outer(size, size), hermitian=True) / np.outer(size, size)
+        )
 
     def covariance(self, p: FloatArray, block: int) -> FloatArray:
         """(T, T) of the coefficients, errors being alike over up to `block` rows.
@@ -154,7 +161,7 @@ class SimulationError:
         pulls = np.array(scores)
         if len(pulls) <= count:
             return np.full((count, count), np.nan)
-        inverse = np.linalg.pinv(self.curvature(p), hermitian=True)
+        inverse = self.inverse_curvature(p)
         return np.asarray(inverse @ (pulls.T @ pulls) @ inverse * len(pulls) / (len(pulls) - count))
 
     def gains(self, p: FloatArray, present: int) -> FloatArray:

@@ -27,7 +27,7 @@ from flysid.model.narx.free_run_kernel import free_run
 from flysid.model.narx.polynomial_terms import Factor, Term, candidates, depth_of, table_of, term_name
 from flysid.model.narx.simulation_fit import SimulationError
 from flysid.model.rules.boundedness import probe_run
-from flysid.model.selection import block_means, clearly_better, standard_error
+from flysid.model.selection import block_means, clearly_better
 from flysid.model.start import estimate_start, run_from_window, start_window
 from flysid.progress import tell
 from flysid.showing import significant
@@ -219,7 +219,6 @@ def grown(search: TermSearch, first: Candidate, most: int, notes: list[str]) -> 
     Of two terms that only help together, the first does not: up to `AHEAD` are added before it has to show.
     """
     best = now = first
-    judged = 0
     everything = list(candidates(search.base, search.units.n_y))
     for number in range(most):
         further = [term for term in everything if term not in now.terms]
@@ -228,27 +227,15 @@ def grown(search: TermSearch, first: Candidate, most: int, notes: list[str]) -> 
         if found is None:
             break
         now = found
-        judged += len(tried)
-        if _is_worth_it(now.errors, best.errors, judged):
+        if clearly_better(now.errors, best.errors):
             added = " and ".join(name_of(search, t) for t in now.terms[len(best.terms) :])
             notes.append(f"Added {added}: held-out free-run RMSE {best.rmse} to {now.rmse}.")
             best = now
-            judged = 0
         elif len(now.terms) - len(best.terms) == AHEAD:
             break
         error = float(np.sqrt(best.errors.mean()))
         tell("term added", model="polynarx", validation=error, share=(number + 1) / most)
     return best
-
-
-def _is_worth_it(new: FloatArray, old: FloatArray, tried: int) -> bool:
-    """The best of those tried is clearly better, beyond what the best of so many is by luck.
-
-    The largest of n normal deviates is seldom above sqrt(2 log n) standard errors (Donoho & Johnstone 1994).
-    """
-    gap = old - new
-    luck = np.sqrt(2.0 * np.log(max(tried, 2))) * standard_error(gap)
-    return clearly_better(new, old) and bool(gap.mean() > luck)
 
 
 def name_of(search: TermSearch, term: Term) -> str:
@@ -292,7 +279,7 @@ def _least_telling(search: TermSearch, now: Candidate) -> list[int]:
     count = len(now.terms)
     cost = np.zeros(count)
     for (fit, _), p in zip(search.folds, now.unknowns, strict=True):
-        inverse = np.linalg.pinv(search.problem(fit, now.terms).curvature(p), hermitian=True)
+        inverse = search.problem(fit, now.terms).inverse_curvature(p)
         cost += p[:count] ** 2 / np.maximum(np.diag(inverse), np.finfo(float).tiny)
     alone = [t for t in range(count) if sum(o.equation == now.terms[t].equation for o in now.terms) == 1]
     cost[alone] = np.inf

@@ -69,7 +69,7 @@ def fit(page: Page, is_closed: bool) -> None:
 
     `is_closed`: the page is closed in the middle of it, and opened again.
     """
-    for name in ("static_ts", "ts"):
+    for name in ("polynarx", "static_ts", "ts"):
         if page.js("return document.querySelector(arguments[0]).checked", f"[value={name}]"):
             page.tab_to(f"[value={name}]")
             page.keys(" ")
