@@ -80,8 +80,8 @@ def _held(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) 
     metavar="A,B",
     shell_complete=complete.models,
     help="Models besides the references, ARX, OE and the baseline: anfis, armax, bj, ensemble (of ts_lags), "
-    "fir, iv, line, polynarx, statespace, static_ts, structured[:FILE] (docs/structured.md), tf, ts (ts_lags, or ts_ss "
-    "where a hidden state explains more).  "
+    "fir, iv, line, polynarx, statespace, static_ts, structured[:FILE] (docs/structured.md), tf, ts "
+    "(ts_lags, or ts_ss where a hidden state explains more).  "
     "[default: line,polynarx,static_ts,ts]",
 )
 @click.option(
