@@ -81,10 +81,10 @@ class PolyNARX:
         """
         if not is_count(self.most_terms, 0):
             raise UsageError(f"most_terms is {self.most_terms!r}", hint="a whole number of at least 0")
-        linear = list(self._linear(train, validation))
+        bases = list(self._linear(train, validation))
         parts = Parts.of(train, validation)
         units = Units.of(train)
-        starts = dict(linear_terms(model, units) for model in linear)
+        starts = dict(linear_terms(model, units) for model in bases)
         depth = max(map(depth_of, starts))
         searches = [TermSearch(parts, units, terms, theta, depth) for terms, theta in starts.items()]
         found = [found for search in searches if (found := self._searched(search)) is not None]
