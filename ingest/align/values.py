@@ -49,7 +49,7 @@ def column_values(table: pa.Table, name: str) -> npt.NDArray[np.generic]:
         raise RecipeError(f"{name!r} holds no lists: it has no [{element}]", hint=f"name the column: {name}")
     if pa.types.is_boolean(column.type):  # numbers, so that rows without a value are NaN
         column = column.cast(pa.int8())
-    return np.asarray(column.to_numpy(zero_copy_only=False))
+    return _values(column)
 
 
 def single_values(table: pa.Table, name: str, use: str) -> npt.NDArray[np.generic]:
@@ -60,9 +60,20 @@ def single_values(table: pa.Table, name: str, use: str) -> npt.NDArray[np.generi
     return values
 
 
+def _values(column: pa.Array) -> npt.NDArray[np.generic]:
+    """(N,) values; those of numbers without nulls as they lie in memory, for `to_numpy` imports pandas."""
+    kind = column.type
+    is_whole = pa.types.is_integer(kind)
+    if not (is_whole or pa.types.is_floating(kind)) or column.null_count or not len(column):
+        return np.asarray(column.to_numpy(zero_copy_only=False))
+    letter = "f" if not is_whole else "u" if pa.types.is_unsigned_integer(kind) else "i"
+    numbers = np.frombuffer(column.buffers()[1], dtype=f"{letter}{kind.bit_width // 8}")
+    return numbers[column.offset : column.offset + len(column)]
+
+
 def _matrix(column: pa.Array) -> npt.NDArray[np.generic]:
     """(N, k) the elements of lists of one length; NaN in rows without a list."""
-    flat = column.flatten().to_numpy(zero_copy_only=False).reshape(-1, column.type.list_size)
+    flat = _values(column.flatten()).reshape(-1, column.type.list_size)
     if not column.null_count:
         return np.asarray(flat)
     matrix = np.full((len(column), column.type.list_size), np.nan)
