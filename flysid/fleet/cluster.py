@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import multiprocessing
+import pickle
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -24,8 +25,8 @@ from flysid.version import __version__
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-WINDOW = 10_000
-"""Tasks in the scheduler at a time: it keeps about 8 kB of each."""
+WINDOW = 1_000
+"""Tasks in the scheduler at a time, unless it has more workers: it keeps about 10 kB of each."""
 RETRIES = 3
 KILLED = "its workers were killed"
 _CONFIG = {
@@ -90,32 +91,52 @@ class Cluster:
         from distributed import as_completed
         from distributed.client import FutureCancelledError
         from distributed.comm.core import CommClosedError
-        from distributed.scheduler import KilledWorker
 
         waiting = iter(tasks)
         pending: dict[str, Task] = {}
 
         def submitted(task: Task) -> Any:
-            future = self.client.submit(do, task, key=_key(*parts_of(task)), retries=RETRIES, pure=False)
+            packed = pickle.dumps(task)
+            future = self.client.submit(
+                _unpacked, do, packed, key=_key(*parts_of(task)), retries=RETRIES, pure=False
+            )
             pending[future.key] = task
             return future
 
-        running = as_completed([submitted(task) for task in islice(waiting, WINDOW)])
+        window = max(WINDOW, 2 * self.workers)
+        running = as_completed([submitted(task) for task in islice(waiting, window)])
         try:
-            for future in running:
-                task = pending.pop(future.key)
-                result: Result | None = None
-                with suppress(KilledWorker):
-                    result = future.result()
-                future.release()
-                yield task, result
-                for more in islice(waiting, 1):
-                    running.add(submitted(more))
+            for futures in running.batches():
+                results = self._results(futures)
+                done = [pending.pop(future.key) for future in futures]
+                for future in futures:
+                    future.release()
+                running.update([submitted(task) for task in islice(waiting, len(futures))])
+                yield from zip(done, results, strict=True)
         except (FutureCancelledError, CommClosedError) as error:
             raise PlaceError(
                 "the cluster's scheduler is gone",
                 hint="start it and its workers again, then run the same command: what is committed stays",
             ) from error
+
+    def _results(self, futures: Sequence[Any]) -> list[Any]:
+        """Of tasks that have ended, in one question to the workers; None where its workers were killed."""
+        from distributed.scheduler import KilledWorker
+
+        with suppress(KilledWorker):
+            return list(self.client.gather(list(futures)))
+        results: list[Any] = []
+        for future in futures:
+            try:
+                results.append(future.result())
+            except KilledWorker:
+                results.append(None)
+        return results
+
+
+def _unpacked(do: Callable[[Task], Result], packed: bytes) -> Result:
+    """Do a task that is one piece for the scheduler, which unpacks and keeps what it passes on."""
+    return do(pickle.loads(packed))
 
 
 def _ingested(

@@ -90,10 +90,12 @@ def files_of(place: Place, message: str, where: str = "") -> list[str]:
     ----------
     where : a condition in SQL on the flights; then the flights' own tables are named.
     """
-    flights = facts_in(select(place, where))
     parts = [] if where else [row for row in _parts(place) if row["message"] == message]
     covered = {digits for row in parts for digits in row["flights"]}
-    alone = [f for f in flights if f.sha256 not in covered and _has(f, message)]
+    rows = select(place, where, ("flight", "sha256", "streams", "stream_rows"))
+    late = [n for n, digits in enumerate(rows["sha256"].to_pylist()) if digits not in covered]
+    having = [n for n in late if _has(rows["streams"][n].as_py(), rows["stream_rows"][n].as_py(), message)]
+    alone = sorted(rows["flight"][n].as_py() for n in having)
     tables = [
         place.at(f"{home}/{name}")
         for home, manifest in _manifests(place, alone)
@@ -120,8 +122,8 @@ def _message(stream: str) -> str:
     return stream.rpartition("/")[2]
 
 
-def _has(facts: FlightFacts, message: str) -> bool:
-    return any(_message(key) == message and rows for key, rows in facts.streams.items())
+def _has(streams: Sequence[str], rows: Sequence[int], message: str) -> bool:
+    return any(_message(key) == message and count for key, count in zip(streams, rows, strict=True))
 
 
 def _digest(flights: Sequence[FlightFacts]) -> str:
@@ -139,7 +141,7 @@ def _write_group(
     with TemporaryDirectory(prefix="flysid-") as folder:
         writers: dict[bytes, _Part] = {}
         done: list[_Part] = []
-        for facts, (home, manifest) in zip(ordered, _manifests(place, ordered), strict=True):
+        for facts, (home, manifest) in zip(ordered, _manifests(place, [f.id for f in ordered]), strict=True):
             for name in _tables(manifest, message):
                 table = _with_owner(_table(place, f"{home}/{name}"), facts, manifest, name)
                 columns = table.schema.serialize().to_pybytes()  # units and scales too: never mixed
@@ -211,8 +213,8 @@ def _with_owner(table: pa.Table, facts: FlightFacts, manifest: Manifest, name: s
     return table.replace_schema_metadata(None)
 
 
-def _manifests(place: Place, flights: Sequence[FlightFacts]) -> Iterator[tuple[str, Manifest]]:
-    homes = [home_of(f.id.rpartition("-")[2]) for f in flights]
+def _manifests(place: Place, flights: Sequence[str]) -> Iterator[tuple[str, Manifest]]:
+    homes = [home_of(flight.rpartition("-")[2]) for flight in flights]
     keys = [f"{home}/{MANIFEST_FILE}" for home in homes]
     for home, (key, text) in zip(homes, place.read_many(keys), strict=True):
         if text is None:

@@ -98,6 +98,7 @@ def _row(facts: FlightFacts) -> dict[str, Any]:
 
 def facts_in(rows: pa.Table) -> tuple[FlightFacts, ...]:
     """Rows of the table as flights, by id."""
+    starts = rows["start"].cast(pa.int64()).to_pylist()  # as dates with a zone they would bring pandas in
     found = [
         FlightFacts(
             id=row["flight"],
@@ -109,19 +110,15 @@ def facts_in(rows: pa.Table) -> tuple[FlightFacts, ...]:
             duration_s=row["duration_s"],
             rows=row["rows"],
             lossy=row["lost"],
-            start_utc_ns=None if row["start"] is None else _since_epoch_ns(row["start"]),
+            start_utc_ns=None if start is None else start * 1000,
             info=json.loads(row["info"]),
             streams=dict(zip(row["streams"], row["stream_rows"], strict=True)),
             layout=row["layout"],
             stamp=(row["manifest_bytes"], row["manifest_digest"]),
         )
-        for row in rows.to_pylist()
+        for row, start in zip(rows.drop_columns("start").to_pylist(), starts, strict=True)
     ]
     return tuple(sorted(found, key=lambda facts: facts.id))
-
-
-def _since_epoch_ns(when: datetime) -> int:
-    return round((when - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() * 1e6) * 1000
 
 
 # ------------------------------------------------------------------------------------------- asking
@@ -160,7 +157,7 @@ def ask_table(table: Any, sql: str, where: str) -> pa.Table:
 
     try:
         query = QueryBuilder().register("flights", table)
-        return _asking(where, lambda: pa.table(query.execute(sql).read_all()))
+        return _asking(where, lambda: pa.RecordBatchReader.from_stream(query.execute(sql)).read_all())
     except PlaceError:
         raise
     except Exception as error:  # DataFusion's own errors have no class in common
