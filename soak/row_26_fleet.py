@@ -3,6 +3,8 @@
 Every trial: 40 logs in a bucket, a Dask scheduler and two workers as processes of their own, a kill at a
 random moment, the dead started again, and the same command until it ends with 0. Then the lake is checked: a
 manifest and a hash a log, no table missing, rows as the manifests, and nothing that belongs to no flight.
+`all in one` does it to 400 logs, with 10 kills of workers and one of each other in one ingest; in `two at
+once` two clients ingest the same 400 logs.
 """
 
 from __future__ import annotations
@@ -27,10 +29,11 @@ from tests.flysid.fleet.fleet_logs import fill
 from tests.s3server import S3Server, free_port, seaweedfs
 
 LOGS = 40
+MANY = 400
 TRIALS = 10
 RUNS = 6
 """Of the same command, at most; one kill should cost one."""
-SUBJECTS = ("worker", "scheduler", "client", "store")
+SUBJECTS = ("worker", "scheduler", "client", "store", "all in one", "two at once")
 
 
 @dataclass
@@ -87,7 +90,12 @@ def run(budget: Budget) -> Iterator[Outcome]:
         crew = Crew(folder)
         try:
             for subject, share in zip(subjects, budget.shares(len(subjects)), strict=True):
-                yield _trials(subject, share.clock(), crew, server)
+                if subject == "all in one":
+                    yield _all_in_one(crew, server)
+                elif subject == "two at once":
+                    yield _two_at_once(crew)
+                else:
+                    yield _trials(subject, share.clock(), crew, server)
         finally:
             crew.end()
             server.kill()
@@ -114,13 +122,70 @@ def _trials(subject: str, has_time: Callable[[], bool], crew: Crew, server: S3Se
 def _trial(subject: str, bucket: str, crew: Crew, server: S3Server, after: int) -> tuple[int, str]:
     """How often the command ran, and what is wrong in the end; the kill comes after so many flights."""
     lake = f"{bucket}/lake"
-    command = [sys.executable, "-m", "flysid", "ingest", f"{bucket}/in", "-o", lake, "-q"]
-    command += ["--cluster", crew.address, "--batch", "4"]
+    command = [*_command(bucket), *_on(crew)]
     crew.start()
     client = _begun(command, crew)
     _wait_for(lake, after, client)
+    _kill(subject, crew, server, client)
+    return _finish(command, lake, LOGS, crew, client)
+
+
+def _all_in_one(crew: Crew, server: S3Server) -> Outcome:
+    """One ingest in which everything dies: ten workers, and the scheduler, the client and the store once."""
+    outcome = Outcome("all in one", trials=1)
+    dying = ["worker"] * 10 + ["scheduler", "client", "store"]
+    random.Random("all in one").shuffle(dying)
+    bucket = "s3://all-in-one"
+    fill(f"{bucket}/in", MANY)
+    command = [*_command(bucket), *_on(crew)]
+    began = time.monotonic()
+    crew.start()
+    client = _begun(command, crew)
+    runs = 1
+    for number, subject in enumerate(dying, 1):
+        wanted = number * MANY // (len(dying) + 1)
+        while not _wait_for(f"{bucket}/lake", wanted, client) and runs < RUNS + len(dying):
+            crew.start()
+            client = _begun(command, crew)
+            runs += 1
+        _kill(subject, crew, server, client)
+    more, fault = _finish(command, f"{bucket}/lake", MANY, crew, client)
+    outcome.slowest_s = time.monotonic() - began
+    outcome.failures += [fault] if fault else []
+    outcome.remark = f"{MANY} logs, {len(dying)} kills; {runs - 1 + more} runs of the command"
+    return outcome
+
+
+def _two_at_once(crew: Crew) -> Outcome:
+    """Two clients with the same logs and lake, each with its own worker, and no cluster."""
+    outcome = Outcome("two at once", trials=1)
+    bucket = "s3://two-at-once"
+    fill(f"{bucket}/in", MANY)
+    began = time.monotonic()
+    command = [*_command(bucket), "-j", "1"]
+    clients = [_begun(command, crew) for _ in range(2)]
+    codes = [client.wait() for client in clients]
+    state = check(open_lake(f"{bucket}/lake"))
+    outcome.slowest_s = time.monotonic() - began
+    if codes != [0, 0] or not state.is_whole or len(state.flights) != MANY:
+        outcome.failures.append(f"ended with {codes}; {len(state.flights)} flights; {state}"[:500])
+    outcome.remark = f"{MANY} logs; nothing to repair"
+    return outcome
+
+
+def _command(bucket: str) -> list[str]:
+    return [sys.executable, "-m", "flysid", "ingest", f"{bucket}/in", "-o", f"{bucket}/lake", "-q"]
+
+
+def _on(crew: Crew) -> list[str]:
+    return ["--cluster", crew.address, "--batch", "4"]
+
+
+def _kill(subject: str, crew: Crew, server: S3Server, client: subprocess.Popen[bytes]) -> None:
+    """kill -9, and start again what is not the client."""
     if subject == "client":
         client.send_signal(signal.SIGKILL)
+        client.wait()
     elif subject == "store":
         server.kill()
         time.sleep(1.0)
@@ -128,6 +193,12 @@ def _trial(subject: str, bucket: str, crew: Crew, server: S3Server, after: int) 
     else:
         crew.kill(subject)
         crew.start()
+
+
+def _finish(
+    command: list[str], lake: str, logs: int, crew: Crew, client: subprocess.Popen[bytes]
+) -> tuple[int, str]:
+    """How often the command runs until it ends with 0, this time included, and what is wrong in the end."""
     client.wait()
     runs = 1
     while client.returncode != 0 and runs < RUNS:
@@ -140,7 +211,7 @@ def _trial(subject: str, bucket: str, crew: Crew, server: S3Server, after: int) 
     place = open_lake(lake)
     repair(place, check(place), timedelta(0))
     state = check(place)
-    if not state.is_whole or len(state.flights) != LOGS:
+    if not state.is_whole or len(state.flights) != logs:
         return runs, f"{len(state.flights)} flights; {state}"[:500]
     return runs, ""
 
@@ -150,13 +221,14 @@ def _begun(command: list[str], crew: Crew) -> subprocess.Popen[bytes]:
         return subprocess.Popen(command, stdout=log, stderr=log)
 
 
-def _wait_for(lake: str, flights: int, client: subprocess.Popen[bytes]) -> None:
-    """Until so many flights are committed, or the client has ended."""
+def _wait_for(lake: str, flights: int, client: subprocess.Popen[bytes]) -> bool:
+    """Until so many flights are committed; False where the client has ended before."""
     place = Place(lake)
     while client.poll() is None:
         if sum(found.key.endswith("/manifest.json") for found in place.list("flights")) >= flights:
-            return
+            return True
         time.sleep(0.1)
+    return False
 
 
 CAMPAIGN = Campaign(26, "fleet killed", run)
