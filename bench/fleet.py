@@ -1,6 +1,7 @@
 """A fleet in a bucket: what flysid adds to reading logs, what Dask adds, the catalogue, compaction.
 
     python -m bench.fleet [overhead|tasks|catalogue|compaction] [--logs N] [--flights N] [--batches N]
+    python -m bench.fleet workers        # on idle cores alone: two workers against one
 
 The S3 server (SeaweedFS) runs on loopback; its CPU is counted apart. Figures are CPU seconds, counts and
 ratios.
@@ -57,11 +58,11 @@ def server() -> Iterator[S3Server]:
             found.kill()
 
 
-def fill(inbox: Place, count: int) -> None:
-    """Logs of about 100 kB, each with content of its own: tables of three signals."""
+def fill(inbox: Place, count: int, rows: int = 3000) -> None:
+    """Logs, of about 75 kB at 3,000 rows, each with content of its own: tables of three signals."""
     inbox.put("first", b"")  # makes the bucket
     inbox.delete(["first"])
-    steps = [f"{i / 50:.2f},{(i * 7919) % 1000 / 500 - 1:.3f}," for i in range(3000)]
+    steps = [f"{i / 50:.2f},{(i * 7919) % 1000 / 500 - 1:.3f}," for i in range(rows)]
     for n in range(count):
         lines = [f"{step}{(i * 31 + n) % 997 / 100:.2f},{n}" for i, step in enumerate(steps)]
         text = "time_s,command,response,number\n" + "\n".join(lines) + "\n"
@@ -124,6 +125,51 @@ def tasks(count: int) -> None:
     print(f"{count} empty batches of 32 logs: {cpu / count * 1e3:.2f} ms of CPU in client and scheduler,")
     print(f"  {wall / count * 1e3:.2f} ms of wall time, {grown / count / 1e3:.1f} kB grown, each")
     print(f"  a log of a batch of 32: {cpu / count / 32 * 1e3:.3f} ms")
+
+
+WAIT_S = 0.2
+
+
+def waits(logs: Sequence[Log], settings: Settings) -> list[Outcome]:
+    """A batch that waits, as for a store that is far away."""
+    assert settings
+    time.sleep(WAIT_S)
+    return [Outcome(log, "unchanged") for log in logs[:0]]
+
+
+def workers(count: int) -> None:
+    """Wall time of one worker over that of two, for logs of 2.5 MB and for tasks that wait."""
+    if os.getloadavg()[0] > 0.5:
+        print("the machine is not idle: these figures are not what they say")
+    walls: dict[int, float] = {}
+    waiting: dict[int, float] = {}
+    servers: dict[int, float] = {}
+    with server() as s3:
+        fill(Place("s3://inbox/warm"), 8)
+        fill(Place("s3://inbox/logs"), count, rows=100_000)
+        for number in (1, 2):
+            lake = f"s3://inbox/lake{number}"
+            create_lake(lake)
+            settings = Settings(lake, bounds=None)
+            with connected(workers=number) as cluster:
+                list(ingest(find(["s3://inbox/warm"], lake), settings, cluster))
+                found = find(["s3://inbox/logs"], lake)
+                theirs, began = s3.cpu_s(), time.monotonic()
+                assert [o.status for o in ingest(found, settings, cluster)] == ["ingested"] * count
+                walls[number] = time.monotonic() - began
+                servers[number] = s3.cpu_s() - theirs
+                batches = [(log,) for log in found.waiting[:20]]
+                began = time.monotonic()
+                list(Cluster(cluster.client, do=waits).run(batches, settings))
+                waiting[number] = time.monotonic() - began
+    print(f"{count} logs: {walls[1]:.1f} s with one worker, {walls[2]:.1f} s with two: ", end="")
+    print(f"{walls[1] / walls[2]:.2f} times")
+    print(
+        f"  the server took {servers[1]:.1f} and {servers[2]:.1f} s of CPU; less its half of two cores: ",
+        end="",
+    )
+    print(f"{walls[1] / (walls[2] - servers[2] / 2):.2f} times (goal 1.7)")
+    print(f"tasks that wait: {waiting[1] / waiting[2]:.2f} times (goal 1.9)")
 
 
 def resident_bytes() -> int:
@@ -248,6 +294,7 @@ def main() -> None:
         "tasks": lambda: tasks(sizes.batches),
         "catalogue": lambda: catalogue(sizes.flights),
         "compaction": lambda: compaction(sizes.logs),
+        "workers": lambda: workers(sizes.logs // 10),
     }
     for part in asked.parts:
         doing[part]()

@@ -197,7 +197,7 @@ def ingests(port: int, count: int) -> None:
         print(
             f"{name}: {len(state.flights)} of {count} flights, whole: {state.is_whole}, after {runs} runs "
             f"({waited} logs left waiting); {wall / count:.2f} s of wall time a log, {asked / count:.1f} "
-            f"requests a log, {weather.asked['503']} refused, {weather.most} at once at most",
+            f"requests a log ({dict(weather.asked)}), {weather.most} at once at most",
             flush=True,
         )
 

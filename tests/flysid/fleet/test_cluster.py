@@ -125,6 +125,8 @@ def test_without_a_cluster_nothing_of_dask_is_imported(bucket: str, tmp_path: Pa
     here = modules_after(code.rpartition("\n")[0])
     assert not here & {"dask", "distributed", "obstore", "deltalake"}
     assert not modules_after(code) & {"dask", "distributed"}
+    asked = f"import flysid\nflysid.open('{bucket}/lake', where=\"vehicle <> 'x'\")"
+    assert not modules_after(asked) & {"pandas", "dask"}  # either is memory that a catalogue does not need
 
 
 @pytest.fixture
