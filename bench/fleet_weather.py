@@ -171,7 +171,7 @@ WEATHERS = {
     "30 ms away": Weather(latency_s=0.03),
     "5 % refused": Weather(refused=0.05),
     "20 % refused": Weather(refused=0.2),
-    "40 requests a second": Weather(rate=40.0),
+    "10 requests a second": Weather(rate=10.0),
 }
 
 
