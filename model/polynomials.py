@@ -9,6 +9,7 @@ the delta operator (Middleton & Goodwin, 1990, Digital Control and Estimation), 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from math import comb
@@ -47,6 +48,21 @@ def poles(a: FloatArray) -> ComplexArray:
     """Roots in z of a monic polynomial in q⁻¹, slowest first."""
     roots = np.roots(np.trim_zeros(np.asarray(a, dtype=np.float64), "b"))
     return np.asarray(roots[np.argsort(-np.abs(roots), kind="stable")])
+
+
+CANCELS = 0.1  # of a pole's distance from one, which is that of its gain
+
+
+def nearly_cancelled(pole: complex, numerators: Iterable[FloatArray]) -> bool:
+    """Every input that does anything has a zero beside the pole, so that answers hardly show it.
+
+    Parameters
+    ----------
+    numerators : (nk + nb,) taps of every input, zeros up to its delay.
+    """
+    taps = [b for b in map(np.trim_zeros, numerators) if len(b)]
+    near = [(np.abs(np.roots(b) - pole) < CANCELS * abs(1.0 - pole)).any() for b in taps]
+    return bool(near) and all(near)
 
 
 def stabilised(a: FloatArray, radius: float = 1.0) -> FloatArray:

@@ -6,7 +6,7 @@ inputs; outputs do not feed each other.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -28,8 +28,8 @@ from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.free_runner import free_runner
 from flysid.model.linear.initial_state import start_gains
 from flysid.model.noise import coloured_covariance, noise_model
-from flysid.model.polynomials import free_basis, monic_basis
-from flysid.model.selection import LEVEL, block_errors, simplest
+from flysid.model.polynomials import free_basis, monic_basis, nearly_cancelled, poles
+from flysid.model.selection import LEVEL, block_errors, simplest, standard_error
 from flysid.model.shared import digest, once
 from flysid.model.simulation_error import (
     Orders,
@@ -238,6 +238,9 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
     every segment's start is fitted along, and slow modes of a high order use it to follow disturbances, which
     no free run can. The search ends when two orders in a row were no better than the best before.
 
+    What a lower order may cost is bounded by `ORDER_LOSS`, but not where a zero nearly cancels a pole: that
+    pole describes nothing, and goes unless the free run notices.
+
     Parameters
     ----------
     candidates : simplest first; each gives the orders of every output.
@@ -250,7 +253,7 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
     folds = parts.folds if len(candidates) > 1 else (parts,)
     window = max(judging_window(f, deepest) for f in folds)
     before: list[list[OneOutput]] = [[] for _ in folds]
-    tried: list[tuple[list[OneOutput], FloatArray]] = []
+    tried: list[_Tried] = []
     left_out: list[int] = []
     least = np.inf
     best = np.inf
@@ -260,21 +263,14 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
             before = [_fitted(f, orders, b) for f, b in zip(folds, before, strict=True)]
         except (FitError, DataError):
             continue
-        models = [runner("oe", f, fits, window) for f, fits in zip(folds, before, strict=True)]
-        checks, own = (
-            [
-                block_errors(m, p, window, f.scaling.y_scale)
-                for m, p, f in zip(models, data, folds, strict=True)
-            ]
-            for data in ([f.check for f in folds], [f.fitted for f in folds])
-        )
-        fitted = float(np.concatenate(own).mean()) if len(np.concatenate(own)) else np.inf
+        own = _run_errors(folds, before, window, [f.fitted for f in folds])
+        fitted = float(own.mean()) if len(own) else np.inf
         if fitted > WORSE_FIT * least:
             left_out.append(_order(before[0]))
             continue
         least = min(least, fitted)
-        tried.append((before[0], np.concatenate(checks)))
-        mean = float(tried[-1][1].mean()) if len(tried[-1][1]) else np.inf
+        tried.append(_Tried(before, _run_errors(folds, before, window, [f.check for f in folds])))
+        mean = float(tried[-1].errors.mean()) if len(tried[-1].errors) else np.inf
         best, since = (mean, 0) if mean < (1.0 - LEVEL) * best else (best, since + 1)
         if since == PATIENCE:
             break
@@ -284,17 +280,78 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
             hint="fit with refine=False, give lower orders, or check the data for gaps and feedback",
         )
     if len(tried) == 1:
-        return tried[0][0], ""
-    index = simplest([errors for _, errors in tried], ORDER_LOSS)
-    return tried[index][0], _said(tried, _order(tried[index][0]), left_out)
+        return tried[0].fits, ""
+    index = simplest([t.errors for t in tried], ORDER_LOSS)
+    said = _said(tried, _order(tried[index].fits), left_out)
+    reduced = _reduced(
+        tried[: index + 1], lambda fits: _run_errors(folds, fits, window, [f.check for f in folds])
+    )
+    if reduced is not tried[index]:
+        orders = ", ".join(str(f.problem.orders.na) for f in reduced.fits)
+        said += f"; reduced to {orders}: a zero nearly cancels a pole, and the free run does not notice"
+    return reduced.fits, said
 
 
-def _said(
-    tried: Sequence[tuple[Sequence[OneOutput], FloatArray]], chosen: int, left_out: Sequence[int]
-) -> str:
-    """How an order was chosen, in words; `tried` holds fits and their (B,) validation block errors."""
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """The fits of one order, of every fold and output, and their (B,) validation block errors."""
+
+    folds: Sequence[Sequence[OneOutput]]
+    errors: FloatArray
+
+    @property
+    def fits(self) -> list[OneOutput]:
+        return list(self.folds[0])
+
+
+def _run_errors(
+    folds: Sequence[Parts],
+    fits: Sequence[Sequence[OneOutput]],
+    window: int,
+    data: Sequence[Dataset],
+) -> FloatArray:
+    """(B,) block errors of the free runs of every fold's fits on its data."""
+    return np.concatenate(
+        [
+            block_errors(runner("oe", fold, own, window), part, window, fold.scaling.y_scale)
+            for fold, own, part in zip(folds, fits, data, strict=True)
+        ]
+    )
+
+
+def _reduced(
+    tried: Sequence[_Tried], judged: Callable[[Sequence[Sequence[OneOutput]]], FloatArray]
+) -> _Tried:
+    """The last of these, every output with a pole that a zero nearly cancels an order lower, and so on.
+
+    Kept while the free run is worse by no more than the standard error of the difference.
+    """
+    kept = tried[-1]
+    for lower in reversed(tried[:-1]):
+        low = [_has_cancelling(fit) for fit in kept.fits]
+        if not any(low) or not len(kept.errors):
+            break
+        fits = [
+            [b if lowered else a for a, b, lowered in zip(own, less, low, strict=True)]
+            for own, less in zip(kept.folds, lower.folds, strict=True)
+        ]
+        errors = judged(fits)
+        gap = errors - kept.errors
+        if gap.mean() > standard_error(gap):
+            break
+        kept = _Tried(fits, errors)
+    return kept
+
+
+def _has_cancelling(fit: OneOutput) -> bool:
+    transfer = fit.transfer
+    return any(nearly_cancelled(pole, transfer.b) for pole in poles(transfer.a))
+
+
+def _said(tried: Sequence[_Tried], chosen: int, left_out: Sequence[int]) -> str:
+    """How an order was chosen, in words."""
     table = ", ".join(
-        f"order {_order(fits)}: {np.sqrt(e.mean()) if len(e) else np.nan:.3g}" for fits, e in tried
+        f"order {_order(t.fits)}: {np.sqrt(t.errors.mean()) if len(t.errors) else np.nan:.3g}" for t in tried
     )
     worse = f"; {', '.join(map(str, left_out))} free-ran the fitting part worse" if left_out else ""
     return (

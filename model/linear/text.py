@@ -9,7 +9,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray, Signal
 from flysid.model.linear.uncertainty import DifferenceModel, response_of
-from flysid.model.polynomials import Z95, ComplexArray, modes_of, polynomial_text
+from flysid.model.polynomials import Z95, ComplexArray, modes_of, nearly_cancelled, polynomial_text
 from flysid.model.regressors import lagged_name
 
 
@@ -78,7 +78,6 @@ def _sum(terms: list[tuple[float, str]], constant: float) -> str:
     return text
 
 
-CANCELS = 0.1  # of a pole's distance from one, which is that of its gain
 EQUATIONS = {
     "arx": "A(q) y = B(q) u + c + e",
     "armax": "A(q) y = B(q) u + c + C(q) e",
@@ -116,9 +115,8 @@ def _seen(model: LinearText, pole: complex) -> str:
 
     Its time constant is no more than what the data did not tell from none.
     """
-    numerators = [b for b in map(np.trim_zeros, model.system.b[:, 0].T) if len(b)]
-    near = [(np.abs(np.roots(b) - pole) < CANCELS * abs(1.0 - pole)).any() for b in numerators]
-    return " (a zero nearly cancels it)" if len(model.outputs) == 1 and near and all(near) else ""
+    seen = len(model.outputs) > 1 or not nearly_cancelled(pole, model.system.b[:, 0].T)
+    return "" if seen else " (a zero nearly cancels it)"
 
 
 class WithGain(Protocol):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from bench.verdict_fairness import flights, linear_plant
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.arx import ARX
@@ -194,3 +195,36 @@ def test_a_polynomial_shows_no_digits_that_the_data_do_not() -> None:
     assert text == "1 - 1.5008 (+- 0.0059) q^-1 + 0.0000 (+- 0.0035) q^-2"
     assert polynomial_text(np.ones(40)).endswith(" + ... (28 more, to q^-39)")
     assert polynomial_text(np.array([0.0, 1e9]), np.array([0.0, 1e7])) == "1e+09 (+- 2e+07) q^-1"
+
+
+def test_a_pole_that_a_zero_nearly_cancels_goes_where_the_free_run_does_not_notice() -> None:
+    """A plant of order 2 got a third pole, of 14 s, whose zero was 1.6 % of its distance from one away."""
+    rng = np.random.default_rng(5018)
+    plant = linear_plant(rng)
+    model = OE().fit(flights(plant, 4, rng, "t"))
+    assert len(model.poles) == 2
+    assert "a zero nearly cancels a pole" in model.notes[0]
+
+
+def test_a_pole_that_a_zero_nearly_cancels_stays_where_the_free_run_shows_it() -> None:
+    """Of a plant with such a pole and next to no noise."""
+    rng = np.random.default_rng(5)
+    u = rng.normal(size=3000).cumsum() / 20.0
+    y = lfilter([0.0, 0.1, -0.1 * 0.9905], np.convolve([1.0, -0.9], [1.0, -0.99]), u)
+    model = OE(nk=1).fit(Dataset.from_arrays([u], [y + 1e-4 * rng.normal(size=3000)], 0.01))
+    assert np.abs(model.poles - 0.99).min() < 1e-3
+
+
+def test_every_output_is_reduced_by_itself() -> None:
+    rng = np.random.default_rng(5018)
+    spare = flights(linear_plant(rng), 4, rng, "t")
+    u = np.concatenate([s.u for s in spare.segments])
+    other = lfilter([0.0, 0.1, 0.05], np.convolve([1.0, -0.8], [1.0, -0.6, 0.25]), u[:, 0])
+    inputs = [part.u for part in spare.segments]
+    outputs = [
+        np.column_stack([part.y, own]) for part, own in zip(spare.segments, np.split(other, 4), strict=True)
+    ]
+    model = OE(nk=1).fit(Dataset.from_arrays(inputs, outputs, spare.dt_s))
+    a = model.system.a[:, [0, 1], [0, 1]]
+    assert a[3, 0] == 0.0
+    assert a[3, 1] != 0.0
