@@ -1,4 +1,4 @@
-"""Linear fits reduced where poles and zeros nearly cancel.  python -m bench.cancelling [--plants N] [--first N]
+"""Linear fits reduced where poles and zeros nearly cancel: python -m bench.cancelling [--plants N]
 
 Linear plants of `bench.verdict_fairness` (order 1 to 3, noise of 2 to 20 %), four flights of 25 s each. A
 line per plant whose output-error fit a reduction changes: the order before and after, and the free-run errors

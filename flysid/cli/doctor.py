@@ -171,7 +171,11 @@ def lost_text(damage: Damage) -> str:
     ):
         if count:
             parts.append(f"{count:,} {words}")
-    parts += [f"{count:,} {kind} dropped" for kind, count in damage.dropouts.items() if count]
+    parts += [
+        f"{count:,} ms dropped" if kind == "ms" else f"{counted(count, kind.removesuffix('s'))} dropped"
+        for kind, count in damage.dropouts.items()
+        if count
+    ]
     return ", ".join(parts) or "0"
 
 
@@ -189,6 +193,7 @@ def as_document(path: Path, found: Survey) -> dict[str, Any]:
         "size_bytes": found.source.size_bytes,
         "info": dict(found.info),
         "duration_s": found.duration_s,
+        "usable_s": found.usable_s,
         "rates_hz": {role: dict([found.role(role)]) if found.role(role)[0] else {} for role in ROLES},
         "streams": {key: count.rows for key, count in found.streams.items()},
         "moved": found.excited(),

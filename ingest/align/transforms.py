@@ -68,6 +68,7 @@ def _of_quaternion(function: Callable[[FloatArray], FloatArray]) -> Transform:
 
 TRANSFORMS: Mapping[str, Transform] = {
     "none": Transform(lambda c, _t, _y: c[:, 0], elementwise=True),
+    "plain": Transform(lambda c, _t, _y: c[:, 0], unit="", elementwise=True),
     "unwrap": Transform(lambda c, _t, _y: c[:, 0], elementwise=True, wraps=True),
     "roll": _of_quaternion(frames.roll_of),
     "pitch": _of_quaternion(frames.pitch_of),

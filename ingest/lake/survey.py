@@ -16,9 +16,10 @@ from flysid.errors import FlysidError
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Source, field_scale, field_unit
 from flysid.flightwriter import float_values, int_values
 from flysid.ingest.excitation.enough import MIN_DURATION_S, least_hz, too_short_alone
-from flysid.ingest.formats.base import Limits, source_of
+from flysid.ingest.formats.base import Limits, StreamPart, source_of
 from flysid.ingest.formats.opening import open_log
 from flysid.ingest.formats.registry import format_of
+from flysid.ingest.lake.flown import Kept, changes
 from flysid.parts import exhausted
 
 ROLES: Mapping[str, tuple[str, ...]] = {
@@ -97,13 +98,26 @@ class StreamCount:
 
 @dataclass(frozen=True)
 class Survey:
-    """What `flysid doctor` says about a log."""
+    """What `flysid doctor` says about a log.
+
+    Attributes
+    ----------
+    armed_s : seconds in which the conditions of shipped recipes hold; None where nobody looked.
+    never : of each condition that never holds, what the log has instead.
+    """
 
     source: Source
     streams: Mapping[str, StreamCount]
     damage: Damage
     clocks: tuple[ClockMap, ...]
     info: Mapping[str, str]
+    armed_s: float | None = None
+    never: tuple[str, ...] = ()
+
+    @property
+    def usable_s(self) -> float:
+        """Vehicle time that shipped recipes can use: armed and airborne, as far as the log tells."""
+        return self.duration_s if self.armed_s is None else self.armed_s
 
     @property
     def duration_s(self) -> float:
@@ -133,12 +147,21 @@ def survey(path: Path, limits: Limits | None = None) -> Survey:
     with open_log(path, limits) as log:
         fmt = format_of(log, limits)
         streams: dict[str, StreamCount] = {}
-        reader = log.read(fmt, limits)
-        summary = exhausted(
-            reader, lambda part: _count(streams.setdefault(part.stream, StreamCount()), part.table)
-        )
+        kept: dict[str, list[pa.Table]] = {}
+
+        def look_at(part: StreamPart) -> None:
+            _count(streams.setdefault(part.stream, StreamCount()), part.table)
+            found = changes(part.stream, part.table)
+            if found is not None:
+                kept.setdefault(part.stream, []).append(found)
+
+        summary = exhausted(log.read(fmt, limits), look_at)
         source = source_of(log.view, log.name, fmt)
-    return Survey(source, dict(sorted(streams.items())), summary.damage, summary.clocks, summary.info)
+    rows = {key: count.rows for key, count in streams.items()}
+    tables = {key: pa.concat_tables(parts, promote_options="default") for key, parts in kept.items()}
+    armed_s, never = Kept(source.name, rows, summary.info, tables).flown(summary.clocks)
+    ordered = dict(sorted(streams.items()))
+    return Survey(source, ordered, summary.damage, summary.clocks, summary.info, armed_s, never)
 
 
 def survey_or_reason(path: Path, limits: Limits | None = None) -> Survey | str:
@@ -200,10 +223,14 @@ def verdict(found: Survey) -> tuple[str, str]:
         return "holds no attitude and no velocity", advice
     if found.duration_s < MIN_DURATION_S:
         return f"too short: {found.duration_s:.0f} s", too_short_alone(found.duration_s)
+    if found.never:
+        return f"excluded: {found.never[0]}", "fly; or remove the condition from a recipe of your own"
+    if found.usable_s < MIN_DURATION_S:
+        return f"too short: flown for {found.usable_s:.0f} s", too_short_alone(found.usable_s)
     kind = found.source.format
     if not attitude and not velocity:
         return (
-            ("ok: body rates only", too_short_alone(found.duration_s))
+            ("ok: body rates only", too_short_alone(found.usable_s))
             if rates_hz >= least_hz("rates", kind)
             else ("too slow for body rates", advice)
         )
@@ -212,4 +239,4 @@ def verdict(found: Survey) -> tuple[str, str]:
         return "too slow for attitude, usable for velocity" if usable else "too slow", advice
     if found.excited() == "-":
         return "nothing moved", "fly manoeuvres: doublets or sweeps on the axis of interest"
-    return "ok", too_short_alone(found.duration_s)
+    return "ok", too_short_alone(found.usable_s)

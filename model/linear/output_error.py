@@ -287,8 +287,8 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
         tried[: index + 1], lambda fits: _run_errors(folds, fits, window, [f.check for f in folds])
     )
     if reduced is not tried[index]:
-        orders = ", ".join(str(f.problem.orders.na) for f in reduced.fits)
-        said += f"; reduced to {orders}: a zero nearly cancels a pole, and the free run does not notice"
+        lower = ", ".join(str(f.problem.orders.na) for f in reduced.fits)
+        said += f"; reduced to {lower}: a zero nearly cancels a pole, and the free run does not notice"
     return reduced.fits, said
 
 
