@@ -322,9 +322,9 @@ def _run_errors(
 def _reduced(
     tried: Sequence[_Tried], judged: Callable[[Sequence[Sequence[OneOutput]]], FloatArray]
 ) -> _Tried:
-    """The last of these, every output with a pole that a zero nearly cancels an order lower, and so on.
+    """The last of these, or with lower orders for outputs that have a pole which a zero nearly cancels.
 
-    Kept while the free run is worse by no more than the standard error of the difference.
+    A lower order is taken where the free run is worse by no more than the standard error of the difference.
     """
     kept = tried[-1]
     for lower in reversed(tried[:-1]):
@@ -337,9 +337,8 @@ def _reduced(
         ]
         errors = judged(fits)
         gap = errors - kept.errors
-        if gap.mean() > standard_error(gap):
-            break
-        kept = _Tried(fits, errors)
+        if gap.mean() <= standard_error(gap):
+            kept = _Tried(fits, errors)
     return kept
 
 
