@@ -61,9 +61,9 @@ class Feedback:
         if not self.closed:
             return ""
         return (
-            f"{' and '.join(self.inputs)} answer{'s' if len(self.inputs) == 1 else ''} {self.output}: within "
-            f"{self.look_s:.2g} s after, {100 * self.share:.0f} % of what the model could not foresee shows "
-            "in the input, so a loop is closed around it."
+            f"{' and '.join(self.inputs)} react{'s' if len(self.inputs) == 1 else ''} to {self.output}: "
+            f"within {self.look_s:.2g} s after, {100 * self.share:.0f} % of what the model could not predict "
+            "appears in the input, so a loop is closed around it."
         )
 
     @property

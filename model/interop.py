@@ -72,7 +72,7 @@ def from_control(
         starts=None,
         free=(),
         covariance=np.zeros((0, 0)),
-        notes=("Taken over from python-control; nothing was estimated.",),
+        notes=("Imported from python-control; nothing was estimated.",),
     )
 
 

@@ -123,7 +123,7 @@ def _chosen(settings: IV, parts: Parts, columns: Columns) -> tuple[list[Orders],
         if model.is_stable:
             tried.append((orders, block_errors(model, parts.check, skip, parts.scaling.y_scale)))
     if not tried:
-        return candidates[0], f"Orders: {words_of(candidates[0])}, for want of a stable estimate."
+        return candidates[0], f"Orders: {words_of(candidates[0])}, because no estimate was stable."
     index = simplest([errors for _, errors in tried], ORDER_LOSS)
     table = ", ".join(f"order {o[0].na}: {np.sqrt(e.mean()) if len(e) else np.nan:.3g}" for o, e in tried)
     return tried[index][0], (

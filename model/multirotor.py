@@ -345,7 +345,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedMultirotor:
         theta, document["free"], document["covariance"], kinds, strict=True
     ):
         if not (row[LAG] > 0.0 and 0.0 <= row[DELAY] < 1e6 * dt_s and row[DAMPING] >= 0.0):
-            raise ValueError("a lag, dead time or drag that cannot be")
+            raise ValueError("an impossible lag, dead time or drag")
         if not forgets(row, dt_s, kind):
             raise ValueError("its predictor never forgets")
         table = np.array(covariance, dtype=np.float64).reshape(size, size)
@@ -353,7 +353,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedMultirotor:
     scales = {key: array_of(document, key, len(inputs)) for key in ("u_scale", "u_mean")}
     y_scale = array_of(document, "y_scale", len(outputs))
     if not ((scales["u_scale"] > 0.0).all() and (y_scale > 0.0).all()):
-        raise ValueError("a scale that is not above zero")
+        raise ValueError("a scale that is not positive")
     return FittedMultirotor(
         dt_s=dt_s,
         inputs=inputs,

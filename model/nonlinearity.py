@@ -72,8 +72,8 @@ class Nonlinearity:
         if not np.isfinite(self.smallest):
             return ""
         return (
-            f"Nothing in {self.output} was found that does not follow {inputs} linearly; a share of "
-            f"{100 * self.smallest:.2g} % would have shown."
+            f"No part of {self.output} was found that does not follow {inputs} linearly; a share of "
+            f"{100 * self.smallest:.2g} % would have been detected."
         )
 
 

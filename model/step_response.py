@@ -309,7 +309,7 @@ def _check_loop(
     if p < LEVEL and share > SHARE:
         names = " and ".join(s.name for s in data.inputs)
         raise DataError(
-            f"loop: not a step response. {names} answers {data.outputs[output].name}: {100 * share:.0f} % of "
-            f"what no past input explains shows in the input within {lags * dt_s:.2g} s after",
+            f"loop: not a step response. {names} reacts to {data.outputs[output].name}: {100 * share:.0f} % "
+            f"of what no past input explains appears in the input within {lags * dt_s:.2g} s after",
             hint="take the command that the pilot gives as input, or fly without the outer loop",
         )

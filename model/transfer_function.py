@@ -234,8 +234,8 @@ def _simplest(parts: Parts, tried: Sequence[OneTransfer], lowest: float) -> tupl
     best = simplest(errors, ORDER_LOSS)
     table = ", ".join(f"{t.poles}: {np.sqrt(m):.3g}" for t, m in zip(tried, means, strict=True))
     words = (
-        "; as many poles as the simplest within one standard error of the best validation free run has "
-        f"(RMSE in standard deviations by poles, {table})"
+        "; the number of poles is that of the simplest within one standard error of the best validation free "
+        f"run (RMSE in standard deviations by poles, {table})"
     )
     if best == 0 or tried[best].is_determined(lowest):
         return best, words

@@ -85,7 +85,7 @@ class TS(RuleSettings):
             if getattr(self, name) != "auto":
                 raise UsageError(f"{name}={getattr(self, name)!r} with hidden states", hint="give states=0")
         if not self.refine or self.stable:
-            raise UsageError("refine=False and stable=True are of rules over lags", hint="give states=0")
+            raise UsageError("refine=False and stable=True are for rules over lags", hint="give states=0")
 
 
 def over_states(settings: TS, train: Dataset, validation: Dataset | None) -> FittedTS:

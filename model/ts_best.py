@@ -101,11 +101,11 @@ def _linear_enough(
     label, model = choice
     assert isinstance(model, Linear)
     if settings.rules == 1:
-        said = "one rule was asked for, and that is one."
+        said = "one rule was requested, and one rule is a linear model."
     elif count == 1:
-        said = "rules were searched for, and none paid."
+        said = "a search for rules found none that lowers the error."
     elif not advantage([block_errors((model, rules), validation or train)]).gain < 0.0:
-        said = f"its free run is nearer than that of the {count} rules found."
+        said = f"its free run is closer than that of the {count} rules found."
     else:
         if validation is not None:
             parts = [(train, validation)]

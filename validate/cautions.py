@@ -225,8 +225,8 @@ def _noisy_start(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Cau
     if said:
         yield Caution(
             "note",
-            f"Some steps ahead the error is larger than in free run on {_who(said)}: each prediction starts "
-            "from a few raw, noisy samples.",
+            f"A few steps ahead, the error is larger than in free run on {_who(said)}: each prediction "
+            "starts from a few raw, noisy samples.",
             "simulate with these models; to predict, filter the measurement first.",
             0.9,
         )

@@ -276,7 +276,7 @@ def _provenance(run: Run, held: list[HeldOut]) -> dict[str, str]:
         found[f"{name}: split"] = split_words(split)
         if item.turns:
             found[f"{name}: verdict"] = (
-                f"all flights left out in turn, in {len(item.turns)} folds; models as split"
+                f"all flights left out in turn, in {len(item.turns)} folds; models from the split"
             )
         found[f"{name}: data sha256"] = str(split["data_sha256"])
         found[f"{name}: held-out sha256"] = str(split["test_sha256"])

@@ -309,7 +309,7 @@ def held_out(run: Run, data: str | Path | None = None) -> list[HeldOut]:
     place = run.data if data is None else data
     if data is None and not is_address(place) and not Path(place).exists():
         raise UsageError(
-            "the data that this run was fitted on is not there any more",
+            "the data that this run was fitted on are missing",
             path=place,
             hint="if it moved, name its place with --data (of 'flysid compare': --data-a, --data-b)",
         )

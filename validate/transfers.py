@@ -88,7 +88,7 @@ class ChannelTransfers:
             bands = self.follows[output] if self.follows else ()
             where = " and ".join(f"{low:.3g} to {high:.3g}" for low, high in bands)
             return (
-                "no band can be trusted: a loop is closed, and where it answers the output the measured "
+                "no band can be trusted: a loop is closed, and where it reacts to the output the measured "
                 f"response is -1/controller{f': so from {where} rad/s' if where else ''}. "
                 "Name what drives the loop: --reference FIELD"
             )
@@ -98,7 +98,7 @@ class ChannelTransfers:
         )
         if band is None:
             highest = measured.coherence[:, source].max()
-            return f"{of or 'the coherence'} is above 0.6 nowhere (at most {highest:.2f})"
+            return f"{of or 'the coherence'} is nowhere above 0.6 (at most {highest:.2f})"
         return (
             f"trust it from {band[0]:.3g} to {band[1]:.3g} rad/s "
             f"({band[0] / 2 / np.pi:.2g} to {band[1] / 2 / np.pi:.2g} Hz), where "

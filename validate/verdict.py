@@ -6,7 +6,7 @@
 | same | both diverged |
 | not enough data | the measured output, or every input, does not vary |
 | same | the RMSEs differ by less than the data can resolve |
-| not enough data | an error is zero, so that there is no interval |
+| not enough data | an error is zero, which leaves no interval |
 | same | the 95 % interval of the change lies inside +-5 % |
 | better / worse | the interval excludes 0 and so does the test after Holm's correction over channels |
 | same | no difference shown, and the interval lies inside +-10 %: a large one is excluded |
@@ -75,7 +75,7 @@ def decide(e: Evidence) -> tuple[Verdict, str]:
     if abs(e.rmse_model - e.rmse_baseline) < e.resolution:
         return Verdict.SAME, "the difference is below what the data can resolve"
     if e.low_pct is None or e.high_pct is None or e.p is None:
-        return Verdict.NOT_ENOUGH, "an error is zero, so that there is no interval"
+        return Verdict.NOT_ENOUGH, "an error is zero, which leaves no interval"
     return _from_interval(e.low_pct, e.high_pct, e.p)
 
 

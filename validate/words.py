@@ -105,10 +105,8 @@ def scope_words(pair: Pair) -> list[str]:
     else:
         said.append("one flight does not show whether another would agree")
     if pair.basis.slow:
-        said.append(
-            f"the error changes slower than {pair.scope} last{'s' * (pair.scope is not Scope.THESE)}: only a "
-        )
-        said[-1] += "large difference can be seen"
+        lasts = f"{pair.scope} last{'s' * (pair.scope is not Scope.THESE)}"
+        said.append(f"the error changes more slowly than {lasts}: only a large difference can be seen")
     return said
 
 
@@ -118,7 +116,7 @@ def _few_words(pair: Pair, shown: bool) -> list[str]:
         return []
     lower = sum(c < 0.0 for c in changes)
     return [
-        f"not enough flights to speak of another; on these {pair.units}: lower on {lower}, "
+        f"too few flights to generalise to another; on these {pair.units}: lower on {lower}, "
         f"{percent(pair.change_pct)} typically"
     ]
 
@@ -131,7 +129,7 @@ def _pooled_words(pair: Pair) -> list[str]:
         return []
     side = 1.0 if pooled > pair.ci95[1] else -1.0
     far = max(flights.items(), key=lambda flight: side * flight[1])
-    return [f"all samples together say {percent(pooled)}: flight {one_line(far[0])} carries it"]
+    return [f"pooled over all samples the change is {percent(pooled)}: flight {one_line(far[0])} dominates"]
 
 
 def named(models: Sequence[str]) -> str:

@@ -20,7 +20,7 @@ USABLE = ("good", "closed loop", "weak")
 WIDTH = 100
 LONGEST_NAME = 18
 COHERENCE = "COH.: coherence, the share of the output's power that a linear model of the input can explain"
-LOOP = "loop: the input answers the output too (a pilot or controller); see docs/recipes.md on closed loops"
+LOOP = "loop: the input reacts to the output (a pilot or controller); see docs/recipes.md on closed loops"
 OPEN = "?: the data do not determine it"
 
 

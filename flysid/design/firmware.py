@@ -224,9 +224,7 @@ def firmware_for(name: str, stated: Parameters, input_unit: str, limit: float | 
     fitting = [s for s in schemes if not stated or set(s.names.values()) <= set(stated)]
     if not fitting:
         known = "; ".join(f"{s.words}: {', '.join(s.names.values())}" for s in schemes)
-        raise DataError(
-            f"the parameters are of no version of {name} that is known here", hint=f"known are {known}"
-        )
+        raise DataError(f"the parameters match no known version of {name}", hint=f"known are {known}")
     per_g = {"deg": math.degrees(1.0), "rad": 1.0}.get(input_unit, math.nan)
     if fitting[0].in_acceleration and math.isnan(per_g):
         raise UsageError(

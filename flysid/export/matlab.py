@@ -84,7 +84,7 @@ def _function(model: Fitted, name: str, text: str) -> str:
     }
     u0, y0, drift = _offsets(model)
     return f"""function [sys, u0, y0, c] = {name}_model ()
-% The linear model as an object of the System Identification Toolbox. It speaks of deviations:
+% The linear model as an object of the System Identification Toolbox. It describes deviations:
 % y - y0 follows u - u0, and the equation has the constant c beside it:
 % A(q) (y - y0) = B(q) (u - u0) + c, or C x + D (u - u0) + c in state space.
 % {identifier(name)}_simulate.m has all of that in it and needs no toolbox.

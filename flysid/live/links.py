@@ -309,7 +309,8 @@ def open_link(text: str, *, buffer: int | None = None, sends: bool = False) -> L
     target = parse_link(text)
     if target.kind == "udpout" and not sends:
         raise UsageError(
-            f"{text} would hear nothing: the other side answers whom it has heard", hint="add --heartbeat"
+            f"{text} would receive nothing: the other side sends only to hosts that it has heard",
+            hint="add --heartbeat",
         )
     if target.kind in KINDS:
         return KINDS[target.kind](target)

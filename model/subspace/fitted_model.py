@@ -255,7 +255,7 @@ class FittedStateSpace(FreeRuns):
     def _intervals(self) -> str:
         """What is known of the uncertainty, in words."""
         if not len(self.covariance):
-            return "none (from disk, unstable, or too long for them); refine=True has them"
+            return "none (fitted from disk, unstable, or too much data); refine=True estimates them"
         if self.noise is not None:
             return "of the simulation-error fit"
         return "of the scatter, and of the distance to the least simulation error (wide where biased)"
@@ -331,7 +331,7 @@ def resting(
         gains=np.zeros((0, n, n_y)),
         free=n * (n_u + n_y) + n_y * n_u,
         singular_values=np.zeros(0),
-        notes=("Taken over as it was; nothing was estimated.",),
+        notes=("Imported as is; nothing was estimated.",),
     )
 
 

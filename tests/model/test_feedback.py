@@ -68,7 +68,7 @@ def test_a_controller_and_a_slow_pilot_are_recognised(gain: float, lag: int) -> 
     data = closed_loop(gain, lag, 0)
     (found,) = feedback(OE(na=2, nb=2, nk=1).fit(data), data)
     assert found.closed
-    assert found.words.startswith("theta answers v_x: within 0.5 s after")
+    assert found.words.startswith("theta reacts to v_x: within 0.5 s after")
     assert "IV with the reference" in found.words
 
 
@@ -98,4 +98,4 @@ def test_the_report_says_it_as_the_fit_says_it(gain: float, lag: int) -> None:
     c = compare([model], data, baseline=None)
     said = [x.text for x in cautions({"roll": c}, {"roll": diagnose(c, data)})]
     assert found.closed == bool(gain)
-    assert any(x.startswith("theta answers v_x: within") for x in said) == bool(gain)
+    assert any(x.startswith("theta reacts to v_x: within") for x in said) == bool(gain)

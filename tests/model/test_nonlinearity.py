@@ -63,7 +63,7 @@ def test_of_what_is_not_found_the_share_that_would_have_shown_is_said() -> None:
     answer = nonlinearity(OE().fit(data), data)[0]
     assert not answer.found
     assert 0.0 < answer.smallest < 0.3
-    assert "would have shown" in answer.words
+    assert "would have been detected" in answer.words
 
 
 def test_few_samples_say_nothing(drag: Dataset) -> None:

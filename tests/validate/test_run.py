@@ -223,7 +223,7 @@ def test_channels_that_are_not_judged_are_named_everywhere(
 
 def test_data_that_moved_and_models_that_are_gone_say_what_to_do(copied: Path, tmp_path: Path) -> None:
     moved = replace(open_run(copied), data=str(tmp_path / "gone"))
-    with pytest.raises(UsageError, match="fitted on is not there any more") as caught:
+    with pytest.raises(UsageError, match="fitted on are missing") as caught:
         judge_run(moved)
     assert "--data" in caught.value.hint
     (copied / CHANNEL / "ts.json").unlink()

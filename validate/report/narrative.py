@@ -325,8 +325,8 @@ def basis(comparisons: Mapping[str, Comparison], train_s: float | None) -> str:
         words += ", corrected for several channels (Holm)." if len(pairs) > 1 else "."
     if any(p.basis.rotated for _, p in pairs):
         words += (
-            " The models shown and saved are those of the split. The verdict is of models that were fitted, "
-            "in the same way, to the other flights."
+            " The models shown and saved are those of the split. The verdict is for models that were fitted "
+            "in the same way to the other flights."
         )
     return f"{words} {start_words(comparisons)}"
 

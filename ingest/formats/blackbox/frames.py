@@ -160,7 +160,7 @@ class Walker:
             self._tally.truncated |= self._stop == len(self._raw)
             self._tally.skip(at, self._at, "cut off inside a frame")
         else:
-            self._tally.skip(at, self._at, "no frame here, and no I frame behind")
+            self._tally.skip(at, self._at, "no frame here, and no I frame after it")
 
     def _judge_seam(self) -> None:
         """An I frame that does not go on from its group: which of both is right?"""

@@ -51,7 +51,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     header = header_of(bytes(view[:HEAD_BYTES]))
     if header is None:
         raise FormatError(
-            "the header of this Crazyflie log is damaged: it alone says what the events hold",
+            "the header of this Crazyflie log is damaged: only it states what the events hold",
             path=name,
             byte=0,
             hint="copy the file from the card again",

@@ -144,7 +144,7 @@ class _Walk:
         """Where the message ends. Raises MessageError where more follows than padding."""
         surplus = len(self._data) - self._at
         if surplus > self._drift + 3 or (surplus and self._wire.align == 1):
-            raise MessageError("bytes are left behind the end of its definition")
+            raise MessageError("bytes remain after the end of its definition")
         return self._at
 
     def spots(self, kind: Type, path: str) -> Iterator[Spot]:

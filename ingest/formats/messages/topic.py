@@ -228,7 +228,7 @@ class Topic:
             tally.undecode(self.channel.topic, len(messages.at), str(error))
             return
         lost = len(messages.at) - len(decoded.kept)
-        tally.undecode(self.channel.topic, decoded.longer, "bytes are left behind the end of its definition")
+        tally.undecode(self.channel.topic, decoded.longer, "bytes remain after the end of its definition")
         tally.undecode(self.channel.topic, lost - decoded.longer, "the message does not fit its definition")
         if len(decoded.columns) > MAX_COLUMNS:
             why = f"its definition gives {len(decoded.columns)} columns; at most {MAX_COLUMNS} are read"

@@ -182,7 +182,7 @@ class Database:
             parts.append(page[4 : 4 + size])
             size -= len(page) - 4
         if number:
-            raise PageError("a row's overflow pages go on behind its end")
+            raise PageError("a row's overflow pages continue beyond its end")
         return parts, tuple(pages)
 
     def _uncovered(self, page: memoryview, base: int, head: int, taken: int) -> str:
@@ -197,7 +197,7 @@ class Database:
         content = content or 65536
         if base + head + 2 * cells <= content and taken + free + fragments == len(page) - content:
             return ""
-        return "the rows do not fill the page as it says"
+        return "the rows do not fill the page as its header states"
 
 
 def varint(data: memoryview | bytes, at: int) -> tuple[int, int]:

@@ -168,7 +168,7 @@ def test_heartbeats_reach_who_needs_them(tmp_path: Path) -> None:
 
 
 def test_udpout_without_heartbeat_would_hear_nothing() -> None:
-    with pytest.raises(UsageError, match="would hear nothing"):
+    with pytest.raises(UsageError, match="would receive nothing"):
         open_link("udpout:127.0.0.1:14550")
 
 

@@ -19,7 +19,7 @@ from flysid.ingest.formats.registry import FORMATS
 from tests.samplelogs import ros
 from tests.samplelogs.mcap import Topic, json_topic, mcap_file, ros1_topic, ros2_topic
 
-SURPLUS = "bytes are left behind the end of its definition"
+SURPLUS = "bytes remain after the end of its definition"
 HEAD = b"\x00\x01\x00\x00"
 
 

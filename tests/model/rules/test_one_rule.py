@@ -170,7 +170,7 @@ def test_a_baseline_of_one_rule_is_a_linear_one() -> None:
 
 def test_a_model_of_one_rule_that_was_asked_for_claims_no_search() -> None:
     found = BestTS(rules=1, search=EFFORTS["quick"]).fit(lag(1))
-    assert found.notes[0] == f"{LINEAR_ENOUGH}one rule was asked for, and that is one."
+    assert found.notes[0] == f"{LINEAR_ENOUGH}one rule was requested, and one rule is a linear model."
 
 
 @pytest.mark.parametrize("label", ["arx", "oe", "armax", "bj", "statespace", "linear_lags", "linear_ss"])
