@@ -1,10 +1,11 @@
 """How often the interval holds the truth, and how often the verdict is right, where the truth is known.
 
 Errors of two models are drawn as AR(1) processes whose change is known, in flights of different difficulty,
-and each model has its own luck in every flight. `python -m bench.verdict_coverage [repetitions [seed]]`
-prints one line per case: flights first, then single flights. The truth is the change on a typical flight
-(geometric mean), or of the process of the one flight there is. The numbers of `validate/intervals.py` were
-chosen on draws of another program; docs/measured/verdicts.md names the seeds that its figures rest on.
+and each model has its own luck in every flight. `python -m bench.verdict_coverage [repetitions [seed
+[kind]]]` prints one line per case, of one kind or of all: flights first, then single flights. The truth is
+the change on a typical flight (geometric mean), or of the process of the one flight there is. The numbers of
+`validate/intervals.py` were chosen on draws of another program; docs/measured/verdicts.md names the seeds
+that its figures rest on.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ from flysid.validate.verdict import Evidence, Verdict, decide
 FLIGHTS = (2, 3, 4, 5, 6, 8, 12, 30)
 LUCK = (0.0, 0.15, 0.3)
 KINDS = ("alike", "one in ten", "drift", "regimes", "rarely better")
+RARELY_PCT = 100.0 * (
+    3.0**-0.1 - 1.0
+)  # makes up, on a typical flight, for every tenth being three times worse
 MISSED = 0.75  # share of its error that a "rarely better" baseline misses, in variances of the noise
 
 
@@ -123,7 +127,7 @@ def _ar1(n: int, rho: float, rng: np.random.Generator) -> FloatArray:
 def run(case: Case, repetitions: int, seed: int = 4242) -> Outcome:
     """Repeat one case."""
     rng = np.random.default_rng(seed)
-    truth = 100.0 * float(np.expm1(case.truth))
+    truth = round(100.0 * float(np.expm1(case.truth)), 9)
     held = 0
     widths = []
     verdicts = dict.fromkeys(Verdict, 0)
@@ -148,11 +152,14 @@ def run(case: Case, repetitions: int, seed: int = 4242) -> Outcome:
 
 
 def flight_cases() -> Iterator[Case]:
-    """Every kind and luck at every number of flights; then a fifth and a half less error."""
+    """Every kind and luck at every number of flights; a rare flight that leaves the typical one unchanged;
+    then a fifth and a half less error."""
     for kind in KINDS:
         for luck in LUCK if kind == "alike" else (0.15,):
             for flights in FLIGHTS:
                 yield Case(flights, luck=luck, kind=kind)
+    for flights in FLIGHTS:
+        yield Case(flights, luck=0.15, kind="one in ten", change_pct=RARELY_PCT)
     for percent in (-20.0, -50.0):
         for luck in LUCK:
             for flights in FLIGHTS:
@@ -174,11 +181,12 @@ def main() -> None:
     """Print the table."""
     repetitions = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
     seed = int(sys.argv[2]) if len(sys.argv) > 2 else 4242
+    kinds = sys.argv[3:4] or KINDS
     print(f"{repetitions} draws a case, seed {seed}; half width of the interval of the log ratio, in percent")
     print(
         f"{'case':58s} {'true':>7s} {'covered':>8s} {'false':>7s} {'better':>8s} {'worse':>7s} {'half':>7s}"
     )
-    for case in (*flight_cases(), *single_cases()):
+    for case in (c for c in (*flight_cases(), *single_cases()) if c.kind in kinds):
         o = run(case, repetitions, seed)
         print(
             f"{case!s:58s} {100.0 * np.expm1(case.truth):5.0f} % {o.coverage:6.1f} % {o.false:5.1f} % "
