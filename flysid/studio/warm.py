@@ -55,7 +55,9 @@ class Warm:
             return 0
 
     def close(self) -> None:
-        """Let it end."""
+        """Let it end, at once where it still imports."""
+        if not self._is_ready:
+            self._process.terminate()
         with suppress(BrokenPipeError):
             self._process.communicate()
 
@@ -73,10 +75,12 @@ def main() -> None:
         os.close(begun if not job else begins)
         if not job:
             os.setsid()
+            folder = Path(line.rstrip("\n"))
+            _redirect(folder)
             os.close(begins)
-            _do(Path(line.rstrip("\n")))
+            _do(folder)
             break
-        os.read(begun, 1)  # until the job has closed it: it can be ended as a group now
+        os.read(begun, 1)  # until the job has closed it: it is a group of its own, and holds no pipe
         os.close(begun)
         _say(str(job))
 
@@ -86,13 +90,17 @@ def _say(word: str) -> None:
     sys.stdout.flush()
 
 
-def _do(folder: Path) -> None:
-    """A job: its command in a process of its own, and a note how that has ended."""
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+def _redirect(folder: Path) -> None:
+    """What a job prints goes into its folder."""
     for number, name in enumerate((os.devnull, "out", "log")):
         handle = os.open(folder / name, os.O_RDWR | os.O_CREAT, 0o666)
         os.dup2(handle, number)
         os.close(handle)
+
+
+def _do(folder: Path) -> None:
+    """A job: its command in a process of its own, and a note how that has ended."""
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     command = os.fork()
     if command:
         _, status = os.waitpid(command, 0)

@@ -95,13 +95,14 @@ def test_a_job_that_reads_is_forked_from_a_process_that_has_all(tmp_path: Path) 
     """It writes what the command writes, in a group of its own; what forks it may end before it does."""
     warm = Warm()
     folder = reading(tmp_path, "01-multisine-seed1.tlog")
+    until = time.monotonic() + 120
     while not (pid := warm.begin(folder)):  # it is still importing
+        assert time.monotonic() < until
         time.sleep(0.05)
     os.killpg(pid, signal.SIGSTOP)
     warm.close()
     assert group_exists(pid)
     os.killpg(pid, signal.SIGCONT)
-    until = time.monotonic() + 120
     while not (folder / "ended.json").is_file():
         assert time.monotonic() < until
         time.sleep(0.05)
@@ -214,6 +215,7 @@ def test_the_signals_of_a_run_are_those_of_its_own_recipe(judged: Server) -> Non
             assert judged.get("series", {"f": flight, "s": [wrong]}).status in (400, 404)
     finally:
         shutil.rmtree(own)
+    assert judged.get("series", {"f": flight, "s": [f"@run/{copy}:vz_in"]}).status == 404
 
 
 def test_a_run_of_a_newer_version_is_named_and_costs_no_other(judged: Server) -> None:
