@@ -161,7 +161,10 @@ class Flights:
         if not name.startswith(RUN):
             raise NotThere(f"no recipe {name!r}")
         path = self._recipe_of_run(name.removeprefix(RUN))
-        return str(path), path.stat().st_mtime_ns
+        try:
+            return str(path), path.stat().st_mtime_ns
+        except OSError as error:
+            raise NotThere("the run is gone", path=path.parent) from error
 
     def _read_signal(self, flight: str, recipe: str, _stamp: int, signal: str) -> tuple[Axis, Pyramid]:
         found = load_signal(signal, load_recipe(recipe).signals[signal], lake_of(self.data, flight).logs[0])
