@@ -137,15 +137,17 @@ class RunningGrid:
 
     @property
     def lack(self) -> str:
-        """Why no samples are given out, in words."""
-        if self._fault:
-            return self._fault
-        if self._absent:
-            sources = self._recipe.signals[self._absent[0]].sources
+        """Why no samples are given out, in words; other threads may ask."""
+        fault, absent = self._fault, self._absent
+        if fault:
+            return fault
+        if absent:
+            sources = self._recipe.signals[absent[0]].sources
             streams = " or ".join(dict.fromkeys(source.stream for source in sources))
-            return f"no stream for {self._absent[0]} has come ({streams})"
+            return f"no stream for {absent[0]} has come ({streams})"
         for condition in self._conditions:
-            if not len(condition.tail) or not condition.tail.x[-1]:
+            truths = condition.tail.x
+            if not len(truths) or not truths[-1]:
                 return f"{condition.condition.name} does not hold"
         return "its streams have stopped"
 

@@ -31,6 +31,7 @@ from tests.flysid.studio.server import Server, studio
 from tests.link_trials import free_port
 
 SPEED = 8.0
+GARBAGE = 50  # datagrams of 1,200 bytes: even the smallest buffer holds them until somebody reads
 STATE = """
 const { charts, view } = document.querySelector("main").live;
 return { rows: charts[0].rows, end: view.end, span: view.span, newest: view.newest };
@@ -161,7 +162,7 @@ def test_what_goes_wrong_on_a_link_is_a_state_on_the_page_and_in_the_sidecar(
         page = Page(browser, served(listening, session, tmp_path))
         session.start()
         said("nothing has come")
-        for _ in range(200):
+        for _ in range(GARBAGE):
             send(garbage)
         said("bytes that are no frame")
         vehicles = [common.MAVLink(None, srcSystem=k + 1, srcComponent=1) for k in range(10)]
@@ -185,11 +186,11 @@ def test_what_goes_wrong_on_a_link_is_a_state_on_the_page_and_in_the_sidecar(
     kept = json.loads(target.with_name("flight.tlog.json").read_text())
     [link] = kept["links"]
     assert link["silent_s"] > 5.0
-    assert sum(peer["bytes_that_are_no_frame"] for peer in link["peers"]) == 200 * len(garbage)
+    assert sum(peer["bytes_that_are_no_frame"] for peer in link["peers"]) == GARBAGE * len(garbage)
     assert len(link["peers"][0]["systems"]) == 10
     first = link["peers"][0]["systems"][0]
     assert (first["clock_steps"], first["boots"]) == (1, 1)
-    assert [step["step_s"] for step in kept["host_clock_steps"]] == [pytest.approx(30.0, abs=0.1)]
+    assert [step["step_s"] for step in kept["host_clock_steps"]] == [pytest.approx(30.0, abs=0.5)]
     assert "no stream for theta_in has come" in kept["channels"]["longitudinal"]
     assert any("silent since" in text for text in kept["warnings"])
 
