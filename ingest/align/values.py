@@ -67,8 +67,8 @@ def _values(column: pa.Array) -> npt.NDArray[np.generic]:
     if not (is_whole or pa.types.is_floating(kind)) or column.null_count or not len(column):
         return np.asarray(column.to_numpy(zero_copy_only=False))
     letter = "f" if not is_whole else "u" if pa.types.is_unsigned_integer(kind) else "i"
-    numbers = np.frombuffer(column.buffers()[1], dtype=f"{letter}{kind.bit_width // 8}")
-    return numbers[column.offset : column.offset + len(column)]
+    size = kind.bit_width // 8
+    return np.frombuffer(column.buffers()[1], f"{letter}{size}", len(column), column.offset * size)
 
 
 def _matrix(column: pa.Array) -> npt.NDArray[np.generic]:

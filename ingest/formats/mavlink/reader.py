@@ -404,7 +404,8 @@ def _info(reader: _Reader) -> Mapping[str, str]:
     fit = reader.time.fit()
     for boot in sorted(fit.first_ns):
         if times := fit.set_by(boot):
-            more = f", and {len(times) - 1} times more" if len(times) > 1 else ""
+            count = len(times) - 1
+            more = f", and {'once' if count == 1 else f'{count} times'} more" if count else ""
             notes.append(
                 f"the station's clock was set by {times[0] / SECOND_NS:+,.1f} s in boot {boot}{more}; "
                 "its UTC is that of the longest part"
