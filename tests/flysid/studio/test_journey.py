@@ -75,17 +75,23 @@ def fit(page: Page, is_closed: bool) -> None:
             page.keys(" ")
     page.tab_to(".right > button.main")
     page.keys("\ue007")
-    until(lambda: page.all(".job progress"))
     if is_closed:
-        running = until(lambda: [j for j in page.server.get("jobs").json["jobs"] if j["state"] == "running"])[
-            0
-        ]
-        os.killpg(running["pid"], signal.SIGSTOP)  # else it might be through before the page is back
-        page.go(page.js("return location.hash"))
+        fitting = until(lambda: [j for j in page.server.get("jobs").json["jobs"] if is_fitting(j)])[0]
+        os.killpg(fitting["pid"], signal.SIGSTOP)  # else it might be through before the page is back
+        try:
+            until(lambda: page.all(".job progress"))
+            page.go(page.js("return location.hash"))
+            until(lambda: page.all(".job progress"))
+            assert page.server.get(f"jobs/{fitting['id']}").json["state"] == "running"
+        finally:
+            os.killpg(fitting["pid"], signal.SIGCONT)
+    else:
         until(lambda: page.all(".job progress"))
-        assert page.server.get(f"jobs/{running['id']}").json["state"] == "running"
-        os.killpg(running["pid"], signal.SIGCONT)
     until(lambda: page.js("return document.activeElement.textContent") == "See the verdict", 300)
+
+
+def is_fitting(job: Any) -> bool:
+    return bool(job["lane"] == "fit" and job["state"] == "running")
 
 
 def back_to_the_worst_second(page: Page) -> None:
