@@ -77,7 +77,7 @@ class PolyNARX:
         Raises
         ------
         UsageError : settings that cannot be. DataError : no or too few samples, a signal that never changes.
-        FitError : no linear model to start from.
+        FitError : no linear model to start from, or no segment three times as long as its deepest lag.
         """
         if not is_count(self.most_terms, 0):
             raise UsageError(f"most_terms is {self.most_terms!r}", hint="a whole number of at least 0")
@@ -87,10 +87,16 @@ class PolyNARX:
         starts = dict(linear_terms(model, units) for model in bases)
         depth = max(map(depth_of, starts))
         searches = [TermSearch(parts, units, terms, theta, depth) for terms, theta in starts.items()]
-        found = [found for search in searches if (found := self._searched(search)) is not None]
         linear, limit = unchanged(searches[0])
+        if parts.check is parts.fitted:
+            note = "No term was looked for: no part of the data is held out that could judge it."
+            return replace(linear, notes=(note,))
+        found = [found for search in searches if (found := self._searched(search)) is not None]
         if not found:
-            note = "The free run of the linear model leaves its limits: no term was looked for."
+            note = (
+                "No term was looked for: the linear model's free run leaves its limits, or there are too few "
+                "held-out samples."
+            )
             return replace(linear, notes=(note,))
         best = found[0]
         for other in found[1:]:
@@ -103,10 +109,8 @@ class PolyNARX:
             model, error = finished(one.search, one.chosen)
             if np.isfinite(error) and error <= limit:
                 return replace(model, notes=(*one.notes, *model.meanings()))
-        note = (
-            "No nonlinear term that is clearly better there follows all of the training data better than the "
-        )
-        return replace(linear, notes=(*best.notes, f"{note}linear model: it was kept."))
+        note = "No model with nonlinear terms is better both there and over all training data: kept linear."
+        return replace(linear, notes=(*best.notes, note))
 
     def _linear(self, train: Dataset, validation: Dataset | None) -> Iterator[FittedLinear]:
         """What terms are added to."""

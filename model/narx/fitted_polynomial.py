@@ -304,7 +304,7 @@ def from_dict(document: Mapping[str, Any]) -> FittedPolyNARX:
         raise ValueError("no terms")
     scale = array_of(document, "scale", len(outputs) + len(inputs))
     if not (scale > 0.0).all():
-        raise ValueError("a scale that is not above zero")
+        raise ValueError("a scale that is not positive")
     covariance = np.array(document["covariance"], dtype=np.float64)
     if covariance.shape != (len(terms), len(terms)):
         raise ValueError("covariance is not of the terms")
@@ -326,12 +326,12 @@ def _term(row: Mapping[str, Any], n_y: int, n_u: int) -> Term:
 
     Raises
     ------
-    ValueError : it has none such.
+    ValueError : a factor cannot be read, or there is no such equation.
     """
     factors = tuple(Factor(int(c), int(lag), bool(change), form) for c, lag, change, form in row["factors"])
     for f in factors:
         if not (0 <= f.column < n_y + n_u and f.form in FORMS and (f.column < n_y) <= f.lag <= MOST_LAG):
-            raise ValueError(f"a factor that cannot be: {f}")
+            raise ValueError(f"an impossible factor: {f}")
     if not 0 <= int(row["equation"]) < n_y or len(factors) > MOST_FACTORS:
         raise ValueError("a term of no output, or of too many factors")
     return Term(int(row["equation"]), factors)

@@ -6,8 +6,8 @@ training data. The best stays if it is clearly better there (`model.selection`).
 least leave, as long as the held-out free run does not become clearly worse. Piroddi & Spinelli (2003), Int.
 J. Control 76; Billings (2013), Nonlinear System Identification, chapter 3.
 
-A term that lets the free run reach its limits under inputs of the training range, shuffled or random, is not
-kept where the linear model does not reach them.
+A term that lets the free run reach its limits under training inputs in random order, begun after random ones,
+is not kept where the linear model does not reach them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from flysid.dataset import Dataset, FloatArray
+from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import FitError
 from flysid.model.linear.data import Parts, guard_s
 from flysid.model.linear.difference_equation import FittedLinear
@@ -28,7 +28,7 @@ from flysid.model.narx.polynomial_terms import Factor, Term, candidates, depth_o
 from flysid.model.narx.simulation_fit import SimulationError
 from flysid.model.rules.boundedness import probe_run
 from flysid.model.selection import block_means, clearly_better
-from flysid.model.start import estimate_start, run_from_window, start_window
+from flysid.model.start import MAX_SHARE, estimate_start, run_from_window, start_window
 from flysid.progress import tell
 from flysid.showing import significant
 
@@ -84,7 +84,11 @@ class TermSearch:
     @cached_property
     def folds(self) -> tuple[tuple[Dataset, Dataset], ...]:
         """What terms are fitted to, and what judges them; few enough rows."""
-        return tuple((spread(p.fitted, SEARCH_ROWS), spread(p.check, SEARCH_ROWS)) for p in self.parts.folds)
+        least = round(self.depth / MAX_SHARE)
+        return tuple(
+            (spread(p.fitted, SEARCH_ROWS, least), spread(p.check, SEARCH_ROWS, least))
+            for p in self.parts.folds
+        )
 
     @cached_property
     def memory(self) -> int:
@@ -112,9 +116,13 @@ class TermSearch:
             first[factor.column] = min(factor.lag, first.get(factor.column, factor.lag))
         return (*found, *(Factor(column, lag) for column, lag in sorted(first.items())))
 
+    def usable(self, data: Dataset) -> list[Segment]:
+        """Segments that tell more than their own start; the same for all searches, which are compared."""
+        return [s for s in data.segments if len(s) > 3 * self.depth]
+
     def problem(self, data: Dataset, terms: Sequence[Term]) -> SimulationError:
         """The simulation error of terms on the segments that are long enough."""
-        usable = [s for s in data.segments if len(s) >= 2 * self.depth + self.memory + 1]
+        usable = self.usable(data)
         if not usable:
             raise FitError("no segment is long enough for a free run", hint="give smaller orders or delays")
         runs = tuple(self.units.joined(s.u, s.y) for s in usable)
@@ -138,9 +146,7 @@ class TermSearch:
         """Coefficients, and the start that follows the beginning of every segment best."""
         model = self.model(terms, theta)
         starts = []
-        for s in data.segments:
-            if len(s) < 2 * self.depth + self.memory + 1:
-                continue
+        for s in self.usable(data):
             skip = self.depth - model.n_init
             window = start_window(self.depth, len(s), data.dt_s)
             y = s.y[: self.depth].copy()
@@ -199,12 +205,12 @@ class TermSearch:
         return self.refined(self.start, [self.begun(fit, self.start, self.theta) for fit, _ in self.folds])
 
 
-def spread(data: Dataset, rows: int) -> Dataset:
-    """About so many rows in pieces from everywhere; the dataset itself where it has no more."""
+def spread(data: Dataset, rows: int, least: int) -> Dataset:
+    """About so many rows in pieces from everywhere, about `least` long at least; all if there are no more."""
     every = -(-len(data) // rows)
     if every == 1:
         return data
-    piece = max(rows // 8, 1)
+    piece = max(rows // 8, least)
     pieces = [
         s.slice(first, min(first + piece, len(s)), data.dt_s)
         for s in data.segments

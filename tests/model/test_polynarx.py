@@ -13,7 +13,7 @@ from flysid.export.programs import program_of
 from flysid.model.narx.fitted_polynomial import FittedPolyNARX, Units, from_dict
 from flysid.model.narx.polynomial_terms import Factor, Term, depth_of, meaning, table_of, term_name
 from flysid.model.narx.simulation_fit import SimulationError
-from flysid.model.narx.term_search import linear_terms
+from flysid.model.narx.term_search import linear_terms, spread
 from flysid.model.polynarx import PolyNARX
 from flysid.validate.fitting import estimators
 from flysid.validate.run import FitSettings
@@ -55,6 +55,19 @@ def test_drag_is_found_named_and_its_interval_holds_it() -> None:
 def test_a_linear_plant_gets_no_nonlinear_term() -> None:
     model = PolyNARX(na=2, nb=2, nk=1, most_terms=2).fit(data(noise=0.05))
     assert model.meanings() == []
+
+
+def test_without_held_out_data_no_term_is_looked_for() -> None:
+    model = PolyNARX(na=1, nb=1, nk=1).fit(dragged(40))
+    assert model.meanings() == []
+    assert "no part of the data is held out" in model.notes[0]
+
+
+def test_deep_lags_are_searched_on_long_pieces() -> None:
+    """Once, long data with a long dead time were cut into pieces too short for any free run."""
+    found = spread(dragged(13_000), 6000, 4000)
+    assert [len(s) for s in found.segments] == [4000]
+    assert len(spread(dragged(13_000), 6000, 20).segments) > 1
 
 
 def problem(runs: tuple[FloatArray, ...], terms: list[Term]) -> SimulationError:
