@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from flysid.cli.addresses import SOURCE
+from flysid.cli.addresses import SOURCE, here
 from flysid.cli.display import Display
 from flysid.cli.output import check_target, printable, say
 from flysid.cli.source import Words, opened_flights, reading_options
@@ -43,8 +43,8 @@ def command(
     Reads the gains from the log (Betaflight 3.1 to 3.5, PX4 1.12 on, ArduCopter 4.0 on), measures the plant
     from the response to the sticks, and computes the loop. If the flights do not determine a figure, or the
     stated gains do not reproduce the recorded output, it says so, and what to fly (exit code 3: nothing is
-    known of any axis). It proposes no gains. Of a run's folder its flights count; a run whose verdict is "not
-    enough data" is refused.
+    known of any axis). It proposes no gains. Given the folder of a run, it reads the flights of that run,
+    and refuses one whose verdict is "not enough data".
     """
     from flysid.ingest.lake.chosen_flights import Selection, select
     from flysid.loops.judged import CAUTION, judge
@@ -79,6 +79,7 @@ def _of_run(folder: Path) -> tuple[Path, tuple[str, ...]]:
     DataError : the run's report says of no channel more than "not enough data".
     """
     from flysid.errors import DataError
+    from flysid.place import is_address
     from flysid.validate.history import run_channels
     from flysid.validate.run import open_run
     from flysid.validate.verdict import Verdict
@@ -92,4 +93,4 @@ def _of_run(folder: Path) -> tuple[Path, tuple[str, ...]]:
             path=folder,
             hint=f"the flight to fly next: flysid plan {folder}; without the run: flysid gains {run.data}",
         )
-    return Path(run.data), tuple(run.flights)
+    return here(run.data) if is_address(run.data) else Path(run.data), tuple(run.flights)

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from flysid.cli.gains import command
-from flysid.errors import DataError
+from flysid.errors import DataError, UsageError
 from flysid.loops.controller import Controller, ardupilot, px4
 from flysid.loops.judged import judge
 from flysid.loops.parameterlogs import px4_parameters
@@ -109,3 +109,16 @@ def test_a_run_without_a_verdict_is_refused_with_the_flight_to_fly_next(
     with pytest.raises(DataError, match=r"'not enough data' \(roll\)") as caught:
         CliRunner().invoke(command, [str(tmp_path)], catch_exceptions=False)
     assert f"flysid plan {tmp_path}" in caught.value.hint
+
+
+def test_the_data_of_a_run_may_be_at_an_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / RUN_FILE).write_text("{}")
+    told = SimpleNamespace(channel="roll", verdict="better")
+    monkeypatch.setattr(history, "run_channels", lambda _: [told])
+    found = SimpleNamespace(data="s3://lake", flights=("a",), skipped={})
+    monkeypatch.setattr(run, "open_run", lambda _: found)
+    mirrors = {"s3://lake": tmp_path / "mirror"}
+    monkeypatch.setattr("flysid.cli.gains.here", mirrors.__getitem__)
+    with pytest.raises(UsageError) as caught:
+        CliRunner().invoke(command, [str(tmp_path)], catch_exceptions=False)
+    assert caught.value.path == str(tmp_path / "mirror")
