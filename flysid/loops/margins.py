@@ -76,7 +76,7 @@ def trusted_band(loop: Loop) -> tuple[float, float]:
         )
     wrong = np.flatnonzero(~known[first:])
     last = first + int(wrong[0]) - 1 if len(wrong) else len(known) - 1
-    if last - first < 3:
+    if last - first <= POWERS:  # no more lines than `smoothed` has coefficients
         raise DataError(
             f"the plant is known between {loop.f[first]:.0f} and {loop.f[last]:.0f} Hz alone",
             hint="fly quick stick movements on this axis, a minute of them, in calm air",
@@ -127,10 +127,10 @@ def smoothed(loop: Loop, at: npt.NDArray[np.bool_]) -> tuple[ComplexArray, Compl
     away = np.log(plant(loop.draws)[:, at] / centre)
     scatter = median_filter((np.abs(away) ** 2).mean(axis=0), NEIGHBOURS, mode="nearest")
     curves = _Curves.at(f, 1.0 / np.sqrt(np.maximum(scatter, 1e-8)))
-    level, slope, turn = curves.of(centre)
+    level, slope, second = curves.of(centre)
     _, sent, _ = curves.of(loop.mean[0, 1][at])
     window_s = 1.0 / (loop.f[1] - loop.f[0])
-    bend = (turn + slope**2 + 2.0 * slope * sent) / (6.0 * window_s**2)
+    bend = (second + slope**2 + 2.0 * slope * sent) / (6.0 * window_s**2)
     middle = np.exp(level) / (1.0 + bend)
     return middle, middle * np.exp(curves.through(away))
 

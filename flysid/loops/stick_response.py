@@ -72,7 +72,7 @@ class Loop:
 
         Raises
         ------
-        DataError : fewer than ten blocks in all, or flights of different rates.
+        DataError : fewer than `LEAST_BLOCKS` blocks in all, no stick movement, or flights of different rates.
         """
         rate = records[0].rate_hz
         if any(abs(r.rate_hz - rate) > 1e-9 * rate for r in records):
@@ -85,8 +85,10 @@ class Loop:
             )
         blocks = tuple(_blocks(record, size) for record in records)
         if sum(len(b) for b in blocks) < LEAST_BLOCKS:
+            block_s = window_s * (1.0 + (TOGETHER - 1) * (1.0 - OVERLAP))
             raise DataError(
-                f"{sum(len(b) for b in blocks)} s of uninterrupted flight are too short to identify a loop",
+                f"the flight is too short to identify a loop: {sum(len(b) for b in blocks)} blocks of "
+                f"{block_s:g} s without gaps, {LEAST_BLOCKS} are needed",
                 hint="fly half a minute with stick movements",
             )
         return cls(

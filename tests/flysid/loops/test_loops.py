@@ -105,6 +105,17 @@ def test_without_sticks_nothing_is_known(stick: float) -> None:
         margins(Loop.of([fly(Vehicle(), PID, 60.0, 1, stick=stick)]), PID)
 
 
+@pytest.mark.parametrize(("up_to", "refused"), [(4.0, True), (4.5, False)])
+def test_a_band_has_more_lines_than_the_smooth_curve_has_coefficients(up_to: float, refused: bool) -> None:
+    f = np.arange(0.0, 20.0, 0.5)
+    loop: Any = SimpleNamespace(f=f, spread=lambda: np.where(f <= up_to, 0.1, 1.0))
+    if refused:
+        with pytest.raises(DataError, match=r"known between 2 and 4 Hz alone"):
+            trusted_band(loop)
+    else:
+        assert trusted_band(loop) == (1.5, 4.5)
+
+
 def test_a_short_flight_is_refused() -> None:
     with pytest.raises(DataError, match="too short to identify a loop"):
         Loop.of([fly(Vehicle(), PID, 8.0, 1)])
