@@ -1,5 +1,4 @@
-"""Are two flights on one grid of time the same flight? By the noise they share, and by their outputs: tests 2
-and 3 of `copies`."""
+"""Whether two flights on one grid of time are the same flight: tests 2 and 3 of `copies`."""
 
 from __future__ import annotations
 
@@ -12,9 +11,7 @@ from flysid.stretch import FloatArray
 
 LEAST_NOISE = 40  # samples whose noise is compared
 LEAST_OVERLAP = 15  # samples whose outputs are compared
-LEAST_CORRELATION = (
-    0.3  # of the remainders of two recordings of one flight, at rates that differ by up to ten
-)
+LEAST_CORRELATION = 0.3  # of the remainders of one flight recorded twice, at rates up to ten times apart
 NOISE_SHARE = 0.2  # of a flight whose noise is found in another: the two overlap
 SAME_OUTPUT = 0.02  # of its spread
 SAME_GAIN = 0.1  # of an output: by how much the factors of two recorders may differ
@@ -101,9 +98,8 @@ def same_noise(theirs: Grid, mine: Grid) -> str:
         x = x / np.abs(x).max()
         z = z / np.abs(z).max()
         rho = float(x @ z / np.sqrt((x @ x) * (z @ z)))
-        chance = np.sqrt(
-            2.0 * np.log(len(a.x) + len(b.x))
-        )  # the largest of so many lags, in standard deviations
+        # the largest of so many lags, in standard deviations
+        chance = np.sqrt(2.0 * np.log(len(a.x) + len(b.x)))
         if rho > LEAST_CORRELATION and rho * np.sqrt(len(x)) > chance + SIGMAS:
             share = 100.0 * len(x) / mine.samples
             return f"its noise is the same over {share:.0f} % of it (correlation {rho:.2f})"
