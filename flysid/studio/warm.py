@@ -7,7 +7,6 @@ it forks the job and says its process id. It ends with its input; its jobs do no
 from __future__ import annotations
 
 import importlib
-import multiprocessing
 import os
 import runpy
 import select
@@ -17,6 +16,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+from flysid.ingest.lake.workers import fork_from_here
 from flysid.studio.runner import note, words_of
 
 NEEDED = ("flysid.cli.ingest", "flysid.ingest.lake.batch", "flysid.studio.quick_look", "filelock")
@@ -66,7 +66,7 @@ def main() -> None:
     """Fork jobs as they are asked for."""
     for module in NEEDED:
         importlib.import_module(module)
-    multiprocessing.set_start_method("fork")  # of a job's workers: it has one thread, and all that they need
+    fork_from_here()  # a job's workers
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # a job that has ended is gone at once
     _say("ready")
     for line in iter(sys.stdin.readline, ""):

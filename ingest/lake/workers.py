@@ -102,14 +102,23 @@ def run_bounded(
             worker.end()
 
 
-def _context(function: Callable[[Any], Any]) -> ForkServerContext | ForkContext | SpawnContext:
-    """Workers come from a process that has imported what they need; elsewhere each imports for itself.
+_forks_from_here = False
 
-    They are forked from this one where the program has said so.
+
+def fork_from_here() -> None:
+    """Workers are forked from this process from now on: it has one thread, and all imports that they need.
+
+    Not to be had by `multiprocessing`'s start method: "fork" is what that is where nobody has chosen.
     """
+    global _forks_from_here
+    _forks_from_here = True
+
+
+def _context(function: Callable[[Any], Any]) -> ForkServerContext | ForkContext | SpawnContext:
+    """Workers come from a process that has imported what they need; elsewhere each imports for itself."""
     if sys.platform != "linux":
         return multiprocessing.get_context("spawn")
-    if multiprocessing.get_start_method(allow_none=True) == "fork":
+    if _forks_from_here:
         return multiprocessing.get_context("fork")
     context = multiprocessing.get_context("forkserver")
     home: str = getattr(function, "func", function).__module__
