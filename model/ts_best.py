@@ -48,7 +48,7 @@ class BestTS:
     >>> len(model.rules())
     1
     >>> model.notes[0]
-    'A linear model is enough: rules were searched for, and none paid.'
+    'A linear model is enough: a search for rules found none that lowers the error.'
     """
 
     rules: int | Literal["auto"] = "auto"

@@ -83,7 +83,7 @@ def test_intervals_of_the_first_samples_are_not_given_out_for_those_of_all(store
     memory = settings.fit(WHOLE)
     assert len(memory.covariance)
     assert not len(disk.covariance)
-    assert "none (from disk" in str(disk)
+    assert "none (fitted from disk" in str(disk)
 
 
 def test_the_head_is_the_first_samples_with_their_segments(stored: DatasetFile) -> None:

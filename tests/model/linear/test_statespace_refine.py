@@ -69,7 +69,7 @@ def test_a_refined_model_free_runs_better_and_carries_bands() -> None:
     with pytest.raises(UsageError, match="carries no covariance"):
         bare.simulation_band(u[:, None])
     assert np.isnan(bare.frequency_response(np.array([1.0])).magnitude_error).all()
-    assert "none (from disk" in str(bare)
+    assert "none (fitted from disk" in str(bare)
     with pytest.raises(UsageError, match="Nyquist"):
         plain.frequency_response(np.array([40.0]))
 
