@@ -53,7 +53,8 @@ def find_copy(train: Sequence[Stretch], test: Sequence[Stretch], dt_s: float) ->
     ----------
     train, test : samples of both parts; pieces of one flight may be in both.
     """
-    if len({s.flight for s in (*train, *test)}) < 2:
+    train, test = ([s for s in part if len(s.y)] for part in (train, test))
+    if not train or not test or len({s.flight for s in (*train, *test)}) < 2:
         return None
     return _same_samples(train, test) or _same_flight(train, test, dt_s)
 

@@ -272,3 +272,10 @@ def test_outputs_in_units_far_apart_are_no_copies() -> None:
     for known, held in ((1e6, 1e-150), (1e-150, 1e6)):
         train, test = Segment(u, known * y, flight="a"), Segment(other, held * again, flight="b")
         assert find_copy([train], [test], DT_S) is None
+
+
+def test_a_part_without_samples_repeats_nothing() -> None:
+    one = recorded(flown(0, 0), "one")
+    none = Segment(one.u[:0], one.y[:0], flight="none")
+    assert find_copy([one, none], [], DT_S) is None
+    assert find_copy([one], [none], DT_S) is None
