@@ -93,10 +93,15 @@ def known_of_run(run: Run, data: str | Path | None = None) -> list[Known]:
 
 
 def known_of_channel(held: HeldOut) -> Iterator[Known]:
-    """What the baseline knows, and transfer functions and rules where they were fitted."""
+    """What the baseline knows, and transfer functions and rules where they were fitted.
+
+    Where "ts" found no rules worth having, it is a linear model beside the baseline, and says nothing here.
+    """
     seconds = _seconds(held.train) + _seconds(held.test)
     labels = dict.fromkeys(label for label in (held.channel.baseline, "tf", "ts") if label in held.models)
     for label in labels:
+        if label == "ts" and isinstance(held.models[label], LinearModel):
+            continue
         yield from known_of_model(held.models[label], seconds, held.channel.name, label, held.train)
 
 

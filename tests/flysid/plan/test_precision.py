@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from bench.ts_intervals import known_model
 from flysid.dataset import Dataset
 from flysid.model.arx import ARX
 from flysid.model.transfer_function import TF
-from flysid.plan.precision import Known, band_of_models, known_of_model
+from flysid.plan.precision import Known, band_of_models, known_of_channel, known_of_model
 from tests.fakes import FirstOrder, flown
 
 
@@ -59,6 +61,14 @@ def test_gains_of_an_arx_and_of_transfer_functions() -> None:
         assert [k.what for k in found] == [f"gain of {data.inputs[0].name} to {data.outputs[0].name}"]
         assert abs(found[0].value - 1.0) <= 2.0 * found[0].half_width
         assert 0.0 < found[0].share < 0.2
+
+
+def test_a_linear_model_in_place_of_rules_says_nothing_twice() -> None:
+    data = flown(FirstOrder(a=0.9, b=0.1), [600], noise=0.05)
+    model = ARX(na=1, nb=1, nk=1).fit(data)
+    channel = SimpleNamespace(name="c", baseline="arx")
+    held: Any = SimpleNamespace(channel=channel, models={"arx": model, "ts": model}, train=data, test=data)
+    assert [k.model for k in known_of_channel(held)] == ["arx"]
 
 
 def test_an_integrator_has_no_gain_to_know() -> None:
