@@ -151,7 +151,14 @@ def small_buffer(folder: Path, rate: int, seconds: float, pause_s: float) -> Out
     return outcome
 
 
-def killed(folder: Path, count: int, rate: int, goes_on: Callable[[], bool] = lambda: True) -> Outcome:
+def killed(
+    folder: Path,
+    count: int,
+    rate: int,
+    goes_on: Callable[[], bool] = lambda: True,
+    *,
+    most_missing_s: float = 1.5,
+) -> Outcome:
     """`kill -9` at random moments: files are sound but for one cut frame, and little is missing."""
     outcome = Outcome("kill -9")
     chance = random.Random(24)
@@ -174,7 +181,7 @@ def killed(folder: Path, count: int, rate: int, goes_on: Callable[[], bool] = la
             size, frames_kept = whole_records(content, len(content))
             missing_s = killed_at - newest_s(content, size)
             worst = max(worst, missing_s)
-            if not frames_kept or missing_s > 1.5 or len(content) - size > 300:
+            if not frames_kept or missing_s > most_missing_s or len(content) - size > 300:
                 outcome.failures.append(
                     f"{frames_kept} frames, {missing_s:.2f} s, {len(content) - size} bytes behind"
                 )

@@ -299,14 +299,14 @@ def test_the_queue_is_bounded_and_counts() -> None:
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux")
 class TestTrials:
-    """The soak's trials at a small size; CPU goals are the soak's alone."""
+    """The soak's trials at a small size; what takes CPU or time is judged by the soak alone."""
 
     def test_small_buffer(self, tmp_path: Path) -> None:
         outcome = link_trials.small_buffer(tmp_path, 5_000, 1.5, 0.5)
         assert outcome.failures == [], outcome.remark
 
     def test_killed(self, tmp_path: Path) -> None:
-        assert link_trials.killed(tmp_path, 1, 2_000).failures == []
+        assert link_trials.killed(tmp_path, 1, 2_000, most_missing_s=60.0).failures == []
 
     def test_full_disk(self, tmp_path: Path) -> None:
         try:
