@@ -17,7 +17,7 @@ def run(budget: Budget) -> Iterator[Outcome]:
         "rate 1000": lambda folder: link_trials.steady(folder, 1_000, seconds, 60.0),
         "rate 5000": lambda folder: link_trials.steady(folder, 5_000, seconds, 15.0),
         "rate 20000": lambda folder: link_trials.steady(folder, 20_000, seconds, 6.0),
-        "buffer": lambda folder: link_trials.small_buffer(folder, 20_000, seconds, 0.5),
+        "buffer": lambda folder: link_trials.small_buffer(folder, 20_000, seconds),
         "rotation by size": lambda folder: link_trials.rotated(folder, 5_000, seconds, "1MB"),
         "rotation by time": lambda folder: link_trials.rotated(folder, 5_000, seconds, "2s"),
         "full disk": lambda folder: link_trials.full_disk(folder, "1m", 20_000),

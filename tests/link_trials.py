@@ -124,16 +124,24 @@ def steady(folder: Path, rate: int, seconds: float, goal_us: float) -> Outcome:
     return outcome
 
 
-def small_buffer(folder: Path, rate: int, seconds: float, pause_s: float) -> Outcome:
-    """The system's usual buffer, and a recorder that the system does not run for a while."""
-    outcome = Outcome(f"buffer of {DEFAULT_BUFFER:,} bytes, held up for {pause_s:g} s")
+def dropped_by_kernel(port: int) -> int:
+    """Datagrams that the kernel had no room for, of the socket at a port."""
+    rows = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
+    return sum(int(row[-1]) for row in rows if int(row[1].rpartition(":")[2], 16) == port)
+
+
+def small_buffer(folder: Path, rate: int, seconds: float) -> Outcome:
+    """The system's usual buffer, and a recorder that the system does not run until that has overflowed."""
+    outcome = Outcome(f"buffer of {DEFAULT_BUFFER:,} bytes, held up until it overflows")
     port = free_port()
     more = ("--buffer", str(DEFAULT_BUFFER))
     with outcome.trial(), recorder(folder / "small.tlog", [f"udp:127.0.0.1:{port}"], *more) as record:
         sending = sender(port, rate, seconds)
-        time.sleep(seconds / 2)
+        while not record.target.stat().st_size and sending.poll() is None:
+            time.sleep(0.02)
         record.process.send_signal(signal.SIGSTOP)
-        time.sleep(pause_s)
+        while not dropped_by_kernel(port) and sending.poll() is None:
+            time.sleep(0.02)
         record.process.send_signal(signal.SIGCONT)
         sent = sent_by(sending)
         time.sleep(0.2)

@@ -302,7 +302,7 @@ class TestTrials:
     """The soak's trials at a small size; what takes CPU or time is judged by the soak alone."""
 
     def test_small_buffer(self, tmp_path: Path) -> None:
-        outcome = link_trials.small_buffer(tmp_path, 5_000, 1.5, 0.5)
+        outcome = link_trials.small_buffer(tmp_path, 5_000, 3.0)
         assert outcome.failures == [], outcome.remark
 
     def test_killed(self, tmp_path: Path) -> None:
