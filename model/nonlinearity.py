@@ -97,7 +97,7 @@ def nonlinearity(model: Fitted, data: Dataset) -> tuple[Nonlinearity, ...]:
 
 def _of_output(model: Fitted, data: Dataset, output: int) -> Nonlinearity:
     names = tuple(s.name for s in data.inputs)
-    grams = _grams(model, data, output)
+    grams, error = _grams(model, data, output)
     linear = 2 + len(names) * LINEAR_COLUMNS
     sums = _sums(grams, linear)
     if sums is None:
@@ -107,13 +107,13 @@ def _of_output(model: Fitted, data: Dataset, output: int) -> Nonlinearity:
     chance = ((signs @ sums) ** 2).sum(axis=1)
     by_chance = float(chance.mean())
     y = np.concatenate([s.y[:, output] for s in data.segments])
-    total = float(((y - y.mean()) ** 2).sum())
+    unit = error / float(np.linalg.norm(y - y.mean()))
     return Nonlinearity(
         data.outputs[output].name,
         names,
         float(1 + (chance >= explained).sum()) / (1 + DRAWS),
-        float(np.sqrt(max(0.0, explained - by_chance) / total)),
-        float(np.sqrt((np.quantile(chance, 1.0 - LEVEL) - by_chance) / total)),
+        unit * float(np.sqrt(max(0.0, explained - by_chance))),
+        unit * float(np.sqrt(np.quantile(chance, 1.0 - LEVEL) - by_chance)),
     )
 
 
@@ -138,8 +138,11 @@ def _sums(grams: FloatArray, linear: int) -> FloatArray | None:
     return np.asarray(apart[:, :-1, -1] @ basis)
 
 
-def _grams(model: Fitted, data: Dataset, output: int) -> FloatArray:
-    """(blocks, c, c) products of the columns of `_columns`, each of unit size, over blocks of time."""
+def _grams(model: Fitted, data: Dataset, output: int) -> tuple[FloatArray, float]:
+    """(blocks, c, c) products of the columns of `_columns`, each of unit size, over blocks of time.
+
+    Then the size that the last column, the error, has by itself.
+    """
     u = np.concatenate([s.u for s in data.segments])
     y = np.concatenate([s.y[:, output] for s in data.segments])
     scales = _Scales(u.mean(axis=0), u.std(axis=0) + np.finfo(float).tiny, float(y.mean()), float(y.std()))
@@ -153,10 +156,10 @@ def _grams(model: Fitted, data: Dataset, output: int) -> FloatArray:
         blocks = np.array_split(columns, max(1, len(columns) // length))
         found += [block.T @ block for block in blocks]
     if not found:
-        return np.zeros((0, 0, 0))
+        return np.zeros((0, 0, 0)), 0.0
     sizes = np.sqrt(np.diagonal(np.sum(found, axis=0)))
     sizes[sizes == 0.0] = 1.0
-    return np.asarray(np.asarray(found) * (sizes[-1] ** 2 / np.outer(sizes, sizes)))
+    return np.asarray(np.asarray(found) / sizes[:, None] / sizes), float(sizes[-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +182,7 @@ def _columns(model: Fitted, segment: Segment, output: int, scales: _Scales) -> I
     window = start_window(model.n_init, len(segment), model.dt_s)
     start = estimate_start(model, segment.u[:window], segment.y[:window])
     free = model.simulate(segment.u, start)[:, output]
-    at = (free - scales.y_mean) / scales.y_std
+    at = (free - scales.y_mean) / max(scales.y_std, float(free.std()))  # a model may be far from the data
 
     def through(i: int, shape: FloatArray) -> FloatArray:
         u = segment.u.copy()
