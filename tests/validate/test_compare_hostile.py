@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from flysid.dataset import Dataset, FloatArray, Segment
@@ -94,6 +94,8 @@ def signal(kind: str, n: int, rng: np.random.Generator) -> FloatArray:
 
 
 @settings(deadline=None, max_examples=25)
+@example("tiny", "noise", 21, 1, 0)
+@example("one spike", "tiny", 21, 1, 55)
 @given(
     st.sampled_from(KINDS), st.sampled_from(KINDS), st.integers(1, 160), st.integers(1, 7), st.integers(0, 99)
 )
