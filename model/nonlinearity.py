@@ -172,6 +172,8 @@ class _Scales:
     y_std: float
 
 
+FAR = 100.0
+"""Standard deviations of the output; a free run that is farther off says nothing of a shape."""
 LAGS = (1, 4)
 LINEAR_COLUMNS = 2 + len(LAGS)
 """Per input."""
@@ -182,7 +184,8 @@ def _columns(model: Fitted, segment: Segment, output: int, scales: _Scales) -> I
     window = start_window(model.n_init, len(segment), model.dt_s)
     start = estimate_start(model, segment.u[:window], segment.y[:window])
     free = model.simulate(segment.u, start)[:, output]
-    at = (free - scales.y_mean) / max(scales.y_std, float(free.std()))  # a model may be far from the data
+    most = FAR * scales.y_std
+    at = np.clip(free - scales.y_mean, -most, most) / scales.y_std
 
     def through(i: int, shape: FloatArray) -> FloatArray:
         u = segment.u.copy()
