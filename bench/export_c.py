@@ -1,9 +1,10 @@
-"""Exported C beside the models that it comes from: `python -m bench.export_c [RUN [LABEL]]`.
+"""Exported C beside the models that it comes from: `python -m bench.export_c [RUN|- [LABEL]]`.
 
-Every model of a run (of `flysid demo`: `flysid-demo/run`) and TS models of the public sets, compiled by gcc
-in four ways, along a million random inputs: the largest difference in ulp and in standard deviations of the
-output; CPU time of a step; flash, RAM and instructions on an emulated Cortex-M4F, given its tools
-(`gcc-arm-none-eabi`, `libnewlib-arm-none-eabi`, `qemu-system-arm`).
+Every model of a run (of `flysid demo`: `flysid-demo/run`; `-` is none) and nonlinear models of the public
+sets (given a LABEL, those of that label alone), compiled by gcc in four ways, along a million random inputs:
+the largest difference in ulp and in standard deviations of the output; CPU time of a step; flash, RAM and
+instructions on an emulated Cortex-M4F, given its tools (`gcc-arm-none-eabi`, `libnewlib-arm-none-eabi`,
+`qemu-system-arm`).
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from flysid.export.csource import c_files
 from flysid.export.program import Program
 from flysid.export.programs import program_of
 from flysid.export.reference import run
-from flysid.model.base import Fitted
+from flysid.model.base import Estimator, Fitted
+from flysid.model.polynarx import PolyNARX
 from flysid.model.static_ts import StaticTS
 from flysid.model.ts import TS
 from flysid.model.ts_state_space import TSStateSpace
@@ -39,23 +41,30 @@ WAYS = {
     "-O3 FMA": ("-O3", "-march=native", "-ffp-contract=fast", "-std=gnu99"),
 }
 
+ESTIMATORS: dict[str, Estimator] = {
+    "ts": TS(rules=2, na=2, nb=2, nk=1, iterations=20),
+    "static_ts": StaticTS(rules=3),
+    "ts_ss": TSStateSpace(states=2, rules=2, iterations=10),
+    "polynarx": PolyNARX(),
+}
+HIDDEN = ("cascaded_tanks", "emps")
+
 
 def models(folder: str | None, wanted: str = "") -> Iterator[tuple[str, Fitted]]:
-    """Every model of a run, or those of one label; else TS models of the public sets behind."""
-    if folder is not None:
+    """Every model of a run and of the public sets, or those of one label."""
+    if folder not in (None, "-"):
         run_folder = open_run(folder)
         for channel in run_folder.channels:
             for label, model in models_of(run_folder, channel).items():
                 if wanted in ("", label):
                     yield f"{channel.name} {label}", model
-    if wanted or not FOLDER.is_dir():
+    if not FOLDER.is_dir():
         return
     for name in CASES:
         case = CASES[name]()
-        yield f"{name} ts", TS(rules=2, na=2, nb=2, nk=1, iterations=20).fit(case.train)
-        yield f"{name} static_ts", StaticTS(rules=3).fit(case.train)
-        if name in ("cascaded_tanks", "emps"):
-            yield f"{name} ts_ss", TSStateSpace(states=2, rules=2, iterations=10).fit(case.train)
+        for label, estimator in ESTIMATORS.items():
+            if wanted in ("", label) and (label != "ts_ss" or name in HIDDEN):
+                yield f"{name} {label}", estimator.fit(case.train)
 
 
 def inputs(program: Program) -> FloatArray:

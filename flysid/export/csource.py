@@ -60,7 +60,7 @@ def _values(program: Program, name: str, single: float | None) -> dict[str, Any]
     deep = [c for c in columns if program.depths[c] > (1 if c < n else 0)]
     fed = [c for c in range(n) if program.depths[c]]
     real = "double" if single is None else "float"
-    least = min((int(lag) for c, lag in asked(program) if c >= n), default=1)
+    least = min((lag for c, lag in program.asked() if c >= n), default=1)
     theta = program.theta if len(program.theta) > 1 else program.theta[0]
     memory = program.memory
     at = [c for c, _ in memory]
@@ -101,9 +101,8 @@ def _values(program: Program, name: str, single: float | None) -> dict[str, Any]
         "y_scale": program.scale[:n_y],
         "y_low": program.output_limits[0],
         "y_high": program.output_limits[1],
-        "x_at": program.regressors[:, 0],
-        "x_by": program.regressors[:, 1],
-        "products": len(program.products) > 0,
+        "x_at": program.regressors,
+        "working": program.working,
         "theta": theta,
         "limits_low": program.limits[0],
         "limits_high": program.limits[1],
@@ -135,15 +134,6 @@ def _fuzzy(program: Program) -> dict[str, Any]:
         "width": m.left,
         "right": m.right,
     }
-
-
-def asked(program: Program) -> list[tuple[int, int]]:
-    """(column, lag) of everything that a step looks at."""
-    lags = program.lags
-    pairs = [*zip(lags.column, lags.lag, strict=True), *zip(lags.z_column, lags.z_lag, strict=True)]
-    pairs += [(c, lag) for c, lag in zip(lags.z_column, lags.z_minus, strict=True) if lag >= 0]
-    pairs += [(c, lag) for c, lag in program.products.reshape(-1, 2)]
-    return [(int(c), int(lag)) for c, lag in pairs]
 
 
 def _cells(program: Program, columns: Any, delays: Any) -> Any:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 from flysid.dataset import Signal
-from flysid.export.csource import asked
 from flysid.export.program import Program
 from flysid.version import __version__
 
@@ -68,7 +67,7 @@ def facts_of(program: Program, name: str) -> Facts:
     """The variables of a program, no two of one name."""
     n_u = len(program.inputs)
     n_y = len(program.outputs)
-    direct = {c - program.n for c, lag in asked(program) if lag == 0 and c >= program.n}
+    direct = {c - program.n for c, lag in program.asked() if lag == 0 and c >= program.n}
     about = (
         f"{program.title}, one step every {program.dt_s:.9g} s. Reading an output computes it from the "
         "inputs as they stand; from rest: inputs and outputs were zero. A model of past flights."

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from flysid.dataset import FloatArray, Signal
-from flysid.export.program import BOUND, Program
+from flysid.export.program import BOUND, Program, Worked
 from flysid.model.multirotor import FittedMultirotor
 from flysid.model.rotorcraft.axis_fit import Axis
 from flysid.model.rotorcraft.rotor_axis import CURVE, DELAY, FIRST, LAG, TRIM, what_a_row_keeps
@@ -58,7 +58,9 @@ def multirotor_program(model: FittedMultirotor) -> Program:
                     value = torque * curve * square[a, b] * (1.0 if a == b else 2.0)
                     if value:
                         double.setdefault((place, places[b]), np.zeros(n))[i] += value
-    columns, lags = np.array(list(single), dtype=np.int64).reshape(-1, 2).T
+    first = n + n_u
+    regressors = [*single, *((first + i, 0) for i in range(len(double)))]
+    columns, lags = np.array(regressors, dtype=np.int64).reshape(-1, 2).T
     none = np.zeros(0, dtype=np.int64)
     motors = tuple(
         Signal(f"motor of {u.name} for {y.name}, share of its largest command")
@@ -79,7 +81,7 @@ def multirotor_program(model: FittedMultirotor) -> Program:
         scale=np.concatenate([model.y_scale, np.ones(n - n_y), model.u_scale]),
         output_limits=model.output_limits,
         rest=rest,
-        products=np.array(list(double), dtype=np.int64).reshape(-1, 2, 2),
+        worked=tuple(Worked("product", a, b) for a, b in double),
     )
 
 

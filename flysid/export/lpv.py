@@ -184,9 +184,9 @@ def to_lpv(model: Fitted, rate_hz: float | None = None) -> Lpv:
 
 def lpv_of(program: Program) -> Lpv:
     """The same of a program, without the limits of hidden quantities, far outside of what a model does."""
-    if len(program.products):
+    if any(w.operation != "change" for w in program.worked):
         raise UsageError(
-            "the thrust curve makes products of motor speeds, and no affine system has those",
+            "the model has products, magnitudes or signs of signals, and no affine system has those",
             hint="export C, an FMU or MATLAB code",
         )
     n_u = len(program.inputs)
@@ -240,6 +240,8 @@ def _cells(program: Program, size: int, n_u: int) -> FloatArray:
         cell = program.cell(column, lag)
         rows[cell, place] = 1.0 / program.scale[column]
         rows[cell, -1] = -program.shift[column] / program.scale[column]
+    for _, to, a, b in program.working:
+        rows[to] = rows[a] - rows[b]
     return rows
 
 

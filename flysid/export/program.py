@@ -2,21 +2,22 @@
 
 All structures come down to one form, that of `flysid.model.rules.kernel`. Simulated quantities s (the n_y
 outputs first, then states) and inputs u stand in normalised units; with regressors w(k), each one of them at
-a lag, the constant 1, or the product of two of them, and firing strengths phi_r of antecedents z(k),
+a lag, the constant 1, or worked out of these (`Worked`), and firing strengths phi_r of antecedents z(k),
 
     s(k) = sum_r phi_r(z(k)) theta_r w(k),        y(k) = scale s(k) + shift, inside the output limits
 
 A linear model is one rule. What a step remembers stands in cells: the constant 1, every input from lag 0 to
-its deepest one, every simulated quantity from lag 1 to its deepest one.
+its deepest one, every simulated quantity from lag 1 to its deepest one, everything worked out.
 
 This is the only module that looks inside fitted models; C, FMU and MATLAB text see the program alone.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +29,9 @@ BOUND = 1e30
 """Of a state: far beyond any output's limits, finite in float32."""
 Shape = Literal["gaussian", "triangle", "trapezoid"]
 Conjunction = Literal["product", "minimum"]
+Operation = Literal["change", "magnitude", "sign", "product"]
+Place = tuple[int, int]
+"""A column and a lag."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +58,14 @@ class Memberships:
         return not np.array_equal(self.left, self.right)
 
 
+class Worked(NamedTuple):
+    """What a step works out of two other values before it looks at regressors: a - b, |a|, sign(a), a b."""
+
+    operation: Operation
+    a: Place
+    b: Place = (-1, 0)
+
+
 @dataclass(frozen=True, eq=False)
 class Program:
     """One step of a model, and the cells it starts from at rest.
@@ -62,15 +74,15 @@ class Program:
     ----------
     title : what the model is, for people.
     states : (n,) names and units of the simulated quantities, the outputs first.
-    lags : regressors and antecedents; columns count simulated quantities first, then inputs.
-    theta : (R, n, n_x) consequents; the last columns belong to the products.
+    lags : regressors and antecedents; columns count simulated quantities first, then inputs, then `worked`.
+    theta : (R, n, n_x) consequents.
     memberships : None for one rule.
     limits : (2, n) simulated quantities are held inside.
     shift, scale : (n + n_u,) of simulated quantities and inputs; physical = normalised * scale + shift.
     output_limits : (2, n_y), physical.
     rest : (n + n_u, deepest lag) normalised values before the first sample, column [:, lag - 1]: where all
         inputs and outputs were zero.
-    products : (P, 2, 2) column and lag of both factors of every product.
+    worked : in the order in which they are worked out; their lag is 0.
     """
 
     title: str
@@ -86,7 +98,7 @@ class Program:
     scale: FloatArray
     output_limits: FloatArray
     rest: FloatArray
-    products: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2, 2), dtype=np.int64))
+    worked: tuple[Worked, ...] = ()
 
     @property
     def n(self) -> int:
@@ -102,14 +114,17 @@ class Program:
     def depths(self) -> tuple[int, ...]:
         """The deepest lag of every column; 0 where only the present value, or none, is asked for."""
         depths = [0] * len(self.signals)
-        lags = self.lags
-        factors = self.products.reshape(-1, 2)
-        for column, lag in (*zip(lags.column, lags.lag, strict=True), *factors):
-            if column >= 0:
-                depths[column] = max(depths[column], int(lag))
-        for column, lag, minus in zip(lags.z_column, lags.z_lag, lags.z_minus, strict=True):
-            depths[column] = max(depths[column], int(lag), int(minus))
+        for column, lag in self.asked():
+            depths[column] = max(depths[column], lag)
         return tuple(depths)
+
+    def asked(self) -> Iterator[Place]:
+        """Every signal at every lag that a step looks at."""
+        lags = self.lags
+        pairs = [*zip(lags.column, lags.lag, strict=True), *zip(lags.z_column, lags.z_lag, strict=True)]
+        pairs += [(c, lag) for c, lag in zip(lags.z_column, lags.z_minus, strict=True) if lag >= 0]
+        pairs += [place for worked in self.worked for place in (worked.a, worked.b)]
+        return ((int(c), int(lag)) for c, lag in pairs if 0 <= c < len(self.signals))
 
     @cached_property
     def newest(self) -> tuple[int, ...]:
@@ -127,19 +142,28 @@ class Program:
     @property
     def cells(self) -> int:
         """Number of cells."""
-        return 1 + len(self.inputs) + sum(self.depths)
+        return 1 + len(self.inputs) + sum(self.depths) + len(self.worked)
 
     def cell(self, column: int, lag: int) -> int:
         """Where a column's value of `lag` samples ago stands; column -1 is the constant."""
+        if column >= len(self.signals):
+            return self.cells - len(self.worked) + column - len(self.signals)
         return 0 if column < 0 else self.newest[column] + lag - (column < self.n)
 
     @cached_property
     def regressors(self) -> npt.NDArray[np.int64]:
-        """(n_x, 2) cells of both factors of every regressor; the constant is the second of a single one."""
-        lags = self.lags
-        single = [(self.cell(int(c), int(lag)), 0) for c, lag in zip(lags.column, lags.lag, strict=True)]
-        pairs = [tuple(self.cell(int(c), int(lag)) for c, lag in pair) for pair in self.products]
-        return np.array([*single, *pairs], dtype=np.int64).reshape(-1, 2)
+        """(n_x,) cells."""
+        pairs = zip(self.lags.column, self.lags.lag, strict=True)
+        return np.array([self.cell(int(c), int(lag)) for c, lag in pairs], dtype=np.int64)
+
+    @cached_property
+    def working(self) -> tuple[tuple[Operation, int, int, int], ...]:
+        """What is worked out: the operation, and the cells of the result, of a, and of b."""
+        first = len(self.signals)
+        return tuple(
+            (w.operation, self.cell(first + i, 0), self.cell(*w.a), self.cell(*w.b))
+            for i, w in enumerate(self.worked)
+        )
 
     @cached_property
     def memory(self) -> tuple[tuple[int, int], ...]:

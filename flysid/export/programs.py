@@ -6,11 +6,13 @@ from flysid.errors import UsageError
 from flysid.export.from_linear import linear_program, state_space_program
 from flysid.export.from_physics import multirotor_program
 from flysid.export.from_rules import program_of_rules, static_program
+from flysid.export.from_terms import polynomial_program
 from flysid.export.other_rate import resampled
 from flysid.export.program import Program
 from flysid.model.base import Fitted
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.multirotor import FittedMultirotor
+from flysid.model.narx.fitted_polynomial import FittedPolyNARX
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.static_ts import FittedStaticTS
 from flysid.model.subspace.fitted_model import FittedStateSpace
@@ -41,6 +43,8 @@ def program_of(model: Fitted, rate_hz: float | None = None) -> Program:
         return static_program(model)
     if isinstance(model, FittedMultirotor):
         return multirotor_program(model)
+    if isinstance(model, FittedPolyNARX):
+        return polynomial_program(model)
     raise UsageError(
         f"a model of structure {model.structure!r} cannot be exported",
         hint="export a member of an ensemble, or a model of one of flysid's own other structures",

@@ -14,6 +14,7 @@ from flysid.export.program import Program
 from flysid.model.arguments import as_columns
 
 SHAPES = ("gaussian", "triangle", "trapezoid")
+OPERATIONS = ("change", "magnitude", "sign", "product")
 _CONSTANTS = (0.0, 0.5, 1.0, 1.5, 2.0, -40.0, -1e30)
 
 
@@ -21,7 +22,7 @@ class _Tables(NamedTuple):
     """The numbers of a program as compiled code takes them, all floats of one precision."""
 
     at: npt.NDArray[np.int64]
-    by: npt.NDArray[np.int64]
+    working: npt.NDArray[np.int64]
     z_at: npt.NDArray[np.int64]
     z_minus: npt.NDArray[np.int64]
     newest: npt.NDArray[np.int64]
@@ -79,8 +80,8 @@ def _tables(program: Program, kind: type) -> _Tables:
         return np.array(found, dtype=np.int64)
 
     return _Tables(
-        program.regressors[:, 0].copy(),
-        program.regressors[:, 1].copy(),
+        program.regressors,
+        np.array([(OPERATIONS.index(o), *cells) for o, *cells in program.working], np.int64).reshape(-1, 4),
         places(lags.z_column, lags.z_lag),
         places(lags.z_column, lags.z_minus),
         np.array(program.newest, dtype=np.int64),
@@ -125,6 +126,15 @@ def _run(u, y, v, t, shape, least):  # type: ignore[no-untyped-def]
     for k in range(u.shape[0]):
         for j in range(n_u):
             v[t.newest[n + j]] = (u[k, j] - t.shift[n + j]) / t.scale[n + j]
+        for operation, to, a, b in t.working:
+            if operation == 0:
+                v[to] = v[a] - v[b]
+            elif operation == 1:
+                v[to] = abs(v[a])
+            elif operation == 2:
+                v[to] = one if v[a] > zero else (-one if v[a] < zero else zero)
+            else:
+                v[to] = v[a] * v[b]
         for j in range(n_z):
             value = v[t.z_at[j]]
             if t.z_minus[j] >= 0:
@@ -171,7 +181,7 @@ def _run(u, y, v, t, shape, least):  # type: ignore[no-untyped-def]
             for r in range(n_rules):
                 part = zero
                 for m in range(n_x):
-                    part += t.theta[r, i, m] * (v[t.at[m]] * v[t.by[m]])
+                    part += t.theta[r, i, m] * v[t.at[m]]
                 value += part if n_rules == 1 else (phi[r] / total) * part
             after[i] = _limited(value, t.limits[0, i], t.limits[1, i])
         for i in range(n_y):

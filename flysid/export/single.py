@@ -9,7 +9,7 @@ from flysid.errors import DataError, UsageError
 from flysid.export.program import Program
 from flysid.export.reference import run
 from flysid.model.base import Fitted
-from flysid.model.rules.rule_poles import output_lags, pole_radius
+from flysid.model.rules.rule_poles import pole_radius
 from flysid.model.start import run_from_window, start_window
 
 LARGEST_LOSS = 0.01
@@ -58,8 +58,8 @@ def loss_in_float32(model: Fitted, program: Program, train: Dataset) -> float:
 def refuse_poles(program: Program) -> None:
     """Raise UsageError where a rule is stable as it was fitted, and not in float32."""
     for r, theta in enumerate(program.theta):
-        before = pole_radius(output_lags(program.lags, theta))
-        after = pole_radius(output_lags(program.lags, theta.astype(np.float32).astype(np.float64)))
+        before = pole_radius(_past(program, theta))
+        after = pole_radius(_past(program, theta.astype(np.float32).astype(np.float64)))
         if before < 1.0 <= after:
             whose = f"rule {r + 1}" if len(program.theta) > 1 else "the model"
             raise UsageError(
@@ -67,6 +67,21 @@ def refuse_poles(program: Program) -> None:
                 f"radius {before:.9f} -> {after:.9f}",
                 hint=REMEDY,
             )
+
+
+def _past(program: Program, rule: FloatArray) -> FloatArray:
+    """(deepest lag, n, n) what past simulated quantities weigh in small signals, normalised."""
+    n = program.n
+    taps = np.zeros((max(program.depths[:n], default=0), n, n))
+    for column, lag, weight in zip(program.lags.column, program.lags.lag, rule.T, strict=True):
+        parts = [(column, lag, 1.0)]
+        if column >= len(program.signals):
+            worked = program.worked[column - len(program.signals)]
+            parts = [(*worked.a, 1.0), (*worked.b, -1.0)] if worked.operation == "change" else []
+        for own, ago, sign in parts:
+            if 0 <= own < n:
+                taps[ago - 1, :, own] += sign * weight
+    return taps
 
 
 def _held(u: FloatArray, ratio: float) -> FloatArray:

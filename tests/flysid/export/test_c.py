@@ -21,6 +21,8 @@ from flysid.model.base import Fitted
 from flysid.model.freerun import Difference
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.multirotor import FittedMultirotor, Kind, Multirotor
+from flysid.model.narx.fitted_polynomial import FittedPolyNARX, Units
+from flysid.model.narx.polynomial_terms import Factor, Term
 from flysid.model.oe import OE
 from flysid.model.rotorcraft.rotor_axis import CURVE, DAMPING, DELAY, LAG
 from flysid.model.static_ts import StaticTS
@@ -28,9 +30,9 @@ from flysid.model.transfer_function import FittedTF
 from tests.flysid.export.compiled import WARNINGS, gcc, needs_gcc, run_in_c, write_c
 from tests.model_examples import EXAMPLES, fitted
 
-REFUSED = ("ensemble", "polynarx")  # neither is a sum of regressors that rules weigh
+REFUSED = ("ensemble",)  # the mean of several models has no single step
 EXPORTED = [name for name in EXAMPLES if not name.startswith(REFUSED)]
-OF_RULES = [name for name in EXPORTED if name.startswith("ts")]
+TO_THE_BIT = [name for name in EXPORTED if name.startswith(("ts", "polynarx"))]
 
 
 def inputs(model: Fitted, rows: int, seed: int = 0) -> FloatArray:
@@ -52,6 +54,25 @@ def curved(kind: Kind, delay_rows: float = 1.3) -> FittedMultirotor:
         axes.append(replace(axis, theta=theta))
     far = np.array([[-1e6], [1e6]]) * np.ones(2)
     return replace(model, axes=tuple(axes), output_limits=far)
+
+
+def bent() -> FittedPolyNARX:
+    """Drag, dry friction, a hardening spring, an input that acts more at speed; about a mean."""
+    template = fitted("polynarx, two inputs and outputs")
+    assert isinstance(template, FittedPolyNARX)
+    y = Factor(0, 1)
+    speed = Factor(0, 1, change=True)
+    size = Factor(0, 1, change=True, form="magnitude")
+    terms = (
+        *(Term(0, (f,)) for f in (y, speed, Factor(0, 1, change=True, form="sign"), Factor(2, 1))),
+        *(Term(0, f) for f in ((), (y, y, y), (size, speed), (y, Factor(3, 2)))),
+        *(Term(1, (f,)) for f in (Factor(1, 1), Factor(3, 0, form="magnitude"), Factor(0, 2, form="sign"))),
+        Term(1, (Factor(0, 1, form="magnitude"), Factor(1, 2), Factor(2, 0))),
+    )
+    theta = np.array([0.9, 0.3, -0.01, 0.1, 0.02, -0.02, -0.2, 0.05, 0.8, 0.1, 0.03, -0.1])
+    units = Units(np.array([0.0, 0.3, 0.1, 0.0]), np.array([0.7, 0.4, 1.1, 0.9]), 2)
+    unknown = np.full((len(terms), len(terms)), np.nan)
+    return replace(template, terms=terms, theta=theta, covariance=unknown, units=units)
 
 
 def linear(a: list[float], b: list[float], *, dt_s: float = 0.02, limit: float = 1e6) -> FittedLinear:
@@ -87,7 +108,7 @@ def test_every_structure_in_c_equals_its_program_exactly_and_the_model_closely(
     found = run_in_c(program, u, tmp_path / "double")
     assert np.array_equal(found, run(program, u)[0])
     free = model.simulate(u)
-    np.testing.assert_allclose(found, free, rtol=0.0, atol=0.0 if name in OF_RULES else 1e-12)
+    np.testing.assert_allclose(found, free, rtol=0.0, atol=0.0 if name in TO_THE_BIT else 1e-12)
     told = run(program, u, single=True)[0]
     size = np.std(told, axis=0) + np.abs(told).max(axis=0)
     single = run_in_c(program, u, tmp_path / "single", single=True)
@@ -176,7 +197,7 @@ def test_cmake_builds_it_and_runs_its_self_test(tmp_path: Path) -> None:
 def test_a_thrust_curve_in_c_is_the_free_run(kind: Kind, delay_rows: float, tmp_path: Path) -> None:
     model = curved(kind, delay_rows)
     program = program_of(model)
-    assert len(program.products)
+    assert len(program.worked)
     u = np.abs(inputs(model, 2_000))
     found = run_in_c(program, u, tmp_path / "double")
     assert np.array_equal(found, run(program, u)[0])
@@ -188,6 +209,34 @@ def test_a_thrust_curve_in_c_is_the_free_run(kind: Kind, delay_rows: float, tmp_
     _, memory = run(program, u[:400])
     later = run_in_c(program, u[400:], tmp_path / "later", memory=memory)
     np.testing.assert_allclose(later, free[400:], rtol=0.0, atol=1e-11 * np.abs(free).max())
+
+
+@needs_gcc
+def test_every_kind_of_term_in_c_is_the_free_run_to_the_last_bit(tmp_path: Path) -> None:
+    model = bent()
+    program = program_of(model)
+    assert {w.operation for w in program.worked} == {"change", "magnitude", "sign", "product"}
+    u = inputs(model, 20_000)
+    free = model.simulate(u)
+    assert (free.std(axis=0) > 0.05).all()
+    assert np.array_equal(run_in_c(program, u, tmp_path / "double"), free)
+    _, memory = run(program, u[:400])
+    later = run_in_c(program, u[400:], tmp_path / "later", memory=memory)
+    np.testing.assert_allclose(later, free[400:], rtol=0.0, atol=1e-11)
+    short = u[:300]
+    single = run_in_c(program, short, tmp_path / "single", single=True)
+    np.testing.assert_allclose(single, run(program, short, single=True)[0], rtol=0.0, atol=1e-5)
+
+
+def test_terms_whose_rounded_pole_leaves_the_circle_are_refused_in_float32() -> None:
+    """y(k) = (1 + e) y(k-1) + 0.5 (y(k-1) - y(k-2)) with an e < 0 that float32 rounds away."""
+    template = fitted("polynarx")
+    assert isinstance(template, FittedPolyNARX)
+    terms = (Term(0, (Factor(0, 1),)), Term(0, (Factor(0, 1, change=True),)), Term(0, (Factor(1, 1),)))
+    model = replace(template, terms=terms, theta=np.array([1.0 - 1e-9, 0.5, 0.1]))
+    with pytest.raises(UsageError, match="leaves the unit circle"):
+        refuse_poles(program_of(model))
+    refuse_poles(program_of(replace(model, theta=np.array([0.99, 0.5, 0.1]))))
 
 
 # -- linear models ---------------------------------------------------------------------------------------

@@ -50,7 +50,9 @@ def stepped(simulator: Any, u: np.ndarray, rows: range, dt_s: float) -> np.ndarr
 
 
 @pytest.mark.parametrize("version", [2, 3])
-@pytest.mark.parametrize("name", ["ts", "oe", "ts_ss", "static ts", "statespace, late input", "multirotor"])
+@pytest.mark.parametrize(
+    "name", ["ts", "oe", "ts_ss", "static ts", "statespace, late input", "multirotor", "polynarx"]
+)
 def test_an_fmu_is_valid_small_and_equals_the_program_exactly_from_rest_and_after_a_kept_state(
     name: str, version: FMIVersion, tmp_path: Path
 ) -> None:

@@ -13,7 +13,7 @@ from scipy.io import loadmat, savemat
 from flysid.export.matlab import matlab_files
 from flysid.export.programs import program_of
 from flysid.export.reference import run
-from tests.flysid.export.test_c import curved, inputs
+from tests.flysid.export.test_c import bent, curved, inputs
 from tests.model_examples import fitted
 
 
@@ -22,6 +22,7 @@ def test_octave_equals_the_model_from_rest_and_from_a_memory(tmp_path: Path) -> 
     names = ["ts", "ts_ss", "oe", "fir", "static ts, two inputs and outputs", "statespace, late input", "tf"]
     models = {name: fitted(name) for name in (*names, "structured", "multirotor")}
     models["multirotor with a thrust curve"] = curved("rate")
+    models["terms"] = bent()
     given = {}
     script = ["load('in.mat');"]
     for i, model in enumerate(models.values()):
