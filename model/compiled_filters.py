@@ -5,8 +5,6 @@ Polynomials stand in rising powers of q⁻¹.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 
@@ -31,8 +29,11 @@ def differences(signal: FloatArray, count: int, lag: int, rows: slice, *, monic:
 
 def free_responses(a: FloatArray, rows: int) -> FloatArray:
     """(M, na) responses of 1/A to states at the start, each of length one; M <= rows: then decayed."""
-    responses: FloatArray = _free_responses(own(a), rows).T
-    return responses
+    n = len(a) - 1
+    h = _impulse_response(own(a), rows + n)
+    columns: FloatArray = _differences(h, n, 0, n - 1, len(h) - 1).T
+    size = np.sqrt((columns * columns).sum(axis=0))
+    return columns / np.where(size > 0.0, size, 1.0)
 
 
 def is_stable(a: FloatArray, radius: float = 1.0) -> bool:
@@ -55,13 +56,14 @@ def _differences(signal: FloatArray, count: int, lag: int, first: int, stop: int
 
 
 @compiled
-def _free_responses(a: FloatArray, rows: int) -> FloatArray:
+def _impulse_response(a: FloatArray, rows: int) -> FloatArray:
+    """(M,) of 1/A; M <= rows: then decayed."""
     n = a.size - 1
-    h = np.zeros(rows + n)
+    h = np.zeros(rows)
     peak = 0.0
     quiet = 0
     length = 0
-    while length < h.size and quiet < 8 * n + 8:
+    while length < rows and quiet < 8 * n + 8:
         value = 1.0 if length == 0 else 0.0
         for i in range(1, min(n, length) + 1):
             value -= a[i] * h[length - i]
@@ -69,15 +71,7 @@ def _free_responses(a: FloatArray, rows: int) -> FloatArray:
         peak = max(peak, abs(value))
         quiet = quiet + 1 if abs(value) < _GONE * peak else 0
         length += 1
-    columns = _differences(h, n, 0, n - 1, length - 1)
-    for j in range(n):
-        total = 0.0
-        for k in range(length - n):
-            total += columns[j, k] * columns[j, k]
-        size = math.sqrt(total)
-        for k in range(length - n):
-            columns[j, k] /= size if size > 0.0 else 1.0
-    return columns
+    return h[:length]
 
 
 @compiled

@@ -9,6 +9,7 @@ keeps its digits where there is next to no noise; after the start it is the stat
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import Any
 
@@ -81,9 +82,8 @@ def _noise_root(system: Realisation) -> FloatArray:
 
 def free_states(system: Realisation, u: FloatArray, x: FloatArray) -> FloatArray:
     """(N, n) states from x on; not finite where they overflow."""
-    drive = u @ system.b.T + system.drift
-    states: FloatArray = _free_kernel()(system.a, drive, x)
-    return states
+    n = len(x)
+    return _states(system.a, np.zeros((0, n)), u @ system.b.T + system.drift, x, np.zeros((1, n, 0)))[:-1]
 
 
 def filtered_states(system: Realisation, u: FloatArray, y: FloatArray, gains: FloatArray) -> FloatArray:
@@ -93,10 +93,25 @@ def filtered_states(system: Realisation, u: FloatArray, y: FloatArray, gains: Fl
     ----------
     gains : (m, n, n_y) of the first m samples; K after them.
     """
-    drive = u @ system.b.T + system.drift
     miss = y - u @ system.d.T - system.level
     every = np.concatenate([gains, system.k[None]])
-    states: FloatArray = _filter_kernel()(system.a, system.c, drive, miss, every)
+    drive = u @ system.b.T + system.drift
+    return _states(system.a, system.c, drive, np.zeros(len(system.a)), every, miss)
+
+
+def _states(
+    a: FloatArray,
+    c: FloatArray,
+    drive: FloatArray,
+    x: FloatArray,
+    gains: FloatArray,
+    miss: FloatArray | None = None,
+) -> FloatArray:
+    """(N + 1, n) states from x on; without `miss`, and outputs in c and the gains, nothing is measured."""
+    nothing = np.zeros((len(drive), 0)) if miss is None else miss
+    states: FloatArray = _filter_kernel()(
+        *(np.ascontiguousarray(p) for p in (a, c, drive, nothing, x, gains))
+    )
     return states
 
 
@@ -168,7 +183,7 @@ def _gains_kernel() -> Any:
                     square += R[i, j] * R[i, j]
                 if square < NOTHING:
                     continue
-                length = np.copysign(np.sqrt(square + R[j, j] * R[j, j]), R[j, j])
+                length = math.copysign(math.sqrt(square + R[j, j] * R[j, j]), R[j, j])
                 pivot = R[j, j] + length
                 scale = 2.0 / (square + pivot * pivot)
                 for q in range(j + 1, n_y + n):
@@ -207,43 +222,22 @@ def _gains_kernel() -> Any:
 
 
 @cache
-def _free_kernel() -> Any:
-    from numba import njit
-
-    @njit(cache=True)
-    def run(a: FloatArray, drive: FloatArray, x0: FloatArray) -> FloatArray:
-        rows, n = drive.shape
-        states = np.empty((rows, n))
-        x = x0.copy()
-        following = np.empty(n)
-        for k in range(rows):
-            for i in range(n):
-                states[k, i] = x[i]
-                value = drive[k, i]
-                for j in range(n):
-                    value += a[i, j] * x[j]
-                following[i] = value
-            x, following = following, x
-        return states
-
-    return run
-
-
-@cache
 def _filter_kernel() -> Any:
     from numba import njit
 
     @njit(cache=True)
     def run(
-        a: FloatArray, c: FloatArray, drive: FloatArray, miss: FloatArray, gains: FloatArray
+        a: FloatArray, c: FloatArray, drive: FloatArray, miss: FloatArray, x: FloatArray, gains: FloatArray
     ) -> FloatArray:
         rows, n = drive.shape
         n_y = c.shape[0]
         last = len(gains) - 1
-        states = np.zeros((rows + 1, n))
+        states = np.empty((rows + 1, n))
+        for i in range(n):
+            states[0, i] = x[i]
         e = np.empty(n_y)
         for k in range(rows):
-            gain = gains[min(k, last)]
+            at = min(k, last)
             for o in range(n_y):
                 e[o] = miss[k, o]
                 for j in range(n):
@@ -253,7 +247,7 @@ def _filter_kernel() -> Any:
                 for j in range(n):
                     value += a[i, j] * states[k, j]
                 for o in range(n_y):
-                    value += gain[i, o] * e[o]
+                    value += gains[at, i, o] * e[o]
                 states[k + 1, i] = value
         return states
 
