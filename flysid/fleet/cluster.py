@@ -12,6 +12,7 @@ import importlib.util
 import multiprocessing
 import pickle
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -27,6 +28,8 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 WINDOW = 1_000
 """Tasks in the scheduler at a time, unless it has more workers: it keeps about 10 kB of each."""
+TOGETHER_S = 0.1
+"""How long results are waited for that can be fetched, and followed by new tasks, together."""
 RETRIES = 3
 KILLED = "its workers were killed"
 _CONFIG = {
@@ -81,7 +84,7 @@ class Cluster:
 
         Parameters
         ----------
-        do : importable on the workers; what it raises is raised here.
+        do : importable on the workers; what it raises is raised here, after the results that came with it.
         parts_of : texts that tell a task from others, the first its kind; equal texts are one task.
 
         Raises
@@ -95,24 +98,27 @@ class Cluster:
         waiting = iter(tasks)
         pending: dict[str, Task] = {}
 
-        def submitted(task: Task) -> Any:
-            packed = pickle.dumps(task)
-            future = self.client.submit(
-                _unpacked, do, packed, key=_key(*parts_of(task)), retries=RETRIES, pure=False
+        def submitted(count: int) -> list[Any]:
+            some = list(islice(waiting, count))
+            keys = [_key(*parts_of(task)) for task in some]
+            pending.update(zip(keys, some, strict=True))
+            packed = [pickle.dumps(task) for task in some]
+            futures: list[Any] = self.client.map(
+                partial(_unpacked, do), packed, key=keys, retries=RETRIES, pure=False
             )
-            pending[future.key] = task
-            return future
+            return futures
 
-        window = max(WINDOW, 2 * self.workers)
-        running = as_completed([submitted(task) for task in islice(waiting, window)])
+        running = as_completed(submitted(max(WINDOW, 2 * self.workers)))
         try:
             for futures in running.batches():
+                time.sleep(TOGETHER_S)
+                futures += running.next_batch(block=False)
                 results = self._results(futures)
                 done = [pending.pop(future.key) for future in futures]
                 for future in futures:
                     future.release()
-                running.update([submitted(task) for task in islice(waiting, len(futures))])
-                yield from zip(done, results, strict=True)
+                running.update(submitted(len(futures)))
+                yield from _sound(done, results)
         except (FutureCancelledError, CommClosedError) as error:
             raise PlaceError(
                 "the cluster's scheduler is gone",
@@ -120,18 +126,32 @@ class Cluster:
             ) from error
 
     def _results(self, futures: Sequence[Any]) -> list[Any]:
-        """Of tasks that have ended, in one question to the workers; None where its workers were killed."""
-        from distributed.scheduler import KilledWorker
-
-        with suppress(KilledWorker):
+        """Of tasks that have ended, in one question to the workers; an exception where one raised it."""
+        with suppress(Exception):  # of one of them: the others are asked for one by one
             return list(self.client.gather(list(futures)))
         results: list[Any] = []
         for future in futures:
             try:
                 results.append(future.result())
-            except KilledWorker:
-                results.append(None)
+            except Exception as error:  # whatever a task raises
+                results.append(error)
         return results
+
+
+def _sound(tasks: Sequence[Task], results: Sequence[Any]) -> Iterator[tuple[Task, Any]]:
+    """Tasks with their results, None where workers were killed; then what one of the others raised."""
+    from distributed.scheduler import KilledWorker
+
+    raised: list[Exception] = []
+    for task, result in zip(tasks, results, strict=True):
+        if isinstance(result, KilledWorker):
+            yield task, None
+        elif isinstance(result, Exception):
+            raised.append(result)
+        else:
+            yield task, result
+    if raised:
+        raise raised[0]
 
 
 def _unpacked(do: Callable[[Task], Result], packed: bytes) -> Result:
@@ -146,7 +166,7 @@ def _ingested(
 
 
 def _parts_of(part: Sequence[Log]) -> list[str]:
-    return ["ingest", *(log.digest for log in part)]
+    return ["ingest", *(f"{log.url}\0{log.etag}\0{log.size}" for log in part)]
 
 
 def _key(kind: str, *parts: str) -> str:

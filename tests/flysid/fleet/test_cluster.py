@@ -71,6 +71,21 @@ def test_killed_workers_lose_nothing_and_repeat_nothing(bucket: str, two_workers
     assert find([f"{bucket}/in"], str(place)).waiting == ()
 
 
+def inverted(number: int) -> float:
+    return 1.0 / number
+
+
+def test_what_one_task_raises_costs_no_result_that_came_with_it(
+    two_workers: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clusters, "TOGETHER_S", 1.0)
+    done = []
+    with pytest.raises(ZeroDivisionError):
+        for task, result in two_workers.each(inverted, [0, 1, 2], lambda number: ["inverted", str(number)]):
+            done.append((task, result))
+    assert sorted(done) == [(1, 1.0), (2, 0.5)]
+
+
 def test_no_secret_is_in_what_goes_to_the_workers(bucket: str, two_workers: Cluster) -> None:
     from distributed.protocol.pickle import dumps
 
