@@ -131,10 +131,8 @@ class Cluster:
             return list(self.client.gather(list(futures)))
         results: list[Any] = []
         for future in futures:
-            try:
-                results.append(future.result())
-            except Exception as error:  # whatever a task raises
-                results.append(error)
+            error = future.exception()
+            results.append(future.result() if error is None else error)
         return results
 
 

@@ -1,9 +1,10 @@
 """Many small tables into few large ones: per message and month, for questions about a whole fleet.
 
 The flights' own tables stay as they are. Beside them a message's rows of a month lie in parts of about
-128 MB, with columns that say whose rows they are, sorted by vehicle and start. A Delta table lists the parts:
-one commit puts all new ones in the place of the old, so a reader sees the one or the other. A month is
-written again where its flights are not the same as before: late flights cost their month alone.
+128 MB, with columns that say whose rows they are, sorted by vehicle and start. One object lists the parts: it
+is replaced as a whole, so a reader sees all new ones or the old. It says which commit of the catalogue the
+parts hold all flights of: where that is still the newest, no row of the catalogue has to be read. A month
+is written again where its flights are not the same as before: late flights cost their month alone.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
+import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -22,30 +23,37 @@ from flysid.catalogue import FlightFacts
 from flysid.errors import StoreError
 from flysid.files import slug
 from flysid.ingest.align.vehicle import vehicle_of
-from flysid.ingest.lake.flighttable import committing, facts_in, opened, rows_of, select
+from flysid.ingest.lake.flighttable import Commit, facts_in, last_commit, rows_of, select
 from flysid.manifest import MANIFEST_FILE, Manifest, parse_manifest
 from flysid.mirror import GENERATION, home_of
 from flysid.place import Found, Place
 from flysid.progress import tell
 
-PARTS = "catalog/parts"
+PARTS = "catalog/parts.json"
 FOLDER = "streams"
 PART_BYTES = 128 << 20
 ROWS_PER_GROUP = 1 << 18
 OWN = ("flight", "vehicle", "stream")
 """Columns that a part has beside those of the flights' tables."""
 
-SCHEMA = pa.schema(
-    [
-        ("message", pa.string()),
-        ("month", pa.string()),
-        ("key", pa.string()),
-        ("rows", pa.int64()),
-        ("size_bytes", pa.int64()),
-        ("flights", pa.list_(pa.string())),
-        ("group", pa.string()),
-    ]
-)
+
+class Part(msgspec.Struct, frozen=True):
+    """A parquet file with a message's rows of a month; `group` stands for all the flights of that month."""
+
+    message: str
+    month: str
+    key: str
+    rows: int
+    size_bytes: int
+    flights: tuple[str, ...]
+    group: str
+
+
+class Parts(msgspec.Struct, frozen=True):
+    """All parts of a lake, and the catalogue's commit whose flights they hold."""
+
+    commit: Commit = Commit()
+    parts: tuple[Part, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -67,19 +75,19 @@ def compact(place: Place, part_bytes: int = PART_BYTES) -> Compacted:
     ------
     StoreError : a flight's table is damaged or gone. PlaceError : no answer.
     """
+    commit = last_commit(place)  # first: what is committed meanwhile waits for the next compaction
     flights = facts_in(select(place))
     before = _parts(place)
-    present: dict[tuple[str, str], str] = {(row["message"], row["month"]): row["group"] for row in before}
+    present = {(part.message, part.month): part.group for part in before.parts}
     groups = _groups(flights)
     stale = {key for key, own in groups.items() if present.get(key) != _digest(own)}
-    kept = [row for row in before if (key := (row["message"], row["month"])) in groups and key not in stale]
-    fresh: list[dict[str, Any]] = []
+    kept = [p for p in before.parts if (key := (p.message, p.month)) in groups and key not in stale]
+    fresh: list[Part] = []
     for number, key in enumerate(sorted(stale)):
         tell(f"compacting {key[0]}, {key[1] or 'without a date'}", share=number / len(stale))
         fresh += _write_group(place, key, groups[key], part_bytes)
-    if fresh or len(kept) < len(before):
-        _list(place, [*kept, *fresh])
-    rows = sum(row["rows"] for row in fresh)
+    _list(place, Parts(commit, (*kept, *fresh)))
+    rows = sum(part.rows for part in fresh)
     return Compacted(len(stale), len(groups) - len(stale), rows, len(kept) + len(fresh))
 
 
@@ -90,8 +98,12 @@ def files_of(place: Place, message: str, where: str = "") -> list[str]:
     ----------
     where : a condition in SQL on the flights; then the flights' own tables are named.
     """
-    parts = [] if where else [row for row in _parts(place) if row["message"] == message]
-    covered = {digits for row in parts for digits in row["flights"]}
+    known = Parts() if where else _parts(place)
+    parts = [part for part in known.parts if part.message == message]
+    addresses = [place.at(part.key) for part in parts]
+    if not where and last_commit(place, known.commit.version) == known.commit:
+        return addresses
+    covered = {digits for part in parts for digits in part.flights}
     rows = select(place, where, ("flight", "sha256", "streams", "stream_rows"))
     late = [n for n, digits in enumerate(rows["sha256"].to_pylist()) if digits not in covered]
     having = [n for n in late if _has(rows["streams"][n].as_py(), rows["stream_rows"][n].as_py(), message)]
@@ -101,12 +113,12 @@ def files_of(place: Place, message: str, where: str = "") -> list[str]:
         for home, manifest in _manifests(place, alone)
         for name in _tables(manifest, message)
     ]
-    return [place.at(row["key"]) for row in parts] + tables
+    return addresses + tables
 
 
 def unreferenced(place: Place) -> list[Found]:
     """Parts that the list of parts does not name."""
-    named = {row["key"] for row in _parts(place)}
+    named = {part.key for part in _parts(place).parts}
     return [found for found in place.list(FOLDER) if found.key not in named]
 
 
@@ -133,21 +145,21 @@ def _digest(flights: Sequence[FlightFacts]) -> str:
 
 def _write_group(
     place: Place, key: tuple[str, str], flights: Sequence[FlightFacts], part_bytes: int
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[Part]:
     """Parts of one message and month; a part for each set of columns, and more where it grows too large."""
     message, month = key
     group = _digest(flights)
     ordered = sorted(flights, key=lambda f: (vehicle_of(f.info), f.start_utc_ns or 0, f.id))
     with TemporaryDirectory(prefix="flysid-") as folder:
-        writers: dict[bytes, _Part] = {}
-        done: list[_Part] = []
+        writers: dict[bytes, _Writer] = {}
+        done: list[_Writer] = []
         for facts, (home, manifest) in zip(ordered, _manifests(place, [f.id for f in ordered]), strict=True):
             for name in _tables(manifest, message):
                 table = _with_owner(_table(place, f"{home}/{name}"), facts, manifest, name)
                 columns = table.schema.serialize().to_pybytes()  # units and scales too: never mixed
                 part = writers.get(columns)
                 if part is None:
-                    part = writers[columns] = _Part(Path(folder) / f"{len(writers) + len(done)}.parquet")
+                    part = writers[columns] = _Writer(Path(folder) / f"{len(writers) + len(done)}.parquet")
                 part.add(table, facts.sha256)
                 if part.path.stat().st_size >= part_bytes:
                     part.close()
@@ -157,18 +169,11 @@ def _write_group(
             digest = hashlib.sha256(part.path.read_bytes()).hexdigest()[:16]
             target = f"{FOLDER}/{slug(message)}/month={month or 'none'}/part-{digest}.parquet"
             place.put(target, part.path)
-            yield {
-                "message": message,
-                "month": month,
-                "key": target,
-                "rows": part.rows,
-                "size_bytes": part.path.stat().st_size,
-                "flights": sorted(part.flights),
-                "group": group,
-            }
+            size = part.path.stat().st_size
+            yield Part(message, month, target, part.rows, size, tuple(sorted(part.flights)), group)
 
 
-class _Part:
+class _Writer:
     """A parquet file that grows by the tables of flights, in row groups of many flights."""
 
     def __init__(self, path: Path) -> None:
@@ -239,14 +244,17 @@ def _table(place: Place, key: str) -> pa.Table:
         ) from error
 
 
-def _parts(place: Place) -> list[dict[str, Any]]:
-    table = opened(place, PARTS)
-    rows: list[dict[str, Any]] = [] if table is None else table.to_pyarrow_table().to_pylist()
-    return rows
+def _parts(place: Place) -> Parts:
+    content = place.read_if_there(PARTS)
+    if content is None:
+        return Parts()
+    try:
+        return msgspec.json.decode(content, type=Parts)
+    except msgspec.DecodeError as error:
+        raise StoreError(
+            f"damaged: {error}", path=place.at(PARTS), hint="delete it, then: flysid fleet compact"
+        ) from error
 
 
-def _list(place: Place, rows: Sequence[dict[str, Any]]) -> None:
-    from deltalake import write_deltalake
-
-    table = pa.Table.from_pylist(list(rows), schema=SCHEMA)
-    committing(place, lambda: write_deltalake(place.at(PARTS), table, mode="overwrite"))
+def _list(place: Place, parts: Parts) -> None:
+    place.put(PARTS, msgspec.json.encode(parts))

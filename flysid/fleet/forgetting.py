@@ -43,14 +43,12 @@ def forget(place: Place, flights: Sequence[FlightFacts]) -> Forgotten:
     place.delete(keys)
     tell("writing the catalogue anew")
     remove(place, sorted(hashes))
-    had_parts = opened(place, PARTS) is not None
-    if had_parts:
+    if place.head(PARTS) is not None:
         compact(place)
         old = [found.key for found in unreferenced(place)]
         place.delete(old)
         keys += old
-    for table in (TABLE, *([PARTS] if had_parts else [])):
-        keys += _without_history(place, table)
+    keys += _without_history(place)
     return Forgotten(len(flights), len(keys) + len(homes), sources)
 
 
@@ -58,19 +56,19 @@ def _names_one(text: bytes, names: Sequence[str]) -> bool:
     return any(name.encode() in text for name in names)
 
 
-def _without_history(place: Place, address: str) -> list[str]:
-    """Remove a Delta table's former files and log; returns the keys that are gone."""
-    table = opened(place, address)
+def _without_history(place: Place) -> list[str]:
+    """Remove the catalogue's former files and log; returns the keys that are gone."""
+    table = opened(place)
     if table is None:
         return []
     removed = table.vacuum(retention_hours=0, enforce_retention_duration=False, dry_run=False, full=True)
-    table = opened(place, address)
+    table = opened(place)
     table.create_checkpoint()
     version = table.version()
-    log = re.compile(rf"{re.escape(address)}/_delta_log/(\d+)\.(json|checkpoint\.parquet)")
+    log = re.compile(rf"{re.escape(TABLE)}/_delta_log/(\d+)\.(json|checkpoint\.parquet)")
     old = [
         found.key
-        for found in place.list(f"{address}/_delta_log")
+        for found in place.list(f"{TABLE}/_delta_log")
         if (entry := log.fullmatch(found.key)) and int(entry[1]) < version
     ]
     place.delete(old)

@@ -16,6 +16,7 @@ from functools import partial
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
+import msgspec
 import pyarrow as pa
 
 from flysid.catalogue import FlightFacts
@@ -167,15 +168,33 @@ def ask_table(table: Any, sql: str, where: str) -> pa.Table:
         ) from error
 
 
-def opened(place: Place, key: str = TABLE) -> Any:
-    """A Delta table of a lake; None where there is none yet."""
+def opened(place: Place) -> Any:
+    """A lake's table; None where there is none yet."""
     from deltalake import DeltaTable
     from deltalake.exceptions import TableNotFoundError
 
     try:
-        return _asking(place.address, lambda: DeltaTable(place.at(key)))
+        return _asking(place.address, lambda: DeltaTable(place.at(TABLE)))
     except TableNotFoundError:
         return None
+
+
+class Commit(msgspec.Struct, frozen=True):
+    """A commit of a lake's table: its version, and the store's tag of its content."""
+
+    version: int = -1
+    etag: str = ""
+
+
+def last_commit(place: Place, since: int = 0) -> Commit:
+    """The newest commit of a lake's table, of this version or a later one; one request, of no table's."""
+    log = f"{TABLE}/_delta_log"
+    commits = [
+        Commit(int(entry[1]), found.etag)
+        for found in place.list(log, after=f"{log}/{max(since, 0):020}")
+        if (entry := re.fullmatch(rf"{log}/(\d+)\.json", found.key))
+    ]
+    return max(commits, key=lambda commit: commit.version, default=Commit())
 
 
 # ------------------------------------------------------------------------------------------- writing

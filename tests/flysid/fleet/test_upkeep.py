@@ -17,6 +17,7 @@ from flysid.fleet.ingest_many import Threads, find, ingest
 from flysid.fleet.lakes import create_lake
 from flysid.fleet.reading import Settings
 from flysid.fleet.upkeep import check
+from flysid.ingest.lake.flighttable import rebuild
 from flysid.place import Place
 from tests.flysid.fleet.fleet_logs import fill, run, table
 
@@ -84,6 +85,33 @@ def test_a_late_flight_is_read_at_once_and_compacted_later(bucket: str) -> None:
     assert len(unreferenced(place)) == 1
     run("fleet", "check", str(place), "--repair", "--older", "0s", "-q")
     assert unreferenced(place) == []
+
+
+def test_where_parts_hold_every_flight_no_row_of_the_catalogue_is_read(
+    bucket: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = lake_of(bucket, 2)
+    compact(place)
+
+    def read(*_: Any) -> None:
+        raise AssertionError("the catalogue's rows were read")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(compaction, "select", read)
+        assert len(files_of(place, "table")) == 1
+        assert files_of(place, "nothing") == []
+    place.delete([f.key for f in place.list("catalog/flights")])
+    rebuild(place, check(place).flights[:1])  # as many commits as before, of another content
+    monkeypatch.setattr(compaction, "select", read)
+    with pytest.raises(AssertionError):
+        files_of(place, "table")
+
+
+def test_damage_to_the_list_of_parts_is_named(bucket: str) -> None:
+    place = lake_of(bucket, 1)
+    place.put(compaction.PARTS, b'{"parts": 7}')
+    with pytest.raises(StoreError, match="damaged"):
+        files_of(place, "table")
 
 
 def test_columns_of_other_units_are_never_mixed(bucket: str) -> None:
