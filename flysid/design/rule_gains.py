@@ -32,6 +32,8 @@ from flysid.model.rules.barrier import Block, cheapest, slackless, symmetric_bas
 
 SHARE = 0.05
 """To which the cost is made least; the bounds decide, not its last digits."""
+STEPS_M = (1.0, 0.3)
+"""The ellipsoid of one metric for all rules holds the input far more tightly than one response needs."""
 
 
 def search_rule_gains(
@@ -39,7 +41,6 @@ def search_rule_gains(
     plants: PlantSet,
     bounds: Bounds,
     limit: float,
-    step_m: float = 1.0,
     decay: float = 1.0,
 ) -> RuleLaw:
     """The certified gains that keep the bounds on every plant and cost the worst least.
@@ -47,7 +48,7 @@ def search_rule_gains(
     Parameters
     ----------
     plants : with a positive gain.
-    limit : of the input, kept from an error of position of `step_m`.
+    limit : of the input, kept from an error of position as large as the bounds afford (`STEPS_M`).
 
     Raises
     ------
@@ -55,7 +56,7 @@ def search_rule_gains(
     """
     parts = Parts.at(plants.omega, plants.dt_s)
     best: tuple[float, RuleLaw] | None = None
-    for effort, total in product(np.geomspace(0.3, 10.0, 7), (0.003, 0.01, 0.03, 0.1)):
+    for step_m, effort, total in product(STEPS_M, np.geomspace(0.3, 10.0, 7), (0.003, 0.01, 0.03, 0.1)):
         law = certified_gains(plant, effort, total, limit, step_m, decay)
         if law is None or not law.is_stable_itself():
             continue

@@ -71,7 +71,9 @@ def _followed(
             except np.linalg.LinAlgError:  # at the edge, but for rounding
                 return x
             g, H = _slopes(whitened, weight * cost)
-            step: FloatArray = np.asarray(np.linalg.lstsq(H, -g, rcond=1e-14)[0], dtype=np.float64)
+            size_of = np.sqrt(np.diag(H))  # unknowns differ in size by far more than rounding bears
+            scaled = np.linalg.lstsq(H / np.outer(size_of, size_of), -g / size_of, rcond=1e-14)[0]
+            step: FloatArray = np.asarray(scaled / size_of, dtype=np.float64)
             gain = float(-g @ step)
             steps = steps + 1
             size = _size(whitened, step, weight * float(cost @ step), gain) if gain > _CENTRED else 0.0

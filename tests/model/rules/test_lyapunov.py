@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from flysid.dataset import FloatArray
+from flysid.model.rules.barrier import cheapest
 from flysid.model.rules.local_models import certificate_of
 from flysid.model.rules.lyapunov import common_lyapunov
 
@@ -68,3 +69,14 @@ def test_the_length_that_is_told_is_not_rounded_in_our_favour() -> None:
     told = float(found.reason.split("falls to ")[1].split(" ")[0])
     assert found.decay <= told < found.decay + 1e-4
     assert found.decay >= 0.9123451
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e5, 1e-9])
+def test_the_least_cost_is_found_in_whatever_units_the_unknowns_stand(unit: float) -> None:
+    """x y > 1 at the least x + y: both are 1; rounding takes the small unknown's part in Newton's step."""
+    units = np.array([unit, 1.0 / unit])
+    F = np.zeros((2, 2, 2))
+    F[0, 0, 0], F[1, 1, 1] = units
+    ones = np.array([[0.0, 1.0], [1.0, 0.0]])
+    found = cheapest([(ones, F)], units, np.array([2.0, 3.0]) / units, 0.01)
+    assert 2.0 < units @ found < 2.02
