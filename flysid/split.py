@@ -113,6 +113,11 @@ class Split:
             raise StoreError(f"damaged split: {error}", hint="fit again") from error
 
 
+def default_guard(dt_s: float) -> float:
+    """Seconds beside a held-out block that serve neither part: one, or 20 samples where that is longer."""
+    return max(1.0, 20 * dt_s)
+
+
 def plan_split(
     data: Splittable,
     *,
@@ -143,7 +148,7 @@ def plan_split(
         raise UsageError(f"no way to split by {by!r}", hint="flight or time")
     flights = list(dict.fromkeys(s.flight for s in data.segments))
     way = ("flight" if len(flights) >= MIN_FLIGHTS else "time") if by == "auto" else by
-    guard = max(1.0, 20 * data.dt_s) if guard_s is None else guard_s
+    guard = default_guard(data.dt_s) if guard_s is None else guard_s
     rng = np.random.default_rng(seed)
     if way == "flight":
         train, test = _by_flight(data.segments, flights, holdout, rng)
@@ -178,7 +183,7 @@ def plan_held(
     ------
     DataError : nothing lies in the spans, or nothing beside them; a copy is held out.
     """
-    guard = max(1.0, 20 * data.dt_s) if guard_s is None else guard_s
+    guard = default_guard(data.dt_s) if guard_s is None else guard_s
     rows = [(s.flight, s.t0_ns, len(s.y)) for s in data.segments]
     train, test = held_pieces(rows, data.dt_s, held, guard)
     refuse_copies(data, train, test)

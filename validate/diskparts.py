@@ -23,6 +23,7 @@ from flysid.split import (
     By,
     Piece,
     Split,
+    default_guard,
     flights_to_hold,
     held_pieces,
     way_of,
@@ -140,7 +141,7 @@ def plan_on_disk(file: DatasetFile, *, holdout: float, by: By = "auto", seed: in
     for e in entries:
         size[e.flight] = size.get(e.flight, 0) + e.rows
     way = ("flight" if len(size) >= MIN_FLIGHTS else "time") if by == "auto" else by
-    guard = max(1.0, 20 * file.dt_s) if way == "time" else 0.0
+    guard = default_guard(file.dt_s) if way == "time" else 0.0
     rng = np.random.default_rng(seed)
     if way == "flight":
         held = flights_to_hold(size, min(holdout * sum(size.values()), MOST_HELD), rng)
@@ -177,7 +178,7 @@ def plan_held_on_disk(
     ------
     DataError : nothing lies in the spans, or nothing beside them; a copy is held out.
     """
-    guard = max(1.0, 20 * file.dt_s)
+    guard = default_guard(file.dt_s)
     rows = [(e.flight, e.t0_ns, e.rows) for e in file.entries]
     train, test = held_pieces(rows, file.dt_s, held, guard)
     test = _bounded(test)

@@ -42,7 +42,7 @@ class Lines:
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
+class CellValues:
     """Values of a column (null where missing), and the cells that are neither numbers nor missing."""
 
     values: pa.Array
@@ -61,14 +61,14 @@ def split_lines(data: bytes, layout: Layout) -> Lines:
     return Lines(starts, ends + 1, is_whole, _is_blank(buffer, ends), first, _as_strings(buffer, borders))
 
 
-def column_of(lines: Lines, rows: IntArray, layout: Layout, index: int) -> Column:
+def column_of(lines: Lines, rows: IntArray, layout: Layout, index: int) -> CellValues:
     """One column of some lines."""
     text = _text(lines, rows, layout, index)
     if layout.columns[index].is_text:
-        return Column(text)
+        return CellValues(text)
     values, wrong = _floats(text, layout.decimal_comma)
     example = text[int(wrong.argmax())].as_py() if wrong.any() else ""
-    return Column(values, int(wrong.sum()), example)
+    return CellValues(values, int(wrong.sum()), example)
 
 
 def stated_times(lines: Lines, rows: IntArray, layout: Layout) -> tuple[IntArray, BoolArray]:

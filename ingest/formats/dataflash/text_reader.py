@@ -63,7 +63,7 @@ def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
 
 
 @dataclass
-class _Reader:
+class _TextReader:
     """What is remembered between batches."""
 
     definitions: Definitions = field(default_factory=Definitions)
@@ -90,7 +90,7 @@ class _Lines:
 
 def read(view: memoryview, name: str, limits: Limits) -> Parts:
     """Parts of a text log; see `Format.read`."""
-    reader = _Reader()
+    reader = _TextReader()
     size = max(min(limits.batch_bytes, BATCH_BYTES), MAX_LINE_BYTES)
     for lines in whole_lines(view, 0, size, size):
         reader.truncated |= lines.is_cut
@@ -102,7 +102,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     return _summary(reader)
 
 
-def _skip(reader: _Reader, start: int, end: int, reason: str) -> None:
+def _skip(reader: _TextReader, start: int, end: int, reason: str) -> None:
     """Count bytes that are no message; neighbours become one region."""
     last = reader.regions[-1] if reader.regions else None
     if last is not None and last.end == start:
@@ -111,7 +111,7 @@ def _skip(reader: _Reader, start: int, end: int, reason: str) -> None:
         reader.regions.append(Region(start, end, reason))
 
 
-def _parts(reader: _Reader, data: bytes, base: int) -> Iterator[StreamPart]:
+def _parts(reader: _TextReader, data: bytes, base: int) -> Iterator[StreamPart]:
     """The tables of one batch of whole lines."""
     groups = _group(reader, data, base)
     tables: dict[int, tuple[IntArray, list[Column]]] = {}
@@ -125,7 +125,7 @@ def _parts(reader: _Reader, data: bytes, base: int) -> Iterator[StreamPart]:
     yield from _tables(reader, tables, data.count(b"\n") + 1)
 
 
-def _group(reader: _Reader, data: bytes, base: int) -> dict[int, _Lines]:
+def _group(reader: _TextReader, data: bytes, base: int) -> dict[int, _Lines]:
     """Lines by definition, split into as many fields as their FMT states; others are skipped."""
     groups: dict[int, _Lines] = {}
     blank = start = base  # empty lines since `blank` mean nothing, unless damage follows or precedes them
@@ -172,7 +172,7 @@ def _before_fmt(line: bytes) -> int:
     return found.start() if found is not None else 0
 
 
-def _swallowed(reader: _Reader, code: int, text: str) -> bool:
+def _swallowed(reader: _TextReader, code: int, text: str) -> bool:
     """Whether a text at the end of a line holds the line behind it, whose separator was damaged."""
     if reader.definitions.items[code].format[-1:] not in ("n", "N", "Z"):
         return False
@@ -190,7 +190,7 @@ def _split(data: bytes) -> list[bytes]:
     return [line + b"\n" for line in data.split(b"\n")[:-1]]
 
 
-def _define(reader: _Reader, rest: str) -> int | None:
+def _define(reader: _TextReader, rest: str) -> int | None:
     """Take in a FMT line; the index of FMT's own definition, or None where it is no FMT."""
     cells = [c.strip() for c in rest.split(",", 4)]
     if len(cells) < 5 or not (cells[0].isdigit() and cells[1].isdigit()):
@@ -205,7 +205,7 @@ def _define(reader: _Reader, rest: str) -> int | None:
     return reader.definitions.current[FMT_ID]
 
 
-def _columns(reader: _Reader, definition: Definition, lines: _Lines) -> list[Column]:
+def _columns(reader: _TextReader, definition: Definition, lines: _Lines) -> list[Column]:
     """The fields as arrays; lines whose numbers are none are skipped and leave `lines`."""
     good = [_fits(definition.format, cells) for cells in lines.cells]
     if not all(good):
@@ -237,7 +237,7 @@ def _fits(form: str, cells: Sequence[str]) -> bool:
     return True
 
 
-def _learn(reader: _Reader, definition: Definition, columns: list[Column]) -> None:
+def _learn(reader: _TextReader, definition: Definition, columns: list[Column]) -> None:
     """Take in units and the firmware's name."""
     named = dict(zip(_names(definition), columns, strict=True))
     if definition.name == "UNIT" and {"Id", "Label"} <= set(named):
@@ -269,7 +269,7 @@ def _names(definition: Definition) -> list[str]:
 
 
 def _tables(
-    reader: _Reader, tables: dict[int, tuple[IntArray, list[Column]]], lines: int
+    reader: _TextReader, tables: dict[int, tuple[IntArray, list[Column]]], lines: int
 ) -> Iterator[StreamPart]:
     clocked: dict[int, Clocked] = {}
     heads: dict[int, npt.NDArray[np.void]] = {}
@@ -302,7 +302,9 @@ def _time_records(definition: Definition, columns: list[Column], count: int) -> 
     return records
 
 
-def _table(reader: _Reader, code: int, columns: list[Column], times: tuple[IntArray, IntArray]) -> StreamPart:
+def _table(
+    reader: _TextReader, code: int, columns: list[Column], times: tuple[IntArray, IntArray]
+) -> StreamPart:
     definition = reader.definitions.items[code]
     arrays = [strings(c) if isinstance(c, list) else numbers(c) for c in columns]
     if definition.stream not in reader.schemas:
@@ -320,7 +322,7 @@ def _table(reader: _Reader, code: int, columns: list[Column], times: tuple[IntAr
     )
 
 
-def _described(reader: _Reader, definition: Definition) -> tuple[Layout, str]:
+def _described(reader: _TextReader, definition: Definition) -> tuple[Layout, str]:
     """Fields with units; factors only where the text still holds raw numbers."""
     if definition.layout is None:
         from flysid.ingest.formats.common.columns import Field
@@ -334,7 +336,7 @@ def _described(reader: _Reader, definition: Definition) -> tuple[Layout, str]:
     return replace(layout, fields=fields), instance
 
 
-def _summary(reader: _Reader) -> Summary:
+def _summary(reader: _TextReader) -> Summary:
     damage = Damage(
         bytes_skipped=sum(r.size for r in reader.regions),
         regions=tuple(reader.regions[: Damage.MAX_REGIONS]),
