@@ -1,4 +1,4 @@
-"""`flysid show LOG|DATA [FLIGHT] [STREAM]`: a flight, a stream of it, its parameters, events or track."""
+"""`flysid show LOG|DATA [FLIGHT] [STREAM]`: a flight, a stream of it, its parameters, messages, events or track."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ HEADINGS = ("COLUMN", "TYPE", "UNIT", "SCALE", "MIN", "MEAN", "MAX", "MISSING", 
 @click.option("--json", "as_json", is_flag=True, help="Print the manifest (or the stream's entry) as JSON.")
 @click.option("-n", "--rows", default=5, show_default=True, help="Number of rows of the stream to print.")
 @click.option("--params", is_flag=True, help="Print the parameters at the end of the log.")
+@click.option("--messages", is_flag=True, help="Print the text messages, in order.")
 @click.option("--events", is_flag=True, help="Print modes, messages and parameter changes, in order.")
 @click.option("--track", is_flag=True, help="Print the positions as CSV.")
 @reading_options
@@ -44,6 +45,7 @@ def command(
     as_json: bool,
     rows: int,
     params: bool,
+    messages: bool,
     events: bool,
     track: bool,
     told: Words,
@@ -59,17 +61,20 @@ def command(
     """
     from flysid.ingest.lake.chosen_flights import Selection, select
 
-    if params + events + track > 1:
+    if params + messages + events + track > 1:
         raise UsageError(
-            "--params, --events and --track are mutually exclusive", hint="run the command once for each"
+            "--params, --messages, --events and --track are mutually exclusive",
+            hint="run the command once for each",
         )
     with Display().shown(), opened_flights(source, told) as lake:
         flight, stream = _split(str(source), names, [facts.id for facts in lake.facts])
         [log] = select(lake, Selection(flights=(flight,))).logs
         if params:
             _print_parameters(log)
+        elif messages:
+            _print_events(log, ("message",))
         elif events:
-            _print_events(log)
+            _print_events(log, ("mode", "message", "parameter"))
         elif track:
             _print_track(log)
         elif stream is None:
@@ -122,14 +127,14 @@ def _print_parameters(log: StoredLog) -> None:
         click.echo(printable(f"{name} {value:.9g}" if isinstance(value, float) else f"{name} {value}"))
 
 
-def _print_events(log: StoredLog) -> None:
+def _print_events(log: StoredLog, kinds: Sequence[str]) -> None:
     from flysid.ingest.lake.events import events
 
-    rows = [(f"{e.time_ns / 1e9:.3f} s", e.kind, e.text) for e in events(log)]
+    rows = [(f"{e.time_ns / 1e9:.3f} s", e.kind, e.text) for e in events(log) if e.kind in kinds]
     if rows:
         click.echo("\n".join(aligned(rows)))
     else:
-        say("the log holds no modes, messages or parameter changes")
+        say(f"the log holds none of these: {', '.join(kinds)}")
 
 
 def _print_track(log: StoredLog) -> None:

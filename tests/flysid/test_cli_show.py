@@ -71,6 +71,7 @@ def test_parameters_events_and_track(data: Path) -> None:
     events = [line.split() for line in show(data, "--events").splitlines()]
     assert [row[2] for row in events] == ["mode", "message", "parameter", "mode"]
     assert events[2][3:] == ["P", "=", "0.5", "(was", "0.25)"]
+    assert [line.split() for line in show(data, "--messages").splitlines()] == [events[1]]
     assert show(data, "--track").splitlines()[1:] == ["0.1,0,52.1234567,5.1234567,8.5"]
 
 
