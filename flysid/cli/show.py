@@ -1,4 +1,4 @@
-"""`flysid show LOG|DATA [FLIGHT] [STREAM]`: a flight, a stream of it, its parameters, messages, events or track."""
+"""`flysid show LOG|DATA [FLIGHT] [STREAM]`: a flight or stream; its parameters, messages, events, track."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@
   var root = document.documentElement;
   var charts = [];
 
-  if (matchMedia("(max-width:720px)").matches) { // on a phone, details wait to be opened
+  if (matchMedia("(max-width:900px)").matches) { // where tables stack, details wait to be opened
     document.querySelectorAll("details.fold").forEach(function (fold) { fold.open = false; });
   }
 
