@@ -27,7 +27,7 @@ import flysid
 from flysid.errors import FlysidError, UsageError, WriteError
 from flysid.studio import commands, forms
 from flysid.studio.folders import NotThere, Workspace, is_name
-from flysid.studio.guard import Bounds, Guard
+from flysid.studio.guard import Bounds, Guard, Quiet
 from flysid.studio.jobs import Job, Jobs
 from flysid.studio.live_stream import Live, seen_by, stream
 from flysid.studio.loopback import Key
@@ -41,6 +41,7 @@ ROOMS = ("flights", "uploads", "quick_look", "channels", "run_views", "explain")
 """What is imported while the page opens, in this order."""
 FRAME_POLICY = "sandbox allow-scripts; frame-ancestors 'self'"
 UPLOT = ("uPlot.iife.min.js", "uPlot.min.css")  # of the report, which the studio uses too
+QUIET_S = 1.0  # an address that was printed is asked for within this; a page is drawn when it has asked all
 SILENCE_S = 10.0  # an event stream says something at least this often
 Handler = Callable[[Request], Awaitable[Response]]
 Form = TypeVar("Form")
@@ -49,9 +50,9 @@ Form = TypeVar("Form")
 class Studio:
     """The handlers; each answers one route.
 
-    What reads tables or models is imported by one thread while the address answers already; requests that
+    What reads tables or models is imported by one thread once the address has answered; requests that
     need it wait. Two threads must not import at once: of packages that import their modules, one of them
-    would see a half-made one.
+    would see a half-made one. What only jobs and looks at logs need begins when nobody asks.
     """
 
     def __init__(self, workspace: Workspace, cache: Path, live: Live | None, leaving: asyncio.Event) -> None:
@@ -62,17 +63,23 @@ class Studio:
         self._cache = cache
         self._loaded = {room: threading.Event() for room in ROOMS}
 
-    def load(self) -> None:
-        """Import the rooms one after the other; requests wait for theirs."""
+    async def load(self, quiet: Quiet) -> None:
+        """Import the rooms after the first answer; begin what jobs come from when nobody asks."""
+        await quiet.until_answered(QUIET_S)
+        await run_in_threadpool(self._import_rooms)
+        await quiet.until_quiet(QUIET_S)
+        if sys.platform == "linux":
+            self.jobs.warm = await run_in_threadpool(Warm)
+        from flysid.studio.quick_look import begin_workers
+
+        await run_in_threadpool(begin_workers)
+
+    def _import_rooms(self) -> None:
+        """One after the other; requests wait for theirs."""
         try:
             for room, loaded in self._loaded.items():
                 importlib.import_module(f"flysid.studio.{room}")
                 loaded.set()
-            from flysid.studio.quick_look import begin_workers
-
-            begin_workers()
-            if sys.platform == "linux":
-                self.jobs.warm = Warm()
         finally:  # a request must not wait for a room that never comes: it says itself what is wrong
             for loaded in self._loaded.values():
                 loaded.set()
@@ -367,13 +374,14 @@ def make_app(
     live : what is recorded and watched meanwhile.
     """
     studio = Studio(workspace, cache, live, leaving)
+    quiet = Quiet()
 
     @contextlib.asynccontextmanager
     async def working(_: Starlette) -> AsyncIterator[None]:
-        threading.Thread(target=studio.load, daemon=True).start()
-        task = asyncio.create_task(studio.jobs.work())
+        tasks = [asyncio.create_task(studio.load(quiet)), asyncio.create_task(studio.jobs.work())]
         yield
-        task.cancel()
+        for task in tasks:
+            task.cancel()
         if studio.jobs.warm is not None:
             studio.jobs.warm.close()
 
@@ -382,7 +390,7 @@ def make_app(
         lifespan=working,
         exception_handlers={FlysidError: _refused, HTTPException: _not_served, ClientDisconnect: _gone},
     )
-    return Guard(app, key, bounds or Bounds())
+    return Guard(app, key, bounds or Bounds(), quiet)
 
 
 def query_of(request: Request, form: type[Form]) -> Form:
@@ -423,8 +431,9 @@ def told(job: Job) -> dict[str, Any]:
 
 def asset_routes() -> list[Route]:
     """The page, and its assets at an address that changes with them: a browser keeps what it has."""
-    own = Path(str(resources.files("flysid.studio") / "assets"))
-    uplot = Path(str(resources.files("flysid.validate.report") / "assets"))
+    package = Path(str(resources.files("flysid")))  # to ask for the report's own would import it, and so all
+    own = package / "studio" / "assets"
+    uplot = package / "validate" / "report" / "assets"
     found = {
         path.name: path for path in [*own.iterdir(), *(uplot / name for name in UPLOT)] if path.is_file()
     }

@@ -7,6 +7,8 @@ was meant for (DNS rebinding), for the page it comes from (other sites), for the
 from __future__ import annotations
 
 import asyncio
+import time
+from contextlib import suppress
 from dataclasses import dataclass
 from urllib.parse import parse_qs
 
@@ -26,13 +28,41 @@ class Bounds:
     seconds: float = 30.0
 
 
+class Quiet:
+    """For how long nobody has asked. A stream of events counts as it begins and ends."""
+
+    def __init__(self) -> None:
+        self._since = time.monotonic()
+        self._answered = asyncio.Event()
+
+    def asked(self) -> None:
+        """Somebody does."""
+        self._since = time.monotonic()
+
+    def answered(self) -> None:
+        """An answer has been given."""
+        self.asked()
+        self._answered.set()
+
+    async def until_answered(self, seconds: float) -> None:
+        """Wait for the first answer, or so long."""
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._answered.wait(), seconds)
+
+    async def until_quiet(self, seconds: float) -> None:
+        """Wait until nobody has asked for so long."""
+        while (left_s := self._since + seconds - time.monotonic()) > 0.0:
+            await asyncio.sleep(left_s)
+
+
 class Guard:
     """Answers itself what may not pass: 401 no cookie, 403 another site, 413 too large, 421 another host."""
 
-    def __init__(self, app: ASGIApp, key: Key, bounds: Bounds) -> None:
+    def __init__(self, app: ASGIApp, key: Key, bounds: Bounds, quiet: Quiet) -> None:
         self._app = app
         self._key = key
         self._bounds = bounds
+        self._quiet = quiet
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
@@ -41,6 +71,13 @@ class Guard:
         if scope["type"] != "http":
             await send({"type": "websocket.close", "code": 1008})
             return
+        self._quiet.asked()
+        try:
+            await self._answer(scope, receive, send)
+        finally:
+            self._quiet.answered()
+
+    async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = Headers(scope=scope)
         refusal = self._refusal(scope, headers)
         if refusal is not None:

@@ -137,7 +137,7 @@ class Jobs:
             for job in [j for j in self._jobs.values() if j.state == "running"]:
                 self._follow(job)
             for lane in ("read", "fit"):
-                self._begin_next(lane)
+                await self._begin_next(lane)
             await asyncio.sleep(LOOK_EVERY_S)
 
     async def events(self, job_id: str, after: int) -> AsyncIterator[tuple[int, str]]:
@@ -162,19 +162,27 @@ class Jobs:
         """Jobs with a process."""
         return [job for job in self._jobs.values() if job.state == "running"]
 
-    def _begin_next(self, lane: str) -> None:
+    async def _begin_next(self, lane: str) -> None:
         own = [job for job in self._jobs.values() if job.lane == lane]
         waiting = [job for job in own if job.state == "queued"]
         if not waiting or any(job.state == "running" for job in own):
             return
         job = min(waiting, key=lambda j: j.made)
+        pid = await asyncio.to_thread(self._begun, job)
+        job = msgspec.structs.replace(job, state="running", began=time.time(), pid=pid, born=_born(pid))
+        if self._jobs[job.id].has_ended:  # cancelled meanwhile
+            await asyncio.to_thread(_end_group, job)
+            return
+        self._note(job)
+
+    def _begun(self, job: Job) -> int:
+        """The process id of a job that has been begun."""
         folder = self._folder / job.id
-        pid = self.warm.begin(folder) if self.warm is not None and lane == "read" else 0
-        if not pid:
-            process = _process_of(folder)
-            self._processes[job.id] = process
-            pid = process.pid
-        self._note(msgspec.structs.replace(job, state="running", began=time.time(), pid=pid, born=_born(pid)))
+        pid = self.warm.begin(folder) if self.warm is not None and job.lane == "read" else 0
+        if pid:
+            return pid
+        process = self._processes[job.id] = _process_of(folder)
+        return process.pid
 
     def _follow(self, job: Job) -> None:
         process = self._processes.get(job.id)

@@ -82,7 +82,12 @@ def test_version_stands_once() -> None:
 
 
 @pytest.mark.parametrize(
-    "code", ["import flysid", "from flysid.cli import root; root.main(['--help'], standalone_mode=False)"]
+    "code",
+    [
+        "import flysid",
+        "from flysid.cli import root; root.main(['--help'], standalone_mode=False)",
+        "from flysid.studio import app; app.asset_routes()",  # all that the first answer waits for
+    ],
 )
 def test_start_up_imports_nothing_heavy(code: str) -> None:
     assert not modules_after(code) & HEAVY

@@ -11,7 +11,7 @@ import pytest
 from starlette.responses import Response
 from starlette.types import Message, Receive, Scope, Send
 
-from flysid.studio.guard import Bounds, Guard
+from flysid.studio.guard import Bounds, Guard, Quiet
 from flysid.studio.loopback import Key
 from tests.flysid.studio.server import Server
 
@@ -179,7 +179,7 @@ def test_a_slow_body_is_given_up() -> None:
     headers = [(b"host", b"127.0.0.1:80"), (b"content-length", b"9")]
     headers.append((b"cookie", f"{key.cookie}={key.token}".encode()))
     scope = {"type": "http", "method": "POST", "path": "/api/1/fits", "query_string": b"", "headers": headers}
-    asyncio.run(Guard(take, key, Bounds(seconds=0.05))(scope, never, send))
+    asyncio.run(Guard(take, key, Bounds(seconds=0.05), Quiet())(scope, never, send))
     assert sent[0]["status"] == 408
 
 
@@ -202,3 +202,20 @@ def test_the_key_takes_its_own_token_alone() -> None:
     assert not key.fits(key.token + "x")
     assert len(key.token) * 6 >= 192
     assert Key(1234).token != key.token
+
+
+def test_quiet_is_when_nobody_has_asked_for_so_long() -> None:
+    async def waited() -> tuple[float, float]:
+        quiet = Quiet()
+        began = time.monotonic()
+        asyncio.get_running_loop().call_later(0.02, quiet.answered)
+        await quiet.until_answered(60.0)
+        answered = time.monotonic() - began
+        asyncio.get_running_loop().call_later(0.05, quiet.asked)
+        await quiet.until_quiet(0.1)
+        return answered, time.monotonic() - began
+
+    answered, ended = asyncio.run(waited())
+    assert 0.02 <= answered < 30.0
+    assert ended >= 0.02 + 0.05 + 0.1
+    asyncio.run(Quiet().until_answered(0.01))  # nobody asks: it does not wait for ever
