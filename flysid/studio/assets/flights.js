@@ -42,9 +42,9 @@ export async function showFlights(main, query, stay) {
   work.append(title, welcome, pairs, plots.parent, map, events, foot);
   let flight = null;
   const parts = [search, tree, identify, select, find.parentElement, pairs, plots.parent, map, events, foot];
-  const reveal = () => { // what needs a flight, where there is one
-    parts.forEach((part) => { part.hidden = !flight; });
-    welcome.hidden = Boolean(flight);
+  const reveal = (expected) => { // what needs a flight, where there is one or will be
+    parts.forEach((part) => { part.hidden = !flight && !expected; });
+    welcome.hidden = Boolean(flight || expected);
     if (flight) { title.textContent = flight.log; }
   };
   reveal();
@@ -221,9 +221,15 @@ export async function showFlights(main, query, stay) {
   const numbers = (text) => (text ? text.split("~").map((x) => (x === "" ? null : +x)) : null);
   const fields = query.getAll("p").map((names) => names.split(";"));
   const show = (id) => open(id, fields.length ? fields : null, numbers(query.get("t")), numbers(query.get("c")));
-  if (query.get("f") && fields.length) { plots.expect(query.get("f"), fields, numbers(query.get("t"))); }
+  if (query.get("f") && fields.length) {
+    reveal(true); // plots have their width only where they are shown
+    plots.expect(query.get("f"), fields, numbers(query.get("t")));
+  }
   const listing = list(query.get("f"));
-  if (query.get("f")) { await Promise.all([listing, show(query.get("f"))]); } else {
+  if (query.get("f")) {
+    await Promise.all([listing, show(query.get("f"))]);
+    reveal();
+  } else {
     const found = await listing;
     if (found && found.flights.length) { await show(found.flights[0].id); }
   }

@@ -82,6 +82,7 @@ export class Plots {
     panel.head = el("div", { class: "head" });
     panel.chart = el("div", { class: "chart", tabindex: 0, role: "img" });
     panel.box.append(panel.head, panel.chart);
+    if (!this.panels.length) { this.lastWidth = this.width(); } // the observer tells of a first plot, too
     this.list.append(panel.box);
     this.panels.push(panel);
     this.accept(panel.box, (field) => this.add([field], this.panels.indexOf(panel)));

@@ -60,6 +60,18 @@ def test_zoom_is_linked_kept_in_the_address_and_comes_back(page: Page) -> None:
     until(lambda: page.js(canvases) == picture)
 
 
+def test_curves_of_an_address_are_asked_for_once(page: Page) -> None:
+    """With the flight, before it is known; neither the width nor the first plots' appearing ask again."""
+    page.find(".tree details summary").click()
+    until(lambda: page.all(".tree details[open] li button"))[0].click()
+    until(lambda: len(page.all(".uplot")) == 2)
+    page.drawn()
+    page.go(page.js("return location.hash"))
+    page.drawn()
+    asked = "return performance.getEntriesByType('resource').map(e => e.name).filter(n => n.includes('/series?'))"
+    assert len(page.js(asked)) == 1
+
+
 def test_the_last_of_many_zooms_is_what_is_drawn(page: Page) -> None:
     from selenium.webdriver.common.keys import Keys
 
