@@ -153,11 +153,19 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--models", default="arx,ts")
-    parser.add_argument("--hours", type=float, default=10.0, help="of nominal flight for false alarms; 0: none")
+    parser.add_argument(
+        "--hours", type=float, default=10.0, help="of nominal flight for false alarms; 0: none"
+    )
     parser.add_argument("--calibration-hours", type=float, default=4.0)
     parser.add_argument("--faults", type=int, default=40, help="flights for each fault")
     parser.add_argument("--only", default="", help="faults whose names begin so, e.g. motor")
-    parser.add_argument("--at", nargs="*", choices=["60", "0"], default=["60", "0"], help="s when a fault comes; 0: from take-off")
+    parser.add_argument(
+        "--at",
+        nargs="*",
+        choices=["60", "0"],
+        default=["60", "0"],
+        help="s when a fault comes; 0: from take-off",
+    )
     parser.add_argument("--channels", default=",".join(CHANNELS))
     parser.add_argument("--small", action="store_true", help="a tenth of everything")
     options = parser.parse_args()
