@@ -8,6 +8,7 @@ are fitted to them. Where rules do not pay, this model is what one rule says.
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -116,8 +117,6 @@ def _chosen(errors: Mapping[str, FloatArray]) -> Choice:
         if clearly_better(e, errors[label]):
             label = name
     rmse = {name: float(np.sqrt(e.mean())) for name, e in errors.items()}
-    for name, value in rmse.items():
-        tell("free run on the validation part", model=name, validation=value)
     said = ", ".join(f"{name.upper()} {value:.3g}" for name, value in rmse.items())
     if rmse[label] > min(rmse.values()):
         said += f"; none is clearly better than {label.upper()}"
@@ -160,6 +159,7 @@ def _fitted(candidates: Mapping[str, Estimator], fit: Dataset, check: Dataset) -
         tell("choosing the best linear model", model=name, share=i / len(candidates))
         try:
             models[name] = estimator.fit(fit, check)
+            tell("free run on the validation part", model=name, validation=_rmse(models[name], check))
         except (DataError, FitError) as error:
             reasons.append(f"{name}: {error}")
         except MemoryError as error:
@@ -168,6 +168,13 @@ def _fitted(candidates: Mapping[str, Estimator], fit: Dataset, check: Dataset) -
     if not models:
         raise FitError("no linear model could be fitted: " + "; ".join(reasons)) from lacking
     return models
+
+
+def _rmse(model: Fitted, check: Dataset) -> float | None:
+    """What is told of a model as soon as there is one; None where no segment is long enough."""
+    with suppress(DataError):
+        return float(np.sqrt(free_run_errors({"": model}, check)[""].mean()))
+    return None
 
 
 def free_run_errors(models: Mapping[str, Fitted], check: Dataset) -> dict[str, FloatArray]:

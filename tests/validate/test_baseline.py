@@ -14,6 +14,7 @@ from flysid.model.linear_choice import choose_baseline, confirmed
 from flysid.model.mean import Mean
 from flysid.model.one_rule import linear_rivals
 from flysid.model.persistence import Persistence
+from flysid.progress import listening
 from flysid.validate.cautions import cautions
 from flysid.validate.compare_models import across_channels, compare
 from flysid.validate.diagnostics import diagnose
@@ -47,6 +48,15 @@ def test_the_best_by_validation_is_the_baseline() -> None:
     assert choice.rmse["oe"] < 0.7 * choice.rmse["arx"]
     assert "OE" in choice.words
     assert confirmed(choice, {"arx": FirstOrder(a=0.9, b=0.08), "oe": TRUTH}, TRAIN) == choice
+
+
+def test_the_error_of_every_linear_model_is_told_before_the_next_one_is_fitted() -> None:
+    told: list[tuple[str, float | None]] = []
+    with listening(lambda step: told.append((step.model, step.validation))):
+        choice = choose_baseline(TRAIN, {"arx": Gives(FirstOrder(a=0.9, b=0.08)), "oe": Gives(TRUTH)})
+    assert [model for model, _ in told] == ["arx", "arx", "oe", "oe"]
+    assert [error for _, error in told[::2]] == [None, None]
+    assert [error for _, error in told[1::2]] == pytest.approx([choice.rmse["arx"], choice.rmse["oe"]])
 
 
 def test_arx_stays_where_nothing_is_clearly_better() -> None:
