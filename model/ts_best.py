@@ -14,12 +14,12 @@ from flysid.dataset import Dataset
 from flysid.model.base import Fitted
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.one_rule import linear_choice, linear_rivals, same_orders
-from flysid.model.rules.contest import PARTS, Contest
+from flysid.model.rules.contest import Contest
 from flysid.model.rules.contest import contest as contest_of_rules
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.judging import INTEGRATES, hold_out
 from flysid.model.rules.learning import SWEEP
-from flysid.model.rules.search_settings import NORMAL, SearchSettings
+from flysid.model.rules.search_settings import NORMAL, QUARTERS, SearchSettings
 from flysid.model.rules.structure_choice import Refit, advantage, block_errors, unproven
 from flysid.model.shared import sharing
 from flysid.model.subspace.fitted_model import FittedStateSpace
@@ -111,7 +111,7 @@ def _linear_enough(
             parts = [(train, validation)]
             models: tuple[Refit, Refit] = (lambda _: model, lambda _: rules)
         else:
-            parts = [hold_out(train, found.taken.known.least, fold) for fold in range(PARTS)]
+            parts = [hold_out(train, found.taken.known.least, fold) for fold in range(QUARTERS)]
             again = same_orders(model, settings.search)
             models = (
                 linear_rivals(*delays, settings.search)[label].fit if again is None else again.fit,

@@ -24,7 +24,7 @@ from flysid.model.rules.judging import hold_out
 from flysid.model.rules.operating_points import described
 from flysid.model.rules.regressor_layout import scaling
 from flysid.model.rules.search_record import Learned, LinearSide
-from flysid.model.rules.search_settings import RuleSettings
+from flysid.model.rules.search_settings import QUARTERS, RuleSettings
 from flysid.model.rules.structure_choice import CLEARLY, Advantage, advantage, block_errors, compared
 from flysid.model.start import start_window
 
@@ -32,8 +32,6 @@ _FORETOLD = 0.5  # share of the free run's error that its own past must explain
 _RESOLUTION = 1e-3  # of the outputs' spread: a free-run error below leaves nothing to explain
 _MOST_OUTPUTS = 2
 _MOST_SAMPLES = 100_000
-PARTS = 4
-"""Of a record, each held out in turn to compare two models."""
 _STEPS = 6  # of both models' refinement on the rest
 
 
@@ -126,7 +124,7 @@ def _judged(
     if validation is not None:
         return compared(lambda _: lags.model, lambda _: states.model, [(train, validation)]), fits
     least = max(lags.known.least, states.known.least)
-    parts = [hold_out(train, least, fold) for fold in range(PARTS)]
+    parts = [hold_out(train, least, fold) for fold in range(QUARTERS)]
     return compared(lags.again, states.again, parts), fits
 
 

@@ -24,8 +24,8 @@ from flysid.model.rules.search_context import SearchContext
 from flysid.model.rules.stages import ordered, refine, with_ridge
 from flysid.model.selection import clearly_better
 
-_TRIED = 3  # edits that are refined, of all ranked by their cost in training
-_RIDGE = 0.01  # of the mean square error, as in growth
+TRIED = 3
+"""Edits that are refined, of all ranked by their cost in training."""
 
 
 def edits(layout: Layout, p: Parameters, support: FloatArray) -> Iterator[tuple[str, Layout, Parameters]]:
@@ -94,8 +94,8 @@ def _refined_mergers(context: SearchContext, stage: Stage) -> Iterator[Stage]:
         if len(p.theta) < stage.rules
         for s in staged(layout, p, problem.runs)
     ]
-    for s in sorted(tried, key=lambda s: s.cost)[:_TRIED]:
-        yield refine(with_ridge(s, _RIDGE * s.cost), context.settings.iterations // 2, 1e-5)
+    for s in sorted(tried, key=lambda s: s.cost)[:TRIED]:
+        yield refine(with_ridge(s, Training().ridge * s.cost), context.settings.iterations // 2, 1e-5)
 
 
 def merge_and_split(context: SearchContext, models: Sequence[Candidate], at: int) -> Candidate:

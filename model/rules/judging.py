@@ -22,6 +22,7 @@ from flysid.model.rules.linear_starts import LinearStart
 from flysid.model.rules.realisation import initial_states
 from flysid.model.rules.regressor_layout import windows
 from flysid.model.rules.rule_poles import unheld
+from flysid.model.rules.search_settings import QUARTERS
 from flysid.model.rules.stages import prior_of
 from flysid.model.selection import block_means
 from flysid.model.start import MAX_SHARE, estimate_start
@@ -46,16 +47,16 @@ def hold_out(train: Dataset, least: int, fold: int = 0) -> tuple[Dataset, Datase
     the last one in fold 0, earlier ones in folds 1 to 3. Nothing is drawn sample by sample.
     """
     usable = [s for s in train.segments if len(s) >= least]
-    if len(usable) >= 4:
-        held = [s for i, s in enumerate(usable) if i % 4 == (2 + fold) % 4]
-        kept = [s for i, s in enumerate(usable) if i % 4 != (2 + fold) % 4]
+    if len(usable) >= QUARTERS:
+        held = [s for i, s in enumerate(usable) if i % QUARTERS == (2 + fold) % QUARTERS]
+        kept = [s for i, s in enumerate(usable) if i % QUARTERS != (2 + fold) % QUARTERS]
         return train.with_segments(kept), train.with_segments(held)
     first: list[Segment] = []
     last: list[Segment] = []
     for segment in usable:
         n = len(segment)
-        begin = n - (fold + 1) * (n // 4)
-        end = n - fold * (n // 4)
+        begin = n - (fold + 1) * (n // QUARTERS)
+        end = n - fold * (n // QUARTERS)
         parts = [segment.slice(a, b, train.dt_s) for a, b in ((0, begin), (end, n)) if b - a >= least]
         if end - begin < least or not parts:
             first.append(segment)

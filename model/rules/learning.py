@@ -68,10 +68,10 @@ def grow(found: Search) -> Search:
         looked_at = context.antecedents(linear.stage.layout)[:2]
         stages = [clustered_stage(linear.stage, looked_at, r) for r in range(2, context.most_rules + 1)]
         return replace(found, best=Family(((linear, *(context.judge(s) for s in stages)),)))
-    grown = search(context, found.plain, found.starts)
-    if asked != "auto" and grown.best.stages < asked:
+    best, fit = search(context, found.plain, found.starts)
+    if asked != "auto" and best.stages < asked:
         raise _too_many(asked, found.plain.linear.stage)
-    return replace(found, best=grown.best, fit=grown.fit)
+    return replace(found, best=best, fit=fit)
 
 
 def _too_many(rules: int, stage: Stage) -> DataError:

@@ -50,31 +50,21 @@ class Screened:
     fits: tuple[float, float]
 
 
-@dataclass(frozen=True, eq=False)
-class Grown:
-    """The best family over all starts.
+def search(context: SearchContext, plain: Family, starts: Sequence[Family]) -> tuple[Family, float]:
+    """The best family over all starts; `plain`, the best single rule, where none is worth growing.
 
-    Attributes
-    ----------
-    fit : change of the least training mean square, on the first part and in logarithms, by a second rule.
+    With it the change of the least training mean square by a second rule, on the first part, in logarithms.
     """
-
-    best: Family
-    fit: float = -np.inf
-
-
-def search(context: SearchContext, plain: Family, starts: Sequence[Family]) -> Grown:
-    """The best family over all starts; `plain`, the best single rule, where none is worth growing."""
     error = {id(s): tolerant(s).rmse[0] for s in starts}
     limit = _HOPELESS * max(min(error.values()), EXACT)
     able = [s for s in starts if context.room(s.linear.stage) and error[id(s)] <= limit]
     tell("1 rule", share=0.0, validation=float(plain.rmse[0]))
     if context.most_rules == 1 or not able:
-        return Grown(plain)
+        return plain, -np.inf
     screened = _screened(context, able)
     fit = _change(*(min(s.fits[rules] for s in screened) for rules in (1, 0)))
     if context.auto and min(s.change for s in screened) > -context.promise:
-        return Grown(plain, fit)
+        return plain, fit
     kept = [context.completed(s.family) for s in screened[: context.settings.search.lanes]]
     tried: list[Family] = []
     for ridge in context.ridges:
@@ -83,7 +73,7 @@ def search(context: SearchContext, plain: Family, starts: Sequence[Family]) -> G
         ran_away = any(not m.stable for fold in best.folds for m in fold)
         if not ran_away or context.error(best) < plain.rmse[0]:
             break
-    return Grown(best, fit)
+    return best, fit
 
 
 def _screened(context: SearchContext, starts: Sequence[Family]) -> list[Screened]:

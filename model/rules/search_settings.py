@@ -9,7 +9,8 @@ from typing import Literal
 from flysid.errors import UsageError
 from flysid.model.arguments import is_count
 
-_QUARTERS = 4
+QUARTERS = 4
+"""Of a short record, each held out in turn."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class SearchSettings:
         for name in ("short", "exchanges"):
             if not is_count(getattr(self, name), 0):
                 raise UsageError(f"{name}={getattr(self, name)!r}", hint="give a whole number, 0 or more")
-        if self.folds > _QUARTERS:
+        if self.folds > QUARTERS:
             raise UsageError(f"folds={self.folds!r}", hint="a record has four quarters")
         gains = (self.rule_gain, self.short_rule_gain, *self.ridges)
         if not self.ridges or not all(isinstance(g, int | float) and 0.0 <= g < float("inf") for g in gains):

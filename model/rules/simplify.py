@@ -15,15 +15,13 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.rules.assembly import at_stage, free_run_rmse
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.consequents import refuse_few, refuse_other_data
-from flysid.model.rules.edits import edits, staged
+from flysid.model.rules.edits import TRIED, edits, staged
 from flysid.model.rules.operating_points import described
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.regressor_layout import runs_of
 from flysid.model.rules.rule_model import RuleModel, refuse_other_models
 from flysid.model.rules.stages import ordered, refine, with_ridge
 from flysid.model.threads import on_one_thread
-
-_TRIED = 3  # of all edits, ranked by what they cost before refinement
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +87,7 @@ def simplifications(
     ]
     tried.sort(key=lambda edit: edit[1].cost)
     found = []
-    for what, stage in tried[:_TRIED]:
+    for what, stage in tried[:TRIED]:
         refined = refine(with_ridge(stage, ridge * stage.cost), iterations, 1e-5)
         if np.isfinite(refined.cost) and is_bounded(refined):
             told = replace(model, notes=(*model.notes, f"Simplified by hand: {what}."))

@@ -16,7 +16,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
-from flysid.model.rules.judging import blocks
+from flysid.model.rules.judging import EXACT, blocks
 from flysid.model.start import estimate_start, start_window
 
 CLEARLY = 0.3
@@ -24,7 +24,6 @@ CLEARLY = 0.3
 _SURE = 1.645  # standard errors
 _SHARE = 0.7  # of the parts, or of a single part's blocks, that must see the advantage
 _PERSISTENT = 0.8  # the most correlation from block to block that is reckoned with
-_LEAST = 1e-12  # mean squares, in variances of the outputs, that count as none
 
 
 class FreeRunning(Protocol):
@@ -135,7 +134,7 @@ def block_errors(models: tuple[FreeRunning, FreeRunning], data: Dataset) -> tupl
 
 def advantage(pairs: Iterable[tuple[FloatArray, FloatArray]]) -> Advantage:
     """Of the second of each pair of block errors; nothing where there are none."""
-    known = [(np.maximum(a, _LEAST), np.maximum(b, _LEAST)) for a, b in pairs if len(a)]
+    known = [(np.maximum(a, EXACT), np.maximum(b, EXACT)) for a, b in pairs if len(a)]
     if not known:
         return Advantage()
     gaps = np.array([np.log(b.mean() / a.mean()) for a, b in known])
