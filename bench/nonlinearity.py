@@ -4,6 +4,9 @@ Linear and nonlinear plants of `bench.verdict_fairness` (four flights of 25 s): 
 called nonlinear, how often a nonlinear one is found, and the share found beside the true one. Then the
 simulated vehicle of docs/vehicle.md, noise of 0.02 m/s, all axes moved at once and one alone: the share
 beside the error that the best linear model leaves on the same flights without noise.
+
+`python -m bench.nonlinearity verdict [PLANTS] [SEED]`: half as many plants of either kind, fitted and judged
+as `flysid fit` does it: whether the answer, from the training flights alone, foretells that rules are better.
 """
 
 from __future__ import annotations
@@ -15,7 +18,17 @@ import numpy as np
 
 import flysid
 from bench.vehicle import PERIOD_S, STARTED, flight
-from bench.verdict_fairness import TRAIN, Plant, flights, linear_plant, nonlinear_plant
+from bench.verdict_fairness import (
+    TRAIN,
+    Outcome,
+    Plant,
+    Task,
+    flights,
+    judge_task,
+    linear_plant,
+    nonlinear_plant,
+)
+from bench.verdict_fairness import share as counted
 from flysid.dataset import Dataset, FloatArray
 from flysid.ingest.synth.plants import LOOPS
 from flysid.model.base import Fitted
@@ -81,9 +94,34 @@ def vehicle(axis_alone: bool) -> None:
             print(f"| {loop} | {100 * share:g} % | {100 * true:.1f} % | {said} |", flush=True)
 
 
+def foretold(kind: str, seed: int) -> tuple[bool, Outcome | str]:
+    """Whether a plant's training flights look nonlinear, and what is then said of it."""
+    rng = np.random.default_rng(seed)
+    plant = linear_plant(rng) if kind == "linear" else nonlinear_plant(rng)
+    return asked(flights(plant, TRAIN, rng, "t"))[1].found, judge_task(Task(kind, seed))
+
+
+def verdicts(count: int, seed: int) -> None:
+    """A line per plant, then how often the verdict was foretold."""
+    right = judged = 0
+    for at in range(seed, seed + count // 2):
+        for kind in ("linear", "nonlinear"):
+            found, outcome = foretold(kind, at)
+            print(f"{kind:9s} {'found' if found else 'none '} {outcome}", flush=True)
+            if isinstance(outcome, Outcome):
+                judged += 1
+                right += found == (outcome.verdict in ("better", "contested"))
+    print(counted("the verdict foretold", right, judged))
+
+
 def main() -> None:
     """Print everything."""
-    count, seed = ([int(a) for a in sys.argv[1:]] + [200, 700][len(sys.argv) - 1 :])[:2]
+    judged = sys.argv[1:2] == ["verdict"]
+    given = [int(a) for a in sys.argv[1 + judged :]]
+    count, seed = (given + ([60, 3000] if judged else [200, 700])[len(given) :])[:2]
+    if judged:
+        verdicts(count, seed)
+        return
     plants(linear_plant, count, seed)
     plants(nonlinear_plant, count, seed + 1)
     for alone in (False, True):

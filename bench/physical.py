@@ -1,9 +1,10 @@
 """What the physical model finds of a vehicle whose numbers are known, and what it is worth on real flights.
 
-`python -m bench.physical known [flights] [first seed]`: the simulated AR.Drone, 60 s of random steps on all
-commands, motor commands that act 10 ms after their row, 250 rows a second, gyro noise of 0.5 deg/s; errors
-and how often the 95 % intervals hold, without and with what the model leaves out (gyroscopic torques, a
-falling battery).
+`python -m bench.physical known [flights] [first seed] [plain|all|battery]`: the simulated AR.Drone, 60 s of
+random steps on all commands, motor commands that act 10 ms after their row, 250 rows a second, gyro noise of
+0.5 deg/s; errors and how often the 95 % intervals hold, without and with what the model leaves out
+(gyroscopic torques, a falling battery); then a battery that loses a tenth of its voltage in the flight and
+is measured (0.02 V of noise), so that commands act as the first power of its voltage.
 `python -m bench.physical real`: free runs on held-out real flights beside ARX and TS (../shared/logs).
 """
 
@@ -38,6 +39,10 @@ LATE_S = 0.010
 NOISE_DEG_S = 0.5
 COMMAND_S = 0.02
 RATES = ("p", "q", "r")
+SAG = 0.1
+FULL_V = 12.6
+VOLT_NOISE = 0.02
+POWER = "power of the battery's voltage"
 PLAIN = replace(ALL, gyroscopic=False, battery_sag=False)
 
 LOGS = Path("../shared/logs")
@@ -51,8 +56,11 @@ REAL = (
 """Name, recipe, channel and logs."""
 
 
-def flown(seed: int, effects: Effects = PLAIN, seconds: float = 60.0) -> tuple[Dataset, Vehicle]:
+def flown(
+    seed: int, effects: Effects = PLAIN, seconds: float = 60.0, measured: bool = False
+) -> tuple[Dataset, Vehicle]:
     """Motor commands and body rates of one flight: what its inner loop told the motors, held from row to row.
+    With a measured voltage the battery is a small one, empty when the flight ends.
 
     The inner loop of the simulator has no rows; what it told every 4 ms is therefore flown again, held, late.
     """
@@ -63,11 +71,17 @@ def flown(seed: int, effects: Effects = PLAIN, seconds: float = 60.0) -> tuple[D
     commands = np.column_stack([amplitude_steps(time_s, hold, peak, rng) for hold, peak in sizes])
     told = fly_vehicle(vehicle, commands, period_s=COMMAND_S, record_s=DT_S).told
     sag = vehicle.airframe.sag / vehicle.airframe.endurance_s if effects.battery_sag else 0.0
+    if measured:
+        sag = SAG / seconds
     rates = np.empty((len(told), 3))
     replayed(told, round(DT_S / STEP_S), round(LATE_S / STEP_S), sag, vehicle.physics().packed(), rates)
     rates = np.degrees(rates) + NOISE_DEG_S * rng.standard_normal(rates.shape)
     motors = [Signal(f"motor {i}", "rad/s") for i in range(1, 5)]
     outputs = [Signal(name, "deg/s") for name in RATES]
+    if measured:
+        volts = FULL_V * (1.0 - sag * DT_S * np.arange(len(told)))
+        told = np.column_stack([told, volts + VOLT_NOISE * rng.standard_normal(len(told))])
+        motors.append(Signal("battery", "V"))
     return Dataset.from_arrays(told, rates, DT_S, inputs=motors, outputs=outputs), vehicle
 
 
@@ -109,22 +123,24 @@ def truth(vehicle: Vehicle, data: Dataset) -> list[dict[str, float]]:
     effects = np.array(
         [[0.0, force / ixx, 0.0, -force / ixx], [-force / iyy, 0.0, force / iyy, 0.0], [twist, -twist] * 2]
     )
-    u = data.segments[0].u
+    u = data.segments[0].u[:, :4]
     sag = frame.sag / frame.endurance_s if vehicle.effects.battery_sag else 0.0
-    volts = 1.0 - sag * 0.5 * len(u) * DT_S
+    volts = 1.0 - (0.5 * SAG if len(data.inputs) > 4 else sag * 0.5 * len(u) * DT_S)
     mean = volts**2 * u.mean(axis=0)
     shared = {"motor lag": frame.motor_lag_s, "dead time": LATE_S}
     return [
         shared
-        | {"thrust curve (0 straight, 1 square)": 1.0, "drag of the rotors": 0.0}
+        | {"thrust curve (0 straight, 1 square)": 1.0, "drag of the rotors": 0.0, POWER: 1.0}
         | {f"effect of motor {i + 1}": float(np.degrees(2.0 * row[i] * mean[i])) for i in range(4)}
         for row in effects
     ]
 
 
-def errors(seed: int, effects: Effects = PLAIN) -> list[tuple[str, str, float, float, bool]]:
+def errors(
+    seed: int, effects: Effects = PLAIN, measured: bool = False
+) -> list[tuple[str, str, float, float, bool]]:
     """(rate, figure, value, truth, held) of everything that the flight determines and that is not zero."""
-    data, vehicle = flown(seed, effects)
+    data, vehicle = flown(seed, effects, measured=measured)
     model = Multirotor().fit(data)
     found = []
     for i, right in enumerate(truth(vehicle, data)):
@@ -136,10 +152,15 @@ def errors(seed: int, effects: Effects = PLAIN) -> list[tuple[str, str, float, f
     return found
 
 
-def known(flights: int, first: int) -> None:
+def known(flights: int, first: int, only: str = "") -> None:
     """Errors and intervals over flights."""
-    for words, effects in (("as the model has it", PLAIN), ("all effects", ALL)):
-        rows = [row for seed in range(first, first + flights) for row in errors(seed, effects)]
+    kinds = {
+        "plain": ("as the model has it", PLAIN, False),
+        "all": ("all effects", ALL, False),
+        "battery": ("a battery that is measured", PLAIN, True),
+    }
+    for words, effects, measured in [kinds[only]] if only else kinds.values():
+        rows = [row for seed in range(first, first + flights) for row in errors(seed, effects, measured)]
         print(f"{words}, {flights} flights")
         for name in dict.fromkeys((rate, figure) for rate, figure, *_ in rows):
             own = [row for row in rows if row[:2] == name]
@@ -148,6 +169,9 @@ def known(flights: int, first: int) -> None:
                 f"  {name[0]} {name[1]:36s} median {np.median(off):+6.2f} %, worst {np.abs(off).max():5.2f} "
                 f"%, interval holds {100 * np.mean([row[4] for row in own]):3.0f} % of {len(own)}"
             )
+        held = [row[4] for row in rows]
+        far = [abs(row[2] / row[3] - 1.0) < 0.05 for row in rows]
+        print(f"  held {sum(held)} of {len(held)}, within 5 % {sum(far)} of {len(far)}", flush=True)
 
 
 def real(names: Sequence[str]) -> None:
@@ -177,5 +201,5 @@ if __name__ == "__main__":
     if kind == "real":
         real(rest)
     else:
-        count, seed_0 = (*map(int, rest), *(10, 1)[len(rest) :])
-        known(count, seed_0)
+        count, seed_0 = (*map(int, rest[:2]), *(10, 1)[len(rest[:2]) :])
+        known(count, seed_0, *rest[2:3])

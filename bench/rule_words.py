@@ -28,7 +28,7 @@ from flysid.ingest.synth.plants import LOOPS
 from flysid.ingest.synth.rigid_body import ALL, Vehicle, fly_vehicle
 from flysid.ingest.synth.vehicles import dispersed
 from flysid.model.base import OperatingPoint
-from flysid.model.rules.phrases import answers_like
+from flysid.model.rules.phrases import answers_like, meaning
 from flysid.model.ts import TS
 from flysid.model.ts_best import BestTS
 from flysid.model.ts_state_space import TSStateSpace
@@ -246,11 +246,17 @@ FLOWN: dict[str, Flown] = {
 
 @dataclass(frozen=True)
 class Told:
-    """One fitted model: its points, rules, pairs of rules with one label, and pairs that answer alike."""
+    """One fitted model: its points and rules.
+
+    Attributes
+    ----------
+    labels, words, alike : pairs of rules with one label, of which the same is said, that answer alike.
+    """
 
     rows: tuple[Row, ...]
     rules: int
     labels: int
+    words: int
     alike: int
 
 
@@ -260,10 +266,17 @@ def told(flown: Flown, seed: int) -> Told:
     model = flown.estimator().fit(data)
     rules = model.rules()
     pairs = list(combinations(rules, 2))
+    signals = (data.outputs, data.inputs)
+    points = getattr(model, "operating_points", ())
+    words = [
+        meaning(rule, signals, rules[:at], points).rpartition(", strongest for")[0]
+        for at, rule in enumerate(rules)
+    ]
     return Told(
         tuple(rows_of(model, true_at, flown.small)),
         len(rules),
         sum(a.condition == b.condition for a, b in pairs),
+        sum(a == b for a, b in combinations(words, 2)),
         sum(answers_like(a, b) for a, b in pairs),
     )
 
@@ -287,7 +300,8 @@ def line(name: str, models: list[Told]) -> str:
     return (
         f"{name:18s} {len(models):2d} seeds {len(rows):4d} points {rules:.1f} rules | "
         f"own {off('said', 'own')} | truth {off('said', 'true')} | before {off('rule', 'true')} | "
-        f"held {shares} | same labels {sum(m.labels for m in models)} alike {sum(m.alike for m in models)}"
+        f"held {shares} | same labels {sum(m.labels for m in models)} words {sum(m.words for m in models)} "
+        f"alike {sum(m.alike for m in models)}"
     )
 
 

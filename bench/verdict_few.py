@@ -2,6 +2,8 @@
 
 `python -m bench.verdict_few equal [trials [seed]]`: two models that are equally good by construction (gains
 of 0.9 and 1.1 on flights whose gain is 1 +- 0.1): how often one is called better or worse, by flights.
+`python -m bench.verdict_few evenly [trials [seed]]`: the same where gains are spread evenly from 0.83 to
+1.17, and what 5 % of the t's of so few evenly spread numbers exceed, over Student's t.
 
 `python -m bench.verdict_few rotation [plants [seed]]`: six flights of 60 s in all, every one left out once,
 and everything fitted anew in every fold: ARX and TS of two rules on plants that are linear, and on nonlinear
@@ -17,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
+from scipy.special import stdtrit
 
 from bench.verdict_fairness import DT_S, Plant, flights, linear_plant, nonlinear_plant
 from flysid.dataset import Dataset, FloatArray
@@ -27,11 +30,14 @@ from flysid.model.ts import TS
 from flysid.split import plan_folds
 from flysid.validate.compare_models import Turn, compare
 from flysid.validate.comparison import Pair
+from flysid.validate.intervals import change
 from flysid.validate.trials import FREE_RUN
-from flysid.validate.verdict import Verdict
+from flysid.validate.verdict import Evidence, Verdict, decide
 from tests.fakes import FirstOrder
 
 POLE = 0.9
+FLIGHTS = (2, 3, 4, 5, 6, 8, 12)
+DRAWS = 10_000_000
 IN_ALL = 6
 ROWS = 1200  # 60 s
 FRESH = 60
@@ -56,12 +62,43 @@ def equal_verdict(flights_held: int, rows: int, rng: np.random.Generator, spread
 def equal(trials: int, seed: int) -> Iterator[str]:
     """A line per number of flights and their length."""
     for rows in (600, 10_000):
-        for count in (1, 2, 3, 4, 5, 8, 12):
+        for count in FLIGHTS:
             rng = np.random.default_rng((seed, count, rows))
-            said = [equal_verdict(count, rows, rng) for _ in range(trials)]
-            wrong = sum(p.verdict in (Verdict.BETTER, Verdict.WORSE) for p in said)
-            what = f"{count:2d} flights of {rows * DT_S:3.0f} s, scope {said[0].scope}"
-            yield f"{what}: {wrong} of {trials} called better or worse"
+            wrong = sum(told_apart(1.0 + 0.1 * rng.normal(size=count), rows, rng) for _ in range(trials))
+            yield f"{count:2d} flights of {rows * DT_S:3.0f} s: {wrong} of {trials} called better or worse"
+
+
+def evenly(trials: int, seed: int) -> Iterator[str]:
+    """A line per number of flights, then one per number of evenly spread numbers."""
+    for count in FLIGHTS:
+        rng = np.random.default_rng((seed, count))
+        wrong = sum(told_apart(rng.uniform(0.83, 1.17, count), 600, rng) for _ in range(trials))
+        yield f"{count:2d} flights of 30 s: {wrong} of {trials} called better or worse"
+    rng = np.random.default_rng(seed)
+    for count in range(2, 13):
+        ratio = np.mean([_quantile(rng.random((DRAWS // 10, count)) - 0.5) for _ in range(10)])
+        yield f"{count:2d} numbers: {ratio / stdtrit(count - 1, 0.975):.3f} times Student's t"
+
+
+def told_apart(gains: FloatArray, rows: int, rng: np.random.Generator) -> bool:
+    """Whether one of the models of gains 0.9 and 1.1 is called better on flights of these gains."""
+    low = []
+    high = []
+    for gain in gains:
+        u, y = flight_of(gain, rows, rng)
+        run = lfilter([0.0, 1.0 - POLE], [1.0, -POLE], u, axis=0)
+        low.append((y - 0.9 * run)[:, 0])
+        high.append((y - 1.1 * run)[:, 0])
+    found = change(low, high, [str(i) for i in range(len(gains))]).interval
+    assert found is not None
+    evidence = Evidence(1.0, 2.0, 0.0, low_pct=found.low_pct, high_pct=found.high_pct, p=found.p)
+    return decide(evidence)[0] in (Verdict.BETTER, Verdict.WORSE)
+
+
+def _quantile(values: FloatArray) -> float:
+    """What 5 % of the t's of the rows (N, n) exceed, either way."""
+    t = values.mean(axis=1) / values.std(axis=1, ddof=1) * np.sqrt(values.shape[1])
+    return float(np.quantile(np.abs(t), 0.95))
 
 
 @dataclass(frozen=True)
@@ -116,10 +153,10 @@ def rotation(plants: int, seed: int) -> Iterator[str]:
 def main() -> None:
     """Print the lines of the trial asked for."""
     kind = sys.argv[1] if len(sys.argv) > 1 else "equal"
-    count = int(sys.argv[2]) if len(sys.argv) > 2 else (200 if kind == "equal" else 20)
+    count = int(sys.argv[2]) if len(sys.argv) > 2 else (20 if kind == "rotation" else 200)
     seed = int(sys.argv[3]) if len(sys.argv) > 3 else 4242
     print(f"{kind}, {count} each, seed {seed}")
-    for line in (equal if kind == "equal" else rotation)(count, seed):
+    for line in {"equal": equal, "evenly": evenly, "rotation": rotation}[kind](count, seed):
         print(line, flush=True)
 
 

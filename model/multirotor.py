@@ -8,13 +8,16 @@ those that predict one step ahead best beside disturbances of torque that wander
 feedback does not bend them (as it does a fit to the free run); cf. Eschmann, Albani & Loianno, Data-driven
 system identification of quadrotors subject to motor delays (2024).
 
-What it leaves out: what rotors' own inertia does to yaw, coupling of axes, translation, the battery.
+An input in volts is the battery's voltage: commands then act as much as its power says, from 0 (governed
+speed) by way of 1 (a share of the voltage) on.
+
+What it leaves out: what rotors' own inertia does to yaw, coupling of axes, translation.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -104,8 +107,9 @@ class Multirotor:
 
         Raises
         ------
-        UsageError : settings that cannot be, or no dataset. DataError : too few samples, a signal that never
-        changes. FitError : no start is finite.
+        UsageError : settings that cannot be, or no dataset; two inputs in volts, or no command beside one.
+        DataError : too few samples, a signal that never changes, a voltage that is not above 0. FitError : no
+        start is finite.
         """
         if self.kind not in ("auto", "rate", "acceleration"):
             raise UsageError(f"kind is {self.kind!r}", hint="'auto', 'rate' or 'acceleration'")
@@ -117,13 +121,21 @@ class Multirotor:
             raise DataError(
                 f"{len(u)} samples are too few for a physical model", hint=f"record at least {needed}"
             )
+        battery = _battery_of(train.inputs)
+        if battery is not None and not (u[:, battery] > 0.0).all():
+            raise DataError(f"{train.inputs[battery].name} is not above 0 V throughout")
+        motors = [j for j in range(u.shape[1]) if j != battery]
         u_scale = np.abs(u).max(axis=0)
         y_scale = np.sqrt(np.mean(y**2, axis=0))
         curved = bool((u >= 0.0).all()) if self.curve is None else self.curve
         kinds = tuple(self._integrates(signal) for signal in train.outputs)
+        u_mean = u.mean(axis=0)
         axes = []
         for i, integrates in enumerate(kinds):
-            records: list[Record] = [(s.u / u_scale, s.y[:, i] / y_scale[i]) for s in train.segments]
+            records: list[Record] = [
+                (s.u[:, motors] / u_scale[motors], s.y[:, i] / y_scale[i], _volts(s.u, battery, u_mean))
+                for s in train.segments
+            ]
             axes.append(fit_axis(records, train.dt_s, integrates, curved))
         return FittedMultirotor(
             dt_s=train.dt_s,
@@ -133,7 +145,7 @@ class Multirotor:
             integrates=kinds,
             axes=tuple(axes),
             u_scale=u_scale,
-            u_mean=u.mean(axis=0),
+            u_mean=u_mean,
             y_scale=y_scale,
         )
 
@@ -168,6 +180,16 @@ class FittedMultirotor(FreeRuns):
     n_init = 1
 
     @property
+    def battery(self) -> int | None:
+        """Which input is the battery's voltage."""
+        return _battery_of(self.inputs)
+
+    @property
+    def motors(self) -> list[int]:
+        """Which inputs are commands."""
+        return [j for j in range(len(self.inputs)) if j != self.battery]
+
+    @property
     def n_parameters(self) -> int:
         """Estimated numbers of all outputs, of the disturbance's too."""
         return sum(len(a.free) for a in self.axes)
@@ -199,21 +221,57 @@ class FittedMultirotor(FreeRuns):
         if self.integrates[output]:
             found.append(self._figure(axis, "drag of the rotors", DAMPING, "1/s"))
             unit = f"{unit}/s"
+        if self.battery is not None:
+            found.append(self._figure(axis, "power of the battery's voltage", len(theta) - 1, "", least=1.0))
         mean = self.u_mean / self.u_scale
-        for j, command in enumerate(self.inputs):
+        for at, j in enumerate(self.motors, start=FIRST):
+            command = self.inputs[j]
             about = 1.0 - theta[CURVE] + 2.0 * theta[CURVE] * mean[j]
             slope = np.zeros(len(theta))
-            slope[FIRST + j] = about
-            slope[CURVE] = theta[FIRST + j] * (2.0 * mean[j] - 1.0)
+            slope[at] = about
+            slope[CURVE] = theta[at] * (2.0 * mean[j] - 1.0)
             per = size / float(self.u_scale[j])
-            value = per * theta[FIRST + j] * about
+            value = per * theta[at] * about
             half = Z95 * abs(per) * math.sqrt(max(float(slope @ axis.covariance @ slope), 0.0))
             per_unit = f"{unit} per {command.unit or '1'}"
             found.append(AxisFigure(f"effect of {command.name}", value, per_unit, half, value))
         half = Z95 * size * float(np.sqrt(max(axis.covariance[TRIM, TRIM], 0.0)))
-        largest = size * float(np.abs(theta[FIRST:]).max())
+        largest = size * float(np.abs(self._torques(axis)).max())
         found.append(AxisFigure("trim", size * float(theta[TRIM]), unit, half, largest))
         return tuple(found)
+
+    def hover_command(self, volts: float, output: int = 0) -> tuple[float, float]:
+        """By how much larger commands must be at a voltage than at the mean one for the same thrust.
+
+        Returns
+        -------
+        ratio, half_width : commands over those at the mean voltage of training, and half its 95 % interval.
+
+        Raises
+        ------
+        UsageError : the model has no input in volts; a voltage that is not above 0.
+
+        Examples
+        --------
+        >>> ratio, half_width = model.hover_command(10.5)  # an input of the model is in V
+        """
+        if self.battery is None:
+            raise UsageError("no input is in volts", hint="fit with the battery's voltage among the inputs")
+        if not volts > 0.0:
+            raise UsageError(f"a battery of {volts:g} V")
+        axis = self.axes[output]
+        far = math.log(volts / float(self.u_mean[self.battery]))
+        ratio = math.exp(-float(axis.theta[-1]) * far)
+        known = len(axis.theta) - 1 in axis.free
+        error = math.sqrt(max(float(axis.covariance[-1, -1]), 0.0)) if known else np.nan
+        return ratio, Z95 * error * abs(far) * ratio
+
+    def _torques(self, axis: Axis) -> FloatArray:
+        return axis.theta[FIRST : FIRST + len(self.motors)]
+
+    def _driven(self, u: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+        """Commands over their largest (N, n), and the logarithm of the voltage over its mean (N,)."""
+        return u[:, self.motors] / self.u_scale[self.motors], _volts(u, self.battery, self.u_mean)
 
     def _figure(self, axis: Axis, name: str, index: int, unit: str, least: float = 0.0) -> AxisFigure:
         value = float(axis.theta[index])
@@ -251,8 +309,9 @@ class FittedMultirotor(FreeRuns):
                 raise UsageError("a simulation starts from 1 measured output, not 0")
         if not len(u):
             return np.zeros((0, n_y))
+        x, volts = self._driven(u)
         columns = [
-            free_run(u / self.u_scale, first[0, i] / self.y_scale[i], a.theta, self.dt_s, kind, y0 is None)
+            free_run(x, first[0, i] / self.y_scale[i], a.theta, self.dt_s, kind, y0 is None, volts)
             for i, (a, kind) in enumerate(zip(self.axes, self.integrates, strict=True))
         ]
         out = saturated(np.column_stack(columns) * self.y_scale, self.output_limits)
@@ -271,9 +330,10 @@ class FittedMultirotor(FreeRuns):
         out = np.full(y.shape, np.nan)
         if len(y) <= k:
             return out
+        x, volts = self._driven(u)
         for i, (axis, kind) in enumerate(zip(self.axes, self.integrates, strict=True)):
             scaled = y[:, i] / self.y_scale[i]
-            ahead = steps_ahead(u / self.u_scale, scaled, axis.theta, self.dt_s, kind, k)
+            ahead = steps_ahead(x, scaled, axis.theta, self.dt_s, kind, k, volts)
             out[k:, i] = ahead[k:] * self.y_scale[i]
         return out
 
@@ -287,7 +347,10 @@ class FittedMultirotor(FreeRuns):
         slow = 0.0
         for i, axis in enumerate(self.axes):
             about = 1.0 - axis.theta[CURVE] + 2.0 * axis.theta[CURVE] * self.u_mean / self.u_scale
-            push = self.y_scale[i] * axis.theta[FIRST:] * about / self.u_scale
+            push = np.full(len(self.inputs), np.nan)
+            push[self.motors] = (self.y_scale[i] * self._torques(axis) * about[self.motors]) / self.u_scale[
+                self.motors
+            ]
             damping = float(axis.theta[DAMPING])
             if not self.integrates[i]:
                 gain[i] = push
@@ -332,12 +395,42 @@ class FittedMultirotor(FreeRuns):
         write_document(self.to_dict(), path)
 
 
+def _battery_of(inputs: Sequence[Signal]) -> int | None:
+    """Which input is in volts.
+
+    Raises
+    ------
+    UsageError : several are, or nothing else is there.
+    """
+    found = [j for j, signal in enumerate(inputs) if _is_voltage(signal)]
+    if len(found) > 1 or (found and len(inputs) == 1):
+        raise UsageError(
+            "a physical model takes commands, and one voltage of the battery at most",
+            hint="give the voltage of one battery, or commands in another unit than V",
+        )
+    return found[0] if found else None
+
+
+def _is_voltage(signal: Signal) -> bool:
+    return signal.unit == "V"
+
+
+def _volts(u: FloatArray, battery: int | None, mean: FloatArray) -> FloatArray | None:
+    """(N,) logarithm of the voltage over its mean in training; None where it is not measured."""
+    if battery is None:
+        return None
+    least = 1e-6 * mean[battery]
+    return np.asarray(np.log(np.maximum(u[:, battery], least) / mean[battery]))
+
+
 def from_dict(document: Mapping[str, Any]) -> FittedMultirotor:
     """Rebuild a model from `to_dict()`; damage raises KeyError, TypeError or ValueError."""
     inputs = signals_of(document, "inputs")
+    if sum(_is_voltage(signal) for signal in inputs) > 1:
+        raise ValueError("two voltages")
     outputs = signals_of(document, "outputs")
     dt_s = float(document["dt_s"])
-    size = FIRST + len(inputs)
+    size = FIRST + len(inputs)  # a torque for every command; the power of an input in volts
     theta = array_of(document, "theta", len(outputs), size)
     kinds = tuple(bool(k) for k in document["integrates"])
     axes = []

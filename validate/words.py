@@ -11,6 +11,7 @@ from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import LARGE_PCT, MARGIN_PCT, Verdict
 
 BELOW = "< resolution"
+CERTAIN = 0.95
 
 
 def one_line(text: str) -> str:
@@ -96,9 +97,9 @@ def scope_words(pair: Pair) -> list[str]:
     shown = pair.verdict in (Verdict.BETTER, Verdict.WORSE)
     if pair.basis.rotated:
         turns = f"models fitted to these {pair.units} flights, judged on flights that they had not seen"
-        return [f"{turns} (each left out once)", *_pooled_words(pair)]
+        return [f"{turns} (each left out once)", *_rare_words(pair, shown), *_pooled_words(pair)]
     if pair.scope is Scope.ANOTHER:
-        return [*_few_words(pair, shown), *_pooled_words(pair)]
+        return [*_few_words(pair, shown), *_rare_words(pair, shown), *_pooled_words(pair)]
     said = []
     if pair.scope is Scope.THESE:
         said.append("these are parts of flights that the models trained on: another flight may differ")
@@ -119,6 +120,14 @@ def _few_words(pair: Pair, shown: bool) -> list[str]:
         f"too few flights to generalise to another; on these {pair.units}: lower on {lower}, "
         f"{percent(pair.change_pct)} typically"
     ]
+
+
+def _rare_words(pair: Pair, shown: bool) -> list[str]:
+    """Which kinds of flights may be missing: those that N flights hold with less than 95 % certainty."""
+    often = 1.0 - (1.0 - CERTAIN) ** (1.0 / pair.units)
+    if not shown or often > 0.5:  # of fewer than five flights more is said, or too little to say this
+        return []
+    return [f"{pair.units} flights say nothing of a kind that is rarer than one in {int(1.0 / often)}"]
 
 
 def _pooled_words(pair: Pair) -> list[str]:

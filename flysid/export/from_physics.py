@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from flysid.dataset import FloatArray, Signal
+from flysid.errors import UsageError
 from flysid.export.program import BOUND, Program, Worked
 from flysid.model.multirotor import FittedMultirotor
 from flysid.model.rotorcraft.axis_fit import Axis
@@ -23,7 +24,17 @@ _SPEED, _BEFORE, _NOW = np.eye(3)
 
 
 def multirotor_program(model: FittedMultirotor) -> Program:
-    """Outputs, then the motors of every output."""
+    """Outputs, then the motors of every output.
+
+    Raises
+    ------
+    UsageError : the model feels the battery's voltage.
+    """
+    if model.battery is not None:
+        raise UsageError(
+            "a physical model with the battery's voltage cannot be exported",
+            hint="fit one without the input in volts",
+        )
     n_y = len(model.outputs)
     n_u = len(model.inputs)
     n = n_y * (1 + n_u)

@@ -48,6 +48,8 @@ ORDER_LOSS = 0.02
 PATIENCE = 2
 WORSE_FIT = 1.5
 """Mean square of the free run over the fitting part, relative to a simpler candidate's, that is too much."""
+STRONG = 10.0
+"""Squared gain over its variance: very strong evidence (Kass & Raftery, 1995, J. Am. Stat. Assoc. 90)."""
 CANCELLING = np.array([1.0, -0.5])
 """A pole and a zero that leave a transfer as it is."""
 
@@ -239,7 +241,7 @@ def choose_orders(parts: Parts, candidates: Sequence[Sequence[Orders]]) -> tuple
     no free run can. The search ends when two orders in a row were no better than the best before.
 
     What a lower order may cost is bounded by `ORDER_LOSS`, but not where a zero nearly cancels a pole: that
-    pole describes nothing, and goes unless the free run notices.
+    pole describes nothing, and goes unless the free run notices beyond doubt.
 
     Parameters
     ----------
@@ -324,7 +326,8 @@ def _reduced(
 ) -> _Tried:
     """The last of these, or with lower orders for outputs that have a pole which a zero nearly cancels.
 
-    A lower order is taken where the free run is worse by no more than the standard error of the difference.
+    Such a pair has a place that the search was free to choose, among six orders, so that a gain of one or two
+    standard errors is chance: the lower order is taken unless the evidence against it is very strong.
     """
     kept = tried[-1]
     for lower in reversed(tried[:-1]):
@@ -337,7 +340,7 @@ def _reduced(
         ]
         errors = judged(fits)
         gap = errors - kept.errors
-        if gap.mean() <= standard_error(gap):
+        if gap.mean() <= np.sqrt(STRONG) * standard_error(gap):
             kept = _Tried(fits, errors)
     return kept
 

@@ -24,9 +24,12 @@ from flysid.model.rotorcraft.rotor_axis import (
     predictions,
 )
 
-Record = tuple[FloatArray, FloatArray]
-"""Commands over their largest (N, n_u), and one output (N,) over its standard deviation."""
+Record = tuple[FloatArray, FloatArray, FloatArray | None]
+"""Commands over their largest (N, n), one output (N,) over its standard deviation, and where it is measured
+the logarithm of the voltage over its mean (N,)."""
 
+POWER = (-1.0, 4.0)
+"""Of the battery's voltage in what a command does: 0 is governed speed, 1 a share of the voltage."""
 STEPS = 60
 ENOUGH = 1e-12
 """Share of the sum of squares that a step must win for another one."""
@@ -60,8 +63,10 @@ def fit_axis(records: Sequence[Record], dt: float, integrates: bool, curved: boo
     ------
     FitError : no start predicts anything finite.
     """
-    count = records[0][0].shape[1]
+    count = records[0][0].shape[1] + _sags(records)
     low, high = _range(dt, count, integrates)
+    if _sags(records):
+        low[-1], high[-1] = POWER
     wanted = [LAG, DELAY, *([CURVE] if curved else []), TRIM, HOLD]
     wanted += [DAMPING, DRIFT] if integrates else []
     wanted += list(range(FIRST, FIRST + count))
@@ -71,6 +76,11 @@ def fit_axis(records: Sequence[Record], dt: float, integrates: bool, curved: boo
         raise FitError("no start of the physical model is finite", hint="check the units of the signals")
     best = min((_descended(records, s, dt, integrates, free, low, high) for s in starts), key=lambda f: f[0])
     return _judged(records, best[1], dt, integrates, free, low, high)
+
+
+def _sags(records: Sequence[Record]) -> bool:
+    """Whether the voltage is measured."""
+    return records[0][2] is not None
 
 
 def _range(dt: float, count: int, integrates: bool) -> tuple[FloatArray, FloatArray]:
@@ -96,10 +106,11 @@ def _starts(
     records: Sequence[Record], dt: float, integrates: bool, curved: bool, free: FloatArray
 ) -> list[FloatArray]:
     """The best three of a grid of lags and delays, torques and trim by least squares: y is linear in them."""
-    linear = [TRIM, *(int(i) for i in free if i >= FIRST)]
+    count = records[0][0].shape[1]
+    linear = [TRIM, *(int(i) for i in free if FIRST <= i < FIRST + count)]
     found: list[tuple[float, FloatArray]] = []
     for lag, delay in product((0.7 * dt, 0.02, 0.06, 0.15), (0.0, 1.5 * dt, 0.015, 0.05)):
-        theta = np.zeros(FIRST + records[0][0].shape[1])
+        theta = np.zeros(FIRST + count + _sags(records))
         theta[[LAG, DELAY, CURVE, HOLD]] = lag, delay, 0.5 if curved else 0.0, 0.3
         if integrates:
             theta[[DAMPING, DRIFT]] = 1.0, 0.01
@@ -129,8 +140,8 @@ def _stacked(
     """Innovations and derivatives of the predictions, without the rows that start them."""
     errors = []
     slopes = []
-    for x, y in records:
-        ahead, slope = predictions(x, y, theta, dt, integrates)
+    for x, y, volts in records:
+        ahead, slope = predictions(x, y, theta, dt, integrates, volts)
         errors.append(y[1:] - ahead[1:])
         slopes.append(slope[1:])
     return errors, slopes

@@ -1,6 +1,7 @@
 """The equations of one axis, with the derivatives of every prediction by every parameter.
 
-    lag dn_i/dt = x_i(t - delay) - n_i           motors, x_i = command over its largest in training
+    x_i = command over its largest in training, times (voltage / mean voltage)^volts where one is measured
+    lag dn_i/dt = x_i(t - delay) - n_i           motors
     g(t) = sum_i torque_i ((1 - curve) n_i + curve n_i^2)
     dy/dt = g(t) + trim - damping y              a body rate; or y = g(t) + trim, an acceleration
 
@@ -9,7 +10,7 @@ innovation e = y - prediction corrects the rate by `hold` e and the trim by `dri
 of torque that wander, as wind and a falling battery do (Ljung, System Identification, 1999, 4.3 and 10.1:
 prediction errors, which feedback does not bend). Without both it is the free run.
 
-Parameters stand in the order of `NAMES`, then one torque per command.
+Parameters stand in the order of `NAMES`, then one torque per command, then `volts` where voltage is measured.
 """
 
 from __future__ import annotations
@@ -52,13 +53,33 @@ def _moved(n, n_lag, n_delay, target, h, grows, lag, sums):  # type: ignore[no-u
 
 
 @njit(cache=True)
-def run(x, y, theta, dt, integrates, resting, out, slopes):  # type: ignore[no-untyped-def]
+def _carried(n, by, target, target_by, h, lag, sums):  # type: ignore[no-untyped-def]
+    """The derivative `by` of a motor's speed, h seconds later, by what moves its target only.
+
+    sums (2,) grows by the derivatives of the integrals of n and n^2.
+    """
+    fade = math.exp(-h / lag)
+    apart = n - target
+    apart_by = by - target_by
+    s = lag * (1.0 - fade)
+    q = 0.5 * lag * (1.0 - fade * fade)
+    sums[0] += target_by * h + apart_by * s
+    sums[1] += 2.0 * (
+        target * target_by * h + (target_by * apart + target * apart_by) * s + apart * apart_by * q
+    )
+    return target_by + apart_by * fade
+
+
+@njit(cache=True)
+def run(x, by, y, theta, dt, integrates, resting, out, slopes):  # type: ignore[no-untyped-def]
     """out (N, 3) = predictions, their trims, and torque since the row before; slopes (N, P) = derivatives.
 
     Empty `slopes` (0, P) leave the derivatives out. Row 0 is y[0]. Motors begin at the first command, which
-    held before, or at rest after no command.
+    held before, or at rest after no command. `by` (N, n) are the commands' derivatives by the last
+    parameter, or (0, n) where the voltage is not measured.
     """
     rows, count = x.shape
+    volts = 7 + count if len(by) > 0 and len(slopes) > 0 else -1
     known = theta.size if len(slopes) else 0
     lag = theta[0]
     delay = theta[1]
@@ -80,16 +101,24 @@ def run(x, y, theta, dt, integrates, resting, out, slopes):  # type: ignore[no-u
     n_lag = np.zeros(count)
     n_delay = np.zeros(count)
     sums = np.empty((2, 3))
+    n_by = np.zeros(count)
+    by_sums = np.zeros(2)
     earlier = np.zeros(count)  # the command before the first row
+    earlier_by = np.zeros(count)
     if not resting:
         earlier[:] = x[0]
         n[:] = x[0]
+        if volts >= 0:
+            earlier_by[:] = by[0]
+            n_by[:] = by[0]
     dg = np.zeros(theta.size)
     g = 0.0
     for i in range(count):
         dg[2] += theta[7 + i] * (n[i] * n[i] - n[i])
         dg[7 + i] = (1.0 - curve) * n[i] + curve * n[i] * n[i]
         g += theta[7 + i] * dg[7 + i]
+        if volts >= 0:
+            dg[volts] += theta[7 + i] * (1.0 - curve + 2.0 * curve * n[i]) * n_by[i]
     trim = theta[4]
     rate = y[0] if integrates else g + trim
     d_rate = np.zeros(theta.size)
@@ -115,12 +144,22 @@ def run(x, y, theta, dt, integrates, resting, out, slopes):  # type: ignore[no-u
         then = x[k - whole - 1] if k > whole else earlier
         for i in range(count):
             sums[:] = 0.0
+            if volts >= 0:
+                by_sums[:] = 0.0
+                now_by = by[k - whole, i] if k >= whole else earlier_by[i]
+                then_by = by[k - whole - 1, i] if k > whole else earlier_by[i]
+                halfway = then[i] + (n[i] - then[i]) * math.exp(-past / lag)
+                n_by[i] = _carried(n[i], n_by[i], then[i], then_by, past, lag, by_sums)
+                n_by[i] = _carried(halfway, n_by[i], now[i], now_by, dt - past, lag, by_sums)
             a, b, c = _moved(n[i], n_lag[i], n_delay[i], then[i], past, 1.0, lag, sums)
             n[i], n_lag[i], n_delay[i] = _moved(a, b, c, now[i], dt - past, -1.0, lag, sums)
             torque = theta[7 + i]
             if integrates:  # the torque's mean over the row
                 sums /= dt
+                by_sums /= dt
             else:
+                by_sums[0] = n_by[i]
+                by_sums[1] = 2.0 * n[i] * n_by[i]
                 sums[0, 0] = n[i]
                 sums[0, 1] = n_lag[i]
                 sums[0, 2] = n_delay[i]
@@ -133,6 +172,8 @@ def run(x, y, theta, dt, integrates, resting, out, slopes):  # type: ignore[no-u
             dg[1] += torque * ((1.0 - curve) * sums[0, 2] + curve * sums[1, 2])
             dg[2] += torque * (sums[1, 0] - sums[0, 0])
             dg[7 + i] = f
+            if volts >= 0:
+                dg[volts] += torque * ((1.0 - curve) * by_sums[0] + curve * by_sums[1])
         if integrates:
             held = rate + hold * e
             wandered = trim + drift * e / dt
@@ -160,22 +201,41 @@ def run(x, y, theta, dt, integrates, resting, out, slopes):  # type: ignore[no-u
             rate = g + trim
 
 
+def driven(x: FloatArray, theta: FloatArray, volts: FloatArray | None) -> FloatArray:
+    """(N, n) commands as the motors feel them; volts (N,) are logarithms of the voltage over its mean."""
+    return x if volts is None else x * np.exp(theta[-1] * volts)[:, None]
+
+
 def predictions(
-    x: FloatArray, y: FloatArray, theta: FloatArray, dt: float, integrates: bool
+    x: FloatArray,
+    y: FloatArray,
+    theta: FloatArray,
+    dt: float,
+    integrates: bool,
+    volts: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """(N,) one step ahead, and (N, P) derivatives by every parameter."""
     out = np.empty((len(x), 3))
     slopes = np.empty((len(x), len(theta)))
-    run(x, y, theta, dt, integrates, False, out, slopes)
+    felt = driven(x, theta, volts)
+    by = felt[:0] if volts is None else felt * volts[:, None]
+    run(felt, by, y, theta, dt, integrates, False, out, slopes)
     return out[:, 0], slopes
 
 
 def steps_ahead(
-    x: FloatArray, y: FloatArray, theta: FloatArray, dt: float, integrates: bool, k: int
+    x: FloatArray,
+    y: FloatArray,
+    theta: FloatArray,
+    dt: float,
+    integrates: bool,
+    k: int,
+    volts: FloatArray | None = None,
 ) -> FloatArray:
     """(N,) k steps ahead; the first k rows mean nothing."""
     out = np.empty((len(x), 3))
-    run(x, y, theta, dt, integrates, False, out, np.empty((0, len(theta))))
+    felt = driven(x, theta, volts)
+    run(felt, felt[:0], y, theta, dt, integrates, False, out, np.empty((0, len(theta))))
     fade, reach = what_a_row_keeps(theta, dt)
     trim = out[: len(x) - k + 1, 1]
     ahead = out[: len(x) - k + 1, 0]
@@ -186,13 +246,21 @@ def steps_ahead(
 
 
 def free_run(
-    x: FloatArray, first: float, theta: FloatArray, dt: float, integrates: bool, resting: bool
+    x: FloatArray,
+    first: float,
+    theta: FloatArray,
+    dt: float,
+    integrates: bool,
+    resting: bool,
+    volts: FloatArray | None = None,
 ) -> FloatArray:
     """(N,) from the first output on, the inputs alone."""
     alone = theta.copy()
     alone[[HOLD, DRIFT]] = 0.0
     out = np.empty((len(x), 3))
-    run(x, np.full(1, first), alone, dt, integrates, resting, out, np.empty((0, len(theta))))
+    felt = driven(x, alone, volts)
+    slopes = np.empty((0, len(theta)))
+    run(felt, felt[:0], np.full(1, first), alone, dt, integrates, resting, out, slopes)
     return out[:, 0]
 
 

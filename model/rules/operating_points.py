@@ -1,11 +1,13 @@
 """What a model of rules does about the places at which its vehicle rests, and how sure that is.
 
 Numbers are of tangents (`flysid.model.rules.steady_map`) at places spread over what was flown. Their errors
-are to first order, the place solved anew for every step: noise alone. Too few rules bend a tangent, which no
-covariance shows; what the model with one rule more says there is added, or where growth ended with one
-fewer. Nor does it show that a condition on an input switches all its lags at once: a time is as unsure as
-these are apart. Where the errors still depend on what is simulated, noise is not all there is, and its share
-is widened (`flysid.model.rules.lack_of_fit`).
+are to first order, the place solved anew for every step: noise alone. What a model cannot express, no
+covariance shows; four things do, and as they speak of one and the same error, the largest of them is added:
+what the model with one rule more says there, or where growth ended with one fewer; how much wider errors that
+still depend on what is simulated make the noise's share (`flysid.model.rules.lack_of_fit`); that a condition
+on an input switches all its lags at once, which makes a time as unsure as these are apart; a floor.
+Such an error is the same in every sample and has a bound: it is taken to lie anywhere up to there (JCGM
+100:2008, 4.3.7), so that 95 % are within 1.65 standard deviations, not 1.96.
 """
 
 from __future__ import annotations
@@ -37,7 +39,8 @@ _GRID = 41  # places on the way from one end to the other
 _MODEST = (0.1, 0.5, 0.9)  # quantiles that stand for slow, cruise and fast
 _STEP = 1e-3  # of a standard deviation, for derivatives
 _FLOOR = 0.03  # of a figure: what orders and sampling cost that no model nearby shows
-_LOST = 10.0  # of a logarithm: an error beyond which there is nothing to say, and numbers overflow
+_LOST = 20.0  # of a logarithm: half an interval beyond which there is nothing to say, and numbers overflow
+_EVENLY = 0.95 * np.sqrt(3.0)  # of a standard deviation: what 95 % of evenly spread errors are within
 
 
 class NumberSpread(Protocol):
@@ -66,14 +69,15 @@ def described(model: M, train: Dataset, neighbour: Stage | None = None) -> M:
     noise alone is half of what such numbers are off by.
     """
     sure: NumberSpread | None = None
+    misfit = 1.0
     if neighbour is not None:
         with contextlib.suppress(DataError, np.linalg.LinAlgError), np.errstate(all="ignore"):
-            found = uncertainty(model, train)
-            sure = replace(found, covariance=scale_factor(model, train) ** 2 * found.covariance)
+            misfit = scale_factor(model, train)
+            sure = uncertainty(model, train)
     more = (
         None if neighbour is None else Numbers(neighbour.layout, neighbour.problem.parameters(neighbour.body))
     )
-    points = operating_points(Numbers(model.layout, model.parameters), train, sure, more)
+    points = operating_points(Numbers(model.layout, model.parameters), train, sure, more, misfit)
     return replace(model, operating_points=points)
 
 
@@ -87,7 +91,11 @@ class Place:
 
 
 def operating_points(
-    numbers: Numbers, train: Dataset, sure: NumberSpread | None = None, neighbour: Numbers | None = None
+    numbers: Numbers,
+    train: Dataset,
+    sure: NumberSpread | None = None,
+    neighbour: Numbers | None = None,
+    misfit: float = 1.0,
 ) -> tuple[OperatingPoint, ...]:
     """For every output: places over what was flown; none where the model comes to no rest (it integrates).
 
@@ -97,10 +105,11 @@ def operating_points(
     sure : how sure the model is of its numbers; None: no intervals.
     neighbour : the model with one rule more, or one fewer where growth ended: what it says otherwise widens
         the intervals.
+    misfit : by how much the noise's standard errors are too small (`scale_factor`).
     """
     found: list[OperatingPoint] = []
     for output in range(len(train.outputs)):
-        found += _of_output(_Asked(numbers, train, sure, neighbour, output))
+        found += _of_output(_Asked(numbers, train, sure, neighbour, misfit, output))
     return tuple(found)
 
 
@@ -112,6 +121,7 @@ class _Asked:
     train: Dataset
     sure: NumberSpread | None
     neighbour: Numbers | None
+    misfit: float
     output: int
 
     @property
@@ -215,8 +225,7 @@ def _point(asked: _Asked, place: Place, moved: int) -> OperatingPoint:
     at = place.w * layout.scale + layout.shift
     figures = _figures(steady, asked.numbers.parameters, place, output, moved)
     assert figures is not None
-    error = _errors(asked, place, moved, figures)
-    wide = Z95 * np.minimum(error, _LOST)
+    wide = np.minimum(_half_widths(asked, place, moved, figures), _LOST)
     unit = layout.scale[output] / layout.scale[n:]
     gain = figures[0] * unit
     reached = figures[1] * dt
@@ -248,17 +257,16 @@ def _figures(steady: SteadyMap, par: Parameters, place: Place, output: int, move
     return np.array([(a.gain[output], a.reached[output]) for a in answers]).T
 
 
-def _errors(asked: _Asked, place: Place, moved: int, figures: FloatArray) -> FloatArray:
-    """(2, n_u) standard errors of the logarithms of gain and time; NaN where nothing is known."""
+def _half_widths(asked: _Asked, place: Place, moved: int, figures: FloatArray) -> FloatArray:
+    """(2, n_u) half 95 % intervals of the logarithms of gain and time; NaN where nothing is known."""
     sure = asked.sure
     if sure is None:
         return np.full(figures.shape, np.nan)
     steady = asked.map
     centre = sure.centre()
-    square = np.full(figures.shape, _FLOOR**2)
+    noise = np.zeros(figures.shape)
     root = root_of(sure.covariance)
     with np.errstate(all="ignore"):  # an answer at once takes no time at all
-        square[1] += (_switched(asked.numbers) / figures[1]) ** 2
         for direction in root.T[np.abs(root).max(axis=0) > 0.0]:
             ends = [
                 _figures(steady, sure.parameters_at(centre + way * direction), place, asked.output, moved)
@@ -266,8 +274,11 @@ def _errors(asked: _Asked, place: Place, moved: int, figures: FloatArray) -> Flo
             ]
             if ends[0] is None or ends[1] is None:
                 return np.full(figures.shape, np.nan)
-            square += ((ends[0] - ends[1]) / (2.0 * _STEP * figures)) ** 2
-        return np.asarray(np.sqrt(square + _of_neighbour(asked, place, moved, figures) ** 2))
+            noise += ((ends[0] - ends[1]) / (2.0 * _STEP * figures)) ** 2
+        lack = np.maximum((asked.misfit**2 - 1.0) * noise, _of_neighbour(asked, place, moved, figures) ** 2)
+        lack = np.maximum(lack, _FLOOR**2)
+        lack[1] = np.maximum(lack[1], (_switched(asked.numbers) / figures[1]) ** 2)
+        return np.asarray(np.hypot(Z95 * np.sqrt(noise), _EVENLY * np.sqrt(lack)))
 
 
 def _switched(numbers: Numbers) -> FloatArray:

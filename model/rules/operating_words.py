@@ -149,6 +149,10 @@ def _variation(own: Sequence[OperatingPoint]) -> str:
 def at_loudest(point: OperatingPoint, signals: Signals) -> str:
     """What the model does where a rule speaks its loudest: "near v_x = 1.9 m/s, where one more deg ..."."""
     outputs, inputs = signals
-    output = outputs[point.output]
-    answers = "; ".join(_answer([point], j, output, given) for j, given in enumerate(inputs))
-    return f"near {_place([point], [point], output).removeprefix('Near ')}, where {answers}"
+    answers = "; ".join(_answer([point], j, outputs[point.output], given) for j, given in enumerate(inputs))
+    return f"{near(point, signals)}, where {answers}"
+
+
+def near(point: OperatingPoint, signals: Signals) -> str:
+    """ "near v_x = 1.9 m/s"."""
+    return f"near {_place([point], [point], signals[0][point.output]).removeprefix('Near ')}"

@@ -10,7 +10,7 @@ from flysid.dataset import FloatArray, Signal
 from flysid.model.base import OperatingPoint, Rule
 from flysid.model.rules.linguistics import Piece, words_of_one, words_of_several
 from flysid.model.rules.memberships import Partition
-from flysid.model.rules.operating_words import Signals, answers_alike, at_loudest, sentences
+from flysid.model.rules.operating_words import Signals, answers_alike, at_loudest, near, sentences
 from flysid.model.rules.vocabulary import Axis, number
 
 ELSEWHERE = "always, strongest where no other rule applies"
@@ -153,7 +153,8 @@ def meaning(
 
     Parameters
     ----------
-    others : rules told already: where one of them answers alike, it is named and no number told again.
+    others : rules told already: where one of them answers alike, it is named with the place, and no number
+        told again.
     points : the model's operating points.
     """
     parts = _where_loudest(rule, signals, others) if points else _by_itself(rule, signals)
@@ -166,7 +167,7 @@ def _where_loudest(rule: Rule, signals: Signals, others: Sequence[Rule]) -> list
         return ["never the strongest in equilibrium"]
     like = next((other for other in others if answers_like(rule, other)), None)
     if like is not None:
-        return [f"same response as {like.label}"]
+        return [f"same response {near(rule.here[0], signals)} as {like.label}"]
     return [f"strongest {at_loudest(point, signals)}" for point in rule.here]
 
 

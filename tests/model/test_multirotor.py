@@ -10,6 +10,7 @@ import pytest
 from bench.physical import errors, flown
 from flysid.dataset import Dataset, Signal
 from flysid.errors import DataError, UsageError
+from flysid.export.programs import program_of
 from flysid.ingest.align.recipe import load_recipe
 from flysid.model.multirotor import FittedMultirotor, Multirotor, from_dict
 from flysid.model.rotorcraft.rotor_axis import NAMES, free_run, predictions
@@ -31,6 +32,65 @@ def test_derivatives_are_those_of_differences(integrates: bool) -> None:
         above = predictions(x, y, theta + step, 0.01, integrates)[0]
         below = predictions(x, y, theta - step, 0.01, integrates)[0]
         np.testing.assert_allclose(slopes[:, j], (above - below) / 2e-6, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("integrates", [True, False])
+def test_derivatives_by_what_the_voltage_does_are_those_of_differences(integrates: bool) -> None:
+    rng = np.random.default_rng(1)
+    x = np.repeat(rng.uniform(0.2, 1.0, (40, 2)), 10, axis=0)
+    y = 0.1 * rng.standard_normal(400).cumsum()
+    volts = 0.1 * rng.standard_normal(400)
+    theta = np.array([0.03, 0.0113, 0.6, 1.2, 0.1, 0.4, 0.05 if integrates else 0.0, 3.0, -2.0, 0.7])
+    _, slopes = predictions(x, y, theta, 0.01, integrates, volts)
+    for j, step in enumerate(1e-6 * np.eye(len(theta))):
+        above = predictions(x, y, theta + step, 0.01, integrates, volts)[0]
+        below = predictions(x, y, theta - step, 0.01, integrates, volts)[0]
+        np.testing.assert_allclose(slopes[:, j], (above - below) / 2e-6, rtol=1e-5, atol=1e-6)
+
+
+def sagging(volts: float = 12.0) -> tuple[Dataset, Signal]:
+    """A vertical axis whose motors turn with a share of a voltage that falls by a fifth."""
+    rng = np.random.default_rng(4)
+    x = np.repeat(rng.uniform(0.4, 1.0, (300, 1)), 10, axis=0)
+    battery = np.linspace(1.1, 0.9, len(x)) * volts
+    theta = np.zeros(len(NAMES) + 2)
+    theta[:3] = 0.04, 0.01, 1.0
+    theta[-2:] = -15.0, 1.0
+    y = free_run(x, 0.0, theta, 0.01, False, False, np.log(battery / battery.mean()))
+    y = y + 0.1 * rng.standard_normal(len(x))
+    given = [Signal("throttle", ""), Signal("battery", "V")]
+    output = Signal("az", "m/s/s")
+    return Dataset.from_arrays(np.column_stack([x, battery]), y, 0.01, inputs=given, outputs=[output]), output
+
+
+def test_what_the_battery_does_to_the_thrust_is_found() -> None:
+    """Thrust is the square of a share of the voltage: a tenth less of it needs a ninth more of command."""
+    data, _ = sagging()
+    model = Multirotor().fit(data)
+    power = {f.name: f for f in model.figures()}["power of the battery's voltage"]
+    assert abs(power.value - 1.0) < 2 * power.half_width < 0.2
+    ratio, half_width = model.hover_command(0.9 * 12.0)
+    assert abs(ratio - 1.0 / 0.9) < 2 * half_width < 0.05
+    segment = data.segments[0]
+    left = model.simulate(segment.u, segment.y[:1]) - segment.y
+    assert left.std() < 0.12
+    again = from_dict(json.loads(json.dumps(model.to_dict())))
+    np.testing.assert_allclose(again.simulate(segment.u), model.simulate(segment.u))
+    np.testing.assert_allclose(again.predict(segment.u, segment.y, 3), model.predict(segment.u, segment.y, 3))
+
+
+def test_a_voltage_without_sense_is_refused(fitted: FittedMultirotor) -> None:
+    data, output = sagging()
+    twice = [Signal("cell", "V"), Signal("battery", "V")]
+    s = data.segments[0]
+    with pytest.raises(UsageError, match="one voltage of the battery at most"):
+        Multirotor().fit(Dataset.from_arrays(s.u, s.y, 0.01, inputs=twice, outputs=[output]))
+    with pytest.raises(DataError, match="battery is not above 0 V"):
+        Multirotor().fit(sagging(-12.0)[0])
+    with pytest.raises(UsageError, match="no input is in volts"):
+        fitted.hover_command(11.0)
+    with pytest.raises(UsageError, match="cannot be exported"):
+        program_of(Multirotor().fit(data))
 
 
 def test_a_row_rate_does_not_change_the_motors() -> None:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from bench.verdict_few import equal_verdict
+from bench.verdict_fairness import DT_S
+from bench.verdict_few import POLE, equal_verdict, flight_of, told_apart
+from flysid.dataset import Dataset
+from flysid.validate.compare_models import compare
 from flysid.validate.intervals import Scope
+from flysid.validate.trials import FREE_RUN
 from flysid.validate.words import scope_words, verdict_words
+from tests.fakes import FirstOrder
 
 
 @pytest.mark.parametrize("count", [2, 4])
@@ -17,6 +24,28 @@ def test_equal_models_are_called_better_or_worse_about_as_rarely_as_it_says(coun
     said = [equal_verdict(count, 400, rng) for _ in range(25)]
     assert sum(p.verdict in ("better", "worse") for p in said) <= 4
     assert {p.scope for p in said} == {Scope.ANOTHER}
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5])
+def test_equal_models_are_not_told_apart_where_flights_are_spread_evenly(count: int) -> None:
+    """Student's t called 7 to 8 % of them so; 5 %, and two and a half standard errors."""
+    rng = np.random.default_rng(count)
+    wrong = sum(told_apart(rng.uniform(0.83, 1.17, count), 200, rng) for _ in range(1500))
+    assert wrong <= 0.064 * 1500
+
+
+def test_a_verdict_says_which_flights_may_be_missing() -> None:
+    """By hand: of eight flights 0.95 hold one of a kind that is 31 % of all, of three 63 %."""
+    rng = np.random.default_rng(4)
+    for count, rarest in ((8, 3), (3, 1)):
+        flown = [flight_of(1.1, 400, rng) for _ in range(count)]
+        data = Dataset.from_arrays([u for u, _ in flown], [y for _, y in flown], DT_S)
+        low, high = (FirstOrder(a=POLE, b=gain * (1.0 - POLE), dt_s=DT_S) for gain in (0.9, 1.1))
+        named = {"arx": low, "ts": replace(high, structure="ts", labels=("R1", "R2"))}
+        pair = compare(named, data, horizons=[FREE_RUN]).verdict["y"]
+        said = f"{count} flights say nothing of a kind that is rarer than one in {rarest}"
+        assert pair.verdict == "better"
+        assert (said in scope_words(pair)) is (rarest > 1)
 
 
 def test_one_flight_shows_what_it_shows_and_says_so() -> None:
