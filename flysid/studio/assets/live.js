@@ -8,7 +8,7 @@ const KEPT_S = 600, LEAST_S = 2, SILENT_S = 5;
 export async function showLive(main, _query, stay) {
   const about = await get("live");
   const view = { span: 30, end: null, newest: 0 }; // `end` null: the newest samples are followed
-  const state = el("div", { class: "scroll" }), warnings = el("ul", { class: "hint" }), file = el("p", { role: "status" });
+  const state = el("div", { class: "scroll", role: "region", "aria-label": "Links and systems", tabindex: 0 }), warnings = el("ul", { class: "hint" }), file = el("p", { role: "status" });
   const alarms = el("ul", { "aria-live": "assertive" }), none = el("p", { class: "hint" }, "None yet.");
   const follow = el("button", { "aria-pressed": "true", onclick: () => pause(view.end === null ? view.newest : null) }, "Following");
   const shown = el("span", { class: "hint" });

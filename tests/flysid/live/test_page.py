@@ -126,12 +126,13 @@ def test_a_vehicle_is_seen_beside_its_model_and_recorded(
         alarm = until(lambda: [e.text for e in page.all("li.alarm")], 60.0)[-1]
         assert 12.0 + FAULT_S <= float(alarm.split()[1]) < 12.0 + FAULT_S + 3.0
         assert "v_x <- theta_in left its band" in alarm
-        rows = page.js(STATE)["rows"]
-        times = np.array([row[0] for row in rows])
+        times = np.array([row[0] for row in page.js(STATE)["rows"]])
         assert (np.diff(times) > 0.0).all()
-        free = np.array([np.nan if row[3] is None else row[3] for row in rows])
-        assert np.isfinite(free).mean() > 0.5  # a free run is known once 10 s have come
+        until(
+            lambda: np.mean([row[3] is not None for row in page.js(STATE)["rows"]]) > 0.5
+        )  # once 10 s have come
         assert page.js("return document.documentElement.scrollWidth <= innerWidth")
+        assert not page.barriers_at_any_size()
         assert not [e for e in browser.get_log("browser") if e["level"] == "SEVERE"]
     content = target.read_bytes()
     assert whole_records(content, len(content))[0] == len(content)
@@ -179,6 +180,7 @@ def test_what_goes_wrong_on_a_link_is_a_state_on_the_page_and_in_the_sidecar(
         session.recording.receiver._offset_s -= 30.0  # as if the host's clock had been set
         said("the clock of this host was set by +30 s")
         said("silent for")
+        assert not page.barriers_at_any_size()
         assert not [e for e in browser.get_log("browser") if e["level"] == "SEVERE"]
     session.stop()
     content = target.read_bytes()

@@ -130,6 +130,17 @@ class Page:
         )
         return [(v["id"], [n["html"][:160] for n in v["nodes"]]) for v in found]
 
+    def barriers_at_any_size(self) -> list[Any]:
+        """The same 390, 768 and 1280 pixels wide, light and dark."""
+        found: list[Any] = []
+        for width in (390, 768, 1280):
+            self.browser.set_window_size(width, 900)
+            for is_dark in (False, True):
+                self.darken(is_dark)
+                found += self.barriers()
+        self.darken(False)
+        return found
+
     def wrong(self) -> list[str]:
         """Requests that left the server, errors and policy violations in the console."""
         requests = []
