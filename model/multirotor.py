@@ -108,8 +108,8 @@ class Multirotor:
         Raises
         ------
         UsageError : settings that cannot be, or no dataset; two inputs in volts, or no command beside one.
-        DataError : too few samples, a signal that never changes, a voltage that is not above 0. FitError : no
-        start is finite.
+        DataError : too few samples, a signal that never changes, a voltage that is not above 0.
+        FitError : no start is finite.
         """
         if self.kind not in ("auto", "rate", "acceleration"):
             raise UsageError(f"kind is {self.kind!r}", hint="'auto', 'rate' or 'acceleration'")

@@ -9,7 +9,6 @@ import pytest
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import UsageError
-from flysid.export.programs import program_of
 from flysid.model.narx.fitted_polynomial import FittedPolyNARX, Units, from_dict
 from flysid.model.narx.polynomial_terms import Factor, Term, depth_of, meaning, table_of, term_name
 from flysid.model.narx.simulation_fit import SimulationError
@@ -189,11 +188,6 @@ def test_a_forged_file_is_refused(damage: dict[str, object]) -> None:
     document = json.loads(json.dumps(small().to_dict()))
     with pytest.raises((ValueError, KeyError, TypeError)):
         from_dict(document | damage)
-
-
-def test_export_refuses_it_in_words() -> None:
-    with pytest.raises(UsageError, match="'polynarx' cannot be exported"):
-        program_of(small())
 
 
 def test_settings_that_cannot_be_are_refused() -> None:
