@@ -7,7 +7,8 @@ import random
 import socket
 import struct
 import threading
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -151,7 +152,7 @@ def test_what_goes_wrong_on_a_link_is_a_state_on_the_page_and_in_the_sidecar(
     session = open_session((f"udp:127.0.0.1:{port}",), place / "run", 0.1, target)
     sent = 0
     garbage = random.Random(4).randbytes(1_200).replace(b"\xfd", b"\x00").replace(b"\xfe", b"\x00")
-    with bound(0) as listening, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+    with served(session, tmp_path) as server, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
 
         def send(*frames: bytes) -> None:
             for frame in frames:
@@ -160,7 +161,7 @@ def test_what_goes_wrong_on_a_link_is_a_state_on_the_page_and_in_the_sidecar(
         def said(words: str) -> None:
             until(lambda: words in page.find("main").text)
 
-        page = Page(browser, served(listening, session, tmp_path))
+        page = Page(browser, server)
         session.start()
         said("nothing has come")
         for _ in range(GARBAGE):
@@ -204,14 +205,22 @@ def stepped(link: Any, message: Any) -> bytes:
     return frame
 
 
-def served(listening: socket.socket, session: Session, place: Path) -> Server:
-    """The live page by itself, in a thread that ends with the socket."""
-    key = Key(listening.getsockname()[1])
-    server = _Server(key, session)
-    server.socket.close()
-    server.socket = listening
-    threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True).start()
-    return Server(place, f"{key.address}#/live", None)  # type: ignore[arg-type]
+@contextmanager
+def served(session: Session, place: Path) -> Iterator[Server]:
+    """The live page by itself; its thread ends before the socket, else it would poll a closed one for ever."""
+    with bound(0) as listening:
+        key = Key(listening.getsockname()[1])
+        server = _Server(key, session)
+        server.socket.close()
+        server.socket = listening
+        serving = threading.Thread(target=server.serve_forever, args=(0.05,))
+        serving.start()
+        try:
+            yield Server(place, f"{key.address}#/live", None)  # type: ignore[arg-type]
+        finally:
+            server.leaving.set()
+            server.shutdown()
+            serving.join()
 
 
 def test_a_port_in_use_is_told_before_anything_begins(tmp_path: Path) -> None:
