@@ -207,7 +207,7 @@ def stepped(link: Any, message: Any) -> bytes:
 
 @contextmanager
 def served(session: Session, place: Path) -> Iterator[Server]:
-    """The live page by itself; its thread ends before the socket, else it would poll a closed one for ever."""
+    """The live page by itself; its thread ends before the socket: else it polls a closed one for ever."""
     with bound(0) as listening:
         key = Key(listening.getsockname()[1])
         server = _Server(key, session)
