@@ -11,6 +11,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +24,15 @@ MAX_PACKET_BYTES = 1 << 16
 MAX_OPTIONS = 200
 MAX_MAKEUPS = 512
 HEADERS = (b"\x88\x77\x66\x55", b"\x89\x77\x66\x55")
-GOOD = 0
-BAD_SUM = 1
-BROKEN = 2
-CUT = 3
+
+
+class Fate(IntEnum):
+    """What became of a place that could begin a packet."""
+
+    GOOD = 0
+    BAD_SUM = 1
+    BROKEN = 2
+    CUT = 3
 
 
 @dataclass(frozen=True)
@@ -95,7 +101,7 @@ def parse_makeup(data: Bytes, at: int, stop: int) -> MakeUp | None:
 
 def sort_packets(data: Bytes, at: Index, stop: Index) -> Sorted:
     """Check the candidates at `at`, each of which must end by its own `stop`; both (n,)."""
-    fate = np.full(len(at), BROKEN, dtype=np.uint8)
+    fate = np.full(len(at), Fate.BROKEN, dtype=np.uint8)
     end = at.copy()
     todo = np.arange(len(at))
     groups = []
@@ -108,14 +114,14 @@ def sort_packets(data: Bytes, at: Index, stop: Index) -> Sorted:
             makeup = parse_makeup(data, int(at[first]), int(stop[first]))
         except EOFError:
             makeup = None
-            fate[first] = CUT
+            fate[first] = Fate.CUT
         if makeup is None:
             todo = todo[1:]
             continue
         same = todo[_alike(data, at, stop, (todo, first, makeup))]
         good = same[_sums(data, at[same], makeup)]
-        fate[same] = BAD_SUM
-        fate[good] = GOOD
+        fate[same] = Fate.BAD_SUM
+        fate[good] = Fate.GOOD
         end[same] = at[same] + makeup.size
         groups.append(Packets(makeup, at[good]))
         todo = np.setdiff1d(todo, same, assume_unique=True)

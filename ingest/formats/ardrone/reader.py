@@ -21,11 +21,9 @@ from flysid.errors import FormatError
 from flysid.flight import BOOT, RECEIVED, TIME, ClockMap, field_metadata
 from flysid.ingest.formats.ardrone.commands import Commands
 from flysid.ingest.formats.ardrone.frames import (
-    BAD_SUM,
-    CUT,
-    GOOD,
     HEADERS,
     MAX_PACKET_BYTES,
+    Fate,
     Packets,
     Sorted,
     find_headers,
@@ -78,7 +76,7 @@ class Decoder:
 
     def parts(self, batch: Batch, found: Sorted) -> Iterator[StreamPart]:
         """The header stream and one part per option of the good packets, in file order."""
-        good = np.flatnonzero(found.fate == GOOD)
+        good = np.flatnonzero(found.fate == Fate.GOOD)
         if not len(good):
             return
         at = batch.at[good]
@@ -220,7 +218,7 @@ def _read_raw(view: memoryview, limits: Limits, decoder: Decoder) -> Iterator[St
 
 def _disjoint(batch: Batch, found: Sorted) -> tuple[Batch, Sorted]:
     """Without the candidates that lie inside good packets."""
-    good = np.flatnonzero(found.fate == GOOD)
+    good = np.flatnonzero(found.fate == Fate.GOOD)
     before = np.searchsorted(batch.at[good], batch.at, side="right") - 1
     inside = (
         (before >= 0) & (batch.at < found.end[good][before]) if len(good) else np.zeros(len(batch.at), bool)
@@ -249,7 +247,7 @@ def _last_start(batch: Batch, found: Sorted, stop: int, final: bool) -> int:
     """Where the next batch begins: behind the last good packet that surely was seen whole."""
     if final:
         return stop
-    good = np.flatnonzero(found.fate == GOOD)
+    good = np.flatnonzero(found.fate == Fate.GOOD)
     surely = stop - MAX_PACKET_BYTES
     early = good[batch.at[good] <= surely]
     return max(int(found.end[early[-1]]), surely) if len(early) else surely
@@ -257,25 +255,25 @@ def _last_start(batch: Batch, found: Sorted, stop: int, final: bool) -> int:
 
 def _count_damage(batch: Batch, found: Sorted, span: tuple[int, int], tally: Tally) -> None:
     """Skipped bytes are those between good packets."""
-    good = found.fate == GOOD
-    tally.bad_checksums += int((found.fate == BAD_SUM).sum())
+    good = found.fate == Fate.GOOD
+    tally.bad_checksums += int((found.fate == Fate.BAD_SUM).sum())
     starts = np.append(batch.at[good], span[1])
     ends = np.append(span[0], found.end[good])
     for k in np.flatnonzero(starts > ends).tolist():
         inside = found.fate[(batch.at >= ends[k]) & (batch.at < starts[k])]
-        reason = "packet checksum failed" if (inside == BAD_SUM).any() else "no packet here"
+        reason = "packet checksum failed" if (inside == Fate.BAD_SUM).any() else "no packet here"
         tally.skip(int(ends[k]), int(starts[k]), reason)
 
 
 def _note_cut(data: Bytes, batch: Batch, found: Sorted, tally: Tally) -> None:
     """The file is cut where its last bytes begin a packet."""
-    good = found.fate == GOOD
+    good = found.fate == Fate.GOOD
     end = int(found.end[good].max()) if good.any() else 0
     tail = data[end : end + 4].tobytes()
     if 0 < len(data) - end < 4:
         tally.truncated = any(h.startswith(tail) for h in HEADERS)
     elif tail in HEADERS:
-        tally.truncated = bool((found.fate[batch.at == end] == CUT).any())
+        tally.truncated = bool((found.fate[batch.at == end] == Fate.CUT).any())
 
 
 # ------------------------------------------------------------------------------------ captures
@@ -309,8 +307,8 @@ def _decode_datagrams(held: list[Payload], decoder: Decoder) -> Iterator[StreamP
     received = np.array([d.time_ns for d in held], dtype=np.int64)
     marked = np.isin(numbers(data, at, "<u4"), (0x55667788, 0x55667789))
     found = sort_packets(data, at[marked], stop[marked])
-    decoder.tally.bad_checksums += int((found.fate == BAD_SUM).sum())
-    broken = int((found.fate != GOOD).sum() - (found.fate == BAD_SUM).sum() + (~marked).sum())
+    decoder.tally.bad_checksums += int((found.fate == Fate.BAD_SUM).sum())
+    broken = int((found.fate != Fate.GOOD).sum() - (found.fate == Fate.BAD_SUM).sum() + (~marked).sum())
     decoder.tally.undecode("navdata", broken)
     yield from decoder.parts(Batch(data, at[marked], stop[marked], received[marked]), found)
 
@@ -378,7 +376,7 @@ def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
     if candidates[0] == 0 and _is_good_or_long(data):
         return 1.0
     fate = sort_packets(data, candidates, np.full(len(candidates), len(data), dtype=np.int64)).fate
-    return 0.8 if (fate == GOOD).any() else 0.0
+    return 0.8 if (fate == Fate.GOOD).any() else 0.0
 
 
 def _is_good_or_long(data: Bytes) -> bool:
@@ -389,7 +387,7 @@ def _is_good_or_long(data: Bytes) -> bool:
         return False
     zero = np.zeros(1, dtype=np.int64)
     stop = np.array([len(data)], dtype=np.int64)
-    return makeup is not None and bool((sort_packets(data, zero, stop).fate == GOOD).all())
+    return makeup is not None and bool((sort_packets(data, zero, stop).fate == Fate.GOOD).all())
 
 
 def _holds_navdata(head: bytes) -> bool:

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from flysid.errors import UsageError
-from flysid.ingest.formats.ardrone.frames import GOOD, MAX_PACKET_BYTES, MakeUp, find_headers, sort_packets
+from flysid.ingest.formats.ardrone.frames import MAX_PACKET_BYTES, Fate, MakeUp, find_headers, sort_packets
 from flysid.ingest.formats.ardrone.layouts import NOT_FLIGHT_DATA, option_of
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common import scrub_rules as rules
@@ -34,7 +34,7 @@ def scrub(view: memoryview, scrubber: Scrubber, limits: Limits) -> Iterator[byte
     found = sort_packets(data, at, np.minimum(at + MAX_PACKET_BYTES, len(data)))
     makeups = {int(a): group.makeup for group in found.groups for a in group.at.tolist()}
     kept = free = 0
-    for start in at[found.fate == GOOD].tolist():
+    for start in at[found.fate == Fate.GOOD].tolist():
         if start < free:
             continue  # a chance header inside a packet
         makeup = makeups[start]

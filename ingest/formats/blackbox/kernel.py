@@ -16,6 +16,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from flysid.ingest.formats.blackbox.codes import Encoding, EventKind, Predictor
 from flysid.ingest.formats.blackbox.encodings import (
     PAST_END,
     WRONG,
@@ -37,32 +38,6 @@ State = Any  # a record of STATE
 INTRA, INTER, SLOW, GPS, HOME, EVENT = range(6)
 LETTERS = tuple(b"IPSGHE")
 END_TEXT = tuple(b"End of log")
-SIGNED_VB = 0
-UNSIGNED_VB = 1
-NEG_14BIT = 3
-TAG8_8SVB = 6
-TAG2_3S32 = 7
-TAG8_4S16 = 8
-NULL = 9
-TAG2_3SVARIABLE = 10
-NOTHING = 0
-PREVIOUS = 1
-STRAIGHT_LINE = 2
-AVERAGE = 3
-CONSTANT = 4
-MOTOR_0 = 5
-INCREMENT = 6
-AT_HOME = 7
-AT_TIME = 10
-SYNC = 0
-ADJUSTMENT = 13
-RESUME = 14
-DISARM = 15
-MODE = 30
-IMU_FAILURE = 40
-CUSTOM_DATA = 100
-CUSTOM_STRING = 101
-END = 255
 ROTORFLIGHT = (50, 51, 52)  # governor, rescue, airborne: one number each
 LONGEST_FRAME = 256
 LONGEST_PAUSE_US = 10_000_000
@@ -170,58 +145,58 @@ def read_fields(
     while k < count:
         encoding = program.encoding[kind, k]
         span = 1
-        if program.predictor[kind, k] == INCREMENT:
+        if program.predictor[kind, k] == Predictor.INCREMENT:
             values[k] = next_iteration(state, before[k])
             if program.unsigned[kind, k]:
                 values[k] &= 0xFFFFFFFF
             k += 1
             continue
-        if encoding == SIGNED_VB:
+        if encoding == Encoding.SIGNED_VB:
             many[0], at = signed_vb(raw, at, stop)
-        elif encoding == UNSIGNED_VB:
+        elif encoding == Encoding.UNSIGNED_VB:
             many[0], at = unsigned_vb(raw, at, stop)
-        elif encoding == NULL:
+        elif encoding == Encoding.NULL:
             many[0] = 0
-        elif encoding == NEG_14BIT:
+        elif encoding == Encoding.NEG_14BIT:
             many[0], at = unsigned_vb(raw, at, stop)
             many[0] = -signed(many[0], 14)
         else:
             span = program.span[kind, k]
-            if encoding == TAG8_8SVB:
+            if encoding == Encoding.TAG8_8SVB:
                 at = tag8_8svb(raw, at, stop, many, span)
-            elif encoding == TAG8_4S16:
+            elif encoding == Encoding.TAG8_4S16:
                 if state.version < 2:
                     at = old_tag8_4s16(raw, at, stop, many)
                 else:
                     at = tag8_4s16(raw, at, stop, many)
             else:
-                at = tag2(raw, at, stop, many, encoding == TAG2_3SVARIABLE)
+                at = tag2(raw, at, stop, many, encoding == Encoding.TAG2_3SVARIABLE)
         if at < 0:
             return at
         for j in range(min(span, count - k)):
             value = many[j]
             predictor = program.predictor[kind, k]
             unsigned = program.unsigned[kind, k]
-            if predictor == PREVIOUS:
+            if predictor == Predictor.PREVIOUS:
                 value += before[k]
-            elif predictor == AVERAGE:
+            elif predictor == Predictor.AVERAGE:
                 total = before[k] + earlier[k]
                 if unsigned:
                     value += (total & 0xFFFFFFFF) >> 1
                 else:
                     total = signed(total, 32)
                     value += (total + (total < 0)) >> 1
-            elif predictor == STRAIGHT_LINE:
+            elif predictor == Predictor.STRAIGHT_LINE:
                 value += 2 * before[k] - earlier[k]
-            elif predictor == CONSTANT:
+            elif predictor == Predictor.CONSTANT:
                 value += program.constant[kind, k]
-            elif predictor == MOTOR_0:
+            elif predictor == Predictor.MOTOR_0:
                 if state.motor_0_at >= 0:
                     value += values[state.motor_0_at]
-            elif predictor == AT_HOME:
+            elif predictor == Predictor.AT_HOME:
                 value += state.home_0 if homes == 0 else state.home_1
                 homes += 1
-            elif predictor == AT_TIME:
+            elif predictor == Predictor.AT_TIME:
                 value += state.us
             value &= 0xFFFFFFFF
             if not unsigned:
@@ -240,7 +215,7 @@ def read_event(raw: ByteArray, at: int, stop: int, found: IntArray) -> int:
     at += 1
     found[:] = 0
     found[0] = kind
-    if kind == ADJUSTMENT:
+    if kind == EventKind.ADJUSTMENT:
         if at >= stop:
             return PAST_END
         found[2] = byte(raw, at)
@@ -253,13 +228,13 @@ def read_event(raw: ByteArray, at: int, stop: int, found: IntArray) -> int:
             return at + 4
         found[1], at = signed_vb(raw, at, stop)
         return at
-    if kind in (CUSTOM_DATA, CUSTOM_STRING):
+    if kind in (EventKind.CUSTOM_DATA, EventKind.CUSTOM_STRING):
         if at >= stop:
             return PAST_END
         found[3], found[4] = at + 1, byte(raw, at)
         at += 1 + byte(raw, at)
         return at if at <= stop else PAST_END
-    if kind == END:
+    if kind == EventKind.END:
         found[3] = at
         for letter in END_TEXT:
             if at >= stop:
@@ -273,9 +248,12 @@ def read_event(raw: ByteArray, at: int, stop: int, found: IntArray) -> int:
                 found[4] = at - 1 - found[3]
                 return at
         return PAST_END if at >= stop else WRONG
-    if kind in (SYNC, RESUME, DISARM, MODE, IMU_FAILURE) or kind in ROTORFLIGHT:
+    if (
+        kind in (EventKind.SYNC, EventKind.RESUME, EventKind.DISARM, EventKind.MODE, EventKind.IMU_FAILURE)
+        or kind in ROTORFLIGHT
+    ):
         found[1], at = unsigned_vb(raw, at, stop)
-        if at >= 0 and kind in (RESUME, MODE):
+        if at >= 0 and kind in (EventKind.RESUME, EventKind.MODE):
             found[2], at = unsigned_vb(raw, at, stop)
         return at
     return WRONG
@@ -385,7 +363,7 @@ def walk(
             end = read_fields(raw, at + 1, state.end, kind, program, state, values, before, history[older])
         if end == PAST_END and state.end <= at + 1 + LONGEST_FRAME:
             return CUT, at
-        if end < 0 or not (may_end(raw, end, state) or (kind == EVENT and event[0] == END)):
+        if end < 0 or not (may_end(raw, end, state) or (kind == EVENT and event[0] == EventKind.END)):
             return NO_FRAME, at
         if kind <= INTER:
             us = values[state.time_at]
@@ -439,9 +417,9 @@ def walk(
             us = state.us
             _keep(tables.event, tables.event_us, tables.event_span, state.event, event, us, at, end)
             state.event += 1
-            if event[0] == RESUME:
+            if event[0] == EventKind.RESUME:
                 state.resumed = 1
-            if event[0] == END:
+            if event[0] == EventKind.END:
                 return ENDED, end
         at = end
     return LIMIT, at

@@ -14,28 +14,29 @@ import numpy as np
 
 from flysid.flight import field_metadata
 from flysid.ingest.formats.blackbox import kernel
+from flysid.ingest.formats.blackbox.codes import Encoding, EventKind, Predictor
 from flysid.ingest.formats.blackbox.header import Definition, Header
 
 MAX_FIELDS = 250  # a frame has 256 bytes at most
-SPANS = {kernel.TAG2_3S32: 3, kernel.TAG2_3SVARIABLE: 3, kernel.TAG8_4S16: 4}
+SPANS = {Encoding.TAG2_3S32: 3, Encoding.TAG2_3SVARIABLE: 3, Encoding.TAG8_4S16: 4}
 ENCODINGS = frozenset(
-    {kernel.SIGNED_VB, kernel.UNSIGNED_VB, kernel.NEG_14BIT, kernel.TAG8_8SVB, kernel.NULL, *SPANS}
+    {Encoding.SIGNED_VB, Encoding.UNSIGNED_VB, Encoding.NEG_14BIT, Encoding.TAG8_8SVB, Encoding.NULL, *SPANS}
 )
 KINDS = "IPSGH"
 STREAMS = {"I": "main", "S": "slow", "G": "gps", "H": "home"}
 EVENTS = {
-    kernel.SYNC: "sync beep",
-    kernel.ADJUSTMENT: "adjustment",
-    kernel.RESUME: "logging resumed",
-    kernel.DISARM: "disarm",
-    kernel.MODE: "flight mode",
-    kernel.IMU_FAILURE: "IMU failure",
+    EventKind.SYNC: "sync beep",
+    EventKind.ADJUSTMENT: "adjustment",
+    EventKind.RESUME: "logging resumed",
+    EventKind.DISARM: "disarm",
+    EventKind.MODE: "flight mode",
+    EventKind.IMU_FAILURE: "IMU failure",
     50: "governor state",
     51: "rescue state",
     52: "airborne state",
-    kernel.CUSTOM_DATA: "custom data",
-    kernel.CUSTOM_STRING: "custom string",
-    kernel.END: "end of log",
+    EventKind.CUSTOM_DATA: "custom data",
+    EventKind.CUSTOM_STRING: "custom string",
+    EventKind.END: "end of log",
 }
 FAILSAFE = dict(
     enumerate(("idle", "signal lost", "landing", "landed", "monitoring", "recovered", "GPS rescue"))
@@ -85,7 +86,7 @@ def layout_of(header: Header) -> Layout:
         table["span"][row, :n] = _spans(definition.encodings)
         table["unsigned"][row, :n] = definition.unsigned
         for k, predictor in enumerate(definition.predictors):
-            table["predictor"][row, k] = kernel.CONSTANT if predictor in constants else predictor
+            table["predictor"][row, k] = Predictor.CONSTANT if predictor in constants else predictor
             table["constant"][row, k] = constants.get(predictor, 0)
     return Layout(definitions, kernel.Program(size=size, **table), _settings(header, definitions))
 
@@ -117,7 +118,7 @@ def _spans(encodings: tuple[int, ...]) -> list[int]:
     """How many fields are read at once from each field on, if it is the first of its group."""
     found = [SPANS.get(encoding, 1) for encoding in encodings]
     for k in range(len(encodings) - 1, -1, -1):
-        if encodings[k : k + 2] == (kernel.TAG8_8SVB,) * 2:
+        if encodings[k : k + 2] == (Encoding.TAG8_8SVB,) * 2:
             found[k] = min(8, found[k + 1] + 1)
     return found
 
@@ -136,7 +137,7 @@ def _settings(header: Header, definitions: Mapping[str, Definition]) -> dict[str
         "time_at": names.index("time"),
         "motor_0_at": names.index("motor[0]") if "motor[0]" in names else -1,
         "gps_time_at": gps.names.index("time") if gps is not None and "time" in gps.names else -1,
-        "has_home": int(gps is None or kernel.AT_HOME not in gps.predictors),
+        "has_home": int(gps is None or Predictor.AT_HOME not in gps.predictors),
     }
 
 

@@ -27,7 +27,7 @@ import pyarrow as pa
 from flysid.errors import FormatError
 from flysid.flight import BOOT, TIME, ClockMap, field_metadata
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release
-from flysid.ingest.formats.blackbox import kernel
+from flysid.ingest.formats.blackbox.codes import EventKind
 from flysid.ingest.formats.blackbox.encodings import ByteArray, IntArray
 from flysid.ingest.formats.blackbox.frames import Block, Rows, Walker, content_end
 from flysid.ingest.formats.blackbox.header import (
@@ -236,7 +236,7 @@ class _Reader:
             arrow_arrays.numeric(number.astype(np.uint8)),
             arrow_arrays.numeric(_event_values(number, value, other)),
             arrow_arrays.numeric(
-                np.where(number == kernel.ADJUSTMENT, other & 0x7F, other).astype(np.float64)
+                np.where(number == EventKind.ADJUSTMENT, other & 0x7F, other).astype(np.float64)
             ),
             arrow_arrays.strings(text.decode("utf-8", "replace") for text in texts),
         ]
@@ -310,7 +310,7 @@ def _looked_up(rates: Rates, stick: npt.NDArray[np.int32]) -> npt.NDArray[np.flo
 def _event_values(number: IntArray, value: IntArray, other: IntArray) -> np.ndarray:
     """The events' first numbers; an adjustment of function 128 or more has the bits of a float32."""
     found = value.astype(np.float64)
-    is_float = (number == kernel.ADJUSTMENT) & (other >= 0x80)
+    is_float = (number == EventKind.ADJUSTMENT) & (other >= 0x80)
     found[is_float] = value[is_float].astype(np.uint32).view(np.float32)
     return found
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from flysid.ingest.formats.blackbox.codes import EventKind
 from flysid.ingest.formats.blackbox.encodings import ByteArray, IntArray, signed
 from flysid.ingest.formats.blackbox.kernel import (
-    END,
     EVENT,
     INTER,
     INTRA,
     LETTERS,
     LONGEST_PAUSE_US,
-    RESUME,
     Program,
     State,
     kind_of,
@@ -52,9 +51,9 @@ def is_confirmed(
         free = 3 - newest - older if newest != older else (newest + 1) % 3
         if kind == EVENT:
             end = read_event(raw, at, state.end, event)
-            if end >= 0 and event[0] == END:
+            if end >= 0 and event[0] == EventKind.END:
                 return 1
-            if end >= 0 and event[0] == RESUME:
+            if end >= 0 and event[0] == EventKind.RESUME:
                 return 2
         elif kind <= INTER:
             end = read_fields(
@@ -89,7 +88,7 @@ def find_intra(
     event = np.empty(5, dtype=np.int64)
     while at < state.content_end:
         if raw[at] == LETTERS[EVENT]:
-            if read_event(raw, at + 1, state.end, event) >= 0 and event[0] == END:
+            if read_event(raw, at + 1, state.end, event) >= 0 and event[0] == EventKind.END:
                 return at
         elif raw[at] == LETTERS[INTRA]:
             sure = is_confirmed(raw, at, program, state, scratch, found)

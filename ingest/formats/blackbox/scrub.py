@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.blackbox import kernel
+from flysid.ingest.formats.blackbox.codes import EventKind, Predictor
 from flysid.ingest.formats.blackbox.frames import Block, Rows, Walker
 from flysid.ingest.formats.blackbox.header import (
     Header,
@@ -39,7 +40,7 @@ from flysid.ingest.formats.common.tally import Tally
 
 SETTINGS = {4: "minthrottle", 9: "vbatref", 11: "motorOutput"}  # that predictors add
 KNOWN_PREDICTORS = frozenset(
-    {kernel.NOTHING, kernel.PREVIOUS, *SETTINGS, 8, kernel.AT_HOME, kernel.AT_TIME}
+    {Predictor.NOTHING, Predictor.PREVIOUS, *SETTINGS, 8, Predictor.AT_HOME, Predictor.AT_TIME}
 )  # in H and G frames: those that look at no main frame but its time
 _PRIVATE = re.compile(
     r"craft|pilot|owner|operator|model.?name|device.?(name|u?id)|\bu?uid\b|serial.?n|bind", re.I
@@ -160,7 +161,7 @@ class _Again:
         """(where it began, event and frame) of I frames that do not go on from the main frame before them."""
         rows = block.rows.get("event")
         if rows is not None:
-            self._pauses += rows.span[0, rows.values[0] == kernel.RESUME].tolist()
+            self._pauses += rows.span[0, rows.values[0] == EventKind.RESUME].tolist()
         main = block.rows.get("main")
         if main is None or self._iteration_at < 0:
             return
@@ -170,7 +171,7 @@ class _Again:
             is_intra = self._view[begin] == kernel.LETTERS[kernel.INTRA]
             leaps = is_intra and last_begin >= 0 and iteration != self._walker.due(last)
             if leaps and not any(last_begin < pause < begin for pause in self._pauses):
-                event = bytes([kernel.LETTERS[kernel.EVENT], kernel.RESUME])
+                event = bytes([kernel.LETTERS[kernel.EVENT], EventKind.RESUME])
                 stated = event + unsigned_vb(iteration) + unsigned_vb(us)
                 yield begin, stated + bytes(self._view[begin:end])
             last_begin = begin
@@ -196,10 +197,10 @@ class _Again:
         if rows is None:
             return
         number, _, _, at, size = rows.values
-        for k in np.flatnonzero(np.isin(number, (kernel.CUSTOM_DATA, kernel.CUSTOM_STRING))).tolist():
+        for k in np.flatnonzero(np.isin(number, (EventKind.CUSTOM_DATA, EventKind.CUSTOM_STRING))).tolist():
             begin = int(rows.span[0, k])
             text = bytes(self._view[int(at[k]) : int(at[k] + size[k])])
-            is_data = number[k] == kernel.CUSTOM_DATA
+            is_data = number[k] == EventKind.CUSTOM_DATA
             clean = bytes(len(text)) if is_data else rules.redacted(text)
             self._scrubber.note(rules.CONTENT if is_data else rules.TEXT, "events", clean != text)
             yield begin, bytes(self._view[begin : int(at[k])]) + clean

@@ -9,21 +9,27 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from enum import IntEnum
+from socket import IPPROTO_TCP, IPPROTO_UDP
 
 from flysid.ingest.formats.common import pcap, pcapng
 from flysid.ingest.formats.common.pcap import Packet
 from flysid.ingest.formats.common.tally import Tally
 
-LOOPBACK = 0
-ETHERNET = 1
-RAW_BSD = 12
-RAW_OPENBSD = 14
-RAW = 101
-SLL = 113
-SLL2 = 276
+
+class Link(IntEnum):
+    """What a capture's packets begin with: the link types of pcap."""
+
+    LOOPBACK = 0
+    ETHERNET = 1
+    RAW_BSD = 12
+    RAW_OPENBSD = 14
+    RAW = 101
+    SLL = 113
+    SLL2 = 276
+
+
 VLAN_TYPES = (0x8100, 0x88A8)
-UDP = 17
-TCP = 6
 MAX_PENDING = 64
 
 
@@ -73,15 +79,15 @@ def payloads(view: memoryview, tally: Tally) -> Iterator[Payload]:
 
 def _ip_start(frame: bytes, link: int) -> int:
     """Where the IPv4 packet begins in a frame; -1 where there is none."""
-    if link in (RAW, RAW_BSD, RAW_OPENBSD):
+    if link in (Link.RAW, Link.RAW_BSD, Link.RAW_OPENBSD):
         return 0
-    if link == LOOPBACK:
+    if link == Link.LOOPBACK:
         return 4
-    if link == SLL:
+    if link == Link.SLL:
         return 16 if frame[14:16] == b"\x08\x00" else -1
-    if link == SLL2:
+    if link == Link.SLL2:
         return 20 if frame[:2] == b"\x08\x00" else -1
-    if link != ETHERNET:
+    if link != Link.ETHERNET:
         return -1
     at = 12
     while at + 2 <= len(frame) and int.from_bytes(frame[at : at + 2], "big") in VLAN_TYPES:
@@ -139,7 +145,7 @@ def _payload(packet: Packet, frame: bytes, pending: _Fragments, tally: Tally) ->
         return None
     protocol = frame[start + 9]
     place = (packet.at, packet.time_ns)
-    if protocol not in (UDP, TCP):
+    if protocol not in (IPPROTO_UDP, IPPROTO_TCP):
         return None
     total = int.from_bytes(frame[start + 2 : start + 4], "big") or len(frame) - start  # 0: cut by the card
     flags = int.from_bytes(frame[start + 6 : start + 8], "big")
@@ -151,11 +157,11 @@ def _payload(packet: Packet, frame: bytes, pending: _Fragments, tally: Tally) ->
         if whole is None:
             return None
         body, place = whole
-    if len(body) < (8 if protocol == UDP else 20):
+    if len(body) < (8 if protocol == IPPROTO_UDP else 20):
         return None
     source, target = struct.unpack_from(">2H", body)
     flow = bytes([protocol]) + hosts + body[:4]
-    if protocol == UDP:
+    if protocol == IPPROTO_UDP:
         size = int.from_bytes(body[4:6], "big")
         return Payload(*place, flow, source, target, body[8 : max(size, 8)])
     content = body[4 * (body[12] >> 4) :]

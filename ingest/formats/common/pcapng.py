@@ -13,22 +13,33 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 from flysid.ingest.formats.base import release
 from flysid.ingest.formats.common.pcap import RELEASE_BYTES, Packet
 from flysid.ingest.formats.common.tally import Tally
 
-SECTION = 0x0A0D0D0A
-INTERFACE = 1
-OBSOLETE = 2
-SIMPLE = 3
-PACKET = 6
 ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
 MAGIC = b"\x0a\x0d\x0d\x0a"
 LEAST_BLOCK = 12
 MOST_BLOCK = 16 << 20
-RESOLUTION = 9
-OFFSET = 14
+
+
+class InterfaceOption(IntEnum):
+    """Options of an interface block that times need."""
+
+    RESOLUTION = 9
+    OFFSET = 14
+
+
+class BlockKind(IntEnum):
+    """The blocks of a pcapng file that are read."""
+
+    SECTION = 0x0A0D0D0A
+    INTERFACE = 1
+    OBSOLETE = 2
+    SIMPLE = 3
+    PACKET = 6
 
 
 def is_pcapng(head: bytes) -> bool:
@@ -58,9 +69,9 @@ def packets(view: memoryview, tally: Tally) -> Iterator[Packet]:
             at = _recover(view, at, section.order, tally)
             continue
         kind = struct.unpack_from(section.order + "I", view, at)[0]
-        if kind == SECTION:
+        if kind == BlockKind.SECTION:
             section = _Section(ORDERS[bytes(view[at + 8 : at + 12])])
-        elif kind == INTERFACE and end - at >= 20:
+        elif kind == BlockKind.INTERFACE and end - at >= 20:
             section.interfaces.append(_interface(view, (at + 8, end - 4), section.order))
         elif (found := _packet(view, (at, end), kind, section, last_ns)) is not None:
             last_ns = found.time_ns
@@ -106,10 +117,10 @@ def _interface(view: memoryview, body: tuple[int, int], order: str) -> tuple[int
         code, size = struct.unpack_from(order + "2H", view, at)
         if code == 0 or at + 4 + size > end:
             break
-        if code == RESOLUTION and size == 1:
+        if code == InterfaceOption.RESOLUTION and size == 1:
             power = view[at + 4]
             ticks = 1 << (power & 0x7F) if power & 0x80 else 10 ** min(power, 18)
-        elif code == OFFSET and size == 8:
+        elif code == InterfaceOption.OFFSET and size == 8:
             offset_s = struct.unpack_from(order + "q", view, at + 4)[0]
         at += 4 + -(-size // 4) * 4
     return link, ticks, offset_s
@@ -120,12 +131,12 @@ def _packet(
 ) -> Packet | None:
     """The packet in a block; None where it holds none, or of an interface that nothing describes."""
     at, end = span
-    if kind == SIMPLE and section.interfaces:
+    if kind == BlockKind.SIMPLE and section.interfaces:
         return Packet(at, last_ns, section.interfaces[0][0], at + 12, end - 4)
-    if kind not in (PACKET, OBSOLETE) or end - at < 32:
+    if kind not in (BlockKind.PACKET, BlockKind.OBSOLETE) or end - at < 32:
         return None
     number, high, low, captured = struct.unpack_from(section.order + "4I", view, at + 8)
-    if kind == OBSOLETE:
+    if kind == BlockKind.OBSOLETE:
         number = struct.unpack_from(section.order + "H", view, at + 8)[0]
     if number >= len(section.interfaces) or at + 28 + captured > end - 4:
         return None

@@ -11,8 +11,10 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import IntFlag
 from functools import lru_cache
 from pathlib import Path
+from zipfile import ZIP_DEFLATED, ZIP_STORED
 
 from flysid.ingest.formats.base import Limits, map_file
 from flysid.ingest.formats.common.compression import (
@@ -23,17 +25,20 @@ from flysid.ingest.formats.common.compression import (
 )
 
 ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06", b"PK\x07\x08PK\x03\x04")
-STORED = 0
-DEFLATED = 8
 ZSTANDARD = 93
 _LOCAL = struct.Struct("<4s5H3I2H")
-_IS_ENCRYPTED = 1
-_SIZES_FOLLOW = 8
-_IS_UTF8 = 1 << 11
 _IN_ZIP64 = 0xFFFFFFFF
 _PIECE = 1 << 20
 _ZIP64 = struct.Struct("<QQ")
 _DRIVE = re.compile(r"^[A-Za-z]:")
+
+
+class _Flag(IntFlag):
+    """Bits of a member's flags."""
+
+    ENCRYPTED = 1
+    SIZES_FOLLOW = 8
+    UTF8 = 1 << 11
 
 
 @dataclass(frozen=True)
@@ -99,7 +104,7 @@ def member_pieces(view: memoryview, member: Member) -> Iterator[bytes]:
 
 
 def _unpacked(packed: memoryview, method: int) -> Iterator[bytes]:
-    if method == DEFLATED:
+    if method == ZIP_DEFLATED:
         return inflated_pieces(packed)
     if method == ZSTANDARD:
         return unpacked_pieces(packed)
@@ -131,9 +136,9 @@ def _listed(info: zipfile.ZipInfo) -> Member:
 
 
 def _fault(method: int, flags: int) -> str:
-    if flags & _IS_ENCRYPTED:
+    if flags & _Flag.ENCRYPTED:
         return "is encrypted; unpack it first"
-    if method not in (STORED, DEFLATED, ZSTANDARD):
+    if method not in (ZIP_STORED, ZIP_DEFLATED, ZSTANDARD):
         named = zipfile.compressor_names.get(method, f"method {method}")  # type: ignore[attr-defined]
         return f"uses a compression method that is not supported ({named}); unpack it first"
     return ""
@@ -162,12 +167,12 @@ def _at_header(view: memoryview, at: int) -> Member | None:
     raw = bytes(view[name_at : name_at + name_bytes])
     if not raw or len(raw) < name_bytes or version & 0xFF > 100 or b"\0" in raw:
         return None
-    name = raw.decode("utf-8" if flags & _IS_UTF8 else "cp437", "replace")
+    name = raw.decode("utf-8" if flags & _Flag.UTF8 else "cp437", "replace")
     start = name_at + name_bytes + extra_bytes
     extra = bytes(view[name_at + name_bytes : start])
     if _IN_ZIP64 in (packed, size):
         size, packed = _zip64(extra, size, packed)
-    if flags & _SIZES_FOLLOW and not packed:
+    if flags & _Flag.SIZES_FOLLOW and not packed:
         return Member(name, at, _end_of_data(view, start) - start, method, fault=_fault(method, flags))
     return Member(name, at, packed, method, size, crc, _fault(method, flags))
 

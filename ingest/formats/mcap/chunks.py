@@ -9,16 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from mcap.opcode import Opcode
 
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common.compression import ChunkError
 from flysid.ingest.formats.common.gather import Bytes, Index, Values, as_bytes, rows
 from flysid.ingest.formats.mcap.records import (
-    CHANNEL,
     HEAD_BYTES,
-    MESSAGE,
     MESSAGE_HEAD_BYTES,
-    SCHEMA,
     U64,
     ChunkHead,
     Registry,
@@ -126,15 +124,15 @@ def walk(data: bytes | memoryview, start: int, stop: int, registry: Registry | N
         end = at + HEAD_BYTES + length_at(data, at + 1)[0]
         if end > stop:
             break
-        if op == MESSAGE and end - at >= MESSAGE_HEAD_BYTES:
+        if op == Opcode.MESSAGE and end - at >= MESSAGE_HEAD_BYTES:
             if bound is not None and bound[data[at + 9] | data[at + 10] << 8] < 0:
                 break
             keep(at)
-        elif op in (SCHEMA, CHANNEL):
+        elif op in (Opcode.SCHEMA, Opcode.CHANNEL):
             if registry is not None:
                 break
             definitions.append(Definition(len(places), op, at + HEAD_BYTES, end))
-        elif registry is not None or op == 0 or op == MESSAGE:
+        elif registry is not None or op == 0 or op == Opcode.MESSAGE:
             break
         at = end
     return Found(np.array(places, dtype=np.int64), tuple(definitions), at)
@@ -146,7 +144,7 @@ def find_indexed(data: bytes | memoryview, offsets: Index) -> Found | None:
     if len(messages) == 0 or messages[0] < 0 or messages[-1] + MESSAGE_HEAD_BYTES > len(data):
         return None
     head = rows(as_bytes(data), messages, MESSAGE_HEAD_BYTES).view(MESSAGE_HEAD)
-    if (head["op"] != MESSAGE).any() or (head["size"] < 22).any() or (head["size"] > len(data)).any():
+    if (head["op"] != Opcode.MESSAGE).any() or (head["size"] < 22).any() or (head["size"] > len(data)).any():
         return None
     free = np.concatenate([[0], messages + HEAD_BYTES + head["size"].astype(np.int64)])
     taken = np.append(messages, len(data))

@@ -14,6 +14,7 @@ from collections.abc import Generator, Iterator
 from functools import cached_property
 
 import numpy as np
+from mcap.opcode import Opcode
 
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common.compression import ChunkError
@@ -32,21 +33,11 @@ from flysid.ingest.formats.mcap.chunks import (
     walk,
 )
 from flysid.ingest.formats.mcap.records import (
-    CHANNEL,
-    CHUNK,
-    DATA_END,
     FIRST_PRIVATE,
-    FOOTER,
     HEAD,
     HEAD_BYTES,
-    HEADER,
     LAST_KNOWN,
     MAGIC,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA,
-    SCHEMA,
-    STATISTICS,
     U16,
     U32,
     U64,
@@ -67,7 +58,7 @@ Steps = Generator[Block, None, int]
 MAX_INFO = 200
 FREE_EXPANSION_BYTES = 256 << 20
 SUMMARY_SEARCH_BYTES = 4 << 20
-_DATA_END_HEAD = HEAD.pack(DATA_END, 4)
+_DATA_END_HEAD = HEAD.pack(Opcode.DATA_END, 4)
 
 
 class McapReader:
@@ -98,10 +89,10 @@ class McapReader:
                 at = yield from self._recover(at)
                 continue
             op = self.view[at]
-            self._last = -1 if op in (CHUNK, MESSAGE) else at
-            if op == CHUNK:
+            self._last = -1 if op in (Opcode.CHUNK, Opcode.MESSAGE) else at
+            if op == Opcode.CHUNK:
                 at = yield from self._counted(self._chunk(at, end))
-            elif op == MESSAGE:
+            elif op == Opcode.MESSAGE:
                 at = yield from self._counted(self._plain(at))
             else:
                 self._other(op, at + HEAD_BYTES, end)
@@ -139,7 +130,7 @@ class McapReader:
     def _footer(self) -> int:
         """Where the footer lies that the file ends with; -1 without one."""
         at = self._limit - len(MAGIC) - HEAD_BYTES - 20
-        is_footer = at >= len(MAGIC) and self.view[at] == FOOTER
+        is_footer = at >= len(MAGIC) and self.view[at] == Opcode.FOOTER
         return at if is_footer and record_end(self.view, at, self._limit) == self._limit - len(MAGIC) else -1
 
     def _counted(self, steps: Steps) -> Steps:
@@ -180,7 +171,7 @@ class McapReader:
         while (end := record_end(self.view, start, stop, intact=checked)) > 0:
             op = self.view[start]
             body = start + HEAD_BYTES
-            if op in (SCHEMA, CHANNEL):
+            if op in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._define(op, body, end)
                 if checked and end >= body + 2:
                     number = U16.unpack_from(self.view, body)[0]
@@ -199,21 +190,21 @@ class McapReader:
         try:
             self.registry.define(op, bytes(self.view[body:end]))
         except ValueError:
-            self._tally.undecode("schema" if op == SCHEMA else "channel")
+            self._tally.undecode("schema" if op == Opcode.SCHEMA else "channel")
 
     def _other(self, op: int, body: int, end: int) -> None:
-        if op in (SCHEMA, CHANNEL):
+        if op in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._define_plain(op, body, end)
-        elif op == HEADER:
+        elif op == Opcode.HEADER:
             pairs = zip(("profile", "library"), strings(bytes(self.view[body:end]), 2), strict=True)
             self.info.update({key: text for key, text in pairs if text})
-        elif op == METADATA and len(self.info) < MAX_INFO:
+        elif op == Opcode.METADATA and len(self.info) < MAX_INFO:
             self.info.update(string_pairs(bytes(self.view[body:end])))
-        elif op == STATISTICS:
+        elif op == Opcode.STATISTICS:
             (self._stated,) = U64.unpack_from(self.view, body)
         elif LAST_KNOWN < op < FIRST_PRIVATE:
             self._tally.undecode(f"(record 0x{op:02X})")
-        elif op == DATA_END:
+        elif op == Opcode.DATA_END:
             self._check_data(body)
 
     def _check_data(self, body: int) -> None:
@@ -257,7 +248,7 @@ class McapReader:
     def _message_indexes(self, at: int) -> tuple[Index, int]:
         """Offsets from all message indexes that follow at `at`, and where they end."""
         parts = []
-        while at < self._limit and self.view[at] == MESSAGE_INDEX:
+        while at < self._limit and self.view[at] == Opcode.MESSAGE_INDEX:
             end = self._record_end(at)
             if end < 0:
                 break
@@ -326,7 +317,7 @@ class McapReader:
 
     def _cut_chunk(self, at: int) -> ChunkHead | None:
         """The head of the chunk at `at` if its two lengths agree that the end of the file cuts it."""
-        if self.view[at] != CHUNK or not is_cut_off(self.view, at, self._limit):
+        if self.view[at] != Opcode.CHUNK or not is_cut_off(self.view, at, self._limit):
             return None
         body = at + HEAD_BYTES
         if body + 60 > self._limit:

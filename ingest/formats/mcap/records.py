@@ -28,24 +28,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from flysid.ingest.formats.common.gather import Bytes, Index, as_bytes
 from flysid.ingest.formats.messages.channel import Channel, Schema
 
 MAGIC = b"\x89MCAP0\r\n"
-HEADER = 1
-FOOTER = 2
-SCHEMA = 3
-CHANNEL = 4
-MESSAGE = 5
-CHUNK = 6
-MESSAGE_INDEX = 7
-ATTACHMENT = 9
-STATISTICS = 11
-METADATA = 12
-DATA_END = 15
-LAST_KNOWN = 15
+LAST_KNOWN = max(Opcode)
 FIRST_PRIVATE = 0x80
 HEAD_BYTES = 9
 MESSAGE_HEAD_BYTES = 31  # with the 9 bytes of the record's own head
@@ -87,7 +77,7 @@ class Registry:
     def define(self, op: int, body: bytes) -> None:
         """Take in the body of a schema or channel record. Raises ValueError where it is malformed."""
         (number,) = _unpack(U16, body, 0)
-        if op == SCHEMA:
+        if op == Opcode.SCHEMA:
             name, at = _prefixed(body, 2)
             encoding, at = _prefixed(body, at)
             data, _ = _prefixed(body, at)
@@ -231,7 +221,9 @@ def _candidates(data: Bytes, start: int, stop: int) -> list[int]:
         return []
     op = data[start:stop]
     high = data[start + 6 : stop + 6] | data[start + 7 : stop + 7] | data[start + 8 : stop + 8]
-    found = np.flatnonzero((op >= HEADER) & (op <= LAST_KNOWN) & (high == 0) | (op == MAGIC[0])) + start
+    found = (
+        np.flatnonzero((op >= Opcode.HEADER) & (op <= LAST_KNOWN) & (high == 0) | (op == MAGIC[0])) + start
+    )
     return [int(p) for p in found]
 
 
@@ -239,7 +231,7 @@ def _convincing(view: memoryview, at: int, limit: int, registry: Registry) -> bo
     end = record_end(view, at, limit)
     if end < 0:
         return False
-    if view[at] == MESSAGE and registry.bound[U16.unpack_from(view, at + HEAD_BYTES)[0]] < 0:
+    if view[at] == Opcode.MESSAGE and registry.bound[U16.unpack_from(view, at + HEAD_BYTES)[0]] < 0:
         return False
     return end == limit or record_end(view, end, limit) > 0 or is_cut_off(view, end, limit)
 
@@ -248,7 +240,7 @@ def is_cut_off(view: memoryview, at: int, limit: int) -> bool:
     """Whether a record starts at `at` that the end of the file cuts."""
     if limit - at < len(MAGIC) and view[at:limit] == MAGIC[: limit - at]:
         return limit > at
-    if not at < limit or not HEADER <= view[at] <= LAST_KNOWN:
+    if not at < limit or not Opcode.HEADER <= view[at] <= LAST_KNOWN:
         return False
     if at + HEAD_BYTES > limit:
         return True
@@ -323,19 +315,19 @@ def _chunk_index_end(view: memoryview, body: int, end: int) -> int:
 
 
 _FIELDS_END: Mapping[int, FieldsEnd] = {
-    HEADER: _strings(0, 2),
-    FOOTER: _exactly(20),
-    SCHEMA: _strings(2, 3),
-    CHANNEL: _strings(4, 3),
-    MESSAGE: _at_least(22),
-    CHUNK: _chunk_end,
-    MESSAGE_INDEX: _message_index_end,
+    Opcode.HEADER: _strings(0, 2),
+    Opcode.FOOTER: _exactly(20),
+    Opcode.SCHEMA: _strings(2, 3),
+    Opcode.CHANNEL: _strings(4, 3),
+    Opcode.MESSAGE: _at_least(22),
+    Opcode.CHUNK: _chunk_end,
+    Opcode.MESSAGE_INDEX: _message_index_end,
     8: _chunk_index_end,
-    ATTACHMENT: _at_least(36),
+    Opcode.ATTACHMENT: _at_least(36),
     10: _strings(40, 2),
-    STATISTICS: _strings(42, 1),
-    METADATA: _strings(0, 2),
+    Opcode.STATISTICS: _strings(42, 1),
+    Opcode.METADATA: _strings(0, 2),
     13: _strings(16, 1),
     14: lambda _view, body, _end: body + 17,
-    DATA_END: _exactly(4),
+    Opcode.DATA_END: _exactly(4),
 }

@@ -16,11 +16,10 @@ from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.messages.channel import Channel, Schema
 from flysid.ingest.formats.messages.topics import Message, Topics, queued
 from flysid.ingest.formats.rosbag1.records import (
-    CONNECTION,
     MAGIC,
-    MESSAGE,
     BagReader,
     BagRecord,
+    Op,
     indexed_connections,
     split_fields,
 )
@@ -90,10 +89,10 @@ def _messages(view: memoryview, reader: BagReader, tally: Tally) -> Iterator[Mes
     for known in indexed_connections(view):
         connections.define(known, bytes(view[known.data_at : known.end]))
     for source, record in reader.records():
-        if record.op == CONNECTION:
+        if record.op == Op.CONNECTION:
             if not connections.define(record, bytes(source[record.data_at : record.end])):
                 tally.undecode("(connections)")  # its length may have taken in messages
-        elif record.op == MESSAGE:
+        elif record.op == Op.MESSAGE:
             message = connections.message(record, source)
             if message.channel is None:
                 tally.undecode("(connection without definition)")

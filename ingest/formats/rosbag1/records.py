@@ -14,26 +14,34 @@ import re
 import struct
 from collections.abc import Generator, Iterator, Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 
 from flysid.ingest.formats.base import Limits
 from flysid.ingest.formats.common.tally import Tally
 
 MAGIC = b"#ROSBAG V2.0\n"
-MESSAGE = 2
-BAG = 3
-INDEX = 4
-CHUNK = 5
-CHUNK_INFO = 6
-CONNECTION = 7
+
+
+class Op(IntEnum):
+    """What a record of a bag holds."""
+
+    MESSAGE = 2
+    BAG = 3
+    INDEX = 4
+    CHUNK = 5
+    CHUNK_INFO = 6
+    CONNECTION = 7
+
+
 MAX_HEADER_BYTES = 1 << 16
 _U32 = struct.Struct("<I")
 _NEEDS: Mapping[int, Mapping[bytes, int]] = {  # size of each field; 0 for any
-    MESSAGE: {b"conn": 4, b"time": 8},
-    BAG: {b"index_pos": 8, b"conn_count": 4, b"chunk_count": 4},
-    INDEX: {b"ver": 4, b"conn": 4, b"count": 4},
-    CHUNK: {b"compression": 0, b"size": 4},
-    CHUNK_INFO: {b"ver": 4, b"chunk_pos": 8, b"start_time": 8, b"end_time": 8, b"count": 4},
-    CONNECTION: {b"conn": 4, b"topic": 0},
+    Op.MESSAGE: {b"conn": 4, b"time": 8},
+    Op.BAG: {b"index_pos": 8, b"conn_count": 4, b"chunk_count": 4},
+    Op.INDEX: {b"ver": 4, b"conn": 4, b"count": 4},
+    Op.CHUNK: {b"compression": 0, b"size": 4},
+    Op.CHUNK_INFO: {b"ver": 4, b"chunk_pos": 8, b"start_time": 8, b"end_time": 8, b"count": 4},
+    Op.CONNECTION: {b"conn": 4, b"topic": 0},
 }
 _START = re.compile(
     rb"(?s)..\0\0..\0\0(?:op|conn|topic|time|ver|count|size|compression|index_pos|conn_count|chunk_count"
@@ -114,7 +122,7 @@ def next_record(view: memoryview | bytes, at: int, limit: int) -> int:
 
 def _is_plain_chunk(record: BagRecord) -> bool:
     """Whether records follow the head of a chunk as they are; a misspelt "none" is harmless so."""
-    return record.op == CHUNK and record.fields[b"compression"] not in (b"bz2", b"lz4")
+    return record.op == Op.CHUNK and record.fields[b"compression"] not in (b"bz2", b"lz4")
 
 
 class BagReader:
@@ -153,16 +161,18 @@ class BagReader:
         A recorder writes the index's place into the header when it closes the bag, 0 until then.
         """
         head = record_at(self._view, len(MAGIC), len(self._view))
-        if head is None or head.op != BAG or self._tally.freeze().lossy:
+        if head is None or head.op != Op.BAG or self._tally.freeze().lossy:
             return False
         counts = (int.from_bytes(head.fields[name], "little") for name in (b"conn_count", b"chunk_count"))
         return not any(head.fields[b"index_pos"]) or self._listed < sum(counts)
 
     def _count(self, record: BagRecord) -> None:
         self.seen += 1
-        head = record_at(self._view, len(MAGIC), len(self._view)) if record.op == CONNECTION else None
+        head = record_at(self._view, len(MAGIC), len(self._view)) if record.op == Op.CONNECTION else None
         index_pos = int.from_bytes(head.fields.get(b"index_pos", b""), "little") if head is not None else 0
-        self._listed += record.op == CHUNK_INFO or (record.op == CONNECTION and 0 < index_pos <= record.start)
+        self._listed += record.op == Op.CHUNK_INFO or (
+            record.op == Op.CONNECTION and 0 < index_pos <= record.start
+        )
 
     def _whole(self, record: BagRecord) -> Generator[Found, None, int]:
         """A record and what follows it; returns where to go on."""
@@ -175,7 +185,7 @@ class BagReader:
         elif record.end > limit:
             return self._lost(record.start, record.start, "the file ends inside this record")
         self._count(record)
-        if record.op == CHUNK:
+        if record.op == Op.CHUNK:
             yield from self._expanded(record)
         else:
             yield self._view, record
@@ -241,10 +251,10 @@ def _unpack(kind: bytes, packed: memoryview, size: int) -> bytes:
 def indexed_connections(view: memoryview) -> Iterator[BagRecord]:
     """The connections repeated behind the data, where the bag's own header can be believed."""
     first = record_at(view, len(MAGIC), len(view))
-    if first is None or first.op != BAG:
+    if first is None or first.op != Op.BAG:
         return
     at = int.from_bytes(first.fields[b"index_pos"], "little")
-    while (record := record_at(view, at, len(view))) is not None and record.op == CONNECTION:
+    while (record := record_at(view, at, len(view))) is not None and record.op == Op.CONNECTION:
         if record.end > len(view):
             return
         yield record

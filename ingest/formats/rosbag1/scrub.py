@@ -16,12 +16,10 @@ from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.messages.channel import Channel, Schema
 from flysid.ingest.formats.messages.scrub import Clean, cleaner_for
 from flysid.ingest.formats.rosbag1.records import (
-    CHUNK,
-    CONNECTION,
     MAGIC,
-    MESSAGE,
     BagReader,
     BagRecord,
+    Op,
     indexed_connections,
     record_at,
     split_fields,
@@ -42,10 +40,10 @@ def scrub(view: memoryview, scrubber: Scrubber, limits: Limits) -> Iterator[byte
         for known in indexed_connections(view):
             topics.define(known, bytes(view[known.data_at : known.end]))
         for source, record in reader.records():
-            content = bytes(source[record.data_at : record.end]) if record.op != CHUNK else b""
-            if record.op == CONNECTION:
+            content = bytes(source[record.data_at : record.end]) if record.op != Op.CHUNK else b""
+            if record.op == Op.CONNECTION:
                 topics.define(record, content)
-            elif record.op == MESSAGE:
+            elif record.op == Op.MESSAGE:
                 topics.add(record, content)
         writer.finish()
         scrubber.note(rules.UNREADABLE, "between records", tally.freeze().bytes_skipped)
@@ -104,5 +102,5 @@ def _compression(view: memoryview) -> bytes:
     """That of the first chunk, where it stands at its place."""
     head = record_at(view, len(MAGIC), len(view))
     first = record_at(view, head.end, len(view)) if head is not None else None
-    kind = first.fields[b"compression"] if first is not None and first.op == CHUNK else b"none"
+    kind = first.fields[b"compression"] if first is not None and first.op == Op.CHUNK else b"none"
     return kind if kind in (b"bz2", b"lz4") else b"none"

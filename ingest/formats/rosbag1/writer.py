@@ -10,7 +10,7 @@ import struct
 from collections.abc import Mapping
 from typing import IO
 
-from flysid.ingest.formats.rosbag1.records import BAG, CHUNK, CHUNK_INFO, CONNECTION, INDEX, MAGIC, MESSAGE
+from flysid.ingest.formats.rosbag1.records import MAGIC, Op
 
 HEADER_BYTES = 4096  # of the bag's own record, padded
 CHUNK_BYTES = 768 * 1024
@@ -50,14 +50,14 @@ class BagWriter:
         """Define a connection; returns its number. `about`: type, md5sum, message_definition ..."""
         number = len(self._connections)
         head = {b"conn": struct.pack("<I", number), b"topic": topic}
-        self._connections.append(record(CONNECTION, head, fields({b"topic": topic, **about})))
+        self._connections.append(record(Op.CONNECTION, head, fields({b"topic": topic, **about})))
         self._chunk += self._connections[-1]
         return number
 
     def add(self, number: int, time: bytes, data: bytes) -> None:
         """One message; `time` is u32 seconds and u32 nanoseconds."""
         self._index.setdefault(number, []).append((time, len(self._chunk)))
-        self._chunk += record(MESSAGE, {b"conn": struct.pack("<I", number), b"time": time}, data)
+        self._chunk += record(Op.MESSAGE, {b"conn": struct.pack("<I", number), b"time": time}, data)
         if len(self._chunk) >= CHUNK_BYTES:
             self._close_chunk()
 
@@ -76,17 +76,17 @@ class BagWriter:
             b"conn_count": struct.pack("<I", len(self._connections)),
             b"chunk_count": struct.pack("<I", len(self._infos)),
         }
-        return MAGIC + record(BAG, content, b" " * (HEADER_BYTES - len(record(BAG, content, b""))))
+        return MAGIC + record(Op.BAG, content, b" " * (HEADER_BYTES - len(record(Op.BAG, content, b""))))
 
     def _close_chunk(self) -> None:
         at = len(MAGIC) + HEADER_BYTES + self._body.tell()
         about = {b"compression": self._compression, b"size": struct.pack("<I", len(self._chunk))}
-        self._body.write(record(CHUNK, about, _packed(self._compression, bytes(self._chunk))))
+        self._body.write(record(Op.CHUNK, about, _packed(self._compression, bytes(self._chunk))))
         counts = b""
         for number, places in self._index.items():
             about = {b"conn": struct.pack("<I", number), b"count": struct.pack("<I", len(places))}
             data = b"".join(time + struct.pack("<I", offset) for time, offset in places)
-            self._body.write(record(INDEX, {b"ver": _VERSION, **about}, data))
+            self._body.write(record(Op.INDEX, {b"ver": _VERSION, **about}, data))
             counts += struct.pack("<II", number, len(places))
         times = sorted((struct.unpack("<II", t), t) for places in self._index.values() for t, _ in places)
         first, last = (times[0][1], times[-1][1]) if times else (bytes(8), bytes(8))
@@ -97,7 +97,7 @@ class BagWriter:
             b"end_time": last,
         }
         about[b"count"] = struct.pack("<I", len(self._index))
-        self._infos.append(record(CHUNK_INFO, about, counts))
+        self._infos.append(record(Op.CHUNK_INFO, about, counts))
         self._chunk = bytearray()
         self._index = {}
 

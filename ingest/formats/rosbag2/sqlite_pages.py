@@ -19,10 +19,9 @@ Left out: indexes, write-ahead logs and journals beside the file, UTF-16 databas
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 MAGIC = b"SQLite format 3\0"
-INNER = 5
-LEAF = 13
 HEADER_BYTES = 100
 DEFAULT_PAGE_BYTES = 4096
 MAX_PAYLOAD_BYTES = 1 << 28
@@ -30,6 +29,13 @@ SHARED_TIMES = 2  # sound rows do not share overflow pages; damaged ones may not
 _INTEGERS = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}
 
 Value = int | float | str | bytes | None
+
+
+class PageKind(IntEnum):
+    """B-tree pages of tables: with children, with rows."""
+
+    INNER = 5
+    LEAF = 13
 
 
 class PageError(ValueError):
@@ -95,7 +101,7 @@ class Database:
     def _is_sound(self, number: int) -> bool:
         """Whether a page is one of a table and its parts fill it."""
         try:
-            return not (self.leaf if self.kind(number) == LEAF else self.inner)(number).fault
+            return not (self.leaf if self.kind(number) == PageKind.LEAF else self.inner)(number).fault
         except PageError:
             return False
 
@@ -103,7 +109,7 @@ class Database:
         """The rows of a leaf page, as far as they hold together. Raises PageError where it is none."""
         page = self.page(number)
         base = HEADER_BYTES if number == 1 else 0
-        if page[base] != LEAF:
+        if page[base] != PageKind.LEAF:
             raise PageError("not a leaf of a table")
         cells: list[Cell] = []
         taken = 0
@@ -122,7 +128,7 @@ class Database:
         """The children of an inner page. Raises PageError where it is none."""
         page = self.page(number)
         base = HEADER_BYTES if number == 1 else 0
-        if page[base] != INNER:
+        if page[base] != PageKind.INNER:
             raise PageError("not an inner page of a table")
         children = []
         taken = 0

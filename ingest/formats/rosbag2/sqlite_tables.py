@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 
 from flysid.ingest.formats.common.tally import Tally
-from flysid.ingest.formats.rosbag2.sqlite_pages import INNER, LEAF, Database, Leaf, Value
+from flysid.ingest.formats.rosbag2.sqlite_pages import Database, Leaf, PageKind, Value
 
 MAX_DEPTH = 24
 _COLUMN = re.compile(r'\s*["\[`]?(\w+)')
@@ -55,7 +55,7 @@ class Tables:
             return
         free = self.database.freelist()
         for number in range(2, self.database.pages + 1):
-            if not self._owned[number] and number not in free and self.database.kind(number) == LEAF:
+            if not self._owned[number] and number not in free and self.database.kind(number) == PageKind.LEAF:
                 self.place = self.database.start(number)
                 leaf = self._leaf(number, fits)
                 if leaf.cells:
@@ -96,11 +96,11 @@ class Tables:
                 continue
             kind = self.database.kind(number)
             self.place = max(self.place, self.database.start(number))
-            if kind == LEAF:
+            if kind == PageKind.LEAF:
                 leaf = self._leaf(number, fits)
                 self._note(number, leaf.fault)
                 yield from (cell.row for cell in leaf.cells)
-            elif kind == INNER:
+            elif kind == PageKind.INNER:
                 inner = self.database.inner(number)
                 self._owned[number] = 1
                 self._note(number, inner.fault)

@@ -17,6 +17,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.ingest.formats.blackbox.codes import Encoding, Predictor
 from flysid.ingest.formats.blackbox.writing import Fields, Writer, unsigned_vb
 from flysid.ingest.synth.telemetry import MS_NS, SECOND_NS, IntArray, Recording, heard, throttle
 
@@ -32,41 +33,33 @@ GPS_NS = 100 * MS_NS
 MODES = 0b11  # armed, angle
 DISARMED_BY_SWITCH = 4
 AXES = range(3)
-# predictors of P frames
-PREVIOUS = 1
-AVERAGE = 3
-# encodings: one number, groups of three, of four, of eight
-SIGNED = 0
-THREE = 7
-FOUR = 8
-EIGHT = 6
 
 # name, signed, predictor and encoding of I, the same of P
 Column = tuple[str, int, int, int, int, int]
-CLOCK: list[Column] = [("loopIteration", 0, 0, 1, 6, 9), ("time", 0, 0, 1, 2, SIGNED)]
+CLOCK: list[Column] = [("loopIteration", 0, 0, 1, 6, 9), ("time", 0, 0, 1, 2, Encoding.SIGNED_VB)]
 CONTROLLERS: list[Column] = [
-    *((f"axisP[{k}]", 1, 0, SIGNED, PREVIOUS, SIGNED) for k in AXES),
-    *((f"axisI[{k}]", 1, 0, SIGNED, PREVIOUS, THREE) for k in AXES),
+    *((f"axisP[{k}]", 1, 0, Encoding.SIGNED_VB, Predictor.PREVIOUS, Encoding.SIGNED_VB) for k in AXES),
+    *((f"axisI[{k}]", 1, 0, Encoding.SIGNED_VB, Predictor.PREVIOUS, Encoding.TAG2_3S32) for k in AXES),
 ]
 SENSED: list[Column] = [
-    *((f"rcCommand[{k}]", 1, 0, SIGNED, PREVIOUS, FOUR) for k in AXES),
-    ("rcCommand[3]", 0, 4, 1, PREVIOUS, FOUR),
-    *((f"setpoint[{k}]", 1, 0, SIGNED, PREVIOUS, FOUR) for k in range(4)),
-    ("baroAlt", 1, 0, SIGNED, PREVIOUS, EIGHT),
-    *((f"gyroADC[{k}]", 1, 0, SIGNED, AVERAGE, SIGNED) for k in AXES),
+    *((f"rcCommand[{k}]", 1, 0, Encoding.SIGNED_VB, Predictor.PREVIOUS, Encoding.TAG8_4S16) for k in AXES),
+    ("rcCommand[3]", 0, 4, 1, Predictor.PREVIOUS, Encoding.TAG8_4S16),
+    *((f"setpoint[{k}]", 1, 0, Encoding.SIGNED_VB, Predictor.PREVIOUS, Encoding.TAG8_4S16) for k in range(4)),
+    ("baroAlt", 1, 0, Encoding.SIGNED_VB, Predictor.PREVIOUS, Encoding.TAG8_8SVB),
+    *((f"gyroADC[{k}]", 1, 0, Encoding.SIGNED_VB, Predictor.AVERAGE, Encoding.SIGNED_VB) for k in AXES),
 ]
 ROTORS: list[Column] = [
-    ("motor[0]", 0, 11, 1, AVERAGE, SIGNED),
-    *((f"motor[{k}]", 0, 5, SIGNED, AVERAGE, SIGNED) for k in (1, 2, 3)),
+    ("motor[0]", 0, 11, 1, Predictor.AVERAGE, Encoding.SIGNED_VB),
+    *((f"motor[{k}]", 0, 5, Encoding.SIGNED_VB, Predictor.AVERAGE, Encoding.SIGNED_VB) for k in (1, 2, 3)),
 ]
 SLOW = Fields(
     ["flightModeFlags", "stateFlags", "failsafePhase", "rxSignalReceived", "rxFlightChannelsValid"],
-    [0] * 5, [0] * 5, [1, 1, THREE, THREE, THREE],
+    [0] * 5, [0] * 5, [1, 1, Encoding.TAG2_3S32, Encoding.TAG2_3S32, Encoding.TAG2_3S32],
 )  # fmt: skip
-POSITION = Fields(["GPS_home[0]", "GPS_home[1]"], [1, 1], [0, 0], [SIGNED, SIGNED])
+POSITION = Fields(["GPS_home[0]", "GPS_home[1]"], [1, 1], [0, 0], [Encoding.SIGNED_VB, Encoding.SIGNED_VB])
 GPS = Fields(
     ["time", "GPS_numSat", "GPS_coord[0]", "GPS_coord[1]", "GPS_altitude", "GPS_speed", "GPS_ground_course"],
-    [0, 0, 1, 1, 0, 0, 0], [10, 0, 7, 7, 0, 0, 0], [1, 1, SIGNED, SIGNED, 1, 1, 1],
+    [0, 0, 1, 1, 0, 0, 0], [10, 0, 7, 7, 0, 0, 0], [1, 1, Encoding.SIGNED_VB, Encoding.SIGNED_VB, 1, 1, 1],
 )  # fmt: skip
 
 

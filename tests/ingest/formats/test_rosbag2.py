@@ -233,7 +233,7 @@ def test_pages_that_refer_to_each_other_do_not_hang() -> None:
 def test_an_inner_page_whose_cell_runs_past_its_end_costs_no_row() -> None:
     raw = bytearray(sample.build())
     size = sample.PAGE_BYTES
-    at = next(k for k in range(0, len(raw), size) if raw[k] == sqlite_pages.INNER)
+    at = next(k for k in range(0, len(raw), size) if raw[k] == sqlite_pages.PageKind.INNER)
     raw[at + 12 : at + 14] = struct.pack(">H", size - 6)
     raw[at + size - 6 : at + size] = raw[at + 300 : at + 304] + b"\xff\xff"  # a key without an end
     flight = parse(bytes(raw))
