@@ -24,8 +24,6 @@ from flysid.model.rules.stages import ordered
 from flysid.model.threads import on_one_thread
 
 # of the step, Jang's heuristic rules
-_GROWTH = 1.1
-_SHRINKAGE = 0.9
 
 
 @dataclass(frozen=True)
@@ -213,14 +211,17 @@ class _Learner:
         return np.asarray(strength / strength.sum(axis=1, keepdims=True))
 
 
-def _pace(errors: Sequence[float]) -> float:
-    """Factor on the step: longer after four decreases in a row, shorter after two ups and downs."""
+def _pace(errors: Sequence[float], *, growth: float = 1.1, shrinkage: float = 0.9) -> float:
+    """Factor on the step: longer after four decreases in a row, shorter after two ups and downs.
+
+    `growth`: Jang's heuristic rules for the step.
+    """
     changes = np.sign(np.diff(errors[-5:]))
     if len(changes) < 4:
         return 1.0
     if (changes < 0).all():
-        return _GROWTH
-    return _SHRINKAGE if tuple(changes) == (1, -1, 1, -1) else 1.0
+        return growth
+    return shrinkage if tuple(changes) == (1, -1, 1, -1) else 1.0
 
 
 def _problem(layout: Layout, runs: tuple[FloatArray, ...]) -> Problem:

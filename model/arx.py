@@ -33,8 +33,6 @@ from flysid.model.shared import fit_key, once
 from flysid.model.stream import OnDisk, Source
 from flysid.model.threads import on_one_thread
 
-HIGHEST_NA = 6
-
 
 @dataclass(frozen=True)
 class ARX(PolynomialSettings):
@@ -149,13 +147,13 @@ class _LeastSquaresFit:
         grid = _grid(data, [self.choice], self.settings.offset, parts.scaling)
         return self._model(self.choice, grid.fit(self.choice), self.note, parts=parts)
 
-    def _candidates(self) -> tuple[list[Choice], Grid]:
+    def _candidates(self, *, highest_na: int = 6) -> tuple[list[Choice], Grid]:
         s = self.settings
         n_u = self.n_u
         rows = len(self.parts.fit)
         longest = max(len(x) for x in self.parts.fit.segments)
         budget = max(rows // SHARE, 1)
-        most = max(1, min(HIGHEST_NA, (budget - 1) // (self.n_y + n_u)))
+        most = max(1, min(highest_na, (budget - 1) // (self.n_y + n_u)))
         nas = range(1, most + 1) if s.na == "auto" else [int(s.na)]
         counts = range(1, most + 1) if s.nb == "auto" else None
         nbs = [as_tuple(c, n_u) for c in counts] if counts else [as_tuple(s.nb, n_u)]  # type: ignore[arg-type]

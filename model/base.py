@@ -45,7 +45,6 @@ ENTRY_POINTS = "flysid.structures"
 MAX_FILE_BYTES = 256 << 20
 MAX_INIT = 1_000_000
 MAX_SIGNALS = 1000
-TRIED = 100
 
 
 @dataclass(frozen=True)
@@ -322,7 +321,7 @@ def _finite(text: str) -> float:
     return value if math.isfinite(value) else _refuse(text)
 
 
-def try_out(model: Fitted) -> None:
+def try_out(model: Fitted, *, samples: int = 100) -> None:
     """Simulate and predict a few samples in the middle of the model's range, and have it say what it is.
 
     Raises
@@ -339,7 +338,7 @@ def try_out(model: Fitted) -> None:
     limits = np.asarray(model.output_limits, dtype=np.float64)
     if limits.shape != (2, n_y):
         raise ValueError(f"output limits of shape {limits.shape}")
-    n = start + TRIED
+    n = start + samples
     u = np.cos(np.arange(n * n_u, dtype=np.float64)).reshape(n, n_u)
     y = np.tile(limits.mean(axis=0), (n, 1)) + np.sin(np.arange(n, dtype=np.float64))[:, None]
     with np.errstate(all="ignore"):

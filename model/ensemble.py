@@ -32,8 +32,6 @@ from flysid.model.start import FreeRuns
 from flysid.model.threads import on_one_thread
 from flysid.model.ts import TS
 
-_LEAST_ROWS = 30  # of a piece of a segment that is left when a block is taken out
-
 
 @dataclass(frozen=True)
 class Ensemble:
@@ -89,8 +87,10 @@ class Ensemble:
         return FittedEnsemble(tuple(fitted), tuple(notes))
 
 
-def without_block(data: Dataset, block: int, blocks: int) -> Dataset:
+def without_block(data: Dataset, block: int, blocks: int, *, least_rows: int = 30) -> Dataset:
     """The data without one of `blocks` equal stretches of its samples, counted through all segments.
+
+    `least_rows`: of a piece of a segment that is left when a block is taken out.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def without_block(data: Dataset, block: int, blocks: int) -> Dataset:
             kept.append(segment)
             continue
         for a, b in ((0, int(first)), (int(last), n)):
-            if b - a >= _LEAST_ROWS:
+            if b - a >= least_rows:
                 kept.append(segment.slice(a, b, data.dt_s))
     if not kept:
         raise DataError(

@@ -20,12 +20,6 @@ from flysid.model.base import Fitted
 from flysid.model.noise import noise_model
 from flysid.model.start import estimate_start, start_window
 
-LOOK_S = 1.0
-MOST_LAGS = 25
-FEWEST_LAGS = 5
-LEVEL = 1e-4
-SHARE = 0.02
-"""Of the innovations' variance that later inputs must explain."""
 BIASED = "Free-run fits (OE, TF, refined ARX) may be biased"
 REMEDY = (
     "compare with ARMAX or BJ (prediction error), or IV with the reference as instrument, or excite the "
@@ -53,7 +47,7 @@ class Feedback:
     @property
     def closed(self) -> bool:
         """A loop is closed, beyond doubt and by a margin that matters."""
-        return self.p_value < LEVEL and self.share > SHARE
+        return is_closed(self.p_value, self.share)
 
     @property
     def seen(self) -> str:
@@ -72,9 +66,14 @@ class Feedback:
         return f"{self.seen} {BIASED}: {REMEDY}." if self.closed else ""
 
 
-def answer_lags(dt_s: float) -> int:
+def is_closed(p_value: float, share: float, level: float = 1e-4, least_share: float = 0.02) -> bool:
+    """Whether later inputs explain the innovations beyond doubt, and enough of their variance to matter."""
+    return p_value < level and share > least_share
+
+
+def answer_lags(dt_s: float, *, look_s: float = 1.0, fewest: int = 5, most: int = 25) -> int:
     """How many samples ahead an answer is looked for."""
-    return int(np.clip(round(LOOK_S / dt_s), FEWEST_LAGS, MOST_LAGS))
+    return int(np.clip(round(look_s / dt_s), fewest, most))
 
 
 def feedback(model: Fitted, data: Dataset) -> tuple[Feedback, ...]:

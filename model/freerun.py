@@ -19,8 +19,6 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.filters import filtered
 
-_FAR = 100.0  # ranges between limits
-
 
 @dataclass(frozen=True, eq=False)
 class Difference:
@@ -125,9 +123,12 @@ def _coupled_kernel() -> Any:
     return coupled
 
 
-def far(limits: FloatArray) -> FloatArray:
-    """Limits (2, n_y) so far off that only what grows without end, or an absurd start, gets there."""
-    margin = _FAR * (limits[1] - limits[0])
+def far(limits: FloatArray, *, ranges: float = 100.0) -> FloatArray:
+    """Limits (2, n_y) so far off that only what grows without end, or an absurd start, gets there.
+
+    `ranges`: ranges between limits.
+    """
+    margin = ranges * (limits[1] - limits[0])
     return np.stack([limits[0] - margin, limits[1] + margin])
 
 

@@ -24,9 +24,6 @@ from flysid.errors import DataError
 from flysid.model.regressors import CHUNK_ROWS
 from flysid.model.stream import Block, Blocks, windows
 
-LARGEST_GRAM_CONDITION = 1e10
-"""Condition of the column-scaled Gram (that of Phi squared) up to which Cholesky keeps six digits."""
-
 Pieces = Callable[[], Iterable[tuple[FloatArray, FloatArray]]]
 
 
@@ -104,14 +101,17 @@ def reduce_data(pieces: Pieces, gram: FloatArray | None = None) -> Triangle:
     return Triangle(_by_tsqr(pieces(), n + m + 1), n, m, rows, "tsqr")
 
 
-def triangle_of(gram: FloatArray) -> FloatArray | None:
-    """The Cholesky factor R of a Gram, or None where its condition, columns scaled, is too large."""
+def triangle_of(gram: FloatArray, *, largest_condition: float = 1e10) -> FloatArray | None:
+    """The Cholesky factor R of a Gram, or None where its condition, columns scaled, is too large.
+
+    `largest_condition`: of the column-scaled Gram (that of Phi squared), up to which six digits are kept.
+    """
     scale = np.sqrt(np.diag(gram))
     if not (scale > 0).all():
         return None
     scaled = gram / np.outer(scale, scale)
     values = np.linalg.eigvalsh(scaled)
-    if not values[0] * LARGEST_GRAM_CONDITION > values[-1]:
+    if not values[0] * largest_condition > values[-1]:
         return None
     r: FloatArray = np.linalg.cholesky(scaled).T * scale
     return r

@@ -26,8 +26,6 @@ from flysid.model.static_ts import FittedStaticTS
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.subspace.kalman import filtered_states, free_states, output_of
 
-REMEMBERED_S = 10.0  # of a structure that is not known here
-
 
 class InPieces(Protocol):
     """Predictions of a record from its first sample on."""
@@ -41,8 +39,10 @@ FreeRun = Callable[[FloatArray], FloatArray]
 """A free run that goes on: (n, n_y) outputs for the next inputs (n, n_u)."""
 
 
-def in_pieces(model: Fitted) -> InPieces:
+def in_pieces(model: Fitted, *, remembered_s: float = 10.0) -> InPieces:
     """What predicts a record that comes in pieces.
+
+    `remembered_s`: of a structure that is not known here.
 
     Examples
     --------
@@ -61,7 +61,7 @@ def in_pieces(model: Fitted) -> InPieces:
     has_short_memory = isinstance(model, FittedStaticTS | RuleModel) or (
         isinstance(model, FittedLinear) and model.ma is None
     )
-    return _Again(model, model.n_init if has_short_memory else round(REMEMBERED_S / model.dt_s))
+    return _Again(model, model.n_init if has_short_memory else round(remembered_s / model.dt_s))
 
 
 class _Again:

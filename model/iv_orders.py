@@ -19,12 +19,8 @@ from flysid.model.linear.data import Parts
 from flysid.model.linear.iv_stages import Columns, Orders, Path, driven_by, estimated_by_iv
 from flysid.model.linear.settings import PolynomialSettings
 from flysid.model.polynomials import ComplexArray
+from flysid.model.selection import STRONG
 from flysid.model.stream import Blocks, blocks_of
-
-LONGEST_DELAY = 10
-PROBE = 2
-STRONG = 10.0
-"""A difference in BIC that is very strong evidence (Kass & Raftery, 1995, J. Am. Stat. Assoc. 90)."""
 
 
 def words_of(orders: Sequence[Orders]) -> str:
@@ -76,11 +72,13 @@ class _Search:
         self.measured = measured
         self.tried: dict[Orders, tuple[bool, float]] = {}
 
-    def best(self, settings: PolynomialSettings, nas: Sequence[int]) -> Orders | None:
+    def best(
+        self, settings: PolynomialSettings, nas: Sequence[int], *, longest_delay: int = 10, probe_na: int = 2
+    ) -> Orders | None:
         """First delays for a probe of low order, then all orders with delays beside those: the lowest order
         against which there is no very strong evidence."""
-        probe = min(max(nas), max(PROBE, min(nas)))
-        first = [self._orders(settings, probe, k) for k in range(1, LONGEST_DELAY + 1)]
+        probe = min(max(nas), max(probe_na, min(nas)))
+        first = [self._orders(settings, probe, k) for k in range(1, longest_delay + 1)]
         start = self._least(first)
         if start is None:
             return None

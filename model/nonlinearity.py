@@ -27,15 +27,8 @@ from flysid.model.base import Fitted
 from flysid.model.start import estimate_start, start_window
 
 LEVEL = 0.005
-DRAWS = 1999
-BLOCKS = 64
-FEWEST = 16
-SHORTEST = 40
-"""Samples of a block, at least."""
 SMALL = 1e-3
 """Of an input's standard deviation: what is added to it, so that no limit of the output is reached."""
-APART = 1e-6
-"""Of the largest: variances of combinations of shapes below it are rounding."""
 
 
 @dataclass(frozen=True)
@@ -95,14 +88,14 @@ def nonlinearity(model: Fitted, data: Dataset) -> tuple[Nonlinearity, ...]:
     return tuple(_of_output(model, data, j) for j in range(len(data.outputs)))
 
 
-def _of_output(model: Fitted, data: Dataset, output: int) -> Nonlinearity:
+def _of_output(model: Fitted, data: Dataset, output: int, *, draws: int = 1999) -> Nonlinearity:
     names = tuple(s.name for s in data.inputs)
     grams, error = _grams(model, data, output)
     linear = 2 + len(names) * LINEAR_COLUMNS
     sums = _sums(grams, linear)
     if sums is None:
         return Nonlinearity(data.outputs[output].name, names, 1.0, 0.0, float("inf"))
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(DRAWS, len(sums)))
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(draws, len(sums)))
     explained = float((sums.sum(axis=0) ** 2).sum())
     chance = ((signs @ sums) ** 2).sum(axis=1)
     by_chance = float(chance.mean())
@@ -111,46 +104,53 @@ def _of_output(model: Fitted, data: Dataset, output: int) -> Nonlinearity:
     return Nonlinearity(
         data.outputs[output].name,
         names,
-        float(1 + (chance >= explained).sum()) / (1 + DRAWS),
+        float(1 + (chance >= explained).sum()) / (1 + draws),
         unit * float(np.sqrt(max(0.0, explained - by_chance))),
         unit * float(np.sqrt(np.quantile(chance, 1.0 - LEVEL) - by_chance)),
     )
 
 
-def _sums(grams: FloatArray, linear: int) -> FloatArray | None:
+def _sums(
+    grams: FloatArray, linear: int, *, fewest: int = 16, least_share: float = 1e-6
+) -> FloatArray | None:
     """(blocks, m) products of the linear remainder with orthonormal combinations of the shapes, by block.
 
     Parameters
     ----------
     grams : (blocks, c, c) products of linear columns, shapes and the model's error.
+    least_share : of the largest: variances of combinations of shapes below it are rounding.
     """
-    if len(grams) < FEWEST:
+    if len(grams) < fewest:
         return None
     total = grams.sum(axis=0)
     lines = total[:linear, :linear]
-    remove = np.linalg.lstsq(lines, total[:linear, linear:], rcond=APART)[0]
+    remove = np.linalg.lstsq(lines, total[:linear, linear:], rcond=least_share)[0]
     left = total[linear:, linear:] - total[linear:, :linear] @ remove
     values, vectors = np.linalg.eigh(left[:-1, :-1])
-    kept = values > APART * max(values[-1], 0.0)
+    kept = values > least_share * max(values[-1], 0.0)
     basis = vectors[:, kept] / np.sqrt(values[kept])
     apart = grams[:, linear:, linear:] - grams[:, linear:, :linear] @ remove
     apart = apart - remove.T @ (grams[:, :linear, linear:] - grams[:, :linear, :linear] @ remove)
     return np.asarray(apart[:, :-1, -1] @ basis)
 
 
-def _grams(model: Fitted, data: Dataset, output: int) -> tuple[FloatArray, float]:
+def _grams(
+    model: Fitted, data: Dataset, output: int, *, shortest: int = 40, most_blocks: int = 64
+) -> tuple[FloatArray, float]:
     """(blocks, c, c) products of the columns of `_columns`, each of unit size, over blocks of time.
 
     Then the size that the last column, the error, has by itself.
+
+    `shortest`: samples of a block, at least.
     """
     u = np.concatenate([s.u for s in data.segments])
     y = np.concatenate([s.y[:, output] for s in data.segments])
     scales = _Scales(u.mean(axis=0), u.std(axis=0) + np.finfo(float).tiny, float(y.mean()), float(y.std()))
-    length = max(SHORTEST, len(y) // BLOCKS)
+    length = max(shortest, len(y) // most_blocks)
     found = []
     for segment in data.segments:
         window = start_window(model.n_init, len(segment), model.dt_s)
-        if len(segment) < window + SHORTEST or scales.y_std == 0.0:
+        if len(segment) < window + shortest or scales.y_std == 0.0:
             continue
         columns = np.column_stack(list(_columns(model, segment, output, scales)))[window:]
         blocks = np.array_split(columns, max(1, len(columns) // length))
@@ -172,19 +172,22 @@ class _Scales:
     y_std: float
 
 
-FAR = 100.0
-"""Standard deviations of the output; a free run that is farther off says nothing of a shape."""
 LAGS = (1, 4)
 LINEAR_COLUMNS = 2 + len(LAGS)
 """Per input."""
 
 
-def _columns(model: Fitted, segment: Segment, output: int, scales: _Scales) -> Iterator[FloatArray]:
-    """(N,) linear columns, then shapes, then the error of the free run."""
+def _columns(
+    model: Fitted, segment: Segment, output: int, scales: _Scales, *, far: float = 100.0
+) -> Iterator[FloatArray]:
+    """(N,) linear columns, then shapes, then the error of the free run.
+
+    `far`: standard deviations of the output; a free run that is farther off says nothing of a shape.
+    """
     window = start_window(model.n_init, len(segment), model.dt_s)
     start = estimate_start(model, segment.u[:window], segment.y[:window])
     free = model.simulate(segment.u, start)[:, output]
-    most = FAR * scales.y_std
+    most = far * scales.y_std
     at = np.clip(free - scales.y_mean, -most, most) / scales.y_std
 
     def through(i: int, shape: FloatArray) -> FloatArray:

@@ -12,13 +12,6 @@ if TYPE_CHECKING:
     from flysid.dataset import FloatArray
     from flysid.model.base import Fitted
 
-TIME_CONSTANTS = 6.0
-MOST_SAMPLES = 20_000
-FEWEST_SAMPLES = 50
-PADDING = 8
-SMALL = 1e-3
-"""Of a step from rest whose response is taken for the linear one, in units of the input."""
-
 
 def plot_step(model: Fitted, output: int = 0, ax: Any = None) -> Any:
     """Unit steps of every input from rest, as long as six of the slowest time constants."""
@@ -56,14 +49,19 @@ def plot_bode(model: Fitted, output: int = 0, ax: Any = None) -> Any:
     return magnitude, phase
 
 
-def bode(model: Fitted, output: int = 0) -> tuple[FloatArray, FloatArray]:
-    """(F,) frequencies in Hz and (n_u, F) complex responses of small signals about rest."""
+def bode(
+    model: Fitted, output: int = 0, *, padding: int = 8, height: float = 1e-3
+) -> tuple[FloatArray, FloatArray]:
+    """(F,) frequencies in Hz and (n_u, F) complex responses of small signals about rest.
+
+    `height`: of a step from rest whose response is taken for the linear one, in units of the input.
+    """
     samples = _length(model)
-    padded = PADDING * samples
+    padded = padding * samples
     frequency_hz = np.asarray(np.fft.rfftfreq(padded, model.dt_s)[1:], dtype=np.float64)
     found = []
     for j in range(len(model.inputs)):
-        step = _response(model, j, SMALL, samples)[:, output] / SMALL
+        step = _response(model, j, height, samples)[:, output] / height
         found.append(np.fft.rfft(np.diff(step, prepend=0.0), padded)[1:])
     return frequency_hz, np.array(found)
 
@@ -76,10 +74,10 @@ def _response(model: Fitted, column: int, height: float, samples: int) -> FloatA
     return np.asarray(model.simulate(u) - rest)
 
 
-def _length(model: Fitted) -> int:
+def _length(model: Fitted, *, time_constants: float = 6.0, most: int = 20_000, fewest: int = 50) -> int:
     slowest = max((r.time_constant_s for r in model.rules() if np.isfinite(r.time_constant_s)), default=0.0)
-    samples = round(TIME_CONSTANTS * slowest / model.dt_s)
-    return int(np.clip(samples, FEWEST_SAMPLES + model.n_init, MOST_SAMPLES))
+    samples = round(time_constants * slowest / model.dt_s)
+    return int(np.clip(samples, fewest + model.n_init, most))
 
 
 def _axes(rows: int) -> Any:

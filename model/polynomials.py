@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from math import comb
+from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
@@ -50,18 +51,16 @@ def poles(a: FloatArray) -> ComplexArray:
     return np.asarray(roots[np.argsort(-np.abs(roots), kind="stable")])
 
 
-CANCELS = 0.1  # of a pole's distance from one, which is that of its gain
-
-
-def nearly_cancelled(pole: complex, numerators: Iterable[FloatArray]) -> bool:
+def nearly_cancelled(pole: complex, numerators: Iterable[FloatArray], *, near_share: float = 0.1) -> bool:
     """Every input that does anything has a zero beside the pole, so that answers hardly show it.
 
     Parameters
     ----------
     numerators : (nk + nb,) taps of every input, zeros up to its delay.
+    near_share : of a pole's distance from one, which is that of its gain.
     """
     taps = [b for b in map(np.trim_zeros, numerators) if len(b)]
-    near = [(np.abs(np.roots(b) - pole) < CANCELS * abs(1.0 - pole)).any() for b in taps]
+    near = [(np.abs(np.roots(b) - pole) < near_share * abs(1.0 - pole)).any() for b in taps]
     return bool(near) and all(near)
 
 
@@ -79,9 +78,9 @@ def stabilised(a: FloatArray, radius: float = 1.0) -> FloatArray:
     return padded
 
 
-Z95 = 1.959963984540054
-MOST_TERMS = 12
-"""Of a polynomial that is shown."""
+Z95 = NormalDist().inv_cdf(0.975)
+DB = 20.0 / np.log(10.0)
+"""Of a magnitude's natural logarithm."""
 
 
 @dataclass(frozen=True)
@@ -129,23 +128,24 @@ def modes_of(roots: ComplexArray, dt_s: float) -> tuple[Mode, ...]:
     return tuple(found)
 
 
-def polynomial_text(coefficients: FloatArray, errors: FloatArray | None = None) -> str:
+def polynomial_text(coefficients: FloatArray, errors: FloatArray | None = None, *, most: int = 12) -> str:
     """ "1 - 1.5 (+- 0.04) q^-1 + 0.7 (+- 0.02) q^-2"; zero terms are left out, long ones cut short.
 
     Parameters
     ----------
     errors : standard errors; half the width of a 95 % interval is shown, and no digits far below it.
+    most : of a polynomial that is shown.
     """
     half = Z95 * (np.zeros(len(coefficients)) if errors is None else np.nan_to_num(errors))
     powers = [power for power, value in enumerate(coefficients) if value != 0.0]
     terms: list[str] = []
-    for power in powers[:MOST_TERMS]:
+    for power in powers[:most]:
         value = coefficients[power]
         sign = ("-" if value < 0 else "") if not terms else (" - " if value < 0 else " + ")
         error = f" (+- {significant(half[power], 2)})" if half[power] > 0 else ""
         delay = f" q^-{power}" if power else ""
         terms.append(f"{sign}{_digits(abs(value), half[power])}{error}{delay}")
-    more = len(powers) - MOST_TERMS
+    more = len(powers) - most
     return ("".join(terms) or "0") + (f" + ... ({more} more, to q^-{powers[-1]})" if more > 0 else "")
 
 

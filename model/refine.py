@@ -27,11 +27,6 @@ NormalEquations: TypeAlias = tuple[float, FloatArray | Bordered, FloatArray]
 """cost rᵀr, (n, n) JᵀJ and (n,) Jᵀr."""
 Reason = Literal["converged", "stalled", "max_iterations"]
 
-FIRST_DAMPING = 1e-3
-LARGEST_DAMPING = 1e16
-SMALLEST_DAMPING = 1e-24
-SMALLEST_RELAXATION = 0.1
-
 
 @dataclass(frozen=True)
 class Refinement:
@@ -70,6 +65,8 @@ def levenberg_marquardt(
     cost: Callable[[FloatArray], float] | None = None,
     max_iterations: int = 50,
     tolerance: float = 1e-8,
+    first_damping: float = 1e-3,
+    largest_damping: float = 1e16,
 ) -> Refinement:
     """Minimise the sum of squared residuals from a start.
 
@@ -86,7 +83,7 @@ def levenberg_marquardt(
     """
     point = _started(evaluate, theta0)
     scale = _floored(point.diagonal)
-    damping = FIRST_DAMPING
+    damping = first_damping
     growth = 2.0
     reason: Reason = "max_iterations"
     tries = 0
@@ -100,7 +97,7 @@ def levenberg_marquardt(
         if step is None or new is None:
             damping = damping * growth
             growth = growth * 2.0
-            if damping > LARGEST_DAMPING or (step is not None and _is_short(step, point, scale, 1e-15)):
+            if damping > largest_damping or (step is not None and _is_short(step, point, scale, 1e-15)):
                 reason = "stalled"
                 break
             tries -= growth <= 2.0**8  # the first rejections in a row cost no iteration
@@ -205,12 +202,19 @@ def _step(point: _Point, scale: FloatArray, damping: float) -> FloatArray | None
 
 
 def _relax(
-    damping: float, old: _Point, new: _Point, step: FloatArray, scale: FloatArray
+    damping: float,
+    old: _Point,
+    new: _Point,
+    step: FloatArray,
+    scale: FloatArray,
+    *,
+    smallest: float = 1e-24,
+    smallest_factor: float = 0.1,
 ) -> tuple[float, float]:
     """Nielsen's rule (bolder: 0.1 for 1/3): less damping the better the prediction of the decrease was."""
     predicted = -float(step @ old.gradient) + damping * float(np.sum((scale * step) ** 2))
     gain = (old.cost - new.cost) / predicted if predicted > 0 else 1.0
-    return max(damping * max(SMALLEST_RELAXATION, 1.0 - (2.0 * gain - 1.0) ** 3), SMALLEST_DAMPING), 2.0
+    return max(damping * max(smallest_factor, 1.0 - (2.0 * gain - 1.0) ** 3), smallest), 2.0
 
 
 def _is_stationary(point: _Point, scale: FloatArray) -> bool:

@@ -9,11 +9,12 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Fitted
 
-BLOCKS = 16
 LEVEL = 0.01
 """Relative difference in mean square that nobody would pay an order for."""
 HELD_OUT = 0.25
 """Of training data, where no part was given to choose on."""
+STRONG = 10.0
+"""A difference in BIC that is very strong evidence (Kass & Raftery, 1995, J. Am. Stat. Assoc. 90)."""
 
 
 def parts_to_choose_on(train: Dataset) -> tuple[Dataset, Dataset]:
@@ -41,9 +42,9 @@ def block_errors(model: Fitted, data: Dataset, skip: int, scale: FloatArray) -> 
     return block_means(errors)
 
 
-def block_means(squares: Sequence[FloatArray]) -> FloatArray:
+def block_means(squares: Sequence[FloatArray], *, blocks: int = 16) -> FloatArray:
     """Means over about 16 blocks of consecutive samples; no block crosses a segment's edge."""
-    size = max(sum(len(s) for s in squares) // BLOCKS, 1)
+    size = max(sum(len(s) for s in squares) // blocks, 1)
     pieces = [p for s in squares if len(s) for p in np.array_split(s, max(round(len(s) / size), 1))]
     return np.array([p.mean() for p in pieces])
 

@@ -16,20 +16,14 @@ import numpy.typing as npt
 
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import DataError, UsageError
-from flysid.model.feedback import LEVEL, SHARE, answer_lags, later_inputs
+from flysid.model.feedback import answer_lags, is_closed, later_inputs
 from flysid.model.fir import Posterior, centred_gram, posterior_of
 from flysid.model.noise import noise_model
 from flysid.model.polynomials import Z95
 from flysid.model.threads import on_one_thread
 from flysid.showing import significant
 
-HORIZON_S = 2.0
-MOST_TAPS = 200
-ROUNDS = 3
 DRAWS = 400
-CHUNK = 4096
-SETTLED = 0.05
-"""Of the final value."""
 
 BoolArray = npt.NDArray[np.bool_]
 Record = tuple[FloatArray, FloatArray]
@@ -145,8 +139,9 @@ def _first_time(time_s: FloatArray, step: FloatArray, share: float) -> float:
     return float(time_s[k - 1] + part * (time_s[k] - time_s[k - 1]))
 
 
-def _settled(time_s: FloatArray, step: FloatArray) -> float:
-    outside = np.flatnonzero(np.abs(step - 1.0) > SETTLED)
+def _settled(time_s: FloatArray, step: FloatArray, *, within: float = 0.05) -> float:
+    """`within`: of the final value."""
+    outside = np.flatnonzero(np.abs(step - 1.0) > within)
     if not len(outside):
         return float(time_s[0])
     return float(time_s[outside[-1]]) if outside[-1] < 0.9 * len(step) else np.nan
@@ -158,9 +153,11 @@ def step_response(
     output: int = 0,
     source: int = 0,
     *,
-    horizon_s: float = HORIZON_S,
+    horizon_s: float = 2.0,
     above: float | None = None,
     below: float | None = None,
+    most_taps: int = 200,
+    rounds: int = 3,
 ) -> StepResponse:
     """The step response of one input and one output; other inputs are fitted along.
 
@@ -178,7 +175,7 @@ def step_response(
     """
     if not horizon_s > 0.0:
         raise UsageError(f"horizon_s must be positive, not {horizon_s}")
-    factor = max(int(np.ceil(horizon_s / data.dt_s / MOST_TAPS)), 1)
+    factor = max(int(np.ceil(horizon_s / data.dt_s / most_taps)), 1)
     dt_s = factor * data.dt_s
     taps = max(round(horizon_s / dt_s), 2)
     records, scale = _records(data, output, factor, taps)
@@ -191,7 +188,7 @@ def step_response(
             hint="a shorter horizon, or longer flights",
         )
     d = np.ones(1)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         posterior, constant = _estimated(records, masks, d, taps)
         errors = [_error(record, posterior.mean, constant, taps) for record in records]
         d, _ = noise_model(errors)
@@ -275,7 +272,7 @@ def _estimated(
 
 
 def _rows(
-    records: Sequence[Record], masks: Sequence[BoolArray], d: FloatArray, taps: int
+    records: Sequence[Record], masks: Sequence[BoolArray], d: FloatArray, taps: int, *, chunk: int = 4096
 ) -> Iterator[FloatArray]:
     """[lags of every input, y, 1] of filtered signals, a chunk at a time."""
     from scipy.signal import lfilter
@@ -286,8 +283,8 @@ def _rows(
         windows = np.lib.stride_tricks.sliding_window_view(white_u, taps, axis=0)[:, :, ::-1]
         first = taps - 1 + len(d) - 1
         picked = np.flatnonzero(mask[first:]) + first
-        for at in range(0, len(picked), CHUNK):
-            k = picked[at : at + CHUNK]
+        for at in range(0, len(picked), chunk):
+            k = picked[at : at + chunk]
             lags = windows[k - taps + 1].reshape(len(k), -1)
             yield np.column_stack([lags, white_y[k], np.ones(len(k))])
 
@@ -306,7 +303,7 @@ def _check_loop(
 ) -> None:
     lags = answer_lags(dt_s)
     p, share = later_inputs(errors, inputs, lags)
-    if p < LEVEL and share > SHARE:
+    if is_closed(p, share):
         names = " and ".join(s.name for s in data.inputs)
         raise DataError(
             f"loop: not a step response. {names} reacts to {data.outputs[output].name}: {100 * share:.0f} % "

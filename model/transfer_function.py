@@ -31,14 +31,12 @@ from flysid.model.frequency.response import METHODS, Method, split_references
 from flysid.model.linear.data import Parts, judging_window
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.difference_equation import from_dict as linear_from_dict
+from flysid.model.linear.output_error import ORDER_LOSS, WORSE_FIT
 from flysid.model.linear.settings import check_hint, check_inputs
 from flysid.model.selection import block_errors, simplest
 from flysid.model.threads import on_one_thread
 
 Auto = Literal["auto"]
-ORDER_LOSS = 0.02
-WORSE = 1.5
-"""Mean square of the validation free run that determined poles may cost."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -241,7 +239,7 @@ def _simplest(parts: Parts, tried: Sequence[OneTransfer], lowest: float) -> tupl
         return best, words
     known = [i for i, t in enumerate(tried) if i == 0 or t.is_determined(lowest)]
     other = known[simplest([errors[i] for i in known], ORDER_LOSS)]
-    if not means[other] <= WORSE * means[best]:
+    if not means[other] <= WORSE_FIT * means[best]:
         return best, f"{words}; not all of its poles are determined by these data"
     return other, (
         "; among those whose poles the data determine, the simplest within one standard error of the best "

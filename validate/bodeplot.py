@@ -13,6 +13,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.frequency.response import MeasuredResponse
+from flysid.model.polynomials import DB
 from flysid.validate.pictures import check_picture, save_picture
 from flysid.validate.transfers import ChannelTransfers
 
@@ -82,7 +83,7 @@ def _points(
     width = measured.half_width()[:, source]
     told = measured.coherence[:, source] > SHOWN
     omega = measured.omega[told]
-    errors = 20.0 / np.log(10.0) * width[told], np.degrees(width[told])
+    errors = DB * width[told], np.degrees(width[told])
     values = measured.gain_db[told, source], phase[told]
     for panel, value, error in zip(panels, values, errors, strict=False):
         panel.errorbar(

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from flysid.dataset import FloatArray
 
-Z99 = 2.5758293035489004
+Z99 = NormalDist().inv_cdf(0.995)
 BLIND = 0.5
 """Band of a correlation, beyond which a quarter of the error's power could follow the input unseen."""
 OVERLAP = 1.0 + 2.0 / 36.0

@@ -17,6 +17,7 @@ from flysid.dataset import FloatArray, Segment
 from flysid.errors import UsageError
 from flysid.model.base import Fitted
 from flysid.validate.paperfigures import RULES, axis_label, require_matplotlib, write_figure
+from flysid.validate.report.rulefigures import SHOWN_FROM
 from flysid.validate.responses import steady_outputs
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIZE_IN = (6.7, 8.6)
-SPEAKS = 0.25  # normalised weight from which on a rule's own output is drawn
 MOST_POINTS = 2000
 
 
@@ -134,7 +134,7 @@ def _rules(panels: Any, model: OfRules, segment: Segment, j: int) -> None:
     half = (strength.shape[1] + 1) // 2
     for r in range(strength.shape[1]):
         colour = RULES[r % len(RULES)]
-        said = np.where(strength[:, r] >= SPEAKS, alone[:, r], np.nan)
+        said = np.where(strength[:, r] >= SHOWN_FROM, alone[:, r], np.nan)
         panels[0].plot(t, said, color=colour, linewidth=0.8)
         panels[1 + (r >= half)].plot(t, strength[:, r], color=colour, linewidth=0.8, label=f"R{r + 1}")
     panels[0].set_ylabel("output of every rule")

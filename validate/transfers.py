@@ -22,7 +22,7 @@ from flysid.model.feedback import Feedback, feedback
 from flysid.model.frequency.controller_inverse import controller_bands
 from flysid.model.frequency.loop_figures import LoopFigure, broken_loop, command_figures, loop_figures
 from flysid.model.frequency.response import MeasuredResponse, measure_response, split_references
-from flysid.model.polynomials import Z95, ComplexArray
+from flysid.model.polynomials import DB, Z95, ComplexArray
 from flysid.model.transfer_function import TF, FittedTF
 from flysid.progress import tell
 from flysid.validate.fitone import nothing_done
@@ -122,7 +122,7 @@ class ChannelTransfers:
         column = [s.name for s in self.model.inputs].index(self.data.inputs[source].name)
         g = found.response[:, output, column]
         relative = found.magnitude_error[:, output, column] / np.maximum(np.abs(g), 1e-300)
-        db = 20.0 / np.log(10.0) * Z95 * relative
+        db = DB * Z95 * relative
         return g, db, np.degrees(Z95 * found.phase_error[:, output, column])
 
     def phases(self, output: int, source: int, measured: MeasuredResponse) -> tuple[FloatArray, FloatArray]:
@@ -153,7 +153,7 @@ class ChannelTransfers:
                     f"{omega:.4g}",
                     f"{omega / 2 / np.pi:.3g}",
                     f"{measured.gain_db[k, source]:.2f}",
-                    _width(20.0 / np.log(10.0) * width[k]),
+                    _width(DB * width[k]),
                     f"{shown[k]:.1f}",
                     _width(np.degrees(width[k])),
                     f"{measured.coherence[k, source]:.2f}",
@@ -226,7 +226,7 @@ def _measured(measured: MeasuredResponse, source: int) -> dict[str, Any]:
         "output": measured.output.name,
         "omega_rad_s": measured.omega.tolist(),
         "gain_db": measured.gain_db[:, source].tolist(),
-        "gain_db_half_width": [_number(20.0 / np.log(10.0) * w) for w in width],
+        "gain_db_half_width": [_number(DB * w) for w in width],
         "phase_deg": measured.phase_deg[:, source].tolist(),
         "phase_deg_half_width": [_number(np.degrees(w)) for w in width],
         "coherence": measured.coherence[:, source].tolist(),

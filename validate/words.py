@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from flysid.validate.comparison import Comparison, Pair
 from flysid.validate.intervals import FEW, Scope
 from flysid.validate.trials import FREE_RUN
-from flysid.validate.verdict import LARGE_PCT, MARGIN_PCT, Verdict
+from flysid.validate.verdict import ALPHA, LARGE_PCT, MARGIN_PCT, Verdict
 
 BELOW = "< resolution"
-CERTAIN = 0.95
 
 
 def one_line(text: str) -> str:
@@ -124,7 +123,7 @@ def _few_words(pair: Pair, shown: bool) -> list[str]:
 
 def _rare_words(pair: Pair, shown: bool) -> list[str]:
     """Which kinds of flights may be missing: those that N flights hold with less than 95 % certainty."""
-    often = 1.0 - (1.0 - CERTAIN) ** (1.0 / pair.units)
+    often = 1.0 - ALPHA ** (1.0 / pair.units)
     if not shown or often > 0.5:  # of fewer than five flights more is said, or too little to say this
         return []
     return [f"{pair.units} flights say nothing of a kind that is rarer than one in {int(1.0 / often)}"]

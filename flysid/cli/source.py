@@ -117,18 +117,13 @@ def reading_options(function: F) -> F:
     return chosen
 
 
-def flight_options(function: F) -> F:
-    """Adds --flight, --exclude, --vehicle and --pool; the verb takes them as one `selection`."""
-    return _selecting(function)
-
-
 def plot_options(function: F) -> F:
-    """As `flight_options`, and --between and --mode: a picture shows mishaps."""
+    """Adds --flight, --exclude, --vehicle, --pool, --between and --mode; the verb takes one `selection`."""
     return _selecting(function, _STRETCHES)
 
 
 def selection_options(function: F) -> F:
-    """As `flight_options`, and --between, --mode and --keep-mishaps."""
+    """As `plot_options`, and --keep-mishaps."""
     return _selecting(function, (_MISHAPS, *_STRETCHES))
 
 

@@ -17,12 +17,12 @@ from flysid.design.law import ComplexArray
 from flysid.errors import UsageError
 from flysid.model.base import Fitted
 from flysid.model.capabilities import LinearModel, LocallyLinear
+from flysid.model.polynomials import Z95
 
 POINTS = 160
 LOWEST_RAD_S = 0.02
 SPEEDS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Quantiles of the output at which a model of rules is linearised."""
-NORMAL_95 = 1.959964
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def _intervals(
     if not (np.isfinite(size).all() and np.isfinite(turn).all()):
         return
     for words, sign in (("high", 1.0), ("low", -1.0)):
-        moved = np.exp(sign * NORMAL_95 * size - 1j * NORMAL_95 * turn)
+        moved = np.exp(sign * Z95 * size - 1j * Z95 * turn)
         yield f"{label}, gain {words} and phase late in its interval", np.asarray(centre * moved)
 
 

@@ -20,12 +20,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from scipy.constants import g
 
 from flysid.dataset import FloatArray
 from flysid.design.law import Gains
 from flysid.errors import DataError, UsageError
 
-GRAVITY_M_S2 = 9.80665
 SAFETY = (
     "Calculated from a model of past flights; not tested on your vehicle. Margins hold for the models "
     "listed, below saturation. Fly first in SITL; then in calm air, high, with a switch back to the old "
@@ -132,7 +132,7 @@ class Firmware:
         """Channel's input per unit of the firmware's velocity gain."""
         if self.name == "tum-ardrone":
             return self.limit
-        return self.tilt_per_g / GRAVITY_M_S2 if self.scheme.in_acceleration else 1.0
+        return self.tilt_per_g / g if self.scheme.in_acceleration else 1.0
 
     def gains(self, stated: Parameters) -> Gains:
         """From parameters.

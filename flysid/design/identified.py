@@ -9,6 +9,7 @@ import numpy as np
 
 from flysid.dataset import Dataset
 from flysid.errors import DataError
+from flysid.loops.blackbox_loops import LARGEST_SHARE
 from flysid.model.base import Fitted
 from flysid.model.capabilities import LinearModel
 from flysid.model.frequency.response import measure_response
@@ -18,7 +19,6 @@ from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
 
 REFERENCES = ("mean", "persistence", "line", "static_ts")
-LARGEST_SHARE = 0.05
 NOT_WORSE_THAN = 1.5
 SPEED = "m/s"
 

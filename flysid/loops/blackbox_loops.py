@@ -16,6 +16,7 @@ from flysid.loops.stick_response import Record
 RATE_HZ = 500.0
 GAP_S = 0.02
 LARGEST_SHARE = 0.05
+"""Of the time at a limit: beyond, what is seen is the limit."""
 
 
 def settings_of(log: Any) -> dict[str, str]:

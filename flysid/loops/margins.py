@@ -13,6 +13,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.loops.controller import Controller
 from flysid.loops.stick_response import ComplexArray, Loop, plant
+from flysid.model.polynomials import DB
 
 TRUSTED = 0.4
 NEIGHBOURS = 7  # lines: one that the sticks happened to leave out ends no band
@@ -187,7 +188,7 @@ def _figures(f: FloatArray, g: ComplexArray, back: ComplexArray, forward: Comple
     crossover = _falls(f, size)
     phase = 180.0 + np.degrees(np.interp(crossover, f, turn)) if np.isfinite(crossover) else np.nan
     turned = _falls(f, turn + np.pi)
-    gain = -20.0 / np.log(10.0) * np.interp(turned, f, size) if np.isfinite(turned) else np.nan
+    gain = -DB * np.interp(turned, f, size) if np.isfinite(turned) else np.nan
     sensitivity = np.abs(1.0 / (1.0 + loop))
     answer = np.log(np.abs(g * forward / (1.0 + loop)) * np.sqrt(2.0))
     delay = 1000.0 * phase / (360.0 * crossover)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from flysid.model.base import Fitted
 from flysid.model.capabilities import HasIntervals, LinearModel
 from flysid.model.polynomials import Z95
 from flysid.model.transfer_function import FittedTF
-from flysid.validate.run import HeldOut, Run, held_out
+from flysid.validate.run import HeldOut
 
 UNDETERMINED = 0.5
 """Of the figure: beyond, 1 / x and the like are no straight lines within the interval any more."""
@@ -80,16 +79,6 @@ class Known:
         needed = self.seconds_for(aim)
         goal = f"{_percent(aim)} takes {_minutes(needed)} more" if needed else f"{_percent(aim)} is reached"
         return f"{size}: known to {_percent(self.share)} from {flown}; {later}; {goal}."
-
-
-def known_of_run(run: Run, data: str | Path | None = None) -> list[Known]:
-    """Gains, time constants and dead times of a run's baselines and transfer functions.
-
-    Raises
-    ------
-    StoreError, UsageError, DataError : as `flysid.validate.run.held_out`.
-    """
-    return [known for held in held_out(run, data) for known in known_of_channel(held)]
 
 
 def known_of_channel(held: HeldOut) -> Iterator[Known]:

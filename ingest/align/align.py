@@ -32,7 +32,6 @@ from flysid.stretch import FloatArray
 
 MIN_SAMPLES = 20
 TOO_SLOW = 0.6  # of the grid's rate: a slower source is not resampled onto it
-MAX_RATIO = 64  # of the fastest source's rate to the grid's
 
 
 @dataclass(frozen=True)
@@ -381,13 +380,16 @@ def pauses(spec: SignalSpec, period_ns: float, dt_ns: int) -> tuple[float, float
     return gap, 1.0 if spec.hold == "linear" else min(period_ns, gap)
 
 
-def ratio_of(recipe: Recipe, series: Mapping[str, Series], dt_ns: int) -> int:
-    """How many times faster than the grid the fastest state is sampled; 1: no filter is needed."""
+def ratio_of(recipe: Recipe, series: Mapping[str, Series], dt_ns: int, *, most: int = 64) -> int:
+    """How many times faster than the grid the fastest state is sampled; 1: no filter is needed.
+
+    `most`: of the fastest source's rate to the grid's.
+    """
     if not recipe.antialias:
         return 1
     states = [s for name, s in series.items() if recipe.signals[name].hold == "linear"]
     fastest = min((s.period_ns for s in states), default=float(dt_ns))
-    return int(np.clip(dt_ns / fastest + 0.2, 1, MAX_RATIO))
+    return int(np.clip(dt_ns / fastest + 0.2, 1, most))
 
 
 def fine_grid(begin_ns: int, first: int, stop: int, dt_ns: int, ratio: int) -> resample.IntArray:

@@ -25,14 +25,10 @@ from flysid.stretch import FloatArray
 
 IntArray = npt.NDArray[np.int64]
 
-MIN_CORRELATION = 0.5
-ITERATIONS = 12
-HUBER = 1.345
 # standard deviation of the narrow Gaussian: the larger of the two
 NARROW_PERIODS = 3.0
 NARROW_S = 0.03
 WIDE_S = 2.0  # and of the wide one
-SIGNIFICANT = 2.0
 
 
 @dataclass(frozen=True)
@@ -71,7 +67,14 @@ class ClockFit:
         )
 
 
-def fit_clock(reference: Series, other: Series, max_offset_s: float = 10.0, drift: bool = True) -> ClockFit:
+def fit_clock(
+    reference: Series,
+    other: Series,
+    max_offset_s: float = 10.0,
+    drift: bool = True,
+    *,
+    significant: float = 2.0,
+) -> ClockFit:
     """Estimate offset and drift of `other`'s clock against `reference`'s.
 
     Parameters
@@ -79,6 +82,7 @@ def fit_clock(reference: Series, other: Series, max_offset_s: float = 10.0, drif
     reference, other : one quantity, measured by both; units and sign may differ.
     max_offset_s : largest offset to look for.
     drift : False fixes the drift to zero; a drift below twice its standard error is taken as zero anyway.
+    significant : standard deviations of a drift that counts.
 
     Raises
     ------
@@ -98,7 +102,7 @@ def fit_clock(reference: Series, other: Series, max_offset_s: float = 10.0, drif
     at_ns = int((t[0] + t[-1]) // 2)
     pair = _Pair(_Curve.of(reference, at_ns), np.asarray((t - at_ns) * 1e-9, dtype=np.float64), y)
     found = _refined(pair, start, drift, at_ns)
-    if drift and abs(found.drift_ppm) < SIGNIFICANT * found.drift_std_ppm:
+    if drift and abs(found.drift_ppm) < significant * found.drift_std_ppm:
         return _refined(pair, found.offset_s, False, at_ns)
     return found
 
@@ -138,17 +142,19 @@ class _Pair:
     y: FloatArray
 
 
-def _refined(pair: _Pair, start: float, drift: bool, at_ns: int) -> ClockFit:
+def _refined(pair: _Pair, start: float, drift: bool, at_ns: int, *, iterations: int = 12) -> ClockFit:
     """Gauss-Newton from a first offset."""
     theta = np.array([start, 0.0])
-    for _ in range(ITERATIONS):
+    for _ in range(iterations):
         theta, step = _gauss_newton(pair, theta, drift)
         if np.abs(step[0]) < 1e-7 and np.abs(step[1]) < 1e-9:
             break
     return _describe(pair, theta, drift, at_ns)
 
 
-def _first_offset(reference: Series, other: Series, max_offset_s: float) -> float:
+def _first_offset(
+    reference: Series, other: Series, max_offset_s: float, *, least_correlation: float = 0.5
+) -> float:
     """Offset, s, where the correlation of both signals, on a grid of the slower rate, is largest."""
     dt = max(period_ns(reference.t_ns), period_ns(other.t_ns)) * 1e-9
     zero = int(min(reference.t_ns[0], other.t_ns[0]))
@@ -163,7 +169,7 @@ def _first_offset(reference: Series, other: Series, max_offset_s: float) -> floa
     enough = overlap[lags] > 0.3 * min(mask_a.sum(), mask_b.sum())
     score = np.where(enough, np.abs(product[lags]) / power[lags], 0.0)
     best = int(np.argmax(score))
-    if score[best] < MIN_CORRELATION:
+    if score[best] < least_correlation:
         raise DataError(
             f"the two recordings do not match: correlation {score[best]:.2f} at best",
             hint="check that both are of the same flight and axis, or allow a larger offset",
@@ -216,10 +222,13 @@ def _linearised(pair: _Pair, theta: FloatArray, drift: bool) -> tuple[FloatArray
     return np.stack(columns, axis=1), y - gain * value - bias, float(gain)
 
 
-def _huber(residual: FloatArray) -> FloatArray:
-    """(N,) square roots of Huber's weights; the scale is the median absolute residual."""
+def _huber(residual: FloatArray, *, bend: float = 1.345) -> FloatArray:
+    """(N,) square roots of Huber's weights; the scale is the median absolute residual.
+
+    `bend`: standard deviations from which on a residual counts less.
+    """
     scale = 1.4826 * float(np.median(np.abs(residual))) or 1.0
-    ratio = np.abs(residual) / (HUBER * scale)
+    ratio = np.abs(residual) / (bend * scale)
     return np.asarray(1.0 / np.sqrt(np.maximum(ratio, 1.0)))
 
 

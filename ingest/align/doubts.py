@@ -20,10 +20,7 @@ from flysid.ingest.excitation.excitation import (
     spectrum,
 )
 
-MOST_NAMES = 4
 REMARKS = ("holes", "band")
-LEVELS = 5
-"""Of an input that takes no more values than these, what lies between them is not known."""
 
 
 @dataclass(frozen=True)
@@ -127,10 +124,11 @@ def _pooled(data: Dataset) -> Iterator[Doubt]:
         )
 
 
-def _holes(data: Dataset) -> Iterator[Doubt]:
+def _holes(data: Dataset, *, most_levels: int = 5) -> Iterator[Doubt]:
+    """Of an input that takes at most `most_levels` values, what lies between them is not known."""
     for i, signal in enumerate(data.inputs):
         levels = np.unique(np.concatenate([s.u[:, i] for s in data.segments]))
-        if 1 < len(levels) <= LEVELS:
+        if 1 < len(levels) <= most_levels:
             values = ", ".join(f"{v:.3g}" for v in levels)
             yield Doubt(
                 "holes",
@@ -161,5 +159,5 @@ def _best_input(data: Dataset, output: int) -> tuple[float, str, Spectrum]:
     return max(found, key=lambda f: f[0])
 
 
-def _few(names: list[str]) -> str:
-    return ", ".join(names[:MOST_NAMES]) + (", ..." if len(names) > MOST_NAMES else "")
+def _few(names: list[str], *, most: int = 4) -> str:
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")

@@ -25,7 +25,6 @@ FOREVER = 1 << 62
 GAP_PERIODS = 2.5  # a pause of more than this many periods is a gap: one lost sample is bridged, two are not
 TAPS_PER_SIDE = 5  # half length of the low-pass, in grid samples
 SPIKE_SAMPLES = 9
-CUTOFF = 0.4  # of the grid's rate, where the low-pass has fallen to one half
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,14 +200,16 @@ def hold_tolerance_ns(series: Series, grid_ns: IntArray) -> int:
 # ------------------------------------------------------------------------------------------- filter
 
 
-def lowpass(ratio: int) -> FloatArray:
+def lowpass(ratio: int, *, cutoff: float = 0.4) -> FloatArray:
     """(2 * 5 * ratio + 1,) taps of a zero-phase low-pass for decimation by `ratio`; they sum to 1.
 
     A sinc with a Kaiser window (beta 5): within 1 % up to 0.25 of the grid's rate, down 54 dB from 0.6 on.
+
+    `cutoff`: of the grid's rate, where the low-pass has fallen to one half.
     """
     half = TAPS_PER_SIDE * ratio
     n = np.arange(-half, half + 1)
-    taps = np.sinc(2 * CUTOFF * n / ratio) * np.kaiser(2 * half + 1, 5.0)
+    taps = np.sinc(2 * cutoff * n / ratio) * np.kaiser(2 * half + 1, 5.0)
     return np.asarray(taps / taps.sum())
 
 

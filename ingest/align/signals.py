@@ -37,8 +37,6 @@ from flysid.ingest.formats.common.units import factor, is_known
 from flysid.stretch import FloatArray
 
 IntArray = npt.NDArray[np.int64]
-HEADING_PERIODS = 4
-"""A heading is not interpolated across a longer pause."""
 _VEHICLE = re.compile(r"^(\d+)\.(\d+)/")
 
 
@@ -402,11 +400,16 @@ def _interpolated_angle(samples: Samples, t_ns: IntArray) -> FloatArray:
     return np.where(outside, np.nan, angle_between(own, np.unwrap(samples.x[finite]), t_ns, period))
 
 
-def angle_between(own_ns: IntArray, x: FloatArray, t_ns: IntArray, period_ns: float) -> FloatArray:
-    """(n,) an angle between its samples (m,) without jumps, m >= 2; NaN inside pauses."""
+def angle_between(
+    own_ns: IntArray, x: FloatArray, t_ns: IntArray, period_ns: float, *, periods: int = 4
+) -> FloatArray:
+    """(n,) an angle between its samples (m,) without jumps, m >= 2; NaN inside pauses.
+
+    `periods`: a heading is not interpolated across a longer pause.
+    """
     values = np.interp((t_ns - own_ns[0]).astype(float), (own_ns - own_ns[0]).astype(float), x)
     after = np.clip(np.searchsorted(own_ns, t_ns), 1, len(own_ns) - 1)
     before = own_ns[after - 1]
     is_sample = (own_ns[after] == t_ns) | (before == t_ns)
-    paused = (own_ns[after] - before > HEADING_PERIODS * period_ns) & ~is_sample
+    paused = (own_ns[after] - before > periods * period_ns) & ~is_sample
     return np.where(paused, np.nan, values)

@@ -15,7 +15,6 @@ from flysid.errors import DataError
 from flysid.ingest.excitation.delay import Delay, estimate_delay
 from flysid.ingest.excitation.excitation import spectrum
 
-MOST_INPUTS = 2
 LONGEST_S = 0.5
 LATE = 2  # samples: the hold's own is 1
 
@@ -64,9 +63,9 @@ class DeadTime:
         return round(self.delay.low_s / self.dt_s)
 
 
-def dead_times(data: Dataset) -> tuple[DeadTime, ...]:
+def dead_times(data: Dataset, *, most_inputs: int = 2) -> tuple[DeadTime, ...]:
     """Of every input and output; () where there are more than two inputs."""
-    if len(data.inputs) > MOST_INPUTS:
+    if len(data.inputs) > most_inputs:
         return ()
     return tuple(_pair(data, i, j) for j in range(len(data.outputs)) for i in range(len(data.inputs)))
 

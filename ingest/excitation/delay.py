@@ -20,9 +20,6 @@ from flysid.errors import DataError
 from flysid.ingest.excitation.delay_fits import ARX_ORDERS, Piece, predictors, searched_free_runs
 from flysid.stretch import FloatArray
 
-MAX_SAMPLES = 20_000  # of the longest segments; more does not sharpen an answer in whole samples
-STEP_S = 0.5  # the sign is that of the step response so long after the dead time
-
 
 @dataclass(frozen=True)
 class Delay:
@@ -127,8 +124,12 @@ def impulse_response(
     )
 
 
-def estimate_delay(data: Dataset, column: int = 0, output: int = 0, max_delay_s: float = 0.5) -> Delay:
+def estimate_delay(
+    data: Dataset, column: int = 0, output: int = 0, max_delay_s: float = 0.5, *, step_s: float = 0.5
+) -> Delay:
     """Dead time from input `column` to output `output`.
+
+    `step_s`: the sign is that of the step response so long after the dead time.
 
     Raises
     ------
@@ -149,7 +150,7 @@ def estimate_delay(data: Dataset, column: int = 0, output: int = 0, max_delay_s:
         fits = predictors(pieces, last) if feedback else searched_free_runs(pieces, last, slack)
     best = min(fits, key=lambda nk: fits[nk].error)
     close = [nk for nk, fit in fits.items() if fit.error <= fits[best].error * (1.0 + slack)]
-    sign = fits[best].sign(best + round(STEP_S / data.dt_s))
+    sign = fits[best].sign(best + round(step_s / data.dt_s))
     if feedback and sign * _largest(r[len(r) // 2 :]) < 0:
         sign = 0
     return Delay(
@@ -169,15 +170,20 @@ def _largest(r: FloatArray) -> float:
     return float(r[np.argmax(np.abs(r))])
 
 
-def _pieces(data: Dataset, column: int, output: int, min_length: int) -> list[Piece]:
-    """Longest segments first, means removed, up to MAX_SAMPLES in all."""
+def _pieces(
+    data: Dataset, column: int, output: int, min_length: int, *, most_samples: int = 20_000
+) -> list[Piece]:
+    """Longest segments first, means removed, up to most_samples in all.
+
+    `most_samples`: of the longest segments; more does not sharpen an answer in whole samples.
+    """
     pieces: list[Piece] = []
     total = 0
     for segment in sorted(data.segments, key=len, reverse=True):
-        if len(segment) < min_length or (pieces and total + len(segment) > MAX_SAMPLES):
+        if len(segment) < min_length or (pieces and total + len(segment) > most_samples):
             break
-        u = segment.u[:MAX_SAMPLES, column]
-        y = segment.y[:MAX_SAMPLES, output]
+        u = segment.u[:most_samples, column]
+        y = segment.y[:most_samples, output]
         pieces.append((u - u.mean(), y - y.mean()))
         total += len(u)
     if not pieces:

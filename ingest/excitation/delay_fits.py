@@ -24,7 +24,6 @@ from flysid.filters import filtered
 Piece: TypeAlias = tuple[FloatArray, FloatArray]  # input and output of one segment, without their means
 
 ORDER = 2
-REFINEMENTS = 12  # Gauss-Newton steps
 ARX_ORDERS = (20, 10)  # of past outputs and inputs
 
 
@@ -172,10 +171,15 @@ def _explained(pieces: Sequence[Piece], poles: FloatArray, last: int) -> FloatAr
     return np.asarray(by_starts + np.where(apart > 1e-10, both, first**2))
 
 
-def _refined(pieces: Sequence[Piece], nk: int, poles: FloatArray, first: int, slack: float) -> Fit:
-    """Poles moved by Gauss-Newton until the error falls by a small part of what makes dead times alike."""
+def _refined(
+    pieces: Sequence[Piece], nk: int, poles: FloatArray, first: int, slack: float, *, steps: int = 12
+) -> Fit:
+    """Poles moved by Gauss-Newton until the error falls by a small part of what makes dead times alike.
+
+    `steps`: Gauss-Newton steps.
+    """
     best, step = _projected(pieces, nk, _stable(poles), first)
-    for _ in range(REFINEMENTS):
+    for _ in range(steps):
         tried = None
         for share in (1.0, 0.3):
             moved = _stable(np.concatenate([[1.0], best.poles[1:] + share * step]))

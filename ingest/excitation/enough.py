@@ -13,7 +13,6 @@ BLACKBOX_RATES_HZ = 200.0
 """Of Betaflight and INAV, whose logs hold the inner loop."""
 MIN_DURATION_S = 10.0
 """Below, nothing is fitted that would be worth a look."""
-ALONE_S = 60.0
 
 
 def least_hz(role: str, log_format: str) -> float:
@@ -21,9 +20,9 @@ def least_hz(role: str, log_format: str) -> float:
     return BLACKBOX_RATES_HZ if role == "rates" and log_format == "blackbox" else LEAST_HZ[role]
 
 
-def too_short_alone(duration_s: float) -> str:
+def too_short_alone(duration_s: float, *, least_s: float = 60.0) -> str:
     """Why a flight of this duration will hardly give a verdict by itself; "" where it may."""
-    if duration_s >= ALONE_S:
+    if duration_s >= least_s:
         return ""
     return (
         f"{duration_s:.0f} s alone will hardly give a verdict: fly a minute of manoeuvres, or five "

@@ -27,16 +27,11 @@ ComplexArray = npt.NDArray[np.complex128]
 Number = TypeVar("Number", np.float64, np.complex128)
 
 LONGEST_LAG_S = 0.5
-TAPER = 0.2
-"""Share of a record over which it fades in and out, so that its ends do not leak over all frequencies."""
 NOISE_POWERS = (-2.0, 0.0, 2.0, 4.0)
 """Of frequency: drift, white noise, white noise of what was differentiated once, twice."""
 NEIGHBOURS = 21
 """Lines over which a power is averaged."""
 ROUNDS = 8
-SHIFTS = 3
-MOST_RELIEF = 0.95
-"""Of what is known of a parameter: where noise is more of `implied` than this, nothing is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +107,7 @@ class _Lines:
     brought: FloatArray
 
 
-def agreement(records: Sequence[Record], highest_hz: float) -> Agreement:
+def agreement(records: Sequence[Record], highest_hz: float, *, shifts: int = 3) -> Agreement:
     """Fit one instrument to what the others imply.
 
     Parameters
@@ -126,7 +121,7 @@ def agreement(records: Sequence[Record], highest_hz: float) -> Agreement:
     axes = len(mean)
     lag_s = 0.0
     theta = np.empty(0)
-    for _ in range(SHIFTS):
+    for _ in range(shifts):
         lines = _lines(records, highest_hz, lag_s)
         theta = _start(lines) if not len(theta) else theta
         for _ in range(ROUNDS):
@@ -182,11 +177,12 @@ def late(values: FloatArray, steps: float) -> FloatArray:
     )
 
 
-def _of_record(record: Record, highest_hz: float, lag_s: float) -> _Lines:
+def _of_record(record: Record, highest_hz: float, lag_s: float, *, tapered: float = 0.2) -> _Lines:
+    """`tapered`: share of a record over which it fades in and out, or its ends leak over all frequencies."""
     from scipy.signal.windows import tukey
 
     count = len(record.measured)
-    taper = tukey(count, TAPER)
+    taper = tukey(count, tapered)
     taper = taper / np.sqrt(np.sum(taper**2))
     omega = np.asarray(2.0 * np.pi * np.fft.rfftfreq(count, record.dt_s), dtype=np.float64)
     low = omega <= 2.0 * np.pi * highest_hz
@@ -291,7 +287,10 @@ class _Normal:
     deviations: FloatArray
 
     @classmethod
-    def of(cls, lines: _Lines, theta: FloatArray, noise: Sequence[FloatArray]) -> _Normal:
+    def of(
+        cls, lines: _Lines, theta: FloatArray, noise: Sequence[FloatArray], *, most_relief: float = 0.95
+    ) -> _Normal:
+        """`most_relief`: of what is known of a parameter; where noise is more of `implied`, nothing is."""
         axes = lines.y.shape[1]
         moved = _moved(lines, theta)
         turn = np.exp(-1j * lines.omega * theta[2 * axes])
@@ -312,9 +311,9 @@ class _Normal:
             # noise of `implied` is in its slope and in the residual: both are relieved of what they share
             shared = lines.brought[:, i] * lines.share[:, i] * lines.half / power
             scores[:, i] += theta[i] * shared
-            matrix[i, i] -= min(float(np.sum(shared)), MOST_RELIEF * matrix[i, i])
+            matrix[i, i] -= min(float(np.sum(shared)), most_relief * matrix[i, i])
             late_shared = float(np.sum(lines.omega**2 * theta[i] ** 2 * shared))
-            matrix[2 * axes, 2 * axes] -= min(late_shared, MOST_RELIEF * matrix[2 * axes, 2 * axes])
+            matrix[2 * axes, 2 * axes] -= min(late_shared, most_relief * matrix[2 * axes, 2 * axes])
         inverse = np.linalg.pinv(matrix)
         told = inverse @ expected @ inverse.T
         seen = inverse @ (scores.T @ scores) @ inverse.T

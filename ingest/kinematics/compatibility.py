@@ -31,16 +31,10 @@ from flysid.ingest.kinematics.motion import (
     without_jumps,
 )
 
-LEVEL = 0.05
-"""Chance of any finding at all in a flight whose instruments agree."""
-SPLINE_LOSS = 0.01
-"""Of a scale: what splines lose of motion as fast as is looked at."""
 GRAVITY_RANGE = 0.026
 """m/s^2: half of what gravity varies by from the equator to the poles."""
 UNKNOWN_SCALE = 0.5
 """An axis whose scale is not known better did not move enough; one off by more follows another motion."""
-FEWEST_LINES = 5.0
-"""Motion at fewer frequencies is noise that looks like it."""
 AGAINST: Mapping[str, str] = {
     "gyro": "the attitude's rate",
     "accelerometer": "what attitude and velocity say",
@@ -271,9 +265,12 @@ def _of_axes(record: Record, kept: npt.NDArray[np.bool_]) -> Record:
     return replace(record, **columns, noise=record.noise[kept], flat=record.flat[kept])
 
 
-def _is_still(found: Agreement, axis: int, unit: str) -> bool:
-    """True where an axis moved too little for its scale to be told."""
-    quiet = found.moved[axis] < QUIET.get(unit, 0.0) or found.lines[axis] < FEWEST_LINES
+def _is_still(found: Agreement, axis: int, unit: str, *, fewest_lines: float = 5.0) -> bool:
+    """True where an axis moved too little for its scale to be told.
+
+    `fewest_lines`: motion at fewer frequencies is noise that looks like it.
+    """
+    quiet = found.moved[axis] < QUIET.get(unit, 0.0) or found.lines[axis] < fewest_lines
     return bool(quiet or 2.0 * found.scale_sd[axis] > UNKNOWN_SCALE)
 
 
@@ -288,7 +285,10 @@ def _parameters(
     found: Agreement,
     half_period_s: float,
     gravity: FloatArray,
+    *,
+    spline_loss: float = 0.01,
 ) -> Iterator[Parameter]:
+    """`spline_loss`: of a scale: what splines lose of motion as fast as is looked at."""
     for i, axis in enumerate(axes):
         unit = quantities().signals[axis].unit
         rows = [("bias", found.bias[i], found.bias_sd[i], 0.0, unit)]
@@ -297,7 +297,7 @@ def _parameters(
         if not _is_still(found, i, unit):
             rows.append(("scale", found.scale[i], found.scale_sd[i], 1.0, ""))
         for kind, value, sd, nominal, of in rows:
-            tolerance = SPLINE_LOSS if kind == "scale" else max(float(gravity[i]), QUIET.get(unit, 0.0))
+            tolerance = spline_loss if kind == "scale" else max(float(gravity[i]), QUIET.get(unit, 0.0))
             yield Parameter(instrument, axis, kind, float(value), float(sd), nominal, tolerance, of)
     if all(_is_still(found, i, quantities().signals[axis].unit) for i, axis in enumerate(axes)):
         return
@@ -306,12 +306,15 @@ def _parameters(
         yield Parameter(instrument, "", f"arm {axis}", float(value), float(sd), 0.0, 0.0, "m")
 
 
-def _judged(comparisons: Sequence[Comparison]) -> list[Comparison]:
-    """Holm over all parameters; of an axis that follows another motion, only that is said."""
+def _judged(comparisons: Sequence[Comparison], *, level: float = 0.05) -> list[Comparison]:
+    """Holm over all parameters; of an axis that follows another motion, only that is said.
+
+    `level`: chance of any finding at all in a flight whose instruments agree.
+    """
     chances = sorted((p.chance, i, j) for i, c in enumerate(comparisons) for j, p in enumerate(c.parameters))
     found = set()
     for rank, (chance, i, j) in enumerate(chances):
-        if chance > LEVEL / (len(chances) - rank):
+        if chance > level / (len(chances) - rank):
             break
         found.add((i, j))
     marked = [

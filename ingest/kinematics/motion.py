@@ -24,12 +24,8 @@ if TYPE_CHECKING:
 
 Columns = Mapping[str, FloatArray]
 
-SPLINE_GOOD_TO = 0.2
-"""Of a source's rate: a cubic spline through samples loses less than 1 % of what is slower."""
 MIN_SECONDS = 5.0
 """Of a stretch that is compared."""
-RARE = 1e-3
-"""Chance that noise of a whole record passes for a jump."""
 ANGLES = frozenset({"roll", "pitch", "yaw", "heading"})
 
 
@@ -92,11 +88,13 @@ def _sampled(series: Mapping[str, Series], span: Span, dt_ns: float) -> Columns:
     return columns
 
 
-def without_jumps(record: Record, source_s: float) -> list[Record]:
+def without_jumps(record: Record, source_s: float, *, rare: float = 1e-3) -> list[Record]:
     """The stretches between the jumps of an estimator that was reset.
 
     A jump stands for one or two periods of the slowest source, `source_s`. It is what noise does in one of
     a thousand records, measured by the median of the difference, here and in the whole record.
+
+    `rare`: chance that noise of a whole record passes for a jump.
     """
     from scipy.ndimage import maximum_filter1d, median_filter
 
@@ -104,7 +102,7 @@ def without_jumps(record: Record, source_s: float) -> list[Record]:
     off = np.abs(off - np.median(off, axis=0))
     reach = max(1, round(source_s / record.dt_s))
     usual = np.maximum(median_filter(off, (7 * reach, 1)), np.median(off, axis=0))
-    limit = ndtri(0.5 * RARE / off.size) / ndtri(0.25)
+    limit = ndtri(0.5 * rare / off.size) / ndtri(0.25)
     jumps = np.any(off > limit * usual, axis=1)
     free = ~maximum_filter1d(jumps, 4 * reach + 1)
     edges = np.flatnonzero(np.diff(free, prepend=False, append=False))
@@ -115,10 +113,13 @@ def without_jumps(record: Record, source_s: float) -> list[Record]:
     ]
 
 
-def highest_hz(series: Mapping[str, Series]) -> float:
-    """Up to where splines through all of the signals are good."""
+def highest_hz(series: Mapping[str, Series], *, good_to: float = 0.2) -> float:
+    """Up to where splines through all of the signals are good.
+
+    `good_to`: of a source's rate: a cubic spline through samples loses less than 1 % of what is slower.
+    """
     slowest = max(resample.period_ns(s.t_ns) for s in series.values())
-    return SPLINE_GOOD_TO * 1e9 / slowest
+    return good_to * 1e9 / slowest
 
 
 def slope(values: FloatArray, dt_s: float) -> FloatArray:

@@ -34,8 +34,6 @@ SIDES = {
     "down": ("below", "above"),
 }
 NEXT = "correct them at the source, or in the recipe: flysid doctor LOG --kinematics --correct RECIPE"
-LOOKED_AT = 5
-"""Flights of a channel whose instruments are compared before a fit."""
 
 
 def sentence(parameter: Parameter, comparison: Comparison) -> str:
@@ -144,8 +142,9 @@ def nothing_to_compare(found: Compatibility) -> str:
 class Instruments:
     """The first flights of a folder, compared once and when they are asked for, for all channels of a fit."""
 
-    def __init__(self, logs: Sequence[Log]) -> None:
-        self._logs = logs[:LOOKED_AT]
+    def __init__(self, logs: Sequence[Log], *, most: int = 5) -> None:
+        """`most`: flights of a channel whose instruments are compared before a fit."""
+        self._logs = logs[:most]
         self._found: dict[int, Compatibility] = {}
 
     def doubts(self, recipe: Recipe, channel: str) -> tuple[Doubt, ...]:

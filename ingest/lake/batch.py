@@ -28,7 +28,6 @@ from flysid.manifest import FLIGHTS, stamp_of
 from flysid.progress import part, tell
 from flysid.store import clean, create_data_folder, discard, locked, remove_empty, write_flight
 
-ONE_WORKER_BYTES = 12 << 20
 NO_MEMORY = "not enough memory"
 
 
@@ -162,13 +161,13 @@ def _sorted_out(
     return sorted(waiting.values(), key=lambda job: -job.size), settled
 
 
-def _workers(paths: Sequence[Path], jobs: int) -> int:
+def _workers(paths: Sequence[Path], jobs: int, *, one_worker_bytes: int = 12 << 20) -> int:
     cores = jobs or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     size = 0
     for path in paths:
         with suppress(OSError):
             size += locate(path)[0].stat().st_size
-    small = not jobs and size <= ONE_WORKER_BYTES
+    small = not jobs and size <= one_worker_bytes
     return 1 if small else max(1, min(cores, len(paths)))
 
 

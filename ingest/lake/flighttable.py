@@ -53,8 +53,6 @@ SCHEMA = pa.schema(
         ("manifest_digest", pa.int64()),
     ]
 )
-TRIES = 12
-"""Of a commit beside other writers."""
 
 Answer = TypeVar("Answer")
 
@@ -250,11 +248,11 @@ def remove(place: Place, hashes: Sequence[str]) -> None:
     committing(place, lambda: table.delete(f"sha256 in ({listed})"))
 
 
-def committing(place: Place, write: Callable[[], Answer]) -> Answer:
-    """Write, again where another writer was faster."""
+def committing(place: Place, write: Callable[[], Answer], *, tries: int = 12) -> Answer:
+    """Write, again where another writer was faster. `tries`: of a commit beside other writers."""
     from deltalake.exceptions import CommitFailedError
 
-    for attempt in range(TRIES):
+    for attempt in range(tries):
         try:
             return _asking(place.address, write)
         except CommitFailedError as error:

@@ -21,7 +21,6 @@ from flysid.ingest.align.resample import FOREVER, Span
 from flysid.ingest.align.signals import Log, Samples, find_stream, load_signal
 
 APART_DEG = 30.0
-APART_S = 2.0
 ATTITUDES = ("ardupilot-attitude", "px4-attitude")
 ERRORS = {
     5: {1: "radio failsafe"},
@@ -95,7 +94,7 @@ def _while(log: Log, message: str, column: str, meaning: Any) -> Iterator[Mishap
         yield Mishap(began[0], (began[1], FOREVER), began[2])
 
 
-def _attitude_lost(log: Log) -> Iterator[Mishap]:
+def _attitude_lost(log: Log, *, apart_s: float = 2.0) -> Iterator[Mishap]:
     """From where roll or pitch stays far from its setpoint, to the boot's end."""
     for name in ATTITUDES:
         recipe = load_recipe(name)
@@ -109,9 +108,9 @@ def _attitude_lost(log: Log) -> Iterator[Mishap]:
             for boot in sorted(asked.keys() & come.keys()):
                 runs = _far_apart(asked[boot], come[boot])
                 start = next((a for a, b in resample.intersect(runs, flying.get(boot, [(0, FOREVER)]))
-                              if b - a >= APART_S * 1e9), None)  # fmt: skip
+                              if b - a >= apart_s * 1e9), None)  # fmt: skip
                 if start is not None:
-                    words = f"{pair[1]} more than {APART_DEG:.0f} deg from its setpoint for {APART_S:g} s"
+                    words = f"{pair[1]} more than {APART_DEG:.0f} deg from its setpoint for {apart_s:g} s"
                     yield Mishap(boot, (start, FOREVER), words)
 
 

@@ -61,7 +61,6 @@ ROLES: Mapping[str, tuple[str, ...]] = {
 ANGLES = {"r": ("roll", "Roll", "rotX"), "p": ("pitch", "Pitch", "rotY"), "y": ("yaw", "Yaw", "rotZ")}
 RADIANS = {"rad": 1.0, "deg": np.pi / 180, "degheading": np.pi / 180}
 MOVED_RAD = np.radians(2.0)
-SENSELESS_RAD = 1e6  # no heading unwraps to this; NaN and infinity are no angles either
 
 ADVICE = {
     "blackbox": "log every fourth loop or more: blackbox_sample_rate, before Betaflight 4.3 blackbox_p_ratio",
@@ -174,7 +173,8 @@ def survey_or_reason(path: Path, limits: Limits | None = None) -> Survey | str:
         return "not enough memory"
 
 
-def _count(count: StreamCount, table: pa.Table) -> None:
+def _count(count: StreamCount, table: pa.Table, *, senseless_rad: float = 1e6) -> None:
+    """`senseless_rad`: no heading unwraps to this; NaN and infinity are no angles either."""
     if not table.num_rows:
         return
     count.rows += table.num_rows
@@ -191,7 +191,7 @@ def _count(count: StreamCount, table: pa.Table) -> None:
         column = table.schema.field(name)
         factor = field_scale(column) * RADIANS.get(field_unit(column) or _unit_of(column), np.pi / 180)
         angles = float_values(table[name]) * factor
-        values = np.unwrap(angles[np.abs(angles) < SENSELESS_RAD])
+        values = np.unwrap(angles[np.abs(angles) < senseless_rad])
         n, total, squares = count.angles.get(axis, (0, 0.0, 0.0))
         count.angles[axis] = (
             n + len(values),

@@ -26,8 +26,6 @@ from flysid.ingest.lake.ranges import is_number
 from flysid.showing import first_of
 
 _OWN = (TIME, BOOT, RECEIVED)
-SHOWN = 8  # names in a hint
-MOST_LINES = 8  # of one panel: as many as there are colours
 _ELEMENT = re.compile(r"^(.+)\[(\d+)\]$")
 
 
@@ -89,12 +87,13 @@ class Curve:
     boots: Boots
 
 
-def read_fields(log: Log, arguments: Sequence[str]) -> list[list[Curve]]:
+def read_fields(log: Log, arguments: Sequence[str], *, most_lines: int = 8) -> list[list[Curve]]:
     """One panel per argument; fields of another unit, or too many to tell apart, go to panels of their own.
 
     Parameters
     ----------
     arguments : patterns as `find_fields` takes them, several of one panel joined by commas.
+    most_lines : of one panel: as many as there are colours.
 
     Raises
     ------
@@ -107,7 +106,7 @@ def read_fields(log: Log, arguments: Sequence[str]) -> list[list[Curve]]:
             curve = _read_field(log, stream, field)
             by_unit.setdefault(curve.unit, []).append(curve)
         for curves in by_unit.values():
-            panels += [curves] if len(curves) <= MOST_LINES else [[curve] for curve in curves]
+            panels += [curves] if len(curves) <= most_lines else [[curve] for curve in curves]
     return panels
 
 
@@ -226,13 +225,16 @@ def _is_named(pattern: str, stream: str, field: str) -> bool:
     return pattern in (stream, message, field) or any(fnmatchcase(name, pattern) for name in full)
 
 
-def _nothing(pattern: str, log: Log) -> UsageError:
-    """The error for a pattern that names nothing: the fields of its stream, else what is spelt alike."""
+def _nothing(pattern: str, log: Log, *, most: int = 8) -> UsageError:
+    """The error for a pattern that names nothing: the fields of its stream, else what is spelt alike.
+
+    `most`: names in a hint.
+    """
     names = [f"{s.rpartition('/')[2]}.{c}" for s, c in _columns(log)]
     streams = list(dict.fromkeys(name.partition(".")[0] for name in names))
     inside = [n for n in names if n.partition(".")[0] == pattern.partition(".")[0]]
     near = inside or difflib.get_close_matches(pattern, [*names, *streams], n=5, cutoff=0.4) or streams
-    return UsageError(f"no number {pattern!r} in the log", path=log.name, hint=first_of(near, SHOWN))
+    return UsageError(f"no number {pattern!r} in the log", path=log.name, hint=first_of(near, most))
 
 
 def _column(field: str) -> str:

@@ -35,7 +35,6 @@ from flysid import progress
 from flysid.errors import FlysidError, UsageError
 
 HEADROOM_BYTES = 1 << 30
-LOOK_EVERY_S = 0.1
 JOIN_S = 5.0
 _NEEDED_BY_ALL = "flysid.ingest.lake.batch"
 _NO_WORKER = "no worker process can be started: {}"
@@ -67,7 +66,12 @@ class Lost:
 
 
 def run_bounded(
-    function: Callable[[Task], Outcome], tasks: Iterable[Task], workers: int, bounds: Bounds
+    function: Callable[[Task], Outcome],
+    tasks: Iterable[Task],
+    workers: int,
+    bounds: Bounds,
+    *,
+    look_every_s: float = 0.1,
 ) -> Generator[tuple[Task, Outcome | Lost], None, None]:
     """Do tasks in worker processes; yields each with its outcome, or `Lost`, as they finish.
 
@@ -92,7 +96,7 @@ def run_bounded(
                 if idle is None:
                     crew.append(idle := _Worker(function, bounds))
                 idle.give(waiting.popleft())
-            wait([w.connection for w in crew if w.is_busy], timeout=LOOK_EVERY_S)
+            wait([w.connection for w in crew if w.is_busy], timeout=look_every_s)
             for worker in [w for w in crew if w.is_busy]:
                 outcome = worker.outcome()
                 if outcome is not None:

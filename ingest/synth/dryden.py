@@ -17,12 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.constants import foot
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-
-FOOT_M = 0.3048
-LEAST_AIRSPEED_M_S = 1.0  # the wind carries the frozen field past a hovering vehicle, at least this fast
 
 
 @dataclass(frozen=True)
@@ -56,15 +54,20 @@ class Wind:
     gusts: tuple[Gust, ...] = ()
 
 
-def low_altitude(altitude_m: float, wind_20ft_m_s: float, airspeed_m_s: float) -> Intensity:
-    """MIL-F-8785C's low-altitude intensities and scales; altitudes from 10 to 1000 ft."""
-    feet = float(np.clip(altitude_m / FOOT_M, 10.0, 1000.0))
+def low_altitude(
+    altitude_m: float, wind_20ft_m_s: float, airspeed_m_s: float, *, least_airspeed_m_s: float = 1.0
+) -> Intensity:
+    """MIL-F-8785C's low-altitude intensities and scales; altitudes from 10 to 1000 ft.
+
+    `least_airspeed_m_s`: the wind carries the frozen field past a hovering vehicle, at least this fast.
+    """
+    feet = float(np.clip(altitude_m / foot, 10.0, 1000.0))
     shape = 0.177 + 0.000823 * feet
     sigma_w = 0.1 * wind_20ft_m_s
     sigma_u = sigma_w / shape**0.4
-    length_w = feet * FOOT_M
-    length_u = feet / shape**1.2 * FOOT_M
-    speed = max(airspeed_m_s, LEAST_AIRSPEED_M_S)
+    length_w = feet * foot
+    length_u = feet / shape**1.2 * foot
+    speed = max(airspeed_m_s, least_airspeed_m_s)
     return Intensity((sigma_u, sigma_u, sigma_w), (length_u / speed, length_u / speed, length_w / speed))
 
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.ingest.synth.telemetry import SECOND_NS, IntArray, Series
+from flysid.ingest.formats.common.clock import SECOND_NS
+from flysid.ingest.synth.telemetry import IntArray, Series
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,11 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
+from flysid.ingest.formats.common.clock import SECOND_NS
 from flysid.ingest.synth.dryden import Gust, Wind
 from flysid.ingest.synth.plans import GENTLE, Manoeuvre, plan_named
 from flysid.ingest.synth.sensors import SENSORS, Sensor, observe, velocity_sensor
-from flysid.ingest.synth.telemetry import MS_NS, SECOND_NS, Recording, Series
+from flysid.ingest.synth.telemetry import MS_NS, Recording, Series
 from flysid.ingest.synth.vehicles import CHANGES, VEHICLES, Air
 
 EPOCH_NS = 1_767_225_600 * SECOND_NS  # 2026-01-01T00:00:00Z

@@ -19,11 +19,8 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 MS_NS = 1_000_000
-SECOND_NS = 1_000_000_000
 
 # A radio link that works: 6 ms at best, and a tail of a few ms more (exponential, mean 4 ms).
-LINK_LATENCY_NS = 6 * MS_NS
-LINK_JITTER_NS = 4 * MS_NS
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +103,10 @@ def heard(recording: Recording, time_ns: IntArray) -> BoolArray:
     return reached
 
 
-def arrival_utc_ns(recording: Recording, time_ns: IntArray) -> IntArray:
+def arrival_utc_ns(
+    recording: Recording, time_ns: IntArray, *, latency_ns: int = 6 * MS_NS, jitter_ns: int = 4 * MS_NS
+) -> IntArray:
     """(N,) UTC at which messages sent at rising vehicle times arrive; order is kept, as on a serial link."""
     rng = np.random.default_rng([recording.seed, 0x11A7])
-    delay = LINK_LATENCY_NS + rng.exponential(LINK_JITTER_NS, len(time_ns)).astype(np.int64)
+    delay = latency_ns + rng.exponential(jitter_ns, len(time_ns)).astype(np.int64)
     return np.asarray(np.maximum.accumulate(recording.boot_utc_ns + time_ns + delay), dtype=np.int64)

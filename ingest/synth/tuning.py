@@ -23,7 +23,6 @@ ComplexArray = npt.NDArray[np.complex128]
 
 # Up to here the vehicle is promised to agree with the paper's loops, rad/s.
 BANDWIDTH_RAD_S: Mapping[str, float] = {"longitudinal": 6.0, "lateral": 3.0, "vertical": 8.0}
-LOWEST_RAD_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -91,8 +90,8 @@ def compare_loop(vehicle: Vehicle, loop: str, omega_rad_s: npt.ArrayLike | None 
     return Bode(omega, 20.0 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio)), np.abs(ratio - 1.0))
 
 
-def _band(loop: str, points: int = 60) -> FloatArray:
-    return np.geomspace(LOWEST_RAD_S, BANDWIDTH_RAD_S[loop], points)
+def _band(loop: str, points: int = 60, *, lowest_rad_s: float = 0.1) -> FloatArray:
+    return np.geomspace(lowest_rad_s, BANDWIDTH_RAD_S[loop], points)
 
 
 def _with_axis(loop: InnerLoop, axis: str, gains: Axis) -> InnerLoop:

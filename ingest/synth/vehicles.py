@@ -15,7 +15,6 @@ from flysid.ingest.synth.plants import LOOPS, fly
 if TYPE_CHECKING:
     from flysid.ingest.synth.rigid_body import Vehicle
 
-ATTITUDE_LAG_S = 0.12
 CHANGES = ("mass", "thrust", "drag", "lag")
 # Spread of a fleet, as standard deviations of the logarithm.
 SPREAD = {"mass_kg": 0.03, "thrust_factor": 0.03, "motor_lag_s": 0.1, "sag": 0.1}
@@ -59,14 +58,14 @@ class Flyer:
     effects: tuple[str, ...] = ()
 
 
-def fly_linear(command: FloatArray, dt_s: float, _: Air) -> Truth:
+def fly_linear(command: FloatArray, dt_s: float, _: Air, *, attitude_lag_s: float = 0.12) -> Truth:
     """The plants (10), (11), (12), from rest, uncoupled.
 
     Tilt is not part of those equations; it follows the command with a first-order lag of 0.12 s, so that the
     attitude messages have something to say. Position is the integral of velocity (trapezoidal).
     """
     truth = {loop.output: fly(loop, u, dt_s) for loop, u in zip(LOOPS.values(), command.T, strict=True)}
-    keep = np.exp(-dt_s / ATTITUDE_LAG_S)
+    keep = np.exp(-dt_s / attitude_lag_s)
     truth |= {name: _lagged(u, keep) for name, u in zip(("theta", "phi"), command.T, strict=False)}
     truth["psi"] = np.zeros(len(command))
     for axis in "xyz":

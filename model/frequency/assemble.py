@@ -10,7 +10,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import FitError
 from flysid.model.freerun import Difference
-from flysid.model.frequency.continuous_error import ContinuousError
+from flysid.model.frequency.continuous_error import STEP, ContinuousError
 from flysid.model.frequency.continuous_transfer import ContinuousTransfer
 from flysid.model.frequency.rational import is_determined
 from flysid.model.frequency.sampling import sampled
@@ -19,8 +19,6 @@ from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.linear.free_runner import free_runner
 from flysid.model.linear.initial_state import start_gains
 from flysid.model.noise import coloured_covariance, noise_model
-
-STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,10 +10,8 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.errors import UsageError
-from flysid.model.polynomials import ComplexArray
+from flysid.model.polynomials import Z95, ComplexArray
 from flysid.showing import significant
-
-Z95 = 1.959963984540054
 
 
 @dataclass(frozen=True)

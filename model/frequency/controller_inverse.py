@@ -15,13 +15,15 @@ from flysid.model.frequency.response import MeasuredResponse
 from flysid.model.polynomials import ComplexArray
 
 ORDER = 20
-NEAR = 0.5
-"""In ln: 4.3 dB, or 29 degrees."""
 
 
-def controller_bands(data: Dataset, output: int, measured: MeasuredResponse) -> list[tuple[float, float]]:
+def controller_bands(
+    data: Dataset, output: int, measured: MeasuredResponse, *, near: float = 0.5
+) -> list[tuple[float, float]]:
     """Bands (rad/s) in which the response of a single input follows -1 / controller; none where segments are
     too short to tell.
+
+    `near`: in ln: 4.3 dB, or 29 degrees.
 
     Example
     -------
@@ -42,7 +44,7 @@ def controller_bands(data: Dataset, output: int, measured: MeasuredResponse) -> 
     law = _response(scaled, (0, 1), 0, back) / unit  # what the input makes of the output: -C
     seen = measured.response[:, 0]
     to_law = np.abs(np.log(seen * law))
-    follows = (to_law < NEAR) & (to_law < np.abs(np.log(seen / plant)))
+    follows = (to_law < near) & (to_law < np.abs(np.log(seen / plant)))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], follows.astype(np.int8), [0]])))
     runs = [(measured.omega[a], measured.omega[b - 1]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return [(float(low), float(high)) for low, high in runs if low < high]

@@ -26,18 +26,10 @@ from flysid.model.frequency.simulation_fit import (
 from flysid.model.frequency.transfer import inverse_hold
 from flysid.model.linear.data import Parts, records
 from flysid.model.linear.output_error import find_delays, fit_output
+from flysid.model.selection import STRONG
 from flysid.model.simulation_error import Orders, OutputError
 
 Auto = Literal["auto"]
-STRONG = 10.0
-"""A difference in BIC that is very strong evidence (Kass & Raftery, 1995, J. Am. Stat. Assoc. 90)."""
-STRAYED = 3.0
-"""A refined model whose cost J on the measured response is this many times the least has left it."""
-NO_DELAY = 0.02
-"""Of a sample: a dead time below is none."""
-TRIAL_STEPS = 15
-MARGIN = 1.5
-"""A dead time may grow by this factor while it is refined."""
 
 
 class GuessSettings(Protocol):
@@ -137,15 +129,18 @@ class Starts:
         best, words = best_fit(self.fits)
         return _unrefined(self.settings, self.parts, best), words
 
-    def strays(self, found: OneTransfer) -> str:
-        """Why a refined model is not to be kept: it has left the measured response; "" where it has not."""
+    def strays(self, found: OneTransfer, *, most: float = 3.0) -> str:
+        """Why a refined model is not to be kept: it has left the measured response; "" where it has not.
+
+        `most`: times the least cost J on the measured response, beyond which a refined model has left it.
+        """
         if self.measured is None or not self.fits:
             return ""
         bands = _bands(self.settings, len(self.measured.inputs))
         rational = found.problem.rational(found.theta)
         cost = float(response_cost(self.measured, rational, self.settings.hold, bands).mean())
         least = float(best_fit(self.fits)[0].cost.mean())
-        if least > ACCEPTABLE or cost <= max(ACCEPTABLE, STRAYED * least):
+        if least > ACCEPTABLE or cost <= max(ACCEPTABLE, most * least):
             return ""
         return (
             "; refined on the simulation error it leaves the measured response "
@@ -263,11 +258,14 @@ def _bic(fit: OneTransfer) -> float:
     return float(n * np.log(max(fit.problem.cost(fit.theta), 1e-300) / n) + fit.count * np.log(n))
 
 
-def _problem(settings: GuessSettings, parts: Parts, form: Form, rational: Rational) -> ContinuousError:
+def _problem(
+    settings: GuessSettings, parts: Parts, form: Form, rational: Rational, *, margin: float = 1.5
+) -> ContinuousError:
+    """`margin`: a dead time may grow by this factor while it is refined."""
     size = np.abs(np.roots(rational.denominator))
     omega_0 = float(np.exp(np.mean(np.log(np.maximum(size, 1e-3))))) if len(size) else 1.0
     dt_s = parts.train.dt_s
-    skip = int(np.ceil(MARGIN * float(rational.dead_time_s.max(initial=0.0)) / dt_s)) + form.poles + 4
+    skip = int(np.ceil(margin * float(rational.dead_time_s.max(initial=0.0)) / dt_s)) + form.poles + 4
     return ContinuousError(
         records=records(parts.fit, 0),
         coordinates=Coordinates(form, omega_0),
@@ -279,25 +277,36 @@ def _problem(settings: GuessSettings, parts: Parts, form: Form, rational: Ration
     )
 
 
-def _refined(settings: GuessSettings, parts: Parts, form: Form, rational: Rational) -> OneTransfer | None:
-    """From a start to the minimum; None where there is no way down or no segment is long enough."""
+def _refined(
+    settings: GuessSettings,
+    parts: Parts,
+    form: Form,
+    rational: Rational,
+    *,
+    no_delay: float = 0.02,
+    trial_steps: int = 15,
+) -> OneTransfer | None:
+    """From a start to the minimum; None where there is no way down or no segment is long enough.
+
+    `no_delay`: of a sample: a dead time below is none.
+    """
     problem = _problem(settings, parts, form, rational)
     theta = problem.coordinates.theta(rational)
     theta = np.append(theta, 0.0) if problem.has_offset else theta
     if not any(True for _ in problem.usable()) or not np.isfinite(problem.cost(theta)):
         return None
     try:
-        found = problem.refine(theta, max_iterations=TRIAL_STEPS)
+        found = problem.refine(theta, max_iterations=trial_steps)
     except FitError:
         return None
     ended = problem.rational(found.theta)
     none = tuple(
-        0.0 if t is None and d < NO_DELAY * problem.dt_s else t
+        0.0 if t is None and d < no_delay * problem.dt_s else t
         for t, d in zip(form.dead_time_s, ended.dead_time_s, strict=True)
     )
     if form.poles == 0 and settings.hold == "zero":  # a held gain tells a dead time to the sample only
         dt_s = problem.dt_s
-        ended = replace(ended, dead_time_s=dt_s * np.ceil(ended.dead_time_s / dt_s - NO_DELAY))
+        ended = replace(ended, dead_time_s=dt_s * np.ceil(ended.dead_time_s / dt_s - no_delay))
         none = tuple(float(d) for d in ended.dead_time_s)
     if none != form.dead_time_s:  # at its bound a dead time has no interval, and bends those of the others
         kept = [d if t is None else t for t, d in zip(none, ended.dead_time_s, strict=True)]

@@ -47,9 +47,6 @@ WIDTHS = (0.06, 0.12, 0.24)
 WIDEST = 1.0
 FREEDOM = 6
 """Lines beyond the unknowns that a point needs."""
-FEW_LINES = 6.0
-LEVERAGE = 2.25
-"""A local parabola's variance in its middle, in units of that of a mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,19 +199,29 @@ def _fitted(lines: Sequence[_Lines], place: tuple[float, float, int], n_u: int) 
 
 
 def _solved(
-    phi: ComplexArray, driven: ComplexArray, rows: int, n_u: int, where: IntArray
+    phi: ComplexArray,
+    driven: ComplexArray,
+    rows: int,
+    n_u: int,
+    where: IntArray,
+    *,
+    few_lines: float = 6.0,
+    leverage: float = 2.25,
 ) -> _LocalPoint | None:
-    """Gains at the band's middle: the first n_u unknowns, of every driven signal."""
+    """Gains at the band's middle: the first n_u unknowns, of every driven signal.
+
+    `leverage`: a local parabola's variance in its middle, in units of that of a mean.
+    """
     size = np.abs(phi[:, :n_u]) ** 2
     total = size.sum(axis=0)
     if not (total > 1e-20 * max(float(np.sum(np.abs(driven) ** 2)), 1e-300)).all():
         return None
     spread = total**2 / np.maximum((size**2).sum(axis=0), 1e-300)
     averages = float(rows)
-    if spread.min() < FEW_LINES:
+    if spread.min() < few_lines:
         phi = phi[:, :n_u]
     else:
-        averages /= LEVERAGE
+        averages /= leverage
     lengths = np.sqrt(np.maximum((np.abs(phi) ** 2).sum(axis=0), 1e-300))
     left, sigma, right = np.linalg.svd(phi / lengths, full_matrices=False)
     kept = sigma > 1e-7 * sigma[0]

@@ -20,12 +20,9 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import UsageError
 from flysid.model.frequency.response import MeasuredResponse, measure_response
-from flysid.model.polynomials import Z95, ComplexArray
+from flysid.model.polynomials import DB, Z95, ComplexArray
 
-WINDOW = 0.12
-"""Half width of a parabola's stretch in ln omega, at least."""
 NEIGHBOURS = 5
-DB = 20.0 / np.log(10.0)
 HALF_POWER = np.log(2.0) / 2.0
 _NOT_FLAT = "the gain is not flat at the lowest frequency that can be trusted"
 
@@ -147,9 +144,12 @@ class _LoopCurve:
             measured.correlation[source][np.ix_(inside, inside)],
         )
 
-    def parabola(self, x: float) -> tuple[ComplexArray, FloatArray]:
-        """(value, slope, curvature) of ln G at x, and the (3, 3) covariance of either part."""
-        near = np.abs(self.x - x) <= WINDOW
+    def parabola(self, x: float, *, window: float = 0.12) -> tuple[ComplexArray, FloatArray]:
+        """(value, slope, curvature) of ln G at x, and the (3, 3) covariance of either part.
+
+        `window`: half width of a parabola's stretch in ln omega, at least.
+        """
+        near = np.abs(self.x - x) <= window
         if np.count_nonzero(near) < NEIGHBOURS:
             near = np.zeros(len(self.x), dtype=bool)
             near[np.argsort(np.abs(self.x - x))[:NEIGHBOURS]] = True

@@ -12,8 +12,6 @@ from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.polynomials import ComplexArray
 
-MOST_POLES = 4
-
 Hold = Literal["zero", "first", "none"]
 
 
@@ -178,6 +176,8 @@ def forms(
     zeros: int | Sequence[int] | Literal["auto"] = "auto",
     dead_time_s: float | Sequence[float | None] | Literal["auto"] = "auto",
     stable: bool = True,
+    *,
+    most_poles: int = 4,
 ) -> list[Form]:
     """All orders that settings leave open, fewest parameters first.
 
@@ -195,7 +195,7 @@ def forms(
     else:
         delays = [tuple(None if t is None else float(t) for t in dead_time_s)]
     found = []
-    for n in range(MOST_POLES + 1) if poles == "auto" else [int(poles)]:
+    for n in range(most_poles + 1) if poles == "auto" else [int(poles)]:
         for d in delays:
             if zeros == "auto":
                 found += [Form(n, (m,) * n_u, d, stable) for m in range(max(n, 1))]

@@ -25,10 +25,10 @@ from flysid.errors import DataError, UsageError
 from flysid.model.detrend import Trend, detrended
 from flysid.model.frequency.local_polynomial import local_response
 from flysid.model.frequency.spectra import multitaper_response, welch_response
-from flysid.model.polynomials import ComplexArray
+from flysid.model.polynomials import DB, ComplexArray
 
 GOOD_COHERENCE = 0.6
-POINTS = 80
+"""What rotorcraft identification asks of a response (Tischler and Remple, 2012, 7.5)."""
 
 Method = Literal["local", "welch", "multitaper"]
 METHODS: tuple[Method, ...] = ("local", "welch", "multitaper")
@@ -84,7 +84,7 @@ class MeasuredResponse:
 
     def gain_interval_db(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
         """(lower, upper), (F, n_u) each."""
-        spread = 20.0 / np.log(10.0) * self.half_width(level)
+        spread = DB * self.half_width(level)
         return self.gain_db - spread, self.gain_db + spread
 
     def phase_interval_deg(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
@@ -130,7 +130,7 @@ def measure_response(
     output: int = 0,
     *,
     reference: Sequence[str] = (),
-    points: int = POINTS,
+    points: int = 80,
     method: Method = "local",
     trend: Trend = "none",
     band: tuple[float, float] | None = None,

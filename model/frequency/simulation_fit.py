@@ -35,15 +35,11 @@ from flysid.model.frequency.rational import (
 )
 from flysid.model.frequency.response import MeasuredResponse
 from flysid.model.frequency.sampling import sampled_response
-from flysid.model.polynomials import ComplexArray
+from flysid.model.polynomials import DB, ComplexArray
 from flysid.model.refine import levenberg_marquardt
 
 ACCEPTABLE = 100.0
-DB = 20.0 / np.log(10.0)
 PHASE_WEIGHT = 0.01745
-ROUNDS = 8
-DEAD_TIMES = 7
-TRIED_STARTS = 2
 FOLDING_ROUNDS = 2
 SMALLEST_ERROR = 1e-4
 """Relative error below which a point gets no more weight: leakage and folding are there without noise."""
@@ -148,11 +144,11 @@ class _Problem:
         squares = (errors / np.tile(self.spread, 2)) ** 2
         return float(squares @ np.tile(alone, 2)), float(2.0 * alone.sum())
 
-    def starts(self) -> list[FloatArray]:
+    def starts(self, *, dead_times: int = 7) -> list[FloatArray]:
         """Of Sanathanan & Koerner for several dead times; stable ones where the form asks for it."""
         free = [t is None for t in self.form.dead_time_s]
         longest = min(np.pi / 2, 0.5 * float(self.omega_0)) if any(free) else 0.0
-        tried = np.linspace(0.0, longest, DEAD_TIMES) if any(free) else [0.0]
+        tried = np.linspace(0.0, longest, dead_times) if any(free) else [0.0]
         found = []
         for delay in tried:
             delays = np.array([delay if t is None else t * self.omega_0 for t in self.form.dead_time_s])
@@ -165,7 +161,7 @@ class _Problem:
                 found.append(theta)
         return found
 
-    def _iterated(self, g: ComplexArray) -> tuple[FloatArray, list[FloatArray]]:
+    def _iterated(self, g: ComplexArray, *, rounds: int = 8) -> tuple[FloatArray, list[FloatArray]]:
         """D and N_j minimising |N_j - g D|^2 / |g D_before|^2."""
         s = 1j * self.x
         n = self.form.poles
@@ -174,7 +170,7 @@ class _Problem:
         d = np.ones(1)
         tops = [np.ones(1)] * len(zeros)
         size = self.weight[:, 0]
-        for _ in range(ROUNDS):
+        for _ in range(rounds):
             scale = (size / np.abs(g * before))[:, None]
             columns = [-g[:, None] * s[:, None] ** np.arange(n)]
             for j, m in enumerate(zeros):
@@ -221,6 +217,7 @@ def fit_response(
     weighting: Weighting = "coherence",
     hold: Hold = "zero",
     bands: Sequence[tuple[float, float]] | None = None,
+    most_starts: int = 2,
 ) -> ResponseFit:
     """Fit a transfer function of given orders to the trustworthy points of a measured response.
 
@@ -245,7 +242,7 @@ def fit_response(
     starts = [(float(np.sum(problem.residuals(t)[0] ** 2)), t) for t in problem.starts()]
     starts = sorted((s for s in starts if np.isfinite(s[0])), key=lambda s: s[0])
     best = None
-    for _, theta in starts[:TRIED_STARTS]:
+    for _, theta in starts[:most_starts]:
         found = levenberg_marquardt(problem.residuals, theta, max_iterations=60)
         if best is None or found.cost < best.cost:
             best = found

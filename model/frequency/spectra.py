@@ -24,10 +24,8 @@ CYCLES = 2.0
 SHORTEST = 32
 SHARE = 4
 """The longest window is at most this part of the recording."""
-WINDOWS = 5
 OVERLAP = 4
 TAPERS = 7
-BATCH_SAMPLES = 1 << 19
 
 
 def welch_response(
@@ -77,12 +75,12 @@ def _lowest(longest: int, dt_s: float) -> float:
     return 2.0 * np.pi * CYCLES / (longest * dt_s)
 
 
-def _lengths(records: Sequence[FloatArray]) -> list[int]:
+def _lengths(records: Sequence[FloatArray], *, most: int = 5) -> list[int]:
     """Window lengths in samples, longest first, each half of the one before."""
     total = sum(map(len, records))
     longest = max(map(len, records))
     first = min(longest, total // SHARE)
-    return [first >> k for k in range(WINDOWS) if first >> k >= SHORTEST]
+    return [first >> k for k in range(most) if first >> k >= SHORTEST]
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,12 +120,14 @@ class _Spectra:
         return cls(np.stack(columns, axis=1).reshape(len(omega), n, n), averages, window_s)
 
 
-def _hann_frames(records: Sequence[FloatArray], length: int) -> Iterator[FloatArray]:
+def _hann_frames(
+    records: Sequence[FloatArray], length: int, *, batch_samples: int = 1 << 19
+) -> Iterator[FloatArray]:
     """(K, length, n) windowed pieces, their means taken out, a batch at a time."""
     taper = np.hanning(length + 2)[1:-1]
     taper = taper / np.sqrt(float(taper @ taper))
     hop = max(length // OVERLAP, 1)
-    per_batch = max(BATCH_SAMPLES // length, 1)
+    per_batch = max(batch_samples // length, 1)
     for record in records:
         starts = range(0, len(record) - length + 1, hop)
         for at in range(0, len(starts), per_batch):

@@ -16,10 +16,10 @@ from flysid.errors import FitError, UsageError
 from flysid.model.frequency.continuous_transfer import ContinuousTransfer
 from flysid.model.linear.difference_equation import FittedLinear
 
-STEP = 1e-5
 
-
-def continuous(model: FittedLinear, output: int = 0, source: int = 0) -> ContinuousTransfer:
+def continuous(
+    model: FittedLinear, output: int = 0, source: int = 0, *, relative_step: float = 1e-5
+) -> ContinuousTransfer:
     """The continuous transfer function behind a fitted model.
 
     Parameters
@@ -39,7 +39,7 @@ def continuous(model: FittedLinear, output: int = 0, source: int = 0) -> Continu
     numerator, denominator = inverse_hold(*_polynomials(model, flat, output, source), delay, model.dt_s)
     slopes = []
     for index in own:
-        step = STEP * max(model.standard_errors[index], 1e-9 * abs(flat[index]), 1e-300)
+        step = relative_step * max(model.standard_errors[index], 1e-9 * abs(flat[index]), 1e-300)
         moved = flat.copy()
         moved[index] += step
         top, bottom = inverse_hold(*_polynomials(model, moved, output, source), delay, model.dt_s)

@@ -30,9 +30,6 @@ the logarithm of the voltage over its mean (N,)."""
 
 POWER = (-1.0, 4.0)
 """Of the battery's voltage in what a command does: 0 is governed speed, 1 a share of the voltage."""
-STEPS = 60
-ENOUGH = 1e-12
-"""Share of the sum of squares that a step must win for another one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,13 +152,19 @@ def _descended(
     free: FloatArray,
     low: FloatArray,
     high: FloatArray,
+    *,
+    steps: int = 60,
+    enough: float = 1e-12,
 ) -> tuple[float, FloatArray]:
-    """Levenberg-Marquardt, steps cut at the ends of every range."""
+    """Levenberg-Marquardt, steps cut at the ends of every range.
+
+    `enough`: share of the sum of squares that a step must win for another one.
+    """
     errors, slopes = _stacked(records, theta, dt, integrates)
     left = np.concatenate(errors)
     cost = float(left @ left)
     damp = 1e-3
-    for _ in range(STEPS):
+    for _ in range(steps):
         gram, back = _normal(np.concatenate(slopes), left, free, theta, low, high)
         sizes = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
         scaled = gram / np.outer(sizes, sizes)
@@ -175,7 +178,7 @@ def _descended(
                 new_left = np.concatenate(new_errors)
                 new_cost = float(new_left @ new_left)
                 if new_cost < cost:
-                    better = cost - new_cost > ENOUGH * cost
+                    better = cost - new_cost > enough * cost
                     theta = other
                     left = new_left
                     slopes = new_slopes

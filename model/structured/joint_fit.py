@@ -28,21 +28,16 @@ from flysid.errors import DataError, UsageError
 from flysid.model.frequency.rational import Hold, hold_response
 from flysid.model.frequency.response import MeasuredResponse
 from flysid.model.frequency.simulation_fit import (
-    DB,
     FOLDING_ROUNDS,
     PHASE_WEIGHT,
     SMALLEST_ERROR,
     inflation,
     picked_points,
 )
-from flysid.model.polynomials import ComplexArray
+from flysid.model.polynomials import DB, ComplexArray
 from flysid.model.refine import levenberg_marquardt
 from flysid.model.structured.held_input import held, whole_samples
 from flysid.model.structured.plan_file import Layout
-
-ITERATIONS = 100
-LOST = 1e-9
-"""Smallest singular value of a Jacobian of unit columns that is no rounding."""
 
 IntArray = npt.NDArray[np.int64]
 
@@ -112,7 +107,7 @@ class JointProblem:
     dt_s: float
     hold: Hold
 
-    def fit(self, theta: FloatArray, free: Sequence[int]) -> JointFit:
+    def fit(self, theta: FloatArray, free: Sequence[int], *, iterations: int = 100) -> JointFit:
         """The best values of the free terms from a start; the others are 0.
 
         Raises
@@ -133,7 +128,7 @@ class JointProblem:
         rounds = 1 if self.hold == "none" else 1 + FOLDING_ROUNDS
         for _ in range(rounds):
             plain = self.unfolded(at) if self.hold != "none" else self
-            at[free] = levenberg_marquardt(evaluate, at[free], max_iterations=ITERATIONS).theta
+            at[free] = levenberg_marquardt(evaluate, at[free], max_iterations=iterations).theta
         return plain._finished(at, free)
 
     def unfolded(self, theta: FloatArray) -> JointProblem:
@@ -319,8 +314,10 @@ def answers(layout: Layout) -> npt.NDArray[np.bool_]:
     return np.asarray(reached > 0.0)
 
 
-def identifiable(problem: JointProblem) -> tuple[int, ...]:
+def identifiable(problem: JointProblem, *, lost_below: float = 1e-9) -> tuple[int, ...]:
     """The terms that change a fitted response, judged at a place where no term is zero.
+
+    `lost_below`: smallest singular value of a Jacobian of unit columns that is no rounding.
 
     Raises
     ------
@@ -339,8 +336,8 @@ def identifiable(problem: JointProblem) -> tuple[int, ...]:
     if not len(seen):
         raise DataError("no free term changes a measured response", hint="check G and H")
     _, sigma, turn = np.linalg.svd(jacobian[:, seen] / size[seen], full_matrices=False)
-    if sigma[-1] < LOST * sigma[0]:
-        lost = turn[sigma < LOST * sigma[0]]
+    if sigma[-1] < lost_below * sigma[0]:
+        lost = turn[sigma < lost_below * sigma[0]]
         together = [terms[seen[k]].name for k in np.flatnonzero((np.abs(lost) > 1e-3).any(axis=0))]
         raise DataError(
             f"the responses cannot tell {', '.join(together)} apart: only some product or sum of them shows",

@@ -49,11 +49,6 @@ from flysid.model.subspace.refinement import SimulationError
 from flysid.model.subspace.triangle import Realisation
 from flysid.model.threads import on_one_thread
 
-STEP = 1e-3
-"""Of a term's standard error, for derivatives of the sampled matrices."""
-GROWTH = 3.0
-"""e-folds of an unstable system after which a run says nothing of its offsets any more."""
-
 
 @dataclass(frozen=True)
 class StructuredStateSpace:
@@ -292,11 +287,14 @@ def _sampled(settings: StructuredStateSpace, parts: Parts, sampling: _Sampling) 
     )
 
 
-def _pieces(segments: Sequence[Segment], radius: float) -> list[Segment]:
-    """Segments; of an unstable system, pieces so short that their first states still count at their ends."""
+def _pieces(segments: Sequence[Segment], radius: float, *, growth: float = 3.0) -> list[Segment]:
+    """Segments; of an unstable system, pieces so short that their first states still count at their ends.
+
+    `growth`: e-folds of an unstable system after which a run says nothing of its offsets any more.
+    """
     if radius <= 1.0 + 1e-9:
         return list(segments)
-    rows = max(round(GROWTH / np.log(radius)), 8)
+    rows = max(round(growth / np.log(radius)), 8)
     return [s.slice(at, min(at + rows, len(s)), 1.0) for s in segments for at in range(0, len(s), rows)]
 
 
@@ -320,8 +318,11 @@ def _with_offsets(problem: SimulationError, states: int) -> Realisation:
     return replace(system, drift=drift, level=step[states:])
 
 
-def _sampled_covariance(sampling: _Sampling, parts: Parts) -> FloatArray:
-    """Of A, B, C, drift, level and D, from that of the terms; offsets count as known."""
+def _sampled_covariance(sampling: _Sampling, parts: Parts, *, relative_step: float = 1e-3) -> FloatArray:
+    """Of A, B, C, drift, level and D, from that of the terms; offsets count as known.
+
+    `relative_step`: of a term's standard error, for derivatives of the sampled matrices.
+    """
 
     def numbers(theta: FloatArray) -> FloatArray:
         r = sampling.realisation(theta, parts)
@@ -331,7 +332,7 @@ def _sampled_covariance(sampling: _Sampling, parts: Parts) -> FloatArray:
     at = numbers(fit.theta)
     slopes = []
     for k in fit.free:
-        step = STEP * max(fit.error(k), 1e-9 * abs(float(fit.theta[k])))
+        step = relative_step * max(fit.error(k), 1e-9 * abs(float(fit.theta[k])))
         moved = fit.theta.copy()
         moved[k] += step
         slopes.append((numbers(moved) - at) / step)

@@ -15,8 +15,6 @@ from functools import partial
 from flysid.errors import FitError
 from flysid.model.structured.joint_fit import JointFit, JointProblem
 
-LEVEL = 0.05
-
 
 @dataclass(frozen=True)
 class Dropped:
@@ -27,7 +25,9 @@ class Dropped:
     why: str
 
 
-def without_superfluous(problem: JointProblem, fit: JointFit) -> tuple[JointFit, tuple[Dropped, ...]]:
+def without_superfluous(
+    problem: JointProblem, fit: JointFit, *, level: float = 0.05
+) -> tuple[JointFit, tuple[Dropped, ...]]:
     """The fit with as few terms as the responses need, and those that went."""
     from scipy.special import fdtri
 
@@ -35,7 +35,7 @@ def without_superfluous(problem: JointProblem, fit: JointFit) -> tuple[JointFit,
     dropped: list[Dropped] = []
     tests = len(fit.free)
     while len(fit.free) > 1:
-        noise = float(fdtri(1.0, fit.freedom, 1.0 - LEVEL / tests))
+        noise = float(fdtri(1.0, fit.freedom, 1.0 - level / tests))
         doubtful = [k for k in fit.free if fit.theta[k] ** 2 <= noise * fit.covariance[k, k]]
         doubtful.sort(key=partial(_sensitivity, fit))
         for k in doubtful:

@@ -10,7 +10,8 @@ import numpy.typing as npt
 from markupsafe import Markup
 
 from flysid.dataset import FloatArray
-from flysid.model.polynomials import ComplexArray
+from flysid.model.frequency.response import GOOD_COHERENCE
+from flysid.model.polynomials import Z95, ComplexArray
 from flysid.validate.bands import BandCurve
 from flysid.validate.comparison import Pair
 from flysid.validate.report.context import Sweep
@@ -37,8 +38,6 @@ from flysid.validate.report.svg import (
 from flysid.validate.residuals import ResidualSpectrum
 from flysid.validate.words import interval_words
 
-TRUSTED = 0.6
-"""Coherence from which a measured point counts (Tischler and Remple 2012)."""
 NEAREST = 1.0 / 160.0
 """Of two measured points, as a share of the axis: closer ones are one dot."""
 
@@ -170,8 +169,8 @@ class _Measured:
             near = np.mean([np.interp(s.hz[keep], hz, p) for p in phases], axis=0)
             degrees = degrees + 360.0 * np.round((near - degrees) / 360.0)
         coherence = s.coherence[keep]
-        spread = 1.96 * s.relative_error[keep]
-        return cls(s.hz[keep], _db(s.response[keep]), degrees, coherence, spread, coherence >= TRUSTED)
+        spread = Z95 * s.relative_error[keep]
+        return cls(s.hz[keep], _db(s.response[keep]), degrees, coherence, spread, coherence >= GOOD_COHERENCE)
 
 
 def _apart(places: FloatArray) -> list[int]:

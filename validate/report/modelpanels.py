@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Rule
+from flysid.model.frequency.response import GOOD_COHERENCE
 from flysid.validate.bands import curves
 from flysid.validate.comparison import Comparison
 from flysid.validate.report import figures, modelfigures
@@ -198,7 +199,7 @@ def _bode(source: Source, j: int, signal: int) -> Panel:
     seen = (
         "No response could be measured: the input hardly moves, or the record is too short."
         if empirical is None
-        else f"Dots: measured, with 95 % whiskers; faint where the coherence is below {figures.TRUSTED:g}."
+        else f"Dots: measured, with 95 % whiskers; faint where the coherence is below {GOOD_COHERENCE:g}."
     )
     return Panel(
         f"Frequency response from {one_line(c.test.inputs[signal].name)}",

@@ -19,6 +19,7 @@ from flysid.validate.report.svg import HALF, THIRD, Axes, area, frame, line, pic
 from flysid.validate.words import one_line
 
 SHOWN_FROM = 0.25
+"""Normalised weight from which on a rule's own output is drawn."""
 _LAG = re.compile(r"\(k(?:-(\d+))?\)")
 
 
@@ -138,7 +139,7 @@ def _thinned(
 def rule_output_figure(
     outputs: FloatArray, firing: FloatArray, y: FloatArray, t: FloatArray, words: tuple[str, str]
 ) -> Markup:
-    """What every rule (N, R) says one step ahead, where it fires at 0.25 or more; measured y in grey."""
+    """What every rule (N, R) says one step ahead, where it fires enough; measured y in grey."""
     shown = np.where(firing >= SHOWN_FROM, outputs, np.nan)
     step = max(1, len(t) // 240)
     times, measured = decimate(t, {"y": y}, 300)

@@ -10,10 +10,9 @@ import numpy.typing as npt
 
 from flysid.dataset import FloatArray, Segment
 from flysid.errors import DataError
+from flysid.model.frequency.response import GOOD_COHERENCE
 
 ComplexArray = npt.NDArray[np.complex128]
-LEAST_COHERENCE = 0.6
-"""What rotorcraft identification asks of a response that is to be used (Tischler and Remple, 2012, 7.5)."""
 LEAST_CYCLES = 2
 """In a window: a frequency below is not told apart from a drift."""
 
@@ -56,7 +55,7 @@ def band_of(spectra: ComplexArray, omega: FloatArray, source: int, target: int, 
     DataError : there is none.
     """
     coherence = coherence_of(spectra, source, target)
-    good = coherence >= LEAST_COHERENCE
+    good = coherence >= GOOD_COHERENCE
     good[:LEAST_CYCLES] = False
     runs: list[tuple[float, float]] = []
     start: int | None = None
@@ -69,7 +68,7 @@ def band_of(spectra: ComplexArray, omega: FloatArray, source: int, target: int, 
     if not runs:
         best = float(coherence[LEAST_CYCLES:].max(initial=0.0))
         raise DataError(
-            f"channel {channel!r}: the coherence of output and input reaches {LEAST_COHERENCE:g} nowhere; "
+            f"channel {channel!r}: the coherence of output and input reaches {GOOD_COHERENCE:g} nowhere; "
             f"{best:.2f} at best",
             hint="fly more manoeuvres on this axis, or choose another channel",
         )

@@ -13,6 +13,7 @@ from markupsafe import Markup
 from flysid.fleet.models.changed import Comparison
 from flysid.fleet.models.differences import Judged, Test
 from flysid.fleet.models.flag_words import Finding, date_of
+from flysid.model.polynomials import Z95
 from flysid.showing import first_of
 from flysid.validate.report.html import environment, load_asset, security_policy, write_page
 from flysid.validate.report.masthead import dates
@@ -166,7 +167,7 @@ def _surest(tests: Sequence[Test], k: int) -> int:
 def strip(tests: Sequence[Test], names: Mapping[str, str], at: int) -> Markup:
     """All vehicles' changes of gain at one frequency, with intervals, the flagged by name."""
     values = np.array([100.0 * np.expm1(t.difference[at]) for t in tests])
-    ends = [(100.0 * np.expm1(t.difference[at] + s * 1.96 * t.sigmas[at])) for t in tests for s in (-1, 1)]
+    ends = [(100.0 * np.expm1(t.difference[at] + s * Z95 * t.sigmas[at])) for t in tests for s in (-1, 1)]
     axes = Axes((-1.0, float(max(len(tests), 1))), span(values, np.array(ends), around=0.0))
     parts = [frame(axes, "change of gain, %", "vehicles", x_ticks=False)]
     parts.append(segment(axes.left, float(axes.py(0.0)), axes.right, float(axes.py(0.0)), "zero"))

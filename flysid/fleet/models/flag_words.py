@@ -14,10 +14,10 @@ from flysid.dataset import FloatArray
 from flysid.fleet.models.differences import Judged, Test, since
 from flysid.ingest.align.recipe import Recipe
 from flysid.ingest.lake.chosen_flights import shortest_end
+from flysid.validate.verdict import ALPHA
 from flysid.validate.words import one_line
 
 NAMELESS = "(no name)"
-SURE = 0.95
 SEEN = 0.9
 """How often the smallest change that is named would have been found."""
 
@@ -61,7 +61,7 @@ class Finding:
 def sizes(test: Test, omega: FloatArray) -> tuple[Size, Size]:
     """The gain (percent) and the delay (ms) of a test, each where it stands out most."""
     k = len(omega)
-    reach = float(stats.t.isf((1.0 - SURE) / 2.0 / (2 * k), test.freedom)) * test.sigmas
+    reach = float(stats.t.isf(0.5 * ALPHA / (2 * k), test.freedom)) * test.sigmas
     strength = np.abs(test.difference) / test.sigmas
     at = int(np.argmax(strength[:k]))
     late = int(np.argmax(strength[k:]))

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 CHECKSUM_TAG = 0xFFFF
+NAVDATA_PORT = 5554
+AT_PORT = 5556
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,14 @@ from flysid.ingest.formats.ardrone.frames import (
     parse_makeup,
     sort_packets,
 )
-from flysid.ingest.formats.ardrone.layouts import NOT_FLIGHT_DATA, Option, option_of
+from flysid.ingest.formats.ardrone.layouts import (
+    AT_PORT,
+    CHECKSUM_TAG,
+    NAVDATA_PORT,
+    NOT_FLIGHT_DATA,
+    Option,
+    option_of,
+)
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary, release
 from flysid.ingest.formats.common import arrow_arrays
 from flysid.ingest.formats.common.capture import Payload, datagrams, is_capture
@@ -38,13 +45,10 @@ from flysid.ingest.formats.common.clock import UtcFit, interpolate
 from flysid.ingest.formats.common.gather import Bytes, Index, Values, as_bytes, numbers, rows
 from flysid.ingest.formats.common.tally import Tally
 
-NAVDATA_PORT = 5554
-AT_PORT = 5556
 WRAP_NS = 2048 * 10**9
 DEMO_PERIOD_NS = 10**9 // 15
 MAX_SEQUENCE_GAP = 100_000
 TIME_TAG = 1
-CHECKSUM_TAG = 0xFFFF
 Boots = NDArray[np.int32]
 _Clock = tuple[Index, Index, Boots, Index | None]
 SOURCES = {"clock": "navdata time", "arrival": "arrival", "sequence": "sequence at 15 Hz"}

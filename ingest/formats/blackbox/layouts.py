@@ -18,7 +18,7 @@ from flysid.ingest.formats.blackbox.codes import Encoding, EventKind, Predictor
 from flysid.ingest.formats.blackbox.header import Definition, Header
 
 MAX_FIELDS = 250  # a frame has 256 bytes at most
-SPANS = {Encoding.TAG2_3S32: 3, Encoding.TAG2_3SVARIABLE: 3, Encoding.TAG8_4S16: 4}
+SPANS: dict[int, int] = {Encoding.TAG2_3S32: 3, Encoding.TAG2_3SVARIABLE: 3, Encoding.TAG8_4S16: 4}
 ENCODINGS = frozenset(
     {Encoding.SIGNED_VB, Encoding.UNSIGNED_VB, Encoding.NEG_14BIT, Encoding.TAG8_8SVB, Encoding.NULL, *SPANS}
 )

@@ -19,11 +19,12 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 SECOND_NS = 1_000_000_000
+UNIX_NS = 10**18
+"""In 2001: a time beyond it counts from 1970, no clock that counts from boot gets there."""
 BACK_STEP_NS = 1 * SECOND_NS
 JUMP_NS = 3600 * SECOND_NS
 LEAP_NS = 10 * SECOND_NS
 SIDE = 3
-KNOTS_PER_FIT = 4000
 MAX_KNOTS = 1 << 16
 
 
@@ -228,14 +229,14 @@ class UtcFit:
         if utc_ns is not None:
             self.anchor(boot, vehicle_ns, utc_ns)
 
-    def anchor(self, boot: int, vehicle_ns: IntArray, utc_ns: IntArray) -> None:
+    def anchor(self, boot: int, vehicle_ns: IntArray, utc_ns: IntArray, *, knots_per_fit: int = 4000) -> None:
         """Pairs of a boot whose span is known from elsewhere.
 
         Some are kept: copies, as a view would keep the whole batch; and every other one of them again where
         they become many.
         """
         self._fitted.pop(boot, None)
-        every = max(1, len(vehicle_ns) // KNOTS_PER_FIT)
+        every = max(1, len(vehicle_ns) // knots_per_fit)
         kept = self._pairs.setdefault(boot, [])
         kept.append((vehicle_ns[::every].copy(), utc_ns[::every].copy()))
         self._held[boot] = self._held.get(boot, 0) + len(kept[-1][0])

@@ -20,11 +20,8 @@ from flysid.ingest.formats.base import Limits, release
 GZIP_MAGIC = b"\x1f\x8b\x08"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 FREE_BYTES = 256 << 20  # below this, the ratio is not held against a file
-FREE_MESSAGE_BYTES = 1 << 20
 _WINDOW = 1 << 27
 _RELEASE_BYTES = 1 << 20
-_GZIP_STEP = 16384  # deflate expands up to 1,032 times: what one step gives stays below 17 MB
-_ZSTD_STEP = 512  # zstd expands up to 30,000 times: what one step gives stays below 16 MB
 _RAW_DEFLATE = -15
 _GZIP = 31
 
@@ -95,18 +92,20 @@ def _begins_frame(view: memoryview, at: int, is_gzip: bool) -> bool:
     return skippable or view[at : at + 4] == ZSTD_MAGIC
 
 
-def _inflated(view: memoryview, at: int, wbits: int) -> Generator[bytes, None, int]:
-    return (yield from _frame(lambda: zlib.decompressobj(wbits), zlib.error, view, at, _GZIP_STEP))
+def _inflated(view: memoryview, at: int, wbits: int, *, step: int = 16384) -> Generator[bytes, None, int]:
+    """`step`: deflate expands up to 1,032 times: what one step gives stays below 17 MB."""
+    return (yield from _frame(lambda: zlib.decompressobj(wbits), zlib.error, view, at, step))
 
 
-def _unzstd(view: memoryview, at: int) -> Generator[bytes, None, int]:
+def _unzstd(view: memoryview, at: int, *, step: int = 512) -> Generator[bytes, None, int]:
+    """`step`: zstd expands up to 30,000 times: what one step gives stays below 16 MB."""
     import zstandard
 
     def decoder() -> Decoder:
         made: Decoder = zstandard.ZstdDecompressor(max_window_size=_WINDOW).decompressobj()
         return made
 
-    return (yield from _frame(decoder, zstandard.ZstdError, view, at, _ZSTD_STEP))
+    return (yield from _frame(decoder, zstandard.ZstdError, view, at, step))
 
 
 def _frame(
@@ -202,11 +201,11 @@ def expanded(pieces: Iterator[bytes], packed_bytes: int, limits: Limits) -> Iter
 # ------------------------------------------------------------------------------------------- one message
 
 
-def unpack_message(payload: bytes, limits: Limits) -> bytes:
+def unpack_message(payload: bytes, limits: Limits, *, free_bytes: int = 1 << 20) -> bytes:
     """A message that was compressed for itself. Raises ChunkError."""
     import zstandard
 
-    most = min(limits.max_chunk_bytes, int(limits.max_ratio * len(payload)) + FREE_MESSAGE_BYTES)
+    most = min(limits.max_chunk_bytes, int(limits.max_ratio * len(payload)) + free_bytes)
     try:
         stated = zstandard.get_frame_parameters(payload).content_size
         if stated not in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR) and stated > most:

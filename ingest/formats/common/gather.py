@@ -15,8 +15,6 @@ Bytes = NDArray[np.uint8]
 Index = NDArray[np.int64]
 Values = NDArray[Any]
 
-LONG_RUN_BYTES = 48  # above this mean length a Python slice per run beats an index per byte
-
 
 def as_bytes(buffer: Any) -> Bytes:
     """A buffer as an array of bytes; nothing is copied."""
@@ -40,15 +38,18 @@ def numbers(data: Bytes, at: Index, dtype: str) -> Values:
     return rows(data, at, kind.itemsize).view(kind)
 
 
-def runs(data: Bytes, at: Index, size: Index) -> Bytes:
-    """data[p : p + s] for every (p, s), one after the other, as a 1-D array of bytes."""
+def runs(data: Bytes, at: Index, size: Index, *, long_run_bytes: int = 48) -> Bytes:
+    """data[p : p + s] for every (p, s), one after the other, as a 1-D array of bytes.
+
+    `long_run_bytes`: above this mean length a Python slice per run beats an index per byte.
+    """
     total = int(size.sum())
     if total == 0:
         return np.empty(0, dtype=np.uint8)
     longest = int(size.max())
     if longest == int(size.min()):
         return rows(data, at, longest).view(np.uint8)
-    if total >= LONG_RUN_BYTES * len(at):
+    if total >= long_run_bytes * len(at):
         window = data.data
         parts = [window[p : p + s] for p, s in zip(at.tolist(), size.tolist(), strict=True)]
         return as_bytes(b"".join(parts))

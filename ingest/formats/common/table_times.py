@@ -14,14 +14,10 @@ import numpy.typing as npt
 
 from flysid.errors import FormatError, UsageError
 from flysid.flight import ClockMap
-from flysid.ingest.formats.common.clock import IntArray, UtcFit, back_steps
+from flysid.ingest.formats.common.clock import UNIX_NS, IntArray, UtcFit, back_steps
 from flysid.stretch import FloatArray
 
 TIME_UNITS_NS: Mapping[str, int] = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
-UNIX_NS = 10**18  # a time beyond 2001 counts from 1970
-FASTEST_S = 1e-4  # no table is logged faster than 10 kHz
-SLOWEST_S = 5.0  # nor flown with rows further apart
-LONGEST_S = 86_400.0  # nor for longer than a day
 YEARS_S = (946_684_800.0, 4_102_444_800.0)  # 2000 to 2100
 
 
@@ -59,12 +55,22 @@ def time_unit(name: str, times: FloatArray, last: float, told: str, path: str) -
     )
 
 
-def plausible_units(times: FloatArray, span: float) -> list[str]:
+def plausible_units(
+    times: FloatArray,
+    span: float,
+    *,
+    fastest_s: float = 1e-4,
+    slowest_s: float = 5.0,
+    longest_s: float = 86_400.0,
+) -> list[str]:
     """The units in which rows of a flight may count: by steps, length, and dates since 1970.
 
     Parameters
     ----------
     times : (n,) first values. span : from the first to the last value of the table.
+    fastest_s : no table is logged faster than 10 kHz.
+    slowest_s : nor flown with rows further apart.
+    longest_s : nor for longer than a day.
     """
     step = _step(times)
     if step == 0.0:
@@ -73,9 +79,9 @@ def plausible_units(times: FloatArray, span: float) -> list[str]:
     dated = []
     for unit, unit_ns in TIME_UNITS_NS.items():
         size = unit_ns / 1e9
-        if step * size < FASTEST_S or span * size > LONGEST_S:
+        if step * size < fastest_s or span * size > longest_s:
             continue
-        if step * size <= SLOWEST_S:
+        if step * size <= slowest_s:
             usual.append(unit)
         if YEARS_S[0] <= float(np.median(times)) * size <= YEARS_S[1]:
             dated.append(unit)
@@ -83,7 +89,7 @@ def plausible_units(times: FloatArray, span: float) -> list[str]:
     if both:
         return both
     if (times % 1).any():  # whoever writes fractions writes seconds, unless these are too far apart
-        return ["s"] if step <= SLOWEST_S else list(dict.fromkeys(["s", *usual]))
+        return ["s"] if step <= slowest_s else list(dict.fromkeys(["s", *usual]))
     return [unit for unit in TIME_UNITS_NS if unit in usual or unit in dated]
 
 

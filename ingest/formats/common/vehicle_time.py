@@ -25,6 +25,7 @@ from flysid.ingest.formats.common.clock import (
     LEAP_NS,
     SECOND_NS,
     SIDE,
+    UNIX_NS,
     BoolArray,
     Extent,
     Fall,
@@ -41,7 +42,6 @@ from flysid.ingest.formats.common.clock import (
 
 NO_TIME = -(1 << 63)
 LONG_PERIOD_NS = 86400 * SECOND_NS
-UNIX_NS = 10**18  # 2001: a clock that counts from boot does not get there
 AGREES_NS = 5 * SECOND_NS
 AUTOPILOT_COMPONENT = 1
 Source = tuple[int, int, int]

@@ -28,7 +28,6 @@ ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06", b"PK\x07\x08PK\x03\x04")
 ZSTANDARD = 93
 _LOCAL = struct.Struct("<4s5H3I2H")
 _IN_ZIP64 = 0xFFFFFFFF
-_PIECE = 1 << 20
 _ZIP64 = struct.Struct("<QQ")
 _DRIVE = re.compile(r"^[A-Za-z]:")
 
@@ -103,12 +102,12 @@ def member_pieces(view: memoryview, member: Member) -> Iterator[bytes]:
         raise ChunkError("its checksum is wrong: some of its bytes are damaged")
 
 
-def _unpacked(packed: memoryview, method: int) -> Iterator[bytes]:
+def _unpacked(packed: memoryview, method: int, *, piece: int = 1 << 20) -> Iterator[bytes]:
     if method == ZIP_DEFLATED:
         return inflated_pieces(packed)
     if method == ZSTANDARD:
         return unpacked_pieces(packed)
-    return (bytes(packed[at : at + _PIECE]) for at in range(0, len(packed), _PIECE))
+    return (bytes(packed[at : at + piece]) for at in range(0, len(packed), piece))
 
 
 def _data_start(view: memoryview, member: Member) -> int:

@@ -20,7 +20,7 @@ from pyarrow.csv import ConvertOptions, ParseOptions, ReadOptions, read_csv
 from flysid.errors import FormatError
 from flysid.flight import BOOT, ROW_NUMBER, TIME, field_metadata
 from flysid.ingest.formats.base import HEAD_BYTES, Limits, Parts, StreamPart, Summary
-from flysid.ingest.formats.common.clock import IntArray, is_outlier
+from flysid.ingest.formats.common.clock import SECOND_NS, IntArray, is_outlier
 from flysid.ingest.formats.common.columns import numbers
 from flysid.ingest.formats.common.line_batches import whole_lines
 from flysid.ingest.formats.common.table_times import TableClock, time_unit
@@ -48,7 +48,6 @@ STREAM = "table"
 MAX_LINE_BYTES = 1 << 20
 BATCH_BYTES = 1 << 22
 BLOCK_BYTES = 1 << 18  # stays in a processor's cache while Arrow takes it apart
-ROW_NS = 10**9
 
 
 def sniff(head: bytes, name: str) -> float:  # noqa: ARG001
@@ -180,7 +179,7 @@ def _sound_times(reader: _Reader, columns: list[pa.Array]) -> IntArray | None:
     """(n,) times in ns; None where one is missing or fits no neighbour."""
     stated = reader.layout.time
     if stated is None:
-        return (reader.rows + np.arange(len(columns[0]), dtype=np.int64)) * ROW_NS
+        return (reader.rows + np.arange(len(columns[0]), dtype=np.int64)) * SECOND_NS
     values = columns[stated.index]
     if stated.unit_ns == 1:
         time_ns = as_int64(values.fill_null(0))
@@ -203,7 +202,7 @@ def _picked(reader: _Reader, data: bytes, base: int) -> tuple[list[pa.Array], In
     rows = np.flatnonzero(lines.is_whole)
     if reader.layout.time is None:
         number = np.cumsum(~lines.is_blank) - 1
-        time_ns = (reader.rows + number[rows]) * ROW_NS
+        time_ns = (reader.rows + number[rows]) * SECOND_NS
         fits = np.ones(len(rows), dtype=bool)
     else:
         time_ns, fits = stated_times(lines, rows, reader.layout)

@@ -11,6 +11,7 @@ import pyarrow as pa
 from flysid.flight import BOOT, RECEIVED, TIME, ClockMap, field_metadata
 from flysid.ingest.formats.base import StreamPart
 from flysid.ingest.formats.common import arrow_arrays
+from flysid.ingest.formats.common.clock import UNIX_NS
 from flysid.ingest.formats.common.gather import Bytes, Index
 from flysid.ingest.formats.common.px4_units import px4_topic, px4_unit
 from flysid.ingest.formats.common.tally import Tally
@@ -31,7 +32,6 @@ from flysid.ingest.formats.messages.protobuf import decode_protobuf, parse_descr
 MAX_LAGS = 4096
 MAX_COLUMNS = 20_000
 ZERO_PAGE = 1 << 14
-FIRST_UTC_NS = 10**18  # 2001: a log time below this is not UTC
 
 
 @dataclass(frozen=True)
@@ -297,7 +297,7 @@ def log_clock(topics: Sequence[Topic]) -> ClockMap:
     if len(lags) == 0:
         return ClockMap(0, first, last)
     offset = int(np.median(lags))
-    log_is_utc = last + offset > FIRST_UTC_NS
+    log_is_utc = last + offset > UNIX_NS
     return ClockMap(
         0, first, last, offset if log_is_utc else None, 1.0, int(np.median(np.abs(lags - offset)))
     )

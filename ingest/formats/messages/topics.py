@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from flysid.flight import ClockMap
-from flysid.ingest.formats.base import StreamPart
+from flysid.ingest.formats.base import StreamPart, release
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.messages.channel import Channel
 from flysid.ingest.formats.messages.topic import ZERO_PAGE, Messages, Topic, log_clock
@@ -91,15 +91,16 @@ class _Queue:
 
 
 def queued(
-    messages: Iterable[Message], topics: Topics, batch_bytes: int, passed: Callable[[], None]
+    messages: Iterable[Message], topics: Topics, batch_bytes: int, view: memoryview, place: Callable[[], int]
 ) -> Iterator[StreamPart]:
     """Parts of messages that come one by one, topic by topic, in batches of at most `batch_bytes`.
 
-    Messages of equal channels are decoded together, in order. `passed` is called behind each batch: what was
-    read up to there is not needed any more.
+    Messages of equal channels are decoded together, in order. Behind each batch, what was read of `view`, up
+    to `place()`, is released.
     """
     queues: dict[Channel, _Queue] = {}
     waiting = 0
+    released = 0
     for message in messages:
         if message.channel is None:
             continue
@@ -111,7 +112,8 @@ def queued(
         waiting += len(message.payload) + _HELD_BYTES
         if waiting >= min(batch_bytes, BATCH_BYTES):
             yield from _decoded(queues, topics)
-            passed()
+            release(view, released, place())
+            released = place()
             waiting = 0
     yield from _decoded(queues, topics)
 

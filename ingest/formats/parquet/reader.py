@@ -19,7 +19,7 @@ from flysid.errors import FormatError
 from flysid.flight import BOOT, ROW_NUMBER, TIME
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
 from flysid.ingest.formats.common.arrow_arrays import numeric
-from flysid.ingest.formats.common.clock import BoolArray, IntArray, is_outlier
+from flysid.ingest.formats.common.clock import SECOND_NS, BoolArray, IntArray, is_outlier
 from flysid.ingest.formats.common.table_times import TIME_UNITS_NS, TableClock, time_unit, to_ns
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.parquet.columns import (
@@ -38,7 +38,6 @@ from flysid.tabular import META
 
 MAGIC = b"PAR1"
 STREAM = "table"
-ROW_NS = 10**9
 FREE_BYTES = 64 << 20  # below this, the ratio is not held against a row group
 CELL_BYTES = 8
 DAMAGE = (pa.ArrowException, OSError, ValueError, OverflowError, KeyError, IndexError)
@@ -221,7 +220,7 @@ def _times(reader: _Reader, table: pa.Table) -> tuple[IntArray, BoolArray]:
     """(n,) ns of every row, and which rows have a time."""
     if reader.time is None:
         first = reader.rows
-        return (first + np.arange(len(table), dtype=np.int64)) * ROW_NS, np.ones(len(table), dtype=bool)
+        return (first + np.arange(len(table), dtype=np.int64)) * SECOND_NS, np.ones(len(table), dtype=bool)
     if reader.time.ticks is not None:
         ticks = _ticks(reader.time.ticks, len(table), reader.rows)
         return to_ns(ticks.astype(np.float64), TIME_UNITS_NS[reader.time.unit])

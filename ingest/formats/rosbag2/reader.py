@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from flysid.errors import FormatError
-from flysid.ingest.formats.base import Limits, Parts, Summary, release
+from flysid.ingest.formats.base import Limits, Parts, Summary
 from flysid.ingest.formats.common.compression import ZSTD_MAGIC, ChunkError, unpack_message
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.messages.channel import Channel, Schema
@@ -42,14 +42,7 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     tally = Tally()
     topics = Topics(tally)
     bag = Bag(view, limits, tally)
-    released = 0
-
-    def passed() -> None:
-        nonlocal released
-        release(view, released, bag.tables.place)
-        released = bag.tables.place
-
-    yield from queued(bag.messages(), topics, limits.batch_bytes, passed)
+    yield from queued(bag.messages(), topics, limits.batch_bytes, view, lambda: bag.tables.place)
     bag.tables.settle(tally)
     if not bag.rows and "messages" not in bag.tables:
         raise FormatError(

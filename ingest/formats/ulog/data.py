@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from flysid.flight import BOOT, TIME, field_metadata
 from flysid.ingest.formats.base import StreamPart
 from flysid.ingest.formats.common import arrow_arrays
-from flysid.ingest.formats.common.clock import UtcFit
+from flysid.ingest.formats.common.clock import UNIX_NS, UtcFit
 from flysid.ingest.formats.common.gather import Bytes, Index, Values, numbers, rows
 from flysid.ingest.formats.common.px4_units import px4_unit
 from flysid.ingest.formats.common.tally import Tally
@@ -29,7 +29,6 @@ AHEAD_US = 60_000_000
 NEIGHBOURS = 16
 MAX_TIME_US = (1 << 63) // 1000 - 1
 MAX_RETAINED_US = 30 * 86_400 * 10**6
-FIRST_UTC_US = 10**15  # 2001
 
 
 @dataclass(frozen=True)
@@ -135,7 +134,7 @@ class DataDecoder:
         for spec, values in zip(subscription.layout.fields, columns, strict=True):
             if spec.name == "time_utc_usec" and not spec.count:
                 utc_us = values.astype(np.int64)
-                good = (utc_us > FIRST_UTC_US) & (utc_us < MAX_TIME_US)
+                good = (utc_us > UNIX_NS // 1000) & (utc_us < MAX_TIME_US)
                 self.utc.add(0, time_ns[good], utc_us[good] * 1000)
 
 

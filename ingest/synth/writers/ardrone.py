@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from flysid.ingest.formats.ardrone.layouts import AT_PORT, NAVDATA_PORT
+from flysid.ingest.formats.common.clock import SECOND_NS
 from flysid.ingest.synth.telemetry import (
-    SECOND_NS,
     IntArray,
     Recording,
     arrival_utc_ns,
@@ -35,8 +36,6 @@ FLYING_STATE = 0x0F8000D1  # flying, everything works
 HOVERING = 4 << 16
 DRONE = bytes((192, 168, 1, 1))
 GROUND = bytes((192, 168, 1, 2))
-NAVDATA_PORT = 5554
-COMMAND_PORT = 5556
 YAW_LIMIT = 1.745
 
 OPTIONS: tuple[tuple[int, str, int, tuple[tuple[str, str], ...]], ...] = (
@@ -64,9 +63,9 @@ def pcap_bytes(recording: Recording) -> bytes:
     due, source, row = in_sending_order(recording.command.time_ns, recording.state.time_ns)
     arrival = arrival_utc_ns(recording, due)
     parts = [struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)]
-    parts += [_captured(int(arrival[0]), text, COMMAND_PORT) for text in _configuration()]
+    parts += [_captured(int(arrival[0]), text, AT_PORT) for text in _configuration()]
     for i in np.flatnonzero(heard(recording, due)).tolist():
-        payload, port = (packets[row[i]], NAVDATA_PORT) if source[i] else (commands[row[i]], COMMAND_PORT)
+        payload, port = (packets[row[i]], NAVDATA_PORT) if source[i] else (commands[row[i]], AT_PORT)
         parts.append(_captured(int(arrival[i]), payload, port))
     return b"".join(parts)
 

@@ -19,7 +19,8 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.ingest.formats.blackbox.codes import Encoding, Predictor
 from flysid.ingest.formats.blackbox.writing import Fields, Writer, unsigned_vb
-from flysid.ingest.synth.telemetry import MS_NS, SECOND_NS, IntArray, Recording, heard, throttle
+from flysid.ingest.formats.common.clock import SECOND_NS
+from flysid.ingest.synth.telemetry import MS_NS, IntArray, Recording, heard, throttle
 
 LOOP_US = 1000
 FRAMES_A_GROUP = 8

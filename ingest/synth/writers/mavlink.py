@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import FloatArray
+from flysid.ingest.formats.common.clock import SECOND_NS
 from flysid.ingest.synth.telemetry import (
     MS_NS,
-    SECOND_NS,
     Recording,
     Series,
     arrival_utc_ns,

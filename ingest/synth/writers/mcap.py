@@ -17,8 +17,6 @@ from flysid.ingest.synth.telemetry import Recording, Series, arrival_utc_ns, hea
 
 # Goes into the file's header; the library's own name carries a version, which would change the bytes.
 LIBRARY = "flysid"
-DECIMALS = 6
-CHUNK_BYTES = 256 * 1024
 
 COMMAND = {"theta_in": "deg", "phi_in": "deg", "vz_in": "m/s"}
 STATE = {"vx": "m/s", "vy": "m/s", "vz": "m/s", "theta": "deg", "phi": "deg", "z": "m"}
@@ -35,7 +33,7 @@ MEANING = {
 }
 
 
-def mcap_bytes(recording: Recording, compression: str = "none") -> bytes:
+def mcap_bytes(recording: Recording, compression: str = "none", *, chunk_bytes: int = 256 * 1024) -> bytes:
     """The whole log, with chunks compressed by "none", "lz4" or "zstd".
 
     Uncompressed bytes depend on nothing but the recording; compressed ones also on the library's version.
@@ -43,7 +41,7 @@ def mcap_bytes(recording: Recording, compression: str = "none") -> bytes:
     from mcap.writer import CompressionType, Writer
 
     file = io.BytesIO()
-    writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType[compression.upper()])
+    writer = Writer(file, chunk_size=chunk_bytes, compression=CompressionType[compression.upper()])
     writer.start(profile="", library=LIBRARY)
     topics = [
         _channel(writer, "/ardrone/command", "ardrone/Command", COMMAND),
@@ -86,9 +84,9 @@ def _messages(writer: Any, recording: Recording, topics: list[int]) -> None:
         )
 
 
-def _rows(recording: Recording, series: Series, units: dict[str, str]) -> list[bytes]:
+def _rows(recording: Recording, series: Series, units: dict[str, str], *, decimals: int = 6) -> list[bytes]:
     """One JSON document per sample, at a micro-unit's resolution."""
-    columns = [np.round(series[name], DECIMALS).tolist() for name in units]
+    columns = [np.round(series[name], decimals).tolist() for name in units]
     stamps = (series.time_ns + recording.boot_utc_ns).tolist()
     names = ("stamp", *units)
     return [

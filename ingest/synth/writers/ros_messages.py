@@ -22,8 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import FloatArray
+from flysid.ingest.formats.common.clock import SECOND_NS
 from flysid.ingest.synth.telemetry import (
-    SECOND_NS,
     IntArray,
     Recording,
     arrival_utc_ns,

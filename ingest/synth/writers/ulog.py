@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.dataset import FloatArray
+from flysid.ingest.formats.common.clock import SECOND_NS
 from flysid.ingest.synth.telemetry import (
     MS_NS,
-    SECOND_NS,
     Recording,
     Series,
     as_bytes,
