@@ -25,8 +25,6 @@ from flysid.errors import PlaceError, UsageError
 from flysid.files import writing_to
 
 SCHEMES = ("s3", "gs", "az")
-RACERS = 4
-REQUESTS_AT_ONCE = 16
 _CREDENTIALS = {
     "s3": "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or the machine's own role",
     "gs": "GOOGLE_APPLICATION_CREDENTIALS, or the machine's own account",
@@ -236,7 +234,7 @@ class Place:
         with suppress(FileNotFoundError), self._asking(key):
             obstore.delete(self._store, key)
 
-    def require_conditions(self, key: str, content: bytes) -> None:
+    def require_conditions(self, key: str, content: bytes, *, racers: int = 4) -> None:
         """Ask the store whether it keeps what `create` promises, with an object that belongs there.
 
         Creates the object if it is not there, from several threads at once: at most one may succeed, and
@@ -248,7 +246,7 @@ class Place:
         UsageError : it does not.
         """
         is_new = self.head(key) is None
-        won = sum(_at_once(lambda _: self.create(key, content), range(RACERS if is_new else 1)))
+        won = sum(_at_once(lambda _: self.create(key, content), range(racers if is_new else 1)))
         if won > is_new or (is_new and self.create(key, content)):
             if is_new:
                 self.delete([key])
@@ -323,6 +321,6 @@ def _found(meta: Any) -> Found:
     return Found(str(meta["path"]), int(meta["size"]), etag, meta["last_modified"])
 
 
-def _at_once(do: Callable[[Any], Any], tasks: Iterable[Any]) -> Iterator[Any]:
-    with ThreadPoolExecutor(REQUESTS_AT_ONCE) as pool:
+def _at_once(do: Callable[[Any], Any], tasks: Iterable[Any], *, most: int = 16) -> Iterator[Any]:
+    with ThreadPoolExecutor(most) as pool:
         yield from pool.map(do, tasks)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 MOST_LINES = 20
-WIDEST = 48
 
 
 def counted(count: int, noun: str) -> str:
@@ -93,6 +92,6 @@ def _line(text: str) -> str:
     return " ".join(text.split())
 
 
-def _cut(cell: str) -> str:
+def _cut(cell: str, *, widest: int = 48) -> str:
     cell = _line(cell)
-    return cell if len(cell) <= WIDEST else f"{cell[: WIDEST - 1]}…"
+    return cell if len(cell) <= widest else f"{cell[: widest - 1]}…"

@@ -17,8 +17,6 @@ from flysid.model.polynomials import DB
 from flysid.validate.pictures import check_picture, save_picture
 from flysid.validate.transfers import ChannelTransfers
 
-SHOWN = 0.3
-"""Points of less coherence than this are left out of gain and phase."""
 MEASURED, MODEL, SHADE = "#222222", "#c2570c", "#e8f0e8"
 
 
@@ -79,9 +77,12 @@ def _points(
     source: int,
     phase: FloatArray,
     band: tuple[float, float] | None,
+    *,
+    least_coherence: float = 0.3,
 ) -> None:
+    """`least_coherence`: points of less coherence than this are left out of gain and phase."""
     width = measured.half_width()[:, source]
-    told = measured.coherence[:, source] > SHOWN
+    told = measured.coherence[:, source] > least_coherence
     omega = measured.omega[told]
     errors = DB * width[told], np.degrees(width[told])
     values = measured.gain_db[told, source], phase[told]

@@ -8,8 +8,6 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Fitted
 from flysid.model.capabilities import HasDifferenceEquation, LocallyLinear
 
-MOST_ROWS = 20_000
-
 
 def conditions(model: Fitted, data: Dataset) -> tuple[float, ...]:
     """Condition number of the regressors, one per rule; () where the model does not tell its regressors.
@@ -42,13 +40,13 @@ def _lags(model: Fitted) -> tuple[FloatArray, FloatArray] | None:
 
 
 def _regressors(
-    model: Fitted, data: Dataset, lags: tuple[FloatArray, FloatArray]
+    model: Fitted, data: Dataset, lags: tuple[FloatArray, FloatArray], *, most_rows: int = 20_000
 ) -> tuple[FloatArray, FloatArray]:
     """(N, columns) lagged signals and (N, R) firing strengths, without the first rows of every segment."""
     depth = max(len(lags[0]), len(lags[1])) - 1
     parts = []
     strengths = []
-    left = MOST_ROWS
+    left = most_rows
     for segment in data.segments:
         if len(segment) <= depth or left <= 0:
             continue

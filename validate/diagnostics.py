@@ -23,8 +23,6 @@ from flysid.validate.residuals import (
 )
 from flysid.validate.trials import FREE_RUN, StructureTrial, run_trials
 
-LOOK_BACK_S = 2.0
-
 
 @dataclass(frozen=True)
 class Outside:
@@ -161,9 +159,9 @@ def _output(
     )
 
 
-def _lags(lengths: Sequence[int], dt_s: float) -> int:
+def _lags(lengths: Sequence[int], dt_s: float, *, look_back_s: float = 2.0) -> int:
     """About two seconds, 20 to 60 samples, never more than a quarter of the longest segment."""
-    return max(1, min(int(np.clip(round(LOOK_BACK_S / dt_s), 20, 60)), max(lengths) // 4))
+    return max(1, min(int(np.clip(round(look_back_s / dt_s), 20, 60)), max(lengths) // 4))
 
 
 def outside_training(train: Dataset, test: Dataset) -> tuple[Outside, ...]:

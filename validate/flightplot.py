@@ -14,7 +14,6 @@ from flysid.ingest.lake.timeline import Timeline, Trace
 from flysid.validate.pictures import check_picture, save_picture
 from flysid.validate.report.decimate import extremes
 
-MOST_DRAWN = 20_000  # samples of a line: more than any page shows
 INK = "#5b6275"
 SHADE = "#efefec"
 
@@ -75,9 +74,10 @@ def flights_as_text(timelines: Sequence[Timeline], width: int) -> str:
     return "\n".join(parts)
 
 
-def _draw_panel(axis: Any, panel: Sequence[Trace]) -> None:
+def _draw_panel(axis: Any, panel: Sequence[Trace], *, most_samples: int = 20_000) -> None:
+    """`most_samples`: samples of a line: more than any page shows."""
     for trace in panel:
-        time_s, values = _thin(trace, MOST_DRAWN)
+        time_s, values = _thin(trace, most_samples)
         axis.plot(time_s, values, linewidth=0.9, label=_label(trace))
     axis.legend(fontsize=7, loc="upper right", ncols=4)
     axis.tick_params(labelsize=7)

@@ -26,7 +26,6 @@ from flysid.validate.verdict import Verdict
 from flysid.validate.words import named
 
 REPORT = "report"
-DEPTH = 4  # folders below the one that is asked for
 NOT_JUDGED = "not judged"
 
 
@@ -93,12 +92,12 @@ def find_runs(folders: Sequence[str | Path]) -> list[Path]:
     return list(found)
 
 
-def walk(folder: Path) -> Iterator[Path]:
-    """Run folders in and below one folder."""
+def walk(folder: Path, *, depth: int = 4) -> Iterator[Path]:
+    """Run folders in and below one folder. `depth`: folders below the one that is asked for."""
     for place, below, files in os.walk(folder):
         if RUN_FILE in files:
             yield Path(place)
-        deep = len(Path(place).relative_to(folder).parts) >= DEPTH
+        deep = len(Path(place).relative_to(folder).parts) >= depth
         if deep or RUN_FILE in files or DATA_FILE in files:
             below.clear()
         below[:] = [name for name in below if not name.startswith(".")]

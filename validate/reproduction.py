@@ -21,7 +21,6 @@ from flysid.validate.metrics import scores
 from flysid.validate.paper import LOOPS, PaperLoop
 
 NOISE_M_S = 0.02
-NOISE_SEED = 1
 DT_S = 0.01
 DURATION_S = 400.0
 
@@ -107,11 +106,13 @@ def draw_figures(results: list[LoopResult], folder: Path) -> list[Path]:
     return paths
 
 
-def experiment(loop: PaperLoop, signal: str, noise: float = 0.0) -> tuple[Dataset, FloatArray]:
+def experiment(
+    loop: PaperLoop, signal: str, noise: float = 0.0, *, noise_seed: int = 1
+) -> tuple[Dataset, FloatArray]:
     """The dataset of a loop and signal, and the (N,) output without noise."""
     plant = PLANT_LOOPS[loop.name]
     u, y, truth = paper_experiment(
-        loop.name, signal, duration_s=DURATION_S, dt_s=DT_S, noise=noise, seed=NOISE_SEED
+        loop.name, signal, duration_s=DURATION_S, dt_s=DT_S, noise=noise, seed=noise_seed
     )
     data = Dataset.from_arrays(
         u,

@@ -10,12 +10,8 @@ from flysid.model.base import Fitted
 from flysid.model.capabilities import HasDifferenceEquation, HasRealisation, LinearModel, LocallyLinear
 from flysid.model.polynomials import ComplexArray
 
-LONGEST = 4000
-SLOWEST = 20_000
 LASTING = 6.0
 """Time constants that a step is followed for: it settles to a quarter of a per cent."""
-AT_REST = 0.1
-"""Share of a signal's range that it may drift by and still be called at rest."""
 
 
 def responses(model: Fitted, hz: FloatArray, output: int, signal: int) -> list[ComplexArray]:
@@ -45,7 +41,7 @@ def _rational(A: FloatArray, B: FloatArray, hz: FloatArray, dt_s: float) -> Comp
     return result
 
 
-def impulse_response(model: Fitted, output: int, signal: int, n: int = LONGEST) -> FloatArray:
+def impulse_response(model: Fitted, output: int, signal: int, n: int = 4000) -> FloatArray:
     """(n,) what one input sample of height 1 does to the output, from rest."""
     at = model.n_init + 1
     u = np.zeros((at + n, len(model.inputs)))
@@ -56,14 +52,20 @@ def impulse_response(model: Fitted, output: int, signal: int, n: int = LONGEST) 
 
 
 def steady_outputs(
-    model: Fitted, levels: FloatArray, fixed: FloatArray, output: int, signal: int
+    model: Fitted,
+    levels: FloatArray,
+    fixed: FloatArray,
+    output: int,
+    signal: int,
+    *,
+    most_samples: int = 20_000,
 ) -> FloatArray:
     """(L,) output that the model settles at for each constant level of one input; NaN where it does not.
 
     The other inputs stay at `fixed` (n_u,).
     """
     finite = [r.time_constant_s for r in model.rules() if np.isfinite(r.time_constant_s)]
-    n = int(np.clip(8.0 * max(finite, default=0.0) / model.dt_s, 200, SLOWEST)) + model.n_init
+    n = int(np.clip(8.0 * max(finite, default=0.0) / model.dt_s, 200, most_samples)) + model.n_init
     settled = np.full(len(levels), np.nan)
     for i, level in enumerate(levels):
         u = np.tile(fixed, (n, 1))
@@ -136,17 +138,21 @@ def _transmission_zeros(a: FloatArray, b: FloatArray, c: FloatArray, d: float) -
     return np.asarray(found[np.isfinite(found) & (np.abs(found) < 1e6)], dtype=np.complex128)
 
 
-def measured_rests(data: Dataset, seconds: float, output: int, signal: int) -> FloatArray:
+def measured_rests(
+    data: Dataset, seconds: float, output: int, signal: int, *, at_rest: float = 0.1
+) -> FloatArray:
     """(M, 2) mean input and output of stretches of `seconds` in which nothing drifts: measured equilibria.
 
     Nothing drifts where the mean of every signal over the last third of the stretch lies within a tenth of
     the signal's range (5th to 95th percentile) of that over the first third, and no input moves by more than
     two tenths.
+
+    `at_rest`: share of a signal's range that it may drift by and still be called at rest.
     """
     rows = max(6, round(seconds / data.dt_s))
     third = rows // 3
     every = [np.hstack([s.u, s.y[:, output : output + 1]]) for s in data.segments]
-    reach = AT_REST * np.ptp(np.percentile(np.concatenate(every), (5.0, 95.0), axis=0), axis=0)
+    reach = at_rest * np.ptp(np.percentile(np.concatenate(every), (5.0, 95.0), axis=0), axis=0)
     found = []
     for values in every:
         for start in range(0, len(values) - rows + 1, max(1, rows // 2)):

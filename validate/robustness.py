@@ -13,12 +13,6 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.base import Fitted
 
-LONG = 20_000
-FORGET = 4000
-SHARE = 0.01
-SHORTEST = 5
-LONGEST_HOLD = 100
-
 
 @dataclass(frozen=True)
 class Robustness:
@@ -40,37 +34,49 @@ class Robustness:
     forget_most_s: float
 
 
-def robustness(model: Fitted, data: Dataset, seed: int = 0) -> Robustness:
+def robustness(
+    model: Fitted, data: Dataset, seed: int = 0, *, samples: int = 20_000, forget_samples: int = 4000
+) -> Robustness:
     """Try a model with inputs drawn from the range of `data`."""
     rng = np.random.default_rng(seed)
     low, high = _range(data, "y")
-    u = random_steps(*_range(data, "u"), LONG, rng)
+    u = random_steps(*_range(data, "u"), samples, rng)
     y = _run(model, u, 0.5 * (low + high))
     least, most = model.output_limits
     at = np.flatnonzero(((y <= least) | (y >= most) | ~np.isfinite(y)).any(axis=1)[model.n_init :])
     beyond = ((y < low) | (y > high)).any(axis=1)
     return Robustness(
-        long_s=LONG * model.dt_s,
+        long_s=samples * model.dt_s,
         limits_s=float((at[0] + model.n_init) * model.dt_s) if len(at) else None,
         outside=float(np.mean(beyond)),
-        forget_s=_forgets(model, u[:FORGET], low, high),
-        forget_most_s=FORGET * model.dt_s,
+        forget_s=_forgets(model, u[:forget_samples], low, high),
+        forget_most_s=forget_samples * model.dt_s,
     )
 
 
-def random_steps(low: FloatArray, high: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
+def random_steps(
+    low: FloatArray,
+    high: FloatArray,
+    n: int,
+    rng: np.random.Generator,
+    *,
+    shortest: int = 5,
+    longest: int = 100,
+) -> FloatArray:
     """(n, n_u) uniform heights between low and high, every input held 5 to 100 samples at a time."""
     columns = []
     for a, b in zip(low, high, strict=True):
-        holds = rng.integers(SHORTEST, LONGEST_HOLD + 1, size=n // SHORTEST + 1)
+        holds = rng.integers(shortest, longest + 1, size=n // shortest + 1)
         columns.append(np.repeat(rng.uniform(a, b, size=len(holds)), holds)[:n])
     return np.stack(columns, axis=1)
 
 
-def _forgets(model: Fitted, u: FloatArray, low: FloatArray, high: FloatArray) -> float | None:
+def _forgets(
+    model: Fitted, u: FloatArray, low: FloatArray, high: FloatArray, *, near_share: float = 0.01
+) -> float | None:
     with np.errstate(invalid="ignore"):  # infinities, of a model that breaks the laws
         apart = np.abs(_run(model, u, high) - _run(model, u, low))
-    near = apart <= SHARE * np.where(high > low, high - low, 1.0)  # False where not a number
+    near = apart <= near_share * np.where(high > low, high - low, 1.0)  # False where not a number
     last = model.n_init + np.flatnonzero(~near[model.n_init :].all(axis=1))
     if len(last) and last[-1] == len(apart) - 1:
         return None

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIZE_IN = (6.7, 8.6)
-MOST_POINTS = 2000
 
 
 class OfRules(Fitted, Protocol):
@@ -115,9 +114,11 @@ def _over_time(panels: Any, model: OfRules, segment: Segment, at: tuple[int, int
         panel.legend(frameon=False, fontsize=6)
 
 
-def _characteristic(panel: Axes, model: OfRules, segment: Segment, at: tuple[int, int]) -> None:
+def _characteristic(
+    panel: Axes, model: OfRules, segment: Segment, at: tuple[int, int], *, most_points: int = 2000
+) -> None:
     j, i = at
-    every = max(1, len(segment) // MOST_POINTS)
+    every = max(1, len(segment) // most_points)
     u = segment.u[:, i]
     panel.plot(u[::every], segment.y[::every, j], ".", color="0.7", markersize=2)
     levels = np.linspace(float(u.min()), float(u.max()), 40)

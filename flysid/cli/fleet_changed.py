@@ -12,7 +12,7 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.fleet_data import FleetData, fleet_data_options
-from flysid.cli.output import CHECK_FAILED, check_target, say
+from flysid.cli.output import ExitCode, check_target, say
 from flysid.errors import UsageError
 from flysid.showing import counted
 
@@ -114,7 +114,7 @@ def command(
     title, lead = headline(compared)
     say(f"{title}. {lead}".strip(), quiet)
     say(f"page: {page}", quiet)
-    return CHECK_FAILED if any(found.question == fail_if for found in compared.findings) else 0
+    return ExitCode.CHECK_FAILED if any(found.question == fail_if for found in compared.findings) else 0
 
 
 def _reports(runs: Path, vehicles: list[str]) -> dict[str, Path]:

@@ -10,13 +10,11 @@ import click
 
 from flysid.cli.display import Display, progress_options
 from flysid.cli.lakeoptions import seconds
-from flysid.cli.output import CHECK_FAILED, printable, say
+from flysid.cli.output import ExitCode, printable, say
 from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.fleet.upkeep import State
-
-SHOWN = 5
 
 
 @click.command("check")
@@ -61,7 +59,7 @@ def command(lake: str, repair: bool, older: float, as_json: bool, quiet: bool, d
         say(f"{counted(removed, 'object')} removed", quiet)
     if state.unlisted or state.stale or state.orphans:
         say("flysid fleet check --repair rebuilds the catalogue and removes old orphans", quiet or repair)
-    return 0 if state.is_whole else CHECK_FAILED
+    return 0 if state.is_whole else ExitCode.CHECK_FAILED
 
 
 def faults(state: State) -> list[str]:
@@ -77,8 +75,8 @@ def faults(state: State) -> list[str]:
     return [f"{len(names):,} {kind}: {_some(names)}" for kind, names in kinds.items() if names]
 
 
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")
+def _some(names: list[str], *, most: int = 5) -> str:
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
 
 
 def as_document(lake: str, state: State, removed: int) -> dict[str, object]:

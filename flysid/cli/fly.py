@@ -9,7 +9,7 @@ import click
 
 from flysid.cli.design import a_range
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import CHECK_FAILED, aligned, check_target, say
+from flysid.cli.output import ExitCode, aligned, check_target, say
 
 
 @click.command("fly")
@@ -89,4 +89,4 @@ def command(
             write_atomically(out, trial_page(campaign, f"Trial flights of {design.name}").encode())
         say(f"page: {out}", quiet)
     mine = [row for rows in campaign.rows.values() for row in rows if not row.law.startswith("present")]
-    return CHECK_FAILED if any(row.lost or not row.stable for row in mine) else 0
+    return ExitCode.CHECK_FAILED if any(row.lost or not row.stable for row in mine) else 0

@@ -11,7 +11,7 @@ from flysid.cli.bounds import memory_option, time_option
 from flysid.cli.display import Display, progress_options
 from flysid.cli.lakeoptions import LakeOptions, check_pattern, lake_options
 from flysid.cli.losses import report
-from flysid.cli.output import printable, say, say_passed_over
+from flysid.cli.output import ExitCode, printable, say, say_passed_over
 from flysid.cli.source import format_option, time_unit_option
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def exit_code(results: list[Result]) -> int:
     """1 when no log could be read, 3 when something was lost or skipped, else 0."""
     if all(r.skipped for r in results):
         return 1
-    return 3 if any(r.skipped or r.damage.lossy for r in results) else 0
+    return ExitCode.LOSSES if any(r.skipped or r.damage.lossy for r in results) else 0
 
 
 def describe(result: Result) -> str:

@@ -13,7 +13,7 @@ import click
 
 from flysid.cli.display import Display
 from flysid.cli.lakeoptions import LakeOptions, dask_cluster
-from flysid.cli.output import cores, duration, printable, say
+from flysid.cli.output import ExitCode, cores, duration, printable, say
 from flysid.errors import FlysidError, PlaceError, UsageError
 from flysid.showing import counted, first_of
 
@@ -162,7 +162,7 @@ def exit_code(outcomes: Sequence[Outcome]) -> int:
     if bad and bad == len(outcomes):
         return FlysidError.exit_code
     lossy = any(o.status == "ingested" and o.facts is not None and o.facts.lossy for o in outcomes)
-    return 3 if bad or lossy else 0
+    return ExitCode.LOSSES if bad or lossy else 0
 
 
 def as_document(data: str, found: Sorted, outcomes: Sequence[Outcome]) -> dict[str, Any]:

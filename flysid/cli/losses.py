@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from flysid.flight import Damage
     from flysid.ingest.lake.batch import Result
 
-REGIONS_SHOWN = 12
-
 
 def report(results: Sequence[Result], quiet: bool) -> None:
     """Losses and skipped logs by name (even when quiet), then the sums."""
@@ -32,12 +30,12 @@ def report(results: Sequence[Result], quiet: bool) -> None:
     say(", ".join(counts), quiet)
 
 
-def losses(damage: Damage) -> list[str]:
+def losses(damage: Damage, *, most_regions: int = 12) -> list[str]:
     """What was lost, one line per kind; bytes with their ranges."""
     lines = []
     if damage.bytes_skipped:
-        places = ", ".join(f"{r.start}-{r.end} ({r.reason})" for r in damage.regions[:REGIONS_SHOWN])
-        more = damage.region_count - min(len(damage.regions), REGIONS_SHOWN)
+        places = ", ".join(f"{r.start}-{r.end} ({r.reason})" for r in damage.regions[:most_regions])
+        more = damage.region_count - min(len(damage.regions), most_regions)
         tail = f" and {more:,} more" if more > 0 else ""
         lines.append(
             f"{counted(damage.bytes_skipped, 'byte')} skipped in {counted(damage.region_count, 'place')}: "

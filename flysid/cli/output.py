@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -20,8 +21,15 @@ F = TypeVar("F", bound=Callable[..., Any])
 REASONS_SHOWN = 5
 NAMES_SHOWN = 3
 FORMS = ("json", "markdown", "csv")
-CHECK_FAILED = 4
-"""Exit code where something was asked of a result, and does not hold."""
+
+
+class ExitCode(IntEnum):
+    """What a verb says beside 0, 1 (failed), 2 (wrongly called) and 75 (try again)."""
+
+    LOSSES = 3  # done, but something was lost or left out
+    CHECK_FAILED = 4  # something was asked of a result, and does not hold
+    DISK_REFUSED = 5
+    ALARM = 6
 
 
 def printable(text: str) -> str:
@@ -110,5 +118,5 @@ def finish(judgement: Judgement, condition: str | None, report: Path | None, qui
         for name, why in failed.items():
             if why:
                 say(f"{name}: {why}: a channel that cannot be judged counts as failed")
-        return CHECK_FAILED
+        return ExitCode.CHECK_FAILED
     return 3 if judgement.unjudged else 0

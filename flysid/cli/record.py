@@ -12,15 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from flysid.cli.output import say
+from flysid.cli.output import ExitCode, say
 from flysid.errors import UsageError
 from flysid.showing import counted
 
 if TYPE_CHECKING:
     from flysid.live.recording import Recording
-
-DISK_REFUSED = 5
-LOST_HERE = 3
 
 
 @click.command("record")
@@ -137,8 +134,8 @@ def finish(recording: Recording, quiet: bool) -> int:
         say(f"this host dropped {counted(dropped, 'datagram')}: see {parts.paths[-1]}.json")
     if parts.refusal:
         say(f"{parts.refusal}: {counted(parts.unwritten_frames, 'frame')} were received but not written")
-        return DISK_REFUSED
-    return LOST_HERE if dropped else 0
+        return ExitCode.DISK_REFUSED
+    return ExitCode.LOSSES if dropped else 0
 
 
 def told(peer: dict[str, Any]) -> list[str]:

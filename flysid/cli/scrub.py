@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.addresses import SOURCE
-from flysid.cli.output import printable, say
+from flysid.cli.output import ExitCode, printable, say
 from flysid.cli.source import format_option
 from flysid.errors import FormatError
 
@@ -52,7 +52,7 @@ def command(log: Path, output: Path, gps: Gps, format_: str, force: bool, as_jso
         say(note, quiet)
     say(KEPT, quiet)
     say(f"written: {output}", quiet)
-    return 3 if any(what == UNREADABLE for what, _ in done.removed) else 0
+    return ExitCode.LOSSES if any(what == UNREADABLE for what, _ in done.removed) else 0
 
 
 def apart(work: Callable[[Path], Scrubbed], log: Path) -> Scrubbed:

@@ -18,7 +18,6 @@ HEADINGS = ("FLIGHT", "CHANNEL", "INPUT", "TIME", "RATE", "COH.", "BAND, Hz", "D
 ORDER = ("good", "closed loop", "weak", "too slow", "too short", "too quiet", "excluded")
 USABLE = ("good", "closed loop", "weak")
 WIDTH = 100
-LONGEST_NAME = 18
 COHERENCE = "COH.: coherence, the share of the output's power that a linear model of the input can explain"
 LOOP = "loop: the input reacts to the output (a pilot or controller); see docs/recipes.md on closed loops"
 OPEN = "?: the data do not determine it"
@@ -114,7 +113,7 @@ def row(found: Suggestion, flight: str) -> tuple[str, ...]:
     )
 
 
-def _short(name: str, longest: int = LONGEST_NAME) -> str:
+def _short(name: str, longest: int = 18) -> str:
     """A name with its middle left out where it is too long."""
     half = (longest - 1) // 2
     return name if len(name) <= longest else f"{name[:half]}…{name[-half:]}"

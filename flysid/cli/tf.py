@@ -11,7 +11,7 @@ import click
 from flysid.cli import complete
 from flysid.cli.addresses import SOURCE
 from flysid.cli.display import Display, progress_options
-from flysid.cli.output import CHECK_FAILED, aligned, check_target, say
+from flysid.cli.output import ExitCode, aligned, check_target, say
 from flysid.cli.source import Words, lost_on_the_way, opened, selection_options, words_options
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def command(
         for name, why in held.items():
             say(f"{name}: {condition} holds{f': {why}' if why else ''}")
         if held:
-            return CHECK_FAILED
+            return ExitCode.CHECK_FAILED
     return 3 if lost or set(channels) & set(skipped) else 0
 
 

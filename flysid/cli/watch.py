@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import click
 
 from flysid.cli.addresses import SOURCE
-from flysid.cli.output import printable, say
+from flysid.cli.output import ExitCode, printable, say
 from flysid.errors import DataError, UsageError
 from flysid.showing import counted
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from flysid.live.watching import ChannelWatch, Event
     from flysid.validate.run import Run
 
-FAILED = 6
 KINDS = ("udp:", "udpout:", "tcp:", "serial:")
 
 
@@ -95,7 +94,7 @@ def command(
     else:
         look_back(opened, watches, Path(source), tell, quiet)
     say(counted(len(alarms), "alarm"), quiet)
-    return FAILED if fail and alarms else 0
+    return ExitCode.ALARM if fail and alarms else 0
 
 
 def calibrated(

@@ -19,9 +19,6 @@ from flysid.errors import DataError, UsageError
 from flysid.progress import tell
 from flysid.validate.run import HeldOut, Run, held_out
 
-LARGEST_STEP = 2.0
-NOISE_SHARE = 0.05
-
 
 @dataclass(frozen=True)
 class Wish:
@@ -111,7 +108,7 @@ def none_left(refused: Mapping[str, tuple[str, str]]) -> DataError:
     return DataError(f"no channel can be designed for; {name}: {why}", hint=hint)
 
 
-def ready_channel(item: HeldOut, wish: Wish) -> Ready:
+def ready_channel(item: HeldOut, wish: Wish, *, noise_share: float = 0.05) -> Ready:
     """A channel of a run, or DataError, UsageError where it may not be designed for."""
     found = identified(item, wish.limit)
     u = found.train.inputs[0]
@@ -120,7 +117,7 @@ def ready_channel(item: HeldOut, wish: Wish) -> Ready:
     middle = np.searchsorted(plants.omega, math.sqrt(found.band[0] * found.band[1]))
     sign = 1.0 if np.median(np.cos(np.angle(plants.responses[:, middle]) + 0.25 * np.pi)) >= 0.0 else -1.0
     plants = replace(plants, responses=sign * plants.responses).spread(wish.spread)
-    noise = wish.noise or NOISE_SHARE * (wish.limit or found.reach) / found.noise
+    noise = wish.noise or noise_share * (wish.limit or found.reach) / found.noise
     bounds = Bounds(ms=wish.ms, peak=wish.peak, noise=noise, crossover_rad_s=found.band[1])
     return Ready(found, plants, sign, bounds, firmware)
 
@@ -172,11 +169,11 @@ def _designed(group: Sequence[Ready], wish: Wish) -> list[Axis]:
     return [_axis(r, laws, bounds, tuple(notes)) for r in group]
 
 
-def _one_flight(ready: Ready, present: Gains, wish: Wish) -> Box:
+def _one_flight(ready: Ready, present: Gains, wish: Wish, *, largest_step: float = 2.0) -> Box:
     """What the vehicle's own parameters may be for the next flight."""
     old = _own(wish.old, ready.data.name)
-    least = LARGEST_STEP * (1.0 - 1e-4)  # room for rounding to the digits that are written
-    return Box.around(present, LARGEST_STEP, lambda tuned: ready.firmware.beyond(tuned, old, least))
+    least = largest_step * (1.0 - 1e-4)  # room for rounding to the digits that are written
+    return Box.around(present, largest_step, lambda tuned: ready.firmware.beyond(tuned, old, least))
 
 
 def _refuse_beyond(present: Gains, plants: PlantSet, bounds: Bounds) -> None:

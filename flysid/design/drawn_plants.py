@@ -19,8 +19,6 @@ from flysid.model.base import Fitted
 from flysid.model.capabilities import LinearModel, LocallyLinear
 from flysid.model.polynomials import Z95
 
-POINTS = 160
-LOWEST_RAD_S = 0.02
 SPEEDS = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Quantiles of the output at which a model of rules is linearised."""
 
@@ -77,9 +75,9 @@ def _said(gain: float, late: float) -> str:
     return ", " + ", ".join(words) if words else ""
 
 
-def grid(dt_s: float) -> FloatArray:
+def grid(dt_s: float, *, points: int = 160, lowest_rad_s: float = 0.02) -> FloatArray:
     """(F,) rad/s, equally spaced in the logarithm, up to nearly half the sample rate."""
-    return np.geomspace(LOWEST_RAD_S, 0.99 * np.pi / dt_s, POINTS)
+    return np.geomspace(lowest_rad_s, 0.99 * np.pi / dt_s, points)
 
 
 def plants_of(models: Mapping[str, Fitted], train: Dataset, band: tuple[float, float]) -> PlantSet:

@@ -19,7 +19,6 @@ from flysid.validate.trials import FREE_RUN
 from flysid.validate.verdict import Verdict
 
 REFERENCES = ("mean", "persistence", "line", "static_ts")
-NOT_WORSE_THAN = 1.5
 SPEED = "m/s"
 
 
@@ -128,7 +127,7 @@ def _check_limits(train: Dataset, limit: float | None) -> None:
         )
 
 
-def _good(item: HeldOut) -> dict[str, Fitted]:
+def _good(item: HeldOut, *, not_worse_than: float = 1.5) -> dict[str, Fitted]:
     usable = {k: m for k, m in item.models.items() if k not in REFERENCES}
     if "mean" not in item.models or item.channel.baseline not in usable:
         raise DataError(
@@ -146,7 +145,7 @@ def _good(item: HeldOut) -> dict[str, Fitted]:
         )
     error = {k: entry.models[k].scores.rmse for k in usable if not entry.models[k].diverged}
     best = min(error.values())
-    good = {k: usable[k] for k in error if error[k] <= NOT_WORSE_THAN * best or k == linear}
+    good = {k: usable[k] for k in error if error[k] <= not_worse_than * best or k == linear}
     if not any(_has_interval(m) for m in good.values()):
         raise DataError(
             "no model states an interval on its gain and delay", hint="fit with the models arx, oe or tf"

@@ -23,8 +23,6 @@ from flysid.export.lpv import to_lpv
 from flysid.model.base import Fitted
 from flysid.model.capabilities import LocallyLinear
 
-FAR = 1e6
-
 
 @dataclass(frozen=True, eq=False)
 class RulePlant:
@@ -140,7 +138,7 @@ def rule_plant(model: Fitted) -> RulePlant:
 Packed = tuple[npt.NDArray[np.int64], FloatArray, FloatArray]
 
 
-def packed_rules(laws: Sequence[RuleLaw | None]) -> Packed:
+def packed_rules(laws: Sequence[RuleLaw | None], *, far: float = 1e6) -> Packed:
     """Several laws for compiled code, padded to one size; no states where there is no law.
 
     Returns
@@ -156,7 +154,7 @@ def packed_rules(laws: Sequence[RuleLaw | None]) -> Packed:
     counts = np.zeros((len(laws), 2), dtype=np.int64)
     numbers = np.zeros((len(laws), 2, max(rules, n_z), n))
     sets = np.zeros((len(laws), 4, rules, n_z))
-    sets[:, 0] = FAR
+    sets[:, 0] = far
     sets[:, 1] = 1.0
     for at, law in enumerate(laws):
         if law is None:

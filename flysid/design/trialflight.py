@@ -25,12 +25,9 @@ from flysid.ingest.synth.rigid_body import STEP_S, Vehicle, fly_vehicle
 from flysid.ingest.synth.tuning import linearise
 
 PERIOD_S = 0.02
-DURATION_S = 40.0
 ALTITUDE_M = 20.0
-SETTLING_S = 10.0
 AXES = {"x": "theta_in", "y": "phi_in"}
 """Directions of the simulated vehicle, and the inputs that drive it along them."""
-BLOWN_M = 25.0
 
 
 @dataclass(frozen=True)
@@ -120,9 +117,9 @@ class Flown:
     blown: bool
 
 
-def course() -> tuple[FloatArray, FloatArray]:
+def course(*, duration_s: float = 40.0) -> tuple[FloatArray, FloatArray]:
     """(N, 2) place asked for (m) and its speed: 2 m there and back on both axes, then a sine of 1 m, 8 s."""
-    time = np.arange(round(DURATION_S / PERIOD_S)) * PERIOD_S
+    time = np.arange(round(duration_s / PERIOD_S)) * PERIOD_S
     place = np.zeros((len(time), 2))
     speed = np.zeros((len(time), 2))
     sine = time >= 24.0
@@ -178,7 +175,15 @@ def fly_trial(
     return {name: _judged(away[:, k], inputs[:, k], limit, firsts[k], lost) for k, name in enumerate(AXES)}
 
 
-def _judged(away: FloatArray, u: FloatArray, limit: float, step_s: tuple[float, float], lost: bool) -> Flown:
+def _judged(
+    away: FloatArray,
+    u: FloatArray,
+    limit: float,
+    step_s: tuple[float, float],
+    lost: bool,
+    *,
+    blown_m: float = 25.0,
+) -> Flown:
     first, last = (round(t / PERIOD_S) for t in step_s)
     step = away[first:last] / 2.0
     outside = np.flatnonzero(np.abs(step) > 0.05)
@@ -191,7 +196,7 @@ def _judged(away: FloatArray, u: FloatArray, limit: float, step_s: tuple[float, 
         float(np.abs(np.diff(u)).sum() / (len(u) * PERIOD_S)),
         float((np.abs(u) >= limit - 1e-9).mean()),
         lost,
-        bool((np.abs(away) > BLOWN_M).any()),
+        bool((np.abs(away) > blown_m).any()),
     )
 
 
@@ -267,9 +272,9 @@ def _fly(x, place, speed, noise, air, laws, keep, limit, late, f, tuners, counts
     return states, inputs
 
 
-def true_plants(vehicle: Vehicle, omega: FloatArray) -> dict[str, ComplexArray]:
+def true_plants(vehicle: Vehicle, omega: FloatArray, *, settling_s: float = 10.0) -> dict[str, ComplexArray]:
     """(F,) what x and y of this very vehicle answer about hover, in still air, with delay and hold."""
-    still = np.zeros((round(SETTLING_S / PERIOD_S), 3))
+    still = np.zeros((round(settling_s / PERIOD_S), 3))
     rest = fly_vehicle(vehicle, still, start=vehicle.hover(ALTITUDE_M)).states[-1]
     held = np.exp(-0.5j * omega * PERIOD_S) * np.sinc(omega * PERIOD_S / (2.0 * np.pi))
     late = np.exp(-1j * omega * vehicle.delay_s) * held

@@ -16,13 +16,13 @@ from flysid.export.program import Program
 from flysid.export.reference import run
 from flysid.version import __version__
 
-CHECK_STEPS = 200
-LONGEST_NAME = 20  # C99 tells names apart by their first 31 characters
 
+def identifier(text: str, *, longest: int = 20) -> str:
+    """A beginning of names that C, Modelica and MATLAB take, made of a channel's name.
 
-def identifier(text: str) -> str:
-    """A beginning of names that C, Modelica and MATLAB take, made of a channel's name."""
-    name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:LONGEST_NAME].strip("_")
+    `longest`: C99 tells names apart by their first 31 characters.
+    """
+    name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:longest].strip("_")
     return name if name[:1].isalpha() else f"model_{name}".rstrip("_")
 
 
@@ -178,13 +178,13 @@ def excitation(program: Program, steps: int) -> FloatArray:
     return np.asarray(program.shift[n:] + held)
 
 
-def _check(program: Program, single: float | None) -> dict[str, Any]:
+def _check(program: Program, single: float | None, *, steps: int = 200) -> dict[str, Any]:
     """Inputs, outputs from rest and from a memory, and by how much a right build may differ.
 
     Another mathematics library rounds exp otherwise: 1e-9 of the outputs' size in double; in float32 ten
     times what is lost here, beside 1e-5 of their size.
     """
-    u = excitation(program, CHECK_STEPS)
+    u = excitation(program, steps)
     y, memory = run(program, u)
     y_from, _ = run(program, u, memory)
     tolerance = 1e-9 * (np.ptp(y, axis=0) + np.abs(y).max(axis=0)) + 1e-12

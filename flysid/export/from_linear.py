@@ -24,10 +24,6 @@ from flysid.model.rules.kernel import Lags
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.subspace.kalman import resting_state
 
-_NEGLIGIBLE = 1e-11  # of the largest Hankel singular value: what rounding leaves of a state that is not there
-_GONE = 1e-30  # of a power of a matrix: it adds nothing more
-_MARGIN = 0.001  # by which an unstable matrix is drawn inside the unit circle to be balanced
-
 
 @dataclass(frozen=True, eq=False)
 class _States:
@@ -134,17 +130,22 @@ def _first(taps: FloatArray) -> int:
     return int(np.argmax(taps.any(axis=1)))
 
 
-def _balanced(s: _States) -> _States:
-    """The same system in balanced coordinates, without states that nothing reaches or shows."""
+def _balanced(s: _States, *, negligible: float = 1e-11, margin: float = 0.001) -> _States:
+    """The same system in balanced coordinates, without states that nothing reaches or shows.
+
+    `negligible`: of the largest Hankel singular value: what rounding leaves of a state that is not there.
+
+    `margin`: by which an unstable matrix is drawn inside the unit circle to be balanced.
+    """
     radius = float(np.abs(np.linalg.eigvals(s.a)).max(initial=0.0))
-    inside = s.a / max(1.0, radius / (1.0 - _MARGIN))
+    inside = s.a / max(1.0, radius / (1.0 - margin))
     drive = np.column_stack([s.b, s.f, s.rest])
     drive = drive / _size(drive, axis=0)
     show = s.c / _size(s.c, axis=1)
     reached = _gramian_root(inside, drive)
     seen = _gramian_root(inside.T, show.T)
     left, values, right = np.linalg.svd(seen.T @ reached)
-    kept = values > _NEGLIGIBLE * values.max(initial=0.0)
+    kept = values > negligible * values.max(initial=0.0)
     weight = 1.0 / np.sqrt(values[kept])
     into = weight[:, None] * (left[:, kept].T @ seen.T)
     back = reached @ right[kept].T * weight
@@ -156,14 +157,16 @@ def _size(values: FloatArray, axis: int) -> FloatArray:
     return np.where(size > 0.0, size, 1.0)
 
 
-def _gramian_root(a: FloatArray, b: FloatArray) -> FloatArray:
+def _gramian_root(a: FloatArray, b: FloatArray, *, gone: float = 1e-30) -> FloatArray:
     """L with L L' = sum over k of a^k b b' a'^k, a inside the unit circle.
 
     Every pass doubles the powers in the sum (Smith's iteration), and QR keeps their square root: to form the
     sum itself would lose half of the digits.
+
+    `gone`: of a power of a matrix: it adds nothing more.
     """
     root = b
-    while np.abs(a).max(initial=0.0) > _GONE:
+    while np.abs(a).max(initial=0.0) > gone:
         triangle: Any = np.linalg.qr(np.hstack([root, a @ root]).T, mode="r")
         root = triangle.T
         a = a @ a

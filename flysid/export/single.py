@@ -12,14 +12,13 @@ from flysid.model.base import Fitted
 from flysid.model.rules.rule_poles import pole_radius
 from flysid.model.start import run_from_window, start_window
 
-LARGEST_LOSS = 0.01
 REMEDY = (
     "export it in double (without --float32), take a linear model (--model), which is balanced, or fit a "
     "lower order or at a lower rate"
 )
 
 
-def loss_in_float32(model: Fitted, program: Program, train: Dataset) -> float:
+def loss_in_float32(model: Fitted, program: Program, train: Dataset, *, largest_loss: float = 0.01) -> float:
     """What rounding to float32 adds to the free run's error, as a share of that error's RMSE.
 
     Both programs run from rest along the inputs of training; the worst output counts.
@@ -46,10 +45,10 @@ def loss_in_float32(model: Fitted, program: Program, train: Dataset) -> float:
         raise DataError("no segment is long enough to try float32 on", hint="record longer, or export double")
     size = np.concatenate([s.y for s in train.segments]).var(axis=0) * rows
     share = float(np.sqrt(rounding / np.where(error > 0.0, error, size)).max())
-    if not share <= LARGEST_LOSS:
+    if not share <= largest_loss:
         raise UsageError(
             f"in float32 the model strays by {100.0 * share:.3g} % of its free run's RMSE on the inputs of "
-            f"training; {100.0 * LARGEST_LOSS:.0f} % are allowed",
+            f"training; {100.0 * largest_loss:.0f} % are allowed",
             hint=REMEDY,
         )
     return share

@@ -31,7 +31,6 @@ from flysid.progress import tell
 
 PARTS = "catalog/parts.json"
 FOLDER = "streams"
-PART_BYTES = 128 << 20
 ROWS_PER_GROUP = 1 << 18
 OWN = ("flight", "vehicle", "stream")
 """Columns that a part has beside those of the flights' tables."""
@@ -66,7 +65,7 @@ class Compacted:
     parts: int
 
 
-def compact(place: Place, part_bytes: int = PART_BYTES) -> Compacted:
+def compact(place: Place, part_bytes: int = 128 << 20) -> Compacted:
     """Bring the parts of a lake up to its flights.
 
     Interrupted at any moment it leaves the parts that were there. Only one compaction runs at a time.

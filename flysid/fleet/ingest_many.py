@@ -31,13 +31,6 @@ from flysid.place import Found, Place, is_address
 from flysid.progress import tell
 from flysid.version import __version__
 
-BATCH = 32
-BATCH_BYTES = 64 << 20
-SHARES = 4
-"""Tasks that a worker gets at least, where there are logs enough: the last one is then short."""
-COMMIT_S = 10.0
-"""Between two commits of the catalogue; longer where a commit itself takes long."""
-
 
 @dataclass(frozen=True)
 class Sorted:
@@ -159,10 +152,14 @@ def _noted(place: Place, folder: str) -> frozenset[str]:
 # ------------------------------------------------------------------------------------------ ingesting
 
 
-def ingest(logs: Sorted, settings: Settings, engine: Engine, batch: int = BATCH) -> Iterator[Outcome]:
+def ingest(
+    logs: Sorted, settings: Settings, engine: Engine, batch: int = 32, *, commit_s: float = 10.0
+) -> Iterator[Outcome]:
     """Ingest logs into a lake; yields what became of each, as batches finish.
 
     The catalogue is written every few seconds, and at the end, however it comes.
+
+    `commit_s`: between two commits of the catalogue; longer where a commit itself takes long.
 
     Raises
     ------
@@ -173,7 +170,7 @@ def ingest(logs: Sorted, settings: Settings, engine: Engine, batch: int = BATCH)
     total = sum(log.size for log in logs.waiting) or 1
     read = 0
     fresh: list[FlightFacts] = []
-    due = time.monotonic() + COMMIT_S
+    due = time.monotonic() + commit_s
     try:
         for part, outcomes in engine.run(batches, settings):
             read += sum(log.size for log in part)
@@ -186,7 +183,7 @@ def ingest(logs: Sorted, settings: Settings, engine: Engine, batch: int = BATCH)
                 began = time.monotonic()
                 merge(place, _once(fresh))
                 fresh.clear()
-                due = time.monotonic() + max(COMMIT_S, 20.0 * (time.monotonic() - began))
+                due = time.monotonic() + max(commit_s, 20.0 * (time.monotonic() - began))
     finally:
         merge(place, _once(fresh))
 
@@ -196,14 +193,19 @@ def _once(flights: Iterable[FlightFacts]) -> list[FlightFacts]:
     return list({facts.sha256: facts for facts in flights}.values())
 
 
-def batched(logs: Sequence[Log], most: int, workers: int) -> list[tuple[Log, ...]]:
-    """Logs in batches of at most `most` and about 64 MB; of few logs, some for every worker."""
-    most = max(1, min(most, len(logs) // (SHARES * workers)))
+def batched(
+    logs: Sequence[Log], most: int, workers: int, *, most_bytes: int = 64 << 20, shares: int = 4
+) -> list[tuple[Log, ...]]:
+    """Logs in batches of at most `most` and about 64 MB; of few logs, some for every worker.
+
+    `shares`: tasks that a worker gets at least, where there are logs enough: the last one is then short.
+    """
+    most = max(1, min(most, len(logs) // (shares * workers)))
     batches: list[tuple[Log, ...]] = []
     batch: list[Log] = []
     size = 0
     for log in logs:
-        if batch and (len(batch) >= most or size + log.size > BATCH_BYTES):
+        if batch and (len(batch) >= most or size + log.size > most_bytes):
             batches.append(tuple(batch))
             batch = []
             size = 0

@@ -18,8 +18,8 @@ import pyarrow as pa
 from flysid.ingest.formats.common.columns import Layout, message_schema
 from flysid.ingest.formats.common.vehicle_time import AGREES_NS, AUTOPILOT_COMPONENT
 from flysid.ingest.formats.mavlink.dialect import Dialect, load_dialect
-from flysid.ingest.formats.mavlink.frames import SIGNED, STAMP_BYTES, V2
-from flysid.ingest.formats.mavlink.reader import BOOT_FIELDS, HEARTBEAT, TIME_FIELDS, vehicle_facts
+from flysid.ingest.formats.mavlink.frames import SIGNED, STAMP_BYTES, V2, MessageId
+from flysid.ingest.formats.mavlink.reader import BOOT_FIELDS, TIME_FIELDS, vehicle_facts
 from flysid.live.framing import LIVE_DIALECT
 
 IntArray = npt.NDArray[np.int64]
@@ -75,7 +75,7 @@ class _Stream:
         self.layout: Layout = dialect.layout(message)
         self.rows = 0
         self.is_asked = False
-        self.is_heartbeat = message == HEARTBEAT
+        self.is_heartbeat = message == MessageId.HEARTBEAT
         names = self.layout.dtype.names or ()
         self.time_field = next((f for f in TIME_FIELDS if f in names), "")
         self.is_clock = self.time_field in BOOT_FIELDS and component == AUTOPILOT_COMPONENT

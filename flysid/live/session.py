@@ -13,11 +13,6 @@ from flysid.live.traces import Trace
 from flysid.live.watching import ChannelWatch, Event
 from flysid.validate.detect import LEVEL_EVERY_S
 
-KEPT_S = 600.0
-"""Of each channel: what a page can still be given."""
-SHOWN_S = 60.0
-"""What a page that comes late is given: newer data, not all."""
-
 
 class Session:
     """A recording with watches beside it.
@@ -29,8 +24,14 @@ class Session:
     """
 
     def __init__(
-        self, recording: Recording, watches: Sequence[ChannelWatch] = (), recipe: Recipe | None = None
+        self,
+        recording: Recording,
+        watches: Sequence[ChannelWatch] = (),
+        recipe: Recipe | None = None,
+        *,
+        kept_s: float = 600.0,
     ) -> None:
+        """`kept_s`: of each channel: what a page can still be given."""
         self.recording = recording
         self.watches = watches
         self._events: list[Event] = []
@@ -38,7 +39,7 @@ class Session:
         self._thread: threading.Thread | None = None
         self._follower: Follower | None = None
         for watch in watches:
-            rows = round(KEPT_S / watch.model.dt_s)
+            rows = round(kept_s / watch.model.dt_s)
             watch.trace = Trace(len(watch.model.outputs), rows, 2 * round(LEVEL_EVERY_S / watch.model.dt_s))
         if recipe is not None:
             self._follower = Follower(watches, recipe, self._events.append)
@@ -93,16 +94,20 @@ class Session:
             **self.recording.facts(),
         }
 
-    def news(self, seen: Mapping[str, int]) -> tuple[dict[str, Any], dict[str, int]]:
+    def news(
+        self, seen: Mapping[str, int], *, shown_s: float = 60.0
+    ) -> tuple[dict[str, Any], dict[str, int]]:
         """What is new to a page that has `seen` so many rows and events, and what it has seen then.
 
         A page that has seen nothing is given the last minute, and all events.
+
+        `shown_s`: what a page that comes late is given: newer data, not all.
         """
         rows: dict[str, Any] = {}
         known: dict[str, int] = {}
         for watch in self.watches:
             assert watch.trace is not None
-            most = None if watch.name in seen else round(SHOWN_S / watch.model.dt_s)
+            most = None if watch.name in seen else round(shown_s / watch.model.dt_s)
             first, new = watch.trace.since(seen.get(watch.name, 0), most)
             known[watch.name] = first + len(new)
             if known[watch.name] != seen.get(watch.name):

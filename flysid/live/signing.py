@@ -21,13 +21,12 @@ import numpy as np
 import numpy.typing as npt
 
 from flysid.errors import UsageError
-from flysid.ingest.formats.mavlink.frames import SIGNATURE_BYTES, V2, read_header
+from flysid.ingest.formats.mavlink.frames import SIGNATURE_BYTES, V2, MessageId, read_header
 from flysid.live.batches import ByteArray, IntArray
 
 KEY_BYTES = 32
 KEY_VARIABLE = "FLYSID_SIGNING_KEY"
 STREAM_BEHIND = 6_000_000  # a new stream may be a minute behind the newest, in 10 us
-RADIO_STATUS = 109
 POLICIES = ("reject", "keep", "radio")
 
 UNSIGNED = "unsigned"
@@ -107,7 +106,9 @@ class Guard:
         head = read_header(content, q)
         assert head is not None
         if content[q] != V2 or not content[q + 2]:
-            kept = self.unsigned == "keep" or (self.unsigned == "radio" and head.message == RADIO_STATUS)
+            kept = self.unsigned == "keep" or (
+                self.unsigned == "radio" and head.message == MessageId.RADIO_STATUS
+            )
             return "" if kept else UNSIGNED
         signature = head.end - SIGNATURE_BYTES
         digest = hashlib.sha256(self.key + content[q : signature + 7]).digest()[:6]

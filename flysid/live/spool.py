@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 from flysid.ingest.formats.mavlink.frames import STAMP_BYTES, read_header
 
-QUEUE_BYTES = 64 << 20
-
 
 @dataclass(frozen=True)
 class Piece:
@@ -32,7 +30,7 @@ class Piece:
 class Spool:
     """Pieces that wait to be written; beyond `limit` bytes the oldest go, and are counted."""
 
-    def __init__(self, limit: int = QUEUE_BYTES) -> None:
+    def __init__(self, limit: int = 64 << 20) -> None:
         self.peak_bytes = 0
         self.dropped_frames = 0
         self._limit = limit

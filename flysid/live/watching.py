@@ -28,7 +28,6 @@ from flysid.validate.detect import (
 )
 from flysid.validate.run import HeldOut
 
-MARGIN = 0.1
 # An alarm ends when all statistics were below half their thresholds for so long; what was outside is judged
 # again when it was inside for so long.
 OVER_S = 5.0
@@ -302,12 +301,12 @@ def watch_of(held: HeldOut, label: str | None, false_alarms_1_h: float) -> Chann
     return ChannelWatch(held.channel.name, model, calibrate(model, held.test.segments, share), known)
 
 
-def known_inputs(training: Sequence[Segment]) -> FloatArray:
+def known_inputs(training: Sequence[Segment], *, margin: float = 0.1) -> FloatArray:
     """(2, n_u) the inputs of the training flights, a tenth of their span added at both ends."""
     u = np.concatenate([segment.u for segment in training])
     low = u.min(axis=0)
     high = u.max(axis=0)
-    return np.stack([low - MARGIN * (high - low), high + MARGIN * (high - low)])
+    return np.stack([low - margin * (high - low), high + margin * (high - low)])
 
 
 def watches_of(

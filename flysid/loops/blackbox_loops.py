@@ -13,8 +13,6 @@ from flysid.errors import DataError, UsageError
 from flysid.loops.controller import AXES
 from flysid.loops.stick_response import Record
 
-RATE_HZ = 500.0
-GAP_S = 0.02
 LARGEST_SHARE = 0.05
 """Of the time at a limit: beyond, what is seen is the limit."""
 
@@ -36,7 +34,9 @@ def settings_of(log: Any) -> dict[str, str]:
     return dict(zip(table["name"], table["text"], strict=True))
 
 
-def record_of(log: Any, axis: str, settings: Mapping[str, str]) -> tuple[Record, FloatArray]:
+def record_of(
+    log: Any, axis: str, settings: Mapping[str, str], *, rate_hz: float = 500.0
+) -> tuple[Record, FloatArray]:
     """One axis of a flight, and the throttle (us).
 
     Raises
@@ -67,7 +67,7 @@ def record_of(log: Any, axis: str, settings: Mapping[str, str]) -> tuple[Record,
         )
     r = np.asarray(asked[setpoint], dtype=np.float64)
     at = np.asarray(asked["time_ns"], dtype=np.float64) * 1e-9
-    record = Record(log.name, RATE_HZ, even_pieces(RATE_HZ, time, at, r, output, values[f"gyroADC[{k}]"]))
+    record = Record(log.name, rate_hz, even_pieces(rate_hz, time, at, r, output, values[f"gyroADC[{k}]"]))
     return record, values["rcCommand[3]"]
 
 
@@ -79,9 +79,11 @@ def even_pieces(
     u: FloatArray,
     y: FloatArray,
     outside: tuple[FloatArray, FloatArray] | None = None,
+    *,
+    gap_s: float = 0.02,
 ) -> tuple[FloatArray, ...]:
     """Stretches without a gap, on an even grid: setpoint, output, rate, and times and values from outside."""
-    edges = [0, *(np.flatnonzero(np.diff(time) > max(GAP_S, 3.0 / rate_hz)) + 1), len(time)]
+    edges = [0, *(np.flatnonzero(np.diff(time) > max(gap_s, 3.0 / rate_hz)) + 1), len(time)]
     found = []
     for begin, end in itertools.pairwise(edges):
         if end - begin < 2:

@@ -35,7 +35,6 @@ P_SCALE = 0.032029
 I_SCALE = 0.244381
 D_SCALE = 0.000529
 AXES = {"roll": "rollPID", "pitch": "pitchPID", "yaw": "yawPID"}
-LARGEST_MISS = 0.15
 THOUSANDTHS = 1000.0
 RELEASE = "ver_sw_release"
 FIRST_ORDER_SINCE = 0x010D0000
@@ -239,13 +238,15 @@ def _attenuation(settings: Mapping[str, str], throttle: FloatArray) -> float:
     return float(1.0 - (float(rate) / 100.0 * above).mean())
 
 
-def refuse_misfit(controller: Controller, loop: Loop, low: float, high: float) -> float:
+def refuse_misfit(
+    controller: Controller, loop: Loop, low: float, high: float, *, largest: float = 0.15
+) -> float:
     """The miss of a controller; raises DataError where it is not what the log recorded."""
     miss = controller.miss(loop, low, high)
-    if not miss <= LARGEST_MISS:
+    if not miss <= largest:
         raise DataError(
             f"the stated gains do not give what the log recorded: {100.0 * miss:.0f} % off between "
-            f"{low:.0f} and {high:.0f} Hz, {100.0 * LARGEST_MISS:.0f} % are allowed",
+            f"{low:.0f} and {high:.0f} Hz, {100.0 * largest:.0f} % are allowed",
             hint="gains were changed in flight, another profile or mode was flown, or units differ",
         )
     return miss

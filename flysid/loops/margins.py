@@ -18,7 +18,6 @@ from flysid.model.polynomials import DB
 TRUSTED = 0.4
 NEIGHBOURS = 7  # lines: one that the sticks happened to leave out ends no band
 POWERS = 5  # of ln f, from 0 on: four of them bend the crossover of a plant with a lag by a standard error
-LOWEST_HZ = 1.5  # below, the window bends the plant by more than 4 %, before that is taken off
 
 
 @dataclass(frozen=True)
@@ -60,17 +59,19 @@ class Margins:
     noise: Figure
 
 
-def trusted_band(loop: Loop) -> tuple[float, float]:
-    """The widest stretch of frequencies, Hz, from `LOWEST_HZ` on in which the plant is known.
+def trusted_band(loop: Loop, *, lowest_hz: float = 1.5) -> tuple[float, float]:
+    """The widest stretch of frequencies, Hz, from `lowest_hz` on in which the plant is known.
+
+    `lowest_hz`: below, the window bends the plant by more than 4 %, before that is taken off.
 
     Raises
     ------
     DataError : there is none: the sticks did not move the vehicle enough.
     """
     spread = median_filter(loop.spread(), NEIGHBOURS, mode="nearest")
-    known = (spread < TRUSTED) & (loop.f >= LOWEST_HZ)
+    known = (spread < TRUSTED) & (loop.f >= lowest_hz)
     first = int(np.argmax(known))
-    if not known[first] or loop.f[first] > 2.0 * LOWEST_HZ:
+    if not known[first] or loop.f[first] > 2.0 * lowest_hz:
         raise DataError(
             "the stick inputs are too small against the disturbances",
             hint="fly quick stick movements on this axis, a minute of them, in calm air",

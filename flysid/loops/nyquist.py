@@ -14,8 +14,6 @@ from flysid.loops.judged import Judged
 from flysid.loops.margins import smoothed
 from flysid.loops.stick_response import ComplexArray
 
-LEVEL = 0.95
-
 
 @dataclass(frozen=True, eq=False)
 class Curve:
@@ -33,7 +31,7 @@ class Curve:
     radius: FloatArray
 
 
-def curve_of(judged: Judged) -> Curve | None:
+def curve_of(judged: Judged, *, level: float = 0.95) -> Curve | None:
     """The curve; None of an axis that was refused."""
     if judged.loop is None or judged.controller is None or judged.margins is None:
         return None
@@ -43,7 +41,7 @@ def curve_of(judged: Judged) -> Curve | None:
     back = judged.controller.feedback(f)
     centre, draws = smoothed(judged.loop, at)
     away = np.abs((draws - centre) * back)
-    return Curve(f, centre * back, np.asarray(np.quantile(away, LEVEL, axis=0)))
+    return Curve(f, centre * back, np.asarray(np.quantile(away, level, axis=0)))
 
 
 def draw_nyquist(judged: Sequence[Judged], path: Path) -> None:

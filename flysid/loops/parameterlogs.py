@@ -17,7 +17,6 @@ from flysid.loops.blackbox_loops import LARGEST_SHARE, even_pieces
 from flysid.loops.controller import AXES, RELEASE, THOUSANDTHS
 from flysid.loops.stick_response import Record
 
-LEAST_HZ = 40.0
 STREAMS = {
     "PARM": ("Name", "Value"),
     "parameters": ("name", "value"),
@@ -154,8 +153,10 @@ def _record(
     at: FloatArray,
     loop: tuple[FloatArray, FloatArray, FloatArray],
     outside: tuple[FloatArray, FloatArray] | None,
+    *,
+    least_hz: float = 40.0,
 ) -> Record:
-    if rate_hz < LEAST_HZ:
+    if rate_hz < least_hz:
         raise DataError(
             f"{log.name} has the {axis} loop at {rate_hz:.0f} Hz: too slow to see where its gain is one",
             hint="log it at 100 Hz or more: LOG_BITMASK with fast attitude, SDLOG_PROFILE with high rate",

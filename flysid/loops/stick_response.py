@@ -24,11 +24,6 @@ from flysid.dataset import FloatArray
 from flysid.errors import DataError
 
 ComplexArray = npt.NDArray[np.complex128]
-WINDOW_S = 2.0
-"""A Hann window of T seconds changes a plant G under sticks of spectrum S by (G'' / 2 + G' S' / S) / (3 T^2).
-Where G falls as 1 / f and S as 1 / f^2, that is 1 / (T f)^2 of G: 3 % at 3 Hz. What is analysed are
-differences from sample to sample, whose spectrum is flat: a third of that is left, and
-`flysid.loops.margins.smoothed` takes it off."""
 OVERLAP = 0.5
 TOGETHER = 4  # windows to a block: stretches this long hardly know of each other
 DRAWS = 200
@@ -67,7 +62,7 @@ class Loop:
     blocks: tuple[ComplexArray, ...]
 
     @classmethod
-    def of(cls, records: Sequence[Record], window_s: float = WINDOW_S) -> Loop:
+    def of(cls, records: Sequence[Record], window_s: float = 2.0) -> Loop:
         """Windows of `window_s`, under a Hann window.
 
         Raises

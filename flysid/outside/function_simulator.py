@@ -27,9 +27,6 @@ from flysid.errors import UsageError
 from flysid.outside.like import Like, matched
 from flysid.outside.simulator import Simulated, running
 
-TRIED = 60
-"""Samples of the first trial."""
-
 
 @dataclass(frozen=True, eq=False)
 class FunctionSimulator:
@@ -130,10 +127,13 @@ def _found(name: str) -> Callable[..., Any]:
     return found  # type: ignore[no-any-return]
 
 
-def _check(own: FunctionSimulator, n_u: int) -> None:
-    """A simulator answers alike each time, and does not know the inputs to come."""
-    u = np.cos(np.arange(TRIED * n_u, dtype=np.float64)).reshape(TRIED, n_u)
-    half = TRIED // 2
+def _check(own: FunctionSimulator, n_u: int, *, samples: int = 60) -> None:
+    """A simulator answers alike each time, and does not know the inputs to come.
+
+    `samples`: samples of the first trial.
+    """
+    u = np.cos(np.arange(samples * n_u, dtype=np.float64)).reshape(samples, n_u)
+    half = samples // 2
     whole = own.run(u, own.start)
     if not np.array_equal(whole, own.run(u, own.start), equal_nan=True):
         raise UsageError(

@@ -43,8 +43,6 @@ NAMES: Mapping[str, tuple[str, ...]] = {
 }
 """What a field may be called."""
 SECONDS: Mapping[str, float] = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "minutes": 60.0}
-DIFFUSE = 1e10
-"""Variance of the state that a start is estimated from, in variances of the outputs' noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,15 +161,17 @@ def linear_model(fields: Mapping[str, Any], like: Like, source: str) -> FittedSt
     return started(replace(_balanced(matrices, like), delays=late, u_origin=u0, y_origin=y0, notes=notes))
 
 
-def started(model: FittedStateSpace) -> FittedStateSpace:
+def started(model: FittedStateSpace, *, diffuse: float = 1e10) -> FittedStateSpace:
     """The model with a start that is estimated from measured samples, without a belief about the state.
 
     As many samples as a fifth of the window that estimates the start of a free run, or as it has states.
+
+    `diffuse`: variance of the state that a start is estimated from, in variances of the outputs' noise.
     """
     system = model.realisation
     most = lags_inside_window(model.dt_s, system.order + max(model.delays, default=0))
     n_y = len(model.outputs)
-    unsure = replace(system, state=DIFFUSE * np.eye(system.order), innovation=np.eye(n_y))
+    unsure = replace(system, state=diffuse * np.eye(system.order), innovation=np.eye(n_y))
     noise = np.array([np.ones(n_y), -np.ones(n_y)])
     found = replace(model, gains=gains_of(unsure, most), noise=noise)
     try:

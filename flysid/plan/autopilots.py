@@ -23,7 +23,6 @@ SID_AXES: Mapping[str, tuple[str, Mapping[str, int]]] = {
 """Where the sweep enters: the unit of SID_MAGNITUDE, and SID_AXIS of every axis."""
 SID_HZ = (0.01, 100.0)
 SID_LONGEST_S = 255
-FADE_OUT_S = 2.0
 FW_HZ = (0.1, 30.0)
 FW_SECONDS = (5, 120)
 FW_AXES = {"roll": 1, "pitch": 2, "yaw": 4}
@@ -81,7 +80,9 @@ def _sid_number(axis: Axis, place: str, unit: str, axes: Mapping[str, int]) -> i
     return axes[axis.name]
 
 
-def _sid_file(axis: Axis, number: int, band_hz: tuple[float, float], seconds: float) -> ParameterFile:
+def _sid_file(
+    axis: Axis, number: int, band_hz: tuple[float, float], seconds: float, *, fade_out_s: float = 2.0
+) -> ParameterFile:
     low, high = band_hz
     values = {
         "SID_AXIS": number,
@@ -90,7 +91,7 @@ def _sid_file(axis: Axis, number: int, band_hz: tuple[float, float], seconds: fl
         "SID_F_STOP_HZ": high,
         "SID_T_FADE_IN": min(20.0, 1.0 / low),
         "SID_T_REC": seconds,
-        "SID_T_FADE_OUT": FADE_OUT_S,
+        "SID_T_FADE_OUT": fade_out_s,
     }
     text = "".join(f"{name},{value:.6g}\n" for name, value in values.items())
     return ParameterFile(

@@ -20,14 +20,8 @@ Lines = npt.NDArray[np.int64]
 
 NORMS = (4, 16, 64, 256)
 """The largest value rules in the end."""
-STEPS = 60
-"""Of the descent on one norm; more gain little."""
-STARTS = 24
-"""Schroeder's phases, then random ones: the descent ends in one of many valleys."""
 LOW = 1.08
 """A relative peak factor with which the search is content; 1.12 is what flight-test practice asks for."""
-SAMPLES_A_CYCLE = 8
-"""Of the highest line, while phases are sought; they are judged on four times as many."""
 
 
 def shared_out(lines: Lines, axes: int) -> list[Lines]:
@@ -48,13 +42,14 @@ def sum_of_lines(lines: Lines, phases_rad: FloatArray, n: int) -> FloatArray:
     return np.asarray(np.fft.irfft(spectrum, n=n), dtype=np.float64)
 
 
-def low_peak_phases(lines: Lines, seed: int = 0) -> FloatArray:
+def low_peak_phases(lines: Lines, seed: int = 0, *, starts: int = 24) -> FloatArray:
     """(K,) phases of equal lines with a low relative peak factor, the period beginning and ending at zero.
 
     Parameters
     ----------
     lines : (K,) whole multiples of the base frequency, increasing.
     seed : of the random starts.
+    starts : Schroeder's phases, then random ones: the descent ends in one of many valleys.
 
     Examples
     --------
@@ -66,7 +61,7 @@ def low_peak_phases(lines: Lines, seed: int = 0) -> FloatArray:
     rng = np.random.default_rng(seed)
     best = _descended(lines, -np.pi * np.arange(len(lines)) ** 2 / len(lines), n)
     low = _judged(lines, best, n)
-    for _ in range(STARTS - 1):
+    for _ in range(starts - 1):
         if low <= LOW:
             break
         other = _descended(lines, rng.uniform(0.0, 2.0 * np.pi, len(lines)), n)
@@ -80,17 +75,23 @@ def _judged(lines: Lines, phases: FloatArray, n: int) -> float:
     return relative_peak_factor(sum_of_lines(lines, phases, 4 * n))
 
 
-def _fine(lines: Lines) -> int:
-    """Samples of a period on which peaks show."""
-    return int(2 ** np.ceil(np.log2(SAMPLES_A_CYCLE * lines.max())))
+def _fine(lines: Lines, *, a_cycle: int = 8) -> int:
+    """Samples of a period on which peaks show.
+
+    `a_cycle`: of the highest line, while phases are sought; they are judged on four times as many.
+    """
+    return int(2 ** np.ceil(np.log2(a_cycle * lines.max())))
 
 
-def _descended(lines: Lines, phases: FloatArray, n: int) -> FloatArray:
-    """Phases of a low peak near those given: L-BFGS on the logarithm of each norm in turn."""
+def _descended(lines: Lines, phases: FloatArray, n: int, *, steps: int = 60) -> FloatArray:
+    """Phases of a low peak near those given: L-BFGS on the logarithm of each norm in turn.
+
+    `steps`: of the descent on one norm; more gain little.
+    """
     from scipy.optimize import minimize
 
     for norm in NORMS:
-        way = {"maxiter": STEPS}
+        way = {"maxiter": steps}
         phases = minimize(_norm_and_slope, phases, (lines, n, norm), "L-BFGS-B", jac=True, options=way).x
     return np.asarray(phases, dtype=np.float64)
 

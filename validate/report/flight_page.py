@@ -16,10 +16,8 @@ from flysid.validate.report.html import environment, load_asset, script_json, se
 from flysid.validate.words import one_line
 from flysid.version import __version__
 
-DEFAULT_SAMPLES = 2_000_000  # in one page: about 40 MB
 
-
-def render_flights(timelines: Sequence[Timeline], title: str, most_samples: int = DEFAULT_SAMPLES) -> str:
+def render_flights(timelines: Sequence[Timeline], title: str, most_samples: int = 2_000_000) -> str:
     """The page; it loads nothing and keeps every peak.
 
     Parameters

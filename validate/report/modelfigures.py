@@ -17,9 +17,6 @@ from flysid.validate.report.overlay import Role
 from flysid.validate.report.svg import HALF, Axes, box, dots, frame, line, owned, picture, segment, span
 from flysid.validate.residuals import Correlation
 
-BINS = 41
-"""Of the histogram: an odd number has a bin about zero."""
-
 Lines = Mapping[Role, FloatArray]
 
 
@@ -101,12 +98,15 @@ def _marks(axes: Axes, z: ComplexArray, colour: str, *, cross: bool) -> Markup:
     return Markup('<path d="{}" class="mark {}"/>').format(d, colour)
 
 
-def histogram(residuals: Lines, words: tuple[str, str]) -> Markup:
-    """Share of the one-step residuals of every model in each of `BINS` bins; `words`: axis, label."""
+def histogram(residuals: Lines, words: tuple[str, str], *, bins: int = 41) -> Markup:
+    """Share of the one-step residuals of every model in each of `bins` bins; `words`: axis, label.
+
+    `bins`: of the histogram: an odd number has a bin about zero.
+    """
     own = np.concatenate([r for role, r in residuals.items() if role.shown])
     own = own[np.isfinite(own)]
     reach = float(np.percentile(np.abs(own), 99.5)) if len(own) else 1.0
-    edges = np.linspace(-1.0, 1.0, BINS + 1) * (reach or 1.0)
+    edges = np.linspace(-1.0, 1.0, bins + 1) * (reach or 1.0)
     shares = {}
     for role, r in residuals.items():
         count, _ = np.histogram(np.clip(r[np.isfinite(r)], edges[0], edges[-1]), edges)

@@ -21,8 +21,6 @@ from flysid.validate.residuals import Correlation
 from flysid.validate.responses import LASTING, measured_rests, poles_and_zeros, steady_outputs, step_from
 from flysid.validate.words import number, one_line
 
-SETTLED = 3.0
-"""Time constants after which 95 % of a change have happened: what lasts so long may be at rest."""
 STEP_POINTS = (50, 4000)
 """Fewest and most samples of a step."""
 
@@ -267,11 +265,12 @@ def _poles(source: Source, j: int, signal: int) -> Panel | None:
     )
 
 
-def _static(source: Source, j: int, signal: int) -> Panel:
+def _static(source: Source, j: int, signal: int, *, time_constants: float = 3.0) -> Panel:
+    """What lasts for `time_constants` of them may be at rest: 95 % of a change have happened."""
     c = source.comparison
     data = _training(source)
     u = np.concatenate([s.u for s in data.segments])
-    seconds = SETTLED * _slowest(source)
+    seconds = time_constants * _slowest(source)
     rests = measured_rests(data, seconds, j, signal)
     levels = np.linspace(float(u[:, signal].min()), float(u[:, signal].max()), 25)
     steady = {

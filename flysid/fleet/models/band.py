@@ -13,8 +13,6 @@ from flysid.errors import DataError
 from flysid.model.frequency.response import GOOD_COHERENCE
 
 ComplexArray = npt.NDArray[np.complex128]
-LEAST_CYCLES = 2
-"""In a window: a frequency below is not told apart from a drift."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +45,12 @@ def coherence_of(spectra: ComplexArray, source: int, target: int) -> FloatArray:
     return np.asarray(np.divide(cross, power, out=np.zeros_like(cross), where=power > 0.0))
 
 
-def band_of(spectra: ComplexArray, omega: FloatArray, source: int, target: int, channel: str) -> Band:
+def band_of(
+    spectra: ComplexArray, omega: FloatArray, source: int, target: int, channel: str, *, least_cycles: int = 2
+) -> Band:
     """The widest run of frequencies (in octaves) that are coherent.
+
+    `least_cycles`: in a window: a frequency below is not told apart from a drift.
 
     Raises
     ------
@@ -56,7 +58,7 @@ def band_of(spectra: ComplexArray, omega: FloatArray, source: int, target: int, 
     """
     coherence = coherence_of(spectra, source, target)
     good = coherence >= GOOD_COHERENCE
-    good[:LEAST_CYCLES] = False
+    good[:least_cycles] = False
     runs: list[tuple[float, float]] = []
     start: int | None = None
     for i, ok in enumerate([*good.tolist(), False]):
@@ -66,7 +68,7 @@ def band_of(spectra: ComplexArray, omega: FloatArray, source: int, target: int, 
             runs.append((float(omega[start]), float(omega[i - 1])))
             start = None
     if not runs:
-        best = float(coherence[LEAST_CYCLES:].max(initial=0.0))
+        best = float(coherence[least_cycles:].max(initial=0.0))
         raise DataError(
             f"channel {channel!r}: the coherence of output and input reaches {GOOD_COHERENCE:g} nowhere; "
             f"{best:.2f} at best",

@@ -18,10 +18,6 @@ from flysid.ingest.align.resample import nice_period_ns
 
 RATE_OVER_BAND = 10.0
 """Samples in a period of the highest coherent frequency (Astrom and Wittenmark, 1997, 2.9: 10 to 30)."""
-LAGS = 10
-"""So that the history is one such period."""
-WINDOW_SHARE = 0.5
-"""Of a flight's length: two cycles of the lowest frequency fit half a flight."""
 
 
 class Sampling(msgspec.Struct, frozen=True):
@@ -59,12 +55,13 @@ class Sampling(msgspec.Struct, frozen=True):
         return frequencies_of(self.window, self.dt_s)
 
 
-def choose_sampling(data: Dataset, rate_hz: float | None = None) -> Sampling:
+def choose_sampling(data: Dataset, rate_hz: float | None = None, *, lags: int = 10) -> Sampling:
     """The grid for a fleet from a few of its flights on the recipe's grid.
 
     Parameters
     ----------
     rate_hz : what the user asks for; None: from the coherence.
+    lags : so that the history is one such period.
 
     Raises
     ------
@@ -81,7 +78,7 @@ def choose_sampling(data: Dataset, rate_hz: float | None = None) -> Sampling:
     dt_s = max(data.dt_s, nice_period_ns(1e9 / rate_hz) * 1e-9)
     return Sampling(
         dt_s=dt_s,
-        lags=LAGS,
+        lags=lags,
         window=window_of(seconds, dt_s),
         inputs=tuple(s.name for s in data.inputs),
         outputs=tuple(s.name for s in data.outputs),
@@ -89,9 +86,12 @@ def choose_sampling(data: Dataset, rate_hz: float | None = None) -> Sampling:
     )
 
 
-def window_of(seconds: float, dt_s: float) -> int:
-    """Samples of a window for flights of that length: even, and not below 16."""
-    return max(16, 2 * round(WINDOW_SHARE * seconds / dt_s / 2.0))
+def window_of(seconds: float, dt_s: float, *, share: float = 0.5) -> int:
+    """Samples of a window for flights of that length: even, and not below 16.
+
+    `share`: of a flight's length: two cycles of the lowest frequency fit half a flight.
+    """
+    return max(16, 2 * round(share * seconds / dt_s / 2.0))
 
 
 def spread(names: Sequence[str], count: int) -> list[str]:

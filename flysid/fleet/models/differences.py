@@ -26,8 +26,6 @@ from flysid.fleet.models.scatter import PER_NUMBER, Scatter, Tail, pooled, tail_
 from flysid.fleet.models.triangles import Triangle
 
 Question = Literal["changed", "unlike"]
-SUSPECT = 0.05
-"""Adjusted p below which a vehicle does not count among those that tell how far T² strays."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,10 +204,13 @@ def _unlike(judged: Judged, changed: set[str]) -> list[Test]:
     return tests
 
 
-def _ordinary(p_values: Mapping[str, float]) -> list[str]:
-    """Vehicles that no test of them alone would flag: what has changed tells nothing of how others stray."""
+def _ordinary(p_values: Mapping[str, float], *, suspect: float = 0.05) -> list[str]:
+    """Vehicles that no test of them alone would flag: what has changed tells nothing of how others stray.
+
+    `suspect`: adjusted p below which a vehicle does not count among those that tell how far T² strays.
+    """
     adjusted = stats.false_discovery_control(list(p_values.values())) if p_values else []
-    return [name for name, q in zip(p_values, adjusted, strict=True) if q > SUSPECT]
+    return [name for name, q in zip(p_values, adjusted, strict=True) if q > suspect]
 
 
 def _mixed(

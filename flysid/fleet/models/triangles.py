@@ -19,8 +19,6 @@ from flysid.fleet.models.band import ComplexArray, spectra_of
 from flysid.fleet.models.common_grid import Sampling
 from flysid.model.gram import tsqr
 
-CHUNK_ROWS = 8192
-
 
 @dataclass(frozen=True, eq=False)
 class Triangle:
@@ -41,13 +39,13 @@ class Triangle:
     windows: int
 
 
-def triangle_of(segments: Sequence[Segment], sampling: Sampling) -> Triangle:
+def triangle_of(segments: Sequence[Segment], sampling: Sampling, *, chunk_rows: int = 8192) -> Triangle:
     """The triangle and the spectra of a flight's segments, which lie on the sampling's grid."""
     long = [s for s in segments if len(s) > sampling.lags]
     blocks = [
-        block[start : start + CHUNK_ROWS]
+        block[start : start + chunk_rows]
         for block in (_rows(s.u, s.y, sampling.lags) for s in long)
-        for start in range(0, len(block), CHUNK_ROWS)
+        for start in range(0, len(block), chunk_rows)
     ]
     width = sampling.columns
     spectra, windows = spectra_of(segments, sampling.window)

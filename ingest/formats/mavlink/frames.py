@@ -16,6 +16,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +40,14 @@ IntArray = npt.NDArray[np.int64]
 ByteArray = npt.NDArray[np.uint8]
 Chain = Callable[[ByteArray, int, int, int], tuple[IntArray, int]]
 Buffer = bytes | memoryview
+
+
+class MessageId(IntEnum):
+    """Messages that are known by their number, before their dialect is."""
+
+    HEARTBEAT = 0
+    RADIO_STATUS = 109
+    AUTOPILOT_VERSION = 148
 
 
 def crc_table() -> npt.NDArray[np.uint16]:

@@ -34,7 +34,7 @@ from flysid.ingest.formats.common.columns import (
 from flysid.ingest.formats.common.vehicle_time import Clocked, Source, VehicleTime
 from flysid.ingest.formats.mavlink.capture import Capture, holds_mavlink, scan_batch
 from flysid.ingest.formats.mavlink.dialect import DEFAULT, Dialect, load_dialect
-from flysid.ingest.formats.mavlink.frames import LOOK_AHEAD, STAMP_BYTES, Frames, Scanner
+from flysid.ingest.formats.mavlink.frames import LOOK_AHEAD, STAMP_BYTES, Frames, MessageId, Scanner
 from flysid.ingest.formats.mavlink.probing import (
     choose_dialect,
     count_frames,
@@ -46,8 +46,6 @@ from flysid.ingest.formats.mavlink.probing import (
 
 PROBE_BYTES = 1 << 20
 MAX_STREAMS = 2000
-HEARTBEAT = 0
-AUTOPILOT_VERSION = 148
 AUTOPILOT_INVALID = 8
 TIME_FIELDS = {"time_boot_ms": 1_000_000, "time_boot_us": 1000, "time_usec": 1000, "time_us": 1000}
 BOOT_FIELDS = ("time_boot_ms", "time_boot_us")
@@ -165,9 +163,9 @@ def _parts(reader: _Reader, frames: Frames) -> Iterator[StreamPart]:
     clocked: dict[Source, Clocked] = {}
     for source, rows in groups.items():
         layout = reader.dialect.layout(source[2])
-        if source[2] == HEARTBEAT:
+        if source[2] == MessageId.HEARTBEAT:
             _note_vehicle(reader, source, _matrix(frames, rows, layout), layout)
-        elif source[2] == AUTOPILOT_VERSION:
+        elif source[2] == MessageId.AUTOPILOT_VERSION:
             _note_firmware(reader, _matrix(frames, rows, layout), layout)
         if (name := _time_field(layout)) is not None:
             clocked[source] = reader.time.unwrapped(_clocked(source, name, rows, frames, layout))
