@@ -59,16 +59,15 @@ def refitted(truth: FittedTS, data: Dataset) -> FittedTS:
 
 
 def coverage(experiments: int) -> dict[str, float]:
-    """Share of gains, time constants and simulated samples whose 95 % interval holds the truth.
+    """Share of gains and simulated samples whose 95 % interval holds the truth.
 
     And the share of gains that the data bound, which alone have an interval.
     """
     truth = known_model()
     gain = np.array([rule.dc_gain for rule in truth.rules()])
-    slow = np.array([rule.time_constant_s for rule in truth.rules()])
     fresh = SCALE * steps(99, 300)
     clean: FloatArray = truth.simulate(fresh)
-    held: dict[str, list[float]] = {"gains": [], "gains given": [], "time constants": [], "simulation": []}
+    held: dict[str, list[float]] = {"gains": [], "gains given": [], "simulation": []}
     for seed in range(experiments):
         data = experiment(truth, seed)
         sure = uncertainty(refitted(truth, data), data)
@@ -76,8 +75,6 @@ def coverage(experiments: int) -> dict[str, float]:
         known = np.isfinite(low)
         held["gains"] += [float(v) for v in ((low <= gain) & (gain <= high))[known]]
         held["gains given"].append(float(known.mean()))
-        short, long = sure.time_constant_interval_s
-        held["time constants"].append(float(((short <= slow) & (slow <= long)).mean()))
         below, above = sure.simulation_band(fresh)
         held["simulation"].append(float(((below <= clean) & (clean <= above))[5:].mean()))
     return {name: float(np.mean(values)) for name, values in held.items()}

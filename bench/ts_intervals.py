@@ -17,7 +17,6 @@ from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.growth import best_started
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import runs_of
-from flysid.model.rules.rule_model import dc_gain
 from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.rules.stages import refine
 from flysid.model.ts import TS
@@ -63,7 +62,7 @@ def refitted(truth: FittedTS, data: Dataset) -> FittedTS:
 def coverage(experiments: int) -> dict[str, float]:
     """Share of consequents, gains and simulated samples whose 95 % interval holds the truth."""
     truth = known_model()
-    gain = np.array([dc_gain(A, B) for A, B, _ in truth.local_polynomials()])
+    gain = np.array([rule.gain for rule in truth.local_polynomials()])
     fresh = steps(99, 300)
     clean = truth.simulate(fresh, np.zeros((truth.n_init, 1)))
     held: dict[str, list[float]] = {"consequents": [], "gains": [], "simulation": []}

@@ -9,7 +9,7 @@ from flysid.errors import DataError, UsageError
 from flysid.export.program import Program
 from flysid.export.reference import run
 from flysid.model.base import Fitted
-from flysid.model.rules.rule_poles import pole_radius
+from flysid.model.rules.recursion import pole_radius
 from flysid.model.start import run_from_window, start_window
 
 REMEDY = (

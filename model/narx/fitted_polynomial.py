@@ -28,7 +28,7 @@ from flysid.model.narx.polynomial_terms import (
     term_name,
 )
 from flysid.model.polynomials import Z95
-from flysid.model.rules.rule_poles import companion
+from flysid.model.rules.recursion import companion
 from flysid.model.start import FreeRuns
 from flysid.showing import significant
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.kernel import free_run
-from flysid.model.rules.rule_model import RuleModel, refuse_other_models
+from flysid.model.rules.rule_model import RuleModel
 
 
 def next_step(model: RuleModel, s: FloatArray, u: FloatArray) -> FloatArray:
@@ -29,14 +29,9 @@ def to_nonlinear_system(model: RuleModel) -> Any:
     """The model as a discrete `control.NonlinearIOSystem` with the state s(k) of `next_step`, physical units.
 
     Driven by the same inputs from the same past it follows `simulate` sample by sample.
-
-    Raises
-    ------
-    UsageError : not a model of dynamic rules.
     """
     import control
 
-    refuse_other_models(model)
     n = model.layout.n
     own = model.layout.moving * n
     n_u = len(model.inputs)

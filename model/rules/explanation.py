@@ -12,7 +12,7 @@ from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.base import Rule
 from flysid.model.rules.kernel import firing
-from flysid.model.rules.rule_model import RuleModel, refuse_other_models
+from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.vocabulary import number
 
 CAUTION = "Caution:"
@@ -160,9 +160,8 @@ def outside_share(model: RuleModel, u: FloatArray, y: FloatArray) -> float:
 
     Raises
     ------
-    UsageError : not a model of dynamic rules; shapes do not fit.
+    UsageError : shapes do not fit.
     """
-    refuse_other_models(model)
     z = _antecedents(model, model.seen(u, y))
     return float(is_outside(model, z).any(axis=1).mean()) if z.size else 0.0
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.errors import UsageError
 from flysid.model.documents import array_or_none, points_from, signals_of
 from flysid.model.rules import control_system, explanation, local_models, rule_uncertainty, simplify
 from flysid.model.rules.assembly import at_stage, start_of
@@ -16,9 +15,11 @@ from flysid.model.rules.explanation import Explanation
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.integrity import check, refuse
 from flysid.model.rules.kernel import Parameters
-from flysid.model.rules.local_models import LocalStateSpace, StabilityCertificate
+from flysid.model.rules.local_models import LocalStateSpace
+from flysid.model.rules.lyapunov import StabilityCertificate, certificate_of
 from flysid.model.rules.operating_points import described
 from flysid.model.rules.realisation import Prior
+from flysid.model.rules.recursion import companion
 from flysid.model.rules.regressor_layout import REACH, Antecedent, Layout, Orders
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.rule_uncertainty import Uncertainty
@@ -40,21 +41,11 @@ class FittedTS(RuleModel):
     def linearise(self, at: Mapping[str, float]) -> LocalStateSpace:
         """The local linear model while every signal stands at a value; see `local_models.linearise`.
 
-        Hidden states stand where they rest beside the others.
-
         Parameters
         ----------
         at : signal's name -> value; signals left out stand at their mean in training.
-
-        Raises
-        ------
-        UsageError : a name that is no signal of the model, a value that is no number, hidden states that come
-            to no rest, a place at which the model is at its limit.
         """
-        layout = self.layout
-        means = np.delete(layout.shift, np.arange(layout.n_y, layout.n))
-        values = values_at([s.name for s in (*self.outputs, *self.inputs)], means, at)
-        return local_models.linearise(self, values[layout.n_y :], values[: layout.n_y])
+        return local_models.linearise(self, at)
 
     def polytope(self) -> tuple[LocalStateSpace, ...]:
         """The rules as local state spaces over one common state."""
@@ -62,7 +53,7 @@ class FittedTS(RuleModel):
 
     def certificate(self) -> StabilityCertificate:
         """What can be proved about the stability of any blend of the rules."""
-        return local_models.certificate(self)
+        return certificate_of([companion(rule.A) for rule in self.recursions()])
 
     def simplifications(self, train: Dataset) -> list[PricedEdit]:
         """What could be said more simply, cheapest first; of rules over lags."""
@@ -75,21 +66,6 @@ class FittedTS(RuleModel):
     def to_control(self) -> Any:
         """The model as a `control.NonlinearIOSystem`, which follows `simulate` sample by sample."""
         return control_system.to_nonlinear_system(self)
-
-
-def values_at(names: list[str], means: FloatArray, at: Mapping[str, float]) -> FloatArray:
-    """The mean of every signal, or what `at` says of it.
-
-    Raises
-    ------
-    UsageError : a name that is none of them, a value that is no finite number.
-    """
-    for name, value in at.items():
-        if name not in names:
-            raise UsageError(f"the model has no signal {name!r}", hint=f"one of {', '.join(names)}")
-        if not isinstance(value, int | float | np.number) or not np.isfinite(value):
-            raise UsageError(f"{name}={value!r} is not an operating point", hint="give a finite number")
-    return np.array([at.get(name, mean) for name, mean in zip(names, means, strict=True)], dtype=float)
 
 
 def finished(

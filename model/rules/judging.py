@@ -20,8 +20,8 @@ from flysid.model.rules.free_run_error import Stage, started_run
 from flysid.model.rules.kernel import Parameters, free_run
 from flysid.model.rules.linear_starts import LinearStart
 from flysid.model.rules.realisation import initial_states
+from flysid.model.rules.recursion import unheld
 from flysid.model.rules.regressor_layout import windows
-from flysid.model.rules.rule_poles import unheld
 from flysid.model.rules.search_settings import QUARTERS
 from flysid.model.rules.stages import prior_of
 from flysid.model.selection import block_means

@@ -1,4 +1,9 @@
-"""A common quadratic Lyapunov function of several matrices: found wherever one exists, but for rounding.
+"""A common quadratic Lyapunov function of all rules: found wherever one exists, but for rounding.
+
+It proves that outputs stay bounded under bounded inputs for any blend of rules, and that a run forgets its
+start under any one sequence of firing strengths (Tanaka and Sugeno 1992). Where conditions speak of outputs,
+two runs on the same inputs fire differently: that these come together too is asked of runs
+(`flysid.model.rules.boundedness`). Its absence proves nothing.
 
 P > 0 with g^2 P - A_r' P A_r > 0 for every rule r is a linear matrix inequality, and convex: an
 interior-point method (Boyd, El Ghaoui, Feron and Balakrishnan 1994, section 2.4) lowers the slack s of
@@ -14,14 +19,63 @@ factors, so that nothing rests on the search. With n states and R rules a step c
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.barrier import slackless, symmetric_basis, value_at
+from flysid.model.rules.recursion import ROUNDING
 from flysid.model.threads import on_one_thread
 
 MOST_STATES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class StabilityCertificate:
+    """What could be proved about stability.
+
+    Attributes
+    ----------
+    proved : a common quadratic Lyapunov function was found, and checked.
+    P : (n, n) its matrix, symmetric positive definite; zeros where none was found.
+    decay : the worst factor by which sqrt(x'Px) shrinks per step; at least 1 where nothing is proved.
+    reason : in words.
+    """
+
+    proved: bool
+    P: FloatArray
+    decay: float
+    reason: str
+
+
+def certificate_of(rules: Sequence[FloatArray]) -> StabilityCertificate:
+    """A P > 0 with A_r' P A_r - P < 0 for the (n, n) matrices of all rules, where one is found."""
+    n = len(rules[0])
+    nothing = np.zeros((n, n))
+    if n == 0:
+        return StabilityCertificate(True, nothing, 0.0, "The model has no memory of its outputs.")
+    radii = _radii(rules)
+    if max(radii) >= 1.0:
+        worst = int(np.argmax(radii))
+        return StabilityCertificate(
+            False,
+            nothing,
+            max(radii),
+            f"R{worst + 1} by itself is not stable (pole radius {radii[worst]:.4f}), so no common quadratic "
+            "Lyapunov function of all rules exists; the blend may still be stable.",
+        )
+    found = common_lyapunov(rules)
+    if found is None:
+        reason = "Every rule is stable, but no common quadratic Lyapunov function was found."
+        return StabilityCertificate(False, nothing, 1.0, reason)
+    P, decay = found
+    shown = np.ceil(decay * 1e5) / 1e5
+    reason = (
+        f"A common quadratic Lyapunov function proves it: the norm of the state falls to {shown:.5f} of "
+        "itself or less per step, for any blend of rules; bounded inputs give bounded outputs."
+    )
+    return StabilityCertificate(True, P, decay, reason)
 
 
 @on_one_thread
@@ -35,12 +89,12 @@ def common_lyapunov(rules: Sequence[FloatArray], *, bisections: int = 6) -> tupl
     """
     if len(rules[0]) > MOST_STATES:
         return None
-    T = _balancing(rules)
-    balanced = [np.asarray(np.linalg.solve(T, A @ T), dtype=np.float64) for A in rules]
+    low = max(_radii(rules))
+    T = _balancing(rules, low)
+    balanced = [np.linalg.solve(T, A @ T) for A in rules]
     best = _verified(_feasible(balanced, 1.0), balanced)
     if best is None:
         return None
-    low = max(float(np.abs(np.linalg.eigvals(A)).max()) for A in rules)
     for _ in range(bisections):
         middle = 0.5 * (low + best[1])
         found = _verified(_feasible(balanced, middle), balanced)
@@ -52,53 +106,48 @@ def common_lyapunov(rules: Sequence[FloatArray], *, bisections: int = 6) -> tupl
     return np.asarray(back.T @ best[0] @ back), best[1]
 
 
-def _balancing(rules: Sequence[FloatArray]) -> FloatArray:
-    """(n, n) coordinates in which the mean rule is close to normal: x = T z."""
+def _radii(rules: Sequence[FloatArray]) -> list[float]:
+    return [float(np.abs(np.linalg.eigvals(A)).max()) for A in rules]
+
+
+def _balancing(rules: Sequence[FloatArray], radius: float) -> FloatArray:
+    """(n, n) coordinates in which the mean rule, at most of this radius, is close to normal: x = T z."""
     from scipy.linalg import solve_discrete_lyapunov
 
     mean = np.mean(rules, axis=0)
-    radius = float(np.abs(np.linalg.eigvals(mean)).max())
-    shrunk = mean if radius < 0.9999 else mean * (0.9999 / radius)
-    P = solve_discrete_lyapunov(shrunk.T, np.eye(len(mean)))
-    values, vectors = np.linalg.eigh(0.5 * (P + P.T))
-    return np.asarray(vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])))
+    (own,) = _radii([mean])
+    mean = mean * (radius / own if own > radius else 1.0)
+    P = solve_discrete_lyapunov(mean.T, np.eye(len(mean)))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(0.5 * (P + P.T))).T)
 
 
 def _verified(P: FloatArray | None, rules: Sequence[FloatArray]) -> tuple[FloatArray, float] | None:
-    """P and its decay where that is below 1 beyond rounding."""
+    """P and its decay, the largest sqrt(x'A'PAx / x'Px), where that is below 1 beyond rounding."""
+    from scipy.linalg import eigh
+
     if P is None:
         return None
     try:
-        L = np.asarray(np.linalg.cholesky(P), dtype=np.float64)
-    except np.linalg.LinAlgError:
+        worst = max(float(eigh(A.T @ P @ A, P, eigvals_only=True)[-1]) for A in rules)
+    except np.linalg.LinAlgError:  # not positive definite
         return None
-    decay = float(np.sqrt(max(max(_square_decay(A, P, L) for A in rules), 0.0)))
-    return (P, decay) if decay < 1.0 - 1e-9 else None
-
-
-def _square_decay(A: FloatArray, P: FloatArray, L: FloatArray) -> float:
-    """Largest x'A'PAx / x'Px, P = L L'."""
-    M = np.linalg.solve(L, np.linalg.solve(L, A.T @ P @ A).T)
-    return float(np.linalg.eigvalsh(0.5 * (M + M.T))[-1])
+    decay = float(np.sqrt(max(worst, 0.0))) + ROUNDING
+    return (P, decay) if decay < 1.0 else None
 
 
 def _feasible(rules: Sequence[FloatArray], g: float) -> FloatArray | None:
     """A P of the inequalities at decay g, scaled so that P < I; None where the slack stays above zero."""
     n = len(rules[0])
     E = symmetric_basis(n)
-    blocks = [
-        (
-            np.zeros((n, n)),
-            np.concatenate([g * g * E - A.T @ E @ A, np.eye(n)[None]]),
-        )
-        for A in rules
+    nothing = np.zeros((n, n))
+    blocks = [(nothing, np.concatenate([g * g * E - A.T @ E @ A, np.eye(n)[None]])) for A in rules]
+    blocks += [
+        (F0, np.concatenate([way * E, nothing[None]])) for F0, way in ((nothing, 1.0), (np.eye(n), -1.0))
     ]
-    still = np.zeros((1, n, n))
-    blocks += [(np.zeros((n, n)), np.concatenate([E, still])), (np.eye(n), np.concatenate([-E, still]))]
     x = np.append(0.5 * np.einsum("kii->k", E), 0.0)
     worst = max(float(-np.linalg.eigvalsh(value_at(block, x))[0]) for block in blocks[:-2])
     if worst < 0.0:
         return 0.5 * np.eye(n)
-    x[-1] = 2.0 * worst + 1e-3
+    x[-1] = worst + 1.0
     inside = slackless(blocks, x)
     return None if inside is None else np.asarray(np.tensordot(inside[:-1], E, 1))

@@ -13,9 +13,10 @@ Such an error is the same in every sample and has a bound: it is taken to lie an
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol, TypeVar
+from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -25,39 +26,19 @@ from flysid.model.base import OperatingPoint
 from flysid.model.covariance import root_of
 from flysid.model.polynomials import Z95
 from flysid.model.rules.free_run_error import Stage
-from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.lack_of_fit import scale_factor
-from flysid.model.rules.regressor_layout import Layout
 from flysid.model.rules.rule_model import RuleModel
-from flysid.model.rules.rule_uncertainty import uncertainty
-from flysid.model.rules.steady_map import SteadyMap, Tangent
+from flysid.model.rules.rule_uncertainty import Uncertainty, uncertainty
+from flysid.model.rules.steady_map import Place, SteadyMap
 from flysid.model.rules.vocabulary import Axis
 
-_FLOWN = (0.025, 0.975)  # quantiles of an output between which a model is asked
-_PUSHED = (0.01, 0.99)  # quantiles of an input within which it must come to rest
+_FLOWN = (0.01, 0.99)  # quantiles of signals within which a model is asked
 _GRID = 41  # places on the way from one end to the other
 _MODEST = (0.1, 0.5, 0.9)  # quantiles that stand for slow, cruise and fast
 _STEP = 1e-3  # of a standard deviation, for derivatives
 _FLOOR = 0.03  # of a figure: what orders and sampling cost that no model nearby shows
-_LOST = 20.0  # of a logarithm: half an interval beyond which there is nothing to say, and numbers overflow
+_LOST = float(-np.log(np.finfo(float).eps))  # half an interval beyond which one end is the other's rounding
 _EVENLY = 0.95 * np.sqrt(3.0)  # of a standard deviation: what 95 % of evenly spread errors are within
-
-
-class NumberSpread(Protocol):
-    """The distribution of a model's numbers."""
-
-    @property
-    def covariance(self) -> FloatArray: ...
-    def centre(self) -> FloatArray: ...
-    def parameters_at(self, vector: FloatArray) -> Parameters: ...
-
-
-class Numbers(NamedTuple):
-    """A model as far as it simulates."""
-
-    layout: Layout
-    parameters: Parameters
-
 
 M = TypeVar("M", bound=RuleModel)
 
@@ -68,33 +49,23 @@ def described(model: M, train: Dataset, neighbour: Stage | None = None) -> M:
     With intervals where it stands at a minimum of the simulation error and another one is known beside it:
     noise alone is half of what such numbers are off by.
     """
-    sure: NumberSpread | None = None
+    sure: Uncertainty | None = None
+    more: SteadyMap | None = None
     misfit = 1.0
     if neighbour is not None:
+        more = SteadyMap(neighbour.layout, neighbour.problem.parameters(neighbour.body))
         with contextlib.suppress(DataError, np.linalg.LinAlgError), np.errstate(all="ignore"):
             misfit = scale_factor(model, train)
             sure = uncertainty(model, train)
-    more = (
-        None if neighbour is None else Numbers(neighbour.layout, neighbour.problem.parameters(neighbour.body))
-    )
-    points = operating_points(Numbers(model.layout, model.parameters), train, sure, more, misfit)
-    return replace(model, operating_points=points)
-
-
-@dataclass(frozen=True, eq=False)
-class Place:
-    """A place at rest: signals w (n + n_u,), the tangent there, samples until it has settled."""
-
-    w: FloatArray
-    tangent: Tangent
-    samples: int
+    own = SteadyMap(model.layout, model.parameters)
+    return replace(model, operating_points=operating_points(own, train, sure, more, misfit))
 
 
 def operating_points(
-    numbers: Numbers,
+    model: SteadyMap,
     train: Dataset,
-    sure: NumberSpread | None = None,
-    neighbour: Numbers | None = None,
+    sure: Uncertainty | None = None,
+    neighbour: SteadyMap | None = None,
     misfit: float = 1.0,
 ) -> tuple[OperatingPoint, ...]:
     """For every output: places over what was flown; none where the model comes to no rest (it integrates).
@@ -107,42 +78,134 @@ def operating_points(
         the intervals.
     misfit : by how much the noise's standard errors are too small (`scale_factor`).
     """
-    found: list[OperatingPoint] = []
-    for output in range(len(train.outputs)):
-        found += _of_output(_Asked(numbers, train, sure, neighbour, misfit, output))
-    return tuple(found)
+    outputs = range(len(train.outputs))
+    return tuple(
+        p for output in outputs for p in _Asked(model, train, sure, neighbour, misfit, output).points()
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
     """One output of one model."""
 
-    numbers: Numbers
+    model: SteadyMap
     train: Dataset
-    sure: NumberSpread | None
-    neighbour: Numbers | None
+    sure: Uncertainty | None
+    neighbour: SteadyMap | None
     misfit: float
     output: int
 
-    @property
-    def map(self) -> SteadyMap:
-        return SteadyMap(self.numbers.layout)
+    def points(self) -> Iterator[OperatingPoint]:
+        """What the model does from slow to fast, as far as it rests there within what the input has flown."""
+        y = np.concatenate([s.y[:, self.output] for s in self.train.segments])
+        u = np.concatenate([s.u[:, self.moved] for s in self.train.segments])
+        wanted = _levels(y)
+        grid = np.unique(np.concatenate([np.linspace(*np.quantile(y, _FLOWN), _GRID), wanted]))
+        shift, scale = self.model.layout.shift, self.model.layout.scale
+        column = self.model.n + self.moved
+        low, high = (np.quantile(u, _FLOWN) - shift[column]) / scale[column]
+        found = {
+            level: place
+            for level, place in walked(self.model, self.output, self.moved, grid).items()
+            if low <= place.w[column] <= high and place.tangent.samples() is not None
+        }
+        levels = np.array(sorted(found))
+        nearest = [levels[np.abs(levels - v).argmin()] for v in wanted] if found else []
+        for level in np.unique(nearest):
+            yield self._point(float(level), found[float(level)])
 
+    @cached_property
+    def moved(self) -> int:
+        """The input that moves the output most over its own spread, at the mean of training."""
+        A, B, _ = self.model.at(np.zeros(len(self.model.layout.scale))).tangent
+        gains = np.linalg.pinv(np.eye(self.model.n) - A.sum(axis=0)) @ B.sum(axis=0)
+        return int(np.abs(gains[self.output]).argmax())
 
-def _of_output(asked: _Asked) -> Iterable[OperatingPoint]:
-    numbers = asked.numbers
-    output = asked.output
-    y = np.concatenate([s.y[:, output] for s in asked.train.segments])
-    low, high = np.quantile(y, _FLOWN)
-    wanted = _levels(y)
-    moved = _main_input(numbers, output)
-    grid = np.unique(np.concatenate([np.linspace(low, high, _GRID), wanted]))
-    places = _flown(walked(numbers, output, moved, grid), numbers, asked.train, moved)
-    if not places:
-        return
-    levels = np.array(sorted(places))
-    for level in np.unique([levels[np.abs(levels - v).argmin()] for v in wanted]):
-        yield _point(asked, places[level], moved)
+    def _point(self, level: float, place: Place) -> OperatingPoint:
+        layout = self.model.layout
+        n, n_y = self.model.n, layout.n_y
+        dt = self.train.dt_s
+        output = self.output
+        tangent = place.tangent
+        samples = tangent.samples()
+        assert samples is not None
+        inputs = range(len(layout.inputs))
+        answers = [tangent.answer(j, samples) for j in inputs]
+        figures = np.array([(a.gain[output], a.reached[output]) for a in answers]).T
+        wide = np.minimum(self._half_widths(level, place, figures, samples), _LOST)
+        gain, reached = figures * np.stack(
+            [layout.scale[output] / layout.scale[n:], np.full(len(inputs), dt)]
+        )
+        ends = np.exp(np.stack([-wide, wide], axis=1))  # (2 figures, low and high, inputs)
+        at = place.w * layout.scale + layout.shift
+        return OperatingPoint(
+            output=output,
+            outputs=at[:n_y],
+            inputs=at[n:],
+            gain=gain,
+            gain_interval=np.sort(gain * ends[0], axis=0),
+            reached_s=reached,
+            reached_interval_s=reached * ends[1],
+            dead_s=np.array([dt * max(tangent.delay(output, j) - 1, 0) for j in inputs]),
+            overshoot=np.array([float(a.overshoot[output]) for a in answers]),
+            wrong_way=np.array([float(a.wrong_way[output]) for a in answers]),
+            shares=place.shares,
+        )
+
+    def _figures(self, model: SteadyMap, place: Place, samples: int | None) -> FloatArray | None:
+        """(2, n_u) gain and samples to 63 % of a model that rests near a place; None where it does not."""
+        found = model.resting(place.w, self.output, self.moved)
+        if found is None or samples is None:
+            return None
+        answers = (found.tangent.answer(j, samples) for j in range(len(model.layout.inputs)))
+        return np.array([(a.gain[self.output], a.reached[self.output]) for a in answers]).T
+
+    def _half_widths(self, level: float, place: Place, figures: FloatArray, samples: int) -> FloatArray:
+        """(2, n_u) half 95 % intervals of the logarithms of gain and time; NaN where nothing is known."""
+        if self.sure is None:
+            return np.full(figures.shape, np.nan)
+        noise = np.zeros(figures.shape)
+        root = root_of(self.sure.covariance)
+        with np.errstate(all="ignore"):  # an answer at once takes no time at all
+            for direction in root.T[np.abs(root).max(axis=0) > 0.0]:
+                near = (
+                    replace(self.model, parameters=self.sure.beside(way * direction))
+                    for way in (_STEP, -_STEP)
+                )
+                more, less = (self._figures(model, place, samples) for model in near)
+                if more is None or less is None:
+                    return np.full(figures.shape, np.nan)
+                noise += ((more - less) / (2.0 * _STEP * figures)) ** 2
+            lack = np.maximum((self.misfit**2 - 1.0) * noise, self._of_neighbour(level, figures) ** 2)
+            lack = np.maximum(lack, _FLOOR**2)
+            lack[1] = np.maximum(lack[1], (self._switched() / figures[1]) ** 2)
+            return np.asarray(np.hypot(Z95 * np.sqrt(noise), _EVENLY * np.sqrt(lack)))
+
+    def _switched(self) -> FloatArray:
+        """(n_u,) samples from the first to the last lag of every input that conditions speak of; else 0.
+
+        Such a condition switches the weights of all these lags at once, with one of them, so that how an
+        answer is spread over them hangs on the condition. Steady gains do not.
+        """
+        lags = self.model.layout.lags
+        columns = range(self.model.n, len(self.model.layout.scale))
+        own = [lags.lag[lags.column == column] for column in columns]
+        spoken = [column in lags.z_column and len(lag) > 0 for column, lag in zip(columns, own, strict=True)]
+        return np.array([float(np.ptp(lag)) if said else 0.0 for lag, said in zip(own, spoken, strict=True)])
+
+    def _of_neighbour(self, level: float, figures: FloatArray) -> FloatArray:
+        """(2, n_u) logarithms of what the neighbour says there over what this one does; 0 without one."""
+        if self.neighbour is None:
+            return np.zeros(figures.shape)
+        own, other = self.model.layout, self.neighbour.layout
+        way = np.unique(np.append(np.linspace(own.shift[self.output], level, _GRID // 5), level))
+        place = walked(self.neighbour, self.output, self.moved, way).get(level)
+        said = None if place is None else self._figures(self.neighbour, place, place.tangent.samples())
+        if said is None:
+            return np.full(figures.shape, np.inf)
+        units = [layout.scale[self.output] / layout.scale[layout.n :] for layout in (other, own)]
+        ratio = said * np.stack([units[0] / units[1], np.ones(figures.shape[1])]) / figures
+        return np.where(ratio > 0.0, np.log(ratio), np.inf)
 
 
 def _levels(y: FloatArray) -> FloatArray:
@@ -157,173 +220,30 @@ def _levels(y: FloatArray) -> FloatArray:
     return np.concatenate([-sizes[::-1], sizes])
 
 
-def _main_input(numbers: Numbers, output: int) -> int:
-    """The input that moves the output most over its own spread, at the mean of training."""
-    steady = SteadyMap(numbers.layout)
-    n = numbers.parameters.theta.shape[1]
-    whole = steady.summed(steady.tangent(numbers.parameters, np.zeros(len(numbers.layout.scale))))
-    gains = np.linalg.pinv(np.eye(n) - whole[:, :n]) @ whole[:, n:]
-    return int(np.abs(gains[output]).argmax())
-
-
-def walked(
-    numbers: Numbers, output: int, moved: int, levels: FloatArray
-) -> dict[float, tuple[FloatArray, Tangent]]:
-    """Where the model rests at levels (L,) of an output, physical units: level -> signals and tangent.
+def walked(model: SteadyMap, output: int, moved: int, levels: FloatArray) -> dict[float, Place]:
+    """Where the model rests at levels (L,) of an output, rising, physical units.
 
     From the mean of training outwards, each place from the one before, as far as there are such places.
     """
-    layout = numbers.layout
-    par = numbers.parameters
-    steady = SteadyMap(layout)
-    found: dict[float, tuple[FloatArray, Tangent]] = {}
+    layout = model.layout
     normal = (levels - layout.shift[output]) / layout.scale[output]
     middle = int(np.abs(normal).argmin())
-    for way in (range(middle, len(levels)), range(middle - 1, -1, -1)):
-        w = (
-            np.zeros(len(layout.scale))
-            if way.start == middle
-            else found.get(float(levels[middle]), (None,))[0]
-        )
+    found: dict[float, Place] = {}
+
+    def walk(way: Sequence[int], w: FloatArray) -> FloatArray | None:
+        first = None
         for at in way:
-            if w is None:
-                break
             w = w.copy()
             w[output] = normal[at]
-            w = steady.at_rest(par, w, output, moved)
-            if w is not None:
-                found[float(levels[at])] = (w, steady.tangent(par, w))
+            place = model.resting(w, output, moved)
+            if place is None:
+                break
+            found[float(levels[at])] = place
+            w = place.w
+            first = w if first is None else first
+        return first
+
+    start = walk(range(middle, len(levels)), np.zeros(len(layout.scale)))
+    if start is not None:
+        walk(range(middle - 1, -1, -1), start)
     return found
-
-
-def _flown(
-    found: Mapping[float, tuple[FloatArray, Tangent]], numbers: Numbers, train: Dataset, moved: int
-) -> dict[float, Place]:
-    """Of the places those that are stable and within what the input has flown."""
-    layout = numbers.layout
-    steady = SteadyMap(numbers.layout)
-    column = numbers.parameters.theta.shape[1] + moved
-    u = np.concatenate([s.u[:, moved] for s in train.segments])
-    low, high = (np.quantile(u, _PUSHED) - layout.shift[column]) / layout.scale[column]
-    places = {}
-    for level, (w, tangent) in found.items():
-        samples = steady.samples(steady.pole_radius(tangent))
-        if samples is not None and low <= w[column] <= high:
-            places[level] = Place(w, tangent, samples)
-    return places
-
-
-def _point(asked: _Asked, place: Place, moved: int) -> OperatingPoint:
-    layout = asked.numbers.layout
-    n = asked.numbers.parameters.theta.shape[1]
-    n_y = len(asked.train.outputs)
-    dt = asked.train.dt_s
-    inputs = range(len(asked.train.inputs))
-    output = asked.output
-    steady = asked.map
-    answers = [steady.answer(place.tangent, j, place.samples) for j in inputs]
-    at = place.w * layout.scale + layout.shift
-    figures = _figures(steady, asked.numbers.parameters, place, output, moved)
-    assert figures is not None
-    wide = np.minimum(_half_widths(asked, place, moved, figures), _LOST)
-    unit = layout.scale[output] / layout.scale[n:]
-    gain = figures[0] * unit
-    reached = figures[1] * dt
-    ends = np.stack([-wide, wide], axis=1)  # (2 figures, low and high, inputs)
-    gains = np.sort(gain * np.exp(ends[0]), axis=0)
-    return OperatingPoint(
-        output=output,
-        outputs=at[:n_y],
-        inputs=at[n:],
-        gain=gain,
-        gain_interval=gains,
-        reached_s=reached,
-        reached_interval_s=reached * np.exp(ends[1]),
-        dead_s=np.array([dt * max(steady.delay(place.tangent, output, j) - 1, 0) for j in inputs]),
-        overshoot=np.array([float(a.overshoot[output]) for a in answers]),
-        wrong_way=np.array([float(a.wrong_way[output]) for a in answers]),
-        shares=place.tangent.shares,
-    )
-
-
-def _figures(steady: SteadyMap, par: Parameters, place: Place, output: int, moved: int) -> FloatArray | None:
-    """(2, n_u) gain and samples to 63 % of parameters that rest near a place, over as many samples as it."""
-    w = steady.at_rest(par, place.w, output, moved)
-    if w is None:
-        return None
-    tangent = steady.tangent(par, w)
-    n = len(tangent.value)
-    answers = (steady.answer(tangent, j, place.samples) for j in range(len(w) - n))
-    return np.array([(a.gain[output], a.reached[output]) for a in answers]).T
-
-
-def _half_widths(asked: _Asked, place: Place, moved: int, figures: FloatArray) -> FloatArray:
-    """(2, n_u) half 95 % intervals of the logarithms of gain and time; NaN where nothing is known."""
-    sure = asked.sure
-    if sure is None:
-        return np.full(figures.shape, np.nan)
-    steady = asked.map
-    centre = sure.centre()
-    noise = np.zeros(figures.shape)
-    root = root_of(sure.covariance)
-    with np.errstate(all="ignore"):  # an answer at once takes no time at all
-        for direction in root.T[np.abs(root).max(axis=0) > 0.0]:
-            ends = [
-                _figures(steady, sure.parameters_at(centre + way * direction), place, asked.output, moved)
-                for way in (_STEP, -_STEP)
-            ]
-            if ends[0] is None or ends[1] is None:
-                return np.full(figures.shape, np.nan)
-            noise += ((ends[0] - ends[1]) / (2.0 * _STEP * figures)) ** 2
-        lack = np.maximum((asked.misfit**2 - 1.0) * noise, _of_neighbour(asked, place, moved, figures) ** 2)
-        lack = np.maximum(lack, _FLOOR**2)
-        lack[1] = np.maximum(lack[1], (_switched(asked.numbers) / figures[1]) ** 2)
-        return np.asarray(np.hypot(Z95 * np.sqrt(noise), _EVENLY * np.sqrt(lack)))
-
-
-def _switched(numbers: Numbers) -> FloatArray:
-    """(n_u,) samples from the first to the last lag of every input that conditions speak of; else 0.
-
-    Such a condition switches the weights of all these lags at once, with one of them, so that how an answer
-    is spread over them hangs on the condition. Steady gains do not.
-    """
-    lags = numbers.layout.lags
-    n = numbers.parameters.theta.shape[1]
-    apart = np.zeros(len(numbers.layout.scale) - n)
-    for j in range(len(apart)):
-        own = lags.lag[lags.column == n + j]
-        if len(own) and n + j in lags.z_column:
-            apart[j] = np.ptp(own)
-    return apart
-
-
-def _of_neighbour(asked: _Asked, place: Place, moved: int, figures: FloatArray) -> FloatArray:
-    """(2, n_u) logarithms of what the neighbour says there over what this one does; 0 without one."""
-    if asked.neighbour is None:
-        return np.zeros(figures.shape)
-    own = asked.numbers.layout
-    other = asked.neighbour.layout
-    level = place.w[asked.output] * own.scale[asked.output] + own.shift[asked.output]
-    mean = float(own.shift[asked.output])
-    found = walked(
-        asked.neighbour,
-        asked.output,
-        moved,
-        np.linspace(mean, level, 8) if level != mean else np.array([level]),
-    )
-    if level not in found:
-        return np.full(figures.shape, np.inf)
-    w, tangent = found[level]
-    steady = SteadyMap(other)
-    samples = steady.samples(steady.pole_radius(tangent))
-    if samples is None:
-        return np.full(figures.shape, np.inf)
-    said = _figures(steady, asked.neighbour.parameters, Place(w, tangent, samples), asked.output, moved)
-    if said is None:
-        return np.full(figures.shape, np.inf)
-    n = asked.numbers.parameters.theta.shape[1]
-    m = asked.neighbour.parameters.theta.shape[1]
-    units = (other.scale[asked.output] / other.scale[m:]) / (own.scale[asked.output] / own.scale[n:])
-    ratio = said / figures
-    ratio[0] *= units
-    return np.where(ratio > 0.0, np.log(ratio), np.inf)

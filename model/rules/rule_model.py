@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from flysid.dataset import FloatArray, Signal
 from flysid.errors import UsageError
@@ -27,14 +26,10 @@ from flysid.model.rules.free_run_error import widened
 from flysid.model.rules.kernel import Parameters, firing, free_run, predict
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.phrases import condition_in_words, equation, in_words, push_in_words
+from flysid.model.rules.recursion import ComplexArray, Recursion, time_constant
 from flysid.model.rules.regressor_layout import Layout
-from flysid.model.rules.rule_poles import companion
 from flysid.model.rules.run_start import RunStart
 from flysid.model.start import FreeRuns, full_window, start_window
-
-ComplexArray = npt.NDArray[np.complex128]
-Recursion = tuple[FloatArray, FloatArray, FloatArray]
-"""(A, B, c): x(k) = sum_j A[j-1] x(k-j) + sum_j B[j] u(k-j) + c."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -219,59 +214,37 @@ class RuleModel(FreeRuns):
     # -- rules ---------------------------------------------------------------------------------------------
 
     def recursions(self) -> tuple[Recursion, ...]:
-        """Per rule (A, B, c) over all simulated columns: x(k) = sum_j A[j-1] x(k-j) + sum_j B[j] u(k-j) + c.
-
-        A is (na, n, n), B is (largest input lag + 1, n, n_u), c is (n,), physical units.
-        """
-        n = self.layout.n
-        terms = self.layout.regressors[:-1]
-        deepest = max([0, *(lag for c, lag in terms if c >= n)])
-        result = []
-        for theta in self.consequents:
-            A = np.zeros((self.layout.orders.na, n, n))
-            B = np.zeros((deepest + 1, n, len(self.inputs)))
-            for m, (c, lag) in enumerate(terms):
-                if c < n:
-                    A[lag - 1, :, c] = theta[:, m]
-                else:
-                    B[lag, :, c - n] = theta[:, m]
-            result.append((A, B, theta[:, -1].copy()))
-        return tuple(result)
+        """Every rule by itself over all simulated columns, physical units."""
+        columns = len(self.layout.scale)
+        return tuple(Recursion.of(self.layout.lags, theta, columns) for theta in self.consequents)
 
     def local_polynomials(self) -> tuple[Recursion, ...]:
-        """Per rule (A, B, c): y(k) = sum_j A[j-1] y(k-j) + sum_j B[j] u(k-j) + c, physical units.
-
-        A is (lags, n_y, n_y), B is (largest input lag + 1, n_y, n_u), c is (n_y,). Hidden states are
-        eliminated.
-        """
+        """Every rule by itself over the outputs, physical units: hidden states are eliminated."""
         found = self.recursions()
-        return tuple(_without_hidden(r, self.layout.n_y) for r in found) if self.layout.hidden else found
+        return tuple(r.without_hidden(self.layout.n_y) for r in found) if self.layout.hidden else found
 
     def local_poles(self) -> tuple[ComplexArray, ...]:
         """Poles of every rule by itself, slowest first."""
-        found = [np.linalg.eigvals(companion(A)).astype(np.complex128) for A, _, _ in self.recursions()]
-        return tuple(p[np.argsort(-np.abs(p), kind="stable")] for p in found)
+        return tuple(r.poles for r in self.recursions())
 
     def rules(self) -> tuple[Rule, ...]:
         """Every rule in words."""
-        parts = zip(self.recursions(), self.local_poles(), strict=True)
-        return tuple(self._rule(r, recursion, poles) for r, (recursion, poles) in enumerate(parts))
+        return tuple(self._rule(r, recursion) for r, recursion in enumerate(self.recursions()))
 
-    def _rule(self, r: int, recursion: Recursion, poles: ComplexArray) -> Rule:
-        A, B, c = recursion
+    def _rule(self, r: int, recursion: Recursion) -> Rule:
         layout = self.layout
         units = [layout.signals[a.column].unit for a in layout.antecedents]
         names = self.regressor_names[:-1]
         text = ", ".join(
-            equation(lagged_name(s.name, 0), self.consequents[r, i, :-1], names, c[i])
-            for i, s in enumerate(layout.signals[: layout.n])
+            equation(lagged_name(s.name, 0), row[:-1], names, row[-1])
+            for s, row in zip(layout.signals, self.consequents[r], strict=False)
         )
-        radius = float(np.abs(poles).max(initial=0.0))
+        radius = recursion.pole_radius
         return Rule(
             label=f"R{r + 1}",
             condition=condition_in_words(self.partition, r, self.antecedents, units),
             conclusion=text,
-            dc_gain=dc_gain(A, B)[: layout.n_y],
+            dc_gain=recursion.gain[: layout.n_y],
             time_constant_s=time_constant(radius, self.dt_s),
             pole_radius=radius,
             support=float(self.support[r]),
@@ -385,26 +358,6 @@ class RuleModel(FreeRuns):
         write_document(self.to_dict(), path)
 
 
-def _without_hidden(recursion: Recursion, n_y: int) -> Recursion:
-    """A rule's state space (one past state) as a difference equation of its outputs.
-
-    With the adjugate of I - A/z by the Faddeev-LeVerrier recursion; A is (n, n_y, n_y), a common denominator.
-    """
-    (step,), drive, offset = recursion
-    n = len(step)
-    M = np.eye(n)
-    A = np.zeros((n, n_y, n_y))
-    B = np.zeros((n + len(drive) - 1, n_y, drive.shape[2]))
-    c = np.zeros(n_y)
-    for j in range(n):
-        B[j : j + len(drive)] += (M @ drive)[:, :n_y]
-        c += (M @ offset)[:n_y]
-        coefficient = -float(np.trace(M @ step)) / (j + 1)
-        A[j] = -coefficient * np.eye(n_y)
-        M = M @ step + coefficient * np.eye(n)
-    return A, B, c
-
-
 def refuse_other_models(model: object, *, hidden: bool = True) -> None:
     """Raises UsageError where a model is not one of dynamic rules, or has hidden states and must not."""
     if isinstance(model, RuleModel) and (hidden or model.structure == "ts"):
@@ -412,18 +365,3 @@ def refuse_other_models(model: object, *, hidden: bool = True) -> None:
     kind = getattr(model, "structure", type(model).__name__)
     what = "dynamic rules" if hidden else "rules over lags"
     raise UsageError(f"this is for {what}, and the model is {kind!r}", hint="fit flysid.TS(states=0)")
-
-
-def dc_gain(A: FloatArray, B: FloatArray) -> FloatArray:
-    """(n, n_u) steady gain; NaN where the rule integrates."""
-    left = np.eye(B.shape[1]) - A.sum(axis=0)
-    if np.linalg.cond(left) > 1e12 or np.abs(left).max() < 1e-12:
-        return np.full(B.shape[1:], np.nan)
-    return np.asarray(np.linalg.solve(left, B.sum(axis=0)))
-
-
-def time_constant(radius: float, dt_s: float) -> float:
-    """Seconds in which the slowest mode falls to 1/e; inf where it does not fall."""
-    if radius >= 1.0 - 1e-9:
-        return float("inf")
-    return 0.0 if radius <= 0.0 else float(-dt_s / np.log(radius))

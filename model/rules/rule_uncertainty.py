@@ -33,7 +33,7 @@ from flysid.model.rules.free_run_error import Body, Problem, run_sensitivities, 
 from flysid.model.rules.growth import best_started
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.refit import as_problem
-from flysid.model.rules.rule_model import RuleModel, refuse_other_models, time_constant
+from flysid.model.rules.rule_model import RuleModel
 from flysid.model.threads import on_one_thread
 
 _MOST_ROWS = 20_000  # sensitivities kept at a time; longer records are cut, which widens the intervals
@@ -77,15 +77,6 @@ class Uncertainty:
         with np.errstate(all="ignore"):
             return np.where(a > 0.0, np.stack([(b - root) / a, (b + root) / a]), np.nan)
 
-    @cached_property
-    def time_constant_interval_s(self) -> FloatArray:
-        """(2, R) 95 % interval of every rule's slowest time constant; inf where the rule may integrate."""
-        radius = _radii(self.model)
-        J = self._slopes(_radii)
-        half = np.sqrt(np.maximum(self._product(J, J), 0.0))
-        ends = np.maximum([radius - half, radius + half], 0.0)
-        return np.array([[time_constant(r, self.model.dt_s) for r in end] for end in ends])
-
     def simulation_band(self, u: FloatArray, y0: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """(lower, upper), (N, n_y) each: pointwise 95 % band of the free run over what is uncertain."""
         model = self.model
@@ -101,30 +92,20 @@ class Uncertainty:
 
     def draws(self, count: int = 200, seed: int = 0) -> list[RuleModel]:
         """Models whose numbers are drawn from the distribution; the same ones for the same seed."""
-        centre = self.body.vector()
-        normal = np.random.default_rng(seed).standard_normal((count, len(centre)))
-        steps = normal @ root_of(self.covariance).T
-        return [self._at(centre + step) for step in steps]
+        normal = np.random.default_rng(seed).standard_normal((count, len(self.covariance)))
+        return [self._moved(step) for step in normal @ root_of(self.covariance).T]
 
-    def centre(self) -> FloatArray:
-        """(P,) the model's own numbers, in the coordinates of the covariance."""
-        return self.body.vector()
+    def beside(self, step: FloatArray) -> Parameters:
+        """The model's parameters with its numbers moved by a step (P,)."""
+        return self.problem.parameters(self.body.moved(self.body.vector() + step))
 
-    def parameters_at(self, vector: FloatArray) -> Parameters:
-        """The model's parameters at other numbers (P,)."""
-        return self.problem.parameters(self.body.moved(vector))
-
-    def _at(self, vector: FloatArray) -> RuleModel:
-        return replace(self.model, parameters=self.parameters_at(vector))
+    def _moved(self, step: FloatArray) -> RuleModel:
+        return replace(self.model, parameters=self.beside(step))
 
     def _slopes(self, of: Callable[[RuleModel], FloatArray]) -> FloatArray:
         """(..., P) derivatives of a figure to all consequent coordinates, by central differences."""
-        centre = self.body.vector()
-        slopes = []
-        for j in range(self.body.a.size):  # no rule's own figures hang on memberships
-            step = np.zeros(len(centre))
-            step[j] = _NUDGE
-            slopes.append((of(self._at(centre + step)) - of(self._at(centre - step))) / (2.0 * _NUDGE))
+        steps = _NUDGE * np.eye(self.body.a.size, self.body.size)  # no rule's own figures hang on memberships
+        slopes = [(of(self._moved(step)) - of(self._moved(-step))) / (2.0 * _NUDGE) for step in steps]
         return np.stack(slopes, axis=-1)
 
     def _product(self, J: FloatArray, K: FloatArray) -> FloatArray:
@@ -135,30 +116,9 @@ class Uncertainty:
 
 def _gains(model: RuleModel) -> tuple[FloatArray, FloatArray]:
     """(R, n_y, n_u) numerators and denominators of every rule's steady gains."""
-    top = []
-    under = []
-    for A, B, _ in model.recursions():
-        left = np.eye(B.shape[1]) - A.sum(axis=0)
-        adjugate, determinant = _adjugate(left)
-        top.append((adjugate @ B.sum(axis=0))[: model.layout.n_y])
-        under.append(np.full(top[-1].shape, determinant))
-    return np.array(top), np.array(under)
-
-
-def _adjugate(matrix: FloatArray) -> tuple[FloatArray, float]:
-    """The adjugate of a matrix (n, n), and its determinant, by the Faddeev-LeVerrier recursion."""
-    n = len(matrix)
-    M = np.eye(n)
-    for j in range(1, n):
-        product = matrix @ M
-        M = product - np.trace(product) / j * np.eye(n)
-    sign = (-1.0) ** (n - 1)
-    return sign * M, sign * float(np.trace(matrix @ M)) / n
-
-
-def _radii(model: RuleModel) -> FloatArray:
-    """(R,) pole radius of every rule."""
-    return np.array([np.abs(p).max(initial=0.0) for p in model.local_poles()])
+    top, under = zip(*(rule.gain_fraction for rule in model.recursions()), strict=True)
+    above = np.array(top)[:, : model.layout.n_y]
+    return above, np.broadcast_to(np.array(under)[:, None, None], above.shape)
 
 
 @on_one_thread
@@ -167,10 +127,9 @@ def uncertainty(model: RuleModel, train: Dataset) -> Uncertainty:
 
     Raises
     ------
-    UsageError : not a model of dynamic rules; the data hold other signals than the model.
+    UsageError : the data hold other signals than the model.
     DataError : fewer samples than numbers in the model.
     """
-    refuse_other_models(model)
     layout = model.layout
     names = [s.name for s in (*train.outputs, *train.inputs)]
     own = [s.name for s in (*layout.outputs, *layout.inputs)]

@@ -15,8 +15,8 @@ from flysid.dataset import FloatArray
 from flysid.model.noise import output_error_ahead
 from flysid.model.rules.kernel import Parameters, predict
 from flysid.model.rules.realisation import Prior, initial_states
+from flysid.model.rules.recursion import unheld
 from flysid.model.rules.regressor_layout import Layout
-from flysid.model.rules.rule_poles import unheld
 from flysid.model.start import estimate_start
 
 _REST = 20  # rows of zeros that put hidden states to rest

@@ -24,11 +24,11 @@ from flysid.model.rules.free_run_error import Body, Problem, Stage, widened
 from flysid.model.rules.growth import best_started
 from flysid.model.rules.integrator import holds_integrator
 from flysid.model.rules.kernel import IntArray
-from flysid.model.rules.local_models import certificate_of
+from flysid.model.rules.lyapunov import certificate_of
 from flysid.model.rules.operating_points import described
 from flysid.model.rules.phrases import from_to
+from flysid.model.rules.recursion import Recursion, companion, rule_radius
 from flysid.model.rules.regressor_layout import Layout, runs_of
-from flysid.model.rules.rule_poles import companion, output_lags, pole_radius
 from flysid.model.rules.stages import ordered
 from flysid.model.threads import on_one_thread
 
@@ -71,9 +71,9 @@ def with_stable_rules(
         raise UsageError("the process integrates: every rule has a pole at one, and none can be stable")
 
     def holds(candidate: FloatArray) -> bool:
-        lags = [output_lags(layout.lags, rule) for rule in candidate]
-        return all(pole_radius(A) <= largest for A in lags) and (
-            not certified or certificate_of([companion(A) for A in lags]).proved
+        rules = [Recursion.of(layout.lags, rule, len(layout.scale)) for rule in candidate]
+        return all(rule.pole_radius <= largest for rule in rules) and (
+            not certified or certificate_of([companion(rule.A) for rule in rules]).proved
         )
 
     if holds(theta):
@@ -121,10 +121,7 @@ def _drawn(
             hint="fit fewer rules, lower orders, or a linear model with stable=True",
         )
     alone = np.stack(
-        [
-            _nearest(rule, mean, lambda r: pole_radius(output_lags(layout.lags, r)) <= largest)
-            for rule in theta
-        ]
+        [_nearest(rule, mean, lambda r: rule_radius(layout.lags, r) <= largest) for rule in theta]
     )
     return alone if holds(alone) else _nearest(alone, mean, holds)
 

@@ -27,9 +27,9 @@ from flysid.model.rules.free_run_error import Stage, run_sensitivities
 from flysid.model.rules.growth import best_started
 from flysid.model.rules.kernel import Parameters, firing
 from flysid.model.rules.phrases import from_to
+from flysid.model.rules.recursion import ROUNDING, rule_radius
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.regressor_layout import Layout, runs_of
-from flysid.model.rules.rule_poles import output_lags, pole_radius
 from flysid.model.rules.rule_uncertainty import steep
 from flysid.model.threads import on_one_thread
 
@@ -41,7 +41,6 @@ _SHARES = (1.0, 0.5, 0.25, 0.1)  # of a step that are tried
 _USUAL = 2000  # rows of random steps that say what a sample is worth
 _FLOOR = 1e-6  # of a sample in which a regressor stands at 1: what nothing excites stays where it was
 _OUTSIDE = 0.1  # of the new samples
-_ON_CIRCLE = 1e-6  # a pole so near to one integrates, but for rounding
 
 
 @on_one_thread
@@ -137,7 +136,7 @@ def _far_away(model: FittedTS, data: Dataset) -> list[str]:
 
 
 def _unstable(model: FittedTS) -> list[str]:
-    labels = [rule.label for rule in model.rules() if rule.pole_radius >= 1.0 + _ON_CIRCLE]
+    labels = [rule.label for rule in model.rules() if rule.pole_radius >= 1.0 + ROUNDING]
     if not labels:
         return []
     return [
@@ -250,14 +249,14 @@ def _as_stable(stage: Stage, known: _Known) -> bool:
     """Whether no rule has become unstable by itself: new flights may be too short or too quiet to show it."""
     now = _radii(stage, stage.body.a)
     before = _radii(stage, known.a.reshape(stage.body.a.shape))
-    return bool((now <= np.maximum(before, 1.0) + _ON_CIRCLE).all())
+    return bool((now <= np.maximum(before, 1.0) + ROUNDING).all())
 
 
 def _radii(stage: Stage, a: FloatArray) -> FloatArray:
     """(R,) pole radius of every rule at consequent coordinates a."""
     layout = stage.problem.layout
     theta = stage.problem.parameters(replace(stage.body, a=a)).theta
-    return np.array([pole_radius(output_lags(layout.lags, rule)) for rule in theta])
+    return np.array([rule_radius(layout.lags, rule) for rule in theta])
 
 
 def _normal(stage: Stage, weights: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:

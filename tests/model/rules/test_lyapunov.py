@@ -7,8 +7,7 @@ import pytest
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.barrier import cheapest
-from flysid.model.rules.local_models import certificate_of
-from flysid.model.rules.lyapunov import common_lyapunov
+from flysid.model.rules.lyapunov import certificate_of, common_lyapunov
 
 
 def with_common_function(n: int, condition: float, rho: float, seed: int) -> list[FloatArray]:

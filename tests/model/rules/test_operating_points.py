@@ -14,8 +14,9 @@ from bench.rule_words import own_answer, truth
 from bench.ts_intervals import experiment, known_model
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.operating_points import Numbers, described, operating_points
+from flysid.model.rules.operating_points import described, operating_points
 from flysid.model.rules.rule_uncertainty import uncertainty
+from flysid.model.rules.steady_map import SteadyMap
 from flysid.model.ts import TS
 
 DRAG = PLANTS["vehicle with drag and a lagging actuator"]
@@ -99,7 +100,7 @@ def test_one_rule_is_said_once_with_its_dead_time(delay: int) -> None:
     assert ("dead time of 0.15 s" in sentence) == (delay == 3)
     assert point.reached_s[0] == pytest.approx(reached, rel=0.03)
     assert "(" not in sentence  # no other model was grown: noise alone is no interval
-    sure = operating_points(Numbers(model.layout, model.parameters), data, model.uncertainty(data))[0]
+    sure = operating_points(SteadyMap(model.layout, model.parameters), data, model.uncertainty(data))[0]
     assert sure.gain_interval[0, 0] < 2.0 < sure.gain_interval[1, 0]
     assert sentence.startswith("  * From y = ")
     assert "strongest" not in str(model)
@@ -124,11 +125,11 @@ def test_an_integrating_process_has_no_places() -> None:
 
 def test_a_larger_model_that_says_otherwise_widens_the_intervals(flown: tuple[FittedTS, Dataset]) -> None:
     model, data = flown
-    numbers = Numbers(model.layout, model.parameters)
+    numbers = SteadyMap(model.layout, model.parameters)
     sure = model.uncertainty(data)
     theta = model.parameters.theta.copy()
     theta[:, :, model.layout.orders.na : -1] *= 1.2
-    other = Numbers(model.layout, model.parameters._replace(theta=theta))
+    other = SteadyMap(model.layout, model.parameters._replace(theta=theta))
     for alone, wider in zip(
         operating_points(numbers, data, sure), operating_points(numbers, data, sure, other), strict=True
     ):
@@ -165,7 +166,7 @@ def test_a_condition_on_an_input_leaves_times_as_unsure_as_its_lags_are_apart() 
     plant = PLANTS["Hammerstein"]
     data, _ = plant.dataset((0, 1), 500, 0.03)
     model = TS(na=2, nb=2, nk=1, antecedents=["u"], rules=2, most_rules=2).fit(data)
-    numbers = Numbers(model.layout, model.parameters)
+    numbers = SteadyMap(model.layout, model.parameters)
     points = operating_points(numbers, data, uncertainty(model, data))
     assert len(points) > 3
     for point in points:

@@ -12,10 +12,7 @@ from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.arx import ARX
 from flysid.model.rules.consequents import refit_consequents
-from flysid.model.rules.control_system import to_nonlinear_system
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.local_models import certificate, linearise, polytope
-from flysid.model.rules.rule_uncertainty import uncertainty
 from flysid.model.rules.search_settings import SearchSettings
 from flysid.model.rules.simplify import simplifications, simplify
 from flysid.model.rules.stabilise import with_stable_rules
@@ -72,13 +69,6 @@ def test_python_control_follows_one_rule_beyond_its_limits() -> None:
     assert np.ravel(answer.outputs) == pytest.approx(run[:, 0], abs=1e-9)
 
 
-ALIKE: list[Callable[[Any, Dataset], object]] = [
-    lambda m, _: polytope(m),
-    lambda m, _: certificate(m),
-    lambda m, _: linearise(m, np.zeros(1), np.zeros(1)),
-    uncertainty,
-    lambda m, _: to_nonlinear_system(m),
-]
 OF_LAGS: list[Callable[[Any, Dataset], object]] = [
     simplifications,
     simplify,
@@ -95,7 +85,7 @@ def test_what_is_for_lags_refuses_hidden_states(function: Callable[[Any, Dataset
         function(states, DATA)
 
 
-@pytest.mark.parametrize("function", [*ALIKE, *OF_LAGS])
+@pytest.mark.parametrize("function", OF_LAGS)
 def test_other_models_are_refused(function: Callable[[Any, Dataset], object]) -> None:
     for other in (StaticTS(rules=2).fit(DATA), ARX(na=1, nb=1, nk=1, refine=False).fit(DATA)):
         with pytest.raises(UsageError, match="this is for"):

@@ -11,7 +11,6 @@ from flysid.dataset import Dataset
 from flysid.errors import UsageError
 from flysid.model.rules.control_system import to_nonlinear_system
 from flysid.model.rules.explanation import explain, outside_share
-from flysid.model.rules.local_models import certificate, linearise, polytope
 from flysid.model.ts import TS, FittedTS
 from tests.bent_plant import flight
 
@@ -27,7 +26,7 @@ def model() -> FittedTS:
 
 def test_the_blend_of_the_polytope_is_the_model(model: FittedTS) -> None:
     u, y = flight(60, 2)
-    rules = polytope(model)
+    rules = model.polytope()
     phi = model.firing(u, y)
     one = model.one_step(u, y)
     k = 30
@@ -39,15 +38,13 @@ def test_the_blend_of_the_polytope_is_the_model(model: FittedTS) -> None:
 
 
 def test_linearisation_predicts_small_steps(model: FittedTS) -> None:
-    local = linearise(model, np.array([0.2]), np.array([0.1]))
+    local = model.linearise({model.inputs[0].name: 0.2, model.outputs[0].name: 0.1})
     u = np.full(8, 0.2)
     y = np.full(8, 0.1)
     base = model.one_step(u, y)[-1, 0]
     y2 = y.copy()
     y2[-2] += 1e-4
     assert model.one_step(u, y2)[-1, 0] - base == pytest.approx(1e-4 * local.C[0, 0], rel=1e-3)
-    with pytest.raises(UsageError):
-        linearise(model, np.zeros(3), np.zeros(1))
 
 
 def test_linearise_takes_signals_by_name_and_means_for_the_rest(model: FittedTS) -> None:
@@ -55,7 +52,7 @@ def test_linearise_takes_signals_by_name_and_means_for_the_rest(model: FittedTS)
     y = model.outputs[0].name
     mean_y, mean_u = model.layout.shift
     for at, u_at, y_at in (({u: 0.2, y: 0.1}, 0.2, 0.1), ({u: 0.2}, 0.2, mean_y), ({}, mean_u, mean_y)):
-        expected = linearise(model, np.array([u_at]), np.array([y_at]))
+        expected = model.linearise({u: u_at, y: y_at})
         assert np.array_equal(model.linearise(at).A, expected.A)
     with pytest.raises(UsageError, match="no signal 'speed'"):
         model.linearise({"speed": 1.0})
@@ -67,8 +64,8 @@ def test_linearise_takes_signals_by_name_and_means_for_the_rest(model: FittedTS)
 
 
 def test_a_certificate_is_a_proof(model: FittedTS) -> None:
-    found = certificate(model)
-    rules = [s.A[:2, :2] for s in polytope(model)]
+    found = model.certificate()
+    rules = [s.A[:2, :2] for s in model.polytope()]
     assert found.proved
     assert found.decay < 1.0
     assert np.linalg.eigvalsh(found.P).min() > 0
@@ -80,7 +77,7 @@ def test_an_unstable_rule_is_named(model: FittedTS) -> None:
     theta = model.parameters.theta.copy()
     theta[1, 0, 0] += 1.0
     wild = replace(model, parameters=model.parameters._replace(theta=theta))
-    found = certificate(wild)
+    found = wild.certificate()
     assert not found.proved
     assert "R2" in found.reason
 

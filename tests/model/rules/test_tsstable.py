@@ -10,7 +10,6 @@ import pytest
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError, UsageError
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.local_models import certificate, polytope
 from flysid.model.rules.stabilise import with_stable_rules
 from flysid.model.ts import TS
 
@@ -57,9 +56,9 @@ def test_poles_come_inside_and_the_rest_makes_up_for_it(
     assert "the largest pole radius of a rule was 1.0" in stable.notes[-1]
     assert free_run_error(stable) < 0.15
     if certified:
-        found = certificate(stable)
+        found = stable.certificate()
         assert found.proved
-        for corner in polytope(stable):
+        for corner in stable.polytope():
             A = corner.A[:1, :1]
             assert np.linalg.eigvalsh(A.T @ found.P @ A - found.P).max() < 0.0
 
@@ -78,10 +77,10 @@ def test_rules_that_need_a_common_function_are_drawn_together(data: Dataset) -> 
     theta[0, 0, :2] = (1.9, -0.96)
     theta[1, 0, :2] = (0.2, -0.96)
     wild = replace(truth, parameters=truth.parameters._replace(theta=theta))
-    assert not certificate(wild).proved
+    assert not wild.certificate().proved
     assert max(rule.pole_radius for rule in wild.rules()) < 0.99
     assert with_stable_rules(wild, data) is wild
-    assert certificate(with_stable_rules(wild, data, certified=True)).proved
+    assert with_stable_rules(wild, data, certified=True).certificate().proved
 
 
 def test_stable_rules_stay_as_they_are(model: FittedTS, data: Dataset) -> None:

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
 from flysid.model.rules.fitted import FittedTS
-from flysid.model.rules.rule_poles import pole_radius, unheld
+from flysid.model.rules.recursion import pole_radius, unheld
 from flysid.model.start import estimate_start
 from flysid.model.ts import TS
 
