@@ -4,7 +4,8 @@ Plants whose small steps are known, the simulated quadrotor among them, are flow
 the search that `flysid fit` makes, or, "given", with orders and antecedent. Every operating point that the
 model speaks of is asked three things: is its gain, and its time to 63 %, that of the model's own free run
 about that place (two simulated small steps); is it the plant's; does its interval hold the plant's.
-Beside it: what the strongest rule there says by itself, as the words did before.
+Beside it: what the strongest rule there says by itself, as the words did before. Of several inputs each is
+asked.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from flysid.ingest.synth.plants import LOOPS
 from flysid.ingest.synth.rigid_body import ALL, Vehicle, fly_vehicle
 from flysid.ingest.synth.vehicles import dispersed
 from flysid.model.base import OperatingPoint
-from flysid.model.rules.phrases import answers_like, meaning
+from flysid.model.rules.phrases import answer_alike, meanings
 from flysid.model.ts import TS
 from flysid.model.ts_best import BestTS
 from flysid.model.ts_state_space import TSStateSpace
@@ -41,13 +42,14 @@ TRAINED = 4
 FLIGHT_S = 60.0
 SPEED_NOISE = 0.02  # m/s
 SETTLED_S = 40.0
+TWO_DT = 0.05
 _NUDGE = 1e-6
 _REACHED = 1.0 - np.exp(-1.0)
 
 
 @dataclass(frozen=True)
 class Row:
-    """One operating point of one fit.
+    """One input at one operating point of one fit.
 
     Attributes
     ----------
@@ -108,20 +110,20 @@ def _rest(plant: Plant, u: float) -> FloatArray:
     return x
 
 
-def own_answer(model: Any, point: OperatingPoint, size: float) -> FloatArray:
+def own_answer(model: Any, point: OperatingPoint, size: float, signal: int = 0) -> FloatArray:
     """(2,) gain and seconds to 63 % of the free run: half the difference of a step up and one down."""
     rows = 3000
     u = np.tile(point.inputs, (2 * rows, 1))
     ends = []
     for way in (size, -size):
         moved = u.copy()
-        moved[rows:, 0] += way
+        moved[rows:, signal] += way
         ends.append(model.simulate(moved)[:, point.output])
     return reached((ends[0] - ends[1])[rows:] / (2 * size), model.dt_s)
 
 
-Truth = Callable[[float], FloatArray]
-"""An output's level -> (2,) gain and seconds to 63 % of the plant's tangent there."""
+Truth = Callable[[float, int], FloatArray]
+"""An output's level, and an input -> (2,) gain and seconds to 63 % of the plant's tangent there."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ class Flown:
     ----------
     record : seed -> what it flew, and what is true of it.
     estimator : how it is fitted.
-    small : a small step of its input.
+    small : a small step of an input.
     """
 
     record: Callable[[int], tuple[Dataset, Truth]]
@@ -145,7 +147,7 @@ def of_plant(plant: Plant, inputs: tuple[float, float], estimator: Callable[[], 
 
     def record(seed: int) -> tuple[Dataset, Truth]:
         seeds = tuple(1000 * seed + i for i in range(RECORDS))
-        return plant.dataset(seeds, SAMPLES, NOISE)[0], lambda level: truth(plant, level, inputs)
+        return plant.dataset(seeds, SAMPLES, NOISE)[0], lambda level, _: truth(plant, level, inputs)
 
     return Flown(record, estimator, 1e-4 * (inputs[1] - inputs[0]))
 
@@ -158,9 +160,50 @@ def of_vehicle(loop: str, estimator: Callable[[], Any]) -> Flown:
     def record(seed: int) -> tuple[Dataset, Truth]:
         vehicle = specimen(seed)
         data = vehicle_flights(vehicle, loop, seed, range(TRAINED))
-        return data, lambda level: vehicle_truth(vehicle, column, level)
+        return data, lambda level, _: vehicle_truth(vehicle, column, level)
 
     return Flown(record, estimator, 1e-3 * most)
+
+
+def of_two_inputs(estimator: Callable[[], Any]) -> Flown:
+    """A vehicle with quadratic drag that a tilt and a fan push, the fan behind a lag of its own.
+
+    Another specimen for every seed.
+    """
+
+    def record(seed: int) -> tuple[Dataset, Truth]:
+        rng = np.random.default_rng([seed, 2])
+        push = rng.uniform([0.03, 0.8], [0.06, 1.6])  # m/s^2 per deg, and per unit of the fan
+        friction, drag, lag = rng.uniform([0.3, 0.3, 0.2], [0.5, 0.7, 0.5])
+        fine = 10
+        segments = []
+        for i in range(RECORDS):
+            rng = np.random.default_rng([seed, 2, i])
+            holds = rng.uniform(-1.0, 1.0, (2, SAMPLES // 15 + 1))
+            u = np.repeat(holds * [[20.0], [1.0]], 15, axis=1).T[:SAMPLES]
+            v = np.zeros(SAMPLES)
+            speed = blown = 0.0
+            for k in range(1, SAMPLES):
+                for _ in range(fine):
+                    rate = push @ [u[k - 1, 0], blown] - friction * speed - drag * abs(speed) * speed
+                    blown += TWO_DT / fine * (u[k - 1, 1] - blown) / lag
+                    speed += TWO_DT / fine * rate
+                v[k] = speed
+            noisy = v + NOISE * v.std() * rng.standard_normal(SAMPLES)
+            segments.append(Segment(u, noisy[:, None], flight=str(i)))
+
+        def true_at(level: float, signal: int) -> FloatArray:
+            pole = friction + 2.0 * drag * abs(level)
+            t = np.linspace(0.0, 20.0, 200_001)
+            left = np.exp(-pole * t)
+            if signal == 1:
+                left = (left / pole - lag * np.exp(-t / lag)) / (1.0 / pole - lag)
+            return np.array([push[signal] / pole, t[np.argmax(left <= 1.0 - _REACHED)]])
+
+        signals = (Signal("tilt", "deg"), Signal("fan"))
+        return Dataset(TWO_DT, signals, (Signal("v_x", "m/s"),), tuple(segments)), true_at
+
+    return Flown(record, estimator, 1e-4)
 
 
 def specimen(seed: int) -> Vehicle:
@@ -215,13 +258,14 @@ def rows_of(model: Any, true_at: Truth, small: float) -> Iterator[Row]:
     """Every operating point of a model, beside the truth."""
     rules = model.rules()
     for p in getattr(model, "operating_points", ()):
-        true = true_at(float(p.outputs[0]))
-        said = np.array([p.gain[0], p.reached_s[0]])
-        ends = np.array([p.gain_interval[:, 0], p.reached_interval_s[:, 0]])
-        held = np.where(np.isfinite(ends).all(axis=1), (ends[:, 0] <= true) & (true <= ends[:, 1]), np.nan)
-        loudest = rules[int(p.shares.argmax())]
-        rule = np.array([float(loudest.dc_gain[0, 0]), loudest.time_constant_s])
-        yield Row(said, own_answer(model, p, small), true, rule, held)
+        for j in range(len(model.inputs)):
+            true = true_at(float(p.outputs[0]), j)
+            said = np.array([p.gain[j], p.reached_s[j]])
+            ends = np.array([p.gain_interval[:, j], p.reached_interval_s[:, j]])
+            held = np.where(np.isfinite(ends).all(axis=1), (ends[:, 0] <= true) & (true <= ends[:, 1]), np.nan)
+            loudest = rules[int(p.shares.argmax())]
+            rule = np.array([float(loudest.dc_gain[0, j]), loudest.time_constant_s])
+            yield Row(said, own_answer(model, p, small, j), true, rule, held)
 
 
 DRAG = PLANTS["vehicle with drag and a lagging actuator"]
@@ -241,6 +285,8 @@ FLOWN: dict[str, Flown] = {
     "linear, given": of_plant(LINEAR_VEHICLE, (-5.0, 5.0), OVER_OUTPUT),
     "drag, hidden": of_plant(DRAG, (-2.0, 2.0), STATES),
     "Wiener, hidden": of_plant(PLANTS["Wiener"], (-5.0, 5.0), STATES),
+    "two inputs": of_two_inputs(BestTS),
+    "two inputs, given": of_two_inputs(partial(LAGS, antecedents=["v_x(k-1)"])),
 }
 
 
@@ -267,17 +313,13 @@ def told(flown: Flown, seed: int) -> Told:
     rules = model.rules()
     pairs = list(combinations(rules, 2))
     signals = (data.outputs, data.inputs)
-    points = getattr(model, "operating_points", ())
-    words = [
-        meaning(rule, signals, rules[:at], points).rpartition(", strongest for")[0]
-        for at, rule in enumerate(rules)
-    ]
+    words = [means.partition("; ")[2] for means in meanings(rules, signals)]
     return Told(
         tuple(rows_of(model, true_at, flown.small)),
         len(rules),
         sum(a.condition == b.condition for a, b in pairs),
         sum(a == b for a, b in combinations(words, 2)),
-        sum(answers_like(a, b) for a, b in pairs),
+        sum(answer_alike(a, b) for a, b in pairs),
     )
 
 

@@ -233,7 +233,7 @@ class FittedStaticTS(FreeRuns):
         names = [s.name for s in self.inputs]
         units = [s.unit for s in self.inputs]
         terms = [f"{s.name}(k)" for s in self.inputs]
-        text = ", ".join(
+        text = "; ".join(
             equation(f"{s.name}(k)", self.consequents[r, i, :-1], terms, self.consequents[r, i, -1])
             for i, s in enumerate(self.outputs)
         )

@@ -10,9 +10,11 @@ from flysid.dataset import Dataset
 from flysid.errors import DataError, FitError
 from flysid.files import write_atomically
 from flysid.model.base import Fitted
-from flysid.model.capabilities import HasOperatingPoints
+from flysid.model.capabilities import HasOperatingPoints, LinearModel
 from flysid.model.rules import phrases as words
+from flysid.model.rules.operating_words import sentences
 from flysid.validate.beyond import cautioned
+from flysid.validate.responses import answers
 
 S = TypeVar("S", contravariant=True)
 
@@ -69,7 +71,10 @@ def fit_one(estimator: FitsTo[S], train: S, path: Path) -> Fitted | str:
 def in_words(model: Fitted) -> str:
     """A model's rules with what they mean, a line each, and how it was chosen."""
     rules = model.rules()
-    count = f"{len(rules)} rule{'s' if len(rules) > 1 else ''}"
-    title = f"{model.structure}, {count}, {model.n_parameters} parameters"
+    count = f" {len(rules)} rules," if len(rules) > 1 else ""
+    title = f"{model.structure},{count} {model.n_parameters} parameters"
     points = model.operating_points if isinstance(model, HasOperatingPoints) else ()
-    return words.in_words(title, rules, model.notes, (model.outputs, model.inputs), points) + "\n"
+    if isinstance(model, LinearModel):
+        points = answers(model)
+    signals = model.outputs, model.inputs
+    return words.in_words(title, rules, model.notes, signals, sentences(points, signals)) + "\n"

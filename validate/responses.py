@@ -6,9 +6,10 @@ import numpy as np
 import scipy.linalg
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.base import Fitted
+from flysid.model.base import Fitted, OperatingPoint
 from flysid.model.capabilities import HasDifferenceEquation, HasRealisation, LinearModel, LocallyLinear
 from flysid.model.polynomials import ComplexArray
+from flysid.model.rules.recursion import Recursion, crossing
 
 LASTING = 6.0
 """Time constants that a step is followed for: it settles to a quarter of a per cent."""
@@ -94,6 +95,62 @@ def step_from(
     with np.errstate(invalid="ignore"):  # a run that has left for infinity has no step
         moved: FloatArray = model.simulate(u)[-samples:, output] - still
     return moved
+
+
+def answers(model: Fitted) -> tuple[OperatingPoint, ...]:
+    """What a model of one rule does everywhere, of every output that answers every input."""
+    if len(model.rules()) > 1:
+        return ()
+    inputs = range(len(model.inputs))
+    found = []
+    for output in range(len(model.outputs)):
+        told = [_answer(model, output, j) for j in inputs]
+        if not all(told):
+            continue
+        gain, reached, overshoot, wrong_way, dead = np.array(told, dtype=np.float64).T
+        found.append(
+            OperatingPoint(
+                output=output,
+                outputs=np.zeros(len(model.outputs)),
+                inputs=np.zeros(len(inputs)),
+                gain=gain,
+                gain_interval=np.full((2, len(inputs)), np.nan),
+                reached_s=reached,
+                reached_interval_s=np.full((2, len(inputs)), np.nan),
+                dead_s=dead,
+                overshoot=overshoot,
+                wrong_way=wrong_way,
+                shares=np.ones(1),
+            )
+        )
+    return tuple(found)
+
+
+def _answer(
+    model: Fitted, output: int, signal: int, *, height: float = 1e-3, most_samples: int = 20_000
+) -> tuple[float, ...] | None:
+    """Gain, seconds to 63 % of it, overshoot, share of the wrong way, dead time; None: no final change.
+
+    `height`: of the step, so small that it leaves a nonlinear model where it is.
+    """
+    rule = model.rules()[0]
+    gain = float(np.asarray(rule.dc_gain)[output, signal])
+    if not np.isfinite([gain, rule.time_constant_s]).all() or gain == 0.0:
+        return None
+    dead = 0.0
+    samples = 1 + int(np.ceil(np.clip(LASTING * rule.time_constant_s / model.dt_s, 1.0, most_samples)))
+    if isinstance(model, HasDifferenceEquation):
+        system = Recursion(-model.system.a[1:], model.system.b, np.zeros(len(model.outputs)))
+        moved = system.step(signal, samples)[:, output]
+        dead = model.dt_s * max(system.delay(output, signal) - 1, 0)
+    else:
+        still = np.zeros(len(model.inputs))
+        moved = step_from(model, still, height, (output, signal), samples) / height
+    share = moved / gain
+    reached = crossing(share)
+    if not np.isfinite(reached):
+        return None
+    return gain, reached * model.dt_s, max(share.max() - 1.0, 0.0), max(-share.min(), 0.0), dead
 
 
 def poles_and_zeros(model: Fitted, output: int, signal: int) -> list[tuple[ComplexArray, ComplexArray]]:

@@ -15,21 +15,25 @@ Signals = tuple[Sequence[Signal], Sequence[Signal]]
 """Outputs and inputs."""
 _ALIKE = np.log(1.1)  # figures so near each other are the same in words
 _HARDLY = np.log(4.0)  # from end to end of an interval: a factor of two either way
-# shares of a change that are worth a word
-_OVERSHOOT = 0.05
-_WRONG_WAY = 0.02
+WORTH = 0.05
+"""Of a change, or of a signal's spread: less is not worth a word."""
 
 
 def sentences(points: Sequence[OperatingPoint], signals: Signals) -> list[str]:
-    """What a small lasting step of every input does, from the slow to the fast end of what was flown."""
+    """What a small lasting step of every input does, from the slow to the fast end of what was flown.
+
+    Of one rule, which does the same everywhere, without a place.
+    """
     outputs, inputs = signals
     said = []
-    for output in range(len(outputs)):
+    for output, signal in enumerate(outputs):
         own = sorted((p for p in points if p.output == output), key=lambda p: p.outputs[output])
+        if own and len(own[0].shares) == 1:
+            text = _effects(own, signal, inputs)
+            said.append(f"{text[0].upper()}{text[1:]}.")
+            continue
         groups = _groups(own)
-        for group in groups:
-            place = _place(group, own, outputs[output])
-            said += [f"{place}, {_answer(group, j, outputs[output], inputs[j])}." for j in range(len(inputs))]
+        said += [f"{_place(group, own, signal)}, {_effects(group, signal, inputs)}." for group in groups]
         if len(groups) > 1:
             said.append(_variation(own))
     return said
@@ -51,6 +55,21 @@ def _same(a: FloatArray, sure_of_a: FloatArray, b: FloatArray, sure_of_b: FloatA
             *(np.nan_to_num(np.abs(np.log(s[1] / s[0])) / 2.0) for s in (sure_of_a, sure_of_b))
         )
     return bool((apart <= np.maximum(_ALIKE, allowed)).all())
+
+
+def answers_like(p: OperatingPoint, q: OperatingPoint) -> bool:
+    """Whether two places answer alike, and are known well enough to say so."""
+    return answers_alike(p, q) and all(_known(sure) for point in (p, q) for sure in _intervals(point))
+
+
+def _intervals(point: OperatingPoint) -> tuple[FloatArray, FloatArray]:
+    return point.gain_interval, point.reached_interval_s
+
+
+def _known(sure: FloatArray) -> bool:
+    """Whether no interval (2, ...) spans more than a factor of two either way; NaN: none was asked for."""
+    with np.errstate(all="ignore"):
+        return not (np.abs(np.log(sure[1] / sure[0])) > _HARDLY).any()
 
 
 def _groups(own: Sequence[OperatingPoint]) -> list[list[OperatingPoint]]:
@@ -98,37 +117,59 @@ def _rounded(level: float, own: Sequence[OperatingPoint]) -> str:
     return number(0.0 if abs(level) < 1e-9 * span else level)
 
 
-def _answer(group: Sequence[OperatingPoint], j: int, output: Signal, given: Signal) -> str:
-    """ "one more deg of theta_in adds 0.11 m/s (0.096 to 0.12); 63 % of it is there after 0.73 s (...)"."""
+def _effects(group: Sequence[OperatingPoint], output: Signal, inputs: Sequence[Signal]) -> str:
+    """ "one more deg of theta_in adds 0.11 m/s (0.096 to 0.12) to v_x; 63 % of that is reached after 0.73 s".
+
+    Of several inputs each; the time once where it is the same for all.
+    """
+    changes = [_change(group, j, output, given) for j, given in enumerate(inputs)]
+    times = [_time(group, j) for j in range(len(inputs))]
+    if len(inputs) > 1 and len(set(times)) == 1:
+        return f"{', '.join(changes[:-1])} and {changes[-1]}" + times[0].replace("of that", "of each")
+    return "; ".join(change + time for change, time in zip(changes, times, strict=True))
+
+
+def _change(group: Sequence[OperatingPoint], j: int, output: Signal, given: Signal) -> str:
     gain = [float(p.gain[j]) for p in group]
     down = gain[0] < 0.0
     sure = np.array([p.gain_interval[:, j] for p in group]) * (-1.0 if down else 1.0)
     size = _figure([abs(g) for g in gain], np.sort(sure, axis=1), output.unit)
     more = f"one more {given.unit} of {given.name}" if given.unit else f"one unit more of {given.name}"
-    effect = f"takes {size} from {output.name}" if down else f"adds {size} to {output.name}"
+    return f"{more} takes {size} from {output.name}" if down else f"{more} adds {size} to {output.name}"
+
+
+def _time(group: Sequence[OperatingPoint], j: int) -> str:
+    """ "; 63 % of that is reached after 0.73 s (...)", and how it gets there where that is worth a word."""
+    text = ""
     reached = [float(p.reached_s[j]) for p in group]
-    text = f"{more} {effect}"
-    if np.isfinite(reached).all():
+    if max(reached) == 0.0:
+        text = " at once"
+    elif np.isfinite(reached).all():
         sure = np.array([p.reached_interval_s[:, j] for p in group])
-        text += f"; 63 % of that is reached after {_figure(reached, sure, 's')}"
+        text = f"; 63 % of that is reached after {_figure(reached, sure, 's')}"
     dead = min(float(p.dead_s[j]) for p in group)
     if dead > 0.0:
         text += f", including a dead time of {number(dead)} s"
     over, wrong = (max(float(getattr(p, name)[j]) for p in group) for name in ("overshoot", "wrong_way"))
-    if over > _OVERSHOOT:
+    if over > WORTH:
         text += f"; it overshoots by {100 * over:.0f} %"
-    if wrong > _WRONG_WAY:
+    if wrong > WORTH:
         text += f"; it first moves {100 * wrong:.0f} % the wrong way"
     return text
 
 
 def _figure(values: Sequence[float], sure: FloatArray, unit: str) -> str:
     """ "0.11 m/s (0.096 to 0.12)"; of several places their middle, and from the lowest to the highest end."""
+    low, high = min(values), max(values)
+    if not _known(sure.T):
+        apart = low > 0.0 and np.log(high / low) > _ALIKE
+        figures = (
+            f"{number(low)} to {number(high)}" if apart else number(float(np.exp(np.mean(np.log(values)))))
+        )
+        return f"{figures} {unit}".rstrip() + " (poorly determined)"
     middle = f"{number(float(np.exp(np.mean(np.log(values)))))} {unit}".rstrip()
     if not np.isfinite(sure).all():
         return middle
-    if (np.log(sure[:, 1] / sure[:, 0]) > _HARDLY).any():
-        return f"{middle} (poorly determined)"
     return f"{middle} ({number(float(sure.min()))} to {number(float(sure.max()))})"
 
 
@@ -146,13 +187,6 @@ def _variation(own: Sequence[OperatingPoint]) -> str:
     return f"Over this range the {name} varies {times}-fold, so a single linear model cannot describe it."
 
 
-def at_loudest(point: OperatingPoint, signals: Signals) -> str:
-    """What the model does where a rule speaks its loudest: "near v_x = 1.9 m/s, where one more deg ..."."""
-    outputs, inputs = signals
-    answers = "; ".join(_answer([point], j, outputs[point.output], given) for j, given in enumerate(inputs))
-    return f"{near(point, signals)}, where {answers}"
-
-
-def near(point: OperatingPoint, signals: Signals) -> str:
+def near(point: OperatingPoint, signal: Signal) -> str:
     """ "near v_x = 1.9 m/s"."""
-    return f"near {_place([point], [point], signals[0][point.output]).removeprefix('Near ')}"
+    return f"near {_place([point], [point], signal).removeprefix('Near ')}"

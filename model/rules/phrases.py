@@ -7,19 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from flysid.dataset import FloatArray, Signal
-from flysid.model.base import OperatingPoint, Rule
+from flysid.model.base import Rule
 from flysid.model.rules.linguistics import Piece, words_of_one, words_of_several
 from flysid.model.rules.memberships import Partition
-from flysid.model.rules.operating_words import Signals, answers_alike, at_loudest, near, sentences
+from flysid.model.rules.operating_words import WORTH, Signals, answers_like, near
+from flysid.model.rules.recursion import NEARLY_ONE, ROUNDING
 from flysid.model.rules.vocabulary import Axis, number
 
 ELSEWHERE = "always, strongest where no other rule applies"
-_INTEGRATES = "integrates"
-# spreads of an input: a hair, and farther than it ever went
-_LEAST_PUSH = 0.05
+# spreads of an input: farther than it ever went
 _MOST_PUSH = 3.0
-_NEARLY_ONE = 0.999  # a pole so near to one nearly integrates
-_ON_CIRCLE = 1e-6  # a pole so near to one that it integrates, but for rounding
 
 
 def push_in_words(pushes: FloatArray, weights: FloatArray, r: int, given: Signal, spread: float) -> str:
@@ -35,7 +32,7 @@ def push_in_words(pushes: FloatArray, weights: FloatArray, r: int, given: Signal
     if not np.isfinite(pushes).all():
         return ""
     size = float(pushes[r] - np.average(pushes, weights=weights))
-    if not _LEAST_PUSH * spread < abs(size) < _MOST_PUSH * spread:
+    if not WORTH * spread < abs(size) < _MOST_PUSH * spread:
         return ""
     way = "less" if size < 0 else "more"
     unit = f" {given.unit}" if given.unit else ""
@@ -52,14 +49,11 @@ def from_to(before: FloatArray, after: FloatArray, signals: Sequence[Signal]) ->
 
 def equation(left: str, gains: FloatArray | Sequence[float], terms: Sequence[str], offset: float) -> str:
     """ "v(k) = 0.97 v(k-1) - 0.003 u(k-1) + 0.01"; terms with gain 0 are left out."""
-    parts = [(float(g), f" {t}") for g, t in zip(gains, terms, strict=True) if g != 0] + [(float(offset), "")]
-    text = ""
-    for value, term in parts:
-        if value == 0 and text:
-            continue
-        sign = "-" if value < 0 else "+"
-        text += f" {sign} {precise(abs(value)) if term else number(abs(value))}{term}"
-    return f"{left} = {text[3:] if text.startswith(' + ') else text[1:]}"
+    parts = [(float(g), f"{precise(abs(g))} {t}") for g, t in zip(gains, terms, strict=True) if g != 0]
+    if offset != 0 or not parts:
+        parts.append((float(offset), number(abs(offset))))
+    text = "".join(f" {'-' if value < 0 else '+'} {words}" for value, words in parts)
+    return f"{left} = {'-' if parts[0][0] < 0 else ''}{text[3:]}"
 
 
 def precise(value: float) -> str:
@@ -88,10 +82,9 @@ def condition_in_words(partition: Partition, r: int, names: Sequence[str], units
 def _is(partition: Partition, r: int, j: int, axis: Axis, word: str, where: str = "") -> str:
     """ "v_x(k-1) is A2 'forward' (about 0.51 +- 0.2 m/s)"."""
     width = 0.5 * float(partition.left[r, j] + partition.right[r, j])
-    about = f"{number(float(partition.centre[r, j]))} +- {number(width)}" + (
-        f" {axis.unit}" if axis.unit else ""
-    )
-    return f"{axis.name} is A{r + 1} '{word}' (about {about}{where})"
+    centre = float(partition.centre[r, j])
+    about = "" if word == f"near {axis.place(centre)}" else f"about {number(centre)} "
+    return f"{axis.name} is A{r + 1} '{word}' ({about}+- {axis.place(width)}{where})"
 
 
 def _strongest(partition: Partition, r: int, axis: Axis, places: Sequence[Piece]) -> str:
@@ -118,77 +111,76 @@ def in_words(
     rules: Sequence[Rule],
     notes: Sequence[str],
     signals: Signals = ((), ()),
-    points: Sequence[OperatingPoint] = (),
+    said: Sequence[str] = (),
 ) -> str:
     """A whole model as text: title, what it does from slow to fast, rules with what they mean, notes.
 
     Parameters
     ----------
     signals : outputs and inputs, for the names and units of gains.
-    points : what the model does where its vehicle rests.
+    said : sentences on what the model does where its vehicle rests.
     """
-    lines = [title, *(f"  * {sentence}" for sentence in sentences(points, signals))]
-    for at, rule in enumerate(rules):
-        always = rule.condition.startswith("always")
-        then = f"{rule.condition.capitalize()}:" if always else f"If {rule.condition}, then"
-        means = "" if points and len(rules) == 1 else f"  [{meaning(rule, signals, rules[:at], points)}]"
-        lines.append(f"  {rule.label}. {then} {rule.conclusion}{means}")
-    if any(_nearly_integrates(rule) and not rule.here for rule in rules):
-        lines.append(
-            "  * nearly integrates: gain and time constant depend on the last digits of the coefficients"
-        )
+    lines = [title, *(f"  * {sentence}" for sentence in said)]
+    for rule, means in zip(rules, meanings(rules, signals), strict=True):
+        if len(rules) == 1:
+            means = "" if said else means
+            then = rule.conclusion
+        else:
+            always = rule.condition.startswith("always")
+            condition = f"{rule.condition.capitalize()}:" if always else f"If {rule.condition}, then"
+            then = f"{rule.label}. {condition} {rule.conclusion}"
+        lines.append(f"  {then}  [{means}]" if means else f"  {then}")
     return "\n".join([*lines, *(f"  - {note}" for note in notes)])
 
 
-def meaning(
-    rule: Rule,
-    signals: Signals = ((), ()),
-    others: Sequence[Rule] = (),
-    points: Sequence[OperatingPoint] = (),
-) -> str:
-    """What the model does where the rule speaks its loudest, and for which share of the samples it does.
+def meanings(rules: Sequence[Rule], signals: Signals = ((), ())) -> list[str]:
+    """For which share of the samples every rule is the strongest, and what the model does where it is.
 
     Of a model that comes to no rest, or whose operating points nobody looked for: the rule's own gain and
-    slowest time constant; * where nearly integrating.
-
-    Parameters
-    ----------
-    others : rules told already: where one of them answers alike, it is named with the place, and no number
-        told again.
-    points : the model's operating points.
+    slowest time constant.
     """
-    parts = _where_loudest(rule, signals, others) if points else _by_itself(rule, signals)
-    pushes = [rule.push] if rule.push else []
-    return ", ".join([*parts, *pushes, f"strongest for {100 * rule.support:.0f} % of the samples"])
+    known = any(rule.here for rule in rules)
+    told = []
+    for at, rule in enumerate(rules):
+        alone = [f"strongest for {100 * rule.support:.0f} % of the samples"] if len(rules) > 1 else []
+        means = _at_rest(rule, rules[:at], signals) if known else _by_itself(rule, signals)
+        told.append("; ".join([*alone, *means, *([rule.push] if rule.push else [])]))
+    return told
 
 
-def _where_loudest(rule: Rule, signals: Signals, others: Sequence[Rule]) -> list[str]:
+def _at_rest(rule: Rule, others: Sequence[Rule], signals: Signals) -> list[str]:
+    """Where the rule is the loudest at rest, and what the model does there; or which other it does as."""
     if not rule.here:
-        return ["never the strongest in equilibrium"]
-    like = next((other for other in others if answers_like(rule, other)), None)
-    if like is not None:
-        return [f"same response {near(rule.here[0], signals)} as {like.label}"]
-    return [f"strongest {at_loudest(point, signals)}" for point in rule.here]
+        return ["never at rest"]
+    like = next((other.label for other in others if answer_alike(rule, other)), None)
+    said = []
+    for point in rule.here:
+        output = signals[0][point.output]
+        figures = zip(point.gain.tolist(), signals[1], strict=True)
+        several = len(signals[1]) > 1
+        gain = ", ".join(_gain_text(g, given, output) + several * f" of {given.name}" for g, given in figures)
+        times = " and ".join(dict.fromkeys(number(t) for t in point.reached_s if np.isfinite(t)))
+        does = f"as {like}" if like else f"gain {gain}" + (f", 63 % after {times} s" if times else "")
+        said.append(f"at rest {near(point, output)}: {does}")
+    return said
 
 
-def answers_like(rule: Rule, other: Rule) -> bool:
+def answer_alike(rule: Rule, other: Rule) -> bool:
     """Whether the model answers alike where either is the loudest, within 10 % or the 95 % intervals."""
     same = len(rule.here) == len(other.here) > 0
-    return same and all(answers_alike(p, q) for p, q in zip(rule.here, other.here, strict=True))
+    return same and all(answers_like(p, q) for p, q in zip(rule.here, other.here, strict=True))
 
 
 def _by_itself(rule: Rule, signals: Signals) -> list[str]:
-    parts = [f"gain {', '.join(gains(rule, signals))}"]
-    if rule.pole_radius > 0:
-        star = "*" if _nearly_integrates(rule) else ""
-        parts.append(f"time constant {number(rule.time_constant_s)} s{star}")
-    if rule.pole_radius >= 1.0 + _ON_CIRCLE:
-        parts.append("unstable by itself")
-    return parts
-
-
-def _nearly_integrates(rule: Rule) -> bool:
-    return rule.pole_radius > _NEARLY_ONE
+    """Gain and slowest time constant, where the digits of its equation tell them."""
+    if rule.pole_radius >= 1.0 + ROUNDING:
+        return ["unstable by itself"]
+    if not np.isfinite(rule.dc_gain).all():
+        return ["integrates"]
+    if rule.pole_radius > NEARLY_ONE:
+        return ["nearly integrates"]
+    slow = [f"time constant {number(rule.time_constant_s)} s"] if rule.pole_radius > 0.0 else []
+    return [f"gain {', '.join(gains(rule, signals))}", *slow]
 
 
 def gains(rule: Rule, signals: Signals = ((), ())) -> list[str]:
@@ -196,21 +188,19 @@ def gains(rule: Rule, signals: Signals = ((), ())) -> list[str]:
 
     Of several, each with its names: "theta_in -> v_x 0.29".
     """
-    said = [number(g) if np.isfinite(g) else _INTEGRATES for g in np.ravel(rule.dc_gain).tolist()]
+    figures = np.ravel(rule.dc_gain).tolist()
     pairs = [(i, o) for o in signals[0] for i in signals[1]]
-    if len(pairs) != len(said):
-        return said
-    texts = [
-        text if text == _INTEGRATES else f"{text} {_per(i, o)}".rstrip()
-        for text, (i, o) in zip(said, pairs, strict=True)
+    if len(pairs) != len(figures):
+        return [number(g) for g in figures]
+    named = len(pairs) > 1
+    return [
+        named * f"{i.name} -> {o.name} " + _gain_text(g, i, o)
+        for g, (i, o) in zip(figures, pairs, strict=True)
     ]
-    if len(pairs) == 1:
-        return texts
-    return [f"{i.name} -> {o.name} {text}" for text, (i, o) in zip(texts, pairs, strict=True)]
 
 
-def _per(given: Signal, answer: Signal) -> str:
-    """ "m/s per deg"; "" where a unit is not known, or both are one."""
+def _gain_text(gain: float, given: Signal, answer: Signal) -> str:
+    """ "0.29 m/s per deg"; the figure alone where a unit is not known, or both are one."""
     if not (given.unit and answer.unit) or given.unit == answer.unit:
-        return ""
-    return f"{answer.unit} per {given.unit}"
+        return number(gain)
+    return f"{number(gain)} {answer.unit} per {given.unit}"

@@ -20,6 +20,8 @@ ComplexArray = npt.NDArray[np.complex128]
 
 ROUNDING = float(np.sqrt(np.finfo(float).eps))
 """What stands for nothing beside one: a pole so near to the unit circle is on it."""
+NEARLY_ONE = 0.999
+"""A pole beyond it nearly integrates: the last digits of the coefficients decide gain and time constant."""
 REACHED = 1.0 - np.exp(-1.0)
 """Of a change, when its time is told: what one slow mode has reached after its time constant."""
 _SETTLED = 0.002  # of a change that the slowest mode may still lack at the end of an answer
@@ -127,18 +129,21 @@ class Recursion(NamedTuple):
         return count if count <= _LONGEST else None
 
     def answer(self, moved: int, samples: int) -> Answer:
-        """The answer to a step of one input, over so many samples; of what is stable."""
-        depth = self.depth
-        n = len(self.c)
+        """The answer to a lasting step of one input, over so many samples; of what is stable."""
+        gain = np.linalg.solve(np.eye(len(self.c)) - self.A.sum(axis=0), self.B.sum(axis=0)[:, moved])
+        with np.errstate(all="ignore"):
+            share = self.step(moved, samples) / gain
+        reached = np.array([crossing(own) for own in share.T])
+        over, wrong = (np.maximum(way, 0.0) for way in (share.max(axis=0) - 1.0, -share.min(axis=0)))
+        return Answer(gain, reached, over, wrong)
+
+    def step(self, moved: int, samples: int) -> FloatArray:
+        """(samples, n) what a lasting unit step of one input adds."""
+        n, depth = len(self.c), self.depth
         W = np.zeros((depth + samples, n + self.B.shape[2]))
         W[depth:, n + moved] = 1.0
         free_run(W, depth, *self._alone())
-        gain = np.linalg.solve(np.eye(n) - self.A.sum(axis=0), self.B.sum(axis=0)[:, moved])
-        with np.errstate(all="ignore"):
-            share = W[depth:, :n] / gain
-        reached = np.array([_crossing(share[:, i]) for i in range(n)])
-        over, wrong = (np.maximum(way, 0.0) for way in (share.max(axis=0) - 1.0, -share.min(axis=0)))
-        return Answer(gain, reached, over, wrong)
+        return W[depth:, :n]
 
     def _alone(self) -> tuple[Lags, Parameters]:
         """As one rule without a constant or limits."""
@@ -155,7 +160,7 @@ class Recursion(NamedTuple):
         return Lags(column, lag, none, none, none), par
 
 
-def _crossing(share: FloatArray) -> float:
+def crossing(share: FloatArray) -> float:
     """Samples, interpolated, until 63 % is passed; NaN where it never is."""
     beyond = np.flatnonzero(share >= REACHED)
     if not len(beyond):

@@ -25,6 +25,7 @@ from flysid.model.regressors import lagged_name
 from flysid.model.rules.free_run_error import widened
 from flysid.model.rules.kernel import Parameters, firing, free_run, predict
 from flysid.model.rules.memberships import Partition
+from flysid.model.rules.operating_words import sentences
 from flysid.model.rules.phrases import condition_in_words, equation, in_words, push_in_words
 from flysid.model.rules.recursion import ComplexArray, Recursion, time_constant
 from flysid.model.rules.regressor_layout import Layout
@@ -235,7 +236,7 @@ class RuleModel(FreeRuns):
         layout = self.layout
         units = [layout.signals[a.column].unit for a in layout.antecedents]
         names = self.regressor_names[:-1]
-        text = ", ".join(
+        text = "; ".join(
             equation(lagged_name(s.name, 0), row[:-1], names, row[-1])
             for s, row in zip(layout.signals, self.consequents[r], strict=False)
         )
@@ -328,7 +329,8 @@ class RuleModel(FreeRuns):
         if self.structure == "ts_ss":
             title = f"Takagi-Sugeno state-space model, {rules}, {layout.n} states ({layout.hidden} hidden)"
         title += f", {self.n_parameters} parameters"
-        return in_words(title, self.rules(), self.notes, (self.outputs, self.inputs), self.operating_points)
+        signals = self.outputs, self.inputs
+        return in_words(title, self.rules(), self.notes, signals, sentences(self.operating_points, signals))
 
     # -- storage -------------------------------------------------------------------------------------------
 

@@ -27,20 +27,18 @@ from flysid.model.rules.kernel import IntArray
 from flysid.model.rules.lyapunov import certificate_of
 from flysid.model.rules.operating_points import described
 from flysid.model.rules.phrases import from_to
-from flysid.model.rules.recursion import Recursion, companion, rule_radius
+from flysid.model.rules.recursion import NEARLY_ONE, Recursion, companion, rule_radius
 from flysid.model.rules.regressor_layout import Layout, runs_of
 from flysid.model.rules.stages import ordered
 from flysid.model.threads import on_one_thread
 
-LARGEST = 0.999
-"""Radius that no pole of a rule exceeds once it is made stable."""
 _HALVINGS = 12  # of how far a rule is drawn
 _ITERATIONS = 30
 
 
 @on_one_thread
 def with_stable_rules(
-    model: FittedTS, train: Dataset, *, largest: float = LARGEST, certified: bool = False
+    model: FittedTS, train: Dataset, *, largest: float = NEARLY_ONE, certified: bool = False
 ) -> FittedTS:
     """The model with every rule's poles within `largest`; itself where they are.
 

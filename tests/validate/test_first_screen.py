@@ -114,8 +114,8 @@ def test_every_card_has_its_picture_and_a_numbered_scale() -> None:
 
 
 def test_the_card_says_how_the_output_answers_a_small_step() -> None:
-    """Of a first-order lag: its gain, and its time constant of 0.47 s, rounded up to a sample."""
+    """Of a first-order lag: its gain, and its time constant of 0.47 s, between two samples."""
     c = compare([FirstOrder(a=0.9, b=0.1), FirstOrder(a=0.9, b=0.05)], flown(TS, [300] * 2, noise=0.02))
-    assert answer(c, (0, 0)) == "One more deg of u adds 1 m/s to y; 63 % of that after 0.5 s."
+    assert answer(c, (0, 0)) == "One more deg of u adds 1 m/s to y; 63 % of that after 0.48 s."
     integrating = FirstOrder(a=1.0, b=0.1)
     assert answer(compare([integrating], flown(TS, [300] * 2, noise=0.02)), (0, 0)) == ""

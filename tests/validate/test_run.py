@@ -286,7 +286,11 @@ def test_figures_without_matplotlib_name_the_extra_and_leave_nothing(
 
 def test_every_model_has_its_rules_in_words_beside_it(run: Run) -> None:
     for file in run.channels[0].models.values():
-        assert "R1. " in (run.folder / file).with_suffix(".txt").read_text("utf-8")
+        assert "\n  " in (run.folder / file).with_suffix(".txt").read_text("utf-8")
+    linear = (run.folder / CHANNEL / "arx.txt").read_text("utf-8").splitlines()
+    assert re.match(r"arx, \d+ parameters$", linear[0])
+    assert re.match(r"  \* One more deg of theta_in adds \S+ m/s to v_x; 63 % of that is reached", linear[1])
+    assert linear[2].startswith("  v_x(k) = ")
     words = (run.folder / CHANNEL / "ts.txt").read_text("utf-8")
     assert words.startswith("ts, ")
     assert "\n  R1. If " in words
@@ -298,7 +302,9 @@ def test_every_model_has_its_rules_in_words_beside_it(run: Run) -> None:
         rf"one more deg of theta_in adds {known} to v_x; 63 % of that is reached after {level} s \({level} to"
     )
     assert re.match(rf"  \* (From|Near) v_x = .*, {answer}", words.splitlines()[1])
-    assert re.search(rf"\n  R\d\. If .*\[strongest near v_x = {level} m/s, where {answer}", words)
+    assert re.search(
+        rf"\n  R\d\. If .*; at rest near v_x = {level} m/s: (gain {level} m/s per deg|as R1)", words
+    )
 
 
 def test_two_fits_give_the_same_files(data: Path, run: Run, tmp_path: Path) -> None:

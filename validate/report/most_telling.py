@@ -15,7 +15,7 @@ from flysid.model.capabilities import HasOperatingPoints
 from flysid.validate.comparison import Comparison
 from flysid.validate.report.overlay import drawn
 from flysid.validate.report.svg import Axes, line, picture, segment, span, text, tick_text, ticks
-from flysid.validate.responses import LASTING, step_from
+from flysid.validate.responses import answers
 from flysid.validate.segmentnames import begin_s, clock, segment_names
 from flysid.validate.trials import StructureTrial
 from flysid.validate.words import one_line
@@ -23,11 +23,6 @@ from flysid.validate.words import one_line
 SECONDS = 10.0
 WIDTH = 340.0
 HEIGHT = 132.0
-SMALL = 1e-3
-"""Height of the step, in units of the input: the output's limits are far."""
-REACHED = 1.0 - np.exp(-1.0)
-LONGEST = 20_000
-"""Samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,20 +107,10 @@ def answer(comparison: Comparison, place: tuple[int, int]) -> str:
 
 def _answers(model: Fitted, output: int, signal: int) -> Iterator[tuple[float, float]]:
     """Final change per unit, and seconds until 63 % of it, wherever the model's behaviour is known."""
-    if isinstance(model, HasOperatingPoints) and model.operating_points:
-        for p in model.operating_points:
-            if p.output == output:
-                yield float(p.gain[signal]), float(p.reached_s[signal])
-        return
-    rules = model.rules()
-    gain = float(np.asarray(rules[0].dc_gain)[output, signal])
-    if len(rules) > 1 or not np.isfinite([gain, rules[0].time_constant_s]).all() or gain == 0.0:
-        return
-    samples = 1 + int(np.ceil(np.clip(LASTING * rules[0].time_constant_s / model.dt_s, 1.0, LONGEST)))
-    moved = step_from(model, np.zeros(len(model.inputs)), SMALL, (output, signal), samples) / (SMALL * gain)
-    passed = np.flatnonzero(moved >= REACHED)
-    if len(passed):
-        yield gain, float(passed[0]) * model.dt_s
+    known = isinstance(model, HasOperatingPoints) and model.operating_points
+    for p in model.operating_points if known else answers(model):
+        if p.output == output:
+            yield float(p.gain[signal]), float(p.reached_s[signal])
 
 
 def _range(values: FloatArray) -> str:

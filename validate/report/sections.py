@@ -11,9 +11,10 @@ import numpy as np
 from markupsafe import Markup
 
 from flysid.dataset import Dataset, FloatArray
-from flysid.model.base import Rule
+from flysid.model.base import OperatingPoint, Rule
 from flysid.model.capabilities import HasMemberships, HasOperatingPoints, HasRuleOutputs
 from flysid.model.rules.operating_words import sentences
+from flysid.model.rules.recursion import ROUNDING
 from flysid.validate.comparison import Comparison
 from flysid.validate.report import figures, overlay, rulefigures
 from flysid.validate.report.channel_data import Source
@@ -27,6 +28,7 @@ from flysid.validate.report.modelpanels import (
     with_unit,
 )
 from flysid.validate.report.narrative import badge
+from flysid.validate.responses import answers
 from flysid.validate.words import number, one_line
 
 UNSTABLE = "unstable"
@@ -185,7 +187,8 @@ def _rule_rows(source: Source, name: str, css: str, place: tuple[int, int]) -> t
     colours = [css] if len(rules) == 1 else [f"r{i % 8 + 1}" for i in range(len(rules))]
     checks = source.diagnosis.checks.get(name)
     known = any(rule.here for rule in rules)
-    rows = [_rule_row(rule, colour, place, known=known) for rule, colour in zip(rules, colours, strict=True)]
+    alone = next((p for p in answers(source.comparison.fitted[name]) if p.output == place[0]), None)
+    rows = [_rule_row(r, colour, place, alone, known=known) for r, colour in zip(rules, colours, strict=True)]
     if checks is None or checks.intervals is None:
         return tuple(rows)
     sure = checks.intervals
@@ -202,16 +205,24 @@ def _rule_rows(source: Source, name: str, css: str, place: tuple[int, int]) -> t
     )
 
 
-def _rule_row(rule: Rule, css: str, place: tuple[int, int], *, known: bool) -> RuleRow:
-    """A row; with what the model does where the rule is the strongest, where that is `known`."""
+def _rule_row(
+    rule: Rule, css: str, place: tuple[int, int], alone: OperatingPoint | None, *, known: bool
+) -> RuleRow:
+    """A row; with what the model does where the rule is the strongest, where that is `known`, or everywhere.
+
+    Parameters
+    ----------
+    alone : what it does everywhere, of a model of one rule.
+    """
     j, signal = place
     gain = float(np.asarray(rule.dc_gain)[j, signal])
     tau = rule.time_constant_s
-    without = UNSTABLE if rule.pole_radius > 1.0 + 1e-6 else ""
-    if known:
-        here = next((p for p in rule.here if p.output == j), None)
-        without = "" if here else NOWHERE
-        gain, tau = (float(here.gain[signal]), float(here.reached_s[signal])) if here else (np.nan, np.nan)
+    without = UNSTABLE if rule.pole_radius >= 1.0 + ROUNDING else ""
+    here = next((p for p in rule.here if p.output == j), alone)
+    if here is not None:
+        gain, tau = float(here.gain[signal]), float(here.reached_s[signal])
+    elif known:
+        gain, tau, without = np.nan, np.nan, NOWHERE
     return RuleRow(
         label=one_line(rule.label),
         css=css,

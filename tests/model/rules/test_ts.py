@@ -234,7 +234,7 @@ def test_a_model_reads_as_text(bent: FittedTS) -> None:
     assert low < 1.0 < high  # the plant's at rest at 0: 0.1 / (1 - 1.6 + 0.7)
     rules = [line for line in rest if re.match(r"  R\d+\. If y\(k-1\) is .* then y\(k\) = ", line)]
     assert len(rules) == len(bent.rules())
-    assert re.search(rf"\[strongest near y = {level}, where {answer}", rules[0])
+    assert re.search(rf"at rest near y = {level}: gain {level}, 63 % after {level} s", rules[0])
 
 
 def test_an_input_without_a_lag_is_the_one_after_its_delay() -> None:
