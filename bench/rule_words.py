@@ -262,7 +262,9 @@ def rows_of(model: Any, true_at: Truth, small: float) -> Iterator[Row]:
             true = true_at(float(p.outputs[0]), j)
             said = np.array([p.gain[j], p.reached_s[j]])
             ends = np.array([p.gain_interval[:, j], p.reached_interval_s[:, j]])
-            held = np.where(np.isfinite(ends).all(axis=1), (ends[:, 0] <= true) & (true <= ends[:, 1]), np.nan)
+            held = np.where(
+                np.isfinite(ends).all(axis=1), (ends[:, 0] <= true) & (true <= ends[:, 1]), np.nan
+            )
             loudest = rules[int(p.shares.argmax())]
             rule = np.array([float(loudest.dc_gain[0, j]), loudest.time_constant_s])
             yield Row(said, own_answer(model, p, small, j), true, rule, held)
