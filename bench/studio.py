@@ -19,6 +19,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,7 @@ ROWS = 1 << 20
 PERIOD_NS = 1_000_000
 SPIKE = 1e7
 FRESH = 5  # servers that have seen nothing
+ENDED = ("done", "failed", "cancelled", "interrupted")
 MOST_FRESH = 10**7  # samples that are read anew for each of them
 
 
@@ -87,8 +89,7 @@ def timed(action: Callable[[], Any]) -> float:
 
 def cpu_s(server: Server) -> float:
     """CPU time that the server has taken."""
-    fields = Path(f"/proc/{server.process.pid}/stat").read_text("utf-8").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return ticks(server.process.pid) / os.sysconf("SC_CLK_TCK")
 
 
 def told(name: str, seconds: Sequence[float], goal: str, cpu: Sequence[float] = ()) -> None:
@@ -185,6 +186,10 @@ def in_the_page(server: Server, browser: Any) -> None:
     opened(server, browser)
     seconds, cpu = zip(*[opened(server, browser) for _ in range(FRESH)], strict=True)
     told("page opened to three plots painted, warm", seconds, "0.15", cpu)
+    told(
+        "an empty page of the same server, for comparison", [empty(server, browser) for _ in range(FRESH)], ""
+    )
+    tell_the_page_s_work(server, browser)
     browser.execute_script("document.querySelector('.chart').focus()")
     press = "document.activeElement.dispatchEvent(new KeyboardEvent('keydown', {key: '%s', bubbles: true}))"
     keys = ["+", "+", "ArrowRight", "-", "ArrowLeft", "+", "-", "-"] * 8
@@ -201,12 +206,44 @@ def in_the_page(server: Server, browser: Any) -> None:
     print(f"after 100 random zooms {drawn} is drawn, {asked or 'all'} is asked for", flush=True)
 
 
+def empty(server: Server, browser: Any) -> float:
+    """Seconds to open a page with nothing on it: the browser's own part, and the driver's."""
+    browser.get("about:blank")
+    began = time.perf_counter()
+    browser.get(f"http://127.0.0.1:{server.port}/icon.svg")
+    browser.execute_script("return document.readyState")
+    return time.perf_counter() - began
+
+
+def tell_the_page_s_work(server: Server, browser: Any) -> None:
+    """CPU of the page's main thread from the navigation to the paint, medians of some openings."""
+    browser.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
+    names = ("TaskDuration", "ScriptDuration", "LayoutDuration", "RecalcStyleDuration")
+    spent: dict[str, list[float]] = {name: [] for name in names}
+    series = []
+    for _ in range(FRESH):
+        opened(server, browser)
+        metrics = browser.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
+        for one in metrics:
+            if one["name"] in spent:
+                spent[one["name"]].append(1e3 * one["value"])
+        asked = (
+            "return performance.getEntriesByType('resource').filter(x => x.name.includes('/series?')).length"
+        )
+        series.append(browser.execute_script(asked))
+    cells = [
+        f"{name.removesuffix('Duration').lower()} {statistics.median(spent[name]):.0f}" for name in names
+    ]
+    print(f"the page's main thread, ms of CPU: {', '.join(cells)}; curves asked for {max(series)} time(s)")
+
+
 def drop(data: Path, log: Path, browser: Any) -> None:
     """A log dropped on an empty studio: names, then plots."""
     with studio(data) as server:
         server.get("runs/none/worst")  # waits for the last room
         time.sleep(2.0)
         body = log.read_bytes()
+        before = work_of(server)
         began = time.perf_counter()
         sent = server.send("POST", f"uploads?name={log.name}", body).json
         server.get(f"uploads/{sent['upload']}")
@@ -215,11 +252,49 @@ def drop(data: Path, log: Path, browser: Any) -> None:
             [time.perf_counter() - began],
             "1",
         )
-        server.wait(sent["job"]["id"])
+        after = dict(before)
+        while server.get(f"jobs/{sent['job']['id']}").json["state"] not in ENDED:
+            after |= work_of(server)  # what has ended is not there any more
+            time.sleep(0.02)
         browser.get(server.address)
         while not browser.execute_script("return document.querySelector('[data-drawn]')?.dataset.drawn"):
             time.sleep(0.01)
         told("and plotted", [time.perf_counter() - began], "5")
+        after |= work_of(server)
+        cpu, waited = (
+            {pid: work[k] - before.get(pid, (0.0, 0.0))[k] for pid, work in after.items()} for k in (0, 1)
+        )
+        busiest = max(cpu, key=lambda pid: cpu[pid])
+        print(
+            f"CPU of the server and its jobs {sum(cpu.values()):.2f} s; the reader {cpu[busiest]:.2f} s,"
+            f" and {waited[busiest]:.2f} s in which it waited for a core",
+            flush=True,
+        )
+
+
+def work_of(server: Server) -> dict[int, tuple[float, float]]:
+    """The server and all that it has begun: CPU time, and time spent waiting for a core, s (Linux)."""
+    parents: dict[int, int] = {}
+    for path in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            fields = (path / "stat").read_text("utf-8").rpartition(")")[2].split()
+            parents[int(path.name)] = int(fields[1])
+    own = {server.process.pid}
+    while more := {pid for pid, parent in parents.items() if parent in own} - own:
+        own |= more
+    found = {}
+    for pid in own:
+        with suppress(OSError):
+            cpu = ticks(pid) / os.sysconf("SC_CLK_TCK")
+            waited = Path(f"/proc/{pid}/schedstat").read_text("utf-8").split()[1]  # of its first thread
+            found[pid] = (cpu, int(waited) * 1e-9)
+    return found
+
+
+def ticks(pid: int) -> int:
+    """CPU time of a process in the system's ticks, of threads that have ended, too."""
+    fields = Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()
+    return int(fields[11]) + int(fields[12])
 
 
 def together(server: Server, samples: int, people: int) -> None:
@@ -260,6 +335,7 @@ def main() -> None:
     parser.add_argument("--samples", type=float, default=1e6)
     parser.add_argument("--log", type=Path, action="append", default=[])
     parser.add_argument("--people", type=int, default=10)
+    parser.add_argument("--only", choices=["drop", "page"], help="logs that are dropped, or the page, alone")
     words = parser.parse_args()
     samples = int(words.samples)
     print(f"load {os.getloadavg()[0]:.1f}", flush=True)
@@ -267,30 +343,43 @@ def main() -> None:
         data = Path(place) / "data"
         make_flight(data, samples)
 
-        def answering() -> None:
-            with studio(data) as server:
-                starts.append(time.perf_counter() - began)
-                assert server.get("about").status == 200
-
-        starts: list[float] = []
-        for _ in range(5):
-            began = time.perf_counter()
-            answering()
-        told("start to the first answer", starts, "1.0")
-        with studio(data) as server:
-            over_http(server, samples)
-            together(server, samples, words.people)
+        if not words.only:
+            at_the_server(data, samples, words.people)
         browser = launch(Path(place) / "profile")
         try:
-            if samples <= MOST_FRESH:
-                seconds, cpu = zip(*[fresh(data, browser) for _ in range(FRESH)], strict=True)
-                told("page opened to three plots painted, nothing read yet", seconds, "0.5", cpu)
-            with studio(data) as server:
-                in_the_page(server, browser)
-            for number, log in enumerate(words.log):
+            if words.only != "drop":
+                at_the_page(data, samples, browser)
+            for number, log in enumerate(words.log if words.only != "page" else []):
                 drop(Path(place) / f"dropped-{number}", log, browser)
         finally:
             browser.quit()
+
+
+def at_the_server(data: Path, samples: int, people: int) -> None:
+    """Starts, and what is asked for over HTTP."""
+
+    def answering() -> None:
+        with studio(data) as server:
+            starts.append(time.perf_counter() - began)
+            assert server.get("about").status == 200
+
+    starts: list[float] = []
+    for _ in range(5):
+        began = time.perf_counter()
+        answering()
+    told("start to the first answer", starts, "1.0")
+    with studio(data) as server:
+        over_http(server, samples)
+        together(server, samples, people)
+
+
+def at_the_page(data: Path, samples: int, browser: Any) -> None:
+    """Paints of servers that have read nothing, and of one that has."""
+    if samples <= MOST_FRESH:
+        seconds, cpu = zip(*[fresh(data, browser) for _ in range(FRESH)], strict=True)
+        told("page opened to three plots painted, nothing read yet", seconds, "0.5", cpu)
+    with studio(data) as server:
+        in_the_page(server, browser)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from tests.flysid.studio.server import FIT, SAMPLES, Server, studio
 UPLOADS = 1000
 QUERIES = 5000
 WAITING = 100
+STUCK_S = 120.0  # no job ends for so long
 MOST_GROWN_MB = 50.0
 PATHS = (
     "series", "align", "flights", "runs", "jobs", "recipes", "uploads/x", "flights/x", "flights/x/track",
@@ -63,8 +64,8 @@ def damaged_uploads(place: Path, budget: Budget) -> Outcome:
                 outcome.failures.append(f"{name!r}: {answer.status} {answer.body[:80]!r}")
             outcome.raised += answer.status == 400
             if outcome.trials % WAITING == 0:
-                settle(server, 120)
-        settle(server, 300)
+                settle(server)
+        settle(server)
         judge_server(server, outcome, before)
         check_places(place, outcome)
     return outcome
@@ -117,11 +118,16 @@ def waiting(server: Server) -> int:
     return sum(job["state"] in ("queued", "running") for job in server.get("jobs").json["jobs"])
 
 
-def settle(server: Server, seconds: float) -> None:
-    """Wait until no job is left, or so long."""
-    until = time.monotonic() + seconds
-    while time.monotonic() < until and waiting(server):
+def settle(server: Server) -> None:
+    """Wait until no job is left: one that goes on would write into a folder that is being removed."""
+    left = waiting(server)
+    until = time.monotonic() + STUCK_S
+    while left and time.monotonic() < until:
         time.sleep(0.5)
+        now = waiting(server)
+        if now < left:
+            until = time.monotonic() + STUCK_S
+        left = now
 
 
 def settled_mb(server: Server) -> float:

@@ -23,13 +23,13 @@ needs_browser = pytest.mark.skipif(
 )
 
 
-def launch(profile: Path) -> Any:
-    """Chromium without a window; its log has every request and every error of a page."""
+def launch(profile: Path, without: tuple[str, ...] = ()) -> Any:
+    """Chromium without a window and without some of the flags; its log has every request and every error."""
     from selenium import webdriver
 
     options = webdriver.ChromeOptions()
     options.binary_location = str(CHROMIUM)
-    for flag in (*FLAGS, f"--user-data-dir={profile}"):
+    for flag in (*(flag for flag in FLAGS if flag not in without), f"--user-data-dir={profile}"):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     return webdriver.Chrome(options=options, service=webdriver.ChromeService(str(DRIVER)))

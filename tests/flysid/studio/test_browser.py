@@ -14,7 +14,7 @@ import pytest
 
 from flysid.model.start import estimate_start
 from flysid.validate.run import held_out, open_run
-from tests.browser import needs_browser
+from tests.browser import launch, needs_browser
 from tests.flysid.studio.page import Page, until
 from tests.flysid.studio.server import SAMPLES, Server, studio
 
@@ -70,6 +70,26 @@ def test_curves_of_an_address_are_asked_for_once(page: Page) -> None:
     page.drawn()
     asked = page.js("return performance.getEntriesByType('resource').map(entry => entry.name)")
     assert sum("/series?" in name for name in asked) == 1
+
+
+def test_a_scroll_bar_takes_no_width_that_curves_were_asked_for(server: Server, tmp_path: Path) -> None:
+    """It appears with the plots; the first curves, asked for before, fit beside it."""
+    browser = launch(tmp_path, without=("--hide-scrollbars",))
+    try:
+        page = Page(browser, server)
+        page.find(".tree details summary").click()
+        for button in until(lambda: page.all(".tree details[open] li button"))[:6]:
+            button.click()
+        until(lambda: len(page.all(".uplot")) > 5)
+        page.drawn()
+        page.go(page.js("return location.hash"))
+        page.drawn()
+        bar = "const work = document.querySelector('.work'); return work.offsetWidth - work.clientWidth"
+        assert page.js(bar) > 0
+        asked = page.js("return performance.getEntriesByType('resource').map(entry => entry.name)")
+        assert sum("/series?" in name for name in asked) == 1
+    finally:
+        browser.quit()
 
 
 def test_the_last_of_many_zooms_is_what_is_drawn(page: Page) -> None:
