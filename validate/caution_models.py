@@ -150,7 +150,7 @@ def spare_words(comparisons: Comparisons, diagnoses: Diagnoses) -> Iterator[Caut
             "note",
             f"Fewer rules or conditions would do nearly as well on {join(said)}, by free-run RMSE on the "
             "training flights.",
-            "fit with one rule less (--rules), or flysid.model.rules.simplify.",
+            "fit with one rule less (--rules), or model.simplifications(train).",
             0.65,
         )
 

@@ -15,11 +15,9 @@ from flysid.dataset import FloatArray
 
 Block = tuple[FloatArray, FloatArray]
 """F0 (m, m), and F (k, m, m) of the k unknowns."""
-_NEWTON = 40  # steps at one weight of the cost
-_STEPS = 400  # altogether
+_STEPS = 400  # of Newton's
 _STEEPER = 4.0  # the weight of the cost grows by this,
-_GAP = 1e-10  # until a slack is known this closely
-_CENTRED = 1e-6  # of Newton's decrement
+_CLOSE = float(np.sqrt(np.finfo(float).eps))  # until a slack is known this closely, and of Newton's decrement
 
 
 def slackless(blocks: Sequence[Block], x: FloatArray) -> FloatArray | None:
@@ -32,7 +30,7 @@ def slackless(blocks: Sequence[Block], x: FloatArray) -> FloatArray | None:
     cost = np.eye(len(x))[-1]
 
     def known(gap: float, x: FloatArray) -> bool:
-        return gap < max(_GAP, float(x[-1]))
+        return gap < max(_CLOSE, float(x[-1]))
 
     found = _followed(blocks, cost, x, 1.0 / float(x[-1]), known, lambda x: bool(x[-1] < 0.0))
     return found if found[-1] < 0.0 else None
@@ -63,28 +61,24 @@ def _followed(
     """Where the central path is left: the gap is known closely enough, or what was found is enough."""
     rows = sum(len(F0) for F0, _ in blocks)
     stacks = _stacked(blocks)
-    steps = 0
-    while steps < _STEPS:
-        for _ in range(_NEWTON):
-            try:
-                whitened = [_whitened(stack, x) for stack in stacks]
-            except np.linalg.LinAlgError:  # at the edge, but for rounding
-                return x
-            g, H = _slopes(whitened, weight * cost)
-            size_of = np.sqrt(np.diag(H))  # unknowns differ in size by far more than rounding bears
-            scaled = np.linalg.lstsq(H / np.outer(size_of, size_of), -g / size_of, rcond=1e-14)[0]
-            step: FloatArray = np.asarray(scaled / size_of, dtype=np.float64)
-            gain = float(-g @ step)
-            steps = steps + 1
-            size = _size(whitened, step, weight * float(cost @ step), gain) if gain > _CENTRED else 0.0
-            if size == 0.0:
-                break
-            x = x + size * step
-            if enough(x):
-                return x
-        if known(2.0 * rows / weight, x):  # twice what the cost can still fall by from the centre
+    for _ in range(_STEPS):
+        try:
+            whitened = [_whitened(stack, x) for stack in stacks]
+        except np.linalg.LinAlgError:  # at the edge, but for rounding
             return x
-        weight *= _STEEPER
+        g, H = _slopes(whitened, weight * cost)
+        size_of = np.sqrt(np.diag(H))  # unknowns differ in size by far more than rounding bears
+        scaled = np.linalg.lstsq(H / np.outer(size_of, size_of), -g / size_of, rcond=1e-14)[0]
+        step: FloatArray = np.asarray(scaled / size_of, dtype=np.float64)
+        gain = float(-g @ step)
+        size = _size(whitened, step, weight * float(cost @ step), gain) if gain > _CLOSE else 0.0
+        x = x + size * step
+        if size == 0.0:
+            if known(2.0 * rows / weight, x):  # twice what the cost can still fall by from the centre
+                return x
+            weight *= _STEEPER
+        elif enough(x):
+            return x
     return x
 
 

@@ -12,12 +12,12 @@ from flysid.dataset import FloatArray
 from flysid.errors import UsageError
 from flysid.model.base import Rule
 from flysid.model.rules.kernel import firing
+from flysid.model.rules.recursion import ROUNDING
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.vocabulary import number
 
 CAUTION = "Caution:"
 """How a model's note begins that whoever uses the model must know."""
-_ROUNDING = 1e-9  # of the range: its ends are inside
 
 
 @dataclass(frozen=True)
@@ -169,5 +169,5 @@ def outside_share(model: RuleModel, u: FloatArray, y: FloatArray) -> float:
 def is_outside(model: ExplainedModel, z: FloatArray) -> npt.NDArray[np.bool_]:
     """(N, n_z) which antecedents z (N, n_z) lie outside the range seen in training."""
     low, high = model.trained_range
-    rounding = _ROUNDING * (high - low)
+    rounding = ROUNDING * (high - low)  # the ends are inside
     return np.asarray((z < low - rounding) | (z > high + rounding))

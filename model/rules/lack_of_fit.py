@@ -15,11 +15,10 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.noise import coloured_gram, noise_model
 from flysid.model.rules.rule_model import RuleModel
-from flysid.model.rules.rule_uncertainty import steep
+from flysid.model.rules.rule_uncertainty import MOST_ROWS, steep
 from flysid.model.start import start_window
 
 _DEGREE = 3
-_MOST_ROWS = 20_000
 
 
 def scale_factor(model: RuleModel, train: Dataset) -> float:
@@ -55,7 +54,7 @@ def _followed(model: RuleModel, data: Dataset) -> Iterator[tuple[FloatArray, Flo
     rows = 0
     for s in data.segments:
         window = start_window(model.n_init, len(s), model.dt_s)
-        if len(s) <= 2 * window or rows > _MOST_ROWS:
+        if len(s) <= 2 * window or rows > MOST_ROWS:
             continue
         run = model.start.followed(model, s.u, s.y[:window])[window:]
         rows += len(run)

@@ -94,12 +94,12 @@ def linearise(model: RuleModel, at: Mapping[str, float]) -> LocalStateSpace:
             hint="choose one inside the training range; an integrating process rests at one input only",
         )
     _refuse_limit(model, place.tangent.c)
-    A, B, value = place.tangent
+    A, B, steps_to = place.tangent
     ratio = scale[:n, None] / scale
     A = A * ratio[:, :n]
     B = B * ratio[:, n:]
     stands = place.w * scale + shift
-    c = value * scale[:n] + shift[:n] - A.sum(axis=0) @ stands[:n] - B.sum(axis=0) @ stands[n:]
+    c = steps_to * scale[:n] + shift[:n] - A.sum(axis=0) @ stands[:n] - B.sum(axis=0) @ stands[n:]
     return _state_space(model, Recursion(A, B, c))
 
 

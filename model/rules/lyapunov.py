@@ -91,7 +91,7 @@ def common_lyapunov(rules: Sequence[FloatArray], *, bisections: int = 6) -> tupl
         return None
     low = max(_radii(rules))
     T = _balancing(rules, low)
-    balanced = [np.linalg.solve(T, A @ T) for A in rules]
+    balanced = [np.asarray(np.linalg.solve(T, A @ T), dtype=np.float64) for A in rules]
     best = _verified(_feasible(balanced, 1.0), balanced)
     if best is None:
         return None

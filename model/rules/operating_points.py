@@ -100,7 +100,8 @@ class _Asked:
         y = np.concatenate([s.y[:, self.output] for s in self.train.segments])
         u = np.concatenate([s.u[:, self.moved] for s in self.train.segments])
         wanted = _levels(y)
-        grid = np.unique(np.concatenate([np.linspace(*np.quantile(y, _FLOWN), _GRID), wanted]))
+        first, last = np.quantile(y, _FLOWN)
+        grid = np.unique(np.concatenate([np.linspace(first, last, _GRID), wanted]))
         shift, scale = self.model.layout.shift, self.model.layout.scale
         column = self.model.n + self.moved
         low, high = (np.quantile(u, _FLOWN) - shift[column]) / scale[column]

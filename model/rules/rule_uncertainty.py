@@ -36,7 +36,7 @@ from flysid.model.rules.refit import as_problem
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.threads import on_one_thread
 
-_MOST_ROWS = 20_000  # sensitivities kept at a time; longer records are cut, which widens the intervals
+MOST_ROWS = 20_000  # sensitivities kept at a time; longer records are cut, which widens the intervals
 _NUDGE = 1e-6  # of a coordinate, for derivatives
 
 
@@ -153,7 +153,7 @@ def uncertainty(model: RuleModel, train: Dataset) -> Uncertainty:
 def _shortened(runs: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
     """As many whole runs as fit into the rows kept at a time, and the beginning of the next."""
     kept: list[FloatArray] = []
-    left = _MOST_ROWS
+    left = MOST_ROWS
     for W in runs:
         if left > 0:
             kept.append(W[:left])

@@ -19,7 +19,7 @@ from flysid.model.rules.edits import TRIED, edits, staged
 from flysid.model.rules.operating_points import described
 from flysid.model.rules.phrases import from_to
 from flysid.model.rules.regressor_layout import runs_of
-from flysid.model.rules.rule_model import RuleModel, refuse_other_models
+from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.stages import ordered, refine, with_ridge
 from flysid.model.threads import on_one_thread
 
@@ -94,31 +94,3 @@ def simplifications(
             edited = described(at_stage(told, ordered(refined), train), train)
             found.append(PricedEdit(what, edited, before, free_run_rmse(edited, judge)))
     return sorted(found, key=lambda s: s.loss_pct)
-
-
-def simplify(
-    model: RuleModel, train: Dataset, validation: Dataset | None = None, *, most_loss_pct: float = 2.0
-) -> tuple[RuleModel, tuple[PricedEdit, ...]]:
-    """The simplest model that the free run allows, and every step to it.
-
-    Steps are taken while the RMSE stays within `most_loss_pct` of the first model's on every output.
-
-    Raises
-    ------
-    UsageError : not a model of rules over lags.
-    DataError : no segment is long enough to simulate.
-    """
-    refuse_other_models(model, hidden=False)
-    steps: list[PricedEdit] = []
-    first: FloatArray | None = None
-    while len(model.parameters.theta) > 1:
-        offers = simplifications(model, train, validation)
-        if not offers:
-            break
-        first = offers[0].before if first is None else first
-        best = min(offers, key=lambda s: replace(s, before=first).loss_pct)
-        if replace(best, before=first).loss_pct > most_loss_pct:
-            break
-        steps.append(best)
-        model = best.model
-    return model, tuple(steps)

@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pytest
 import scipy.signal
 
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.arx import ARX
 from flysid.model.capabilities import HasDifferenceEquation
 from flysid.model.statespace import StateSpace
+from flysid.validate.fitone import in_words
 from flysid.validate.responses import (
+    answers,
     impulse_response,
     measured_rests,
     poles_and_zeros,
@@ -110,3 +113,20 @@ def flown_with(u: FloatArray) -> Dataset:
     a = np.exp(-0.1)
     y = scipy.signal.lfilter([0.0, 3.0 * (1.0 - a)], [1.0, -a], u, axis=0)
     return Dataset.from_arrays([u], [y], 0.1)
+
+
+def test_a_mode_that_a_zero_nearly_cancels_is_not_the_time_that_is_told() -> None:
+    """Its slowest pole takes 7 s; a step is there after one, as what is printed of it says."""
+    dt = 0.02
+    u = np.repeat(np.random.default_rng(1).normal(size=300), 20)[:, None]
+    a = np.poly([np.exp(-dt / 7.0), np.exp(-dt / 1.0)])
+    b = np.array([0.0, 1.0, -np.exp(-dt / 7.5)])
+    y = scipy.signal.lfilter(0.01 * b, a, u[:, 0])[:, None]
+    fitted = ARX(na=2, nb=2, nk=1, refine=False).fit(Dataset.from_arrays(u, y, dt))
+    assert fitted.rules()[0].time_constant_s == pytest.approx(7.0, rel=0.02)
+    (told,) = answers(fitted)
+    assert told.gain[0] == pytest.approx(0.01 * b.sum() / a.sum(), rel=0.01)
+    assert told.reached_s[0] == pytest.approx(1.0, rel=0.15)
+    words = in_words(fitted)
+    assert "63 % of that is reached after" in words
+    assert "time constant" not in words

@@ -107,8 +107,8 @@ def answer(comparison: Comparison, place: tuple[int, int]) -> str:
 
 def _answers(model: Fitted, output: int, signal: int) -> Iterator[tuple[float, float]]:
     """Final change per unit, and seconds until 63 % of it, wherever the model's behaviour is known."""
-    known = isinstance(model, HasOperatingPoints) and model.operating_points
-    for p in model.operating_points if known else answers(model):
+    known = model.operating_points if isinstance(model, HasOperatingPoints) else ()
+    for p in known or answers(model):
         if p.output == output:
             yield float(p.gain[signal]), float(p.reached_s[signal])
 

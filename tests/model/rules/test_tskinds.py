@@ -14,7 +14,7 @@ from flysid.model.arx import ARX
 from flysid.model.rules.consequents import refit_consequents
 from flysid.model.rules.fitted import FittedTS
 from flysid.model.rules.search_settings import SearchSettings
-from flysid.model.rules.simplify import simplifications, simplify
+from flysid.model.rules.simplify import simplifications
 from flysid.model.rules.stabilise import with_stable_rules
 from flysid.model.rules.update import update
 from flysid.model.static_ts import StaticTS
@@ -71,7 +71,6 @@ def test_python_control_follows_one_rule_beyond_its_limits() -> None:
 
 OF_LAGS: list[Callable[[Any, Dataset], object]] = [
     simplifications,
-    simplify,
     update,
     refit_consequents,
     with_stable_rules,

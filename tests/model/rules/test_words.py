@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from flysid.dataset import Signal
 from flysid.errors import StoreError
-from flysid.model.base import Rule, write_document
+from flysid.model.base import OperatingPoint, Rule, write_document
 from flysid.model.rules.linguistics import labels, pieces
 from flysid.model.rules.memberships import Partition
+from flysid.model.rules.operating_words import answers_alike, answers_like, sentences
 from flysid.model.rules.phrases import condition_in_words, equation, gains, in_words
 from flysid.model.rules.vocabulary import Axis, number
 
@@ -268,3 +269,39 @@ def test_gain_and_time_constant_are_told_where_the_digits_of_the_equation_tell_t
     assert told(1e4, 0.9995) == "nearly integrates"
     assert told(np.nan, 1.0) == "integrates"
     assert told(-3.0, 1.2) == "unstable by itself"
+
+
+V = Signal("v_x", "m/s")
+TILT = Signal("tilt", "deg")
+FAN = Signal("fan")
+
+
+def point(level: float, gain: list[float], reached: list[float], wide: float) -> OperatingPoint:
+    """A place of a model of two rules; `wide`: from the middle of an interval to its ends, a factor."""
+    g, t = np.array(gain), np.array(reached)
+    ends = np.array([[1.0 / wide], [wide]])
+    none = np.zeros(len(g))
+    return OperatingPoint(
+        0, np.array([level]), none, g, g * ends, t, t * ends, none, none, none, np.array([0.7, 0.3])
+    )
+
+
+def test_several_inputs_share_a_sentence_and_their_time() -> None:
+    alike = point(0.5, [0.1, 2.0], [0.8, 0.8], 1.1)
+    (said,) = sentences([alike], ([V], [TILT, FAN]))
+    assert said == (
+        "Near v_x = 0.5 m/s, one more deg of tilt adds 0.1 m/s (0.0909 to 0.11) to v_x and one unit more of "
+        "fan adds 2 m/s (1.82 to 2.2) to v_x; 63 % of each is reached after 0.8 s (0.727 to 0.88)."
+    )
+    (apart,) = sentences([point(0.5, [0.1, 2.0], [0.8, 1.6], 1.1)], ([V], [TILT, FAN]))
+    assert apart.count("63 % of that is reached after") == 2
+
+
+def test_places_that_are_poorly_determined_are_not_called_alike() -> None:
+    """They were merged into the middle of both, and one rule was said to answer as the other does."""
+    slow, fast = point(-0.25, [2.0], [0.3], 3.0), point(0.25, [0.9], [0.06], 30.0)
+    assert answers_alike(slow, fast)
+    assert not answers_like(slow, fast)
+    (said,) = sentences([slow, fast], ([V], [TILT]))
+    assert "adds 0.9 to 2 m/s (poorly determined) to v_x" in said
+    assert answers_like(point(-0.5, [1.0], [0.5], 1.1), point(0.5, [1.05], [0.5], 1.1))
