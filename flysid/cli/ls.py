@@ -57,16 +57,17 @@ def command(
 
 def _suggest(data: Path, selection: Selection, display: Display, as_json: bool, every: bool) -> None:
     from flysid.cli.suggestions import print_suggestions
-    from flysid.ingest.lake.chosen_flights import select
+    from flysid.ingest.lake.chosen_flights import select, vehicle_words
 
     with display.shown(), opened_flights(data) as whole:
         lake = select(whole, selection)
         found = lake.suggest()
+        vehicles = vehicle_words(lake)
         flights = [facts.id for facts in lake.facts]
     if as_json:
         click.echo(json.dumps({"suggestions": [s.to_dict() for s in found]}, indent=1))
     else:
-        print_suggestions(found, flights, str(data), every)
+        print_suggestions(found, flights, str(data), every, vehicles)
 
 
 def row(flight: FlightFacts) -> tuple[str, ...]:

@@ -98,13 +98,14 @@ def command(
 
 
 def choose_curves(log: StoredLog, fields: Sequence[str], pair: str | None, recipe: str) -> list[list[Curve]]:
-    """What to draw of a log: the fields named, or the channels of a recipe that it can serve.
+    """What to draw of a log: the fields named, the channels of a recipe that it can serve, or its only table.
 
     Raises
     ------
     UsageError : a field is not there; no shipped recipe serves the log.
     """
     from flysid.errors import UsageError
+    from flysid.flight import BOOT, RECEIVED, TIME
     from flysid.ingest.align.recipe import load_recipe, shipped_recipes
     from flysid.ingest.lake.timeline import read_channels, read_fields
 
@@ -114,6 +115,11 @@ def choose_curves(log: StoredLog, fields: Sequence[str], pair: str | None, recip
         panels = read_channels(log, load_recipe(name))
         if panels:
             return panels
+    streams = log.manifest.streams
+    if not pair and not recipe and len(streams) == 1:  # a table: all that it holds, but for its own time
+        clock = streams[0].metadata.get("time_source", "").partition(" in ")[0]
+        own = [c.name for c in streams[0].columns if c.name not in (TIME, BOOT, RECEIVED, clock)]
+        return read_fields(log, [f"{streams[0].stream}.{name}" for name in own])
     raise UsageError(
         f"the log has no {pair or 'setpoint'} beside a measurement that a shipped recipe knows"
         if not recipe

@@ -79,6 +79,8 @@ def command(
             _print_track(log)
         elif stream is None:
             click.echo(flight_json(log.manifest) if as_json else flight_text(log.manifest, mode_times(log)))
+            if len(log.manifest.streams) == 1 and not as_json:
+                click.echo("\n" + stream_text(log, log.manifest.streams[0], rows))
         else:
             entry = log.manifest.stream(stream)
             click.echo(stream_json(entry) if as_json else stream_text(log, entry, rows))
@@ -184,7 +186,7 @@ def flight_text(manifest: Manifest, modes: Sequence[str] = ()) -> str:
         f"flight        {printable(manifest.id)}",
         f"log           {printable(source.name)} ({source.format}, {source.size_bytes:,} bytes)",
         f"sha256        {source.sha256}",
-        f"time          {clock_text(manifest.duration_s)} in {counted(len(manifest.clocks), 'boot')}",
+        f"duration      {clock_text(manifest.duration_s)} in {counted(len(manifest.clocks), 'boot')}",
     ]
     lines += [f"date          {when}" for when in dates(manifest.clocks)]
     lines += [f"modes         {printable(', '.join(modes))}"] if modes else []

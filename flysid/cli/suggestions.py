@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -23,13 +24,20 @@ LOOP = "loop: the input reacts to the output (a pilot or controller); see docs/r
 OPEN = "?: the data do not determine it"
 
 
-def print_suggestions(found: Sequence[Suggestion], flights: Sequence[str], data: str, every: bool) -> None:
+def print_suggestions(
+    found: Sequence[Suggestion],
+    flights: Sequence[str],
+    data: str,
+    every: bool,
+    vehicles: Mapping[str, str],
+) -> None:
     """Tables on stdout, the good ones first, with the advice below them.
 
     Parameters
     ----------
     flights : all that were looked at; one without a usable channel gets a line with the reason.
     every : show what cannot be used, too.
+    vehicles : flight -> what `--vehicle` takes, where there are several.
     """
     names = short_names([*flights, *(s.flight for s in found)])
     shown = [s for s in found if every or s.verdict in USABLE]
@@ -52,7 +60,7 @@ def print_suggestions(found: Sequence[Suggestion], flights: Sequence[str], data:
     hidden = len(found) - len(shown)
     lines += [f"{hidden} more that cannot be used: --all"] if hidden else []
     click.echo("\n".join(_folded(printable(line)) for line in lines).strip())
-    say(_next(found, data))
+    say(next_command(found, data, vehicles))
 
 
 def _folded(line: str) -> str:
@@ -74,7 +82,9 @@ def unusable(
     for flight in flights:
         own = [s for s in found if s.flight == flight]
         if not own:
-            lines.append(f"{_short(names[flight])}: no shipped recipe has its streams in this flight")
+            lines.append(
+                f"{_short(names[flight])}: no shipped recipe fits; name an input and an output yourself"
+            )
         elif not told and not any(s.verdict in USABLE for s in own):
             reasons = list(dict.fromkeys(f"{s.verdict}: {s.advice.partition(';')[0]}" for s in own))
             remedies |= dict.fromkeys(s.advice.partition("; ")[2] for s in own)
@@ -84,15 +94,22 @@ def unusable(
     return [*lines, *(f"try: {remedy}" for remedy in remedies if remedy)]
 
 
-def _next(found: Sequence[Suggestion], data: str) -> str:
-    """The command to run next: the recipe with most that is good, and its good channels."""
+def next_command(found: Sequence[Suggestion], data: str, vehicles: Mapping[str, str]) -> str:
+    """What to run next: the recipe with most that is good, and its good channels, of one vehicle."""
+    if not found:
+        return (
+            f"next: flysid fit {data} --from FIELD --to FIELD -o run; 'flysid show {data}' lists the fields"
+        )
     good = [s for s in found if s.verdict == "good"]
     if not good:
         return "next: fly or log what is asked for above; 'flysid recipes' explains recipes"
-    recipe = Counter(s.recipe for s in good).most_common(1)[0][0]
-    channels = dict.fromkeys(s.channel for s in good if s.recipe == recipe)
-    rest = {s.channel for s in found if s.recipe == recipe} - channels.keys()
+    vehicle = Counter(vehicles.get(s.flight, "") for s in good).most_common(1)[0][0]
+    own = [s for s in found if vehicles.get(s.flight, "") == vehicle]
+    recipe = Counter(s.recipe for s in own if s.verdict == "good").most_common(1)[0][0]
+    channels = dict.fromkeys(s.channel for s in own if s.recipe == recipe and s.verdict == "good")
+    rest = {s.channel for s in own if s.recipe == recipe} - channels.keys()
     words = "".join(f" -c {channel}" for channel in channels) if rest else ""
+    words += f" --vehicle {shlex.quote(vehicle)}" if vehicle else ""
     return f"next: flysid fit {data} --recipe {recipe}{words} -o run"
 
 

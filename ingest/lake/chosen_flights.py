@@ -90,6 +90,14 @@ def vehicles(lake: Lake) -> dict[str, list[str]]:
     return found
 
 
+def vehicle_words(lake: Lake) -> dict[str, str]:
+    """Flight -> what `--vehicle` takes for its vehicle; nothing where one vehicle is known at most."""
+    known = {name: ids for name, ids in vehicles(lake).items() if name}
+    if len(known) < 2:
+        return {}
+    return {flight: shortest_end(name, list(known)) for name, ids in known.items() for flight in ids}
+
+
 def require_one_vehicle(lake: Lake) -> None:
     """Raise UsageError where flights are known to be of several vehicles: a model of all is none of any.
 

@@ -85,3 +85,17 @@ def test_what_cannot_be_meant_is_refused(data: Path) -> None:
     for arguments in (["--params", "--events"], ["a", "b", "c"], ["0001", "ATTT"], ["ATTT"]):
         done = CliRunner().invoke(root, ["show", str(data), *arguments])
         assert isinstance(done.exception, UsageError), arguments
+
+
+def test_a_table_is_shown_and_drawn_whole(tmp_path: Path) -> None:
+    """Of one stream, without a recipe, no field need be named; the time itself is not drawn."""
+    log = tmp_path / "rig.csv"
+    log.write_text(
+        "Time (s),Motor [V],Speed [rad/s]\n" + "".join(f"{k / 50},{k % 9},{k}\n" for k in range(200))
+    )
+    text = show(log)
+    assert "Motor    double  V" in text
+    drawn = CliRunner().invoke(root, ["plot", str(log), "--term"], catch_exceptions=False)
+    assert "table.Motor, V" in drawn.stdout
+    assert "table.Speed, rad/s" in drawn.stdout
+    assert "Time" not in drawn.stdout

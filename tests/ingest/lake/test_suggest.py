@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from flysid.cli import root
-from flysid.cli.suggestions import advice, short_names
+from flysid.cli.suggestions import advice, next_command, short_names
 from flysid.flight import ClockMap, Damage, Flight, Source
 from flysid.ingest.align.recipe import load_recipe, parse_recipe, shipped_recipes
 from flysid.ingest.align.signals import FlightLog
@@ -180,3 +181,19 @@ def test_the_rule_is_what_shipped_recipes_ask_for() -> None:
             asked[key] = min(asked.get(key, lowest), lowest)
     assert asked == {(kind, box): least_hz(kind, "blackbox" if box else "tlog") for kind, box in asked}
     assert {kind for kind, _ in asked} == {"attitude", "velocity", "rates"}
+
+
+def test_the_command_to_run_next_is_of_one_vehicle() -> None:
+    """A fit refuses flights of several; the one with most that is good is named."""
+    good = Suggestion("a", "r", "roll", "u", "y", "good")
+    found = [good, replace(good, flight="b"), replace(good, flight="b", channel="pitch")]
+    assert next_command(found, "logs", {"a": "17", "b": "2f"}) == (
+        "next: flysid fit logs --recipe r --vehicle 2f -o run"
+    )
+    assert next_command(found, "logs", {}) == "next: flysid fit logs --recipe r -o run"
+
+
+def test_a_table_s_fields_are_to_be_named() -> None:
+    assert next_command([], "rig.csv", {}).startswith(
+        "next: flysid fit rig.csv --from FIELD --to FIELD -o run"
+    )
