@@ -120,7 +120,7 @@ def _rows(m: Margins) -> list[list[tuple[str, Figure, str, str]]]:
 
 def _known(row: list[tuple[str, Figure, str, str]]) -> list[str]:
     return [
-        f"{name} {figure.said(form, unit)}" for name, figure, form, unit in row if figure.value is not None
+        f"{name} {figure.said(form, unit)}" for name, figure, form, unit in row if math.isfinite(figure.low)
     ]
 
 
@@ -128,14 +128,14 @@ def _unknown(m: Margins) -> list[str]:
     """The figures that are not determined, each reason once."""
     by_reason: dict[str, list[str]] = {}
     for name, figure, _, _ in (item for row in _rows(m) for item in row):
-        if figure.value is None:
+        if not math.isfinite(figure.low):
             by_reason.setdefault(figure.why, []).append(name)
     return [f"not determined: {', '.join(names)} ({why})" for why, names in by_reason.items()]
 
 
 def _plain(figure: Figure) -> dict[str, Any]:
     told = asdict(figure)
-    return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in told.items()}
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in told.items()}
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,19 @@ from flysid.model.polynomials import DB
 TRUSTED = 0.4
 NEIGHBOURS = 7  # lines: one that the sticks happened to leave out ends no band
 POWERS = 5  # of ln f, from 0 on: four of them bend the crossover of a plant with a lag by a standard error
+OCTAVES = 4.0  # of one such curve: as far as sticks in gusty air let the plant be known
+CLEAR = np.sqrt(2.0)
+"""The band goes on half an octave beyond what is told of its upper part. Nearer to its end, where the sticks
+fade, the plant's gain comes out too large by up to its error, and flights that reach a figure there at all
+are those in which it came out low."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure and its 95 % interval; `why` it is not known where it is None."""
+    """A figure and its 95 % interval; `why` it is not known where it is None.
+
+    Where only its lower end is known, `high` is infinite and `low` is exceeded with 97.5 %.
+    """
 
     value: float | None
     low: float = np.nan
@@ -32,6 +40,8 @@ class Figure:
     def said(self, form: str, unit: str = "") -> str:
         """For people: "12.1 Hz [11.0, 13.5]"."""
         if self.value is None:
+            if np.isfinite(self.low):
+                return f"at least {self.low:{form}}{unit}"
             return f"not determined: {self.why}"
         return f"{self.value:{form}}{unit} [{self.low:{form}}, {self.high:{form}}]"
 
@@ -44,6 +54,7 @@ class Margins:
     ----------
     band_hz : where the plant is known to `TRUSTED` of itself.
     crossover_hz, phase_deg, gain_db, delay_ms : where the loop's gain is one; margins there and at -180 deg.
+        Where the loop reaches -180 deg above the band, the gain margin exceeds what its gain leaves at the band's end.
     ms : the largest sensitivity inside the band: how much disturbances grow at worst.
     bandwidth_hz : where the answer to the setpoint falls to -3 dB.
     noise : the largest gain from measurement noise to the controller's output, inside the band.
@@ -99,7 +110,8 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     back = controller.feedback(f)
     forward = controller.reference(f)
     centre, draws = smoothed(loop, at)
-    one = _figures(f, centre, back, forward)
+    other, _ = smoothed(loop, at, POWERS + 1)
+    one, more = (np.array(_figures(f, g, back, forward)) for g in (centre, other))
     if np.isnan(one[0]):
         raise DataError(
             f"the loop's gain is not one between {low:.0f} and {high:.0f} Hz, the band in which "
@@ -109,14 +121,19 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     every = np.array([_figures(f, g, back, forward) for g in draws])
     blocks = sum(len(b) for b in loop.blocks)
     beyond = f"above {high:.0f} Hz, which the sticks do not excite"
-    named = [_figure(value, column, beyond, blocks) for value, column in zip(one, every.T, strict=True)]
+    turned = np.append(every[:, -1], one[-1])
+    one = one[:-1]
+    reach = _reach(one, more[:-1], every[:, :-1], blocks)
+    named = [_figure(value, wide, beyond) for value, wide in zip(one, reach, strict=True)]
+    if not turned.max() < high / CLEAR:
+        named[2] = _at_least(one[2] - reach[2], named[2].why or beyond)
     return Margins((low, high), *named)
 
 
-def smoothed(loop: Loop, at: npt.NDArray[np.bool_]) -> tuple[ComplexArray, ComplexArray]:
+def smoothed(loop: Loop, at: npt.NDArray[np.bool_], powers: int = POWERS) -> tuple[ComplexArray, ComplexArray]:
     """The plant (F,) at these lines and its draws (D, F), without scatter from line to line and without bend.
 
-    ln G is of fourth degree in ln f, its phase with a delay beside, by least squares weighted with the draws'
+    ln G is a polynomial in ln f, its phase with a delay beside, by least squares weighted with the draws'
     scatter: a largest value, as Ms is, of a ragged curve would be too large. The weight of a line is that of
     its neighbours: by its own scatter, lines would be preferred for their errors.
 
@@ -128,58 +145,88 @@ def smoothed(loop: Loop, at: npt.NDArray[np.bool_]) -> tuple[ComplexArray, Compl
     centre = plant(loop.mean)[at]
     away = np.log(plant(loop.draws)[:, at] / centre)
     scatter = median_filter((np.abs(away) ** 2).mean(axis=0), NEIGHBOURS, mode="nearest")
-    curves = _Curves.at(f, 1.0 / np.sqrt(np.maximum(scatter, 1e-8)))
-    level, slope, second = curves.of(centre)
-    _, sent, _ = curves.of(loop.mean[0, 1][at])
+    curves = _Curves.at(f, 1.0 / np.sqrt(np.maximum(scatter, 1e-8)), powers)
+    sent = loop.mean[0, 1][at]
+    sent_away = np.log(loop.draws[:, 0, 1][:, at] / sent)
     window_s = 1.0 / (loop.f[1] - loop.f[0])
-    bend = (second + slope**2 + 2.0 * slope * sent) / (6.0 * window_s**2)
-    middle = np.exp(level) / (1.0 + bend)
-    return middle, middle * np.exp(curves.through(away))
+    own = curves.of(centre)
+    others = own[:, None] + curves.through(away)
+    driven = curves.of(sent)
+    return _unbent(own, driven, window_s), _unbent(others, driven[:, None] + curves.through(sent_away), window_s)
+
+
+def _unbent(ln_plant: ComplexArray, ln_sent: ComplexArray, window_s: float) -> ComplexArray:
+    """(..., F) a plant without what the window does to it; of (3, ..., F) logarithms and two derivatives."""
+    level, slope, second = ln_plant
+    bend = (second + slope**2 + 2.0 * slope * ln_sent[1]) / (6.0 * window_s**2)
+    return np.asarray(np.exp(level) / (1.0 + bend))
 
 
 @dataclass(frozen=True, eq=False)
 class _Curves:
-    """Fits of ln G by powers of ln f, and of its phase by those and f.
+    """Fits of ln G by powers of ln f, and of its phase by those and f, over stretches of `OCTAVES` at most.
+
+    A band that reaches far, as in still air, holds bends that one curve would spread over all of it. Lines
+    between the middles of two stretches have what both say, by their distance from either.
 
     Attributes
     ----------
-    basis : (3, F, POWERS + 1) the functions, f the last, and their first and second derivatives by f.
-    size, turn : (POWERS, F), (POWERS + 1, F) that take ln |G| and the phase to coefficients.
+    size, turn : (3, F, F) from ln |G| and from the phase of the lines to those of the curves, and to their
+        first and second derivatives by f.
     """
 
-    basis: FloatArray
     size: FloatArray
     turn: FloatArray
 
     @classmethod
-    def at(cls, f: FloatArray, weight: FloatArray) -> _Curves:
-        x = np.log(f / np.sqrt(f[0] * f[-1]))[:, None]
-        n = np.arange(POWERS)
-        by_x = n * x ** np.maximum(n - 1, 0)
-        twice = n * (n - 1) * x ** np.maximum(n - 2, 0)
-        g = f[:, None]
-        rows = [
-            np.column_stack(pair)
-            for pair in ((x**n, f), (by_x / g, np.ones_like(f)), ((twice - by_x) / g**2, np.zeros_like(f)))
-        ]
-        weighted = rows[0] * weight[:, None]
-        return cls(
-            np.array(rows), np.linalg.pinv(weighted[:, :POWERS]) * weight, np.linalg.pinv(weighted) * weight
-        )
+    def at(cls, f: FloatArray, weight: FloatArray, powers: int = POWERS) -> _Curves:
+        x = np.log2(f / f[0])
+        beyond = max(0.0, x[-1] - OCTAVES)
+        starts = np.linspace(0.0, beyond, 1 + int(np.ceil(2.0 * beyond / OCTAVES)))
+        middles = starts + 0.5 * OCTAVES
+        shares = np.array([np.interp(x, middles, row) for row in np.eye(len(starts))])
+        maps = np.zeros((2, 3, len(f), len(f)))
+        for start, share in zip(starts, shares, strict=True):
+            inside = (x >= start - 1e-9) & (x <= start + OCTAVES + 1e-9)
+            own = _stretch(f[inside], weight[inside], powers)
+            maps[:, :, np.flatnonzero(inside)[:, None], np.flatnonzero(inside)] += share[inside][:, None] * own
+        return cls(*maps)
 
     def of(self, values: ComplexArray) -> ComplexArray:
         """(3, F) the fit of ln values and its first and second derivatives."""
-        size = self.basis[:, :, :POWERS] @ (self.size @ np.log(np.abs(values)))
-        return np.asarray(size + 1j * (self.basis @ (self.turn @ np.unwrap(np.angle(values)))))
+        return np.asarray(
+            self.size @ np.log(np.abs(values)) + 1j * (self.turn @ np.unwrap(np.angle(values)))
+        )
 
     def through(self, away: ComplexArray) -> ComplexArray:
-        """(D, F) the fits of logarithms."""
-        size = self.basis[0, :, :POWERS] @ self.size
-        return np.asarray(away.real @ size.T + 1j * (away.imag @ (self.basis[0] @ self.turn).T))
+        """(3, D, F) the fits of logarithms and their derivatives."""
+        turned = away.imag @ self.turn.transpose(0, 2, 1)
+        return np.asarray(away.real @ self.size.transpose(0, 2, 1) + 1j * turned)
+
+
+def _stretch(f: FloatArray, weight: FloatArray, powers: int) -> FloatArray:
+    """(2, 3, F, F) of one stretch, as `_Curves` has them of all: of the size, of the phase."""
+    x = np.log(f / np.sqrt(f[0] * f[-1]))[:, None]
+    n = np.arange(powers)
+    by_x = n * x ** np.maximum(n - 1, 0)
+    twice = n * (n - 1) * x ** np.maximum(n - 2, 0)
+    g = f[:, None]
+    rows = [
+        np.column_stack(pair)
+        for pair in ((x**n, f), (by_x / g, np.ones_like(f)), ((twice - by_x) / g**2, np.zeros_like(f)))
+    ]
+    basis = np.array(rows)
+    weighted = basis[0] * weight[:, None]
+    parts = (basis[:, :, :powers], weighted[:, :powers]), (basis, weighted)
+    return np.array([shapes @ (np.linalg.pinv(heavy) * weight) for shapes, heavy in parts])
 
 
 def _figures(f: FloatArray, g: ComplexArray, back: ComplexArray, forward: ComplexArray) -> list[float]:
-    """In the order of `Margins`; NaN for what is not reached."""
+    """In the order of `Margins`, and where the loop is at -180 deg; NaN for what is not reached.
+
+    The gain margin of a loop that turns above f, where it has fallen further, is that of the end of f; it is
+    turned at infinity then.
+    """
     loop = g * back
     size = np.log(np.abs(loop))
     turn = np.unwrap(np.angle(loop))
@@ -189,7 +236,9 @@ def _figures(f: FloatArray, g: ComplexArray, back: ComplexArray, forward: Comple
     crossover = _falls(f, size)
     phase = 180.0 + np.degrees(np.interp(crossover, f, turn)) if np.isfinite(crossover) else np.nan
     turned = _falls(f, turn + np.pi)
-    gain = -DB * np.interp(turned, f, size) if np.isfinite(turned) else np.nan
+    if np.isnan(turned) and turn[-1] > -np.pi:
+        turned = np.inf
+    gain = -DB * np.interp(turned, f, size) if not np.isnan(turned) else np.nan
     sensitivity = np.abs(1.0 / (1.0 + loop))
     answer = np.log(np.abs(g * forward / (1.0 + loop)) * np.sqrt(2.0))
     delay = 1000.0 * phase / (360.0 * crossover)
@@ -201,6 +250,7 @@ def _figures(f: FloatArray, g: ComplexArray, back: ComplexArray, forward: Comple
         float(sensitivity.max()),
         _falls(f, answer),
         float((np.abs(back) * sensitivity).max()),
+        turned,
     ]
 
 
@@ -214,15 +264,25 @@ def _falls(f: FloatArray, values: FloatArray) -> float:
     return float(np.exp((1.0 - share) * np.log(f[k]) + share * np.log(f[k + 1])))
 
 
-def _figure(value: float, draws: FloatArray, beyond: str, blocks: int) -> Figure:
-    """With its interval; not determined where any draw does not reach it: the interval would be cut off.
+def _reach(one: FloatArray, more: FloatArray, every: FloatArray, blocks: int) -> FloatArray:
+    """(M,) half the widths of the intervals; NaN where a draw does not reach a figure: they would be cut off.
 
-    Half the width is Student's t times the draws' standard deviation: a resample of B blocks scatters less
-    than the blocks do.
+    Student's t times the draws' standard deviation, as a resample of B blocks scatters less than the blocks
+    do, and beside it what one more power of ln f changes: how curves bend is not known either.
     """
-    if np.isnan(value) or not np.isfinite(draws).all():
+    scatter = every.std(axis=0) * np.sqrt(blocks / (blocks - 1))
+    return np.asarray(stdtrit(blocks - 1, 0.975) * np.hypot(scatter, np.nan_to_num(more - one)))
+
+
+def _figure(value: float, reach: float, beyond: str) -> Figure:
+    """With its interval, or why there is none."""
+    if np.isnan(value) or np.isnan(reach):
         return Figure(None, why=beyond)
-    reach = float(stdtrit(blocks - 1, 0.975) * draws.std() * np.sqrt(blocks / (blocks - 1)))
     if value <= reach:
         return Figure(None, why="the flights scatter too much; fly longer, in calmer air")
-    return Figure(value, value - reach, value + reach)
+    return Figure(float(value), float(value - reach), float(value + reach))
+
+
+def _at_least(low: float, why: str) -> Figure:
+    """What a figure exceeds, where its upper end is beyond the band; nothing where that is not positive."""
+    return Figure(None, float(low), np.inf, why) if low > 0.0 else Figure(None, why=why)

@@ -5,7 +5,7 @@ Of the streams that conditions ask for only the changes are kept, so that a log 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -15,6 +15,7 @@ import pyarrow as pa
 from flysid.flight import BOOT, TIME, ClockMap
 from flysid.ingest.align.conditions import condition_spans
 from flysid.ingest.align.recipe import Condition, load_recipe, shipped_recipes
+from flysid.ingest.align.resample import Span
 from flysid.ingest.align.values import base_column
 
 
@@ -57,14 +58,18 @@ class Kept:
     def table(self, stream: str, columns: Sequence[str]) -> pa.Table:
         return self.tables[stream].select(list(columns))
 
-    def flown(self, clocks: Sequence[ClockMap]) -> tuple[float, tuple[str, ...]]:
-        """Seconds in which all conditions hold, and what is to be said of those that never do."""
+    def flown(self, clocks: Sequence[ClockMap]) -> tuple[dict[int, tuple[Span, ...]], tuple[str, ...]]:
+        """Boot -> when all conditions hold, and what is to be said of those that never do."""
         allowed = condition_spans(_conditions(), self)
-        total_ns = 0
-        for clock in clocks:
-            spans = allowed.spans.get(clock.boot, ((clock.first_ns, clock.last_ns),))
-            total_ns += sum(max(min(b, clock.last_ns) - max(a, clock.first_ns), 0) for a, b in spans)
-        return total_ns * 1e-9, allowed.never
+        whole = {clock.boot: (clock.first_ns, clock.last_ns) for clock in clocks}
+        flown = {boot: within(allowed.spans.get(boot, (span,)), span) for boot, span in whole.items()}
+        return flown, allowed.never
+
+
+def within(spans: Iterable[Span], limits: Span) -> tuple[Span, ...]:
+    """What of some spans lies within limits."""
+    cut = ((max(a, limits[0]), min(b, limits[1])) for a, b in spans)
+    return tuple((a, b) for a, b in cut if a < b)
 
 
 def changes(stream: str, table: pa.Table) -> pa.Table | None:

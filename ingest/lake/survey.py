@@ -19,7 +19,8 @@ from flysid.ingest.excitation.enough import MIN_DURATION_S, least_hz, too_short_
 from flysid.ingest.formats.base import Limits, StreamPart, source_of
 from flysid.ingest.formats.opening import open_log
 from flysid.ingest.formats.registry import format_of
-from flysid.ingest.lake.flown import Kept, changes
+from flysid.ingest.align.resample import Span
+from flysid.ingest.lake.flown import Kept, changes, within
 from flysid.parts import exhausted
 
 ROLES: Mapping[str, tuple[str, ...]] = {
@@ -61,6 +62,8 @@ ROLES: Mapping[str, tuple[str, ...]] = {
 ANGLES = {"r": ("roll", "Roll", "rotX"), "p": ("pitch", "Pitch", "rotY"), "y": ("yaw", "Yaw", "rotZ")}
 RADIANS = {"rad": 1.0, "deg": np.pi / 180, "degheading": np.pi / 180}
 MOVED_RAD = np.radians(2.0)
+SHARE_LOGGED = 0.9
+"""Of the flight: a stream that is there for less of it is told to be."""
 
 ADVICE = {
     "blackbox": "log every fourth loop or more: blackbox_sample_rate, before Betaflight 4.3 blackbox_p_ratio",
@@ -101,7 +104,7 @@ class Survey:
 
     Attributes
     ----------
-    armed_s : seconds in which the conditions of shipped recipes hold; None where nobody looked.
+    flown : boot -> when the conditions of shipped recipes hold, as far as the log tells; None where nobody looked.
     never : of each condition that never holds, what the log has instead.
     """
 
@@ -110,13 +113,23 @@ class Survey:
     damage: Damage
     clocks: tuple[ClockMap, ...]
     info: Mapping[str, str]
-    armed_s: float | None = None
+    flown: Mapping[int, tuple[Span, ...]] | None = None
     never: tuple[str, ...] = ()
 
     @property
     def usable_s(self) -> float:
         """Vehicle time that shipped recipes can use: armed and airborne, as far as the log tells."""
-        return self.duration_s if self.armed_s is None else self.armed_s
+        if self.flown is None:
+            return self.duration_s
+        return 1e-9 * sum(b - a for spans in self.flown.values() for a, b in spans)
+
+    def usable_of(self, stream: str) -> float:
+        """The part of `usable_s` from a stream's first row to its last: a log may stop to hold it in flight."""
+        logged = {boot: (first, last) for boot, (_, first, last) in self.streams[stream].spans.items()}
+        if self.flown is None:
+            return 1e-9 * sum(last - first for first, last in logged.values())
+        both = (span for boot, limits in logged.items() for span in within(self.flown.get(boot, ()), limits))
+        return 1e-9 * sum(b - a for a, b in both)
 
     @property
     def duration_s(self) -> float:
@@ -158,9 +171,9 @@ def survey(path: Path, limits: Limits | None = None) -> Survey:
         source = source_of(log.view, log.name, fmt)
     rows = {key: count.rows for key, count in streams.items()}
     tables = {key: pa.concat_tables(parts, promote_options="default") for key, parts in kept.items()}
-    armed_s, never = Kept(source.name, rows, summary.info, tables).flown(summary.clocks)
+    flown, never = Kept(source.name, rows, summary.info, tables).flown(summary.clocks)
     ordered = dict(sorted(streams.items()))
-    return Survey(source, ordered, summary.damage, summary.clocks, summary.info, armed_s, never)
+    return Survey(source, ordered, summary.damage, summary.clocks, summary.info, flown, never)
 
 
 def survey_or_reason(path: Path, limits: Limits | None = None) -> Survey | str:
@@ -228,15 +241,20 @@ def verdict(found: Survey) -> tuple[str, str]:
     if found.usable_s < MIN_DURATION_S:
         return f"too short: flown for {found.usable_s:.0f} s", too_short_alone(found.usable_s)
     kind = found.source.format
+    if not attitude and not velocity and rates_hz < least_hz("rates", kind):
+        return "too slow for body rates", advice
+    usable_s = found.usable_of(attitude or velocity or rates)
+    short = too_short_alone(usable_s)
+    if usable_s < SHARE_LOGGED * found.usable_s and short:
+        name = "attitude" if attitude else "velocity" if velocity else "body rates"
+        short = f"{name} logged for {usable_s:.0f} of {found.usable_s:.0f} s flown; {short}"
+    if usable_s < MIN_DURATION_S:
+        return f"too short: {usable_s:.0f} s", short
     if not attitude and not velocity:
-        return (
-            ("ok: body rates only", too_short_alone(found.usable_s))
-            if rates_hz >= least_hz("rates", kind)
-            else ("too slow for body rates", advice)
-        )
+        return "ok: body rates only", short
     if attitude and rate < least_hz("attitude", kind):
         usable = velocity_rate >= least_hz("velocity", kind)
         return "too slow for attitude, usable for velocity" if usable else "too slow", advice
     if found.excited() == "-":
         return "nothing moved", "fly manoeuvres: doublets or sweeps on the axis of interest"
-    return "ok", too_short_alone(found.usable_s)
+    return "ok", short

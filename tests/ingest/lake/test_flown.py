@@ -15,12 +15,15 @@ from tests.samplelogs import tlog
 DISARMED, ARMED = 81, 81 | 128
 
 
-def log(path: Path, modes: list[int]) -> Path:
-    """Attitude at 10 Hz and a heartbeat every second, in the given base modes, and a ground station."""
+def log(path: Path, modes: list[int], attitude_s: int | None = None) -> Path:
+    """Attitude at 10 Hz and a heartbeat every second, in the given base modes, and a ground station.
+
+    With `attitude_s`, the attitude ends then, and the system's time goes on.
+    """
     vehicle, station = tlog.sender(), tlog.sender(255, 190)
     out = []
     for second, mode in enumerate(modes):
-        for tenth in range(10):
+        for tenth in range(10 if attitude_s is None or second < attitude_s else 0):
             ms = 5000 + 1000 * second + 100 * tenth
             micros = tlog.EPOCH_US + 1000 * ms
             angle = 0.2 * ((second // 2) % 2)
@@ -33,6 +36,10 @@ def log(path: Path, modes: list[int]) -> Path:
                     tlog.frame(vehicle, vehicle.nav_controller_output_encode(angle, 0, 0, 0, 0, 0, 0, 0)),
                 )
             )
+        if attitude_s is not None:
+            ms = 5000 + 1000 * second
+            micros = tlog.EPOCH_US + 1000 * ms
+            out.append(tlog.stamped(micros, tlog.frame(vehicle, vehicle.system_time_encode(micros, ms))))
         out.append(tlog.stamped(micros + 20, tlog.frame(vehicle, vehicle.heartbeat_encode(2, 3, mode, 5, 4))))
         out.append(tlog.stamped(micros + 30, tlog.frame(station, station.heartbeat_encode(6, 8, 0, 0, 4))))
     path.write_bytes(b"".join(out))
@@ -59,3 +66,16 @@ def test_only_time_in_the_air_counts(tmp_path: Path, armed_s: int) -> None:
     words, advice = verdict(found)
     assert words == ("too short: flown for 5 s" if armed_s == 5 else "ok")
     assert f"{armed_s} s alone will hardly give a verdict" in advice
+
+
+def test_flight_without_the_stream_of_interest_does_not_count(tmp_path: Path) -> None:
+    """`doctor` said "ok" of a log of seven minutes with 50 s of attitude, where `ls --suggest` got 50 s."""
+    path = log(tmp_path / "cut.tlog", [ARMED] * 300, attitude_s=20)
+    found = survey(path)
+    assert found.usable_s == pytest.approx(299.0, abs=1.1)
+    words, advice = verdict(found)
+    assert words == "ok"
+    assert advice.startswith("attitude logged for 19 of 298 s flown; 19 s alone will hardly give a verdict")
+    suggested = suggest([FlightLog(flysid.read(path))], ["ardupilot-attitude"])
+    assert {round(s.duration_s) for s in suggested} == {19}
+    assert all(s.advice in advice for s in suggested)
