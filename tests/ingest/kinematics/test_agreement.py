@@ -43,6 +43,21 @@ def test_bias_scale_lag_and_arm_are_within_their_intervals() -> None:
     assert np.abs(off).max() < 4.0
 
 
+def test_the_noise_of_a_bias_is_not_taken_for_smaller_than_it_is() -> None:
+    """A dozen slow lines tell it, and the fit has made their residuals smaller: intervals were too narrow."""
+    noise = 0.005
+    stated = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        exact = motion(rng)[:, None]
+        implied = exact + np.gradient(0.01 * rng.standard_normal(exact.shape), DT_S, axis=0)
+        reading = exact + noise * rng.standard_normal(exact.shape)
+        density = np.array([0.01**2 * DT_S])
+        made = Record(DT_S, reading, implied, np.empty((*exact.shape, 0)), density, np.zeros(1))
+        stated.append(agreement([made], HIGHEST_HZ).bias_sd[0])
+    assert np.mean(stated) > 1.02 * noise / np.sqrt(len(exact))
+
+
 def test_noise_of_what_is_implied_does_not_shrink_the_scale() -> None:
     noisy = [record(np.random.default_rng(seed), noise=0.02) for seed in range(6)]
     scales = [agreement([r], HIGHEST_HZ).scale[0] for r in noisy]
