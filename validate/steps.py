@@ -88,7 +88,7 @@ def channel_steps(
                 response = step_response(data, horizon_s=horizon_s, above=above, below=below)
                 found.append(ChannelStep(name, of, response))
         except (DataError, RecipeError) as error:
-            skipped[name] = str(error)
+            skipped[name] = error.advice
     return found, skipped
 
 

@@ -188,8 +188,10 @@ def _header(
     named = [named_and_measured(cell, i) for i, cell in enumerate(first)]
     names = once_each([name for name, _ in named])
     units = [unit for _, unit in named]
-    if len(rows) > 2 and any(rows[1]) and all(is_known(c.strip("[]()")) for c in rows[1]):
-        units = [cell.strip("[]()") or unit for cell, unit in zip(rows[1], units, strict=True)]
+    second = rows[1] if len(rows) > 2 else []
+    # "1" is a unit, too, but a row of nothing else is one of values
+    if any(c not in ("", "1") for c in second) and all(is_known(c.strip("[]()")) for c in second):
+        units = [cell.strip("[]()") or unit for cell, unit in zip(second, units, strict=True)]
         return list(zip(names, units, strict=True)), rows[2:], table[2][0]
     return list(zip(names, units, strict=True)), rows[1:], table[1][0] if len(table) > 1 else table[0][0]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import flysid
 from flysid.errors import FormatError, UsageError
 from flysid.flight import Flight, field_unit
 from flysid.ingest.formats.base import Limits, collect
@@ -330,3 +332,12 @@ def test_a_header_behind_rubbish_is_counted_and_no_row_becomes_one(ahead: bytes)
     flight = collect(memoryview(ahead + blob), "a.csv", all_formats()["csv"], Limits())
     assert flight.damage.bytes_skipped == len(ahead) + blob.index(b"\n") + 1
     assert flight.rows == 150
+
+
+def test_a_first_row_of_ones_holds_no_units(tmp_path: Path) -> None:
+    """It was read as one: "1 cannot become ns"."""
+    path = tmp_path / "ones.csv"
+    path.write_text("time_s,u,y\n" + "".join(f"{i},1,1\n" for i in range(1, 30)))
+    table = next(iter(flysid.read(path).tables.values()))
+    assert table.num_rows == 29
+    assert table["u"].to_pylist() == [1.0] * 29
