@@ -7,7 +7,8 @@ interval, and how often a figure was stated at all. FIRMWARE is betaflight (a re
 ardupilot (logs of 100 Hz as they keep them, parameters read from the log); OUTER, 1/s, closes an angle loop
 around the rate loop of the last two. FIRST is the first seed. The truth of the
 last two is that of the controller as it is simulated, in steps of a millisecond; with `law` that of the
-continuous law. With `still` the flights of betaflight meet no gusts, and their gyro has a hundredth of the noise.
+continuous law. With `still` the flights of betaflight meet no gusts, and their gyro has a hundredth of the
+noise.
 "At least" counts figures of which a lower end alone is stated, and how often the truth exceeds it.
 """
 

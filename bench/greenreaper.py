@@ -1,9 +1,12 @@
-"""Real flights: what gains do, predicted from flights under other gains: `python -m bench.greenreaper DATA`.
+"""Real flights: what gains do, predicted from flights under other gains.
+
+`python -m bench.greenreaper DATA [window]`.
 
 DATA is an ingested folder of ../shared/logs/blackbox/greenreaper_* and hiro_*. From the first four flights of
 greenreaper, the closed loop from setpoint to gyro of every later one with the gains that its header states:
 median error of the complex response, beside that of the plant of that flight itself and of "nothing changed";
-how often the measured response lies in the stated band; and the margins over the series.
+how often the measured response lies in the stated band; and the margins over the series. Responses are
+resolved to one over the window (2 s).
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from flysid.loops.blackbox_loops import record_of, settings_of
 from flysid.loops.controller import Controller, betaflight
 from flysid.loops.margins import margins
 from flysid.loops.prediction import Prediction, predict
-from flysid.loops.stick_response import ComplexArray, Loop, closed_loop, plant
+from flysid.loops.stick_response import WINDOW_S, ComplexArray, Loop, closed_loop, plant
 
 BANDS = ((1.0, 4.0), (4.0, 10.0), (10.0, 20.0), (20.0, 35.0))
 EARLY = 4
@@ -37,13 +40,13 @@ class Flown:
     controller: Controller
 
 
-def flights(lake: Lake, prefix: str, axis: str) -> list[Flown]:
+def flights(lake: Lake, prefix: str, axis: str, window_s: float) -> list[Flown]:
     """Those whose names begin with `prefix`, in their order."""
     found = []
     for log in sorted((x for x in lake.logs if x.name.startswith(prefix)), key=lambda x: x.name):
         settings = settings_of(log)
         record, throttle = record_of(log, axis, settings)
-        loop = Loop.of([record])
+        loop = Loop.of([record], window_s)
         found.append(Flown(log.name, loop, betaflight(settings, axis, throttle).as_flown(loop, 2.0, 30.0)))
     return found
 
@@ -54,10 +57,11 @@ def told(early: Sequence[Flown], flown: Flown) -> dict[str, ComplexArray]:
     c = flown.controller
     own = plant(flown.loop.mean)
     known = np.asarray(sum(x.loop.mean for x in early))
-    pooled = plant(known)
     before = closed_loop(known)
+    pooled = plant(known)
+    predicted = pooled * c.reference(f) / (1.0 + pooled * c.feedback(f))
     return {
-        "predicted": pooled * c.reference(f) / (1.0 + pooled * c.feedback(f)),
+        "predicted": predict([x.loop for x in early], c).response if len(early) >= 3 else predicted,
         "own fit": own * c.reference(f) / (1.0 + own * c.feedback(f)),
         "nothing changed": before,
     }
@@ -72,9 +76,9 @@ def held(prediction: Prediction, flown: Flown) -> FloatArray:
     return inside.astype(np.float64)
 
 
-def series(lake: Lake, prefix: str, axis: str, early: int) -> None:
+def series(lake: Lake, prefix: str, axis: str, early: int, window_s: float) -> None:
     """The table of one set of flights."""
-    every = flights(lake, prefix, axis)
+    every = flights(lake, prefix, axis, window_s)
     known = every[:early]
     later = every[early:]
     errors: dict[str, list[list[float]]] = {}
@@ -120,9 +124,10 @@ def _margins(flown: Flown) -> str:
 def main(arguments: list[str]) -> int:
     """Roll and pitch of both sets."""
     lake = open_lake(arguments[0])
+    window_s = float(arguments[1]) if len(arguments) > 1 else WINDOW_S
     for axis in ("roll", "pitch"):
-        series(lake, "greenreaper", axis, EARLY)
-        series(lake, "hiro", axis, 1)
+        series(lake, "greenreaper", axis, EARLY, window_s)
+        series(lake, "hiro", axis, 1, window_s)
     return 0
 
 

@@ -54,7 +54,8 @@ class Margins:
     ----------
     band_hz : where the plant is known to `TRUSTED` of itself.
     crossover_hz, phase_deg, gain_db, delay_ms : where the loop's gain is one; margins there and at -180 deg.
-        Where the loop reaches -180 deg above the band, the gain margin exceeds what its gain leaves at the band's end.
+        Where the loop reaches -180 deg above the band, the gain margin exceeds what its gain leaves at the
+        band's end.
     ms : the largest sensitivity inside the band: how much disturbances grow at worst.
     bandwidth_hz : where the answer to the setpoint falls to -3 dB.
     noise : the largest gain from measurement noise to the controller's output, inside the band.
@@ -130,7 +131,9 @@ def margins(loop: Loop, controller: Controller) -> Margins:
     return Margins((low, high), *named)
 
 
-def smoothed(loop: Loop, at: npt.NDArray[np.bool_], powers: int = POWERS) -> tuple[ComplexArray, ComplexArray]:
+def smoothed(
+    loop: Loop, at: npt.NDArray[np.bool_], powers: int = POWERS
+) -> tuple[ComplexArray, ComplexArray]:
     """The plant (F,) at these lines and its draws (D, F), without scatter from line to line and without bend.
 
     ln G is a polynomial in ln f, its phase with a delay beside, by least squares weighted with the draws'
@@ -152,7 +155,9 @@ def smoothed(loop: Loop, at: npt.NDArray[np.bool_], powers: int = POWERS) -> tup
     own = curves.of(centre)
     others = own[:, None] + curves.through(away)
     driven = curves.of(sent)
-    return _unbent(own, driven, window_s), _unbent(others, driven[:, None] + curves.through(sent_away), window_s)
+    return _unbent(own, driven, window_s), _unbent(
+        others, driven[:, None] + curves.through(sent_away), window_s
+    )
 
 
 def _unbent(ln_plant: ComplexArray, ln_sent: ComplexArray, window_s: float) -> ComplexArray:
@@ -189,14 +194,14 @@ class _Curves:
         for start, share in zip(starts, shares, strict=True):
             inside = (x >= start - 1e-9) & (x <= start + OCTAVES + 1e-9)
             own = _stretch(f[inside], weight[inside], powers)
-            maps[:, :, np.flatnonzero(inside)[:, None], np.flatnonzero(inside)] += share[inside][:, None] * own
+            maps[:, :, np.flatnonzero(inside)[:, None], np.flatnonzero(inside)] += (
+                share[inside][:, None] * own
+            )
         return cls(*maps)
 
     def of(self, values: ComplexArray) -> ComplexArray:
         """(3, F) the fit of ln values and its first and second derivatives."""
-        return np.asarray(
-            self.size @ np.log(np.abs(values)) + 1j * (self.turn @ np.unwrap(np.angle(values)))
-        )
+        return np.asarray(self.size @ np.log(np.abs(values)) + 1j * (self.turn @ np.unwrap(np.angle(values))))
 
     def through(self, away: ComplexArray) -> ComplexArray:
         """(3, D, F) the fits of logarithms and their derivatives."""

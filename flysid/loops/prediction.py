@@ -15,6 +15,7 @@ import numpy as np
 from flysid.dataset import FloatArray
 from flysid.errors import DataError
 from flysid.loops.controller import Controller
+from flysid.loops.margins import smoothed, trusted_band
 from flysid.loops.stick_response import DRAWS, ComplexArray, Loop, plant
 
 
@@ -34,9 +35,12 @@ class Prediction:
 def predict(flights: Sequence[Loop], controller: Controller) -> Prediction:
     """The closed loop under a controller, from flights of the same vehicle under any gains.
 
+    Inside the band in which the plant of all flights together is known, its curve is smooth (`smoothed`).
+
     Raises
     ------
-    DataError : fewer than three flights: how much plants differ is not known.
+    DataError : fewer than three flights: how much plants differ is not known; or the sticks did not move the
+        vehicle enough.
     """
     if len(flights) < 3:
         raise DataError(
@@ -44,12 +48,16 @@ def predict(flights: Sequence[Loop], controller: Controller) -> Prediction:
             hint="give three flights or more",
         )
     f = flights[0].f
-    pooled = plant(np.asarray(sum(x.mean for x in flights)))
+    together = Loop(f, tuple(blocks for x in flights for blocks in x.blocks))
+    pooled = plant(together.mean)
     apart = np.log(np.array([plant(x.mean) / pooled for x in flights]))
     n = len(flights)
     rng = np.random.default_rng(0)
     weights = rng.standard_normal((DRAWS, n)) * np.sqrt((1.0 + 1.0 / n) / (n - 1))
     weights *= np.sqrt((n - 1) / rng.chisquare(n - 1, DRAWS))[:, None]
+    low, high = trusted_band(together)
+    at = (f >= low) & (f <= high)
+    pooled[at], _ = smoothed(together, at)
     draws = pooled * np.exp(weights @ apart)
     return Prediction(f, _closed(pooled, f, controller), _closed(draws, f, controller))
 

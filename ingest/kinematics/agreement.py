@@ -331,5 +331,7 @@ class _Normal:
         told = inverse @ expected @ inverse.T
         seen = inverse @ (scores.T @ scores) @ inverse.T
         larger = np.sqrt(np.maximum(np.diag(seen) / np.maximum(np.diag(told), 1e-300), 1.0))
-        taken = np.column_stack([np.real(np.sum((slopes @ told) * slopes.conj(), axis=1)) for slopes in every])
+        taken = np.column_stack(
+            [np.real(np.sum((slopes @ told) * slopes.conj(), axis=1)) for slopes in every]
+        )
         return cls(matrix, scores.sum(axis=0), told * np.outer(larger, larger), taken)

@@ -15,11 +15,11 @@ import pyarrow as pa
 from flysid.errors import FlysidError
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Source, field_scale, field_unit
 from flysid.flightwriter import float_values, int_values
+from flysid.ingest.align.resample import Span
 from flysid.ingest.excitation.enough import MIN_DURATION_S, least_hz, too_short_alone
 from flysid.ingest.formats.base import Limits, StreamPart, source_of
 from flysid.ingest.formats.opening import open_log
 from flysid.ingest.formats.registry import format_of
-from flysid.ingest.align.resample import Span
 from flysid.ingest.lake.flown import Kept, changes, within
 from flysid.parts import exhausted
 
@@ -104,7 +104,8 @@ class Survey:
 
     Attributes
     ----------
-    flown : boot -> when the conditions of shipped recipes hold, as far as the log tells; None where nobody looked.
+    flown : boot -> when the conditions of shipped recipes hold, as far as the log tells; None where nobody
+        looked.
     never : of each condition that never holds, what the log has instead.
     """
 
@@ -124,7 +125,7 @@ class Survey:
         return 1e-9 * sum(b - a for spans in self.flown.values() for a, b in spans)
 
     def usable_of(self, stream: str) -> float:
-        """The part of `usable_s` from a stream's first row to its last: a log may stop to hold it in flight."""
+        """The part of `usable_s` from a stream's first row to its last: a log may cease to hold it."""
         logged = {boot: (first, last) for boot, (_, first, last) in self.streams[stream].spans.items()}
         if self.flown is None:
             return 1e-9 * sum(last - first for first, last in logged.values())

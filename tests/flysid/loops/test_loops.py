@@ -101,7 +101,7 @@ def test_of_a_gain_margin_beyond_the_sticks_only_the_lower_end_is_told() -> None
 
 
 def test_a_gain_margin_near_the_end_of_the_band_has_no_upper_end() -> None:
-    """Of flights that reach -180 deg there at all, the margin came out low: 81 % of 64 intervals held the truth."""
+    """Of flights that reach -180 deg there at all, the margin came out low: 81 % held the truth."""
     vehicle = Vehicle(11.0, 0.04, 10)
     for seed in range(4):
         log = ardupilot_log(120.0, seed, vehicle=vehicle, noise=0.1)
