@@ -25,7 +25,7 @@ from flysid.loops.blackbox_loops import record_of, settings_of
 from flysid.loops.controller import Controller, betaflight
 from flysid.loops.margins import margins
 from flysid.loops.prediction import Prediction, predict
-from flysid.loops.stick_response import WINDOW_S, ComplexArray, Loop, closed_loop, plant
+from flysid.loops.stick_response import ComplexArray, Loop, closed_loop, plant
 
 BANDS = ((1.0, 4.0), (4.0, 10.0), (10.0, 20.0), (20.0, 35.0))
 EARLY = 4
@@ -124,7 +124,7 @@ def _margins(flown: Flown) -> str:
 def main(arguments: list[str]) -> int:
     """Roll and pitch of both sets."""
     lake = open_lake(arguments[0])
-    window_s = float(arguments[1]) if len(arguments) > 1 else WINDOW_S
+    window_s = float(arguments[1]) if len(arguments) > 1 else 2.0
     for axis in ("roll", "pitch"):
         series(lake, "greenreaper", axis, EARLY, window_s)
         series(lake, "hiro", axis, 1, window_s)
