@@ -21,7 +21,7 @@ from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.rules.kernel import free_run
 from flysid.model.rules.rule_model import RuleModel
 from flysid.model.rules.run_start import LikelyStart
-from flysid.model.start import estimate_start, full_window
+from flysid.model.start import estimate_start
 from flysid.model.static_ts import FittedStaticTS
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.subspace.kalman import filtered_states, free_states, output_of
@@ -51,8 +51,8 @@ def in_pieces(model: Fitted, *, remembered_s: float = 10.0) -> InPieces:
     """
     if isinstance(model, FittedEnsemble):
         return _Averaged(model)
-    if isinstance(model, RuleModel) and (model.noise is not None or isinstance(model.start, LikelyStart)):
-        measured = model.n_init if model.noise is None else full_window(model.n_init, model.dt_s)
+    if isinstance(model, RuleModel) and (model.noise is not None or model.layout.hidden):
+        measured = model.start.settled(model.dt_s)
         return _OutputError(model, measured, model.noise, None, lambda u, y: _rules(model, u, y, measured))
     if isinstance(model, FittedStateSpace) and model.noise is not None:
         return _OutputError(model, model.n_init, model.noise, None, lambda u, y: _states(model, u, y))

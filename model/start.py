@@ -10,6 +10,7 @@ differences: exact in one step for a linear model). All structures are treated a
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -23,7 +24,10 @@ if TYPE_CHECKING:
 WINDOW_S = 1.0
 WINDOW_LAGS = 5
 MAX_SHARE = 0.1
+START_SHARE = 0.05
 STEPS = 4
+_DROWNED = 0.3  # spread of a free run for want of its start that noise hides
+_HELPS = 0.8  # of the spread, or less, where more samples help
 _FLAT = 1e-7  # cosine between the residual and what a start can still move
 
 
@@ -43,6 +47,27 @@ def full_window(n_init: int, dt_s: float) -> int:
 def lags_inside_window(dt_s: float, needed: int) -> int:
     """As many lags as never lengthen `full_window`; at least `needed`, and 1."""
     return max(round(WINDOW_S / dt_s / WINDOW_LAGS), needed, 1)
+
+
+def most_start_rows(depth: int, dt_s: float, shortest: int) -> int:
+    """As many samples as a simulation starts from at most; fewer of a short segment, never below `depth`."""
+    return max(depth, min(full_window(depth, dt_s), int(START_SHARE * shortest)), 1)
+
+
+def settled_start_rows(spread: Callable[[int], float], rows: int, most: int) -> int:
+    """Samples that a simulation starts from: the fewest that serve nearly as well as `most`, `rows` doubled.
+
+    All structures ask alike. A few rows more may not help where many do, so that all doublings are looked at.
+
+    Parameters
+    ----------
+    spread : by number of samples, how far a free run errs for want of the right start, in standard
+        deviations of what is measured on top of it.
+    """
+    enough = max(_DROWNED, spread(most) / _HELPS) if rows < most else 0.0
+    while rows < most and spread(rows) > enough:
+        rows = min(2 * rows, most)
+    return rows
 
 
 class Runs(Protocol):
@@ -86,8 +111,16 @@ def estimate_start(model: Runs, u: FloatArray, y: FloatArray) -> FloatArray:
     Returns
     -------
     The measured lags themselves where W gives no more equations than unknowns, or where no better start
-    was found. Models that can are asked without their output limits, where no derivative shows the way back.
+    was found. Models that can are asked without their output limits, where no derivative shows the way back;
+    of a model that starts itself its own run's.
     """
+    if isinstance(model, StartsItself):
+        return np.array(model.run_from_measured(u[: len(y)], y)[: model.n_init])
+    return searched_start(model, u, y)
+
+
+def searched_start(model: Runs, u: FloatArray, y: FloatArray) -> FloatArray:
+    """`estimate_start` by simulations from first outputs alone."""
     if isinstance(model, Limited):
         model = model.unlimited()
     measured = np.array(y[: model.n_init], dtype=np.float64)

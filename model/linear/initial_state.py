@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -16,9 +17,7 @@ from flysid.dataset import FloatArray
 from flysid.model.freerun import Difference
 from flysid.model.linear.data import EXACT, SEARCH_ROWS, Parts, shortened
 from flysid.model.simulation_error import free_space, without
-from flysid.model.start import WINDOW_LAGS, WINDOW_S
-
-START_SHARE = 0.05
+from flysid.model.start import most_start_rows, settled_start_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,24 +65,13 @@ def start_gains(system: Difference, parts: Parts, n_init: int | None) -> FloatAr
     """(n_y, L, n) start gains; n is n_init, or grows until more samples help little."""
     depth = max(system.depth, 1)
     shortest = min(len(s) for s in parts.train.segments)
-    wanted = max(round(WINDOW_S / parts.train.dt_s), WINDOW_LAGS * depth)
-    most = max(depth, min(wanted, int(START_SHARE * shortest)))
     past = pasts(system, parts)
-    rows = _settled_rows(past, depth, most) if n_init is None else max(n_init, 1)
+    if n_init is None:
+        most = most_start_rows(depth, parts.train.dt_s, shortest)
+        rows = settled_start_rows(partial(_start_spread, past), depth, most)
+    else:
+        rows = max(n_init, 1)
     return np.stack([start_gain(p, rows) for p in past])
-
-
-def _settled_rows(past: Sequence[Past], rows: int, most: int) -> int:
-    """Samples that start a free run, from `rows` doubled until more help little."""
-    spread = _start_spread(past, rows)
-    while rows < most:
-        wider = min(2 * rows, most)
-        better = _start_spread(past, wider)
-        if spread < 0.3 or better > 0.8 * spread:
-            break
-        rows = wider
-        spread = better
-    return rows
 
 
 def _start_spread(past: Sequence[Past], rows: int) -> float:

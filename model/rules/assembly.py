@@ -12,21 +12,24 @@ from flysid.errors import DataError
 from flysid.model.noise import noise_models
 from flysid.model.rules.free_run_error import Stage
 from flysid.model.rules.growth import rule_support
-from flysid.model.rules.judging import initial_state_gain
+from flysid.model.rules.likely_start import start_spread
 from flysid.model.rules.rule_model import RuleModel
-from flysid.model.rules.run_start import LikelyStart, MeasuredStart, RunStart
+from flysid.model.rules.run_start import LikelyStart
 from flysid.model.rules.stages import prior_of
-from flysid.model.start import start_window
+from flysid.model.start import MAX_SHARE, most_start_rows, settled_start_rows, start_window
 
 M = TypeVar("M", bound=RuleModel)
 
 
-def start_of(stage: Stage) -> RunStart:
-    """What the model's runs start from: measured outputs, or the likely state where some are hidden."""
+def start_of(stage: Stage, dt_s: float) -> LikelyStart:
+    """What the model's runs start from: the likely start, told from as many samples as help."""
     layout = stage.layout
-    if not layout.hidden:
-        return MeasuredStart(initial_state_gain(stage), layout.depth)
-    return LikelyStart(prior_of(stage), layout.depth + 2 * -(-layout.n // layout.n_y))
+    runs = stage.simulated()
+    prior = prior_of(stage)
+    fewest = layout.depth + (2 * -(-layout.n // layout.n_y) if layout.hidden else 0)
+    most = most_start_rows(layout.depth, dt_s, min(len(W) for W in runs))
+    spread = start_spread(layout, runs, stage.problem.parameters(stage.body), prior, round(most / MAX_SHARE))
+    return LikelyStart(prior, settled_start_rows(spread, fewest, most))
 
 
 def at_stage(model: M, stage: Stage, train: Dataset) -> M:
@@ -35,7 +38,7 @@ def at_stage(model: M, stage: Stage, train: Dataset) -> M:
         model,
         layout=stage.layout,
         parameters=stage.problem.parameters(stage.body),
-        start=start_of(stage),
+        start=start_of(stage, train.dt_s),
         support=rule_support(stage),
     )
     return with_noise_model(moved, train)

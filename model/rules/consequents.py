@@ -223,7 +223,7 @@ def weighted(phi: FloatArray, X: FloatArray) -> FloatArray:
 
 def _lagged_pieces(model: RuleModel, data: Source) -> Pieces:
     layout = model.layout
-    d = model.n_init
+    d = model.layout.depth
     n_y = model.layout.n_y
     blocks = blocks_of(data)
 

@@ -10,15 +10,16 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.model.documents import array_or_none, points_from, signals_of
 from flysid.model.rules import control_system, explanation, local_models, rule_uncertainty, simplify
-from flysid.model.rules.assembly import at_stage, start_of
+from flysid.model.rules.assembly import start_of, with_noise_model
 from flysid.model.rules.explanation import Explanation
 from flysid.model.rules.free_run_error import Stage
+from flysid.model.rules.growth import rule_support
 from flysid.model.rules.integrity import check, refuse
 from flysid.model.rules.kernel import Parameters
+from flysid.model.rules.likely_start import Prior
 from flysid.model.rules.local_models import LocalStateSpace
 from flysid.model.rules.lyapunov import StabilityCertificate, certificate_of
 from flysid.model.rules.operating_points import described
-from flysid.model.rules.realisation import Prior
 from flysid.model.rules.recursion import companion
 from flysid.model.rules.regressor_layout import REACH, Antecedent, Layout, Orders
 from flysid.model.rules.rule_model import RuleModel
@@ -84,8 +85,9 @@ def finished(
     neighbour : the model with one rule more, or one fewer where growth ended, see `operating_points`.
     """
     parameters = stage.problem.parameters(stage.body)
-    bare = FittedTS(train.dt_s, stage.layout, parameters, start_of(stage), np.ones(stage.rules), notes)
-    model = at_stage(bare, stage, train)
+    start = start_of(stage, train.dt_s)
+    bare = FittedTS(train.dt_s, stage.layout, parameters, start, rule_support(stage), notes)
+    model = with_noise_model(bare, train)
     return described(model, train, neighbour) if intervals else model
 
 
@@ -135,13 +137,12 @@ def _orders(input_lags: list[list[int]]) -> Orders:
 def _start(document: Mapping[str, Any], layout: Layout) -> RunStart:
     if "initial_gain" in document:
         return MeasuredStart(np.array(document["initial_gain"], dtype=np.float64), layout.depth)
-    prior = document["prior"]
-    n = layout.n
-    return LikelyStart(
-        Prior(
-            np.array(prior["mean"], dtype=np.float64).reshape(n),
-            np.array(prior["inverse"], dtype=np.float64).reshape(n, n),
-            float(prior["weight"]),
-        ),
-        int(document["n_init"]),
-    )
+    known = document["prior"]
+    q = layout.moving * layout.n
+    mean = np.array(known["mean"], dtype=np.float64).reshape(q)
+    weight = float(known["weight"])
+    if "root" in known:
+        prior = Prior(mean, np.array(known["root"], dtype=np.float64).reshape(q, q), weight)
+    else:  # as 0.1.0 wrote hidden states
+        prior = Prior.of_inverse(mean, np.array(known["inverse"], dtype=np.float64).reshape(q, q), weight)
+    return LikelyStart(prior, int(document["n_init"]))

@@ -9,23 +9,21 @@ is never offered.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.model.rules.boundedness import is_bounded
 from flysid.model.rules.free_run_error import Stage, started_run
-from flysid.model.rules.kernel import Parameters, free_run
+from flysid.model.rules.likely_start import initial_states
 from flysid.model.rules.linear_starts import LinearStart
-from flysid.model.rules.realisation import initial_states
 from flysid.model.rules.recursion import unheld
 from flysid.model.rules.regressor_layout import windows
 from flysid.model.rules.search_settings import QUARTERS
 from flysid.model.rules.stages import prior_of
 from flysid.model.selection import block_means
-from flysid.model.start import MAX_SHARE, estimate_start
+from flysid.model.start import MAX_SHARE
 
 INTEGRATES = (
     "The process integrates: its free run keeps the initial condition, and an input with a non-zero "
@@ -66,64 +64,6 @@ def hold_out(train: Dataset, least: int, fold: int = 0) -> tuple[Dataset, Datase
     return train.with_segments(first), train.with_segments(last or first)
 
 
-def initial_state_gain(stage: Stage) -> FloatArray:
-    """(depth n_y, depth (n_y + n_u) + 1) correction from measured first samples to the model's own.
-
-    A ridge regression, over all windows of the training runs, of simulated minus measured outputs on
-    measured outputs and inputs: the best linear guess of where the model's state is. At 100 Hz the raw
-    first samples would start a fourth-order model with noise a million times amplified. Without noise the
-    differences vanish and so does the correction.
-    """
-    problem = stage.problem
-    d = stage.problem.layout.depth
-    n_y = problem.layout.n_y
-    features = []
-    targets = []
-    for run, W in zip(stage.simulated(), problem.runs, strict=True):
-        features.append(_windows(W, d))
-        targets.append(_windows(run[:, :n_y] - W[:, :n_y], d))
-    X = np.vstack(features)
-    X = np.hstack([X, np.ones((len(X), 1))])
-    Y = np.vstack(targets)
-    gram = X.T @ X / len(X)
-    noise = float((Y * Y).mean())
-    gain = np.linalg.solve(gram + (1e-9 + 1e-3 * noise) * np.eye(len(gram)), X.T @ Y / len(X))
-    return np.ascontiguousarray(gain.T)
-
-
-def _windows(W: FloatArray, depth: int) -> FloatArray:
-    """(N - depth + 1, depth * columns) every window of `depth` rows, flattened row by row."""
-    view = np.lib.stride_tricks.sliding_window_view(W, depth, axis=0)
-    return np.ascontiguousarray(view.transpose(0, 2, 1)).reshape(len(view), -1)
-
-
-@dataclass(frozen=True, eq=False)
-class _Runner:
-    """What `estimate_start` needs of a model, in normalised units."""
-
-    stage: Stage
-
-    @property
-    def n_init(self) -> int:
-        return self.stage.problem.layout.depth
-
-    @cached_property
-    def _free(self) -> Parameters:
-        problem = self.stage.problem
-        return unheld(problem.layout.lags, problem.parameters(self.stage.body))
-
-    def unlimited(self) -> _Runner:
-        problem = replace(self.stage.problem, limits=self._free.limits)
-        return _Runner(replace(self.stage, problem=problem))
-
-    def simulate(self, u: FloatArray, y0: FloatArray) -> FloatArray:
-        problem = self.stage.problem
-        W = np.hstack([np.zeros((len(u), problem.layout.n_y)), u])
-        W[: self.n_init, : problem.layout.n_y] = y0
-        free_run(W, self.n_init, problem.layout.lags, self._free)
-        return np.asarray(np.clip(W[:, : problem.layout.n_y], *problem.limits))
-
-
 def free_run_errors(stage: Stage, runs: Sequence[FloatArray], window: int) -> list[FloatArray]:
     """(N - window, n_y) simulated minus measured outputs of every run, normalised.
 
@@ -133,19 +73,14 @@ def free_run_errors(stage: Stage, runs: Sequence[FloatArray], window: int) -> li
     """
     layout = stage.layout
     n_y = layout.n_y
-    if layout.hidden:
-        par = stage.problem.parameters(stage.body)
-        first = initial_states(layout, runs, par, prior_of(stage), window - layout.depth + 1)
-        pairs = zip(runs, first, strict=True)
-        return [(started_run(layout, W, x, par) - W)[window:, :n_y] for W, x in pairs]
-    runner = _Runner(stage)
-    errors = []
-    for W in runs:
-        u = W[:, n_y:]
-        y = W[:, :n_y]
-        start = estimate_start(runner, u[:window], y[:window])
-        errors.append(runner.simulate(u, start)[window:] - y[window:])
-    return errors
+    par = stage.problem.parameters(stage.body)
+    par = par if layout.hidden else unheld(layout.lags, par)
+    first = initial_states(layout, runs, par, prior_of(stage), window - layout.uncompared)
+    limits = stage.problem.limits[:, :n_y]
+    return [
+        (np.clip(started_run(layout, W, x, par)[:, :n_y], *limits) - W[:, :n_y])[window:]
+        for W, x in zip(runs, first, strict=True)
+    ]
 
 
 def judging_window(runs: Sequence[FloatArray], least: int) -> int:

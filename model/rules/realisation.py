@@ -8,15 +8,12 @@ upper one, in a vehicle the actuator).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.linear.difference_equation import FittedLinear
-from flysid.model.rules.descent import Cost, Fixed, Sizes, descended
-from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.regressor_layout import Layout
 
 _MOST_CHOICES = 3  # of coordinates, each of which is grown from
@@ -24,10 +21,6 @@ _SINGULAR = 1e-6  # coordinates closer to dependent than this are not offered
 PLAIN = "plain"
 """The coordinates that a realisation comes in; hidden states are then made uncorrelated."""
 PLAIN_WORDS = "uncorrelated with the outputs and with each other"
-# of the search for the state before a run, which one step nearly finds
-_STEPS = 12
-_SETTLED = 1e-10
-_CLOSED = 60  # rows that suffice to start a run while fitting
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,80 +170,3 @@ def driving_modes(A: FloatArray, n_y: int) -> list[FloatArray]:
         if values[i].imag >= 0 and abs(largest) > 1e-6 * np.abs(vectors[:, i]).max():
             found.append(np.ascontiguousarray((vectors[:, i] / largest).real))
     return found
-
-
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """What training says about states before any output is seen: mean (n,), inverse covariance (n, n).
-
-    `weight` is the inverse variance of the simulation error; all normalised.
-    """
-
-    mean: FloatArray
-    inverse: FloatArray
-    weight: float
-
-    @classmethod
-    def of(cls, runs: Sequence[FloatArray], n: int, variance: float) -> Prior:
-        """From simulated runs W, and the mean square of the simulation error."""
-        x = np.vstack([run[:, :n] for run in runs])
-        covariance = np.atleast_2d(np.cov(x, rowvar=False, bias=True))
-        covariance += 1e-6 * (np.trace(covariance) / n + 1e-12) * np.eye(n)
-        # the state before training's first sample may lie outside: allow twice the spread
-        mean: FloatArray = np.asarray(x.mean(axis=0), dtype=np.float64)
-        return cls(
-            mean, np.asarray(np.linalg.inv(4.0 * covariance), dtype=np.float64), 1.0 / max(variance, 1e-12)
-        )
-
-
-def initial_states(
-    layout: Layout, runs: Sequence[FloatArray], par: Parameters, prior: Prior, rows: int = _CLOSED
-) -> FloatArray:
-    """(S, 1, n) the most likely state before every run, from its first `rows` rows.
-
-    Hidden states are not measured. They are inferred as a Bayesian estimate with Gaussian noise and prior:
-
-        weight * sum_k |y(k) - yhat(k; x)|^2 + (x - mean)' inverse (x - mean)
-    """
-    d = layout.depth
-    n_y = layout.n_y
-    found = []
-    for W in runs:
-        part = np.ascontiguousarray(W[: d - 1 + max(rows, 1)])
-        guesses = (prior.mean, _measured(prior.mean, part[d - 1, :n_y]))
-        tried = [_likely(layout, part, par, prior, x) for x in guesses[: 2 if len(par.theta) > 1 else 1]]
-        found.append(min(tried, key=lambda t: t[0])[1])
-    return np.stack(found)[:, None]
-
-
-def _likely(
-    layout: Layout, W: FloatArray, par: Parameters, prior: Prior, guess: FloatArray
-) -> tuple[float, FloatArray]:
-    """Cost and state (n,) that a search from a guess ends in; the guess where the model runs away from it."""
-    samples = float((len(W) - layout.depth + 1) * layout.n_y)
-    n_x = par.theta.shape[2]
-    none = np.zeros((0, 0))
-    fixed = Fixed(
-        np.eye(n_x),
-        np.zeros(par.theta.shape[1:]),
-        none,
-        par.centre,
-        par.width,
-        par.z_range,
-        np.zeros(0, dtype=np.int64),
-        W,
-        np.array([0, len(W)]),
-        np.zeros((0, W.shape[1])),
-        np.ascontiguousarray(prior.mean),
-        np.ascontiguousarray(prior.inverse / (prior.weight * samples)),
-    )
-    sizes = Sizes(layout.depth, 1, layout.n_y, samples, 0.0)
-    p = np.concatenate([np.zeros(par.theta.size + 2 * par.centre.size), guess])
-    cost, p = descended(Cost(layout.lags, par, fixed, sizes), p, _STEPS, _SETTLED)
-    return (cost if np.isfinite(cost) else np.inf), p[-layout.n :].copy()
-
-
-def _measured(mean: FloatArray, y: FloatArray) -> FloatArray:
-    guess = mean.copy()
-    guess[: len(y)] = y
-    return guess

@@ -27,10 +27,10 @@ from flysid.model.rules.kernel import Parameters, firing, free_run, predict
 from flysid.model.rules.memberships import Partition
 from flysid.model.rules.operating_words import sentences
 from flysid.model.rules.phrases import condition_in_words, equation, in_words, push_in_words
-from flysid.model.rules.recursion import ComplexArray, Recursion, time_constant
+from flysid.model.rules.recursion import ComplexArray, Recursion, time_constant, unheld
 from flysid.model.rules.regressor_layout import Layout
 from flysid.model.rules.run_start import RunStart
-from flysid.model.start import FreeRuns, full_window, start_window
+from flysid.model.start import FreeRuns, start_window
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,7 +60,7 @@ class RuleModel(FreeRuns):
     @property
     def structure(self) -> str:
         """ "ts" over lags, "ts_ss" over hidden states."""
-        return self.start.structure
+        return "ts_ss" if self.layout.hidden else "ts"
 
     @property
     def n_init(self) -> int:
@@ -128,23 +128,33 @@ class RuleModel(FreeRuns):
         UsageError : shapes do not fit, or k < 1.
         """
         u, y = as_record(self, u, y, k)
-        ahead = self.start.soon(self, u, y, int(k))
-        window = full_window(self.n_init, self.dt_s)
+        hidden = bool(self.layout.hidden)
+        ahead = np.full(y.shape, np.nan) if hidden else self._from_lags(u, y, int(k))
+        window = self.start.settled(self.dt_s)
         later = window + k - 1
-        if self.noise is not None and len(y) > later:
+        if (hidden or self.noise is not None) and len(y) > later:
             free = self.start.followed(self, u, y[:window])
-            ahead[later:] = output_error_ahead(free, y, self.noise, k)[later:]
+            foreseen = free if self.noise is None else output_error_ahead(free, y, self.noise, k)
+            ahead[later:] = foreseen[later:]
         return ahead
+
+    def _from_lags(self, u: FloatArray, y: FloatArray, k: int) -> FloatArray:
+        """(N, n_y) what the rules conclude k steps ahead of measured lags; NaN where there is nothing yet."""
+        layout = self.layout
+        W = self.seen(u, y)
+        return layout.outputs_of(predict(W, self.n_init, k, layout.lags, self.parameters))
 
     def one_step(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, n_y) what the rules conclude from measured lags, eq. (3); NaN in the first n_init rows."""
-        W = self.seen(u, y)
-        return self.layout.outputs_of(predict(W, self.n_init, 1, self.layout.lags, self.parameters))
+        return self._from_lags(u, y, 1)
 
     @cached_property
     def free(self) -> Parameters:
-        """Parameters of a free run, found once: a search for a start runs many."""
-        return self.start.free(self)
+        """Parameters of a free run, found once; one stable rule over lags is cut off afterwards.
+
+        Limits of hidden states hold: they may be ends of travel.
+        """
+        return self.parameters if self.layout.hidden else unheld(self.layout.lags, self.parameters)
 
     def unlimited(self) -> Self:
         """The model without its output limits, if it needs none to be bounded: one rule, and stable."""
@@ -158,7 +168,7 @@ class RuleModel(FreeRuns):
         u = as_columns(u, len(self.inputs), "u")
         n_y = self.layout.n_y
         if y0 is None:
-            rest = self.start.rest
+            rest = self.start.rest(self.layout)
             W = self.layout.stack(np.vstack([np.zeros((rest, u.shape[1])), u]), np.zeros((rest, n_y)))
             known = 0
         else:
@@ -178,6 +188,10 @@ class RuleModel(FreeRuns):
     def outputs_of(self, W: FloatArray) -> FloatArray:
         """(N, n_y) physical outputs of a run, inside the output limits."""
         return np.asarray(np.clip(self.layout.outputs_of(W), *self.output_limits))
+
+    def run_from_measured(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """(N, n_y) free run from the start that suits the measured first rows y (M, n_y) best."""
+        return self.start.followed(self, as_columns(u, len(self.inputs), "u"), y)
 
     def states(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """(N, n) outputs and hidden states (in spreads) of the free run along measured data."""

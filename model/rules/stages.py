@@ -8,7 +8,7 @@ import numpy as np
 
 from flysid.dataset import FloatArray
 from flysid.model.rules.free_run_error import Body, Stage
-from flysid.model.rules.realisation import Prior, initial_states
+from flysid.model.rules.likely_start import Prior, initial_states, rows_before
 
 _FLAT = 1e-9  # of the largest diagonal entry: unknowns that the cost does not feel
 _PROMISE_DAMPING = 1e-3
@@ -43,9 +43,10 @@ def on_other_runs(stage: Stage, runs: tuple[FloatArray, ...]) -> Stage:
 
 
 def prior_of(stage: Stage) -> Prior:
-    """What training says about states, for starting other runs."""
-    runs = [run[stage.layout.depth - 1 :] for run in stage.simulated()]
-    return Prior.of(runs, stage.layout.n, stage.mean_square())
+    """What training says about the starts of other runs."""
+    layout = stage.layout
+    starts = [rows_before(layout, run[layout.uncompared :]) for run in stage.simulated()]
+    return Prior.of(np.vstack(starts), stage.mean_square())
 
 
 def expected_cost(stage: Stage) -> float:

@@ -14,13 +14,12 @@ from flysid.errors import DataError, FitError
 from flysid.model.linear.difference_equation import FittedLinear
 from flysid.model.oe import OE
 from flysid.model.rules.free_run_error import Body, Problem, Stage
+from flysid.model.rules.likely_start import Prior, initial_states
 from flysid.model.rules.realisation import (
     PLAIN,
     PLAIN_WORDS,
-    Prior,
     StateRealisation,
     coordinates,
-    initial_states,
     realised,
     uncorrelated,
 )
@@ -254,7 +253,7 @@ def linear_stage(
     limits = np.full((2, n), np.inf) * np.array([[-1.0], [1.0]])
     limits[:, :n_y] = np.stack([y.min(axis=0) - margin, y.max(axis=0) + margin])
     problem = unmoved(layout, runs, np.zeros((2, 0)), limits)
-    nowhere = Prior(np.zeros(n), 1e-6 * np.eye(n), 1.0)
+    nowhere = Prior(np.zeros(n), 1e3 * np.eye(n), 1.0)
     stage = _linear(problem, real, nowhere)
     states = np.vstack([r[d - 1 :, :n] for r in stage.simulated()])
     spread = states.std(axis=0)

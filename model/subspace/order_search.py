@@ -11,9 +11,8 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.linear.data import Parts, judging_window
-from flysid.model.linear.initial_state import START_SHARE
 from flysid.model.selection import block_errors, simplest
-from flysid.model.start import WINDOW_LAGS, WINDOW_S
+from flysid.model.start import most_start_rows, settled_start_rows
 from flysid.model.stream import Source
 from flysid.model.subspace.fitted_model import FittedStateSpace
 from flysid.model.subspace.kalman import gains_of, start_gains
@@ -201,7 +200,8 @@ def built(
         rows = n_init
     else:
         gains, spread = start_gains(realisation, most_init(parts, n))
-        rows = enough(spread, n)
+        most = len(spread) - 1
+        rows = settled_start_rows(lambda rows: float(spread[rows]), min(n, most), most)
     physical = realisation.in_units(parts.scaling)
     return FittedStateSpace(
         dt_s=train.dt_s,
@@ -219,18 +219,4 @@ def built(
 
 def most_init(parts: Parts, order: int) -> int:
     """Samples that a start may take."""
-    wanted = max(round(WINDOW_S / parts.train.dt_s), WINDOW_LAGS * order)
-    shortest = min(len(s) for s in parts.train.segments)
-    return max(order, min(wanted, int(START_SHARE * shortest)), 1)
-
-
-def enough(spread: FloatArray, order: int) -> int:
-    """Samples after which more of them help the free run little."""
-    most = len(spread) - 1
-    rows = min(order, most)
-    while rows < most:
-        wider = min(2 * rows, most)
-        if spread[rows] < 0.3 or spread[wider] > 0.8 * spread[rows]:
-            break
-        rows = wider
-    return rows
+    return most_start_rows(order, parts.train.dt_s, min(len(s) for s in parts.train.segments))

@@ -76,7 +76,7 @@ def test_rules_have_a_band_each() -> None:
     band = free_run_band(model, segment, 10, known.fuzzy)
     assert band is not None
     run = free_run(model, segment, 10)
-    np.testing.assert_allclose(band[1] - run, run - band[0], atol=1e-9)  # to first order
+    np.testing.assert_allclose(band[1] - run, run - band[0], rtol=1e-3)  # to first order
     assert 0.0 < float(np.mean(band[1] - band[0])) < 0.1 * float(np.std(segment.y))
 
 

@@ -208,7 +208,7 @@ def test_numbers_of_numpy_will_do(tmp_path: Path) -> None:
     u, y = second_order(400, 1)
     settings = TS(rules=1, na=np.int64(2), nb=np.int64(1), nk=np.array([1]), refine=False)  # type: ignore[arg-type]
     settings.fit(Dataset.from_arrays(u, y, DT)).save(tmp_path / "m.json")
-    assert load(tmp_path / "m.json").n_init == 2
+    assert load(tmp_path / "m.json").layout.depth == 2  # type: ignore[attr-defined]
 
 
 def test_without_refinement_the_free_run_is_worse(bent: FittedTS) -> None:

@@ -1,0 +1,221 @@
+"""What a run most likely starts from, given its first outputs and what training says about starts.
+
+A start is not measured: hidden states show in later outputs only, and at a fast rate the lags of a model
+encode derivatives, so that measured ones carry more noise than speed. The most likely start is searched for,
+a Bayesian estimate with Gaussian noise and prior, over lags and hidden states alike:
+
+    weight * sum_k |y(k) - yhat(k; x)|^2 + (x - mean)' inverse(covariance) (x - mean)
+
+The search runs in coordinates in which the prior is a unit ball, whatever lags or states are nearly dependent
+(Gauss-Newton with step halving): it needs no floor under small variances, which would allow absurd speeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flysid.dataset import FloatArray
+from flysid.model.rules.kernel import IntArray, Parameters, sweep
+from flysid.model.rules.regressor_layout import Layout
+
+_STEPS = 12
+_SETTLED = 1e-10  # of the cost: one step nearly finds the start
+_HALVINGS = 4
+_CLOSED = 60  # rows that suffice to start a run while fitting
+_TWICE = 2.0  # spreads of training: a run may start outside of what training went through
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What training says about starts (q,) before any output is seen; all normalised.
+
+    Attributes
+    ----------
+    mean : (q,) the last rows before the first computed one, oldest first.
+    root : (q, q) of their covariance, root @ root.T.
+    weight : inverse variance of the simulation error.
+    """
+
+    mean: FloatArray
+    root: FloatArray
+    weight: float
+
+    @classmethod
+    def of(cls, starts: FloatArray, variance: float) -> Prior:
+        """From starts (M, q) seen in training, and the mean square of the simulation error."""
+        mean = starts.mean(axis=0)
+        triangle = np.linalg.qr(starts - mean, mode="r") / np.sqrt(len(starts))
+        square = np.zeros((len(mean), len(mean)))
+        square[:, : len(triangle)] = _TWICE * triangle.T
+        return cls(mean, square, 1.0 / max(variance, 1e-12))
+
+    @classmethod
+    def of_inverse(cls, mean: FloatArray, inverse: FloatArray, weight: float) -> Prior:
+        """From the inverse of the covariance, as files had it."""
+        return cls(mean, np.linalg.inv(np.linalg.cholesky(inverse)).T, weight)
+
+
+def rows_before(layout: Layout, run: FloatArray) -> FloatArray:
+    """(M, moving n) every stretch of a run W that another run could start from."""
+    rows = np.lib.stride_tricks.sliding_window_view(run[:, : layout.n], layout.moving, axis=0)
+    return np.asarray(rows.transpose(0, 2, 1).reshape(len(rows), -1))
+
+
+def initial_states(
+    layout: Layout, runs: Sequence[FloatArray], par: Parameters, prior: Prior, rows: int = _CLOSED
+) -> FloatArray:
+    """(S, moving, n) the most likely start of every run, from its first `rows` rows, its own among them."""
+    end = layout.depth - layout.moving + max(rows, layout.moving)
+    found = [_Search(layout, np.array(W[:end]), par, prior).found() for W in runs]
+    return np.stack(found).reshape(len(found), layout.moving, layout.n)
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """One run W whose start is searched for."""
+
+    layout: Layout
+    W: FloatArray
+    par: Parameters
+    prior: Prior
+
+    def found(self) -> FloatArray:
+        """(q,) where the search ends that begins at the likelier of two guesses: the mean, as measured."""
+        tried = [(self.misses(z), z) for z in (np.zeros(len(self.prior.mean)), self.as_measured())]
+        misses, z = min(tried, key=lambda t: _cost(*t))
+        for _ in range(_STEPS):
+            A = np.vstack([self.slopes(z), np.eye(len(z))])
+            if not np.isfinite(A).all():
+                break
+            step = np.linalg.lstsq(A, -np.concatenate([misses, z]), rcond=None)[0]
+            cost = _cost(misses, z)
+            if not np.square(A @ step).sum() > _SETTLED * cost:
+                break
+            for _ in range(_HALVINGS):
+                trial = self.misses(z + step)
+                if _cost(trial, z + step) < cost:
+                    break
+                step = 0.5 * step
+            else:
+                break
+            misses = trial
+            z = z + step
+        return self.at(z)
+
+    def at(self, z: FloatArray) -> FloatArray:
+        """The start in the units of the data."""
+        return np.asarray(self.prior.mean + self.prior.root @ z)
+
+    def as_measured(self) -> FloatArray:
+        """z of the start that suits the outputs measured in its own rows best."""
+        root = np.sqrt(self.prior.weight)
+        A = np.vstack([root * self.prior.root[self.seen], np.eye(len(self.prior.mean))])
+        right = np.concatenate([-root * self.gap(self.prior.mean), np.zeros(len(self.prior.mean))])
+        return np.asarray(np.linalg.lstsq(A, right, rcond=None)[0])
+
+    @property
+    def seen(self) -> IntArray:
+        """Which of a start's numbers are outputs."""
+        layout = self.layout
+        return np.flatnonzero(np.tile(np.arange(layout.n) < layout.n_y, layout.moving))
+
+    def gap(self, x: FloatArray) -> FloatArray:
+        """By how much a start's outputs exceed what was measured."""
+        d = self.layout.depth
+        measured = self.W[d - self.layout.moving : d, : self.layout.n]
+        return np.asarray((x - measured.ravel())[self.seen])
+
+    def misses(self, z: FloatArray) -> FloatArray:
+        """Simulated less measured outputs, in standard deviations of the simulation error."""
+        d = self.layout.depth
+        n_y = self.layout.n_y
+        run, _ = _swept(self.layout, self.W, self.par, self.at(z), derive=False)
+        rest = (run[d:, :n_y] - self.W[d:, :n_y]).ravel()
+        return np.asarray(np.sqrt(self.prior.weight) * np.concatenate([self.gap(self.at(z)), rest]))
+
+    def slopes(self, z: FloatArray) -> FloatArray:
+        """(., q) derivatives of `misses`."""
+        _, J = _swept(self.layout, self.W, self.par, self.at(z), derive=True)
+        both = np.vstack([np.eye(len(z))[self.seen], J.reshape(-1, len(z))])
+        return np.asarray(np.sqrt(self.prior.weight) * both @ self.prior.root)
+
+
+def _cost(misses: FloatArray, z: FloatArray) -> float:
+    """What a search lowers; infinite where the run is none."""
+    cost = float(misses @ misses + z @ z)
+    return cost if np.isfinite(cost) else np.inf
+
+
+def _swept(
+    layout: Layout, W: FloatArray, par: Parameters, x: FloatArray, *, derive: bool
+) -> tuple[FloatArray, FloatArray]:
+    """The run from a start, and the derivatives (N - depth, n_y, q) of its outputs to it."""
+    d = layout.depth
+    n = layout.n
+    moving = layout.moving
+    run = W.copy()
+    run[d - moving : d, :n] = x.reshape(moving, n)
+    q = len(x) if derive else 0
+    ring = np.zeros((max(moving, 1), n, q))
+    for place in range(q):
+        k, i = divmod(place, n)
+        ring[(d - moving + k) % len(ring), i, place] = 1.0
+    J = np.zeros((len(W) - d if derive else 0, layout.n_y, q))
+    basis = np.zeros((0, par.theta.shape[2]))
+    sweep(run, run, (d, len(W)), layout.lags, par, basis, q, ring, J, np.zeros((0, 0)), np.zeros(0))
+    return run, J
+
+
+def start_spread(
+    layout: Layout, runs: Sequence[FloatArray], par: Parameters, prior: Prior, horizon: int
+) -> StartSpread:
+    """How far free runs are spread whose start is told from their first rows, along simulated `runs`."""
+    return StartSpread(layout, tuple(_responses(layout, runs, par, prior, horizon)))
+
+
+@dataclass(frozen=True, eq=False)
+class StartSpread:
+    """Derivatives of free runs to their starts at places of the training data, see `start_spread`.
+
+    `responses`: (rows, n_y, q) each, in standard deviations of the simulation error and of the prior.
+    """
+
+    layout: Layout
+    responses: tuple[FloatArray, ...]
+
+    def __call__(self, rows: int) -> float:
+        """The error of a free run for want of the right start, in standard deviations of the noise.
+
+        To first order, with the start told from `rows` samples, those of the start itself among them.
+        """
+        squares = []
+        for J in self.responses:
+            q = J.shape[2]
+            seen = J[:rows].reshape(-1, q)
+            sure = np.asarray(np.linalg.qr(np.vstack([seen, np.eye(q)]), mode="r"))
+            left = np.linalg.solve(sure.T, J.reshape(-1, q).T)
+            squares.append((left * left).sum() / (len(J) * J.shape[1]))
+        return float(np.sqrt(np.mean(squares))) if squares else 0.0
+
+
+_PLACES = 8
+
+
+def _responses(
+    layout: Layout, runs: Sequence[FloatArray], par: Parameters, prior: Prior, horizon: int
+) -> Iterator[FloatArray]:
+    d = layout.depth
+    moving = layout.moving
+    n = layout.n
+    long = [run for run in runs if len(run) > d + 1]
+    for run in long[:: max(len(long) // _PLACES, 1)][:_PLACES]:
+        count = max(1, _PLACES // len(long))
+        for begin in np.linspace(0, max(len(run) - d - horizon, 0), count).astype(int):
+            W = run[begin : begin + d + horizon].copy()
+            x = W[d - moving : d, :n].ravel()
+            _, J = _swept(layout, W, par, x, derive=True)
+            seen = np.eye(len(x)).reshape(moving, n, -1)[:, : layout.n_y]
+            yield np.sqrt(prior.weight) * np.concatenate([seen, J]) @ prior.root
