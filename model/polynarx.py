@@ -30,6 +30,7 @@ from flysid.model.narx.term_search import (
     finished,
     grown,
     linear_terms,
+    proven,
     pruned,
     unchanged,
 )
@@ -129,7 +130,7 @@ class PolyNARX:
         if first is None:
             return None
         notes.append(f"Linear start of {len(first.terms)} terms: held-out free-run RMSE {first.rmse}.")
-        chosen = pruned(search, grown(search, first, self.most_terms, notes), notes)
+        chosen = proven(search, pruned(search, grown(search, first, self.most_terms, notes), notes), notes)
         return _Found(search, chosen, tuple(notes))
 
 

@@ -164,6 +164,33 @@ class SimulationError:
         inverse = self.inverse_curvature(p)
         return np.asarray(inverse @ (pulls.T @ pulls) @ inverse * len(pulls) / (len(pulls) - count))
 
+    def certainty(self, p: FloatArray, block: int) -> tuple[FloatArray, int]:
+        """(T,) coefficients in standard errors, and the number of blocks of about `block` rows they are from.
+
+        As `covariance`, but one by one, the others being fitted again: blocks may be fewer than terms.
+        """
+        count = len(self.terms.equation)
+        pulls = []
+        curvature = np.zeros((count, count))
+        for W, (run, _) in zip(self.runs, self._started(p), strict=True):
+            for error, J in self._pieces(W, run, p[:count]):
+                curvature += J[:, :count].T @ J[:, :count]
+                along = J[:, :count] * error[:, None]
+                cuts = max(round(len(error) / (block * self.n_y)), 1)
+                pulls += [piece.sum(axis=0) for piece in np.array_split(along, cuts)]
+        size = np.sqrt(np.maximum(np.diag(curvature), np.finfo(float).tiny))
+        curvature /= np.outer(size, size)
+        own = np.array(pulls) / size
+        sure = np.zeros(count)
+        for t in range(count):
+            rest = np.arange(count) != t
+            weights = np.linalg.lstsq(curvature[np.ix_(rest, rest)], curvature[rest, t], rcond=1e-12)[0]
+            left = max(float(curvature[t, t] - curvature[t, rest] @ weights), 0.0)
+            alone = own[:, t] - own[:, rest] @ weights
+            error = np.sqrt(len(alone)) * np.std(alone, ddof=1) if len(alone) > 1 else np.inf
+            sure[t] = abs(p[t]) * size[t] * left / max(float(error), np.finfo(float).tiny)
+        return sure, len(own)
+
     def gains(self, p: FloatArray, present: int) -> FloatArray:
         """(C,) fall of the squared error by every term after the first `present`, these following it.
 

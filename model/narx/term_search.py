@@ -3,8 +3,9 @@
 Forward: what every candidate would gain is computed to first order (`SimulationError.gains`). The few best
 are tried: all coefficients are refined on the free run and judged by the free run over held-out blocks of the
 training data. The best stays if it is clearly better there (`model.selection`). Backward: the terms that say
-least leave, as long as the held-out free run does not become clearly worse. Piroddi & Spinelli (2003), Int.
-J. Control 76; Billings (2013), Nonlinear System Identification, chapter 3.
+least leave, as long as the held-out free run does not become clearly worse; then those that chance may have
+picked among so many. Piroddi & Spinelli (2003), Int. J. Control 76; Billings (2013), Nonlinear System
+Identification, chapter 3.
 
 A term that lets the free run reach its limits under training inputs in random order, begun after random ones,
 is not kept where the linear model does not reach them.
@@ -17,6 +18,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import stdtrit
 
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.errors import FitError
@@ -38,6 +40,8 @@ TRIED = 4
 """Terms that are tried at a time."""
 AHEAD = 2
 """Terms that are added before they have to be worth it together."""
+CHANCE = 0.05
+"""That any term is kept where none bends."""
 _ITERATIONS = 5
 _LAST_ITERATIONS = 50
 _PUSHES = 3000
@@ -94,6 +98,12 @@ class TermSearch:
     def memory(self) -> int:
         """Rows of outputs that the linear model looks back at; no term looks back farther."""
         return depth_of(self.start, self.units.n_y)
+
+    @cached_property
+    def block(self) -> int:
+        """Rows over which errors are alike: as long as an output remembers itself."""
+        train = self.parts.train
+        return max(round(guard_s(train) / train.dt_s), 1)
 
     @cached_property
     def limits(self) -> FloatArray:
@@ -280,6 +290,35 @@ def pruned(search: TermSearch, grown: Candidate, notes: list[str]) -> Candidate:
         now = best
 
 
+def proven(search: TermSearch, chosen: Candidate, notes: list[str]) -> Candidate:
+    """Without the nonlinear terms that chance may have picked among as many as were on offer.
+
+    Slow disturbances of a record are alike in neighbouring blocks, so that held-out ones may speak for a term
+    that follows them. Its coefficient must be so many standard errors from zero as the largest of so many
+    useless ones is by `CHANCE` (Bonferroni); what else bends is in the model by now, and not in its error.
+    """
+    offered = len(list(candidates(search.base, search.units.n_y)))
+    now = chosen
+    while any(not t.is_linear for t in now.terms):
+        sure = np.zeros(len(now.terms))
+        fewest = len(search.parts.train)
+        for (fit, _), p in zip(search.folds, now.unknowns, strict=True):
+            own, blocks = search.problem(fit, now.terms).certainty(p, search.block)
+            sure += own / len(search.folds)
+            fewest = min(fewest, blocks)
+        bends = [i for i, t in enumerate(now.terms) if not t.is_linear]
+        least = min(bends, key=lambda i: float(sure[i]))
+        if sure[least] > stdtrit(max(fewest - 1, 1), 1.0 - CHANCE / (2 * offered)):
+            break
+        without = _without_term(search, now, least)
+        if without is None:
+            break
+        name = name_of(search, now.terms[least])
+        notes.append(f"Left out {name}: one of {offered} terms may look as useful by chance.")
+        now = without
+    return now
+
+
 def _least_telling(search: TermSearch, now: Candidate) -> list[int]:
     """Places of the terms whose coefficient 0 would cost least, to second order; one stays in an equation."""
     count = len(now.terms)
@@ -325,9 +364,8 @@ def _with_intervals(
     search: TermSearch, problem: SimulationError, terms: tuple[Term, ...], p: FloatArray
 ) -> FittedPolyNARX:
     """A model of terms; errors count as alike over as long as an output remembers itself."""
-    train = search.parts.train
-    block = max(round(guard_s(train) / train.dt_s), 1)
-    return replace(search.model(terms, p[: len(terms)]), covariance=problem.covariance(p, block))
+    covariance = problem.covariance(p, search.block)
+    return replace(search.model(terms, p[: len(terms)]), covariance=covariance)
 
 
 def linear_terms(model: FittedLinear, units: Units) -> tuple[tuple[Term, ...], FloatArray]:
