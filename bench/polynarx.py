@@ -2,6 +2,8 @@
 
 `python -m bench.polynarx sets [NAME...]`: free run on the test parts of `bench.accuracy`, beside ARX.
 `python -m bench.polynarx plants [NAME...]`: the plants of `bench.ts_plants`, two seeds, beside ARX.
+`python -m bench.polynarx many SEED...`: plants of five inputs and two outputs whose working point drifts,
+under slow disturbances: linear, bent inputs, products; the second half of each record, beside ARX.
 `python -m bench.polynarx coverage [runs]`: 95 % intervals of the coefficients of a speed with square drag.
 `python -m bench.polynarx time`: CPU seconds of both channels of `bench.fit_seconds px4` and `ardupilot`.
 Defaults everywhere; CPU seconds are those of a machine that may be busy.
@@ -21,7 +23,7 @@ from bench.accuracy_data import CASES
 from bench.harness import LOGS
 from bench.ts_experiment import off
 from bench.ts_plants import PLANTS
-from flysid.dataset import Dataset, Signal
+from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.ingest.lake.batch import ingest_logs
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import open as open_lake
@@ -55,6 +57,48 @@ def plants(names: list[str]) -> None:
                 error = off(model, plant.test)
                 cells.append(f"{title} {error:6.2f} ({model.n_parameters}, {seconds:.1f} s)")
             print("   ".join(cells), flush=True)
+
+
+def wandering(rng: np.random.Generator, rows: int) -> FloatArray:
+    """(N,) steps about a working point that drifts."""
+    drift = np.cumsum(rng.normal(size=rows))
+    steps = np.repeat(rng.normal(size=rows // 8 + 1), 8)[:rows]
+    return np.asarray(0.8 * (drift - drift.mean()) / drift.std() + 0.6 * steps)
+
+
+def of_many_signals(kind: str, seed: int, rows: int = 1250) -> tuple[Dataset, Dataset, FloatArray]:
+    """Both halves of a record with slow disturbances of 15 % of the outputs, and the truth of the second."""
+    rng = np.random.default_rng(seed)
+    own = np.array([[0.55, 0.15], [-0.2, 0.7]]) + 0.1 * rng.uniform(-1, 1, (2, 2))
+    older = 0.08 * rng.uniform(-1, 1, (2, 2))
+    drive = rng.normal(size=(2, 5)) * np.array([1.0, 0.6, 0.3, 0.2, 0.1])
+    u = np.stack([wandering(rng, 2 * rows) for _ in range(5)], axis=1)
+    y = np.zeros((2 * rows, 2))
+    slow = np.zeros((2 * rows, 2))
+    for k in range(2, 2 * rows):
+        v = np.tanh(0.8 * u[k - 1]) if kind == "bent" else u[k - 1]
+        y[k] = own @ y[k - 1] + older @ y[k - 2] + drive @ v
+        if kind == "products":
+            y[k] += 0.15 * np.array([v[0] * v[1], v[2] * np.tanh(y[k - 1, 0])])
+    for k in range(1, 2 * rows):
+        slow[k] = 0.93 * slow[k - 1] + np.sqrt(1.0 - 0.93**2) * rng.normal(size=2)
+    measured = y + 0.15 * y.std(axis=0) * slow
+    halves = [Dataset.from_arrays(u[part], measured[part], 0.1) for part in (slice(rows), slice(rows, None))]
+    return halves[0], halves[1], y[rows:]
+
+
+def many(seeds: list[str]) -> None:
+    """Free-run errors per output against the noise-free truth, in its spreads."""
+    for kind in ("linear", "bent", "products"):
+        for seed in seeds:
+            train, test, truth = of_many_signals(kind, int(seed))
+            cells = []
+            for title, estimator in MODELS.items():
+                model = estimator.fit(train)
+                gap = (model.free_run(test.segments[0]) - truth)[len(truth) // 10 :]
+                off_by = np.sqrt(np.mean(gap**2, axis=0)) / truth.std(axis=0)
+                cells.append(f"{title} {off_by[0]:.3f}, {off_by[1]:.3f} ({model.n_parameters})")
+            print(f"{kind:8s} {seed}  {'   '.join(cells)}", flush=True)
 
 
 def dragged(seed: int, rows: int = 1500, noise: float = 0.03) -> Dataset:
@@ -111,6 +155,8 @@ def main(words: list[str]) -> int:
             sets(names)
         case ["plants", *names]:
             plants(names)
+        case ["many", *seeds]:
+            many(seeds)
         case ["coverage", *count]:
             coverage(int(count[0]) if count else 100)
         case ["time"]:

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from bench.polynarx import of_many_signals
 from flysid.dataset import Dataset, FloatArray, Signal
 from flysid.errors import UsageError
 from flysid.model.narx.fitted_polynomial import FittedPolyNARX, Units, from_dict
@@ -123,29 +124,10 @@ def test_gains_find_the_term_that_is_missing() -> None:
     assert int(np.argmax(error.gains(p, 3))) == 2
 
 
-def wandering(rng: np.random.Generator, rows: int) -> FloatArray:
-    """Steps about a working point that drifts."""
-    drift = np.cumsum(rng.normal(size=rows))
-    return (
-        0.8 * (drift - drift.mean()) / drift.std() + 0.6 * np.repeat(rng.normal(size=rows // 8 + 1), 8)[:rows]
-    )
-
-
 def test_slow_disturbances_of_a_linear_plant_of_many_signals_are_not_taken_for_terms() -> None:
     """Of 450 on offer one followed them on held-out blocks, too, and ran 2.4 times as far off elsewhere."""
-    rng = np.random.default_rng(515)
-    own = np.array([[0.55, 0.15], [-0.2, 0.7]]) + 0.1 * rng.uniform(-1, 1, (2, 2))
-    older = 0.08 * rng.uniform(-1, 1, (2, 2))
-    drive = rng.normal(size=(2, 5)) * np.array([1.0, 0.6, 0.3, 0.2, 0.1])
-    u = np.stack([wandering(rng, 2500) for _ in range(5)], axis=1)
-    y = np.zeros((2500, 2))
-    for k in range(2, 2500):
-        y[k] = own @ y[k - 1] + older @ y[k - 2] + drive @ u[k - 1]
-    slow = np.zeros((2500, 2))
-    for k in range(1, 2500):
-        slow[k] = 0.93 * slow[k - 1] + np.sqrt(1.0 - 0.93**2) * rng.normal(size=2)
-    measured = y + 0.15 * y.std(axis=0) * slow
-    model = PolyNARX().fit(Dataset.from_arrays(u[:1250], measured[:1250], 0.1))
+    train, _, _ = of_many_signals("linear", 515)
+    model = PolyNARX().fit(train)
     assert all(term.is_linear for term in model.terms)
 
 
