@@ -30,6 +30,7 @@ from flysid.ingest.lake.lake import open as open_lake
 from flysid.model.arx import ARX
 from flysid.model.base import Estimator
 from flysid.model.polynarx import PolyNARX
+from flysid.model.start import run_from_window, start_window
 
 MODELS: dict[str, Estimator] = {"ARX": ARX(), "polynarx": PolyNARX()}
 TRUTH = {"v(k-1)": 0.98, "u(k-1)": 0.05, "|v(k-1)| v(k-1)": -0.03}
@@ -95,7 +96,9 @@ def many(seeds: list[str]) -> None:
             cells = []
             for title, estimator in MODELS.items():
                 model = estimator.fit(train)
-                gap = (model.free_run(test.segments[0]) - truth)[len(truth) // 10 :]
+                segment = test.segments[0]
+                window = start_window(model.n_init, len(segment), test.dt_s)
+                gap = (run_from_window(model, segment, window) - truth)[len(truth) // 10 :]
                 off_by = np.sqrt(np.mean(gap**2, axis=0)) / truth.std(axis=0)
                 cells.append(f"{title} {off_by[0]:.3f}, {off_by[1]:.3f} ({model.n_parameters})")
             print(f"{kind:8s} {seed}  {'   '.join(cells)}", flush=True)

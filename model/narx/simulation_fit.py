@@ -187,8 +187,8 @@ class SimulationError:
             weights = np.linalg.lstsq(curvature[np.ix_(rest, rest)], curvature[rest, t], rcond=1e-12)[0]
             left = max(float(curvature[t, t] - curvature[t, rest] @ weights), 0.0)
             alone = own[:, t] - own[:, rest] @ weights
-            error = np.sqrt(len(alone)) * np.std(alone, ddof=1) if len(alone) > 1 else np.inf
-            sure[t] = abs(p[t]) * size[t] * left / max(float(error), np.finfo(float).tiny)
+            spread = float(np.sqrt(len(alone)) * np.std(alone, ddof=1)) if len(alone) > 1 else np.inf
+            sure[t] = abs(p[t]) * size[t] * left / max(spread, np.finfo(float).tiny)
         return sure, len(own)
 
     def gains(self, p: FloatArray, present: int) -> FloatArray:
