@@ -60,6 +60,11 @@ class Size:
         """Input values in all."""
         return max(self.samples, self.segments) * self.inputs
 
+    @property
+    def unusual(self) -> int:
+        """How many of inputs, offset and plant are not as usual."""
+        return (self.inputs > 1) + (self.offset != 0.0) + (self.plant != "stable")
+
     def __str__(self) -> str:
         words = f"{self.plant}, {self.samples} samples, {self.segments} segments, {self.inputs} inputs"
         return f"{words}, offset {self.offset:g}" if self.offset else words
@@ -115,15 +120,16 @@ def defaults() -> dict[str, Estimator]:
 
 
 def sizes() -> list[Size]:
-    """All that the soak tries, the smallest first: every size, plant and offset, with one input and with 50.
+    """All that the soak tries: every size, plant and offset, with one input and with 50.
 
-    Where time ends before the sizes do, what was tried is then all up to a size, not some of every size.
+    All lengths of a usual log first, then with one thing unusual, the smallest first: where time ends, every
+    length, plant, offset and number of inputs has had its turn before they are combined.
     """
     shapes = [(1, 1), (10, 1), (300_000, 1), (300_000, 10_000), (3_000_000, 1), (3_000_000, 10_000)]
     shapes.append((10_000, 10_000))
     crossed = itertools.product(shapes, (1, 50), (0.0, 1e9), POLES)
     found = [Size(*shape, inputs, offset, plant) for shape, inputs, offset, plant in crossed]
-    return sorted(found, key=lambda size: size.numbers)
+    return sorted(found, key=lambda size: (size.unusual, size.numbers))
 
 
 def fits_of_sizes(
@@ -134,7 +140,7 @@ def fits_of_sizes(
     with peak_memory(outcome):
         for size in chosen:
             if not goes_on():
-                outcome.remark = f"of {len(chosen)}, smallest first; time was up at {size.numbers:,} values"
+                outcome.remark = f"of {len(chosen)}; time was up at: {size}"
                 break
             data = size.data()
             with outcome.trial():

@@ -77,6 +77,11 @@ _TIME_UNITS = {
     "micros": "us",
     "ns": "ns",
     "nsec": "ns",
+    "min": "min",
+    "mins": "min",
+    "minutes": "min",
+    "h": "h",
+    "hours": "h",
 }
 _TIME_NAME = re.compile(
     r"^_*(t|time|(time)?stamp|seconds|elapsed([ _]?time)?|date([ _]?time)?|utc|time[ _]?boot"

@@ -17,7 +17,19 @@ from flysid.flight import ClockMap
 from flysid.ingest.formats.common.clock import UNIX_NS, IntArray, UtcFit, back_steps
 from flysid.stretch import FloatArray
 
-TIME_UNITS_NS: Mapping[str, int] = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+TIME_UNITS_NS: Mapping[str, int] = {
+    "s": 10**9,
+    "ms": 10**6,
+    "us": 10**3,
+    "ns": 1,
+    "min": 60 * 10**9,
+    "h": 3600 * 10**9,
+}
+GUESSED = ("s", "ms", "us", "ns")  # minutes and hours are stated or told
+UNUSED = (
+    "called a time, and none that can be used: numbers or stamps that rise, in at least half of the rows; "
+    "rows count as 1 s each"
+)
 YEARS_S = (946_684_800.0, 4_102_444_800.0)  # 2000 to 2100
 
 
@@ -45,7 +57,7 @@ def time_unit(name: str, times: FloatArray, last: float, told: str, path: str) -
     if len(found) == 1:
         return found[0], "by its size and steps"
     step = _step(times)
-    readings = [_reading(unit, span, step) for unit in found or TIME_UNITS_NS]
+    readings = [_reading(unit, span, step) for unit in found or GUESSED]
     asked = " or ".join(f"--time-unit {unit}" for unit in found or TIME_UNITS_NS)
     count = "more than one is" if found else "none is"
     raise FormatError(
@@ -77,8 +89,8 @@ def plausible_units(
         return ["s"]
     usual = []
     dated = []
-    for unit, unit_ns in TIME_UNITS_NS.items():
-        size = unit_ns / 1e9
+    for unit in GUESSED:
+        size = TIME_UNITS_NS[unit] / 1e9
         if step * size < fastest_s or span * size > longest_s:
             continue
         if step * size <= slowest_s:
@@ -90,7 +102,7 @@ def plausible_units(
         return both
     if (times % 1).any():  # whoever writes fractions writes seconds, unless these are too far apart
         return ["s"] if step <= slowest_s else list(dict.fromkeys(["s", *usual]))
-    return [unit for unit in TIME_UNITS_NS if unit in usual or unit in dated]
+    return [unit for unit in GUESSED if unit in usual or unit in dated]
 
 
 def _step(times: FloatArray) -> float:

@@ -51,6 +51,8 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     "ms": ("time", 1e-3),
     "us": ("time", 1e-6),
     "ns": ("time", 1e-9),
+    "min": ("time", 60.0),
+    "h": ("time", 3600.0),
     "V": ("voltage", 1.0),
     "mV": ("voltage", 1e-3),
     "A": ("current", 1.0),

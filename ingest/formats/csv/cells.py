@@ -17,7 +17,7 @@ from flysid.ingest.formats.common.arrow_arrays import numeric
 from flysid.ingest.formats.common.clock import IntArray
 from flysid.ingest.formats.common.columns import as_array, numbers
 from flysid.ingest.formats.common.table_times import to_ns
-from flysid.ingest.formats.csv.layouts import MISSING, NUMBER, STAMP, ZONE, Layout
+from flysid.ingest.formats.csv.layouts import CLOCK, CLOCKED, MISSING, NUMBER, STAMP, ZONE, Layout
 
 BoolArray = npt.NDArray[np.bool_]
 LINE_END = 10
@@ -76,7 +76,7 @@ def stated_times(lines: Lines, rows: IntArray, layout: Layout) -> tuple[IntArray
     assert layout.time is not None
     text = _text(lines, rows, layout, layout.time.index)
     if layout.time.unit_ns == 0:
-        return stamps(text)
+        return stamps(text, layout.time.unit)
     time_ns, known = counted(_floats(text, layout.decimal_comma)[0], layout.time.unit_ns)
     if layout.time.unit_ns == 1:
         exact = known & _bools(pc.match_substring_regex(text, WHOLE))
@@ -94,18 +94,31 @@ def as_int64(values: pa.Array) -> IntArray:
     return np.asarray(values.to_numpy(zero_copy_only=False), dtype=np.int64)
 
 
-def stamps(text: pa.Array) -> tuple[IntArray, BoolArray]:
-    """Dates and times of day (ISO 8601) as ns since 1970; without a zone they are taken as UTC."""
+def stamps(text: pa.Array, kind: str) -> tuple[IntArray, BoolArray]:
+    """Dates and times of day (ISO 8601) as ns since 1970; without a zone they are taken as UTC.
+
+    Times of day alone (CLOCKED) count from midnight.
+    """
+    if kind == CLOCKED:
+        text = _on_first_day(text)
     shaped = pc.match_substring_regex(text, STAMP)
     zoned = pc.match_substring_regex(text, ZONE + "$")
     found = np.zeros(len(text), dtype=np.int64)
     known = np.zeros(len(text), dtype=bool)
-    for mine, kind in ((pc.invert(zoned), pa.timestamp("ns")), (zoned, pa.timestamp("ns", "UTC"))):
-        stamps = _cast_stamps(pc.if_else(pc.and_(shaped, mine), text, pa.scalar(None, pa.string())), kind)
+    for mine, type_ in ((pc.invert(zoned), pa.timestamp("ns")), (zoned, pa.timestamp("ns", "UTC"))):
+        stamps = _cast_stamps(pc.if_else(pc.and_(shaped, mine), text, pa.scalar(None, pa.string())), type_)
         hit = _bools(stamps.is_valid())
         found[hit] = stamps.drop_null().to_numpy(zero_copy_only=False)
         known |= hit
     return found, known
+
+
+def _on_first_day(text: pa.Array) -> pa.Array:
+    """Times of day as stamps of the first day of 1970; "" where a cell is none."""
+    is_clock = pc.match_substring_regex(text, CLOCK)
+    two_digits = pc.replace_substring_regex(text, r"^(\d:)", r"0\1")
+    dated = pc.binary_join_element_wise("1970-01-01 ", two_digits, "")
+    return pc.if_else(is_clock, dated, pa.scalar("", pa.string()))
 
 
 def _cast_stamps(text: pa.Array, kind: pa.DataType) -> pa.Array:
@@ -178,4 +191,6 @@ def _floats(text: pa.Array, decimal_comma: bool) -> tuple[pa.Array, BoolArray]:
     text = pc.utf8_ltrim(text, characters="+")
     is_number = pc.match_substring_regex(text, NUMBER)
     values = pc.if_else(is_number, text, pa.scalar(None, pa.string())).cast(pa.float64())
+    is_number = pc.and_(is_number, pc.fill_null(pc.is_finite(values), False))  # 1e400 fits no float
+    values = pc.if_else(is_number, values, pa.scalar(None, pa.float64()))
     return values, ~_bools(pc.or_(is_number, pc.is_in(text, pa.array(sorted(MISSING)))))

@@ -20,12 +20,14 @@ from functools import lru_cache
 import numpy as np
 
 from flysid.ingest.formats.common.table_columns import named_and_measured, once_each, time_unit_of
-from flysid.ingest.formats.common.units import factor, is_known
+from flysid.ingest.formats.common.table_times import TIME_UNITS_NS
+from flysid.ingest.formats.common.units import is_known
 from flysid.stretch import FloatArray
 
 SEPARATORS = (b",", b";", b"\t")
 ZONE = r"(Z|[+-]\d\d:?\d\d)"
 STAMP = rf"^\d{{4}}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d{{1,9}})?)?{ZONE}?$"
+CLOCK = r"^\d\d?:\d\d:\d\d(\.\d{1,9})?$"
 NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 MISSING = frozenset(
     {"", "nan", "NaN", "NAN", "NA", "N/A", "null", "NULL", "None", "inf", "-inf", "Inf", "-Inf"}
@@ -34,9 +36,11 @@ MOSTLY = 0.9  # of the cells of a column of numbers are numbers
 _NUMBER = re.compile(NUMBER)
 _DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+$")
 _STAMP = re.compile(STAMP)
+_CLOCK = re.compile(CLOCK)
 # GPS sentences and JSON, whose commas separate no columns
 _OTHER_TEXT = re.compile(r"^\s*([$!][A-Z]{2}[A-Z0-9]{1,},|[\[{]\s*([\[{\"\d-]|$))")
 DATED = "date and time of day"
+CLOCKED = "time of day"
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ class TimeColumn:
 
     Attributes
     ----------
-    unit : of its numbers; DATED for dates; "" where nothing states it.
+    unit : of its numbers; DATED or CLOCKED for stamps; "" where nothing states it.
     why : how the unit is known, in a word or two.
     first : (n,) its first values, where `unit` is "".
     """
@@ -67,13 +71,18 @@ class TimeColumn:
 
     @property
     def unit_ns(self) -> int:
-        """Nanoseconds per unit; 0 for dates."""
-        return 0 if self.unit == DATED else round(factor(self.unit, "ns"))
+        """Nanoseconds per unit; 0 for stamps."""
+        return 0 if self.is_stamp else TIME_UNITS_NS[self.unit]
+
+    @property
+    def is_stamp(self) -> bool:
+        """Whether it holds dates or times of day, not numbers."""
+        return self.unit in (DATED, CLOCKED)
 
     @property
     def source(self) -> str:
         """In words, for the stream's `time_source`."""
-        return f"{self.name}: {DATED}" if self.unit == DATED else f"{self.name} in {self.unit}, {self.why}"
+        return f"{self.name}: {self.unit}" if self.is_stamp else f"{self.name} in {self.unit}, {self.why}"
 
 
 @dataclass(frozen=True)
@@ -94,6 +103,12 @@ class Layout:
     start: int
     columns: tuple[Column, ...]
     time: TimeColumn | None
+
+    @property
+    def unused_times(self) -> list[str]:
+        """Columns that are called a time, where none tells it."""
+        named = [column.name for column in self.columns if time_unit_of(column.name) is not None]
+        return named if self.time is None else []
 
 
 @lru_cache(maxsize=4)  # detection asks twice before the reader does
@@ -198,7 +213,9 @@ def _header(
 
 def _is_value(cell: str) -> bool:
     """Whether a cell holds a number, a date, or nothing."""
-    return bool(_NUMBER.match(cell) or cell in MISSING or _DECIMAL_COMMA.match(cell) or _STAMP.match(cell))
+    if cell in MISSING:
+        return True
+    return any(shape.match(cell) for shape in (_NUMBER, _DECIMAL_COMMA, _STAMP, _CLOCK))
 
 
 def _has_decimal_commas(rows: Sequence[Sequence[str]]) -> bool:
@@ -227,13 +244,15 @@ def _time_column(
             continue
         told = [row[index] for row in rows if row[index] not in MISSING]
         if column.is_text:
-            dates = sum(bool(_STAMP.match(cell)) for cell in told)
-            if dates >= MOSTLY * len(told):
-                found.append((dates, TimeColumn(index, column.name, DATED)))
+            for shape, kind in ((_STAMP, DATED), (_CLOCK, CLOCKED)):
+                stamps = sum(bool(shape.match(cell)) for cell in told)
+                if stamps and stamps >= MOSTLY * len(told):
+                    found.append((stamps, TimeColumn(index, column.name, kind)))
             continue
         values = np.array(numbers_in(told, decimal_comma))
         if len(values) and np.mean(np.diff(values, append=np.inf) >= 0) >= MOSTLY:
-            found.append((len(values), TimeColumn(index, column.name, column.unit or stated, first=values)))
+            unit = column.unit if column.unit in TIME_UNITS_NS else stated
+            found.append((len(values), TimeColumn(index, column.name, unit, first=values)))
     count, best = max(found, key=lambda each: each[0], default=(0, None))
     return best if 2 * count >= len(rows) else None
 

@@ -23,7 +23,7 @@ from flysid.ingest.formats.base import HEAD_BYTES, Limits, Parts, StreamPart, Su
 from flysid.ingest.formats.common.clock import SECOND_NS, IntArray, is_outlier
 from flysid.ingest.formats.common.columns import numbers
 from flysid.ingest.formats.common.line_batches import whole_lines
-from flysid.ingest.formats.common.table_times import TableClock, time_unit
+from flysid.ingest.formats.common.table_times import UNUSED, TableClock, time_unit
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.csv.cells import (
     Lines,
@@ -169,7 +169,7 @@ def _sound(reader: _Reader, data: bytes) -> tuple[list[pa.Array], IntArray] | No
         return None
     columns = [column.combine_chunks() for column in table.columns]
     time_ns = _sound_times(reader, columns)
-    if time_ns is None or (worded and not all(_is_finite(c) for c in columns)):
+    if time_ns is None or not all(_is_finite(c) for c in columns):
         return None
     reader.rows += len(time_ns)
     return [_trimmed(c) for c in columns], time_ns
@@ -187,12 +187,12 @@ def _sound_times(reader: _Reader, columns: list[pa.Array]) -> IntArray | None:
     elif stated.unit_ns:
         time_ns, known = counted(values, stated.unit_ns)
     else:
-        time_ns, known = stamps(pc.utf8_trim_whitespace(values))
+        time_ns, known = stamps(pc.utf8_trim_whitespace(values), stated.unit)
     return time_ns if known.all() and not is_outlier(time_ns).any() else None
 
 
 def _is_finite(column: pa.Array) -> bool:
-    """Whether a column holds no infinity that the cell by cell reading would not take for a number."""
+    """Whether a column holds no infinity: the word, or a number too large, which cell by cell reading tells."""
     return pa.types.is_string(column.type) or bool(pc.all(pc.is_finite(column)).as_py() in (True, None))
 
 
@@ -232,4 +232,6 @@ def _counted_column(reader: _Reader, lines: Lines, rows: IntArray, index: int) -
 
 def _summary(reader: _Reader) -> Summary:
     time = reader.schema.metadata[b"time_source"].decode()
+    for name in reader.layout.unused_times:
+        reader.tally.undecode(f"{STREAM}.{name}", reader.rows, UNUSED)
     return Summary(reader.tally.freeze(), reader.clock.clocks(), {"time": time})

@@ -163,7 +163,7 @@ def time_candidates(schema: pa.Schema) -> list[TimeColumn]:
         field = schema.field(name)
         kind = field.type
         named = time_unit_of(named_and_measured(name, 0)[0])
-        if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
+        if pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time64(kind):
             (found if name in index or named is not None else late).append(TimeColumn(name, DATES))
         elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
             continue
@@ -172,6 +172,11 @@ def time_candidates(schema: pa.Schema) -> list[TimeColumn]:
             stated = metadata.get(b"unit", b"").decode("utf-8", "replace")
             found.append(TimeColumn(name, stated if stated in TIME_UNITS_NS else named or ""))
     return found + late
+
+
+def called_times(schema: pa.Schema) -> list[str]:
+    """The columns that are called a time, whether they can tell it or not."""
+    return [name for name in schema.names if time_unit_of(named_and_measured(name, 0)[0]) is not None]
 
 
 def _index_of_pandas(schema: pa.Schema) -> list[Any]:

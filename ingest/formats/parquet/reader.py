@@ -20,13 +20,14 @@ from flysid.flight import BOOT, ROW_NUMBER, TIME
 from flysid.ingest.formats.base import Limits, Parts, StreamPart, Summary
 from flysid.ingest.formats.common.arrow_arrays import numeric
 from flysid.ingest.formats.common.clock import SECOND_NS, BoolArray, IntArray, is_outlier
-from flysid.ingest.formats.common.table_times import TIME_UNITS_NS, TableClock, time_unit, to_ns
+from flysid.ingest.formats.common.table_times import TIME_UNITS_NS, UNUSED, TableClock, time_unit, to_ns
 from flysid.ingest.formats.common.tally import Tally
 from flysid.ingest.formats.parquet.columns import (
     DATES,
     Column,
     TimeColumn,
     as_floats,
+    called_times,
     columns_of,
     plain,
     rises,
@@ -96,6 +97,9 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     reader = _Reader(file, columns, made, time, limits, len(view))
     for label, kind in refused.items():
         reader.tally.undecode(f"{STREAM}.{label}", file.metadata.num_rows, f"columns of {kind} are not read")
+    if time is None:
+        for label in called_times(schema):
+            reader.tally.undecode(f"{STREAM}.{label}", file.metadata.num_rows, UNUSED)
     for group in groups:
         yield from _parts(reader, group)
     missing = file.metadata.num_rows - sum(group.rows for group in groups)

@@ -216,3 +216,21 @@ def test_no_damage_to_the_footer_ends_the_process() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr[-500:]
+
+
+def test_times_of_day_and_minutes_are_times() -> None:
+    ticks = pa.array([43_200_000_000 + 20_000 * k for k in range(200)]).cast(pa.time64("us"))
+    table = pa.table({"time": ticks, "x": range(200)})
+    assert seconds(read(written(table)))[:2] == pytest.approx([43_200.0, 43_200.02])
+    minutes = pa.table({"time_min": [k / 6000 for k in range(200)], "x": range(200)})
+    assert seconds(read(written(minutes)))[:2] == pytest.approx([0.0, 0.01])
+
+
+@pytest.mark.parametrize(
+    "times", [list(range(200, 0, -1)), [f"12:{k // 60:02}:{k % 60:02}" for k in range(200)]]
+)
+def test_a_time_that_cannot_be_used_is_said(times: list[object]) -> None:
+    """Before, rows of a log at 100 Hz counted as 1 s each without a word."""
+    flight = read(written(pa.table({"time": times, "x": range(200)})))
+    assert flight.damage.undecoded == {"table.time": 200}
+    assert "rows count as 1 s each" in flight.damage.reasons["table.time"]
