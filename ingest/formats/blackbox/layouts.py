@@ -23,6 +23,7 @@ ENCODINGS = frozenset(
     {Encoding.SIGNED_VB, Encoding.UNSIGNED_VB, Encoding.NEG_14BIT, Encoding.TAG8_8SVB, Encoding.NULL, *SPANS}
 )
 KINDS = "IPSGH"
+YES_OR_NO = ("rxSignalReceived", "rxFlightChannelsValid")
 STREAMS = {"I": "main", "S": "slow", "G": "gps", "H": "home"}
 EVENTS = {
     EventKind.SYNC: "sync beep",
@@ -275,8 +276,7 @@ _ROTORFLIGHT = {
 }
 _SLOW = {
     "failsafePhase": Meaning(enum=FAILSAFE),
-    "rxSignalReceived": Meaning(enum={0: "no", 1: "yes"}),
-    "rxFlightChannelsValid": Meaning(enum={0: "no", 1: "yes"}),
+    **{name: Meaning(enum={0: "no", 1: "yes"}) for name in YES_OR_NO},
     "powerSupplyImpedance": Meaning(),
     "sagCompensatedVBat": Meaning("V", 0.01),
     "wind": Meaning("cm/s"),

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -41,6 +41,7 @@ from flysid.ingest.formats.blackbox.header import (
 from flysid.ingest.formats.blackbox.layouts import (
     EVENTS,
     STREAMS,
+    YES_OR_NO,
     Layout,
     LayoutError,
     layout_of,
@@ -206,6 +207,11 @@ class _Reader:
         kind = next(letter for letter, name in STREAMS.items() if name == stream)
         assert log.layout is not None, "rows come from frames that are defined"
         definition = log.layout.definitions[kind]
+        sound = _are_states(definition.names, rows.values)
+        if not sound.all():
+            self.tally.undecode(stream, int((~sound).sum()), "a yes or no that is neither")
+            time_us = time_us[sound]
+            rows = replace(rows, values=rows.values[:, sound])
         columns = [
             arrow_arrays.numeric(values.view(np.uint32) if unsigned else values)
             for values, unsigned in zip(rows.values, definition.unsigned, strict=True)
@@ -295,6 +301,15 @@ class _Reader:
             known.append(schema)
         key = stream if version == 0 else f"{stream}~{version + 1}"
         return StreamPart(key, pa.Table.from_arrays([*heads, *columns], schema=known[version]))
+
+
+def _are_states(names: tuple[str, ...], values: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
+    """(n,) rows whose yes-or-no fields hold one of the two: a damaged width takes in the frames behind it."""
+    sound = np.ones(values.shape[1], dtype=np.bool_)
+    for name, row in zip(names, values, strict=True):
+        if name in YES_OR_NO:
+            sound &= (row == 0) | (row == 1)
+    return sound
 
 
 def _looked_up(rates: Rates, stick: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:

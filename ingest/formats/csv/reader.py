@@ -192,7 +192,7 @@ def _sound_times(reader: _Reader, columns: list[pa.Array]) -> IntArray | None:
 
 
 def _is_finite(column: pa.Array) -> bool:
-    """Whether a column holds no infinity: the word, or a number too large, which cell by cell reading tells."""
+    """Whether a column holds no infinity: the word, or a number too large, as cell by cell reading tells."""
     return pa.types.is_string(column.type) or bool(pc.all(pc.is_finite(column)).as_py() in (True, None))
 
 

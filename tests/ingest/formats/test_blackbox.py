@@ -503,3 +503,13 @@ def test_the_sum_of_a_controllers_terms_and_the_difference_of_motors() -> None:
     np.testing.assert_allclose(
         motors.u[:, 0], (values[:, 5] + values[:, 6] - values[:, 3] - values[:, 4]) / 4
     )
+
+
+def test_a_slow_frame_that_takes_in_events_is_counted() -> None:
+    """A damaged width byte made a state read the two events behind it, up to a third: lost in silence."""
+    blob = bytearray(sample.build())
+    at = blob.index(bytes([3, 5]) + b"E\x1e\x05\x01E\r\x05\rE") + 1
+    blob[at] = 0xEC
+    flight = read(bytes(blob))
+    assert len(flight["events"]) == 12
+    assert flight.damage.undecoded == {"slow": 1}
