@@ -17,7 +17,7 @@ from flysid.ingest.formats.common.pcap import Packet
 from flysid.ingest.formats.common.tally import Tally
 
 
-class Link(IntEnum):
+class LinkType(IntEnum):
     """What a capture's packets begin with: the link types of pcap."""
 
     LOOPBACK = 0
@@ -79,15 +79,15 @@ def payloads(view: memoryview, tally: Tally) -> Iterator[Payload]:
 
 def _ip_start(frame: bytes, link: int) -> int:
     """Where the IPv4 packet begins in a frame; -1 where there is none."""
-    if link in (Link.RAW, Link.RAW_BSD, Link.RAW_OPENBSD):
+    if link in (LinkType.RAW, LinkType.RAW_BSD, LinkType.RAW_OPENBSD):
         return 0
-    if link == Link.LOOPBACK:
+    if link == LinkType.LOOPBACK:
         return 4
-    if link == Link.SLL:
+    if link == LinkType.SLL:
         return 16 if frame[14:16] == b"\x08\x00" else -1
-    if link == Link.SLL2:
+    if link == LinkType.SLL2:
         return 20 if frame[:2] == b"\x08\x00" else -1
-    if link != Link.ETHERNET:
+    if link != LinkType.ETHERNET:
         return -1
     at = 12
     while at + 2 <= len(frame) and int.from_bytes(frame[at : at + 2], "big") in VLAN_TYPES:
