@@ -114,10 +114,10 @@ def free_run_band(
     Its first `start` samples give the starting state, as in `flysid.validate.trials`.
     """
     try:
-        y0 = estimate_start(model, segment.u[:start], segment.y[:start])
         if sure is not None:
-            low, high = sure.simulation_band(segment.u, y0)
+            low, high = sure.band_from_measured(segment.u, segment.y[:start])
         elif isinstance(model, LinearModel):
+            y0 = estimate_start(model, segment.u[:start], segment.y[:start])
             low, high = model.simulation_band(segment.u, y0, draws=DRAWS)
         else:
             return None

@@ -34,6 +34,8 @@ from flysid.model.rules.growth import best_started
 from flysid.model.rules.kernel import Parameters
 from flysid.model.rules.refit import as_problem
 from flysid.model.rules.rule_model import RuleModel
+from flysid.model.rules.run_start import LikelyStart
+from flysid.model.start import estimate_start
 from flysid.model.threads import on_one_thread
 
 MOST_ROWS = 20_000  # sensitivities kept at a time; longer records are cut, which widens the intervals
@@ -80,14 +82,25 @@ class Uncertainty:
     def simulation_band(self, u: FloatArray, y0: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """(lower, upper), (N, n_y) each: pointwise 95 % band of the free run over what is uncertain."""
         model = self.model
+        given = None if y0 is None else y0[: model.n_init]
+        return self._band(model.simulate(u, y0), model.started(u, given), 0 if y0 is None else model.n_init)
+
+    def band_from_measured(self, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """`simulation_band` around `run_from_measured`, whose start suits all of the first rows y best."""
+        model = self.model
+        if not isinstance(model.start, LikelyStart):
+            return self.simulation_band(u, estimate_start(model, u[: len(y)], y))
+        return self._band(model.run_from_measured(u, y), model.started(u, y), 0)
+
+    def _band(self, middle: FloatArray, run: FloatArray, known: int) -> tuple[FloatArray, FloatArray]:
+        """Around a free run (N, n_y), from the run W that holds its start; `known` rows are given."""
+        model = self.model
         n_y = model.layout.n_y
-        middle = model.simulate(u, y0)
-        run = model.started(u, None if y0 is None else y0[: model.n_init])
         half = np.zeros((len(run), n_y))
         for rows, J in swept(self.problem, self.body, run):
             half[rows] = np.sqrt(np.maximum(np.sum((J @ self.covariance) * J, axis=2), 0.0))
         half = Z95 * model.layout.scale[:n_y] * half[len(run) - len(middle) :]
-        half[: 0 if y0 is None else model.n_init] = 0.0
+        half[:known] = 0.0
         return np.clip(middle - half, *model.output_limits), np.clip(middle + half, *model.output_limits)
 
     def draws(self, count: int = 200, seed: int = 0) -> list[RuleModel]:

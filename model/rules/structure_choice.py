@@ -17,7 +17,7 @@ import numpy as np
 from flysid.dataset import Dataset, FloatArray
 from flysid.errors import DataError, FitError
 from flysid.model.rules.judging import EXACT, blocks
-from flysid.model.start import estimate_start, start_window
+from flysid.model.start import run_from_window, start_window
 
 CLEARLY = 0.3
 """In logarithms of the mean square, about 14 % of the error: what another kind of rules must win."""
@@ -109,7 +109,7 @@ def _lost(model: FreeRunning, data: Dataset) -> bool:
     for s in data.segments:
         window = start_window(model.n_init, len(s), model.dt_s)
         if len(s) > 2 * window:
-            run = model.simulate(s.u, estimate_start(model, s.u[:window], s.y[:window]))[window:]
+            run = run_from_window(model, s, window)[window:]
             held = ((run <= low) | (run >= high)) & (np.abs(run - s.y[window:]) > span)
             if (held | ~np.isfinite(run)).any():
                 return True
@@ -126,8 +126,7 @@ def block_errors(models: tuple[FreeRunning, FreeRunning], data: Dataset) -> tupl
         if len(s) <= 2 * window:
             continue
         for model, errors in zip(models, found, strict=True):
-            start = estimate_start(model, s.u[:window], s.y[:window])
-            errors.append((model.simulate(s.u, start) - s.y)[window:] / scale)
+            errors.append((run_from_window(model, s, window) - s.y)[window:] / scale)
     one, other = (blocks(e) if e else np.zeros(0) for e in found)
     return one, other
 

@@ -6,13 +6,14 @@ import random
 import shutil
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from flysid.model.start import estimate_start
+from flysid.model.start import run_from_window
 from flysid.validate.run import held_out, open_run
 from tests.browser import launch, needs_browser
 from tests.flysid.studio.page import Page, until
@@ -226,6 +227,5 @@ def test_from_the_job_to_the_verdict_explained(browser: Any, judged: Server) -> 
     assert set(flown) == set(data["models"])
     for label, outputs in flown.items():
         model = item.models[label]
-        start = estimate_start(model, segment.u[:first], segment.y[:first])
-        expected = model.simulate(u, start)[first:]
+        expected = run_from_window(model, replace(segment, u=u), first)[first:]
         assert np.abs(np.array(outputs) - expected).max() < 1e-9 * max(1.0, float(np.ptp(segment.y)))

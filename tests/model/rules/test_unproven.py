@@ -102,7 +102,7 @@ def test_rules_that_noise_chose_give_way_to_the_linear_model() -> None:
     train, rng = drifting(81, 2)
     found = BestTS(search=EFFORTS["quick"]).fit(train)
     assert found.notes[0].startswith(LINEAR_ENOUGH)
-    assert "were found and not kept: on a held-out part of the training data" in found.notes[0]
+    assert "were found and not kept: on held-out parts of the training data" in found.notes[0]
     choice = linear_choice(TS(), train, None)
     assert choice is not None
     assert found.structure == choice[1].structure
