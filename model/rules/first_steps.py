@@ -70,7 +70,6 @@ def _context(
     s = settings.search
     small = own and settings.rules == "auto" and settings.refine and len(train) < s.short
     folds = tuple(hold_out(train, least, fold) for fold in range(1, s.folds)) if small else ()
-    gain = s.short_rule_gain if small else s.rule_gain
     ridges = s.ridges if settings.ridge == "auto" else (settings.ridge,)
     shift, scale = scaled or scaling(fit_part)
     context = SearchContext(
@@ -81,8 +80,8 @@ def _context(
         scale,
         least,
         folds=folds,
-        gain=gain,
-        promise=gain,
+        gain=s.rule_gain,
+        promise=s.rule_gain,
         ridges=ridges,
     )
     return context, own

@@ -22,7 +22,6 @@ class SearchSettings:
     folds : quarters of a short record that are held out in turn to choose the number of rules, 1 to 4.
     short : samples below which a record is short.
     rule_gain : share of the validation's mean square that a rule must win; 0.05 is about 2.5 % of the error.
-    short_rule_gain : the same on short records, where the choice itself overfits.
     highest_order : lags of the outputs up to which linear models are tried.
     lanes : linear starts, those from which two rules do best, that are grown over all parts.
     exchanges : rounds in which a chosen model of long records is found again by way of one rule more.
@@ -42,7 +41,6 @@ class SearchSettings:
     folds: int = 4
     short: int = 4000
     rule_gain: float = 0.05
-    short_rule_gain: float = 0.2
     highest_order: int = 4
     lanes: int = 2
     exchanges: int = 3
@@ -74,7 +72,7 @@ class SearchSettings:
                 raise UsageError(f"{name}={getattr(self, name)!r}", hint="give a whole number, 0 or more")
         if self.folds > QUARTERS:
             raise UsageError(f"folds={self.folds!r}", hint="a record has four quarters")
-        gains = (self.rule_gain, self.short_rule_gain, *self.ridges)
+        gains = (self.rule_gain, *self.ridges)
         if not self.ridges or not all(isinstance(g, int | float) and 0.0 <= g < float("inf") for g in gains):
             raise UsageError(f"gains and ridges {gains}", hint="numbers of 0 or more, and one ridge at least")
 

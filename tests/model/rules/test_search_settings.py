@@ -55,7 +55,7 @@ def test_what_is_set_is_done() -> None:
     usual = TS(search=replace(NORMAL, highest_order=2)).fit(data)
     assert any("held out in turn" in note for note in usual.notes)
     assert usual.layout.orders.na <= 2
-    one = TS(search=replace(NORMAL, highest_order=1, folds=1, short_rule_gain=1e9)).fit(data)
+    one = TS(search=replace(NORMAL, highest_order=1, folds=1, rule_gain=1e9)).fit(data)
     assert not any("held out in turn" in note for note in one.notes)
     assert len(one.rules()) == 1 < len(usual.rules())
 
