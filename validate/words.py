@@ -123,10 +123,10 @@ def _few_words(pair: Pair, shown: bool) -> list[str]:
 
 def _rare_words(pair: Pair, shown: bool) -> list[str]:
     """Which kinds of flights may be missing: those that N flights hold with less than 95 % certainty."""
-    often = 1.0 - ALPHA ** (1.0 / pair.units)
-    if not shown or often > 0.5:  # of fewer than five flights more is said, or too little to say this
+    often_pct = 100.0 * (1.0 - ALPHA ** (1.0 / pair.units))
+    if not shown or often_pct > 50.0:  # of fewer than five flights more is said, or too little to say this
         return []
-    return [f"{pair.units} flights say nothing of a kind that is rarer than one in {int(1.0 / often)}"]
+    return [f"{pair.units} flights can miss kinds of flight that make up less than {often_pct:.0f} % of all"]
 
 
 def _pooled_words(pair: Pair) -> list[str]:
