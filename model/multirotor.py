@@ -222,7 +222,7 @@ class FittedMultirotor(FreeRuns):
             found.append(self._figure(axis, "drag of the rotors", DAMPING, "1/s"))
             unit = f"{unit}/s"
         if self.battery is not None:
-            found.append(self._figure(axis, "power of the battery's voltage", len(theta) - 1, "", least=1.0))
+            found += self._battery_figures(output)
         mean = self.u_mean / self.u_scale
         for at, j in enumerate(self.motors, start=FIRST):
             command = self.inputs[j]
@@ -278,6 +278,18 @@ class FittedMultirotor(FreeRuns):
         known = index in axis.free
         half = Z95 * float(np.sqrt(max(axis.covariance[index, index], 0.0))) if known else np.nan
         return AxisFigure(name, value, unit, half, max(abs(value), least))
+
+    def _battery_figures(self, output: int) -> list[AxisFigure]:
+        """The power of the voltage, and what it means where the battery has lost a tenth."""
+        axis = self.axes[output]
+        power = self._figure(axis, "power of the battery's voltage", len(axis.theta) - 1, "", least=1.0)
+        if not power.is_determined:
+            return [power]
+        mean = float(self.u_mean[self.battery])
+        low = 0.9 * mean
+        ratio, half = self.hover_command(low, output)
+        name = f"commands for the same thrust at {low:.4g} V, over those at {mean:.4g} V"
+        return [power, AxisFigure(name, ratio, "", half, ratio)]
 
     def coefficients(self) -> list[Coefficient]:
         """Every figure that these flights determine."""

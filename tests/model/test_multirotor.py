@@ -71,6 +71,9 @@ def test_what_the_battery_does_to_the_thrust_is_found() -> None:
     assert abs(power.value - 1.0) < 2 * power.half_width < 0.2
     ratio, half_width = model.hover_command(0.9 * 12.0)
     assert abs(ratio - 1.0 / 0.9) < 2 * half_width < 0.05
+    same_thrust = "commands for the same thrust at 10.8 V, over those at 12 V"
+    assert f"{same_thrust} {ratio:.4g} +- {half_width:.2g}" in str(model)
+    assert same_thrust in [c.regressor for c in model.coefficients()]
     segment = data.segments[0]
     left = model.simulate(segment.u, segment.y[:1]) - segment.y
     assert left.std() < 0.12
