@@ -77,6 +77,7 @@ class McapReader:
         self._seen = self._stated = 0
         self._last = -1  # start of the record before, where it carries no checksum
         self._trusted: dict[tuple[int, int], bytes] = {}
+        self._proven_from = self._limit  # up to the end, a checksum says that nothing is damaged
 
     def blocks(self) -> Iterator[Block]:
         """Messages in file order, in blocks of at most one chunk or `batch_bytes` of plain records."""
@@ -105,9 +106,11 @@ class McapReader:
             self._tally.undecode("(messages counted in the summary only)", self._stated - self._seen)
 
     def _record_end(self, at: int) -> int:
-        """`record_end`, which believes any length in a file that its checksums prove intact."""
+        """`record_end`, which believes any length in what its checksums prove intact."""
         end = record_end(self.view, at, self._limit)
-        return end if end >= 0 or not self._is_intact else record_end(self.view, at, self._limit, intact=True)
+        if end >= 0 or not (at >= self._proven_from or self._is_intact):
+            return end
+        return record_end(self.view, at, self._limit, intact=True)
 
     @cached_property
     def _is_intact(self) -> bool:
@@ -154,6 +157,7 @@ class McapReader:
             covered = self.view[start : at + HEAD_BYTES + 16]
             if len(MAGIC) <= start < at and (not crc or crc32(covered) == crc):
                 self._define_all(start, at, bool(crc))
+                self._proven_from = start if crc else self._limit
                 return
         self._tally.bad_checksums += 1 if starts else 0
 

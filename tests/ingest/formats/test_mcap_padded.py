@@ -105,6 +105,18 @@ def test_padding_that_is_a_record_stays_padding_where_checksums_hold(pad: bytes)
         assert is_whole or flight.damage.lossy, (shape, op)
 
 
+SUMMARY_ONLY = (8, 10, Opcode.STATISTICS, 13, 14)  # records that stand nowhere else
+
+
+@pytest.mark.parametrize("op", SUMMARY_ONLY)
+def test_a_summary_is_believed_for_its_own_checksum(op: int) -> None:
+    """Most writers leave the checksum of the data out, and state that of the summary."""
+    raw = bytearray(padded_mcap(FULL, {op: whole_records()["message"]}))
+    data_end = next(one.start for one in records(bytes(raw)) if raw[one.start] == Opcode.DATA_END)
+    raw[data_end + 9 : data_end + 13] = bytes(4)
+    assert_whole(bytes(raw))
+
+
 @pytest.mark.parametrize("pad", [b"", b"\x01\xff\xff"])
 def test_a_log_without_messages_is_empty_and_sound(pad: bytes) -> None:
     header = record(Opcode.HEADER, prefixed("") + prefixed("") + pad)
