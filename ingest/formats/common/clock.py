@@ -25,6 +25,7 @@ BACK_STEP_NS = 1 * SECOND_NS
 JUMP_NS = 3600 * SECOND_NS
 LEAP_NS = 10 * SECOND_NS
 SIDE = 3
+MEMORY = 256  # messages that a clock which leapt must be ahead of
 MAX_KNOTS = 1 << 16
 
 
@@ -159,28 +160,40 @@ def leaps(time_ns: IntArray, arrival_ns: IntArray, least_ns: int) -> IntArray:
     """Indices i before which a clock leapt ahead of the arrivals by more than `least_ns`.
 
     What the arrivals explain is their step times the rate of this record: replays run up to 27 times as fast.
+    Messages may come late, and what was late catches up; but none comes early, so that only a clock that
+    leapt is ahead of all that it said before.
     """
     steps = np.diff(time_ns)
     if not (steps > least_ns).any():
         return np.empty(0, np.int64)
-    _, rate, _ = fit_line(arrival_ns, time_ns)
-    explained = max(rate, 1.0) * np.maximum(np.diff(arrival_ns), 0)
-    return np.flatnonzero(steps - explained > least_ns) + 1
+    rate = _usual_rate(arrival_ns, time_ns)
+    least = max(max(rate, 1.0) * least_ns, 2 * usual_step(time_ns))
+    beyond = steps - rate * np.maximum(np.diff(arrival_ns), 0)
+    ahead = np.append(0.0, np.cumsum(beyond))
+    found = np.flatnonzero((steps > least) & (beyond > least)) + 1
+    leapt = [
+        ahead[i : i + SIDE].min() - ahead[max(i - MEMORY, 0) : i].max() > beyond[i - 1] / 2 for i in found
+    ]
+    return found[np.array(leapt, dtype=np.bool_)]
+
+
+def _usual_rate(x: IntArray, y: IntArray) -> float:
+    """How fast y rises with x: the median between pairs a twentieth of the record apart.
+
+    A leap bends one of these in twenty. 1.0 where x stands still.
+    """
+    apart = max(1, len(x) // 20)
+    run = (x[apart:] - x[:-apart]).astype(np.float64)
+    rise = (y[apart:] - y[:-apart])[run > 0]
+    return max(float(np.median(rise / run[run > 0])), 0.0) if len(rise) else 1.0
 
 
 def settings(time_ns: IntArray, utc_ns: IntArray) -> IntArray:
-    """Indices i before which somebody set the clock that says the UTC: it leaps, either way, and stays there.
-
-    The rate is that between pairs a twentieth of the record apart, of which a leap bends one in twenty.
-    """
+    """Indices i before which somebody set the clock that says the UTC: it leaps, either way, and stays."""
     steps = np.diff(utc_ns)
     if not (np.abs(steps) > LEAP_NS).any():
         return np.empty(0, np.int64)
-    apart = max(1, len(time_ns) // 20)
-    run = (time_ns[apart:] - time_ns[:-apart]).astype(np.float64)
-    rise = (utc_ns[apart:] - utc_ns[:-apart])[run > 0]
-    rate = max(float(np.median(rise / run[run > 0])), 0.0) if len(rise) else 1.0
-    left = (utc_ns - utc_ns[0]) - rate * (time_ns - time_ns[0])
+    left = (utc_ns - utc_ns[0]) - _usual_rate(time_ns, utc_ns) * (time_ns - time_ns[0])
     found = np.flatnonzero(np.abs(np.diff(left)) > LEAP_NS) + 1
     stays = [
         abs(np.median(left[i : i + SIDE]) - np.median(left[max(i - SIDE, 0) : i])) > LEAP_NS for i in found

@@ -118,11 +118,17 @@ def _reading(unit: str, span: float, step: float) -> str:
 
 @dataclass
 class TableClock:
-    """Follows the times of a table from batch to batch: its boots, and its map to UTC."""
+    """Follows the times of a table from batch to batch: its boots, and its map to UTC.
+
+    Attributes
+    ----------
+    late : rows whose time lies before that of the row above, in the same boot.
+    """
 
     fit: UtcFit = field(default_factory=UtcFit)
     boot: int = 0
     last_ns: int | None = None
+    late: int = 0
 
     def boots(self, time_ns: IntArray) -> npt.NDArray[np.int32]:
         """(n,) the boot of every row: a time that steps back by more than a second begins another."""
@@ -136,6 +142,8 @@ class TableClock:
         for boot in np.unique(boots).tolist():
             own = time_ns[boots == boot]
             self.fit.add(int(boot), own, own if own.min() > UNIX_NS else None)
+        joined = time_ns if self.last_ns is None else np.append(self.last_ns, time_ns)
+        self.late += int(((np.diff(joined) < 0) & (begins[-len(joined) + 1 :] == 0)).sum())
         self.boot, self.last_ns = int(boots[-1]), int(time_ns[-1])
         return boots.astype(np.int32)
 

@@ -22,9 +22,10 @@ from itertools import pairwise
 import numpy as np
 
 from flysid.ingest.formats.common.clock import (
+    BACK_STEP_NS,
     LEAP_NS,
+    MEMORY,
     SECOND_NS,
-    SIDE,
     UNIX_NS,
     BoolArray,
     Extent,
@@ -248,7 +249,7 @@ class VehicleTime:
         first_boot = state.boot
         state.boot = state.boot + len(splits)
         if len(rows):
-            state.tail = self._arrival[rows[-SIDE:]], times[-SIDE:].copy()
+            state.tail = self._arrival[rows[-MEMORY:]], times[-MEMORY:].copy()
         whole = frozenset(s.source for s, g in zip(streams, good, strict=True) if s is g)
         return Knots(rows, times, tuple(splits), first_boot, whole)
 
@@ -279,7 +280,8 @@ class VehicleTime:
             return []
         arrival = np.concatenate([state.tail[0], self._arrival[rows]])
         joined = np.concatenate([state.tail[1], times])
-        found = leaps(joined, arrival, LEAP_NS) - len(state.tail[0])
+        found = leaps(joined, arrival, BACK_STEP_NS) - len(state.tail[0])
+        found = found[found >= 0]
         steps = np.diff(joined)
         for at in found.tolist():
             boot = state.boot + int(np.searchsorted(splits, rows[at])) + 1

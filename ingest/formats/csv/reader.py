@@ -234,4 +234,6 @@ def _summary(reader: _Reader) -> Summary:
     time = reader.schema.metadata[b"time_source"].decode()
     for name in reader.layout.unused_times:
         reader.tally.undecode(f"{STREAM}.{name}", reader.rows, UNUSED)
+    if reader.clock.late:
+        reader.tally.out_of_order[STREAM] = reader.clock.late
     return Summary(reader.tally.freeze(), reader.clock.clocks(), {"time": time})

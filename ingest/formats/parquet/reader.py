@@ -105,6 +105,8 @@ def read(view: memoryview, name: str, limits: Limits) -> Parts:
     missing = file.metadata.num_rows - sum(group.rows for group in groups)
     if missing:
         reader.tally.undecode(STREAM, abs(missing), "the footer's counts of rows disagree")
+    if reader.clock.late:
+        reader.tally.out_of_order[STREAM] = reader.clock.late
     return Summary(reader.tally.freeze(), reader.clock.clocks(), {"time": source})
 
 

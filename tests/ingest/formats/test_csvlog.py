@@ -375,3 +375,17 @@ def test_a_first_row_of_ones_holds_no_units(tmp_path: Path) -> None:
     table = next(iter(flysid.read(path).tables.values()))
     assert table.num_rows == 29
     assert table["u"].to_pylist() == [1.0] * 29
+
+
+def test_rows_that_are_late_are_counted() -> None:
+    order = [*range(10), 3, *range(11, 20)]
+    flight = read("time_s,x\n" + "".join(f"{i / 10},{i}\n" for i in order))
+    assert flight["table"]["time_ns"].to_pylist()[10] == 300_000_000
+    assert flight.damage.out_of_order == {"table": 1}
+    assert read("time_s,x\n" + "".join(f"{i / 10},{i}\n" for i in range(20))).damage.out_of_order == {}
+
+
+def test_late_rows_are_counted_across_batches() -> None:
+    order = [i ^ (i % 10 < 2) for i in range(400)]
+    blob = ("time_s,x\n" + "".join(f"{i / 10},{i}\n" for i in order)).encode()
+    assert read(blob, batch_bytes=150).damage.out_of_order == {"table": 40}

@@ -234,3 +234,9 @@ def test_a_time_that_cannot_be_used_is_said(times: list[object]) -> None:
     flight = read(written(pa.table({"time": times, "x": range(200)})))
     assert flight.damage.undecoded == {"table.time": 200}
     assert "rows count as 1 s each" in flight.damage.reasons["table.time"]
+
+
+def test_rows_that_are_late_are_counted() -> None:
+    seconds_of = [i / 10 if i != 10 else 0.3 for i in range(40)]
+    blob = written(pa.table({"time_s": seconds_of, "x": range(40)}), row_group_size=10)
+    assert read(blob).damage.out_of_order == {"table": 1}

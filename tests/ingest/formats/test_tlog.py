@@ -267,6 +267,31 @@ def test_a_clock_that_leaps_is_cut_there_and_said(batch_bytes: int) -> None:
     assert not flight.damage.lossy
 
 
+@pytest.mark.parametrize("batch_bytes", [1 << 20, 2000])
+@pytest.mark.parametrize("leap_ms", [1500, 4000, 9000])
+def test_a_clock_that_leaps_by_a_few_seconds_is_cut_there(leap_ms: int, batch_bytes: int) -> None:
+    vehicle = sender()
+    frames = flying(vehicle, 100) + flying(vehicle, 200, 3000 + leap_ms)
+    flight = read(log_of(frames, 20_000), batch_bytes=batch_bytes)
+    assert flight["ATTITUDE"]["boot"].to_pylist() == [0] * 100 + [1] * 200
+    first, second = (c.utc_offset_ns or 0 for c in flight.clocks)
+    assert first - second == pytest.approx(leap_ms * MS, abs=MS)
+    assert all(c.slope == pytest.approx(1.0, abs=1e-6) for c in flight.clocks)
+
+
+@pytest.mark.parametrize("late_s", [2, 9])
+def test_messages_that_come_late_are_no_leap(late_s: int) -> None:
+    """The link holds them up and some are lost; then it catches up, and the clock goes on as it did."""
+    frames = flying(sender(), 400)
+    stamps = [EPOCH_US + 20_000 * i for i in range(400)]
+    held = range(200, 200 + 50 * late_s)[: 400 - 250]
+    stamps = [max(us, stamps[held[-1]]) if i in held else us for i, us in enumerate(stamps)]
+    kept = [i for i in range(400) if i not in held[1:-2]]
+    flight = read(b"".join(stamped(stamps[i], frames[i]) for i in kept))
+    assert len(flight.clocks) == 1
+    assert "clock_note" not in flight.info
+
+
 @pytest.mark.parametrize("set_s", [3600, -3600, 30])
 @pytest.mark.parametrize("at", [80, 150])
 def test_a_station_clock_that_is_set_bends_no_map(set_s: int, at: int) -> None:
