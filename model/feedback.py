@@ -18,7 +18,7 @@ from flysid.dataset import Dataset, FloatArray
 from flysid.filters import filtered
 from flysid.model.base import Fitted
 from flysid.model.noise import noise_model
-from flysid.model.start import estimate_start, start_window
+from flysid.model.start import run_from_window, start_window
 
 BIASED = "Free-run fits (OE, TF, refined ARX) may be biased"
 REMEDY = (
@@ -98,9 +98,7 @@ def _left_over(model: Fitted, data: Dataset, lags: int) -> list[tuple[FloatArray
         skip = start_window(model.n_init, len(segment), data.dt_s)
         if len(segment) < skip + 6 * lags:
             continue
-        start = estimate_start(model, segment.u[:skip], segment.y[:skip]) if model.n_init else None
-        run = model.simulate(segment.u, segment.y[:0] if start is None else start)
-        error = (segment.y - run)[skip:]
+        error = (segment.y - run_from_window(model, segment, skip))[skip:]
         if np.isfinite(error).all():
             found.append((error, segment.u[skip:]))
     return found

@@ -24,7 +24,7 @@ import numpy as np
 
 from flysid.dataset import Dataset, FloatArray, Segment
 from flysid.model.base import Fitted
-from flysid.model.start import estimate_start, start_window
+from flysid.model.start import run_from_window, start_window
 
 LEVEL = 0.005
 SMALL = 1e-3
@@ -185,15 +185,17 @@ def _columns(
     `far`: standard deviations of the output; a free run that is farther off says nothing of a shape.
     """
     window = start_window(model.n_init, len(segment), model.dt_s)
-    start = estimate_start(model, segment.u[:window], segment.y[:window])
-    free = model.simulate(segment.u, start)[:, output]
+    run = run_from_window(model, segment, window)
+    start = run[: model.n_init]
+    held = model.simulate(segment.u, start)[:, output]
+    free = run[:, output]
     most = far * scales.y_std
     at = np.clip(free - scales.y_mean, -most, most) / scales.y_std
 
     def through(i: int, shape: FloatArray) -> FloatArray:
         u = segment.u.copy()
         u[:, i] += SMALL * scales.u_std[i] * shape
-        return np.asarray((model.simulate(u, start)[:, output] - free) / SMALL)
+        return np.asarray((model.simulate(u, start)[:, output] - held) / SMALL)
 
     inputs = [(segment.u[:, i] - mean) / scales.u_std[i] for i, mean in enumerate(scales.u_mean)]
     yield np.ones(len(free))

@@ -3,9 +3,12 @@
 Numbers are of tangents (`flysid.model.rules.steady_map`) at places spread over what was flown. Their errors
 are to first order, the place solved anew for every step: noise alone. What a model cannot express, no
 covariance shows; four things do, and as they speak of one and the same error, the largest of them is added:
-what the model with one rule more says there, or where growth ended with one fewer; how much wider errors that
-still depend on what is simulated make the noise's share (`flysid.model.rules.lack_of_fit`); that a condition
-on an input switches all its lags at once, which makes a time as unsure as these are apart; a floor.
+what the model with one rule more says otherwise, or where growth ended with one fewer; how much wider errors
+that still depend on what is simulated make the noise's share (`flysid.model.rules.lack_of_fit`); that a
+condition on an input switches all its lags at once, which makes a time as unsure as these are apart; a floor.
+A blend of few rules winds about the truth and crosses it, and so does the other model's: how far the two are
+apart at one place says little of the error there, but in the mean square over all places they are as far
+apart as the truth is.
 Such an error is the same in every sample and has a bound: it is taken to lie anywhere up to there (JCGM
 100:2008, 4.3.7), so that 95 % are within 1.65 standard deviations, not 1.96.
 """
@@ -112,8 +115,10 @@ class _Asked:
         }
         levels = np.array(sorted(found))
         nearest = [levels[np.abs(levels - v).argmin()] for v in wanted] if found else []
-        for level in np.unique(nearest):
-            yield self._point(float(level), found[float(level)])
+        chosen = np.unique(nearest).tolist()
+        apart = np.array([self._of_neighbour(level, found[level]) for level in chosen])
+        for level, gap in zip(chosen, _pooled(apart), strict=True):
+            yield self._point(found[level], gap)
 
     @cached_property
     def moved(self) -> int:
@@ -122,7 +127,7 @@ class _Asked:
         gains = np.linalg.pinv(np.eye(self.model.n) - A.sum(axis=0)) @ B.sum(axis=0)
         return int(np.abs(gains[self.output]).argmax())
 
-    def _point(self, level: float, place: Place) -> OperatingPoint:
+    def _point(self, place: Place, apart: FloatArray) -> OperatingPoint:
         layout = self.model.layout
         n, n_y = self.model.n, layout.n_y
         dt = self.train.dt_s
@@ -133,7 +138,7 @@ class _Asked:
         inputs = range(len(layout.inputs))
         answers = [tangent.answer(j, samples) for j in inputs]
         figures = np.array([(a.gain[output], a.reached[output]) for a in answers]).T
-        wide = np.minimum(self._half_widths(level, place, figures, samples), _LOST)
+        wide = np.minimum(self._half_widths(place, figures, samples, apart), _LOST)
         gain, reached = figures * np.stack(
             [layout.scale[output] / layout.scale[n:], np.full(len(inputs), dt)]
         )
@@ -161,8 +166,11 @@ class _Asked:
         answers = (found.tangent.answer(j, samples) for j in range(len(model.layout.inputs)))
         return np.array([(a.gain[self.output], a.reached[self.output]) for a in answers]).T
 
-    def _half_widths(self, level: float, place: Place, figures: FloatArray, samples: int) -> FloatArray:
-        """(2, n_u) half 95 % intervals of the logarithms of gain and time; NaN where nothing is known."""
+    def _half_widths(self, place: Place, figures: FloatArray, samples: int, apart: FloatArray) -> FloatArray:
+        """(2, n_u) half 95 % intervals of the logarithms of gain and time; NaN where nothing is known.
+
+        `apart`: (2, n_u) how far the neighbour's logarithms are from these.
+        """
         if self.sure is None:
             return np.full(figures.shape, np.nan)
         noise = np.zeros(figures.shape)
@@ -177,7 +185,7 @@ class _Asked:
                 if more is None or less is None:
                     return np.full(figures.shape, np.nan)
                 noise += ((more - less) / (2.0 * _STEP * figures)) ** 2
-            lack = np.maximum((self.misfit**2 - 1.0) * noise, self._of_neighbour(level, figures) ** 2)
+            lack = np.maximum((self.misfit**2 - 1.0) * noise, apart**2)
             lack = np.maximum(lack, _FLOOR**2)
             lack[1] = np.maximum(lack[1], (self._switched() / figures[1]) ** 2)
             return np.asarray(np.hypot(Z95 * np.sqrt(noise), _EVENLY * np.sqrt(lack)))
@@ -194,19 +202,28 @@ class _Asked:
         spoken = [column in lags.z_column and len(lag) > 0 for column, lag in zip(columns, own, strict=True)]
         return np.array([float(np.ptp(lag)) if said else 0.0 for lag, said in zip(own, spoken, strict=True)])
 
-    def _of_neighbour(self, level: float, figures: FloatArray) -> FloatArray:
+    def _of_neighbour(self, level: float, place: Place) -> FloatArray:
         """(2, n_u) logarithms of what the neighbour says there over what this one does; 0 without one."""
-        if self.neighbour is None:
-            return np.zeros(figures.shape)
+        figures = self._figures(self.model, place, place.tangent.samples())
+        if self.neighbour is None or figures is None:
+            return np.zeros((2, len(self.model.layout.inputs)))
         own, other = self.model.layout, self.neighbour.layout
         way = np.unique(np.append(np.linspace(own.shift[self.output], level, _GRID // 5), level))
-        place = walked(self.neighbour, self.output, self.moved, way).get(level)
-        said = None if place is None else self._figures(self.neighbour, place, place.tangent.samples())
+        there = walked(self.neighbour, self.output, self.moved, way).get(level)
+        said = None if there is None else self._figures(self.neighbour, there, there.tangent.samples())
         if said is None:
             return np.full(figures.shape, np.inf)
         units = [layout.scale[self.output] / layout.scale[layout.n :] for layout in (other, own)]
-        ratio = said * np.stack([units[0] / units[1], np.ones(figures.shape[1])]) / figures
-        return np.where(ratio > 0.0, np.log(ratio), np.inf)
+        with np.errstate(all="ignore"):  # an answer at once takes no time at all
+            ratio = said * np.stack([units[0] / units[1], np.ones(figures.shape[1])]) / figures
+            return np.where(ratio > 0.0, np.log(ratio), np.inf)
+
+
+def _pooled(apart: FloatArray) -> FloatArray:
+    """(places, 2, n_u) in the mean square over all places where the neighbour rests; infinite elsewhere."""
+    known = np.isfinite(apart)
+    mean = np.where(known, apart**2, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    return np.where(known, np.sqrt(mean), np.inf)
 
 
 def _levels(y: FloatArray) -> FloatArray:

@@ -139,6 +139,23 @@ def test_a_larger_model_that_says_otherwise_widens_the_intervals(flown: tuple[Fi
         assert np.isnan(point.gain_interval).all()
 
 
+def test_where_another_model_agrees_by_chance_it_may_err_as_much_as_elsewhere(
+    flown: tuple[FittedTS, Dataset],
+) -> None:
+    """Two blends of rules wind about the truth and cross: on two inputs an eighth of places missed."""
+    model, data = flown
+    numbers = SteadyMap(model.layout, model.parameters)
+    sure = model.uncertainty(data)
+    theta = model.parameters.theta.copy()
+    theta[0, :, model.layout.orders.na : -1] *= 1.3  # one rule, at one end
+    other = SteadyMap(model.layout, model.parameters._replace(theta=theta))
+    wider = operating_points(numbers, data, sure, other)
+    for alone, told in zip(operating_points(numbers, data, sure), wider, strict=True):
+        assert _width(told.gain_interval) > 1.5 * _width(alone.gain_interval)
+    widths = [_width(told.gain_interval) for told in wider]
+    assert max(widths) < 1.3 * min(widths)
+
+
 def _width(interval: FloatArray) -> float:
     return float(np.log(interval[1, 0] / interval[0, 0]))
 
