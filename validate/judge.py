@@ -126,7 +126,6 @@ class Judgement:
 def judge_run(
     run: Run,
     data: str | Path | None = None,
-    remark: str = "",
     only: Selection | None = None,
     beside: Beside = MappingProxyType({}),
 ) -> Judgement:
@@ -135,7 +134,6 @@ def judge_run(
     Parameters
     ----------
     data : the ingested folder, where it moved since the fit.
-    remark : stands above the report's title, e.g. "simulated flights".
     only : judge on these of the held-out flights and stretches alone.
     beside : further models, by channel and label, that are judged on the same flights as the run's.
 
@@ -147,8 +145,8 @@ def judge_run(
     tell("aligning the held-out part", share=0.0)
     held = [with_models(item, beside.get(item.channel.name, {})) for item in held_out(run, data)]
     chosen = None if only is None else chosen_lake(run, data, only)
-    if only is not None:
-        remark = remark or f"judged with {' '.join(only.options)}"
+    judged_with = [] if only is None else [f"judged with {' '.join(only.options)}"]
+    remark = "; ".join([*([run.settings.remark] if run.settings.remark else []), *judged_with])
     comparisons: dict[str, Comparison] = {}
     failed: dict[str, str] = {}
     for i, item in enumerate(held):

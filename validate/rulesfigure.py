@@ -16,6 +16,7 @@ import numpy as np
 from flysid.dataset import FloatArray, Segment
 from flysid.errors import UsageError
 from flysid.model.base import Fitted
+from flysid.model.start import run_from_window, start_window
 from flysid.validate.paperfigures import RULES, axis_label, require_matplotlib, write_figure
 from flysid.validate.report.rulefigures import SHOWN_FROM
 from flysid.validate.responses import steady_outputs
@@ -100,7 +101,7 @@ def _over_time(panels: Any, model: OfRules, segment: Segment, at: tuple[int, int
     j, i = at
     t = model.dt_s * np.arange(len(segment))
     y = segment.y[:, j]
-    run = model.simulate(segment.u, segment.y[: model.n_init])[:, j]
+    run = run_from_window(model, segment, start_window(model.n_init, len(segment), model.dt_s))[:, j]
     name = axis_label(model.outputs[j].name, model.outputs[j].unit)
     panels[0].plot(t, y, color="black", linewidth=0.8, label="measured")
     panels[0].plot(t, run, color="#1d5fd6", linewidth=0.8, linestyle="--", label="model, free run")

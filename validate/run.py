@@ -66,6 +66,7 @@ class FitSettings:
     selection : flights and stretches that the user chose.
     held : what is held out instead of a share by chance: flights, or parts of them
         (`flysid.ingest.lake.stretches.parse_part`).
+    remark : stands above the title of every report on the run, e.g. "simulated flights".
     """
 
     holdout: float = 0.3
@@ -80,6 +81,7 @@ class FitSettings:
     rotate: bool = True
     selection: Selection = Selection()  # noqa: RUF009 - frozen
     held: tuple[str, ...] = ()
+    remark: str = ""
 
     @property
     def labels(self) -> tuple[str, ...]:

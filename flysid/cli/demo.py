@@ -174,7 +174,7 @@ def fit(stages: Stages, seed: int) -> Run:
     from flysid.validate.fitting import fit_run
     from flysid.validate.run import FitSettings
 
-    settings = FitSettings(seed=seed, holdout=HOLDOUT)
+    settings = FitSettings(seed=seed, holdout=HOLDOUT, remark="simulated flights")
     return fit_run(open_lake(stages.data), RECIPE, stages.run, settings, jobs=cores())
 
 
@@ -190,7 +190,7 @@ def judge(stages: Stages) -> Judgement:
     from flysid.validate.run import open_run
 
     with part(0.0, 0.5):
-        judgement = judge_run(open_run(stages.run), remark="simulated flights")
+        judgement = judge_run(open_run(stages.run))
     with part(0.5, 1.0):
         write_judgement(judgement, stages.report)
     return judgement

@@ -108,10 +108,16 @@ def _unexplained(data: Dataset) -> Iterator[Doubt]:
         elif is_narrow(band):
             yield Doubt(
                 "narrow",
-                f"{output.name} follows {name} from {band[0]:.2g} to {band[1]:.2g} Hz only, less than an "
-                "octave: an oscillation rather than a response",
+                f"{output.name} follows {name} {_between(*band)} only, less than an octave: an oscillation "
+                "rather than a response",
                 "excite this axis alone, in calm air",
             )
+
+
+def _between(low_hz: float, high_hz: float) -> str:
+    """ "from 4.8 to 5 Hz", or "at 5 Hz" where both are the same in words."""
+    low, high = (f"{f:.2g}" for f in (low_hz, high_hz))
+    return f"at {high} Hz" if low == high else f"from {low} to {high} Hz"
 
 
 def _pooled(data: Dataset) -> Iterator[Doubt]:

@@ -15,6 +15,9 @@ MIN_DURATION_S = 10.0
 """Below, nothing is fitted that would be worth a look."""
 
 
+FLY_MORE = "fly a minute of manoeuvres, or five such flights"
+
+
 def least_hz(role: str, log_format: str) -> float:
     """The lowest rate at which "attitude", "velocity" or "rates" of a log are worth a fit."""
     return BLACKBOX_RATES_HZ if role == "rates" and log_format == "blackbox" else LEAST_HZ[role]
@@ -24,7 +27,4 @@ def too_short_alone(duration_s: float, *, least_s: float = 60.0) -> str:
     """Why a flight of this duration will hardly give a verdict by itself; "" where it may."""
     if duration_s >= least_s:
         return ""
-    return (
-        f"{duration_s:.0f} s alone will hardly give a verdict: fly a minute of manoeuvres, or five "
-        "such flights"
-    )
+    return f"{duration_s:.0f} s alone will hardly give a verdict: {FLY_MORE}"

@@ -16,7 +16,7 @@ from flysid.errors import FlysidError
 from flysid.flight import BOOT, TIME, ClockMap, Damage, Source, field_scale, field_unit
 from flysid.flightwriter import float_values, int_values
 from flysid.ingest.align.resample import Span
-from flysid.ingest.excitation.enough import MIN_DURATION_S, least_hz, too_short_alone
+from flysid.ingest.excitation.enough import FLY_MORE, MIN_DURATION_S, least_hz, too_short_alone
 from flysid.ingest.formats.base import Limits, StreamPart, source_of
 from flysid.ingest.formats.opening import open_log
 from flysid.ingest.formats.registry import format_of
@@ -236,21 +236,22 @@ def verdict(found: Survey) -> tuple[str, str]:
     if not attitude and not velocity and not rates:
         return "holds no attitude and no velocity", advice
     if found.duration_s < MIN_DURATION_S:
-        return f"too short: {found.duration_s:.0f} s", too_short_alone(found.duration_s)
+        return f"too short: {found.duration_s:.0f} s", FLY_MORE
     if found.never:
         return f"excluded: {found.never[0]}", "fly; or remove the condition from a recipe of your own"
     if found.usable_s < MIN_DURATION_S:
-        return f"too short: flown for {found.usable_s:.0f} s", too_short_alone(found.usable_s)
+        return f"too short: flown for {found.usable_s:.0f} s", FLY_MORE
     kind = found.source.format
     if not attitude and not velocity and rates_hz < least_hz("rates", kind):
         return "too slow for body rates", advice
     usable_s = found.usable_of(attitude or velocity or rates)
+    name = "attitude" if attitude else "velocity" if velocity else "body rates"
+    logged = f"{name} logged for {usable_s:.0f} of {found.usable_s:.0f} s flown"
+    if usable_s < MIN_DURATION_S:
+        return f"too short: {logged}", FLY_MORE
     short = too_short_alone(usable_s)
     if usable_s < SHARE_LOGGED * found.usable_s and short:
-        name = "attitude" if attitude else "velocity" if velocity else "body rates"
-        short = f"{name} logged for {usable_s:.0f} of {found.usable_s:.0f} s flown; {short}"
-    if usable_s < MIN_DURATION_S:
-        return f"too short: {usable_s:.0f} s", short
+        short = f"{logged}; {short}"
     if not attitude and not velocity:
         return "ok: body rates only", short
     if attitude and rate < least_hz("attitude", kind):

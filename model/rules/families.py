@@ -104,12 +104,15 @@ def sweep(family: Family, plain: Family) -> list[FloatArray]:
 
 
 def sweep_in_words(family: Family, plain: Family) -> str:
-    """ "1: 0.183 +- 0.012, 2: 0.134": errors, and one standard error of their distance to the best."""
+    """ "1: 0.183 +- 0.012, 2: 0.134, 3: not bounded"; +- is a standard error of the distance to the best."""
     units = sweep(family, plain)
     errors = [float(plain.rmse[0]), *(float(e) for e in family.rmse[1:])]
     best = units[_best(units, family)]
     said = []
     for rules, (error, own) in enumerate(zip(errors, units, strict=True), 1):
+        if own.mean() >= _UNBOUNDED:
+            said.append(f"{rules}: not bounded")
+            continue
         spread = 0.5 * error * standard_error(_gap(own, best, family))
         said.append(f"{rules}: {error:.3g}" + (f" +- {spread:.2g}" if spread > 0.0 else ""))
     return ", ".join(said)

@@ -94,7 +94,8 @@ def refit_states(found: Search) -> Search:
     if drifts:
         notes.append(INTEGRATES)
     if stage.rules <= found.at:
-        notes.append(f"{stage.rules} rules stayed bounded under random inputs.")
+        count = f"{stage.rules} rules" if stage.rules > 1 else "One rule"
+        notes.append(f"{count} stayed bounded under random inputs.")
     return replace(found, stage=stage, notes=tuple(notes))
 
 

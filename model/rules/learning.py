@@ -111,7 +111,8 @@ def select(found: Search) -> Search:
 def _verdict(found: Search) -> tuple[str, ...]:
     """The rule count in words."""
     if found.context.settings.rules != "auto":
-        return (f"{found.context.settings.rules} rules, as asked.",)
+        asked = found.context.settings.rules
+        return (f"{asked} rules, as asked." if asked != 1 else "One rule, as asked.",)
     tried = sweep_in_words(found.best, found.plain)
     said = f"{SWEEP}, in standard deviations of the output: {tried}."
     if "+-" in tried:

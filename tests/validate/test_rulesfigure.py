@@ -43,7 +43,7 @@ def test_the_panels_show_what_the_model_says() -> None:
 def test_dynamic_rules_are_drawn_in_free_run(rules: int, tmp_path: Path) -> None:
     model = TS(rules=rules, na=rules, nb=1, nk=1, iterations=3).fit(DATA)
     panels = draw_rules(model, SEGMENT).axes
-    run = model.simulate(SEGMENT.u, SEGMENT.y[: model.n_init])[:, 0]
+    run = model.free_run(SEGMENT)[:, 0]
     assert np.asarray(panels[1].lines[1].get_ydata()) == pytest.approx(run)
     path = write_rules_figure(tmp_path / "new" / "figure-4.svg", model, SEGMENT)
     assert path.read_bytes() == write_rules_figure(tmp_path / "again.svg", model, SEGMENT).read_bytes()

@@ -20,8 +20,10 @@ from flysid.dataset import Signal
 from flysid.errors import DataError, StoreError, UsageError
 from flysid.files import replacing_folder, write_atomically
 from flysid.ingest.lake.batch import ingest_logs
+from flysid.ingest.lake.chosen_flights import Selection
 from flysid.ingest.lake.finding import find_logs
 from flysid.ingest.lake.lake import open as open_lake
+from flysid.ingest.lake.stretches import Stretches
 from flysid.ingest.synth.synth import WRITERS, Order, flights
 from flysid.model.anfis import ANFIS
 from flysid.model.arx import ARX
@@ -66,7 +68,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def run(data: Path) -> Run:
-    settings = FitSettings(channels=(CHANNEL,), rules=2, effort="quick", rotate=False)
+    settings = FitSettings(channels=(CHANNEL,), rules=2, effort="quick", rotate=False, remark="as flown")
     return fit_run(open_lake(data), "ardrone-synthetic", data.parent / "run", settings)
 
 
@@ -101,6 +103,13 @@ def test_the_held_out_part_is_made_again_and_was_never_trained_on(run: Run) -> N
     assert held.channel.baseline in held.models
     assert not set(held.train.flights) & set(held.test.flights)
     assert len(held.test) / (len(held.train) + len(held.test)) == pytest.approx(0.3, abs=0.12)
+
+
+def test_a_run_keeps_what_stands_above_every_report_on_it(judgement: Judgement, run: Run) -> None:
+    """The demo's page lost "simulated flights" when `validate` made it again."""
+    assert judgement.context.remark == "as flown"
+    only = Selection(stretches=Stretches(between="0..15"))
+    assert judge_run(run, only=only).context.remark == "as flown; judged with --between 0..15"
 
 
 def test_all_six_flights_are_judged_by_models_that_have_not_seen_them(turned: Run) -> None:

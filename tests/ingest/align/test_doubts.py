@@ -4,6 +4,7 @@ import pytest
 from flysid.dataset import Dataset, Segment, Signal
 from flysid.ingest.align.doubts import Doubt, doubts, told
 from flysid.ingest.align.recipe import ChannelSpec
+from flysid.ingest.excitation.excitation import Spectrum
 from flysid.validate.cautions import cautions
 from flysid.validate.document import to_json
 from flysid.validate.report.context import ReportContext
@@ -46,12 +47,18 @@ def test_good_data_have_a_band_and_no_fault() -> None:
         (data(y=RNG.normal(size=len(U))), "unexplained", "y does not follow u at any frequency"),
         (data(U[:2500], Y[:2500]), "short", "50 s alone will hardly give a verdict"),
         (data(np.sign(U), Y), "holes", "input u takes 2 distinct values (-1, 1 deg)"),
-        (oscillation(), "narrow", "less than an octave"),
+        (oscillation(), "narrow", "y follows u from 3.8 to 4.9 Hz only, less than an octave"),
         (data(vehicles=("b", "a", "b")), "pooled", "flights of 2 vehicles are pooled (a, b)"),
     ],
 )
 def test_each_fault_is_named_with_its_remedy(of: Dataset, kind: str, words: str) -> None:
     assert [words in d.text and d.todo != "" for d in doubts(of, SPEC) if d.kind == kind] == [True]
+
+
+def test_a_band_of_one_line_is_said_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A real log read "from 5 to 5 Hz only"."""
+    monkeypatch.setattr(Spectrum, "band_hz", lambda _: (4.97, 5.0))
+    assert "y follows u at 5 Hz only" in " ".join(d.text for d in doubts(oscillation(), SPEC))
 
 
 def test_a_fit_says_that_an_input_has_holes_and_leaves_bands_to_the_page() -> None:

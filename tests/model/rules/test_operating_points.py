@@ -104,6 +104,7 @@ def test_one_rule_is_said_once_with_its_dead_time(delay: int) -> None:
     assert sure.gain_interval[0, 0] < 2.0 < sure.gain_interval[1, 0]
     assert sentence.startswith("  * One unit more of u adds ")
     assert "strongest" not in str(model)
+    assert "One rule, as asked." in str(model)
 
 
 def test_a_first_move_the_wrong_way_is_told() -> None:

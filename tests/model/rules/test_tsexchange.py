@@ -60,6 +60,8 @@ def test_the_sweep_tells_how_sure_its_distances_are(truth: FittedTS, context: Se
     root = np.sqrt(0.06)  # the gaps 0.03 and 0.05 have a standard error of 0.01
     assert sweep_in_words(grown, grown) == f"1: {root:.3g} +- {0.01 / (2 * root):.2g}, 2: {np.sqrt(0.02):.3g}"
     assert "+-" not in sweep_in_words(Family((models[:1],)), grown)
+    away = Family(((models[1], replace(models[0], stable=False)),))
+    assert sweep_in_words(away, away).endswith(", 2: not bounded")  # "2: 1e+03 +- 8.2e-07" before
 
 
 def test_a_rule_that_helps_in_one_window_is_not_worth_it(truth: FittedTS, context: SearchContext) -> None:
