@@ -14,6 +14,7 @@ from pathlib import Path
 from flysid.errors import FormatError, UsageError
 from flysid.flight import Flight
 from flysid.ingest.formats.base import WHOLE_BATCH_BYTES, Format, Limits, collect
+from flysid.ingest.formats.common.capture import is_capture
 from flysid.ingest.formats.opening import OpenLog, members_of, open_log, own_name
 from flysid.ingest.formats.recognised import stranger
 from flysid.mirror import log_at
@@ -119,6 +120,14 @@ def detect(head: bytes, name: str) -> Format:
         if lower.endswith(likely.suffixes) and likely.sniff(head, name) >= CERTAIN:
             return likely  # the usual case: no other reader is imported
     confidence, best = _most_likely(head, name)
+    if confidence < PLAUSIBLE and is_capture(head):
+        raise FormatError(
+            f"a network capture without MAVLink or navdata in its first {len(head):,} bytes",
+            path=name,
+            byte=0,
+            hint="where it begins later, --format tlog or navdata; read are unencrypted UDP and TCP, over "
+            "Ethernet, raw IP, loopback or Linux cooked capture",
+        )
     if confidence < PLAUSIBLE:
         raise FormatError(
             "not a flight log that flysid knows",

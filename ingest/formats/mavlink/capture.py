@@ -23,14 +23,55 @@ from flysid.ingest.formats.mavlink.frames import Frames, Scanner, is_checked, re
 
 LONGEST_FRAME = 280 + 13
 SEQUENCES = 1 << 32
+MAX_EARLY = 64  # segments that wait for one ahead of them
 
 
 @dataclass
 class _Stream:
-    """One direction of a TCP connection: the next byte's number, and the beginning of a frame."""
+    """One direction of a TCP connection.
+
+    Attributes
+    ----------
+    expected : the next byte's number.
+    waiting : the beginning of a frame.
+    early : segments that came ahead of others, by number.
+    """
 
     expected: int | None = None
     waiting: bytes = b""
+    early: dict[int, Payload] = field(default_factory=dict)
+
+    def in_order(self, found: Payload) -> Iterator[Payload]:
+        """The segments that can be read now: what was sent before is passed over, what came early waits."""
+        if self.expected is None:
+            self.expected = found.sequence or 0
+        self.early.setdefault(found.sequence or 0, found)
+        while ready := self._next(MAX_EARLY):
+            yield ready
+
+    def rest(self) -> Iterator[Payload]:
+        """What still waits: the segments between are not in the capture."""
+        while ready := self._next(0):
+            yield ready
+
+    def _next(self, most: int) -> Payload | None:
+        """The segment that comes next; where more than `most` wait for it, the first of these."""
+        ahead = {number: (number - (self.expected or 0)) % SEQUENCES for number in self.early}
+        for number, distance in ahead.items():
+            if distance == 0 or distance >= SEQUENCES // 2:
+                return self._taken(number)
+        if len(ahead) <= most:
+            return None
+        self.waiting = b""
+        self.expected = min(ahead, key=lambda number: ahead[number])
+        return self._taken(self.expected)
+
+    def _taken(self, number: int) -> Payload:
+        found = self.early.pop(number)
+        known = ((self.expected or 0) - number) % SEQUENCES
+        content = found.content[known:]
+        self.expected = ((self.expected or 0) + len(content)) % SEQUENCES
+        return replace(found, content=content)
 
 
 @dataclass
@@ -77,7 +118,7 @@ class Capture:
     def batches(self, view: memoryview, size: int) -> Iterator[tuple[Batch, int]]:
         """Batches of at least `size` bytes, and how many bytes came before each."""
         batch = Batch()
-        for found in payloads(view, self.tally):
+        for found in self._in_order(view):
             content = self._of_tcp(found) if found.sequence is not None else self._of_udp(found)
             if content:
                 batch.add(content, found)
@@ -86,6 +127,16 @@ class Capture:
                 batch = Batch()
         if batch.data:
             yield self._closed(batch)
+
+    def _in_order(self, view: memoryview) -> Iterator[Payload]:
+        """Datagrams as they came, segments in the order of their streams."""
+        for found in payloads(view, self.tally):
+            if found.sequence is None:
+                yield found
+            else:
+                yield from self._streams.setdefault(found.flow, _Stream()).in_order(found)
+        for stream in self._streams.values():
+            yield from stream.rest()
 
     def _closed(self, batch: Batch) -> tuple[Batch, int]:
         base = self._base
@@ -110,20 +161,9 @@ class Capture:
         self.tally.undecode("datagrams", datagrams, "not whole MAVLink frames")
 
     def _of_tcp(self, found: Payload) -> bytes:
-        """The frames that end in this segment. What was sent before is passed over; a gap ends what waits."""
-        stream = self._streams.setdefault(found.flow, _Stream())
-        number = found.sequence or 0
-        content = found.content
-        if stream.expected is not None:
-            behind = (stream.expected - number) % SEQUENCES
-            if behind < SEQUENCES // 2:
-                content = content[behind:]
-            else:
-                stream.waiting = b""
-        if not content:
-            return b""
-        stream.expected = (number + len(found.content)) % SEQUENCES
-        held = stream.waiting + content
+        """The frames that end in this segment."""
+        stream = self._streams[found.flow]
+        held = stream.waiting + found.content
         start = 0 if found.flow in self._flows else self._first_frame(held)
         if start < 0:
             stream.waiting = held[-LONGEST_FRAME:]

@@ -123,7 +123,7 @@ def _read_capture(view: memoryview, name: str, limits: Limits) -> Parts:
         raise FormatError(
             "no MAVLink in the capture",
             path=name,
-            hint="unencrypted UDP and TCP over IPv4 are read",
+            hint="unencrypted UDP and TCP are read, over Ethernet, raw IP, loopback or Linux cooked capture",
         )
     summary = _summary(reader)
     return replace(summary, damage=capture.located(summary.damage))

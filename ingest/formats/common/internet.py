@@ -1,0 +1,159 @@
+"""IP packets, version 4 and 6: whose they are, what they carry, and datagrams put together from fragments.
+
+Sources: RFC 791 (IPv4), RFC 8200 (IPv6).
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+MAX_PENDING = 64
+V4_BYTES = 20
+V6_BYTES = 40
+
+
+class NextHeader(IntEnum):
+    """What follows an IPv6 header or an extension of it, where that is another extension."""
+
+    HOP_BY_HOP = 0
+    ROUTING = 43
+    FRAGMENT = 44
+    DESTINATION = 60
+
+
+@dataclass(frozen=True)
+class IpPacket:
+    """One packet, or one fragment of it.
+
+    Attributes
+    ----------
+    protocol : of the body.
+    hosts : both addresses.
+    body : what is carried, or a part of it.
+    offset, more : of a fragment, where its body belongs, and whether others follow.
+    number : of the datagram that a fragment is of; b"" where the packet is whole.
+    """
+
+    protocol: int
+    hosts: bytes
+    body: bytes
+    offset: int = 0
+    more: bool = False
+    number: bytes = b""
+
+
+class HeaderError(ValueError):
+    """An IP header that is cut or whose checksum is wrong."""
+
+
+def ip_packet(frame: bytes, start: int) -> IpPacket | None:
+    """The IP packet that begins at `start`; None where there is none. Raises HeaderError."""
+    version = frame[start] >> 4 if len(frame) > start else 0
+    if version == 4 and len(frame) >= start + V4_BYTES:
+        return _version_4(frame, start)
+    if version == 6 and len(frame) >= start + V6_BYTES:
+        return _version_6(frame, start)
+    return None
+
+
+def _version_4(frame: bytes, start: int) -> IpPacket:
+    size = 4 * (frame[start] & 15)
+    if not _is_sound(frame[start : start + size], size):
+        raise HeaderError("the checksum of the IP header is wrong")
+    total = int.from_bytes(frame[start + 2 : start + 4], "big") or len(frame) - start  # 0: cut by the card
+    flags = int.from_bytes(frame[start + 6 : start + 8], "big")
+    is_part = flags & 0x3FFF  # more to come, or not the first
+    return IpPacket(
+        frame[start + 9],
+        frame[start + 12 : start + 20],
+        frame[start + size : start + total],
+        (flags & 0x1FFF) * 8,
+        bool(flags & 0x2000),
+        frame[start + 4 : start + 6] if is_part else b"",
+    )
+
+
+def _is_sound(head: bytes, size: int) -> bool:
+    """Whether an IPv4 header is whole and its checksum holds; 0 where the network card fills it in."""
+    if size < V4_BYTES or len(head) < size:
+        return False
+    words = struct.unpack(f">{size // 2}H", head)
+    return bool(words[5] == 0 or sum(words) % 0xFFFF == 0)
+
+
+def _version_6(frame: bytes, start: int) -> IpPacket:
+    """An IPv6 packet behind its extension headers; it has no checksum of its own."""
+    length = int.from_bytes(frame[start + 4 : start + 6], "big")
+    end = start + V6_BYTES + length if length else len(frame)  # 0: cut by the card
+    kind = frame[start + 6]
+    at = start + V6_BYTES
+    offset = 0
+    more = False
+    number = b""
+    while kind in set(NextHeader) and at + 8 <= min(end, len(frame)):
+        following = frame[at]
+        if kind == NextHeader.FRAGMENT:
+            place = int.from_bytes(frame[at + 2 : at + 4], "big")
+            offset = place & 0xFFF8
+            more = bool(place & 1)
+            number = frame[at + 4 : at + 8] if offset or more else b""
+            at += 8
+        else:
+            at += 8 * (1 + frame[at + 1])
+        kind = following
+        if offset:
+            break  # what follows lies in the first fragment
+    return IpPacket(kind, frame[start + 8 : start + V6_BYTES], frame[at:end], offset, more, number)
+
+
+@dataclass
+class _Pending:
+    """A datagram of which fragments are missing: their bytes by offset, its whole size once known."""
+
+    first: IpPacket
+    place: tuple[int, int]
+    parts: dict[int, bytes] = field(default_factory=dict)
+    total: int = -1
+
+
+@dataclass
+class Fragments:
+    """Puts datagrams together, a bounded number at a time."""
+
+    _pending: dict[bytes, _Pending] = field(default_factory=dict)
+
+    def add(self, packet: IpPacket, place: tuple[int, int]) -> tuple[IpPacket, tuple[int, int]] | None:
+        """The whole datagram and its first place, once its last missing piece has come."""
+        key = bytes([packet.protocol]) + packet.hosts + packet.number
+        held = self._pending.setdefault(key, _Pending(packet, place))
+        held.parts[packet.offset] = packet.body
+        if not packet.more:
+            held.total = packet.offset + len(packet.body)
+        if held.total != sum(map(len, held.parts.values())):
+            return None
+        del self._pending[key]
+        body = b"".join(held.parts[offset] for offset in sorted(held.parts))
+        return IpPacket(packet.protocol, packet.hosts, body), held.place
+
+    def given_up(self, most: int = MAX_PENDING) -> list[tuple[IpPacket, tuple[int, int]]]:
+        """The beginnings of datagrams that cannot be completed: all but the `most` that came last.
+
+        Without its first fragment nothing tells whose a datagram was.
+        """
+        old = list(self._pending)[: max(len(self._pending) - most, 0)]
+        found = []
+        for held in map(self._pending.pop, old):
+            if 0 in held.parts:
+                body = _beginning(held.parts)
+                found.append((IpPacket(held.first.protocol, held.first.hosts, body), held.place))
+        return found
+
+
+def _beginning(parts: dict[int, bytes]) -> bytes:
+    """The bytes from the first on that are known without a gap."""
+    body = b""
+    while len(body) in parts and parts[len(body)]:
+        body += parts[len(body)]
+    return body
